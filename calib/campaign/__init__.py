@@ -1,0 +1,1 @@
+"""What was driven and measured: the campaign folder, its settings, run table and logs."""

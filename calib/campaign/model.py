@@ -1,0 +1,270 @@
+"""Campaign, run table and logs: the one contract that every later stage reads.
+
+Arrays over all runs, and logs of all runs laid end to end, so that later stages work on whole campaigns at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
+from calib.vehicle import Vehicle
+
+__all__ = [
+    "LABEL_COLUMNS",
+    "LOG_COLUMNS",
+    "NUMERIC_COLUMNS",
+    "BoolArray",
+    "Campaign",
+    "FloatArray",
+    "IntArray",
+    "Logs",
+    "Note",
+    "RunTable",
+    "StrArray",
+]
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
+StrArray = npt.NDArray[np.str_]
+
+#: text columns of ``runs.csv``
+LABEL_COLUMNS: Final = ("run_id", "session", "kind", "direction", "log", "exclusion_reason")
+
+#: numeric columns of ``runs.csv`` that have a meaning of their own; any further numeric column is a covariate
+NUMERIC_COLUMNS: Final = (
+    "payload_kg",
+    "payload_x_m",
+    "payload_y_m",
+    "load_left_N",
+    "load_right_N",
+    "speed_mps",
+    "temperature_C",
+    "minutes_under_load",
+    "distance_m",
+    "counts_left",
+    "counts_right",
+    "amplitude_m",
+    "wavelength_m",
+    "ref_x_m",
+    "ref_y_m",
+    "ref_theta_rad",
+    "sim_x_m",
+    "sim_y_m",
+    "sim_theta_rad",
+    "sim_distance_m",
+)
+
+#: columns of a log; the first three are required
+LOG_COLUMNS: Final = (
+    "t_s",
+    "counts_left",
+    "counts_right",
+    "steer_rad",
+    "counts_front",
+    "range_m",
+    "ref_x_m",
+    "ref_y_m",
+    "ref_theta_rad",
+    "sim_x_m",
+    "sim_y_m",
+    "sim_theta_rad",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Note:
+    """Something recognised, converted or found on the way in.
+
+    Parameters
+    ----------
+    level : str
+        ``info`` (recognised or converted), ``suspicious`` or ``wrong``.
+    where : str
+        File, row, column as one text.
+    text : str
+        What was found, what was expected, what to do, in one sentence.
+    code : str
+        Stable name of the check, for example ``swapped_wheels``.
+    run_id : str
+        The run concerned, or empty.
+    """
+
+    level: str
+    where: str
+    text: str
+    code: str = ""
+    run_id: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunTable:
+    """The run table as arrays over runs, in the order driven.
+
+    Parameters
+    ----------
+    labels : mapping of str to array of str, shape (n_runs,)
+        Text columns present in the file (of `LABEL_COLUMNS`); ``run_id`` always is.
+    numbers : mapping of str to array of float, shape (n_runs,)
+        Numeric columns present, NaN where a cell is empty; SI units.
+    excluded : array of bool, shape (n_runs,)
+        Rows flagged out; they stay in the table.
+    line : array of int, shape (n_runs,)
+        Line of each row in the file, counted from 1, header included.
+    """
+
+    labels: Mapping[str, StrArray]
+    numbers: Mapping[str, FloatArray]
+    excluded: BoolArray
+    line: IntArray
+
+    def __len__(self) -> int:
+        return len(self.excluded)
+
+    @property
+    def run_id(self) -> StrArray:
+        """Run ids, shape (n_runs,)."""
+        return self.labels["run_id"]
+
+    def label(self, name: str) -> StrArray:
+        """Return a text column, shape (n_runs,); empty texts where the table lacks it."""
+        found = self.labels.get(name)
+        return found if found is not None else np.full(len(self), "", dtype=np.str_)
+
+    def number(self, name: str) -> FloatArray:
+        """Return a numeric column, shape (n_runs,); NaN where the table lacks it."""
+        found = self.numbers.get(name)
+        return found if found is not None else np.full(len(self), np.nan)
+
+    @property
+    def covariates(self) -> tuple[str, ...]:
+        """Names of the further numeric columns, candidates of ``covariate:<column>``."""
+        return tuple(name for name in self.numbers if name not in NUMERIC_COLUMNS)
+
+    def select(self, keep: npt.ArrayLike) -> RunTable:
+        """Return the rows that `keep` (bool mask or indices) picks."""
+        index = np.asarray(keep)
+        return RunTable(
+            labels={name: column[index] for name, column in self.labels.items()},
+            numbers={name: column[index] for name, column in self.numbers.items()},
+            excluded=self.excluded[index],
+            line=self.line[index],
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Logs:
+    """The logs of all runs laid end to end.
+
+    Parameters
+    ----------
+    offsets : array of int, shape (n_runs + 1,)
+        Samples of run i stand at ``offsets[i]:offsets[i + 1]``; an empty stretch means that the run has no log.
+    columns : mapping of str to array of float, shape (n_samples,)
+        Columns of `LOG_COLUMNS` that any log has, NaN in the stretches of logs that lack one. Counts are unwrapped
+        and start at the log's own first value; times are seconds from the run's start.
+    """
+
+    offsets: IntArray
+    columns: Mapping[str, FloatArray]
+
+    @property
+    def lengths(self) -> IntArray:
+        """Samples a run, shape (n_runs,)."""
+        return np.diff(self.offsets)
+
+    @property
+    def present(self) -> BoolArray:
+        """Whether a run has a log of two samples or more, shape (n_runs,)."""
+        found: BoolArray = self.lengths >= 2
+        return found
+
+    def of(self, run: int) -> dict[str, FloatArray]:
+        """Return the columns of run number `run`, each of shape (n_samples_of_run,); columns it lacks are left out."""
+        part = slice(int(self.offsets[run]), int(self.offsets[run + 1]))
+        cut = {name: column[part] for name, column in self.columns.items()}
+        return {name: column for name, column in cut.items() if len(column) and not np.isnan(column).all()}
+
+    def select(self, keep: npt.ArrayLike) -> Logs:
+        """Return the logs of the runs that `keep` (bool mask or indices) picks."""
+        index = np.asarray(keep)
+        index = np.flatnonzero(index) if index.dtype == bool else index
+        lengths = self.lengths[index]
+        offsets = np.concatenate(([0], np.cumsum(lengths))).astype(np.int64)
+        rows = np.arange(offsets[-1]) + np.repeat(self.offsets[index] - offsets[:-1], lengths)
+        return Logs(offsets=offsets, columns={name: column[rows] for name, column in self.columns.items()})
+
+    @staticmethod
+    def empty(n_runs: int) -> Logs:
+        """Return the logs of `n_runs` runs that have none."""
+        return Logs(offsets=np.zeros(n_runs + 1, dtype=np.int64), columns={})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Campaign:
+    """A campaign: vehicle, instruments, what the simulator believes, runs and logs.
+
+    Parameters
+    ----------
+    root : Path or None
+        Its folder; None where it was made in memory.
+    name : str
+        Name of the campaign.
+    simulated : bool
+        True where a program made the data; every report then says so.
+    vehicle, encoder, model, rangefinder, reference
+        Sections of ``campaign.toml``.
+    runs : RunTable
+        The run table.
+    logs : Logs
+        Logs of the same runs in the same order.
+    notes : tuple of Note
+        What was recognised and converted on the way in.
+    hashes : mapping of str to str
+        SHA-256 of every file read, by path relative to the folder.
+    extra : mapping
+        Sections of ``campaign.toml`` that the contract does not name, as read (``effects`` for one).
+    """
+
+    root: Path | None
+    name: str
+    simulated: bool
+    vehicle: Vehicle
+    encoder: Encoder
+    model: OdometryModel
+    rangefinder: Rangefinder
+    reference: Reference
+    runs: RunTable
+    logs: Logs
+    notes: tuple[Note, ...] = ()
+    hashes: Mapping[str, str] = field(default_factory=dict)
+    extra: Mapping[str, Any] = field(default_factory=dict)
+
+    def select(self, keep: npt.ArrayLike) -> Campaign:
+        """Return the campaign with the runs that `keep` (bool mask or indices) picks."""
+        return Campaign(
+            root=self.root,
+            name=self.name,
+            simulated=self.simulated,
+            vehicle=self.vehicle,
+            encoder=self.encoder,
+            model=self.model,
+            rangefinder=self.rangefinder,
+            reference=self.reference,
+            runs=self.runs.select(keep),
+            logs=self.logs.select(keep),
+            notes=self.notes,
+            hashes=self.hashes,
+            extra=self.extra,
+        )
+
+    def included(self) -> Campaign:
+        """Return the campaign without the rows flagged as excluded."""
+        return self if not self.runs.excluded.any() else self.select(~self.runs.excluded)

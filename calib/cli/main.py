@@ -1,0 +1,94 @@
+"""The door: builds the command line, and turns known errors into one line and an exit status."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from typing import Final
+
+import typer
+
+from calib.errors import CalibError
+
+__all__ = ["app", "main"]
+
+EXIT_FINE: Final = 0
+EXIT_BAD_INPUT: Final = 2
+EXIT_BUG: Final = 3
+
+#: command -> module under ``calib.cli``; adding a command means adding one file and one line here
+COMMANDS: Final[dict[str, str]] = {}
+
+
+def build() -> typer.Typer:
+    """Return the application with every command; a command's heavy imports happen inside its body."""
+    application = typer.Typer(
+        name="calib",
+        no_args_is_help=True,
+        add_completion=False,
+        rich_markup_mode=None,
+        pretty_exceptions_enable=False,
+        help="Calibrate a vehicle's wheel odometry, and find out why its simulation is wrong.",
+    )
+
+    @application.callback(invoke_without_command=True)
+    def root(version: bool = typer.Option(False, "--version", help="Show the version and exit.")) -> None:
+        if version:
+            from calib import __version__
+
+            typer.echo(f"calib {__version__}")
+            raise typer.Exit
+
+    for name, module in COMMANDS.items():
+        loaded = importlib.import_module(f"calib.cli.{module}")
+        loaded.register(application, name)
+    return application
+
+
+def app() -> typer.Typer:
+    """Return the application (for documentation tools and tests)."""
+    return build()
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command line and exit with its status: 0 fine, 1 a verdict failed, 2 bad input or usage."""
+    sys.exit(run(arguments))
+
+
+def run(arguments: list[str] | None = None) -> int:
+    """Run the command line and return its exit status."""
+    import click
+
+    try:
+        result = build()(args=arguments, prog_name="calib", standalone_mode=False)
+    except CalibError as error:
+        return _complain(str(error))
+    except click.exceptions.NoArgsIsHelpError as error:
+        sys.stderr.write(error.format_message() + "\n")
+        return EXIT_BAD_INPUT
+    except click.ClickException as error:
+        hint = f" (see '{error.ctx.command_path} --help')" if getattr(error, "ctx", None) else ""  # type: ignore[attr-defined]
+        return _complain(error.format_message() + hint)
+    except (click.exceptions.Abort, KeyboardInterrupt):
+        return _complain("interrupted; nothing half-written was left behind")
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_FINE
+    except MemoryError:
+        return _complain("out of memory; expected a campaign that fits; give fewer runs or shorter logs")
+    except Exception as error:
+        if os.environ.get("CALIB_TRACEBACK"):
+            raise
+        _complain(f"bug in calib, please report: {type(error).__name__}: {error} (CALIB_TRACEBACK=1 shows where)")
+        return EXIT_BUG
+    return result if isinstance(result, int) else EXIT_FINE
+
+
+def _complain(message: str) -> int:
+    sys.stderr.write("calib: " + " ".join(message.split()) + "\n")
+    return EXIT_BAD_INPUT
+
+
+if __name__ == "__main__":
+    main()

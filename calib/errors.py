@@ -1,0 +1,62 @@
+"""The one family of errors that users see.
+
+A message says where (file, row, column), what was found, what was expected and what to do, in one line.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+__all__ = ["BadFileError", "BadInputError", "CalibError", "RefusedError", "would_overwrite"]
+
+
+class CalibError(Exception):
+    """Any failure that is the input's, not the program's; its text is one helpful line."""
+
+
+class BadInputError(CalibError):
+    """An argument or value that cannot be used."""
+
+
+class BadFileError(BadInputError):
+    """A file that cannot be used.
+
+    Parameters
+    ----------
+    path : Path or str
+        The file.
+    found, expected, remedy : str
+        What stands there, what should stand there, what to do about it.
+    row : int, optional
+        Line of the file, counted from 1, header included.
+    column : str, optional
+        Name of the column or key.
+    """
+
+    def __init__(
+        self,
+        path: Path | str,
+        *,
+        found: str,
+        expected: str,
+        remedy: str,
+        row: int | None = None,
+        column: str | None = None,
+    ) -> None:
+        where = str(path)
+        if row is not None:
+            where += f", row {row}"
+        if column is not None:
+            where += f", column {column}"
+        super().__init__(f"{where}: found {found}; expected {expected}; {remedy}")
+        self.path, self.row, self.column = str(path), row, column
+        self.found, self.expected, self.remedy = found, expected, remedy
+
+
+class RefusedError(CalibError):
+    """The question cannot be answered from these data; the text says why and what would answer it."""
+
+
+def would_overwrite(path: Path | str) -> BadInputError:
+    """Return the error for an output that already exists."""
+    return BadInputError(f"{path}: found an existing file; expected a new one; give --force to replace it")

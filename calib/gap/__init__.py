@@ -1,0 +1,1 @@
+"""Simulated against real: where the gap lies, which effect causes it, how far it shrinks."""

@@ -1,0 +1,1 @@
+"""The library of candidate causes, one file an effect, and their registry."""

@@ -1,0 +1,1 @@
+"""From counts and radii to poses: odometry, routes, closed-loop simulation."""

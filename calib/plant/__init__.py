@@ -1,0 +1,1 @@
+"""An independent vehicle that makes campaigns; it imports nothing of ``motion`` or ``gap``."""

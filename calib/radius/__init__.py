@@ -1,0 +1,1 @@
+"""From runs to a law: effective radius a run and wheel, path deviation, regression on load."""

@@ -1,0 +1,72 @@
+"""The radius law of a wheel: effective radius against load, with its covariance and valid range."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["RadiusLaw", "WheelLaw"]
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WheelLaw:
+    """Linear law of one wheel, r_e(F) = radius_ref + slope (F - reference_load).
+
+    The sign of the slope is data: bonded solid rubber can do either.
+
+    Parameters
+    ----------
+    reference_load_N : float
+        Load on which the coefficients are centred.
+    radius_ref_m : float
+        Effective radius at the reference load.
+    slope_m_per_N : float
+        Change of the radius with load; 0 in a reduced model.
+    covariance : array of float, shape (2, 2)
+        Covariance of (radius_ref_m, slope_m_per_N).
+    dof : float
+        Degrees of freedom of that covariance.
+    residual_std_m : float
+        Standard deviation of a single run about the law.
+    load_min_N, load_max_N : float
+        Loads that were measured; outside them the law extrapolates.
+    n_runs : int
+        Runs behind it.
+    """
+
+    reference_load_N: float
+    radius_ref_m: float
+    slope_m_per_N: float
+    covariance: FloatArray
+    dof: float
+    residual_std_m: float
+    load_min_N: float
+    load_max_N: float
+    n_runs: int
+
+    def radius_m(self, load_N: npt.ArrayLike) -> FloatArray:
+        """Return the effective radius at `load_N` (any shape), same shape, in m."""
+        offset = np.asarray(load_N, dtype=np.float64) - self.reference_load_N
+        return np.asarray(self.radius_ref_m + self.slope_m_per_N * offset)
+
+    def mean_std_m(self, load_N: npt.ArrayLike) -> FloatArray:
+        """Return the standard uncertainty of the mean radius at `load_N` (any shape), same shape, in m."""
+        offset = np.asarray(load_N, dtype=np.float64) - self.reference_load_N
+        variance = self.covariance[0, 0] + 2 * offset * self.covariance[0, 1] + offset**2 * self.covariance[1, 1]
+        return np.sqrt(np.maximum(variance, 0.0))
+
+    def prediction_std_m(self, load_N: npt.ArrayLike) -> FloatArray:
+        """Return the standard uncertainty of a single run's radius at `load_N` (any shape), same shape, in m."""
+        return np.hypot(self.mean_std_m(load_N), self.residual_std_m)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RadiusLaw:
+    """The laws of both rear wheels."""
+
+    left: WheelLaw
+    right: WheelLaw

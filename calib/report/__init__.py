@@ -1,0 +1,1 @@
+"""What a customer gets: content, figures and the typeset page."""

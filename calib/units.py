@@ -1,0 +1,72 @@
+"""Physical constants and the unit suffixes of columns and keys; conversions happen only at the border.
+
+Inside the package everything is SI (m, rad, s, kg, N, degrees Celsius for floor temperature).
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+__all__ = ["GRAVITY_MPS2", "SUFFIXES", "convertible", "split_suffix"]
+
+GRAVITY_MPS2: Final = 9.81
+
+#: suffix as labs write it -> (suffix as calib writes it, factor, offset): calib value = factor * value + offset
+SUFFIXES: Final[dict[str, tuple[str, float, float]]] = {
+    "m": ("m", 1.0, 0.0),
+    "mm": ("m", 1e-3, 0.0),
+    "cm": ("m", 1e-2, 0.0),
+    "km": ("m", 1e3, 0.0),
+    "um": ("m", 1e-6, 0.0),
+    "kg": ("kg", 1.0, 0.0),
+    "g": ("kg", 1e-3, 0.0),
+    "t": ("kg", 1e3, 0.0),
+    "N": ("N", 1.0, 0.0),
+    "kN": ("N", 1e3, 0.0),
+    "daN": ("N", 10.0, 0.0),
+    "kgf": ("N", 9.80665, 0.0),
+    "rad": ("rad", 1.0, 0.0),
+    "mrad": ("rad", 1e-3, 0.0),
+    "deg": ("rad", 0.017453292519943295, 0.0),
+    "s": ("s", 1.0, 0.0),
+    "ms": ("s", 1e-3, 0.0),
+    "us": ("s", 1e-6, 0.0),
+    "ns": ("s", 1e-9, 0.0),
+    "mps": ("mps", 1.0, 0.0),
+    "kmh": ("mps", 1 / 3.6, 0.0),
+    "mmps": ("mps", 1e-3, 0.0),
+    "C": ("C", 1.0, 0.0),
+    "K": ("C", 1.0, -273.15),
+    "F": ("C", 5 / 9, -160 / 9),
+}
+
+
+def split_suffix(name: str) -> tuple[str, str | None]:
+    """Split a column name into its stem and its unit suffix.
+
+    Parameters
+    ----------
+    name : str
+        For example ``distance_mm``.
+
+    Returns
+    -------
+    stem : str
+        ``distance``
+    suffix : str or None
+        ``mm``, or None where the name ends in no known unit.
+    """
+    stem, sep, suffix = name.rpartition("_")
+    if sep and suffix in SUFFIXES:
+        return stem, suffix
+    return name, None
+
+
+def convertible(name: str, wanted: str) -> tuple[float, float] | None:
+    """Return (factor, offset) that turn column `name` into column `wanted`, or None where they do not match."""
+    stem, suffix = split_suffix(name)
+    wanted_stem, wanted_suffix = split_suffix(wanted)
+    if suffix is None or wanted_suffix is None or stem != wanted_stem:
+        return None
+    target, factor, offset = SUFFIXES[suffix]
+    return (factor, offset) if target == wanted_suffix else None
