@@ -58,19 +58,17 @@ def main(arguments: list[str] | None = None) -> None:
 
 def run(arguments: list[str] | None = None) -> int:
     """Run the command line and return its exit status."""
-    import click
-
     try:
         result = build()(args=arguments, prog_name="calib", standalone_mode=False)
     except CalibError as error:
         return _complain(str(error))
-    except click.exceptions.NoArgsIsHelpError as error:
-        sys.stderr.write(error.format_message() + "\n")
-        return EXIT_BAD_INPUT
-    except click.ClickException as error:
-        hint = f" (see '{error.ctx.command_path} --help')" if getattr(error, "ctx", None) else ""  # type: ignore[attr-defined]
-        return _complain(error.format_message() + hint)
-    except (click.exceptions.Abort, KeyboardInterrupt):
+    except typer.TyperException as error:
+        if type(error).__name__ == "NoArgsIsHelpError":
+            sys.stderr.write(_message(error) + "\n")
+            return EXIT_BAD_INPUT
+        context = getattr(error, "ctx", None)
+        return _complain(_message(error) + (f" (see '{context.command_path} --help')" if context else ""))
+    except (typer.Abort, KeyboardInterrupt):
         return _complain("interrupted; nothing half-written was left behind")
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -83,6 +81,11 @@ def run(arguments: list[str] | None = None) -> int:
         _complain(f"bug in calib, please report: {type(error).__name__}: {error} (CALIB_TRACEBACK=1 shows where)")
         return EXIT_BUG
     return result if isinstance(result, int) else EXIT_FINE
+
+
+def _message(error: Exception) -> str:
+    formatted = getattr(error, "format_message", None)
+    return str(formatted()) if formatted else str(error)
 
 
 def _complain(message: str) -> int:

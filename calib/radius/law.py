@@ -57,11 +57,11 @@ class WheelLaw:
         """Return the standard uncertainty of the mean radius at `load_N` (any shape), same shape, in m."""
         offset = np.asarray(load_N, dtype=np.float64) - self.reference_load_N
         variance = self.covariance[0, 0] + 2 * offset * self.covariance[0, 1] + offset**2 * self.covariance[1, 1]
-        return np.sqrt(np.maximum(variance, 0.0))
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
     def prediction_std_m(self, load_N: npt.ArrayLike) -> FloatArray:
         """Return the standard uncertainty of a single run's radius at `load_N` (any shape), same shape, in m."""
-        return np.hypot(self.mean_std_m(load_N), self.residual_std_m)
+        return np.asarray(np.hypot(self.mean_std_m(load_N), self.residual_std_m))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
