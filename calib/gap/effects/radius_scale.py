@@ -1,0 +1,28 @@
+"""Both effective radii are off by the same share."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from calib.gap.effects.effect import Effect, Form, Parameter
+from calib.gap.path import Push
+from calib.gap.situation import Situation
+
+__all__ = ["RadiusScale"]
+
+
+class RadiusScale(Effect):
+    """e_s = -eps S, no heading error apart from the turn's own scale (calibration, absorbed by both radii)."""
+
+    id: ClassVar[str] = "radius_scale"
+    title: ClassVar[str] = "both effective radii off by the same share"
+    implausible: ClassVar[str] = "the encoder's counts per revolution, or a gear ratio"
+    calibration: ClassVar[bool] = True
+
+    def forms(self, s: Situation) -> list[Form]:
+        """Return the single form; it applies to any campaign."""
+        ones = np.ones(len(s))
+        parameter = Parameter("relative", "1", typical=3e-3, largest=3e-2)
+        return [Form(self.id, "", (parameter,), lambda _: [Push(left=ones, right=ones)])]

@@ -1,0 +1,42 @@
+"""The reference's axes are turned against the vehicle's start heading."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from calib.gap.effects.effect import Effect, Form, Parameter
+from calib.gap.path import Path, Push
+from calib.gap.situation import Situation
+
+__all__ = ["ReferenceYaw"]
+
+
+class ReferenceYaw(Effect):
+    """e_n = alpha_0 S on straight runs: the end pose is read in axes turned by alpha_0."""
+
+    id: ClassVar[str] = "reference_yaw"
+    title: ClassVar[str] = "reference axes turned against the start heading"
+    implausible: ClassVar[str] = "unequal radii, or a badly placed start"
+
+    def forms(self, s: Situation) -> list[Form]:
+        """Return two forms: the position alone is turned, or position and heading; none without end poses."""
+        if not s.usable[:, 2].any():
+            return []
+        parameter = Parameter("yaw", "rad", typical=5e-3, largest=5e-2)
+
+        def made(with_heading: float) -> Form:
+            def pushes(path: Path) -> list[Push]:
+                reading = np.zeros((len(s), 6))
+                c, sn = np.cos(path.frame), np.sin(path.frame)
+                x, y = path.end[:, 0], path.end[:, 1]
+                # turning (x, y) by alpha moves it by alpha (-y, x); read in the end frame
+                reading[:, 1], reading[:, 2] = -c * y + sn * x, sn * y + c * x
+                reading[:, 3] = with_heading
+                return [Push(reading=reading)]
+
+            label = "position and heading" if with_heading else "position alone"
+            return Form(self.id, label, (parameter,), pushes, tries=2)
+
+        return [made(0.0), made(1.0)]
