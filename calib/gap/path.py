@@ -109,12 +109,12 @@ class Path:
     @cached_property
     def cos(self) -> FloatArray:
         """Cosine of the heading at the middle of each step, shape (n_steps,)."""
-        return np.cos(self.mid_rad)
+        return np.asarray(np.cos(self.mid_rad))
 
     @cached_property
     def sin(self) -> FloatArray:
         """Sine of the heading at the middle of each step, shape (n_steps,)."""
-        return np.sin(self.mid_rad)
+        return np.asarray(np.sin(self.mid_rad))
 
     @cached_property
     def lever_x(self) -> FloatArray:

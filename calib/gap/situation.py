@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -111,7 +112,7 @@ class Situation:
 
     def total(self, steps: npt.ArrayLike) -> FloatArray:
         """Sum a step array (n_steps,) over each unit, shape (n_units,)."""
-        return np.add.reduceat(np.asarray(steps, dtype=np.float64), self.starts[:-1])
+        return np.asarray(np.add.reduceat(np.asarray(steps, dtype=np.float64), self.starts[:-1]))
 
     def cumulative(self, steps: FloatArray) -> FloatArray:
         """Return the running sum of a step array (n_steps,) within each unit, the step included, shape (n_steps,)."""
@@ -179,7 +180,7 @@ class Situation:
         index = np.arange(len(steps))
         first = np.maximum(index - half, self.starts[self.unit])
         last = np.minimum(index + half + 1, self.starts[self.unit + 1])
-        return (running[last] - running[first]) / (last - first)
+        return np.asarray((running[last] - running[first]) / (last - first))
 
     @cached_property
     def length_m(self) -> FloatArray:
@@ -215,7 +216,7 @@ def _filled_loads(campaign: Campaign) -> tuple[FloatArray, FloatArray, bool]:
 
 
 def _conditions(columns: list[npt.NDArray[np.generic]]) -> IntArray:
-    """Number the distinct rows of several columns, shape (n_units,)."""
+    """Return a number for each distinct row of several columns, shape (n_units,)."""
     code = np.zeros(len(columns[0]), dtype=np.int64)
     for column in columns:
         _, part = np.unique(column, return_inverse=True)
@@ -387,7 +388,7 @@ def _windows(
     pieces = []
     pose = poses[good]
     heading = np.unwrap(pose[:, 2])
-    for first, last in zip(edges[:-1], edges[1:], strict=True):
+    for first, last in pairwise(edges):
         if last - first < 3:
             continue
         rows = np.arange(first, last + 1)
@@ -436,7 +437,6 @@ def _assemble(
     simulated = np.full((len(units), 6), np.nan)
     measured[:, :4] = [u.measured for u in units]
     simulated[:, :4] = [u.simulated for u in units]
-    unit = np.repeat(np.arange(len(units)), lengths)
     path = np.add.reduceat(0.5 * (roll_left * model.radius_left_m + roll_right * model.radius_right_m), starts[:-1])
     turn = np.add.reduceat((roll_right * model.radius_right_m - roll_left * model.radius_left_m), starts[:-1])
     turn = turn / model.track_m
