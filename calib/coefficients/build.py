@@ -1,0 +1,190 @@
+"""Building the coefficient file from a fitted law and its campaign."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from calib import __version__
+from calib.coefficients.file import FORMAT, CoefficientFile, Outside, sealed
+from calib.coefficients.sections import EffectSection
+from calib.radius.law import RadiusLaw, WheelLaw
+from calib.units import GRAVITY_MPS2
+from calib.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from calib.campaign.model import Campaign
+    from calib.campaign.settings import Encoder
+
+__all__ = ["from_fit", "from_law"]
+
+# Defaults of what a corridor campaign does not measure; every one stands in the file, where it can be bettered.
+TRACK_STD_M: Final = 1e-3
+ALONG_M_PER_SQRT_M: Final = 5e-4
+HEADING_RAD_PER_SQRT_M: Final = 5e-4
+COUNT_STD: Final = 1.0 / math.sqrt(12.0)  # a reading is uniform within one count
+MAX_STEP_M: Final = 0.5
+MAX_GAP_S: Final = 1.0
+LOAD_TABLE_LINES: Final = 64
+
+
+def from_fit(
+    law: RadiusLaw,
+    campaign: Campaign,
+    *,
+    outside: Outside = "refuse",
+    created: str | None = None,
+    effects: Iterable[EffectSection] = (),
+) -> CoefficientFile:
+    """Return the coefficient file of a fitted law, with vehicle, encoder, loads and hashes of its campaign.
+
+    Parameters
+    ----------
+    law : RadiusLaw
+        The fitted laws of both wheels.
+    campaign : Campaign
+        The campaign that they were fitted on.
+    outside : {"refuse", "clamp"}
+        What the vehicle does with a load that was not measured.
+    created : str, optional
+        Date as YYYY-MM-DD; passed in, so that the same input gives the same file.
+    effects : iterable of EffectSection
+        Diagnosed effects that belong to the model.
+    """
+    runs = campaign.runs.select(~campaign.runs.excluded)
+    pairs = np.column_stack([runs.number("load_left_N"), runs.number("load_right_N")])
+    pairs = pairs[np.isfinite(pairs).all(axis=1)]
+    # loads of one payload scatter by weighing: one line a newton is as fine as a table can mean
+    keys, group = np.unique(np.round(pairs), axis=0, return_inverse=True)
+    size = np.bincount(group.ravel(), minlength=len(keys))
+    means = np.column_stack([np.bincount(group.ravel(), pairs[:, side], minlength=len(keys)) / size for side in (0, 1)])
+    table = {
+        f"L{key[0]:.0f} R{key[1]:.0f}": (float(mean[0]), float(mean[1])) for key, mean in zip(keys, means, strict=True)
+    }
+    return from_law(
+        law,
+        campaign.vehicle,
+        campaign.encoder,
+        name=campaign.name,
+        simulated=campaign.simulated,
+        outside=outside,
+        created=created,
+        load_table=table if len(table) <= LOAD_TABLE_LINES else {},
+        effects=effects,
+        inputs=campaign.hashes,
+    )
+
+
+def from_law(
+    law: RadiusLaw,
+    vehicle: Vehicle,
+    encoder: Encoder,
+    *,
+    name: str,
+    simulated: bool,
+    outside: Outside = "refuse",
+    created: str | None = None,
+    load_table: Mapping[str, tuple[float, float]] | None = None,
+    effects: Iterable[EffectSection] = (),
+    inputs: Mapping[str, str] | None = None,
+    track_std_m: float = TRACK_STD_M,
+    along_m_per_sqrt_m: float = ALONG_M_PER_SQRT_M,
+    heading_rad_per_sqrt_m: float = HEADING_RAD_PER_SQRT_M,
+    max_step_m: float | None = None,
+    max_gap_s: float = MAX_GAP_S,
+) -> CoefficientFile:
+    """Return the coefficient file of a law, a vehicle and an encoder; see `from_fit`.
+
+    Parameters
+    ----------
+    load_table : mapping of str to (float, float)
+        Name of a line -> wheel loads left and right in N; lines outside the valid range are left out.
+    inputs : mapping of str to str
+        Path of an input -> its SHA-256.
+    track_std_m : float
+        Standard uncertainty of the track.
+    along_m_per_sqrt_m, heading_rad_per_sqrt_m : float
+        Random walk of distance and heading per square root of metre.
+    max_step_m, max_gap_s : float
+        Travel and silence between two samples that the runtime takes for a fault. None: 0.5 m, less where the counter
+        wraps sooner.
+    """
+    lengths = [
+        2.0**encoder.wrap_bits / per_rev * 2.0 * math.pi * wheel.radius_ref_m
+        for per_rev, wheel in ((encoder.counts_per_rev_left, law.left), (encoder.counts_per_rev_right, law.right))
+        if encoder.wrap_bits is not None
+    ]
+    step = max_step_m if max_step_m is not None else min([MAX_STEP_M, *(0.25 * length for length in lengths)])
+    sides = {"left": _wheel(law.left), "right": _wheel(law.right)}
+    loads = [
+        {"name": key, "load_left": _q(left, "N"), "load_right": _q(right, "N")}
+        for key, (left, right) in (load_table or {}).items()
+        if _within(sides["left"], left) and _within(sides["right"], right)
+    ]
+    return sealed(
+        {
+            "format": FORMAT,
+            "calib_version": __version__,
+            "name": name,
+            "created": created,
+            "simulated": bool(simulated),
+            "outside": outside,
+            "wheels": sides,
+            "vehicle": {
+                "track": _q(vehicle.track_m, "m"),
+                "track_std": _q(track_std_m, "m"),
+                "wheelbase": _q(vehicle.wheelbase_m, "m"),
+                "wheel_radius": _q(vehicle.wheel_radius_m, "m"),
+                "mass": _q(vehicle.mass_kg, "kg"),
+                "cog_x": _q(vehicle.cog_x_m, "m"),
+                "cog_y": _q(vehicle.cog_y_m, "m"),
+                "cog_z": _q(vehicle.cog_z_m, "m"),
+                "max_wheel_load": _q(vehicle.max_wheel_load_N, "N"),
+                "gravity": _q(GRAVITY_MPS2, "m/s^2"),
+            },
+            "encoder": {
+                "counts_per_rev_left": _q(encoder.counts_per_rev_left, "count/rev"),
+                "counts_per_rev_right": _q(encoder.counts_per_rev_right, "count/rev"),
+                "wrap_bits": None if encoder.wrap_bits is None else _q(encoder.wrap_bits, "bit"),
+            },
+            "noise": {
+                "along": _q(along_m_per_sqrt_m, "m/m^0.5"),
+                "heading": _q(heading_rad_per_sqrt_m, "rad/m^0.5"),
+                "count_std": _q(COUNT_STD, "count"),
+            },
+            "limits": {"max_step": _q(step, "m"), "max_gap": _q(max_gap_s, "s")},
+            "load_table": loads,
+            "effects": [effect.model_dump(mode="json") for effect in effects],
+            "inputs": [{"path": key, "sha256": value} for key, value in sorted((inputs or {}).items())],
+        }
+    )
+
+
+def _q(value: float, unit: str) -> dict[str, Any]:
+    return {"value": float(value), "unit": unit}
+
+
+def _wheel(law: WheelLaw) -> dict[str, Any]:
+    return {
+        "radius_ref": _q(law.radius_ref_m, "m"),
+        "slope": _q(law.slope_m_per_N, "m/N"),
+        "reference_load": _q(law.reference_load_N, "N"),
+        "variance_radius_ref": _q(law.covariance[0, 0], "m^2"),
+        "covariance_radius_ref_slope": _q(law.covariance[0, 1], "m^2/N"),
+        "variance_slope": _q(law.covariance[1, 1], "m^2/N^2"),
+        "dof": _q(law.dof, "1"),
+        "residual_std": _q(law.residual_std_m, "m"),
+        "n_runs": _q(law.n_runs, "1"),
+        # outwards to whole millinewtons: a load computed by another program must not fall out by its last bit
+        "valid_load": {
+            "min": _q(math.floor(law.load_min_N * 1e3) / 1e3, "N"),
+            "max": _q(math.ceil(law.load_max_N * 1e3) / 1e3, "N"),
+        },
+    }
+
+
+def _within(wheel: dict[str, Any], load_N: float) -> bool:
+    return bool(wheel["valid_load"]["min"]["value"] <= load_N <= wheel["valid_load"]["max"]["value"])

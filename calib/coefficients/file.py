@@ -1,0 +1,254 @@
+"""The coefficient file: the master from which vehicle, controller and simulator get the radius law."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal, Self
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field, ValidationError, model_validator
+
+from calib.coefficients.canonical import checksum
+from calib.coefficients.quantities import Section
+from calib.coefficients.sections import (
+    EffectSection,
+    EncoderSection,
+    InputFile,
+    LimitsSection,
+    LoadPoint,
+    NoiseSection,
+    VehicleSection,
+    WheelSection,
+    WheelsSection,
+)
+from calib.errors import BadFileError, BadInputError, RefusedError
+from calib.files import to_json
+from calib.radius.law import RadiusLaw, WheelLaw
+from calib.vehicle import Vehicle
+
+__all__ = ["FORMAT", "CoefficientFile", "Outside", "load_coefficients", "sealed"]
+
+FORMAT: Final = "calib-coefficients/1"
+
+Outside = Literal["refuse", "clamp"]
+FloatArray = npt.NDArray[np.float64]
+
+FILE_LIMIT_BYTES: Final = 16 << 20
+
+
+class CoefficientFile(Section):
+    """A coefficient file as read or about to be written; immutable.
+
+    Numbers carry their unit in the file; `law`, `geometry` and `radius_m` give plain SI arrays. The checksum covers
+    everything else; `changed` makes a variant with a checksum of its own.
+    """
+
+    format: Literal["calib-coefficients/1"]
+    calib_version: str
+    name: str
+    created: Annotated[str, Field(pattern=r"^\d{4}-\d{2}-\d{2}$")] | None = None
+    simulated: bool
+    outside: Outside
+    wheels: WheelsSection
+    vehicle: VehicleSection
+    encoder: EncoderSection
+    noise: NoiseSection
+    limits: LimitsSection
+    load_table: list[LoadPoint] = Field(default_factory=list)
+    effects: list[EffectSection] = Field(default_factory=list)
+    inputs: list[InputFile] = Field(default_factory=list)
+    checksum: Annotated[str, Field(pattern="^sha256:[0-9a-f]{64}$")]
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        bits = self.encoder.wrap_bits
+        if bits is not None:
+            for wheel, per_rev in (
+                (self.wheels.left, self.encoder.counts_per_rev_left),
+                (self.wheels.right, self.encoder.counts_per_rev_right),
+            ):
+                half = 2.0 ** (bits.value - 1.0) / per_rev.value * 2.0 * math.pi * wheel.radius_ref.value
+                if self.limits.max_step.value >= 0.9 * half:
+                    raise ValueError(
+                        f"limits.max_step: half a wrap of the counter is {half:.3g} m, a step must be less"
+                    )
+        names = [point.name for point in self.load_table]
+        if len(set(names)) != len(names):
+            raise ValueError("load_table: two lines have the same name")
+        return self
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the document as plain Python values, in the order of the file."""
+        return self.model_dump(mode="json")
+
+    def to_bytes(self) -> bytes:
+        """Return the file's content: UTF-8 JSON; the same bytes for the same content."""
+        return to_json(self.to_dict()).encode("utf-8")
+
+    def changed(self, **fields: Any) -> CoefficientFile:
+        """Return the file with `fields` (sections or plain values) replaced and a new checksum."""
+        document = {key: _plain(value) for key, value in {**self.to_dict(), **fields}.items()}
+        return sealed(document)
+
+    @property
+    def law(self) -> RadiusLaw:
+        """The laws of both wheels as arrays compute with them; they do not look at the valid range."""
+        return RadiusLaw(left=_law(self.wheels.left), right=_law(self.wheels.right))
+
+    @property
+    def geometry(self) -> Vehicle:
+        """The vehicle."""
+        part = self.vehicle
+        return Vehicle(
+            track_m=part.track.value,
+            wheelbase_m=part.wheelbase.value,
+            wheel_radius_m=part.wheel_radius.value,
+            mass_kg=part.mass.value,
+            cog_x_m=part.cog_x.value,
+            cog_y_m=part.cog_y.value,
+            cog_z_m=part.cog_z.value,
+            max_wheel_load_N=part.max_wheel_load.value,
+        )
+
+    def radius_m(self, load_left_N: npt.ArrayLike, load_right_N: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Return the effective radii of both wheels, obeying the file outside the valid range.
+
+        Parameters
+        ----------
+        load_left_N, load_right_N : array_like of float
+            Wheel loads, any shape each.
+
+        Returns
+        -------
+        left_m, right_m : array of float
+            Radii, of the shapes of the loads.
+
+        Raises
+        ------
+        RefusedError
+            Where a load lies outside the valid range and the file says ``refuse``.
+        BadInputError
+            Where a load is not finite.
+        """
+        return (
+            _radius(self.wheels.left, load_left_N, self.outside, "left"),
+            _radius(self.wheels.right, load_right_N, self.outside, "right"),
+        )
+
+
+def load_coefficients(path: Path | str) -> CoefficientFile:
+    """Read a coefficient file and verify its schema and checksum.
+
+    Raises
+    ------
+    BadFileError
+        Where it cannot be read, breaks the schema, or is not what was written.
+    """
+    path = Path(path)
+    try:
+        if path.stat().st_size > FILE_LIMIT_BYTES:
+            raise _bad(path, f"{path.stat().st_size} bytes", f"at most {FILE_LIMIT_BYTES}")
+        document = json.loads(path.read_bytes().decode("utf-8-sig"), object_pairs_hook=_no_duplicates)
+    except OSError as error:
+        raise BadFileError(
+            path, found=error.strerror or "no file", expected="a coefficient file", remedy="give the path of one"
+        ) from error
+    except (ValueError, RecursionError) as error:
+        raise _bad(path, f"no JSON ({error})", "the JSON that calib export writes") from error
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        found = document.get("format") if isinstance(document, dict) else type(document).__name__
+        raise _bad(path, f"format {found!r}", repr(FORMAT), column="format")
+    try:
+        file = CoefficientFile.model_validate(document)
+        computed = checksum(document)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(str(part) for part in first["loc"]) or None
+        raise _bad(path, _shown(first.get("input")), first["msg"], column=where) from error
+    except (ValueError, OverflowError) as error:
+        raise _bad(path, str(error), "finite numbers") from error
+    if computed != file.checksum:
+        raise BadFileError(
+            path,
+            column="checksum",
+            found=f"content of {computed[:19]}",
+            expected=f"{file.checksum[:19]} as written in the file",
+            remedy="the file was altered or damaged: export it again",
+        )
+    return file
+
+
+def sealed(document: dict[str, Any]) -> CoefficientFile:
+    """Return the coefficient file of a document without checksum.
+
+    Raises
+    ------
+    BadInputError
+        Where the document breaks the schema.
+    """
+    blank = {**document, "checksum": "sha256:" + "0" * 64}
+    try:
+        # through the model first, so that the checksum covers exactly what is written
+        body = CoefficientFile.model_validate(blank).to_dict()
+        return CoefficientFile.model_validate({**body, "checksum": checksum(body)})
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(str(part) for part in first["loc"]) or "the coefficients"
+        raise BadInputError(
+            f"{where}: found {_shown(first.get('input'))}; expected {first['msg']}; these make no coefficient file"
+        ) from error
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Section):
+        return value.model_dump(mode="json")
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    return value
+
+
+def _law(wheel: WheelSection) -> WheelLaw:
+    cross = wheel.covariance_radius_ref_slope.value
+    return WheelLaw(
+        reference_load_N=wheel.reference_load.value,
+        radius_ref_m=wheel.radius_ref.value,
+        slope_m_per_N=wheel.slope.value,
+        covariance=np.array([[wheel.variance_radius_ref.value, cross], [cross, wheel.variance_slope.value]]),
+        dof=wheel.dof.value,
+        residual_std_m=wheel.residual_std.value,
+        load_min_N=wheel.valid_load.min.value,
+        load_max_N=wheel.valid_load.max.value,
+        n_runs=int(wheel.n_runs.value),
+    )
+
+
+def _radius(wheel: WheelSection, load_N: npt.ArrayLike, outside: Outside, side: str) -> FloatArray:
+    loads = np.asarray(load_N, dtype=np.float64)
+    low, high = wheel.valid_load.min.value, wheel.valid_load.max.value
+    if not np.isfinite(loads).all():
+        raise BadInputError(f"{side} wheel load: found NaN or infinity; expected newtons; check the load sensor")
+    if outside == "refuse" and ((loads < low) | (loads > high)).any():
+        worst = float(loads.flat[int(np.argmax(np.maximum(low - loads, loads - high)))])
+        raise RefusedError(
+            f"{side} wheel load: found {worst:g} N; expected {low:g} to {high:g} N, where the law was measured; "
+            "measure there, or export with --outside clamp"
+        )
+    return _law(wheel).radius_m(np.clip(loads, low, high))
+
+
+def _no_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    document = dict(pairs)
+    if len(document) != len(pairs):
+        raise ValueError("a key stands twice in one object")
+    return document
+
+
+def _shown(value: Any) -> str:
+    return repr(value) if isinstance(value, (str, int, float, bool)) or value is None else f"a {type(value).__name__}"
+
+
+def _bad(path: Path, found: str, expected: str, *, column: str | None = None) -> BadFileError:
+    return BadFileError(path, column=column, found=found, expected=expected, remedy="export the coefficients again")

@@ -1,0 +1,152 @@
+"""The sections of the coefficient file."""
+
+from __future__ import annotations
+
+from typing import Annotated, Self
+
+from pydantic import Field, model_validator
+
+from calib.coefficients.quantities import (
+    Bits,
+    CountsPerRev,
+    CountStd,
+    Force,
+    GravityAcceleration,
+    HeadingPerRootMetre,
+    Length,
+    LengthPerForce,
+    LengthPerRootMetre,
+    LengthSquared,
+    LengthSquaredPerForce,
+    LengthSquaredPerForceSquared,
+    Mass,
+    NonNegativeLength,
+    Number,
+    PositiveLength,
+    Quantity,
+    Section,
+    Time,
+)
+
+__all__ = [
+    "EffectSection",
+    "EncoderSection",
+    "InputFile",
+    "LimitsSection",
+    "LoadPoint",
+    "LoadRange",
+    "NoiseSection",
+    "VehicleSection",
+    "WheelSection",
+    "WheelsSection",
+]
+
+#: how far a covariance may miss being positive semi-definite through rounding, relative
+ROUNDING = 1e-9
+
+
+class LoadRange(Section):
+    """Wheel loads for which a law holds, both ends included."""
+
+    min: Force
+    max: Force
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.min.value > self.max.value:
+            raise ValueError("min stands above max")
+        return self
+
+
+class WheelSection(Section):
+    """The law of one wheel: r(F) = radius_ref + slope (F - reference_load), valid within valid_load."""
+
+    radius_ref: PositiveLength
+    slope: LengthPerForce
+    reference_load: Force
+    variance_radius_ref: LengthSquared
+    covariance_radius_ref_slope: LengthSquaredPerForce
+    variance_slope: LengthSquaredPerForceSquared
+    dof: Number
+    residual_std: NonNegativeLength
+    n_runs: Number
+    valid_load: LoadRange
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        covariance = self.covariance_radius_ref_slope.value
+        # squared by parts: variances near 1e-18 must not underflow into a false refusal
+        bound = self.variance_radius_ref.value**0.5 * self.variance_slope.value**0.5
+        if abs(covariance) > bound * (1.0 + ROUNDING):
+            raise ValueError("variances and covariance belong to no distribution (correlation beyond 1)")
+        for load in (self.valid_load.min.value, self.valid_load.max.value):
+            if self.radius_ref.value + self.slope.value * (load - self.reference_load.value) <= 0.0:
+                raise ValueError(f"the radius is not above zero at the valid load {load:g} N")
+        return self
+
+
+class WheelsSection(Section):
+    """The laws of both rear wheels."""
+
+    left: WheelSection
+    right: WheelSection
+
+
+class VehicleSection(Section):
+    """Geometry and mass, enough for the vehicle to compute its wheel loads from a payload (Eqs 1-2)."""
+
+    track: PositiveLength
+    track_std: NonNegativeLength
+    wheelbase: PositiveLength
+    wheel_radius: PositiveLength
+    mass: Mass
+    cog_x: Length
+    cog_y: Length
+    cog_z: Length
+    max_wheel_load: Force
+    gravity: GravityAcceleration
+
+
+class EncoderSection(Section):
+    """Rear-wheel encoders; wrap_bits is null where the counter does not wrap."""
+
+    counts_per_rev_left: CountsPerRev
+    counts_per_rev_right: CountsPerRev
+    wrap_bits: Bits | None = None
+
+
+class NoiseSection(Section):
+    """Random part of the pose's covariance: random walk per square root of metre, and one encoder reading."""
+
+    along: LengthPerRootMetre
+    heading: HeadingPerRootMetre
+    count_std: CountStd
+
+
+class LimitsSection(Section):
+    """What the runtime takes for a fault: a travel between two samples, a silence between two samples."""
+
+    max_step: PositiveLength
+    max_gap: Time
+
+
+class LoadPoint(Section):
+    """A named line of the load table."""
+
+    name: Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9 ._+\-]+$")]
+    load_left: Force
+    load_right: Force
+
+
+class EffectSection(Section):
+    """A diagnosed effect added to the model, with its parameters."""
+
+    effect: Annotated[str, Field(min_length=1, max_length=128)]
+    parameters: dict[str, Quantity]
+
+
+class InputFile(Section):
+    """A file that the coefficients were computed from."""
+
+    path: str
+    sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
