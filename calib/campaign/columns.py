@@ -1,0 +1,93 @@
+"""Recognise column and key names: units in the suffix or in brackets, letter case; convert to SI and say so."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from calib.units import SUFFIXES, convertible, split_suffix
+
+__all__ = ["Recognised", "recognise"]
+
+_BRACKETS: Final = re.compile(r"(.*?)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]\s*")
+_SPELLINGS: Final = {
+    "m/s": "mps",
+    "km/h": "kmh",
+    "mm/s": "mmps",
+    "°": "deg",
+    "°C": "C",
+    "°F": "F",
+    "µm": "um",
+    "µs": "us",
+}
+# units that a further column may be converted from; the one-letter ones are left alone, since names end in letters
+_FURTHER: Final = frozenset({"mm", "cm", "km", "um", "deg", "mrad", "kN", "daN", "ms", "us", "ns", "kmh", "mmps"})
+
+
+@dataclass(frozen=True, slots=True)
+class Recognised:
+    """A column found: its name in the file, its name in calib, the conversion, and what to say about it.
+
+    ``value = factor * cell + offset``; `said` is empty where the name was exact; `unitless` names the known column that
+    a name without a unit might have meant.
+    """
+
+    found: str
+    name: str
+    factor: float = 1.0
+    offset: float = 0.0
+    said: str = ""
+    unitless: str = ""
+
+
+def recognise(found: str, known: Sequence[str] | Iterable[str], *, further: bool = True) -> Recognised:
+    """Match one column name against the known ones.
+
+    Parameters
+    ----------
+    found : str
+        Name as it stands in the file, for example ``distance [mm]`` or ``Load_Left_kN``.
+    known : sequence of str
+        Names with calib's unit suffixes.
+    further : bool
+        Convert an unknown name that ends in a unit (``static_radius_mm``) to its SI name too.
+
+    Returns
+    -------
+    Recognised
+        With ``name`` equal to `found` (cleaned of blanks) where nothing matches.
+    """
+    known = tuple(known)
+    name = found.strip()
+    if name in known:
+        return Recognised(found, name)
+    clean = name
+    if match := _BRACKETS.fullmatch(name):
+        unit = _SPELLINGS.get(match[2], match[2])
+        clean = f"{match[1]}_{unit}" if unit in SUFFIXES else match[1] if match[2] in {"", "-", "1"} else name
+    clean = re.sub(r"[\s\-]+", "_", clean.strip())
+    if clean in known:
+        return Recognised(found, clean, said=f"read as {clean}")
+    stem, suffix = split_suffix(clean)
+    for wanted in known:
+        if clean.lower() == wanted.lower():
+            return Recognised(found, wanted, said=f"read as {wanted}")
+        wanted_stem, _ = split_suffix(wanted)
+        if suffix is not None and stem.lower() == wanted_stem.lower():
+            factors = convertible(f"{wanted_stem}_{suffix}", wanted)
+            if factors is not None:
+                factor, offset = factors
+                change = f"times {factor:.10g}" + (f" plus {offset:.6g}" if offset else "")
+                return Recognised(found, wanted, factor, offset, f"read as {wanted} ({change})")
+    if suffix is None:
+        for wanted in known:
+            wanted_stem, wanted_suffix = split_suffix(wanted)
+            if wanted_suffix is not None and clean.lower() == wanted_stem.lower():
+                return Recognised(found, clean, unitless=wanted)
+    if further and suffix in _FURTHER:
+        target, factor, offset = SUFFIXES[suffix]
+        renamed = f"{stem}_{target}"
+        return Recognised(found, renamed, factor, offset, f"read as {renamed} (times {factor:.10g})")
+    return Recognised(found, clean)

@@ -1,0 +1,165 @@
+"""Read the logs of all runs and lay them end to end."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from calib.campaign.columns import recognise
+from calib.campaign.faults import Border
+from calib.campaign.model import LOG_COLUMNS, FloatArray, IntArray, Logs
+from calib.campaign.readers import read_table
+from calib.campaign.settings import Encoder
+from calib.campaign.wraps import detect_wrap_bits, unwrap
+from calib.errors import BadFileError
+
+__all__ = ["LogFile", "read_log", "read_logs"]
+
+_REQUIRED: Final = LOG_COLUMNS[:3]
+_COUNTS: Final = ("counts_left", "counts_right", "counts_front")
+
+#: run number, run id, path, and its name in messages
+LogFile = tuple[int, str, Path, str]
+
+
+def read_log(path: Path, shown: str, border: Border) -> dict[str, FloatArray]:
+    """Read one log.
+
+    Parameters
+    ----------
+    path : Path
+        The file, of any format that a reader knows.
+    shown : str
+        Its name in messages.
+    border : Border
+        Takes notes.
+
+    Returns
+    -------
+    dict of str to array of float, shape (n_samples,)
+        Columns of `LOG_COLUMNS`, SI units, times from the run's start.
+
+    Raises
+    ------
+    BadFileError
+        Where a required column is missing or holds a gap, or a cell is no number.
+    """
+    raw = read_table(path, shown, lambda name: recognise(name, LOG_COLUMNS, further=False).name in LOG_COLUMNS)
+    border.notes.extend(raw.notes)
+    columns: dict[str, FloatArray] = {}
+    for found, cells in raw.columns.items():
+        match = recognise(found, LOG_COLUMNS, further=False)
+        if match.name in columns:
+            raise BadFileError(
+                shown,
+                row=1,
+                column=found,
+                found=f"a second column for {match.name}",
+                expected="one",
+                remedy="remove or rename one of them",
+            )
+        if match.said:
+            border.say(f"{shown}, column {found}", match.said, "unit" if match.factor != 1.0 else "name")
+        columns[match.name] = cells if match.factor == 1.0 and not match.offset else match.factor * cells + match.offset
+    for name in _REQUIRED:
+        if name not in columns:
+            raise BadFileError(
+                shown,
+                row=1,
+                column=name,
+                found="no such column",
+                expected=f"{', '.join(_REQUIRED)}",
+                remedy="name the columns so in the header line; a unit may differ if it is named (t_ms)",
+            )
+        gaps = np.flatnonzero(np.isnan(columns[name]))
+        if len(gaps):
+            raise BadFileError(
+                shown,
+                row=int(raw.line[gaps[0]]),
+                column=name,
+                found="an empty cell",
+                expected="a number in every row",
+                remedy="remove the row; a gap in time is found and said",
+            )
+    if not len(raw.line):
+        raise BadFileError(shown, found="no rows", expected="one row a sample", remedy="export the log again")
+    if abs(start := float(columns["t_s"][0])) > 1.0:
+        border.say(shown, f"times count from the first sample, which stood at {start:.10g} s", "start_time")
+        columns["t_s"] = columns["t_s"] - start
+    return columns
+
+
+def read_logs(files: Sequence[LogFile], n_runs: int, encoder: Encoder, border: Border) -> Logs:
+    """Read the logs of a campaign and undo the overflow of their counters.
+
+    Parameters
+    ----------
+    files : sequence of LogFile
+        Logs there are, in the order of the runs.
+    n_runs : int
+        Rows of the run table.
+    encoder : Encoder
+        ``wrap_bits`` where the settings name it; else overflows are looked for.
+    border : Border
+        Takes notes and faults; a log that cannot be used is a fault.
+
+    Returns
+    -------
+    Logs
+        Of all runs, end to end.
+    """
+    parts: dict[int, dict[str, FloatArray]] = {}
+    for index, run_id, path, name in files:
+        try:
+            parts[index] = read_log(path, name, border)
+        except BadFileError as error:
+            border.fault(error, "unreadable_log", run_id)
+    lengths = np.zeros(n_runs, dtype=np.int64)
+    for index, part in parts.items():
+        lengths[index] = len(part["t_s"])
+    offsets = np.concatenate(([0], np.cumsum(lengths))).astype(np.int64)
+    columns: dict[str, FloatArray] = {}
+    for name in LOG_COLUMNS:
+        if not any(name in part for part in parts.values()):
+            continue
+        column = np.full(int(offsets[-1]), np.nan)
+        for index, part in parts.items():
+            # taken out of the parts at once, so that the logs are never held twice
+            values = part.pop(name, None)
+            if values is not None:
+                column[offsets[index] : offsets[index + 1]] = values
+        columns[name] = column
+    names = {index: (run_id, name) for index, run_id, _, name in files}
+    for name in _COUNTS:
+        if name in columns:
+            columns[name] = _continuous(columns[name], offsets, name, encoder, names, border)
+    return Logs(offsets=offsets, columns=columns)
+
+
+def _continuous(
+    counts: FloatArray,
+    offsets: IntArray,
+    column: str,
+    encoder: Encoder,
+    names: dict[int, tuple[str, str]],
+    border: Border,
+) -> FloatArray:
+    if not len(counts):
+        return counts
+    bits = encoder.wrap_bits or detect_wrap_bits(counts, offsets)
+    if bits is None:
+        return counts
+    counts, wraps = unwrap(counts, offsets, bits)
+    how = "as the settings say" if encoder.wrap_bits else "found in the jumps; give encoder.wrap_bits to make it sure"
+    for index in np.flatnonzero(wraps):
+        run_id, shown = names[int(index)]
+        border.say(
+            f"{shown}, column {column}",
+            f"{int(wraps[index])} overflow(s) of a {bits}-bit counter were undone ({how})",
+            "wrap",
+            run_id=run_id,
+        )
+    return counts

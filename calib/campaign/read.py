@@ -1,0 +1,269 @@
+"""Read a campaign folder: settings, run table, logs, and what follows from them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from calib.campaign.faults import Border
+from calib.campaign.logs_file import LogFile, read_logs
+from calib.campaign.model import BoolArray, Campaign, FloatArray, Logs, RunTable
+from calib.campaign.readers import READERS, read_table
+from calib.campaign.runs_file import run_table
+from calib.campaign.settings_file import Settings, read_settings
+from calib.campaign.wraps import rewrap_total
+from calib.errors import BadFileError
+from calib.files import inside, sha256_file
+from calib.vehicle import Vehicle, wheel_loads_N
+
+__all__ = ["loads_from_payload", "log_totals", "read_campaign"]
+
+SETTINGS: Final = "campaign.toml"
+
+
+def read_campaign(folder: Path, *, logs: bool = True, lenient: bool = False) -> Campaign:
+    """Read a campaign.
+
+    Parameters
+    ----------
+    folder : Path
+        Holds ``campaign.toml``, ``runs.csv`` (or ``.xlsx``, ``.parquet``) and the logs that the table names, or
+        ``logs/<run_id>.csv`` where it names none.
+    logs : bool
+        Read the logs too.
+    lenient : bool
+        Keep faults of single runs (a run id twice, a log missing or damaged) as notes of level ``wrong`` instead of
+        raising the first, for a check that names them all.
+
+    Returns
+    -------
+    Campaign
+        In SI units. Wheel loads that the table lacks are computed from the payload (Eqs 1 and 2), counts and distance
+        that it lacks are taken from the logs; every such step is in ``notes``.
+
+    Raises
+    ------
+    BadFileError
+        Where something cannot be used; the message names file, row and column.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise BadFileError(
+            folder,
+            found="a file" if folder.exists() else "no such folder",
+            expected="a campaign folder",
+            remedy="give the folder that holds campaign.toml",
+        )
+    border = Border(lenient=lenient)
+    hashes: dict[str, str] = {}
+    path = inside(folder, SETTINGS, named_in=folder)
+    settings = read_settings(path, SETTINGS)
+    hashes[SETTINGS] = sha256_file(path)
+    border.notes.extend(settings.notes)
+
+    shown, path = _runs_path(folder)
+    raw = read_table(path, shown)
+    hashes[shown] = sha256_file(path)
+    border.notes.extend(raw.notes)
+    runs = run_table(raw, shown, border)
+    found_logs = Logs.empty(len(runs))
+    if logs:
+        files = _log_files(folder, runs, shown, border)
+        found_logs = read_logs(files, len(runs), settings.encoder, border)
+        for _, _, log_path, name in files:
+            if log_path.is_file():
+                hashes[name] = sha256_file(log_path)
+    numbers = _filled_from_logs(runs, found_logs, shown, border)
+    numbers = _totals_unwrapped(runs, numbers, found_logs, settings, shown, border)
+    numbers = _filled_loads(settings.vehicle, runs, numbers, shown, border)
+    return Campaign(
+        root=folder,
+        name=settings.name,
+        simulated=settings.simulated,
+        vehicle=settings.vehicle,
+        encoder=settings.encoder,
+        model=settings.model,
+        rangefinder=settings.rangefinder,
+        reference=settings.reference,
+        runs=replace(runs, numbers=numbers),
+        logs=found_logs,
+        notes=tuple(border.notes),
+        hashes=hashes,
+        extra=settings.extra,
+    )
+
+
+def loads_from_payload(vehicle: Vehicle, runs: RunTable) -> tuple[FloatArray, FloatArray]:
+    """Return left and right wheel load of each run from its payload, shape (n_runs,) each, in N.
+
+    NaN where the payload, or the place of a payload, is not given. A payload of 0 needs no place; a missing
+    ``payload_y_m`` column means the centre line.
+    """
+    mass, x, y = (runs.number(name) for name in ("payload_kg", "payload_x_m", "payload_y_m"))
+    if "payload_y_m" not in runs.numbers:
+        y = np.zeros(len(runs))
+    none = mass == 0
+    _, left, right = wheel_loads_N(vehicle, mass, np.where(none, 0.0, x), np.where(none, 0.0, y))
+    return left, right
+
+
+def _runs_path(folder: Path) -> tuple[str, Path]:
+    for suffix in READERS:
+        name = f"runs{suffix}"
+        if (folder / name).exists() or (folder / name).is_symlink():
+            return name, inside(folder, name, named_in=folder)
+    raise BadFileError(
+        folder,
+        found="no run table",
+        expected="runs.csv, one row a run",
+        remedy="add it, or make the campaign out of lab files with 'calib ingest'",
+    )
+
+
+def _log_files(folder: Path, runs: RunTable, shown: str, border: Border) -> list[LogFile]:
+    named = "log" in runs.labels
+    files: list[LogFile] = []
+    taken: dict[Path, int] = {}
+    for index, (run_id, row) in enumerate(zip(map(str, runs.run_id), map(int, runs.line), strict=True)):
+        if named:
+            relative = str(runs.labels["log"][index])
+            if not relative:
+                continue
+        else:
+            # a run id that is no plain file name has no log of that name
+            candidates = [f"logs/{run_id}{suffix}" for suffix in READERS] if Path(run_id).name == run_id else []
+            relative = next((name for name in candidates if (folder / name).exists()), "")
+            if not relative:
+                continue
+        path = inside(folder, relative, named_in=shown, row=row, column="log")
+        if path in taken:
+            border.fault(
+                BadFileError(
+                    shown,
+                    row=row,
+                    column="log",
+                    found=f"{relative}, which row {taken[path]} names too",
+                    expected="a log of its own for each run",
+                    remedy="correct the path",
+                ),
+                "shared_log",
+                run_id,
+            )
+        taken.setdefault(path, row)
+        if not path.is_file():
+            border.fault(
+                BadFileError(
+                    shown,
+                    row=row,
+                    column="log",
+                    found=f"{relative}, which is {'a folder' if path.is_dir() else 'not there'}",
+                    expected="a log file",
+                    remedy="put the file there, or leave the cell empty",
+                ),
+                "missing_log",
+                run_id,
+            )
+            continue
+        files.append((index, run_id, path, relative))
+    return files
+
+
+def _filled_from_logs(runs: RunTable, logs: Logs, shown: str, border: Border) -> dict[str, FloatArray]:
+    """Fill counts and distance that the table lacks from the logs' last samples."""
+    numbers = dict(runs.numbers)
+    present = logs.present
+    if not present.any():
+        return numbers
+    first, last = logs.offsets[:-1][present], logs.offsets[1:][present] - 1
+    for name, source in (
+        ("counts_left", "counts_left"),
+        ("counts_right", "counts_right"),
+        ("distance_m", "range_m"),
+    ):
+        log = logs.columns.get(source)
+        if log is None:
+            continue
+        total = np.full(len(runs), np.nan)
+        total[present] = log[last] - log[first] if source != "range_m" else log[last]
+        column = runs.number(name)
+        fill = np.isnan(column) & ~np.isnan(total)
+        if fill.any():
+            numbers[name] = np.where(fill, total, column)
+            border.say(f"{shown}, column {name}", f"{int(fill.sum())} run(s) filled from the log's {source}", "filled")
+    return numbers
+
+
+def _totals_unwrapped(
+    runs: RunTable,
+    numbers: Mapping[str, FloatArray],
+    logs: Logs,
+    settings: Settings,
+    shown: str,
+    border: Border,
+) -> dict[str, FloatArray]:
+    """Undo overflows of the table's totals: against the log, or against the distance where the width is given."""
+    out = dict(numbers)
+    for side, per_rev in (
+        ("left", settings.encoder.counts_per_rev_left),
+        ("right", settings.encoder.counts_per_rev_right),
+    ):
+        name = f"counts_{side}"
+        if name not in numbers:
+            continue
+        total = numbers[name]
+        logged = log_totals(logs, name)
+        radius = settings.vehicle.wheel_radius_m
+        driven = numbers.get("distance_m", np.full(len(runs), np.nan)) / (2 * np.pi * radius) * per_rev
+        for bits in (settings.encoder.wrap_bits,) if settings.encoder.wrap_bits else (16, 32):
+            full = 2.0**bits
+            inside_span: BoolArray = np.abs(total) < full
+            turns = rewrap_total(total, logged, bits, np.full(len(runs), full / 64))
+            if settings.encoder.wrap_bits:
+                by_distance = rewrap_total(total, driven, bits, np.minimum(0.05 * np.abs(driven), full / 4))
+                turns = np.where(np.isnan(logged), by_distance, turns)
+            turns = np.where(inside_span & np.isfinite(turns), turns, 0.0)
+            if turns.any():
+                out[name] = total + turns * full
+                for index in np.flatnonzero(turns):
+                    border.say(
+                        f"{shown}, row {runs.line[index]}, column {name}",
+                        f"{total[index]:.0f} is the rest of {abs(turns[index]):.0f} overflow(s) of a {bits}-bit "
+                        f"counter; {out[name][index]:.0f} is used",
+                        "wrapped_total",
+                        run_id=str(runs.run_id[index]),
+                    )
+                break
+    return out
+
+
+def log_totals(logs: Logs, name: str) -> FloatArray:
+    """Return last minus first of a log column for each run, shape (n_runs,); NaN where there is none."""
+    total = np.full(len(logs.lengths), np.nan)
+    column = logs.columns.get(name)
+    present = logs.present
+    if column is not None and present.any():
+        total[present] = column[logs.offsets[1:][present] - 1] - column[logs.offsets[:-1][present]]
+    return total
+
+
+def _filled_loads(
+    vehicle: Vehicle, runs: RunTable, numbers: Mapping[str, FloatArray], shown: str, border: Border
+) -> dict[str, FloatArray]:
+    out = dict(numbers)
+    if "payload_kg" not in numbers:
+        return out
+    for name, computed in zip(("load_left_N", "load_right_N"), loads_from_payload(vehicle, runs), strict=True):
+        column = numbers.get(name, np.full(len(runs), np.nan))
+        fill = np.isnan(column) & ~np.isnan(computed)
+        if fill.any():
+            out[name] = np.where(fill, computed, column)
+            border.say(
+                f"{shown}, column {name}",
+                f"{int(fill.sum())} run(s) computed from the payload by the static wheel loads",
+                "computed_load",
+            )
+    return out

@@ -1,0 +1,183 @@
+"""Text tables: comma, semicolon or tab; UTF-8, UTF-16 or Latin-1; decimal point or comma. All recognised and said."""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import io
+import re
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from calib.campaign.model import Note
+from calib.campaign.readers.table import RawTable, Wanted, comma_evidence, numbers, refuse_duplicates
+from calib.errors import BadFileError
+
+__all__ = ["read"]
+
+_NAMES: Final = {",": "commas", ";": "semicolons", "\t": "tabs"}
+_MAX_BYTES: Final = 4 << 30
+
+
+def read(path: Path, shown: str, wanted: Wanted | None) -> RawTable:
+    """Read a delimited text file; see `calib.campaign.readers.read_table`."""
+    size = path.stat().st_size
+    if size > _MAX_BYTES:
+        raise BadFileError(
+            shown, found=f"{size} bytes", expected="at most 4 GiB", remedy="split the file or store it as parquet"
+        )
+    data, notes = _utf8(path.read_bytes(), shown)
+    head = data[: data.find(b"\n")] if b"\n" in data else data
+    header = head.decode("utf-8").strip("\r")
+    if not header.strip():
+        raise BadFileError(
+            shown,
+            found="an empty file" if not data.strip() else "an empty first line",
+            expected="a header line with column names",
+            remedy="export the table again",
+        )
+    delimiter = ";" if ";" in header else "\t" if "\t" in header else ","
+    if delimiter != ",":
+        notes.append(Note("info", shown, f"columns are separated by {_NAMES[delimiter]}", "delimiter"))
+    if wanted is not None and b'"' not in data:
+        names = [name.strip() for name in header.split(delimiter)]
+        refuse_duplicates(names, shown)
+        fast = _fast(data, len(head) + 1, names, delimiter, wanted)
+        if fast is not None:
+            columns, rows, comma = fast
+            if comma:
+                notes.append(Note("info", shown, "decimal commas were read as decimal points", "decimal_comma"))
+            return RawTable(columns, np.arange(2, rows + 2, dtype=np.int64), tuple(notes))
+    return _careful(data.decode("utf-8"), shown, delimiter, wanted, notes)
+
+
+def _utf8(data: bytes, shown: str) -> tuple[bytes, list[Note]]:
+    """Return the file as UTF-8 without a byte order mark, with line feeds only, and what had to be done for it."""
+    notes: list[Note] = []
+    encoding = None
+    if data.startswith(codecs.BOM_UTF8):
+        data = data[3:]
+        notes.append(Note("info", shown, "a UTF-8 byte order mark was skipped", "encoding"))
+    elif data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        encoding = "utf-16"
+    elif b"\0" in data[:2000]:
+        even, odd = data[0:2000:2].count(0), data[1:2000:2].count(0)
+        encoding = "utf-16-le" if odd > 20 * (even + 1) else "utf-16-be" if even > 20 * (odd + 1) else None
+    try:
+        if encoding:
+            data = data.decode(encoding).encode("utf-8")
+            notes.append(Note("info", shown, "the text is UTF-16", "encoding"))
+        elif not data.isascii():
+            data.decode("utf-8")
+    except UnicodeError:
+        if encoding:
+            raise BadFileError(
+                shown, found="broken UTF-16 text", expected="whole characters", remedy="export the file again"
+            ) from None
+        data = data.decode("latin-1").encode("utf-8")
+        notes.append(Note("info", shown, "the text is not UTF-8; it was read as Latin-1", "encoding"))
+    if b"\0" in data:
+        row = data[: data.index(b"\0")].count(b"\n") + 1
+        raise BadFileError(
+            shown, row=row, found="a NUL byte", expected="text", remedy="export the file again; it is damaged or binary"
+        )
+    if b"\r" in data and b"\n" not in data:
+        data = data.replace(b"\r", b"\n")
+    return data, notes
+
+
+def _fast(
+    data: bytes, start: int, names: list[str], delimiter: str, wanted: Wanted
+) -> tuple[dict[str, np.ndarray], int, bool] | None:
+    """Read clean numeric columns with pandas; None where anything is odd, and then every cell is looked at."""
+    body = memoryview(data)[start:]
+    rows = data.count(b"\n", start) + (0 if data.endswith(b"\n") or start >= len(data) else 1)
+    keep = [name for name in names if name and wanted(name)]
+    if rows == 0 or not keep or data.count(delimiter.encode(), start) != rows * (len(names) - 1):
+        return None
+    comma = delimiter != "," and data.find(b",", start) >= 0
+    # with a point or an ambiguous 1,234 anywhere beside the commas, only the careful way can tell
+    if comma and (data.find(b".", start) >= 0 or not re.search(rb",\d{1,2}(?!\d)|,\d{4}|[+\-;\t\n]0,", data)):
+        return None
+    import pandas as pd
+
+    positions = [names.index(name) for name in keep]
+    try:
+        frame = pd.read_csv(
+            io.BytesIO(body),
+            header=None,
+            names=range(len(names)),
+            usecols=positions,
+            sep=delimiter,
+            decimal="," if comma else ".",
+            engine="c",
+            index_col=False,
+            quoting=csv.QUOTE_NONE,
+            skip_blank_lines=False,
+            low_memory=False,
+            na_values=["-"],
+        )
+        columns = {}
+        for name, position in zip(keep, positions, strict=True):
+            if frame[position].dtype.kind not in "iuf":
+                return None
+            columns[name] = frame.pop(position).to_numpy(dtype=np.float64)
+            if np.isinf(columns[name]).any():
+                return None
+    except (ValueError, OverflowError):
+        return None
+    return (columns, rows, comma) if len(frame) == rows else None
+
+
+def _careful(text: str, shown: str, delimiter: str, wanted: Wanted | None, notes: list[Note]) -> RawTable:
+    """Read cell by cell, so that a fault is named by its row and column."""
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
+    rows: list[list[str]] = []
+    lines: list[int] = []
+    names: list[str] = []
+    try:
+        for cells in reader:
+            if not names:
+                names = [name.strip() for name in cells]
+                refuse_duplicates(names, shown)
+                continue
+            if not any(cell.strip() for cell in cells):
+                continue
+            if len(cells) > len(names) and not any(cell.strip() for cell in cells[len(names) :]):
+                cells = cells[: len(names)]
+            if len(cells) != len(names):
+                raise BadFileError(
+                    shown,
+                    row=reader.line_num,
+                    found=f"{len(cells)} cells",
+                    expected=f"{len(names)}, as the header has",
+                    remedy="complete or remove the row; the file may have been cut, or a decimal comma splits a cell",
+                )
+            rows.append(cells)
+            lines.append(reader.line_num)
+    except csv.Error as error:
+        raise BadFileError(
+            shown,
+            row=reader.line_num,
+            found=f"text that is no table ({error})",
+            expected="rows of separated cells",
+            remedy="export the file again",
+        ) from error
+    cells_by_row = np.empty((len(rows), len(names)), dtype=object)
+    for index, cells in enumerate(rows):
+        cells_by_row[index] = cells
+    line = np.asarray(lines, dtype=np.int64)
+    columns: dict[str, np.ndarray] = {
+        name: cells_by_row[:, index] for index, name in enumerate(names) if name and (wanted is None or wanted(name))
+    }
+    if wanted is not None:
+        evidence = comma_evidence(list(columns.values()))
+        used = False
+        for name, cells_of_column in columns.items():
+            columns[name], comma = numbers(cells_of_column, shown=shown, column=name, line=line, decimal_comma=evidence)
+            used = used or comma
+        if used:
+            notes.append(Note("info", shown, "decimal commas were read as decimal points", "decimal_comma"))
+    return RawTable(columns, line, tuple(notes))

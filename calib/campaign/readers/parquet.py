@@ -1,0 +1,63 @@
+"""Parquet tables, with the ``parquet`` extra."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from calib.campaign.readers.table import RawTable, Wanted, numbers, refuse_duplicates
+from calib.errors import BadFileError
+
+__all__ = ["read"]
+
+_MAX_ROWS: Final = 200_000_000
+
+
+def read(path: Path, shown: str, wanted: Wanted | None) -> RawTable:
+    """Read a parquet file; see `calib.campaign.readers.read_table`."""
+    try:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+    except ImportError as error:
+        raise BadFileError(
+            shown,
+            found="a parquet file, and no reader for it",
+            expected="pyarrow",
+            remedy="install it with: pip install 'calib[parquet]'",
+        ) from error
+    try:
+        with pq.ParquetFile(path) as source:
+            names = list(source.schema_arrow.names)
+            rows = int(source.metadata.num_rows)
+            refuse_duplicates(names, shown)
+            if not 0 <= rows <= _MAX_ROWS:
+                raise BadFileError(
+                    shown, found=f"{rows} rows promised", expected=f"at most {_MAX_ROWS}", remedy="split the file"
+                )
+            kept = [name for name in names if wanted is None or wanted(name)]
+            table = source.read(columns=kept)
+    except (pa.ArrowException, OSError, ValueError, OverflowError) as error:
+        raise BadFileError(
+            shown,
+            found=f"a damaged parquet file ({' '.join(str(error).split())[:100]})",
+            expected="a whole one",
+            remedy="write it again",
+        ) from error
+    line = np.arange(1, table.num_rows + 1, dtype=np.int64)
+    columns: dict[str, np.ndarray[Any, Any]] = {}
+    for name in kept:
+        column = table.column(name)
+        if pa.types.is_integer(column.type) or pa.types.is_floating(column.type):
+            cells = column.to_numpy().astype(np.float64)
+        else:
+            cells = np.empty(table.num_rows, dtype=object)
+            cells[:] = [
+                None if cell is None else float(cell) if isinstance(cell, bool) else str(cell)
+                for cell in column.to_pylist()
+            ]
+        if wanted is not None:
+            cells, _ = numbers(cells, shown=shown, column=name, line=line)
+        columns[name] = cells
+    return RawTable(columns, line)

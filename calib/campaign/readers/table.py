@@ -1,0 +1,165 @@
+"""What every reader returns, and the careful reading of numbers written by people and spreadsheets."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from calib.campaign.model import Note
+from calib.errors import BadFileError
+
+__all__ = ["RawTable", "Wanted", "comma_evidence", "numbers", "refuse_duplicates"]
+
+Wanted = Callable[[str], bool]
+
+_EMPTY: Final = frozenset({"", "nan", "na", "n/a", "#n/a", "null", "none", "-"})
+_POINT: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+_COMMA: Final = re.compile(r"[+-]?(\d+,\d*|,\d+)([eE][+-]?\d+)?", re.ASCII)
+# one to three digits, one mark, exactly three digits: 1,234 is 1.234 in one country and 1234 in another
+_AMBIGUOUS: Final = re.compile(r"[+-]?[1-9]\d{0,2}[,.]\d{3}", re.ASCII)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RawTable:
+    """A table as read.
+
+    Parameters
+    ----------
+    columns : mapping of str to array, shape (n_rows,)
+        Under the names found in the file, in its order: float64 where the reader knows that it is numeric, else an
+        object array of str, float and None.
+    line : array of int, shape (n_rows,)
+        Line of each row in the file, counted from 1, header included.
+    notes : tuple of Note
+        What was recognised (encoding, delimiter, decimal comma).
+    """
+
+    columns: Mapping[str, npt.NDArray[Any]]
+    line: npt.NDArray[np.int64]
+    notes: tuple[Note, ...] = ()
+
+
+def refuse_duplicates(names: Sequence[str], shown: str, row: int = 1) -> None:
+    """Refuse a header that names a column twice, or that has no names at all."""
+    seen: set[str] = set()
+    for name in names:
+        if name in seen and name:
+            raise BadFileError(
+                shown,
+                row=row,
+                column=name,
+                found="the column name twice",
+                expected="each name once",
+                remedy="rename or remove one of the two columns",
+            )
+        seen.add(name)
+    if not any(names):
+        raise BadFileError(
+            shown, row=row, found="no column names", expected="a header line", remedy="put the column names first"
+        )
+
+
+def numbers(
+    cells: npt.NDArray[Any],
+    *,
+    shown: str,
+    column: str,
+    line: npt.NDArray[np.int64],
+    decimal_comma: bool | None = None,
+) -> tuple[npt.NDArray[np.float64], bool]:
+    """Turn cells into numbers without guessing.
+
+    Parameters
+    ----------
+    cells : array, shape (n_rows,)
+        Text, numbers or None.
+    shown, column : str
+        File and column, for messages.
+    line : array of int, shape (n_rows,)
+        Line of each cell.
+    decimal_comma : bool, optional
+        What the rest of the file says about commas; None where nothing is known, and then ``1,234`` is refused.
+
+    Returns
+    -------
+    values : array of float, shape (n_rows,)
+        NaN where a cell is empty.
+    used_comma : bool
+        Whether a decimal comma was read.
+
+    Raises
+    ------
+    BadFileError
+        At the first cell that is no finite number, or could be read in two ways.
+    """
+    if cells.dtype != object:
+        values = cells.astype(np.float64)
+        bad = np.flatnonzero(np.isinf(values))
+        if len(bad):
+            raise _no_number(shown, column, int(line[bad[0]]), str(values[bad[0]]))
+        return values, False
+    out = np.full(len(cells), np.nan)
+    used_comma = False
+    for index, cell in enumerate(cells):
+        if cell is None:
+            continue
+        if isinstance(cell, str):
+            text = cell.strip().replace("−", "-")
+            if text.lower() in _EMPTY:
+                continue
+            if _COMMA.fullmatch(text):
+                if decimal_comma is not True and _AMBIGUOUS.fullmatch(text):
+                    raise _ambiguous(shown, column, int(line[index]), text)
+                used_comma = True
+                text = text.replace(",", ".")
+            elif decimal_comma is True and _AMBIGUOUS.fullmatch(text):
+                raise _ambiguous(shown, column, int(line[index]), text)
+            elif not _POINT.fullmatch(text):
+                raise _no_number(shown, column, int(line[index]), text)
+            value = float(text)
+        else:
+            value = float(cell)
+        if not np.isfinite(value) and not (isinstance(cell, float) and np.isnan(cell)):
+            raise _no_number(shown, column, int(line[index]), str(cell))
+        out[index] = value
+    return out, used_comma
+
+
+def comma_evidence(columns: Sequence[npt.NDArray[Any]]) -> bool | None:
+    """Return whether a file writes decimal commas: True or False where some cell can be read in one way only."""
+    comma = point = False
+    for cells in columns:
+        for cell in cells:
+            if isinstance(cell, str) and not _AMBIGUOUS.fullmatch(text := cell.strip()):
+                comma = comma or ("," in text and _COMMA.fullmatch(text) is not None)
+                point = point or ("." in text and _POINT.fullmatch(text) is not None)
+        if comma and point:
+            return None
+    return True if comma else (False if point else None)
+
+
+def _no_number(shown: str, column: str, row: int, text: str) -> BadFileError:
+    return BadFileError(
+        shown,
+        row=row,
+        column=column,
+        found=repr(text[:40]),
+        expected="a finite number or an empty cell",
+        remedy="correct the cell, or leave it empty where nothing was measured",
+    )
+
+
+def _ambiguous(shown: str, column: str, row: int, text: str) -> BadFileError:
+    return BadFileError(
+        shown,
+        row=row,
+        column=column,
+        found=f"{text!r}, which may mean {text.replace(',', '.')} or {text.replace(',', '').replace('.', '')}",
+        expected="a number that can be read in one way only",
+        remedy="export the table without thousands separators and with a decimal point",
+    )

@@ -1,0 +1,188 @@
+"""Turn a raw run table into the `RunTable` that later stages read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from calib.campaign.columns import Recognised, recognise
+from calib.campaign.faults import Border
+from calib.campaign.model import LABEL_COLUMNS, NUMERIC_COLUMNS, BoolArray, FloatArray, RunTable, StrArray
+from calib.campaign.readers.table import RawTable, comma_evidence, numbers
+from calib.errors import BadFileError
+
+__all__ = ["run_table"]
+
+_KNOWN: Final = (*LABEL_COLUMNS, *NUMERIC_COLUMNS, "excluded")
+_TRUE: Final = frozenset({"true", "1", "1.0", "yes", "y", "x"})
+_FALSE: Final = frozenset({"false", "0", "0.0", "no", "n", "", "-"})
+
+
+def run_table(raw: RawTable, shown: str, border: Border) -> RunTable:
+    """Recognise columns, convert units, and check what every later stage relies on.
+
+    Parameters
+    ----------
+    raw : RawTable
+        Columns as read.
+    shown : str
+        File, for messages.
+    border : Border
+        Takes notes and faults.
+
+    Returns
+    -------
+    RunTable
+        Rows in the file's order, SI units.
+
+    Raises
+    ------
+    BadFileError
+        Where run_id is missing, a cell is no number, or (not lenient) a run_id stands twice.
+    """
+    matched = _match(raw, shown, border)
+    line = raw.line
+    if "run_id" not in matched:
+        raise BadFileError(
+            shown,
+            column="run_id",
+            found=f"only {', '.join(list(raw.columns)[:12]) or 'nothing'}",
+            expected="a column run_id",
+            remedy="name each run; 'calib ingest' makes a run table out of any spreadsheet",
+        )
+    if not len(line):
+        raise BadFileError(shown, found="no rows", expected="one row a run", remedy="add the runs")
+    labels: dict[str, StrArray] = {
+        name: _texts(raw.columns[matched[name].found], name, shown, line) for name in LABEL_COLUMNS if name in matched
+    }
+    _check_run_ids(labels["run_id"], line, shown, border)
+    excluded = _flags(raw.columns[matched["excluded"].found], shown, line) if "excluded" in matched else None
+    return RunTable(
+        labels=labels,
+        numbers=_numbers(raw, matched, shown, border),
+        excluded=np.zeros(len(line), dtype=np.bool_) if excluded is None else excluded,
+        line=line,
+    )
+
+
+def _match(raw: RawTable, shown: str, border: Border) -> dict[str, Recognised]:
+    matched: dict[str, Recognised] = {}
+    for found in raw.columns:
+        match = recognise(found, _KNOWN)
+        if match.name in matched:
+            raise BadFileError(
+                shown,
+                row=1,
+                column=found,
+                found=f"a second column for {match.name} beside {matched[match.name].found!r}",
+                expected="one",
+                remedy="remove or rename one of them",
+            )
+        matched[match.name] = match
+        if match.said:
+            border.say(f"{shown}, column {found}", match.said, "unit" if match.factor != 1.0 else "name")
+        if match.unitless:
+            border.say(
+                f"{shown}, column {found}",
+                f"names no unit and is not used as {match.unitless}; rename it to the unit it is in",
+                "no_unit",
+                level="suspicious",
+            )
+    return matched
+
+
+def _numbers(raw: RawTable, matched: Mapping[str, Recognised], shown: str, border: Border) -> dict[str, FloatArray]:
+    known = [name for name in NUMERIC_COLUMNS if name in matched]
+    further = [name for name in matched if name not in _KNOWN]
+    evidence = comma_evidence([raw.columns[matched[name].found] for name in (*known, *further)])
+    values: dict[str, FloatArray] = {}
+    commas = False
+    for name in (*known, *further):
+        match = matched[name]
+        cells = raw.columns[match.found]
+        try:
+            column, comma = numbers(cells, shown=shown, column=match.found, line=raw.line, decimal_comma=evidence)
+        except BadFileError as error:
+            if name in NUMERIC_COLUMNS:
+                raise
+            border.say(
+                f"{shown}, row {error.row}, column {match.found}",
+                f"found {error.found}; the column is not numeric throughout and no covariate",
+                "text_column",
+            )
+            continue
+        commas = commas or comma
+        values[name] = column if match.factor == 1.0 and not match.offset else match.factor * column + match.offset
+    if commas:
+        border.say(shown, "decimal commas were read as decimal points", "decimal_comma")
+    return values
+
+
+def _texts(cells: npt.NDArray[Any], column: str, shown: str, line: npt.NDArray[np.int64]) -> StrArray:
+    out = []
+    for index, cell in enumerate(cells):
+        text = "" if cell is None else cell.strip() if isinstance(cell, str) else _plain(cell)
+        if any(ord(letter) < 32 for letter in text):
+            raise BadFileError(
+                shown,
+                row=int(line[index]),
+                column=column,
+                found=repr(text[:40]),
+                expected="a text on one line",
+                remedy="remove the control character",
+            )
+        out.append(text)
+    return np.asarray(out, dtype=np.str_)
+
+
+def _plain(cell: Any) -> str:
+    number = float(cell)
+    if np.isnan(number):
+        return ""
+    return str(int(number)) if number.is_integer() else repr(number)
+
+
+def _flags(cells: npt.NDArray[Any], shown: str, line: npt.NDArray[np.int64]) -> BoolArray:
+    texts = [text.lower() for text in _texts(cells, "excluded", shown, line)]
+    for text, row in zip(texts, line, strict=True):
+        if text not in _TRUE and text not in _FALSE:
+            raise BadFileError(
+                shown,
+                row=int(row),
+                column="excluded",
+                found=repr(text[:40]),
+                expected="true, false or an empty cell",
+                remedy="correct the cell; the reason goes into exclusion_reason",
+            )
+    return np.asarray([text in _TRUE for text in texts], dtype=np.bool_)
+
+
+def _check_run_ids(run_ids: Sequence[str] | StrArray, line: npt.NDArray[np.int64], shown: str, border: Border) -> None:
+    first: dict[str, int] = {}
+    for run_id, row in zip(map(str, run_ids), map(int, line), strict=True):
+        if not run_id:
+            raise BadFileError(
+                shown,
+                row=row,
+                column="run_id",
+                found="an empty cell",
+                expected="a name of the run",
+                remedy="name the run",
+            )
+        if run_id in first:
+            border.fault(
+                BadFileError(
+                    shown,
+                    row=row,
+                    column="run_id",
+                    found=f"{run_id!r}, as in row {first[run_id]}",
+                    expected="each run once",
+                    remedy="rename one run, or remove the row that was pasted twice",
+                ),
+                "duplicate_run",
+                run_id,
+            )
+        first.setdefault(run_id, row)

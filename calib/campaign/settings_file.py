@@ -1,0 +1,244 @@
+"""Read ``campaign.toml``: sections with defaults, every value checked, units in key names converted and said."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, Final
+
+from calib.campaign.columns import recognise
+from calib.campaign.model import Note
+from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
+from calib.errors import BadFileError
+from calib.vehicle import Vehicle
+
+__all__ = ["FORMAT", "Settings", "read_settings"]
+
+FORMAT: Final = "calib-campaign/1"
+
+_VEHICLE: Final = tuple(field.name for field in fields(Vehicle))
+_MODEL: Final = tuple(field.name for field in fields(OdometryModel))
+_ENCODER: Final = ("counts_per_rev", "counts_per_rev_left", "counts_per_rev_right", "wrap_bits")
+_POSITIVE: Final = frozenset(
+    {
+        "track_m",
+        "wheelbase_m",
+        "wheel_radius_m",
+        "mass_kg",
+        "max_wheel_load_N",
+        "counts_per_rev",
+        "counts_per_rev_left",
+        "counts_per_rev_right",
+        "radius_left_m",
+        "radius_right_m",
+        "sigma_m",
+        "sigma_xy_m",
+        "sigma_theta_rad",
+    }
+)
+#: keys that scale every result: a default for them is said as suspicious
+_WEIGHTY: Final = {"vehicle": ("track_m", "wheel_radius_m")}
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What ``campaign.toml`` says, with what was said on the way in."""
+
+    name: str
+    simulated: bool
+    vehicle: Vehicle
+    encoder: Encoder
+    model: OdometryModel
+    rangefinder: Rangefinder
+    reference: Reference
+    extra: Mapping[str, Any]
+    notes: tuple[Note, ...]
+
+
+def read_settings(path: Path, shown: str) -> Settings:
+    """Read and check ``campaign.toml``.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    shown : str
+        Its name in messages.
+
+    Returns
+    -------
+    Settings
+        With defaults where keys are missing; without ``[model]`` the simulator believes in the nominal vehicle.
+
+    Raises
+    ------
+    BadFileError
+        Where the file is missing, is no TOML, or holds a value of the wrong kind or range.
+    """
+    document = _load(path, shown)
+    notes: list[Note] = []
+    found_format = document.pop("format", None)
+    if found_format is None:
+        notes.append(Note("info", shown, f'no format is given; "{FORMAT}" was assumed', "format"))
+    elif found_format != FORMAT:
+        raise BadFileError(
+            shown,
+            column="format",
+            found=repr(found_format)[:60],
+            expected=f'"{FORMAT}"',
+            remedy="convert the campaign, or correct the key if it is one of this format",
+        )
+    name = _typed(document.pop("name", path.parent.resolve().name), str, shown, "name", "a text")
+    simulated = _typed(document.pop("simulated", False), bool, shown, "simulated", "true or false")
+    extra: dict[str, Any] = {}
+    section = _Sections(document, shown, notes, extra)
+    vehicle = Vehicle(**section.numbers("vehicle", _VEHICLE))
+    encoder = _encoder(section, notes, shown)
+    believed = section.numbers("model", _MODEL)
+    nominal = {
+        "radius_left_m": vehicle.wheel_radius_m,
+        "radius_right_m": vehicle.wheel_radius_m,
+        "track_m": vehicle.track_m,
+        "reference_load_N": vehicle.unladen_load_N,
+    }
+    model = OdometryModel(**(nominal | believed))
+    rangefinder = Rangefinder(**section.numbers("rangefinder", ("sigma_m",)))
+    reference = Reference(**section.numbers("reference", ("sigma_xy_m", "sigma_theta_rad")))
+    if not 0.0 <= vehicle.cog_x_m <= vehicle.wheelbase_m:
+        raise BadFileError(
+            shown,
+            column="vehicle.cog_x_m",
+            found=f"{vehicle.cog_x_m:g}",
+            expected=f"a place between rear axle (0) and front wheel ({vehicle.wheelbase_m:g})",
+            remedy="give the centre of mass ahead of the rear axle, in metres",
+        )
+    extra = {key: value for key, value in document.items() if key not in section.read} | extra
+    return Settings(name, simulated, vehicle, encoder, model, rangefinder, reference, extra, tuple(notes))
+
+
+def _load(path: Path, shown: str) -> dict[str, Any]:
+    if not path.is_file():
+        raise BadFileError(
+            shown,
+            found="a folder" if path.is_dir() else "no such file",
+            expected="the campaign's settings",
+            remedy="give a campaign folder that holds campaign.toml, or make one with 'calib ingest'",
+        )
+    try:
+        if path.stat().st_size > 1 << 24:
+            raise BadFileError(shown, found="more than 16 MiB", expected="a settings file", remedy="check the file")
+        data = path.read_bytes()
+        text = data.decode("utf-16" if data[:2] in {b"\xff\xfe", b"\xfe\xff"} else "utf-8-sig")
+        return tomllib.loads(text)
+    except OSError as error:
+        raise BadFileError(
+            shown, found=error.strerror or "an unreadable file", expected="a readable file", remedy="check its rights"
+        ) from error
+    except UnicodeError as error:
+        raise BadFileError(
+            shown, found="text that is not UTF-8", expected="UTF-8, as TOML asks", remedy="save the file as UTF-8"
+        ) from error
+    except (tomllib.TOMLDecodeError, ValueError, RecursionError) as error:
+        raise BadFileError(
+            shown,
+            found=f"no valid TOML ({str(error)[:120]})",
+            expected="key = value lines and [sections]",
+            remedy="correct the line",
+        ) from error
+
+
+def _typed(value: Any, kind: type, shown: str, key: str, expected: str) -> Any:
+    if not isinstance(value, kind):
+        raise BadFileError(shown, column=key, found=repr(value)[:60], expected=expected, remedy="correct the value")
+    return value
+
+
+class _Sections:
+    """Numbers of the known sections, each key recognised, converted and checked."""
+
+    def __init__(self, document: Mapping[str, Any], shown: str, notes: list[Note], extra: dict[str, Any]) -> None:
+        self.document, self.shown, self.notes, self.extra = document, shown, notes, extra
+        self.read: set[str] = set()
+
+    def numbers(self, section: str, known: Sequence[str]) -> dict[str, float]:
+        """Return the section's known keys in SI units; unknown ones go to `extra` and are said."""
+        self.read.add(section)
+        found = _typed(self.document.get(section, {}), dict, self.shown, section, f"a section [{section}]")
+        values: dict[str, float] = {}
+        for key, value in found.items():
+            column = f"{section}.{key}"
+            match = recognise(key, known, further=False)
+            if match.name not in known:
+                self.extra.setdefault(section, {})[key] = value
+                hint = f"; did you mean {match.unitless}? A key names its unit" if match.unitless else ""
+                self.notes.append(
+                    Note("suspicious", f"{self.shown}, {column}", f"the key is not known and not used{hint}", "key")
+                )
+                continue
+            if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(_float(value)):
+                raise BadFileError(
+                    self.shown, column=column, found=repr(value)[:60], expected="a finite number", remedy="correct it"
+                )
+            if match.name in values:
+                raise BadFileError(
+                    self.shown, column=column, found="the key in two units", expected="one", remedy="remove one"
+                )
+            number = match.factor * value + match.offset
+            if match.name in _POSITIVE and number <= 0:
+                raise BadFileError(
+                    self.shown, column=column, found=f"{value:g}", expected="more than 0", remedy="correct the value"
+                )
+            if match.said:
+                self.notes.append(Note("info", f"{self.shown}, {column}", match.said, "unit"))
+            values[match.name] = number
+        missing = [key for key in _WEIGHTY.get(section, ()) if key not in values]
+        if missing:
+            self.notes.append(
+                Note(
+                    "suspicious",
+                    f"{self.shown}, {section}",
+                    f"{', '.join(missing)} not given; the defaults of a 0.7 m track, 0.1 m wheel vehicle are used; "
+                    "give the vehicle's own",
+                    "default_vehicle",
+                )
+            )
+        return values
+
+
+def _float(value: Any) -> float:
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf
+
+
+def _encoder(section: _Sections, notes: list[Note], shown: str) -> Encoder:
+    values = section.numbers("encoder", _ENCODER)
+    both = values.get("counts_per_rev")
+    left, right = values.get("counts_per_rev_left", both), values.get("counts_per_rev_right", both)
+    if left is None or right is None:
+        notes.append(
+            Note(
+                "suspicious",
+                f"{shown}, encoder.counts_per_rev",
+                "not given for both wheels; 4096 is used for what is missing, and every radius scales with it",
+                "default_encoder",
+            )
+        )
+    bits = values.get("wrap_bits")
+    if bits is not None and bits not in {8, 12, 16, 20, 24, 32}:
+        raise BadFileError(
+            shown,
+            column="encoder.wrap_bits",
+            found=f"{bits:g}",
+            expected="16 or 32 (8, 12, 20, 24 are read too)",
+            remedy="give the width of the counter, or remove the key where it does not wrap",
+        )
+    return Encoder(
+        counts_per_rev_left=4096.0 if left is None else left,
+        counts_per_rev_right=4096.0 if right is None else right,
+        wrap_bits=None if bits is None else int(bits),
+    )

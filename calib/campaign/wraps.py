@@ -1,0 +1,106 @@
+"""Undo the overflow of 16- and 32-bit counters, in logs and in totals."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from calib.campaign.model import FloatArray, IntArray
+
+__all__ = ["detect_wrap_bits", "rewrap_total", "unwrap"]
+
+#: widths that are looked for where the settings name none
+WIDTHS: Final = (16, 32)
+
+
+def detect_wrap_bits(counts: FloatArray, offsets: IntArray) -> int | None:
+    """Find the width of a counter that overflows inside the logs.
+
+    A jump counts as an overflow where it comes within an eighth of 2^bits, and the log's range never leaves one span of
+    the counter, so that a jump of the wheel itself is never mistaken for one.
+
+    Parameters
+    ----------
+    counts : array of float, shape (n_samples,)
+        Logs laid end to end.
+    offsets : array of int, shape (n_runs + 1,)
+        Where each log begins.
+
+    Returns
+    -------
+    int or None
+        16 or 32, or None where nothing overflows.
+    """
+    step = _steps(counts, offsets)
+    magnitude = np.abs(step)
+    for bits in WIDTHS:
+        full = 2.0**bits
+        if not (np.abs(magnitude - full) < full / 8).any():
+            continue
+        low, high = np.nanmin(counts), np.nanmax(counts)
+        unsigned, signed = low >= 0 and high < full, low >= -full / 2 and high < full / 2
+        rest = magnitude[np.abs(magnitude - full) >= full / 8]
+        if (unsigned or signed) and (not len(rest) or np.nanmax(rest) < full / 8):
+            return bits
+    return None
+
+
+def unwrap(counts: FloatArray, offsets: IntArray, bits: int) -> tuple[FloatArray, IntArray]:
+    """Undo overflows: every step is taken as the shortest one around the counter.
+
+    Parameters
+    ----------
+    counts : array of float, shape (n_samples,)
+        Logs laid end to end.
+    offsets : array of int, shape (n_runs + 1,)
+        Where each log begins.
+    bits : int
+        Width of the counter.
+
+    Returns
+    -------
+    counts : array of float, shape (n_samples,)
+        Each log continues from its own first value.
+    wraps : array of int, shape (n_runs,)
+        Overflows undone in each log.
+    """
+    full = 2.0**bits
+    step = _steps(counts, offsets)
+    turns = np.where(np.isnan(step), 0.0, -np.rint(step / full))
+    if not turns.any():
+        return counts, np.zeros(len(offsets) - 1, dtype=np.int64)
+    total = np.cumsum(turns)
+    start = np.repeat(total[np.minimum(offsets[:-1], len(total) - 1)], np.diff(offsets))
+    wraps = np.add.reduceat(np.append(np.abs(turns), 0.0), offsets[:-1])
+    wraps[np.diff(offsets) == 0] = 0
+    return counts + full * (total - start), wraps.astype(np.int64)
+
+
+def rewrap_total(total: FloatArray, expected: FloatArray, bits: int, tolerance: FloatArray) -> FloatArray:
+    """Return how many full counters to add to `total` so that it meets `expected`; 0 where none fits.
+
+    Parameters
+    ----------
+    total, expected, tolerance : array of float, shape (n_runs,)
+        Counts found, counts expected, and how far they may be apart.
+    bits : int
+        Width of the counter.
+
+    Returns
+    -------
+    array of float, shape (n_runs,)
+        Whole numbers.
+    """
+    full = 2.0**bits
+    turns = np.rint((expected - total) / full)
+    fits = np.abs(total + turns * full - expected) <= tolerance
+    return np.where(fits & np.isfinite(turns), turns, 0.0)
+
+
+def _steps(counts: FloatArray, offsets: IntArray) -> FloatArray:
+    """Return the step to each sample from the one before, 0 at the first of each log."""
+    step = np.diff(counts, prepend=counts[:1])
+    starts = offsets[:-1]
+    step[starts[starts < len(step)]] = 0.0
+    return step

@@ -1,0 +1,189 @@
+"""Write a campaign folder: the same campaign gives the same bytes."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+import shutil
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from calib.campaign.model import LABEL_COLUMNS, LOG_COLUMNS, NUMERIC_COLUMNS, Campaign, FloatArray, RunTable
+from calib.campaign.settings_file import FORMAT
+from calib.campaign.toml_text import to_toml
+from calib.errors import BadInputError, would_overwrite
+
+__all__ = ["write_campaign"]
+
+_OURS: Final = ("campaign.toml", "runs.csv", "logs")
+_INTEGER: Final = 2.0**53
+
+
+def write_campaign(
+    campaign: Campaign, folder: Path, *, force: bool = False, log_decimals: Mapping[str, int] | None = None
+) -> Path:
+    """Write ``campaign.toml``, ``runs.csv`` and ``logs/<run_id>.csv``, all of them or none.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        The campaign.
+    folder : Path
+        Target folder; other files in it are left alone.
+    force : bool
+        Replace a campaign that stands there.
+    log_decimals : mapping of str to int, optional
+        Decimals of log columns, for example ``{"range_m": 4}``. Without it every number is written so that it reads
+        back exactly, and times to the nanosecond.
+
+    Returns
+    -------
+    Path
+        `folder`.
+
+    Raises
+    ------
+    BadInputError
+        Where a campaign stands there and `force` is False, or the folder cannot be written.
+    """
+    folder = Path(folder)
+    for name in _OURS:
+        if (folder / name).exists() and not force:
+            raise would_overwrite(folder / name)
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}.", suffix=".tmp") as made:
+            _write_into(campaign, Path(made), log_decimals or {})
+            _move(Path(made), folder)
+    except OSError as error:
+        raise BadInputError(
+            f"{folder}: found {error.strerror}; expected a writable folder; choose another place"
+        ) from error
+    return folder
+
+
+def _move(made: Path, folder: Path) -> None:
+    folder.mkdir(exist_ok=True)
+    for name in _OURS:
+        old, new = folder / name, made / name
+        if old.is_dir() and not old.is_symlink():
+            # renamed away first, so that a logs folder is never half old and half new
+            shutil.move(old, made / f"{name}.old")
+        if new.exists():
+            new.replace(old)
+        elif old.is_symlink() or old.exists():
+            old.unlink()
+
+
+def _write_into(campaign: Campaign, folder: Path, log_decimals: Mapping[str, int]) -> None:
+    logs = _log_names(campaign)
+    for index, name in logs.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(_log_bytes(campaign.logs.of(index), log_decimals))
+    (folder / "runs.csv").write_bytes(_runs_bytes(campaign.runs, logs))
+    (folder / "campaign.toml").write_text(to_toml(_settings(campaign)), encoding="utf-8", newline="\n")
+
+
+def _settings(campaign: Campaign) -> dict[str, Any]:
+    encoder: dict[str, Any] = {}
+    left, right = campaign.encoder.counts_per_rev_left, campaign.encoder.counts_per_rev_right
+    if left == right:
+        encoder["counts_per_rev"] = _short(left)
+    else:
+        encoder |= {"counts_per_rev_left": _short(left), "counts_per_rev_right": _short(right)}
+    if campaign.encoder.wrap_bits is not None:
+        encoder["wrap_bits"] = campaign.encoder.wrap_bits
+    document: dict[str, Any] = {
+        "format": FORMAT,
+        "name": campaign.name,
+        "simulated": bool(campaign.simulated),
+        "vehicle": _plain(campaign.vehicle),
+        "encoder": encoder,
+        "model": _plain(campaign.model),
+        "rangefinder": _plain(campaign.rangefinder),
+        "reference": _plain(campaign.reference),
+    }
+    for key, value in campaign.extra.items():
+        if isinstance(value, Mapping) and isinstance(document.get(key), dict):
+            document[key] = {**value, **document[key]}
+        elif key not in document:
+            document[key] = value
+    return document
+
+
+def _plain(section: Any) -> dict[str, float]:
+    return {name: float(getattr(section, name)) for name in section.__dataclass_fields__}
+
+
+def _short(value: float) -> int | float:
+    return int(value) if float(value).is_integer() else float(value)
+
+
+def _log_names(campaign: Campaign) -> dict[int, str]:
+    names: dict[int, str] = {}
+    taken: set[str] = set()
+    for index in np.flatnonzero(campaign.logs.lengths > 0):
+        stem = re.sub(r"[^A-Za-z0-9._-]", "_", str(campaign.runs.run_id[index])).lstrip(".") or "run"
+        # compared without case, since some file systems do so
+        name, number = stem[:100], 1
+        while name.lower() in taken:
+            number += 1
+            name = f"{stem[:100]}_{number}"
+        taken.add(name.lower())
+        names[int(index)] = f"logs/{name}.csv"
+    return names
+
+
+def _runs_bytes(runs: RunTable, logs: Mapping[int, str]) -> bytes:
+    columns: dict[str, list[str]] = {}
+    for name in ("run_id", "session", "kind", "direction"):
+        if name in runs.labels:
+            columns[name] = [str(text) for text in runs.labels[name]]
+    for name in (*NUMERIC_COLUMNS, *runs.covariates):
+        if name in runs.numbers:
+            columns[name] = [_cell(value) for value in runs.numbers[name]]
+    if logs:
+        columns["log"] = [logs.get(index, "") for index in range(len(runs))]
+    if runs.excluded.any():
+        columns["excluded"] = ["true" if flag else "" for flag in runs.excluded]
+    if "exclusion_reason" in runs.labels:
+        columns["exclusion_reason"] = [str(text) for text in runs.labels["exclusion_reason"]]
+    unknown = set(runs.labels) - set(LABEL_COLUMNS)
+    if unknown:
+        raise BadInputError(f"run table: found the text columns {sorted(unknown)}; expected {', '.join(LABEL_COLUMNS)}")
+    out = io.StringIO(newline="")
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(zip(*columns.values(), strict=True))
+    return out.getvalue().encode("utf-8")
+
+
+def _cell(value: float) -> str:
+    if np.isnan(value):
+        return ""
+    return str(int(value)) if float(value).is_integer() and abs(value) < _INTEGER else repr(float(value))
+
+
+def _log_bytes(columns: Mapping[str, FloatArray], decimals: Mapping[str, int]) -> bytes:
+    import pandas as pd
+
+    frame: dict[str, Any] = {}
+    for name in LOG_COLUMNS:
+        if name not in columns:
+            continue
+        values = columns[name]
+        if name in decimals:
+            values = np.round(values, decimals[name])
+        elif name == "t_s":
+            values = np.round(values, 9)
+        # minus zero has no integer form, and would read back as plus zero
+        whole = np.isfinite(values).all() and (values == np.rint(values)).all() and (np.abs(values) < _INTEGER).all()
+        frame[name] = values.astype(np.int64) if whole else values + 0.0
+    text: str = pd.DataFrame(frame).to_csv(index=False, lineterminator="\n")
+    return text.encode("utf-8")
