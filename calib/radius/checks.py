@@ -1,0 +1,72 @@
+"""What an expert would check after a fit: a statistic, and a sentence that says what it means and what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+__all__ = ["FAILED", "NOTE", "OK", "Check"]
+
+OK: Final = "ok"
+NOTE: Final = "note"
+FAILED: Final = "failed"
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One check of a fit.
+
+    Parameters
+    ----------
+    name : str
+        Stable name: ``design``, ``lack_of_fit``, ``curvature``, ``equal_scatter``, ``influence``, ``session``,
+        ``normality``, ``direction``, ``range``.
+    level : str
+        ``ok``; ``note`` where the reader has to know something but the result stands; ``failed`` where the law should
+        not be used as it is.
+    sentence : str
+        What it means for the user and what to do.
+    statistic : float or None
+        Value of the test statistic; None where the check has none or could not be made.
+    statistic_name : str
+        What the statistic is, for example ``F(3, 55)``.
+    p_value : float or None
+        Probability of a statistic at least as extreme where nothing is wrong.
+    """
+
+    name: str
+    level: str
+    sentence: str
+    statistic: float | None = None
+    statistic_name: str = ""
+    p_value: float | None = None
+
+    @property
+    def passed(self) -> bool:
+        """Whether the result can be used as it is (``ok`` and ``note``)."""
+        return self.level != FAILED
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the check as plain values."""
+        return {
+            "name": self.name,
+            "level": self.level,
+            "passed": self.passed,
+            "statistic": self.statistic,
+            "statistic_name": self.statistic_name,
+            "p_value": self.p_value,
+            "sentence": self.sentence,
+        }
+
+    @staticmethod
+    def from_dict(value: Mapping[str, Any]) -> Check:
+        """Return the check that `to_dict` wrote."""
+        return Check(
+            name=str(value["name"]),
+            level=str(value["level"]),
+            sentence=str(value["sentence"]),
+            statistic=value.get("statistic"),
+            statistic_name=str(value.get("statistic_name", "")),
+            p_value=value.get("p_value"),
+        )

@@ -1,0 +1,302 @@
+"""Regression of one wheel's radius on its load: coefficients, intervals, bands (Figs 10 and 11)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from calib.campaign.model import FloatArray
+from calib.errors import RefusedError
+from calib.radius.checks import Check
+from calib.radius.law import WheelLaw
+from calib.radius.strata import (
+    Estimate,
+    Groups,
+    groups_of,
+    plain_line,
+    satterthwaite,
+    stratified_constant,
+    stratified_line,
+)
+
+__all__ = ["NaiveLine", "WheelFit", "distinct_loads", "fit_wheel", "t_interval", "t_quantile"]
+
+#: loads nearer than this share of the largest count as one load
+SAME_LOAD: Final = 0.02
+COVERAGE: Final = 0.95
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NaiveLine:
+    """The line and its intervals where every run counts as independent; beside the honest one, never instead of it.
+
+    Parameters
+    ----------
+    radius_ref_m, slope_m_per_N : float
+        Ordinary least-squares coefficients.
+    covariance : array of float, shape (2, 2)
+        Their covariance.
+    dof : float
+        Number of runs minus the number of coefficients.
+    radius_ref_ci95_m, slope_ci95_m_per_N : tuple of float
+        95 % intervals.
+    """
+
+    radius_ref_m: float
+    slope_m_per_N: float
+    covariance: FloatArray
+    dof: float
+    radius_ref_ci95_m: tuple[float, float]
+    slope_ci95_m_per_N: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WheelFit:
+    """Everything known of one wheel's law.
+
+    Parameters
+    ----------
+    wheel : str
+        ``left`` or ``right``.
+    law : WheelLaw
+        The law that is handed on; its covariance is the session-aware one, its ``dof`` the smaller of those of radius
+        and slope, its ``residual_std_m`` the standard deviation of a single run in a session of its own.
+    model : str
+        ``line``, or ``constant`` where the loads do not carry a slope.
+    design : str
+        ``crossed``, ``mixed``, ``confounded``, ``single`` or ``constant``; see `calib.radius.strata.Estimate`.
+    estimate : Estimate
+        Coefficients and covariance by stratum, for bands at any load.
+    naive : NaiveLine or None
+        The same with every run counted as independent; None for a constant.
+    intercept_m : float
+        Radius at zero load, where the line is prolonged to it.
+    r_squared : float
+        Share of the variance of the radii that the line explains.
+    residual_std_m : float
+        Root mean square residual over the runs' degrees of freedom (as in ordinary least squares).
+    run_std_m, session_std_m : float
+        Standard deviations of runs within a session and of sessions.
+    dof_radius_ref, dof_slope : float
+        Degrees of freedom behind each interval.
+    radius_ref_ci95_m : tuple of float
+        95 % interval of the radius at the reference load.
+    slope_ci95_m_per_N : tuple of float or None
+        95 % interval of the slope; None for a constant.
+    load_N, radius_m, residual_m : array of float, shape (n_runs,)
+        What was fitted, and radius minus law.
+    leverage, cook : array of float, shape (n_runs,)
+        Leverage and Cook's distance of each run in the ordinary least-squares line.
+    checks : tuple of Check
+        What an expert would check.
+    """
+
+    wheel: str
+    law: WheelLaw
+    model: str
+    design: str
+    estimate: Estimate
+    naive: NaiveLine | None
+    intercept_m: float
+    r_squared: float
+    residual_std_m: float
+    run_std_m: float
+    session_std_m: float
+    dof_radius_ref: float
+    dof_slope: float
+    radius_ref_ci95_m: tuple[float, float]
+    slope_ci95_m_per_N: tuple[float, float] | None
+    load_N: FloatArray
+    radius_m: FloatArray
+    residual_m: FloatArray
+    leverage: FloatArray
+    cook: FloatArray
+    checks: tuple[Check, ...] = ()
+
+    def mean_band_m(self, load_N: npt.ArrayLike, coverage: float = COVERAGE) -> tuple[FloatArray, FloatArray]:
+        """Return the band of the regression mean (Fig. 11).
+
+        Parameters
+        ----------
+        load_N : array_like of float, any shape
+            Wheel loads.
+        coverage : float
+            Coverage at each load.
+
+        Returns
+        -------
+        low, high : array of float, same shape
+            In m.
+        """
+        centre, half = self._band(load_N, coverage, single=False)
+        return centre - half, centre + half
+
+    def prediction_band_m(self, load_N: npt.ArrayLike, coverage: float = COVERAGE) -> tuple[FloatArray, FloatArray]:
+        """Return the band that holds the radius of one further run in a session of its own; see `mean_band_m`."""
+        centre, half = self._band(load_N, coverage, single=True)
+        return centre - half, centre + half
+
+    def _band(self, load_N: npt.ArrayLike, coverage: float, *, single: bool) -> tuple[FloatArray, FloatArray]:
+        load = np.asarray(load_N, dtype=np.float64)
+        contrast = np.stack((np.ones_like(load), load - self.law.reference_load_N), axis=-1)
+        within = np.einsum("...i,ij,...j->...", contrast, self.estimate.cov_within, contrast)
+        between = np.einsum("...i,ij,...j->...", contrast, self.estimate.cov_between, contrast)
+        if single:
+            within = within + self.run_std_m**2
+            between = between + self.session_std_m**2
+        dof = satterthwaite(within, self.estimate.dof_within, between, self.estimate.dof_between)
+        half = t_quantile(dof, coverage) * np.sqrt(np.maximum(within + between, 0.0))
+        return self.law.radius_m(load), np.asarray(half)
+
+
+def t_quantile(dof: npt.ArrayLike, coverage: float = COVERAGE) -> FloatArray:
+    """Return Student's t such that ``+-t`` covers `coverage` with `dof` degrees of freedom."""
+    from scipy.special import stdtrit
+
+    return np.asarray(stdtrit(np.asarray(dof, dtype=np.float64), 0.5 + coverage / 2))
+
+
+def t_interval(value: float, std: float, dof: float, coverage: float = COVERAGE) -> tuple[float, float]:
+    """Return ``value +- t std``."""
+    half = float(t_quantile(dof, coverage)) * float(std)
+    return float(value) - half, float(value) + half
+
+
+def distinct_loads(load_N: FloatArray) -> int:
+    """Return how many distinct loads there are; loads within 2 % of the largest count as one."""
+    ordered = np.sort(load_N)
+    width = SAME_LOAD * float(np.max(np.abs(ordered)))
+    count, start = 1, float(ordered[0])
+    for value in ordered[1:]:
+        if value - start > width:
+            count, start = count + 1, float(value)
+    return count
+
+
+def fit_wheel(
+    wheel: str, load_N: npt.ArrayLike, radius_m: npt.ArrayLike, session: npt.ArrayLike, *, reference_load_N: float
+) -> WheelFit:
+    """Fit the law of one wheel.
+
+    Parameters
+    ----------
+    wheel : str
+        Name for messages and results.
+    load_N, radius_m : array_like of float, shape (n_runs,)
+        Load and effective radius of each run.
+    session : array_like of str, shape (n_runs,)
+        Session of each run.
+    reference_load_N : float
+        Load on which the coefficients are centred.
+
+    Returns
+    -------
+    WheelFit
+        A line, or a constant where the runs have one load only. Its checks are empty; see
+        `calib.radius.residual_checks`.
+
+    Raises
+    ------
+    RefusedError
+        With fewer than three runs.
+    """
+    load, radius = np.asarray(load_N, dtype=np.float64), np.asarray(radius_m, dtype=np.float64)
+    if len(load) < 3:
+        raise RefusedError(
+            f"{wheel} wheel: found {len(load)} usable runs; expected three or more; drive more corridor runs, "
+            "or see 'calib check' for why runs were left out"
+        )
+    groups = groups_of(session)
+    if distinct_loads(load) == 1:
+        return _constant(wheel, load, radius, groups)
+    x = load - reference_load_N
+    plain, results = plain_line(x, radius)
+    estimate = stratified_line(x, radius, groups) if 2 <= len(groups) < len(load) else None
+    estimate = estimate or plain
+    design = "confounded" if estimate is plain and 2 <= len(groups) < len(load) else estimate.design
+    influence = _influence(x, np.asarray(results.resid), float(results.scale))
+    naive = NaiveLine(
+        radius_ref_m=float(plain.coefficients[0]),
+        slope_m_per_N=float(plain.coefficients[1]),
+        covariance=np.asarray(results.cov_params()),
+        dof=float(results.df_resid),
+        radius_ref_ci95_m=t_interval(plain.coefficients[0], float(results.bse[0]), results.df_resid),
+        slope_ci95_m_per_N=t_interval(plain.coefficients[1], float(results.bse[1]), results.df_resid),
+    )
+    return _wheel_fit(
+        wheel, load, radius, estimate, design, naive, reference_load_N, float(results.rsquared), influence
+    )
+
+
+def _constant(wheel: str, load: FloatArray, radius: FloatArray, groups: Groups) -> WheelFit:
+    estimate = stratified_constant(radius, groups)
+    n = len(radius)
+    scatter = radius - radius.mean()
+    variance = float(scatter @ scatter) / (n - 1)
+    leverage = np.full(n, 1.0 / n)
+    cook = scatter**2 / variance * leverage / (1 - leverage) ** 2 if variance > 0 else np.zeros(n)
+    return _wheel_fit(
+        wheel, load, radius, estimate, "constant", None, float(load.mean()), 0.0, (variance, leverage, cook)
+    )
+
+
+def _wheel_fit(
+    wheel: str,
+    load: FloatArray,
+    radius: FloatArray,
+    estimate: Estimate,
+    design: str,
+    naive: NaiveLine | None,
+    reference_load_N: float,
+    r_squared: float,
+    influence: tuple[float, FloatArray, FloatArray],
+) -> WheelFit:
+    value, slope = (float(one) for one in estimate.coefficients)
+    covariance = estimate.covariance
+    dof_radius, dof_slope = (float(one) for one in estimate.dof(np.eye(2)))
+    line = design != "constant"
+    law = WheelLaw(
+        reference_load_N=reference_load_N,
+        radius_ref_m=value,
+        slope_m_per_N=slope,
+        covariance=covariance,
+        dof=min(dof_radius, dof_slope) if line else dof_radius,
+        residual_std_m=float(np.sqrt(estimate.run_variance + estimate.session_variance)),
+        load_min_N=float(load.min()),
+        load_max_N=float(load.max()),
+        n_runs=len(load),
+    )
+    variance, leverage, cook = influence
+    return WheelFit(
+        wheel=wheel,
+        law=law,
+        model="line" if line else "constant",
+        design=design,
+        estimate=estimate,
+        naive=naive,
+        intercept_m=value - slope * reference_load_N,
+        r_squared=r_squared,
+        residual_std_m=float(np.sqrt(variance)),
+        run_std_m=float(np.sqrt(estimate.run_variance)),
+        session_std_m=float(np.sqrt(estimate.session_variance)),
+        dof_radius_ref=dof_radius,
+        dof_slope=dof_slope if line else 0.0,
+        radius_ref_ci95_m=t_interval(value, float(np.sqrt(covariance[0, 0])), dof_radius),
+        slope_ci95_m_per_N=t_interval(slope, float(np.sqrt(covariance[1, 1])), dof_slope) if line else None,
+        load_N=load,
+        radius_m=radius,
+        residual_m=radius - law.radius_m(load),
+        leverage=leverage,
+        cook=cook,
+    )
+
+
+def _influence(x: FloatArray, residual: FloatArray, scale: float) -> tuple[float, FloatArray, FloatArray]:
+    centred = x - x.mean()
+    leverage = 1.0 / len(x) + centred**2 / float(centred @ centred)
+    slack = np.maximum(1.0 - leverage, 1e-12)
+    cook = residual**2 * leverage / (2 * scale * slack**2) if scale > 0 else np.zeros_like(x)
+    return scale, leverage, cook
