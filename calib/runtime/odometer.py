@@ -257,11 +257,13 @@ class Odometer:
         if self._radii is None:
             return self._load_fault
         try:
-            finite = math.isfinite(counts_left) and math.isfinite(counts_right) and (t_s is None or math.isfinite(t_s))
-        except (TypeError, OverflowError):
+            if not (math.isfinite(counts_left) and math.isfinite(counts_right)):
+                return Status.NOT_FINITE
+            if t_s is not None and not math.isfinite(t_s):
+                return Status.NOT_FINITE
+            counts_left, counts_right = _count(counts_left), _count(counts_right)
+        except (TypeError, ValueError, OverflowError):
             return Status.BAD_ARGUMENT
-        if not finite:
-            return Status.NOT_FINITE
         if self._counts is None:
             self._counts, self._t = (counts_left, counts_right), t_s
             self._random = [a + b for a, b in zip(self._random, self._reading(), strict=True)]
@@ -364,6 +366,12 @@ class Odometer:
     def _refuse_load(self, status: Status) -> OdometerFault:
         self._load_fault = self._status = status
         return OdometerFault(status)
+
+
+def _count(value: float) -> float:
+    """Return a reading as a whole number of Python's own, whose differences neither overflow nor round."""
+    whole = int(value)
+    return whole if whole == value else float(value)
 
 
 def _sinc(u: float) -> tuple[float, float]:

@@ -1,0 +1,69 @@
+"""The registry of export formats; a format is one file with a `render` and one line here."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Iterable, Sequence
+from typing import Final
+
+from calib.coefficients.file import CoefficientFile
+from calib.coefficients.loads import Artifact, LoadPair
+from calib.errors import BadInputError
+
+__all__ = ["FORMATS", "export", "parse_loads"]
+
+#: name of the format -> module whose ``render(file, loads)`` makes its files
+FORMATS: Final[dict[str, str]] = {
+    "json": "calib.coefficients.master",
+    "ros2": "calib.coefficients.ros2",
+    "c": "calib.coefficients.c_header",
+    "csv": "calib.coefficients.table",
+}
+
+
+def export(file: CoefficientFile, to: str, loads: Sequence[LoadPair] = ()) -> tuple[Artifact, ...]:
+    """Return the files of a coefficient file in another format.
+
+    Parameters
+    ----------
+    file : CoefficientFile
+        The master.
+    to : str
+        A name of `FORMATS`.
+    loads : sequence of LoadPair
+        Load points, for formats that hold for single loads; none: the format's own choice.
+
+    Raises
+    ------
+    BadInputError
+        Where there is no such format.
+    RefusedError
+        Where the format cannot say what the file says.
+    """
+    module = FORMATS.get(to)
+    if module is None:
+        raise BadInputError(f"--to: found {to!r}; expected one of {', '.join(FORMATS)}; choose one of them")
+    made: tuple[Artifact, ...] = importlib.import_module(module).render(file, loads)
+    return made
+
+
+def parse_loads(texts: Iterable[str]) -> tuple[LoadPair, ...]:
+    """Return load points from texts: ``600`` for both wheels, ``500,700`` for left and right, in N.
+
+    Raises
+    ------
+    BadInputError
+        Where a text is neither.
+    """
+    pairs = []
+    for text in texts:
+        parts = text.split(",")
+        try:
+            values = [float(part) for part in parts]
+        except ValueError:
+            values = []
+        # the comparison also refuses NaN
+        if len(values) not in (1, 2) or not all(0.0 <= value < float("inf") for value in values):
+            raise BadInputError(f"--load: found {text!r}; expected N, or LEFT,RIGHT in N; for example 600 or 500,700")
+        pairs.append(LoadPair(values[0], values[-1]))
+    return tuple(pairs)

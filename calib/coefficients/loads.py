@@ -1,0 +1,55 @@
+"""What every export format shares: load points, the files made, text that is safe in a comment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from calib.coefficients.file import CoefficientFile
+
+__all__ = ["Artifact", "LoadPair", "ascii_line", "default_loads", "number"]
+
+COMMENT_LENGTH: Final = 120
+
+
+@dataclass(frozen=True, slots=True)
+class Artifact:
+    """A file made by an export: its name and content."""
+
+    name: str
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class LoadPair:
+    """A load point: wheel loads in N, and a name where it has one."""
+
+    left_N: float
+    right_N: float
+    name: str = ""
+
+
+def default_loads(file: CoefficientFile) -> tuple[LoadPair, ...]:
+    """Return the load points of the load table, or else both ends and the reference of the common valid range."""
+    if file.load_table:
+        return tuple(LoadPair(p.load_left.value, p.load_right.value, p.name) for p in file.load_table)
+    left, right = file.wheels.left, file.wheels.right
+    low = max(left.valid_load.min.value, right.valid_load.min.value)
+    high = min(left.valid_load.max.value, right.valid_load.max.value)
+    if low > high:
+        return (LoadPair(left.reference_load.value, right.reference_load.value, "reference"),)
+    wanted = {low, high, left.reference_load.value}
+    return tuple(LoadPair(load, load) for load in sorted(wanted) if low <= load <= high)
+
+
+def ascii_line(text: str) -> str:
+    """Return `text` as one short line of printable ASCII that cannot end a comment."""
+    line = "".join(sign if " " <= sign <= "~" else "?" for sign in text)
+    return line.replace("*/", "* /").replace("/*", "/ *").replace("??", "? ?").rstrip("\\")[:COMMENT_LENGTH]
+
+
+def number(value: float) -> str:
+    """Return a float as text with a decimal point, which YAML readers need to take it for one."""
+    text = repr(float(value))
+    mantissa, mark, exponent = text.partition("e")
+    return (mantissa if "." in mantissa else f"{mantissa}.0") + mark + exponent

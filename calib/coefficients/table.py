@@ -1,0 +1,76 @@
+"""The coefficients as a look-up table: radius of both wheels against load, with its uncertainty, as CSV."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from calib.coefficients.file import CoefficientFile
+from calib.coefficients.loads import Artifact, LoadPair
+from calib.errors import RefusedError
+from calib.radius.law import WheelLaw
+
+__all__ = ["COLUMNS", "render"]
+
+#: for each wheel: radius, standard uncertainty of the mean, half widths of the 95 % bands of mean and of a single run
+COLUMNS: Final = ("radius_{}_m", "radius_{}_std_m", "radius_{}_mean_u95_m", "radius_{}_prediction_u95_m")
+ROWS: Final = 41
+CHECKSUM_DIGITS: Final = 23  # sha256: and 16 digits, enough to find the file
+
+
+def render(file: CoefficientFile, loads: Sequence[LoadPair]) -> tuple[Artifact, ...]:
+    """Return the table at `loads`, or at 41 loads over the valid ranges of both wheels.
+
+    A cell stays empty where a wheel's law was not measured at that load and the file says refuse.
+
+    Raises
+    ------
+    RefusedError
+        Where a load asked for is valid for neither wheel.
+    """
+    sides = {"left": file.law.left, "right": file.law.right}
+    pairs = [(pair.left_N, pair.right_N) for pair in loads]
+    if not pairs:
+        low = min(law.load_min_N for law in sides.values())
+        high = max(law.load_max_N for law in sides.values())
+        pairs = [(float(load), float(load)) for load in np.unique(np.linspace(low, high, ROWS))]
+    columns = {f"load_{side}_N": [pair[at] for pair in pairs] for at, side in enumerate(sides)}
+    cells: dict[str, list[str]] = {name: [repr(value) for value in values] for name, values in columns.items()}
+    for side, law in sides.items():
+        cells |= _wheel(law, np.array(columns[f"load_{side}_N"]), side, clamp=file.outside == "clamp")
+    empty = [row for row in range(len(pairs)) if all(not cells[COLUMNS[0].format(side)][row] for side in sides)]
+    if empty:
+        left, right = pairs[empty[0]]
+        raise RefusedError(
+            f"load {left:g} N left, {right:g} N right: found no wheel whose law was measured there; expected "
+            f"{sides['left'].load_min_N:g} to {sides['left'].load_max_N:g} N; give another --load or --outside clamp"
+        )
+    cells["simulated"] = [str(file.simulated).lower()] * len(pairs)
+    cells["checksum"] = [file.checksum[:CHECKSUM_DIGITS]] * len(pairs)
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(cells)
+    writer.writerows(zip(*cells.values(), strict=True))
+    return (Artifact("radius_table.csv", text.getvalue().encode("utf-8")),)
+
+
+def _wheel(
+    law: WheelLaw, loads: np.ndarray[tuple[int], np.dtype[np.float64]], side: str, *, clamp: bool
+) -> dict[str, list[str]]:
+    from scipy.stats import t
+
+    used = np.clip(loads, law.load_min_N, law.load_max_N)
+    k = float(t.ppf(0.975, law.dof)) if law.dof > 0 else float("nan")
+    mean = law.mean_std_m(used)
+    numbers = (law.radius_m(used), mean, k * mean, k * law.prediction_std_m(used))
+    shown = (used == loads) | clamp
+    return {
+        name.format(side): [
+            repr(float(value)) if keep and np.isfinite(value) else "" for value, keep in zip(column, shown, strict=True)
+        ]
+        for name, column in zip(COLUMNS, numbers, strict=True)
+    }
