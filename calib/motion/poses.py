@@ -1,0 +1,116 @@
+"""Poses along paths, and how far one pose is from another."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["FloatArray", "PoseErrors", "Poses", "pose_errors", "wrapped"]
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Poses:
+    """Poses of the middle of the rear axle.
+
+    Parameters
+    ----------
+    x_m, y_m : array of float, any common shape
+        Position.
+    theta_rad : array of float, same shape
+        Heading, counter-clockwise from the x axis, not wrapped.
+    """
+
+    x_m: FloatArray
+    y_m: FloatArray
+    theta_rad: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.x_m)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of each array."""
+        return self.x_m.shape
+
+    def __getitem__(self, index: Any) -> Poses:
+        """Return the poses that a numpy index picks."""
+        return Poses(np.asarray(self.x_m[index]), np.asarray(self.y_m[index]), np.asarray(self.theta_rad[index]))
+
+    def stacked(self) -> FloatArray:
+        """Return x, y, theta in the last axis, shape (..., 3)."""
+        return np.stack([self.x_m, self.y_m, self.theta_rad], axis=-1)
+
+    @staticmethod
+    def of(stacked: npt.ArrayLike) -> Poses:
+        """Return the poses of an array whose last axis holds x, y, theta."""
+        made = np.asarray(stacked, dtype=np.float64)
+        return Poses(made[..., 0], made[..., 1], made[..., 2])
+
+    def moved(self, by: Poses) -> Poses:
+        """Return the poses seen as relative to `by`, expressed in the frame in which `by` stands (``by`` o self)."""
+        c, s = np.cos(by.theta_rad), np.sin(by.theta_rad)
+        return Poses(
+            by.x_m + c * self.x_m - s * self.y_m, by.y_m + s * self.x_m + c * self.y_m, by.theta_rad + self.theta_rad
+        )
+
+    def seen_from(self, frame: Poses) -> Poses:
+        """Return the poses as seen from `frame`: the inverse of `moved`."""
+        c, s = np.cos(frame.theta_rad), np.sin(frame.theta_rad)
+        dx, dy = self.x_m - frame.x_m, self.y_m - frame.y_m
+        return Poses(c * dx + s * dy, c * dy - s * dx, self.theta_rad - frame.theta_rad)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseErrors:
+    """True minus reference, along the reference path and in the global frame.
+
+    Parameters
+    ----------
+    along_m, lateral_m : array of float
+        ``e_x`` along the reference heading and ``e_y`` to its left.
+    heading_rad : array of float
+        ``e_theta``, in (-pi, pi].
+    global_x_m, global_y_m : array of float
+        The same displacement in the frame of the route.
+    """
+
+    along_m: FloatArray
+    lateral_m: FloatArray
+    heading_rad: FloatArray
+    global_x_m: FloatArray
+    global_y_m: FloatArray
+
+    @property
+    def distance_m(self) -> FloatArray:
+        """Distance between the true and the reference position."""
+        return np.asarray(np.hypot(self.global_x_m, self.global_y_m))
+
+
+def wrapped(angle_rad: npt.ArrayLike) -> FloatArray:
+    """Return angles in (-pi, pi], same shape."""
+    angle = np.asarray(angle_rad, dtype=np.float64)
+    return np.asarray(angle - 2 * np.pi * np.ceil((angle - np.pi) / (2 * np.pi)))
+
+
+def pose_errors(true: Poses, reference: Poses) -> PoseErrors:
+    """Return true minus reference, pose by pose.
+
+    Parameters
+    ----------
+    true, reference : Poses
+        Shapes that broadcast.
+    """
+    dx, dy = true.x_m - reference.x_m, true.y_m - reference.y_m
+    c, s = np.cos(reference.theta_rad), np.sin(reference.theta_rad)
+    return PoseErrors(
+        along_m=np.asarray(c * dx + s * dy),
+        lateral_m=np.asarray(c * dy - s * dx),
+        heading_rad=wrapped(true.theta_rad - reference.theta_rad),
+        global_x_m=np.asarray(dx),
+        global_y_m=np.asarray(dy),
+    )
