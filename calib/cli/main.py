@@ -18,7 +18,10 @@ EXIT_BAD_INPUT: Final = 2
 EXIT_BUG: Final = 3
 
 #: command -> module under ``calib.cli``; adding a command means adding one file and one line here
-COMMANDS: Final[dict[str, str]] = {}
+COMMANDS: Final[dict[str, str]] = {
+    "export": "export",
+    "check": "check",
+}
 
 
 def build() -> typer.Typer:

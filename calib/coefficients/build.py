@@ -7,19 +7,24 @@ from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from calib import __version__
+from calib.campaign.settings import Encoder
 from calib.coefficients.file import FORMAT, CoefficientFile, Outside, sealed
 from calib.coefficients.sections import EffectSection
+from calib.errors import BadFileError
 from calib.radius.law import RadiusLaw, WheelLaw
 from calib.units import GRAVITY_MPS2
 from calib.vehicle import Vehicle
 
 if TYPE_CHECKING:
-    from calib.campaign.model import Campaign
-    from calib.campaign.settings import Encoder
+    from pathlib import Path
 
-__all__ = ["from_fit", "from_law"]
+    from calib.campaign.model import Campaign
+    from calib.radius.fit import Fit
+
+__all__ = ["from_fit", "from_law", "from_result", "load_points"]
 
 # Defaults of what a corridor campaign does not measure; every one stands in the file, where it can be bettered.
 TRACK_STD_M: Final = 1e-3
@@ -55,15 +60,6 @@ def from_fit(
         Diagnosed effects that belong to the model.
     """
     runs = campaign.runs.select(~campaign.runs.excluded)
-    pairs = np.column_stack([runs.number("load_left_N"), runs.number("load_right_N")])
-    pairs = pairs[np.isfinite(pairs).all(axis=1)]
-    # loads of one payload scatter by weighing: one line a newton is as fine as a table can mean
-    keys, group = np.unique(np.round(pairs), axis=0, return_inverse=True)
-    size = np.bincount(group.ravel(), minlength=len(keys))
-    means = np.column_stack([np.bincount(group.ravel(), pairs[:, side], minlength=len(keys)) / size for side in (0, 1)])
-    table = {
-        f"L{key[0]:.0f} R{key[1]:.0f}": (float(mean[0]), float(mean[1])) for key, mean in zip(keys, means, strict=True)
-    }
     return from_law(
         law,
         campaign.vehicle,
@@ -72,10 +68,81 @@ def from_fit(
         simulated=campaign.simulated,
         outside=outside,
         created=created,
-        load_table=table if len(table) <= LOAD_TABLE_LINES else {},
+        load_table=load_points(runs.number("load_left_N"), runs.number("load_right_N")),
         effects=effects,
         inputs=campaign.hashes,
     )
+
+
+def from_result(
+    fit: Fit, *, source: Path | str, outside: Outside = "refuse", created: str | None = None
+) -> CoefficientFile:
+    """Return the coefficient file of a fit that was read from a result folder.
+
+    Parameters
+    ----------
+    fit : Fit
+        With the vehicle and the encoder in its provenance, as the result folder carries them.
+    source : Path or str
+        Where it was read, for the error's text.
+    outside, created
+        As in `from_fit`.
+
+    Raises
+    ------
+    BadFileError
+        Where the result folder lacks vehicle or encoder.
+    """
+    try:
+        vehicle = Vehicle(**{key: float(value) for key, value in fit.provenance["vehicle"].items()})
+        bits = fit.provenance["encoder"]["wrap_bits"]
+        encoder = Encoder(
+            counts_per_rev_left=float(fit.provenance["encoder"]["counts_per_rev_left"]),
+            counts_per_rev_right=float(fit.provenance["encoder"]["counts_per_rev_right"]),
+            wrap_bits=None if bits is None else int(bits),
+        )
+        inputs = {str(key): str(value) for key, value in fit.provenance["inputs"].items()}
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise BadFileError(
+            source,
+            column="provenance",
+            found=f"no usable vehicle, encoder and inputs ({error})",
+            expected="those of the campaign",
+            remedy="make the result anew with 'calib fit CAMPAIGN --into FOLDER', or export from the campaign",
+        ) from error
+    return from_law(
+        fit.law,
+        vehicle,
+        encoder,
+        name=fit.name,
+        simulated=fit.simulated,
+        outside=outside,
+        created=created,
+        load_table=load_points(fit.radii.load_left_N, fit.radii.load_right_N),
+        inputs=inputs,
+    )
+
+
+def load_points(load_left_N: npt.ArrayLike, load_right_N: npt.ArrayLike) -> dict[str, tuple[float, float]]:
+    """Return the load points of runs as lines of a load table: name -> mean wheel loads left and right in N.
+
+    Runs whose loads agree to a newton are one point. Empty where there are more than 64 points: no table is then meant.
+
+    Parameters
+    ----------
+    load_left_N, load_right_N : array_like of float, shape (n_runs,)
+        Wheel loads; runs where one is not finite are passed over.
+    """
+    pairs = np.column_stack([load_left_N, load_right_N])
+    pairs = pairs[np.isfinite(pairs).all(axis=1)]
+    keys, group = np.unique(np.round(pairs), axis=0, return_inverse=True)
+    if len(keys) > LOAD_TABLE_LINES:
+        return {}
+    size = np.bincount(group.ravel(), minlength=len(keys))
+    means = np.column_stack([np.bincount(group.ravel(), pairs[:, side], minlength=len(keys)) / size for side in (0, 1)])
+    return {
+        f"L{key[0]:.0f} R{key[1]:.0f}": (float(mean[0]), float(mean[1])) for key, mean in zip(keys, means, strict=True)
+    }
 
 
 def from_law(

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib
 from collections.abc import Iterable, Sequence
-from typing import Final
+from pathlib import Path
+from typing import Any, Final
 
 from calib.coefficients.file import CoefficientFile
 from calib.coefficients.loads import Artifact, LoadPair
-from calib.errors import BadInputError
+from calib.errors import BadInputError, would_overwrite
+from calib.files import write_bytes
 
-__all__ = ["FORMATS", "export", "parse_loads"]
+__all__ = ["FORMATS", "export", "parse_loads", "place"]
 
 #: name of the format -> module whose ``render(file, loads)`` makes its files
 FORMATS: Final[dict[str, str]] = {
@@ -67,3 +70,39 @@ def parse_loads(texts: Iterable[str]) -> tuple[LoadPair, ...]:
             raise BadInputError(f"--load: found {text!r}; expected N, or LEFT,RIGHT in N; for example 600 or 500,700")
         pairs.append(LoadPair(values[0], values[-1]))
     return tuple(pairs)
+
+
+def place(artifacts: Sequence[Artifact], output: Path, *, force: bool) -> list[dict[str, Any]]:
+    """Write the files of an export.
+
+    Parameters
+    ----------
+    artifacts : sequence of Artifact
+        The files.
+    output : Path
+        A file where there is one artifact and `output` is no folder; else the folder that gets them.
+    force : bool
+        Replace existing files.
+
+    Returns
+    -------
+    list of dict
+        ``path`` and ``sha256`` of each.
+
+    Raises
+    ------
+    BadInputError
+        Where a file exists and `force` is False; nothing is written then.
+    """
+    single = len(artifacts) == 1 and not output.is_dir() and output.suffix != ""
+    targets = [output if single else output / made.name for made in artifacts]
+    for target in targets:
+        if target.exists() and not force:
+            raise would_overwrite(target)
+    return [
+        {
+            "path": str(write_bytes(target, made.data, force=force)),
+            "sha256": hashlib.sha256(made.data).hexdigest(),
+        }
+        for target, made in zip(targets, artifacts, strict=True)
+    ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from datetime import date
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
@@ -75,6 +76,8 @@ class CoefficientFile(Section):
                     raise ValueError(
                         f"limits.max_step: half a wrap of the counter is {half:.3g} m, a step must be less"
                     )
+        if self.created is not None:
+            date.fromisoformat(self.created)
         names = [point.name for point in self.load_table]
         if len(set(names)) != len(names):
             raise ValueError("load_table: two lines have the same name")

@@ -1,0 +1,92 @@
+"""From whatever the user names, campaign, result folder or coefficient file, to its coefficients."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+from calib.coefficients.file import FORMAT, CoefficientFile, Outside, load_coefficients
+from calib.errors import BadFileError, BadInputError
+
+__all__ = ["Source", "coefficients_of"]
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """Coefficients, and what their user should know of where they come from, in sentences."""
+
+    file: CoefficientFile
+    notes: tuple[str, ...] = ()
+
+
+def coefficients_of(path: Path | str, *, outside: str | None = None, created: str | None = None) -> Source:
+    """Return the coefficients of a campaign (fitted now), a result folder or its ``fit.json``, or a coefficient file.
+
+    Parameters
+    ----------
+    path : Path or str
+        The campaign's folder, the result folder or its ``fit.json``, or a coefficient file.
+    outside : {"refuse", "clamp"}, optional
+        What happens outside the valid load range; None: as the coefficient file says, else refuse.
+    created : str, optional
+        Date as YYYY-MM-DD; None: as the coefficient file says, else none.
+
+    Raises
+    ------
+    BadInputError
+        Where the path, `outside` or `created` cannot be used.
+    RefusedError
+        Where the campaign allows no law.
+    """
+    from calib.radius.result import is_result, read_result
+
+    path = Path(path)
+    wanted = _outside(outside)
+    if not path.exists():
+        raise BadFileError(
+            path,
+            found="nothing",
+            expected="a campaign folder, a result folder of calib fit, or a coefficient file",
+            remedy="give the path of one",
+        )
+    if path.is_file() and (path.suffix != ".json" or _is_coefficients(path)):
+        file = load_coefficients(path)
+        changes = {"outside": wanted, "created": created}
+        kept = {key: value for key, value in changes.items() if value is not None}
+        return Source(file.changed(**kept) if kept else file)
+    from calib.coefficients.build import from_fit, from_result
+
+    if is_result(path):
+        fit = read_result(path)
+        made = from_result(fit, source=path, outside=wanted or "refuse", created=created)
+    else:
+        from calib.campaign.read import read_campaign
+        from calib.radius.fit import fit_campaign
+
+        campaign = read_campaign(path)
+        fit = fit_campaign(campaign)
+        made = from_fit(fit.law, campaign, outside=wanted or "refuse", created=created)
+    notes = tuple(
+        f"{name} wheel, check {check.name} failed: {check.sentence}"
+        for name, wheel in fit.wheels.items()
+        for check in wheel.checks
+        if not check.passed
+    )
+    return Source(made, notes)
+
+
+def _outside(text: str | None) -> Outside | None:
+    if text is None or text == "refuse":
+        return "refuse" if text else None
+    if text == "clamp":
+        return "clamp"
+    raise BadInputError(f"--outside: found {text!r}; expected refuse or clamp; choose one of them")
+
+
+def _is_coefficients(path: Path) -> bool:
+    try:
+        document = json.loads(path.read_bytes().decode("utf-8-sig"))
+    except (OSError, ValueError, RecursionError):
+        return False
+    return isinstance(document, dict) and document.get("format") == FORMAT
