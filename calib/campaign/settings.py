@@ -30,9 +30,11 @@ class OdometryModel:
 
 @dataclass(frozen=True, slots=True)
 class Rangefinder:
-    """Laser rangefinder: standard uncertainty of one distance."""
+    """Laser rangefinder: standard uncertainty of one distance, and the span of distances that it can measure."""
 
     sigma_m: float = 0.0015
+    min_m: float = 0.05
+    max_m: float = 250.0
 
 
 @dataclass(frozen=True, slots=True)

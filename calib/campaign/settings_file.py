@@ -105,7 +105,7 @@ def read_settings(path: Path, shown: str) -> Settings:
         "reference_load_N": vehicle.unladen_load_N,
     }
     model = OdometryModel(**(nominal | believed))
-    rangefinder = Rangefinder(**section.numbers("rangefinder", ("sigma_m",)))
+    rangefinder = Rangefinder(**section.numbers("rangefinder", ("sigma_m", "min_m", "max_m")))
     reference = Reference(**section.numbers("reference", ("sigma_xy_m", "sigma_theta_rad")))
     if not 0.0 <= vehicle.cog_x_m <= vehicle.wheelbase_m:
         raise BadFileError(

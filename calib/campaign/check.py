@@ -1,0 +1,136 @@
+"""What was found in a campaign, what is wrong, what is suspicious: said before anyone computes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.campaign.checks import CHECKS
+from calib.campaign.model import BoolArray, Campaign, FloatArray, Note
+
+__all__ = ["CheckReport", "Found", "check_campaign", "summarise"]
+
+Span = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """What a campaign holds; spans are (smallest, largest), None where nothing was measured."""
+
+    n_runs: int
+    n_excluded: int
+    sessions: dict[str, int]
+    kinds: dict[str, int]
+    payloads_kg: tuple[float, ...]
+    load_left_N: Span | None
+    load_right_N: Span | None
+    distance_m: Span | None
+    speed_mps: Span | None
+    temperature_C: Span | None
+    counts_left: Span | None
+    counts_right: Span | None
+    n_logs: int
+    n_samples: int
+    rate_Hz: Span | None
+    duration_s: Span | None
+    log_columns: tuple[str, ...]
+    covariates: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class CheckReport:
+    """What was found, and the notes by level.
+
+    Parameters
+    ----------
+    campaign : str
+        Its name.
+    simulated : bool
+        Whether a program made the data.
+    found : Found
+        Summary.
+    wrong, suspicious, info : tuple of Note
+        Faults to put right; things to look at; what was recognised and converted.
+    """
+
+    campaign: str
+    simulated: bool
+    found: Found
+    wrong: tuple[Note, ...]
+    suspicious: tuple[Note, ...]
+    info: tuple[Note, ...]
+
+    @property
+    def sound(self) -> bool:
+        """Whether nothing is wrong; suspicious things alone do not count."""
+        return not self.wrong
+
+
+def check_campaign(campaign: Campaign) -> CheckReport:
+    """Run every check; nothing is changed or deleted.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        Read leniently, so that faults of single runs are among its notes.
+
+    Returns
+    -------
+    CheckReport
+        The notes of the reading and of every check, those of a run that is flagged as excluded left out but for faults.
+    """
+    excluded = {str(name) for name in campaign.runs.run_id[campaign.runs.excluded]}
+    kept = campaign.included()
+    notes = [note for note in campaign.notes if note.level != "suspicious" or note.run_id not in excluded]
+    if len(kept.runs):
+        for check in CHECKS.values():
+            notes.extend(check(kept))
+    levels = {
+        level: tuple(dict.fromkeys(note for note in notes if note.level == level))
+        for level in ("wrong", "suspicious", "info")
+    }
+    return CheckReport(campaign.name, campaign.simulated, summarise(campaign), **levels)
+
+
+def summarise(campaign: Campaign) -> Found:
+    """Return what a campaign holds: runs, sessions, loads, spans and rates."""
+    runs, logs = campaign.runs, campaign.logs
+    present: BoolArray = logs.present
+    duration = np.empty(0)
+    rate = np.empty(0)
+    if present.any():
+        time = logs.columns["t_s"]
+        duration = time[logs.offsets[1:][present] - 1] - time[logs.offsets[:-1][present]]
+        rate = (logs.lengths[present] - 1)[duration > 0] / duration[duration > 0]
+    payload = runs.number("payload_kg")
+    return Found(
+        n_runs=len(runs),
+        n_excluded=int(runs.excluded.sum()),
+        sessions=_counted(runs.label("session")),
+        kinds=_counted(runs.label("kind")),
+        payloads_kg=tuple(float(value) for value in np.unique(np.round(payload[np.isfinite(payload)], 3))),
+        load_left_N=_span(runs.number("load_left_N")),
+        load_right_N=_span(runs.number("load_right_N")),
+        distance_m=_span(runs.number("distance_m")),
+        speed_mps=_span(runs.number("speed_mps")),
+        temperature_C=_span(runs.number("temperature_C")),
+        counts_left=_span(runs.number("counts_left")),
+        counts_right=_span(runs.number("counts_right")),
+        n_logs=int(present.sum()),
+        n_samples=int(logs.offsets[-1]),
+        rate_Hz=_span(rate),
+        duration_s=_span(duration),
+        log_columns=tuple(logs.columns),
+        covariates=runs.covariates,
+    )
+
+
+def _span(values: FloatArray) -> Span | None:
+    values = values[np.isfinite(values)]
+    return (float(values.min()), float(values.max())) if len(values) else None
+
+
+def _counted(labels: np.ndarray) -> dict[str, int]:
+    names, first, count = np.unique(labels, return_index=True, return_counts=True)
+    return {str(names[i]): int(count[i]) for i in np.argsort(first) if names[i]}

@@ -1,0 +1,244 @@
+"""Encoder counts: sign, scale, overflow, swapped wheels, agreement with the logs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+
+from calib.campaign.checks.common import SIDES, listed, note, per_rev, raw_radius_ratio, robust_spread
+from calib.campaign.model import Campaign, FloatArray, Note
+from calib.campaign.read import log_totals
+
+__all__ = ["count_scale", "counts_against_log", "reversed_wheels", "swapped_wheels", "turn_direction"]
+
+#: radius found over nominal -> what usually lies behind it
+_FACTORS: Final = (
+    (0.25, "four times too many counts (quadrature counted four-fold, or counts_per_rev given without it)"),
+    (1 / math.pi, "pi times too many counts (a circumference taken for a diameter)"),
+    (0.5, "twice too many counts (both edges counted, or a diameter given as radius)"),
+    (2.0, "half the counts (one edge counted, or a diameter given as radius)"),
+    (math.pi, "counts pi times too few (a circumference taken for a diameter)"),
+    (4.0, "a quarter of the counts (single edges counted, counts_per_rev given with quadrature)"),
+    (1e-3, "a distance in kilometres, or counts a thousand times too many"),
+    (1e3, "a distance in millimetres, or counts a thousand times too few"),
+)
+_PLAUSIBLE: Final = 0.15
+_FACTOR_TOLERANCE: Final = 0.06
+
+
+def reversed_wheels(campaign: Campaign) -> Iterator[Note]:
+    """Find wheels that count backwards although the vehicle drives forward."""
+    runs = campaign.runs
+    moved = runs.number("distance_m") > 1.0
+    if not moved.any():
+        return
+    backward = {side: (runs.number(f"counts_{side}") < 0) & moved for side in SIDES}
+    whole = {side: backward[side].sum() > 0.8 * moved.sum() for side in SIDES}
+    remedy = "negate the column, or correct the encoder's direction, before the next session"
+    if whole["left"] and whole["right"]:
+        yield Note(
+            "suspicious",
+            "runs, columns counts_left, counts_right",
+            f"both wheels count backwards; positive counts were expected, since runs drive forward; {remedy}",
+            "reversed_wheels",
+        )
+        return
+    for side in SIDES:
+        if whole[side]:
+            yield Note(
+                "suspicious",
+                f"runs, column counts_{side}",
+                f"the {side} wheel counts backwards in {int(backward[side].sum())} runs; {remedy}",
+                "reversed_wheels",
+            )
+            continue
+        for run in np.flatnonzero(backward[side]):
+            yield note(
+                campaign,
+                run,
+                f"counts_{side}",
+                f"found {runs.number(f'counts_{side}')[run]:.0f}; expected positive counts, as in the other runs; "
+                "check whether the vehicle drove backward",
+                "reversed_wheels",
+            )
+
+
+def count_scale(campaign: Campaign) -> Iterator[Note]:
+    """Find counts that are a factor 2, 4, pi or 1000 off, overflowed totals, and other implausible radii."""
+    for side in SIDES:
+        ratio = np.abs(raw_radius_ratio(campaign, side))
+        odd = np.isfinite(ratio) & (np.abs(ratio - 1) > _PLAUSIBLE)
+        if not odd.any():
+            continue
+        usual = np.nanmedian(ratio)
+        if odd.sum() > 0.8 * np.isfinite(ratio).sum() and robust_spread(ratio) < 0.02 * usual:
+            yield Note(
+                "suspicious",
+                f"runs, column counts_{side}",
+                f"the {side} wheel's radius comes out at {usual:.4g} times the nominal one in nearly every run; "
+                f"{_reason(float(usual)) or 'check counts_per_rev, the wheel radius and the unit of the distance'}",
+                "count_scale",
+            )
+            continue
+        for run in np.flatnonzero(odd):
+            yield _odd_run(campaign, int(run), side, float(ratio[run]))
+
+
+def _odd_run(campaign: Campaign, run: int, side: str, ratio: float) -> Note:
+    total = float(campaign.runs.number(f"counts_{side}")[run])
+    expected = abs(total) * ratio
+    for bits in (16, 32):
+        full = 2.0**bits
+        turns = round((expected - total) / full)
+        if turns and abs(total) < full and abs(total + turns * full - expected) < 0.05 * expected:
+            return note(
+                campaign,
+                run,
+                f"counts_{side}",
+                f"found {total:.0f}; about {expected:.0f} was expected; it looks like the rest of {abs(turns)} "
+                f"overflow(s) of a {bits}-bit counter; give encoder.wrap_bits = {bits} to have it undone",
+                "wrapped_total",
+            )
+    reason = _reason(ratio) or "check the counts and the distance of this run"
+    return note(
+        campaign,
+        run,
+        f"counts_{side}",
+        f"found {total:.0f}, a radius {ratio:.4g} times the nominal one; about {expected:.0f} was expected; {reason}",
+        "count_scale",
+    )
+
+
+def _reason(ratio: float) -> str:
+    for factor, reason in _FACTORS:
+        if abs(ratio / factor - 1) < _FACTOR_TOLERANCE:
+            return f"this looks like {reason}"
+    return ""
+
+
+def counts_against_log(campaign: Campaign) -> Iterator[Note]:
+    """Compare the table's counts with last minus first of the log."""
+    logged = {side: log_totals(campaign.logs, f"counts_{side}") for side in SIDES}
+    for side, other in (("left", "right"), ("right", "left")):
+        table = campaign.runs.number(f"counts_{side}")
+        allowed = np.maximum(5.0, 5e-5 * np.abs(table))
+        for run in np.flatnonzero(np.abs(table - logged[side]) > allowed):
+            found, log = float(table[run]), float(logged[side][run])
+            if abs(found - logged[other][run]) <= allowed[run]:
+                hint = f"the table agrees with the log's {other} wheel, so that the wheels look swapped in one of them"
+                code = "swapped_wheels"
+            elif abs(found + log) <= allowed[run]:
+                hint, code = "the sign differs", "reversed_wheels"
+            else:
+                reason = _reason(abs(log / found)) if found else ""
+                hint, code = reason or "the log may be cut, or belong to another run", "counts_disagree"
+            yield note(
+                campaign,
+                run,
+                f"counts_{side}",
+                f"found {found:.0f} in the table but {log:.0f} in the log; {hint}",
+                code,
+            )
+
+
+def swapped_wheels(campaign: Campaign) -> Iterator[Note]:
+    """Find runs whose left and right counts are exchanged, by the ratio that the other runs have.
+
+    The logarithm of right over left counts is fitted on the wheel loads; a run lies mirrored where minus its value fits
+    and its value does not.
+    """
+    runs = campaign.runs
+    left, right = (runs.number(f"counts_{side}") / per_rev(campaign, side) for side in SIDES)
+    usable = (left > 0) & (right > 0) & (runs.number("distance_m") > 1.0)
+    if usable.sum() < 5:
+        return
+    ratio = np.log(right[usable] / left[usable])
+    fitted, spread = _robust_fit(ratio, np.column_stack([runs.number(f"load_{side}_N")[usable] for side in SIDES]))
+    spread = max(spread, 2e-5)
+    mirrored = (np.abs(ratio + fitted) < 5 * spread) & (np.abs(ratio - fitted) > 8 * spread)
+    for run, value, usual in zip(np.flatnonzero(usable)[mirrored], ratio[mirrored], fitted[mirrored], strict=True):
+        yield note(
+            campaign,
+            int(run),
+            "counts_left, counts_right",
+            f"right over left is {math.exp(value):.5f} where the other runs ask for "
+            f"{math.exp(usual):.5f}; left and right "
+            "look swapped; check the columns of this run",
+            "swapped_wheels",
+        )
+
+
+def _robust_fit(values: FloatArray, loads: FloatArray) -> tuple[FloatArray, float]:
+    """Fit on the loads where they vary, dropping what lies far off, five rounds; fitted values and spread."""
+    design = np.ones((len(values), 1))
+    for load in loads.T:
+        if np.isfinite(load).all() and np.ptp(load) > 1.0:
+            candidate = np.column_stack([design, (load - load.mean()) / np.ptp(load)])
+            if np.linalg.matrix_rank(candidate, tol=1e-6 * len(values)) == candidate.shape[1] < len(values) / 3:
+                design = candidate
+    fitted = np.full(len(values), np.median(values))
+    for _ in range(5):
+        residual = values - fitted
+        spread = max(robust_spread(residual), 1e-9)
+        keep = np.abs(residual - np.median(residual)) < 4 * spread
+        if keep.sum() <= design.shape[1]:
+            break
+        fitted = design @ np.linalg.lstsq(design[keep], values[keep], rcond=None)[0]
+    return fitted, robust_spread(values - fitted)
+
+
+def turn_direction(campaign: Campaign) -> Iterator[Note]:
+    """Compare the sense of turning that the counts give with the reference heading and with the steering angle."""
+    runs = campaign.runs
+    turned = _heading(campaign, runs.number("counts_left"), runs.number("counts_right"))
+    reference = runs.number("ref_theta_rad")
+    clear = (np.abs(reference) > 0.5) & (np.abs(turned) > 0.25)
+    against = clear & (np.abs(turned + reference) < 0.3 * np.abs(turned - reference))
+    yield from _turns(campaign, clear, against, "ref_theta_rad", "the reference turns the other way")
+    steer = campaign.logs.columns.get("steer_rad")
+    present = campaign.logs.present
+    if steer is None:
+        return
+    agreement = np.zeros(len(runs))
+    for run in np.flatnonzero(present):
+        log = campaign.logs.of(int(run))
+        if "steer_rad" in log:
+            rate = np.diff(_heading(campaign, log["counts_left"], log["counts_right"]))
+            angle = log["steer_rad"][1:]
+            scale = np.sqrt(np.nansum(rate**2) * np.nansum(angle**2))
+            if scale > 0 and np.nanmax(np.abs(angle)) > 0.1:
+                agreement[run] = np.nansum(rate * angle) / scale
+    yield from _turns(
+        campaign, np.abs(agreement) > 0.5, agreement < -0.5, "steer_rad", "the steering angle turns the other way"
+    )
+
+
+def _heading(campaign: Campaign, left: FloatArray, right: FloatArray) -> FloatArray:
+    turns = right / campaign.encoder.counts_per_rev_right - left / campaign.encoder.counts_per_rev_left
+    return 2 * np.pi * campaign.vehicle.wheel_radius_m * turns / campaign.vehicle.track_m
+
+
+def _turns(campaign: Campaign, clear: np.ndarray, against: np.ndarray, column: str, what: str) -> Iterator[Note]:
+    if not against.any():
+        return
+    ids = campaign.runs.run_id[against]
+    if against.sum() > 0.8 * clear.sum() and against.sum() > 1:
+        yield Note(
+            "suspicious",
+            f"runs, columns counts_left, counts_right, {column}",
+            f"in {int(against.sum())} of {int(clear.sum())} turning runs ({listed(ids)}) {what}; left and right look "
+            "swapped throughout, or the reference counts clockwise",
+            "swapped_wheels",
+        )
+        return
+    for run in np.flatnonzero(against):
+        yield note(
+            campaign,
+            int(run),
+            f"counts_left, counts_right, {column}",
+            f"{what} than the counts say; left and right look swapped in this run",
+            "swapped_wheels",
+        )

@@ -1,0 +1,98 @@
+"""Distances: present, within the rangefinder's span, and as the log has them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from calib.campaign.checks.common import listed, note
+from calib.campaign.model import Campaign, Note
+
+__all__ = ["distance_against_log", "distance_span", "missing_values"]
+
+
+def missing_values(campaign: Campaign) -> Iterator[Note]:
+    """Say which runs lack counts, and which lack both a distance and an end pose."""
+    runs = campaign.runs
+    for name in ("counts_left", "counts_right"):
+        lacking = np.isnan(runs.number(name))
+        if lacking.any():
+            yield Note(
+                "suspicious",
+                f"runs, column {name}",
+                f"{int(lacking.sum())} run(s) have no counts in table or log ({listed(runs.run_id[lacking])}); "
+                "they cannot be used",
+                "missing_counts",
+            )
+    trajectory = np.zeros(len(runs), dtype=bool)
+    if "ref_x_m" in campaign.logs.columns:
+        trajectory = np.asarray(["ref_x_m" in campaign.logs.of(run) for run in range(len(runs))])
+    lacking = np.isnan(runs.number("distance_m")) & np.isnan(runs.number("ref_x_m")) & ~trajectory
+    if lacking.any():
+        yield Note(
+            "suspicious",
+            "runs, column distance_m",
+            f"{int(lacking.sum())} run(s) have neither a distance nor a reference pose "
+            f"({listed(runs.run_id[lacking])}); nothing can be learnt from them",
+            "missing_distance",
+        )
+
+
+def distance_span(campaign: Campaign) -> Iterator[Note]:
+    """Find distances that a rangefinder cannot have measured, and ones far from all others."""
+    distance = campaign.runs.number("distance_m")
+    low, high = campaign.rangefinder.min_m, campaign.rangefinder.max_m
+    for run in np.flatnonzero(distance <= 0):
+        yield note(
+            campaign,
+            run,
+            "distance_m",
+            f"found {distance[run]:g} m; expected a positive distance; correct it or flag the run as excluded",
+            "distance_span",
+            "wrong",
+        )
+    for run in np.flatnonzero((distance > 0) & ((distance < low) | (distance > high))):
+        hint = "it looks like millimetres; name the column distance_mm" if distance[run] / 1e3 <= high < 1e3 else ""
+        hint = hint if distance[run] > high else ""
+        yield note(
+            campaign,
+            run,
+            "distance_m",
+            f"found {distance[run]:g} m; the rangefinder measures {low:g} to {high:g} m; "
+            f"{hint or 'check the cell, or give rangefinder.min_m and max_m'}",
+            "distance_span",
+        )
+
+
+def distance_against_log(campaign: Campaign) -> Iterator[Note]:
+    """Compare the table's distance with the last range of the log."""
+    column = campaign.logs.columns.get("range_m")
+    if column is None:
+        return
+    distance = campaign.runs.number("distance_m")
+    for run in np.flatnonzero(campaign.logs.present):
+        log = column[campaign.logs.offsets[run] : campaign.logs.offsets[run + 1]]
+        known = log[np.isfinite(log)]
+        if not len(known):
+            continue
+        outside = (known < -0.5) | (known > campaign.rangefinder.max_m)
+        if outside.any():
+            yield note(
+                campaign,
+                run,
+                "log range_m",
+                f"{int(outside.sum())} sample(s) lie outside the rangefinder's span, the first at "
+                f"{known[outside][0]:g} m",
+                "distance_span",
+            )
+        allowed = max(0.02, 8 * campaign.rangefinder.sigma_m)
+        if abs(distance[run] - known[-1]) > allowed and abs(distance[run] - (known[-1] - known[0])) > allowed:
+            yield note(
+                campaign,
+                run,
+                "distance_m",
+                f"found {distance[run]:.4f} m in the table but {known[-1]:.4f} m at the end of the log; "
+                "the log may be cut",
+                "distance_disagrees",
+            )
