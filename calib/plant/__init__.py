@@ -1,1 +1,4 @@
-"""An independent vehicle that makes campaigns; it imports nothing of ``motion`` or ``gap``."""
+"""The independent plant: vehicles driven in fine time steps through worlds whose truth is known.
+
+It imports nothing of `calib.motion`, `calib.radius` or `calib.gap`: what it makes is a check on them.
+"""

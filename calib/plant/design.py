@@ -1,0 +1,138 @@
+"""What is driven: the runs of a campaign, before anything has moved."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from calib.campaign.model import BoolArray, FloatArray, IntArray, StrArray
+from calib.vehicle import Vehicle
+
+__all__ = ["Design", "conditions"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Design:
+    """The runs to drive, in the order driven, and what is measured on them.
+
+    Parameters
+    ----------
+    kind, direction, session : array of str, shape (n_runs,)
+        Route, ``out`` or ``back`` (corridor only, else empty), label of the session.
+    payload_kg, payload_x_m, payload_y_m : array of float, shape (n_runs,)
+        Payload as reported.
+    speed_mps, temperature_C, minutes_under_load : array of float, shape (n_runs,)
+        Set speed, hall temperature, minutes since the payload was put on.
+    flying : array of bool, shape (n_runs,)
+        The run is read while still rolling, without a stop at its end.
+    stops : array of int, shape (n_runs,)
+        Stops on the way, spread evenly over the route.
+    columns : mapping of str to array of float, shape (n_runs,)
+        Further numeric columns of the run table.
+    length_m, side_m, radius_m : float
+        Corridor, side and corner radius of the squares.
+    vehicle : Vehicle
+        Its nominal geometry.
+    counts_per_rev : float
+        Encoder counts per wheel revolution.
+    slope_per_N : float
+        Relative load slope that truth and model share; 0 is a rigid wheel.
+    log_period_s : float
+        Time between rows of the logs; 0 means that there are no logs.
+    front : bool
+        The logs have the front wheel and the steering angle.
+    trace : bool
+        The logs have a continuous pose reference.
+    poses : str
+        Which runs have a reference end pose: ``all``, ``turning`` (all but corridor runs) or ``none``.
+    laser : bool
+        Corridor runs have a distance by laser.
+    weighed : bool
+        The run table has weighed wheel loads.
+    outside : bool
+        The run table has an outside simulator's end poses.
+    """
+
+    kind: StrArray
+    direction: StrArray
+    session: StrArray
+    payload_kg: FloatArray
+    payload_x_m: FloatArray
+    payload_y_m: FloatArray
+    speed_mps: FloatArray
+    temperature_C: FloatArray
+    minutes_under_load: FloatArray
+    flying: BoolArray
+    stops: IntArray
+    columns: Mapping[str, FloatArray] = field(default_factory=dict)
+    length_m: float = 20.0
+    side_m: float = 2.5
+    radius_m: float = 1.2
+    vehicle: Vehicle = field(default_factory=Vehicle)
+    counts_per_rev: float = 4096.0
+    slope_per_N: float = 0.0
+    log_period_s: float = 0.2
+    front: bool = False
+    trace: bool = False
+    poses: str = "all"
+    laser: bool = True
+    weighed: bool = False
+    outside: bool = False
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+    @property
+    def corridor(self) -> BoolArray:
+        """Whether a run goes along the corridor, shape (n_runs,)."""
+        found: BoolArray = np.char.startswith(self.kind, "corridor")
+        return found
+
+    @property
+    def heading_sign(self) -> FloatArray:
+        """+1 where the run starts along the map's x axis, -1 against it (``back``), shape (n_runs,)."""
+        return np.where(self.direction == "back", -1.0, 1.0)
+
+    def select(self, keep: npt.ArrayLike) -> Design:
+        """Return the runs that `keep` (mask or indices, repeats allowed) picks."""
+        index = np.asarray(keep)
+        changed: dict[str, Any] = {
+            name: getattr(self, name)[index]
+            for name in (
+                "kind",
+                "direction",
+                "session",
+                "payload_kg",
+                "payload_x_m",
+                "payload_y_m",
+                "speed_mps",
+                "temperature_C",
+                "minutes_under_load",
+                "flying",
+                "stops",
+            )
+        }
+        return replace(self, **changed, columns={name: column[index] for name, column in self.columns.items()})
+
+
+def conditions(design: Design) -> IntArray:
+    """Return a number for each run, the same for runs driven under the same conditions, shape (n_runs,)."""
+    rows = [
+        "|".join(map(str, row))
+        for row in zip(
+            design.kind,
+            design.direction,
+            design.payload_kg,
+            design.payload_x_m,
+            design.payload_y_m,
+            design.speed_mps,
+            design.stops,
+            design.flying,
+            strict=True,
+        )
+    ]
+    return np.unique(np.array(rows), return_inverse=True)[1].astype(np.int64)

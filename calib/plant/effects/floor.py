@@ -1,0 +1,102 @@
+"""What depends on the place: slope, zones, an uneven lane, a weave."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.campaign.model import FloatArray
+from calib.plant.design import Design
+from calib.plant.effects.form import Form, Knobs
+from calib.plant.world import Moment, World
+
+__all__ = ["FORMS", "map_x_m", "map_y_m"]
+
+
+def map_x_m(world: World, now: Moment) -> FloatArray:
+    """Return where the runs are on the hall's map, along the corridor; ``back`` starts at its far end."""
+    sign = world.design.heading_sign
+    place: FloatArray = np.where(sign < 0, world.design.length_m, 0.0) + sign * now.x_m
+    return place
+
+
+def map_y_m(world: World, now: Moment) -> FloatArray:
+    """Return where the runs are on the hall's map, across the corridor."""
+    place: FloatArray = world.design.heading_sign * now.y_m
+    return place
+
+
+def _slope_knobs(rng: np.random.Generator, design: Design) -> dict[str, float]:
+    return {"downhill_rad": float(rng.uniform(-np.pi, np.pi)) if design_turns(design) else 0.0}
+
+
+def design_turns(design: Design) -> bool:
+    """Return whether any run turns."""
+    return bool((~design.corridor).any())
+
+
+def _slope(world: World, size: FloatArray, knobs: Knobs) -> None:
+    """Downhill the wheels roll further a turn, uphill less; by the heading on the map."""
+    offset = np.where(world.design.heading_sign < 0, np.pi, 0.0) - knobs["downhill_rad"]
+
+    def during(now: Moment) -> None:
+        down = size * np.cos(now.theta_rad + offset)
+        now.left += down
+        now.right += down
+
+    world.during.append(during)
+
+
+def _zone_knobs(rng: np.random.Generator, design: Design) -> dict[str, float]:
+    reach = design.length_m if design.corridor.all() else min(design.length_m, 8.0)
+    return {"at_m": float(rng.uniform(0.2, 0.6) * reach), "long_m": float(rng.uniform(1.0, 2.5))}
+
+
+def _zone_distance(world: World, size: FloatArray, knobs: Knobs) -> None:
+    """Both wheels slip inside a strip across the hall: `size` a metre of it."""
+
+    def during(now: Moment) -> None:
+        place = map_x_m(world, now) - knobs["at_m"]
+        inside = size * ((place > 0) & (place < knobs["long_m"]))
+        now.left += inside
+        now.right += inside
+
+    world.during.append(during)
+
+
+def _zone_heading(world: World, size: FloatArray, knobs: Knobs) -> None:
+    """Only the wheel on one side runs over the strip, say a cable bridge or a worn lane edge."""
+
+    def during(now: Moment) -> None:
+        place = map_x_m(world, now) - knobs["at_m"]
+        inside = size * ((place > 0) & (place < knobs["long_m"])) * world.design.heading_sign
+        now.left += 0.5 * inside
+        now.right -= 0.5 * inside
+
+    world.during.append(during)
+
+
+def _undulation(world: World, size: FloatArray, _knobs: Knobs) -> None:
+    # the second lane is uneven: the wheels roll up and down, further than the plan says
+    world.rise = world.rise + size * np.char.endswith(world.design.kind, "_b")
+
+
+def _weave(world: World, size: FloatArray, knobs: Knobs) -> None:
+    # the guidance weaves; `size` is the largest amplitude, run by run another share of it
+    shares = np.array([knobs[f"share_{number}"] for number in range(8)])
+    index = np.arange(len(world.design)) % 8
+    world.weave_m = np.where(world.design.corridor, size * shares[index], 0.0)
+    world.wavelength_m = np.full(len(world.design), knobs["wavelength_m"])
+
+
+def _weave_knobs(rng: np.random.Generator, design: Design) -> dict[str, float]:
+    shares = {f"share_{number}": float(rng.uniform(0.0, 1.0)) for number in range(8)}
+    return {**shares, "wavelength_m": design.length_m / float(rng.integers(3, 6))}
+
+
+FORMS = (
+    Form("floor_slope", "plain", 3e-4, "1", _slope, frozenset({"directions", "poses"}), _slope_knobs),
+    Form("floor_zone", "distance", 3e-3, "m/m", _zone_distance, frozenset({"corridor", "directions"}), _zone_knobs),
+    Form("floor_zone", "heading", 3e-3, "m/m", _zone_heading, frozenset({"corridor", "directions"}), _zone_knobs),
+    Form("floor_undulation", "plain", 4e-4, "1", _undulation, frozenset({"lanes"})),
+    Form("path_weave", "plain", 0.05, "m", _weave, frozenset({"corridor", "no_logs", "laser"}), _weave_knobs),
+)

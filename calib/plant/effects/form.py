@@ -1,0 +1,80 @@
+"""What a form of an effect is: a size, its knobs, and what it does to the world."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from calib.campaign.model import FloatArray
+from calib.plant.design import Design
+from calib.plant.world import World
+
+__all__ = ["Cause", "Form", "Knobs", "no_knobs"]
+
+Knobs = Mapping[str, float]
+
+
+def no_knobs(rng: np.random.Generator, design: Design) -> dict[str, float]:
+    """Return the knobs of a form that has none."""
+    del rng, design
+    return {}
+
+
+@dataclass(frozen=True, slots=True)
+class Form:
+    """One form of one effect.
+
+    Parameters
+    ----------
+    effect : str
+        Id of the effect; those outside any library begin with ``outside:``.
+    form : str
+        Name of the form; ``plain`` is the textbook's.
+    typical : float
+        Typical size.
+    unit : str
+        Of the size.
+    act : callable
+        ``act(world, size, knobs)`` changes the world; `size` has one value a run, 0 where the effect is absent.
+    needs : set of str
+        What a design must have for the effect to be there at all: ``loads``, ``offsets``, ``turns``, ``speeds``,
+        ``temperatures``, ``dwell``, ``sessions``, ``directions``, ``corridor``, ``laser``, ``poses``, ``front``,
+        ``flying``, ``stops``, ``slope`` (truth and model share a load law), ``trace``, ``lanes``, ``outside``,
+        ``no_logs``, ``column:<name>``, ``bends`` (several radii of turn).
+    knobs : callable
+        ``knobs(rng, design)`` draws what else there is to choose, once a case.
+    """
+
+    effect: str
+    form: str
+    typical: float
+    unit: str
+    act: Callable[[World, FloatArray, Knobs], None]
+    needs: frozenset[str] = frozenset()
+    knobs: Callable[[np.random.Generator, Design], dict[str, float]] = no_knobs
+
+
+@dataclass(frozen=True, slots=True)
+class Cause:
+    """An effect with its size, as it truly acts in a case.
+
+    Parameters
+    ----------
+    effect, form : str
+        Which.
+    size : float
+        In the form's unit.
+    knobs : mapping of str to float
+        What else was drawn.
+    """
+
+    effect: str
+    size: float
+    form: str = "plain"
+    knobs: Knobs = field(default_factory=dict)
+
+
+PLAIN: Final = "plain"

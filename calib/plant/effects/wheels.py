@@ -1,0 +1,250 @@
+"""Radii and track that differ from the model's, load laws, creep, temperature, wear, sessions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from calib.campaign.model import FloatArray
+from calib.plant.design import Design
+from calib.plant.effects.form import Form, Knobs
+from calib.plant.world import REFERENCE_LOAD_N, Moment, World
+
+__all__ = ["FORMS"]
+
+
+def _scale(world: World, size: FloatArray, _knobs: Knobs) -> None:
+    world.left = world.left * (1 + size)
+    world.right = world.right * (1 + size)
+
+
+def _unequal(world: World, size: FloatArray, _knobs: Knobs) -> None:
+    world.left = world.left * (1 - 0.5 * size)
+    world.right = world.right * (1 + 0.5 * size)
+
+
+def _track(world: World, size: FloatArray, _knobs: Knobs) -> None:
+    world.track = world.track * (1 + size)
+
+
+# load laws: size is the relative slope of the left wheel per newton, or what stands in the form's unit
+
+
+def _wheel_slopes(rng: np.random.Generator, _design: Design) -> dict[str, float]:
+    return {"right_ratio": float(rng.uniform(0.75, 1.15))}
+
+
+def _load_linear(world: World, size: FloatArray, knobs: Knobs) -> None:
+    world.left = world.left * (1 + size * (world.load_left_N - REFERENCE_LOAD_N))
+    world.right = world.right * (1 + size * knobs["right_ratio"] * (world.load_right_N - REFERENCE_LOAD_N))
+
+
+def _power(load_N: FloatArray, exponent: float) -> FloatArray:
+    """Return F^p shifted and scaled to go from 0 at 300 N to 800 N at 1100 N, as the linear law does."""
+    low, high = REFERENCE_LOAD_N**exponent, 1100.0**exponent
+    shifted: FloatArray = 800.0 * (np.maximum(load_N, 1.0) ** exponent - low) / (high - low)
+    return shifted
+
+
+def _load_power(world: World, size: FloatArray, knobs: Knobs) -> None:
+    world.left = world.left * (1 + size * _power(world.load_left_N, knobs["exponent"]))
+    world.right = world.right * (1 + size * knobs["right_ratio"] * _power(world.load_right_N, knobs["exponent"]))
+
+
+def _mild_power(rng: np.random.Generator, design: Design) -> dict[str, float]:
+    return {**_wheel_slopes(rng, design), "exponent": float(rng.uniform(0.83, 0.92))}
+
+
+def _hertz(rng: np.random.Generator, design: Design) -> dict[str, float]:
+    return {**_wheel_slopes(rng, design), "exponent": 2 / 3}
+
+
+def _strong_power(rng: np.random.Generator, design: Design) -> dict[str, float]:
+    return {**_wheel_slopes(rng, design), "exponent": 0.5}
+
+
+def _quadratic(rng: np.random.Generator, design: Design) -> dict[str, float]:
+    return {**_wheel_slopes(rng, design), "exponent": 2.0}
+
+
+def _load_dynamic(world: World, size: FloatArray, knobs: Knobs) -> None:
+    # the linear law, with the load that rides along in curves and while braking
+    _load_linear(world, size, knobs)
+    vehicle, weight = world.design.vehicle, world.total_weight_N
+    height = vehicle.cog_z_m
+
+    def during(now: Moment) -> None:
+        across = weight * height * now.v_mps**2 * now.curvature_per_m / (9.81 * vehicle.track_m)
+        along = -0.5 * weight * height * now.acceleration_mps2 / (9.81 * vehicle.wheelbase_m)
+        now.left += size * (-across - along)
+        now.right += size * knobs["right_ratio"] * (across - along)
+
+    world.during.append(during)
+
+
+# creep: share of the payload's load, after it was put on
+
+
+def _creep_time(rng: np.random.Generator, _design: Design) -> dict[str, float]:
+    return {"tau_min": float(rng.uniform(8.0, 25.0))}
+
+
+def _payload_share(world: World) -> tuple[FloatArray, FloatArray]:
+    bare = world.design.vehicle.unladen_load_N
+    loaded = world.design.payload_kg > 0
+    return (np.where(loaded, world.load_left_N - bare, 0.0), np.where(loaded, world.load_right_N - bare, 0.0))
+
+
+def _creep_one(world: World, size: FloatArray, knobs: Knobs) -> None:
+    grown = 1 - np.exp(-np.nan_to_num(world.design.minutes_under_load) / knobs["tau_min"])
+    left, right = _payload_share(world)
+    world.left = world.left * (1 - size * left * grown)
+    world.right = world.right * (1 - size * right * grown)
+
+
+def _creep_two(world: World, size: FloatArray, knobs: Knobs) -> None:
+    minutes = np.nan_to_num(world.design.minutes_under_load)
+    left, right = _payload_share(world)
+
+    def grown(t_min: FloatArray) -> FloatArray:
+        total: FloatArray = 0.55 * (1 - np.exp(-t_min / (0.5 * knobs["tau_min"]))) + 0.45 * (
+            1 - np.exp(-t_min / (3 * knobs["tau_min"]))
+        )
+        return total
+
+    start = grown(minutes)
+    world.left = world.left * (1 - size * left * start)
+    world.right = world.right * (1 - size * right * start)
+
+    def during(now: Moment) -> None:
+        more = grown(minutes + now.t_s / 60) - start
+        now.left -= size * left * more
+        now.right -= size * right * more
+
+    world.during.append(during)
+
+
+def _phases(rng: np.random.Generator, _design: Design) -> dict[str, float]:
+    return {"left_rad": float(rng.uniform(0, 2 * np.pi)), "right_rad": float(rng.uniform(0, 2 * np.pi))}
+
+
+def _eccentric(world: World, size: FloatArray, knobs: Knobs) -> None:
+    """Both wheels sit off their axles by `size` metres, and start each run at the same mark."""
+    radius_m = world.design.vehicle.wheel_radius_m
+
+    def during(now: Moment) -> None:
+        now.left += size / radius_m * np.cos(now.angle_left_rad + knobs["left_rad"])
+        now.right += size / radius_m * np.cos(now.angle_right_rad + knobs["right_rad"])
+
+    world.during.append(during)
+
+
+# temperature, wear, sessions
+
+
+def _warm(world: World, size: FloatArray, _knobs: Knobs) -> None:
+    warm = np.nan_to_num(world.design.temperature_C - 20.0)
+    world.left = world.left * (1 + size * warm)
+    world.right = world.right * (1 + size * warm)
+
+
+def _warm_stiffness(world: World, size: FloatArray, _knobs: Knobs) -> None:
+    # a warm band is softer: exponential in temperature, and a little more under load
+    warm = 40.0 * np.expm1(np.nan_to_num(world.design.temperature_C - 20.0) / 40.0)
+    mean = float(np.mean(world.mean_load_N))
+    world.left = world.left * (1 + size * warm * (1 + 0.15 * (world.load_left_N / mean - 1)))
+    world.right = world.right * (1 + size * warm * (1 + 0.15 * (world.load_right_N / mean - 1)))
+
+
+def _session_index(design: Design) -> tuple[FloatArray, int]:
+    names, first, index = np.unique(design.session, return_index=True, return_inverse=True)
+    rank = np.argsort(np.argsort(first))
+    return rank[index].astype(np.float64), len(names)
+
+
+def _wear(world: World, size: FloatArray, knobs: Knobs) -> None:
+    """`size` a session of driving between the measurements, the right wheel at its own rate."""
+    index, _ = _session_index(world.design)
+    grown = index ** knobs.get("exponent", 1.0)
+    world.left = world.left * (1 - size * grown)
+    world.right = world.right * (1 - size * knobs["right_ratio"] * grown)
+
+
+def _wear_knobs(rng: np.random.Generator, _design: Design) -> dict[str, float]:
+    return {"right_ratio": float(rng.uniform(0.3, 0.8))}
+
+
+def _running_in(rng: np.random.Generator, design: Design) -> dict[str, float]:
+    return {**_wear_knobs(rng, design), "exponent": 0.8}
+
+
+def _session_knobs(rng: np.random.Generator, design: Design) -> dict[str, float]:
+    _, count = _session_index(design)
+    steps = rng.standard_normal(count)
+    steps -= steps.mean()
+    steps /= max(float(np.sqrt(np.mean(steps**2))), 1e-9)
+    return {f"step_{number}": float(value) for number, value in enumerate(steps)}
+
+
+def _one_session(rng: np.random.Generator, design: Design) -> dict[str, float]:
+    """One session alone is off: the wheels were cleaned, say."""
+    _, count = _session_index(design)
+    odd = int(rng.integers(1, count)) if count > 1 else 0
+    return {f"step_{number}": 2.0 if number == odd else 0.0 for number in range(count)}
+
+
+def _session(world: World, size: FloatArray, knobs: Knobs) -> None:
+    index, count = _session_index(world.design)
+    steps = np.array([knobs.get(f"step_{number}", 0.0) for number in range(count)])[index.astype(np.int64)]
+    world.left = world.left * (1 + size * steps)
+    world.right = world.right * (1 + size * steps)
+
+
+def _column(world: World, size: FloatArray, knobs: Knobs) -> None:
+    """Any further column: `size` a standard deviation of it, on both radii."""
+    name = next(key for key in knobs if key.startswith("column:")).removeprefix("column:")
+    values = world.design.columns[name]
+    spread = (values - values.mean()) / max(float(values.std()), 1e-12)
+    world.left = world.left * (1 + size * spread)
+    world.right = world.right * (1 + size * spread)
+
+
+def _named(name: str) -> Callable[[np.random.Generator, Design], dict[str, float]]:
+    return lambda _rng, _design: {f"column:{name}": 1.0}
+
+
+COLUMNS = ("humidity_pct", "battery_V", "floor_gloss_GU")
+
+FORMS = (
+    Form("radius_scale", "plain", 3e-3, "1", _scale),
+    Form("unequal_radii", "plain", 1.5e-3, "1", _unequal, frozenset({"poses"})),
+    Form("track_width", "plain", 1e-2, "1", _track, frozenset({"turns"})),
+    Form("load_radius", "plain", 8e-6, "1/N", _load_linear, frozenset({"loads"}), _wheel_slopes),
+    Form("load_radius", "power", 8e-6, "1/N", _load_power, frozenset({"loads"}), _mild_power),
+    Form("load_radius", "dynamic", 8e-6, "1/N", _load_dynamic, frozenset({"loads"}), _wheel_slopes),
+    Form("load_radius_nonlinear", "hertz", 8e-6, "1/N", _load_power, frozenset({"loads", "offsets"}), _hertz),
+    Form("load_radius_nonlinear", "root", 8e-6, "1/N", _load_power, frozenset({"loads", "offsets"}), _strong_power),
+    Form("load_radius_nonlinear", "quadratic", 8e-6, "1/N", _load_power, frozenset({"loads", "offsets"}), _quadratic),
+    Form("load_creep", "plain", 2e-6, "1/N", _creep_one, frozenset({"loads", "dwell"}), _creep_time),
+    Form("load_creep", "two_times", 2e-6, "1/N", _creep_two, frozenset({"loads", "dwell"}), _creep_time),
+    Form("wheel_eccentricity", "plain", 2e-4, "m", _eccentric, frozenset({"trace"}), _phases),
+    Form("temperature_radius", "plain", 6e-5, "1/K", _warm, frozenset({"temperatures"})),
+    Form("temperature_radius", "stiffness", 6e-5, "1/K", _warm_stiffness, frozenset({"temperatures"})),
+    Form("wear", "plain", 2e-4, "1/session", _wear, frozenset({"sessions", "poses"}), _wear_knobs),
+    Form("wear", "running_in", 2e-4, "1/session", _wear, frozenset({"sessions", "poses"}), _running_in),
+    Form("session_step", "plain", 5e-4, "1", _session, frozenset({"sessions"}), _session_knobs),
+    Form("session_step", "one_session", 4e-4, "1", _session, frozenset({"sessions"}), _one_session),
+    *(
+        Form(
+            f"covariate:{name}",
+            "plain",
+            5e-4,
+            "1/sd",
+            _column,
+            frozenset({f"column:{name}"}),
+            _named(name),
+        )
+        for name in COLUMNS
+    ),
+)

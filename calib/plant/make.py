@@ -1,0 +1,117 @@
+"""A design and a truth make a campaign."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from calib.campaign.model import Campaign, FloatArray
+from calib.campaign.settings import OdometryModel
+from calib.plant.design import Design
+from calib.plant.drive import drive
+from calib.plant.effects.form import Cause
+from calib.plant.effects.registry import find
+from calib.plant.measure import campaign_of
+from calib.plant.noise import Noise, draw_noise, random_noise
+from calib.plant.world import REFERENCE_LOAD_N, World, build_world
+
+__all__ = ["apply_causes", "as_causes", "make_campaign", "random_model"]
+
+
+def random_model(design: Design, rng: np.random.Generator) -> OdometryModel:
+    """Return what the simulator believes: a calibrated vehicle, with the load law that the design shares."""
+    vehicle = design.vehicle
+    radius = vehicle.wheel_radius_m * (1 + 2e-3 * rng.uniform(-1, 1, 2) - 5e-3)
+    slopes = design.slope_per_N * radius * np.array([1.0, rng.uniform(0.85, 1.15)])
+    return OdometryModel(
+        radius_left_m=round(float(radius[0]), 6),
+        radius_right_m=round(float(radius[1]), 6),
+        track_m=round(vehicle.track_m * (1 + 5e-3 * float(rng.uniform(-1, 1))), 5),
+        reference_load_N=REFERENCE_LOAD_N,
+        slope_left_m_per_N=float(f"{slopes[0]:.6g}"),
+        slope_right_m_per_N=float(f"{slopes[1]:.6g}"),
+    )
+
+
+def as_causes(truth: Mapping[str, float] | Sequence[Cause], design: Design, rng: np.random.Generator) -> list[Cause]:
+    """Return causes with all their knobs drawn.
+
+    Parameters
+    ----------
+    truth : mapping of str to float, or sequence of Cause
+        Effect (or ``effect/form``) -> size; a size that is not a number takes the typical one.
+    design : Design
+        The runs.
+    rng : numpy.random.Generator
+        Draws the knobs.
+    """
+    if not isinstance(truth, Mapping):
+        return list(truth)
+    made = []
+    for key, size in truth.items():
+        effect, _, form = key.partition("/")
+        found = find(effect, form)
+        made.append(
+            Cause(effect, float(found.typical if np.isnan(size) else size), found.form, found.knobs(rng, design))
+        )
+    return made
+
+
+def apply_causes(world: World, causes: Sequence[Cause], blocks: FloatArray | None = None) -> World:
+    """Let causes change a world.
+
+    Parameters
+    ----------
+    world : World
+        Changed in place, and returned.
+    causes : sequence of Cause
+        What is wrong.
+    blocks : array of float, shape (n_causes, n_runs), optional
+        Share of each cause's size that acts on each run; all of it by default.
+    """
+    n_runs = len(world.design)
+    for number, cause in enumerate(causes):
+        share = np.ones(n_runs) if blocks is None else blocks[number]
+        find(cause.effect, cause.form).act(world, cause.size * share, cause.knobs)
+    return world
+
+
+def make_campaign(
+    design: Design,
+    truth: Mapping[str, float] | Sequence[Cause],
+    rng: np.random.Generator,
+    *,
+    noise: Noise | None = None,
+    model: OdometryModel | None = None,
+    name: str = "campaign",
+) -> Campaign:
+    """Drive a design in a world with a known truth.
+
+    Parameters
+    ----------
+    design : Design
+        The runs.
+    truth : mapping of str to float, or sequence of Cause
+        ``{effect: size}`` or ``{"effect/form": size}``; NaN is the typical size; empty is no gap.
+    rng : numpy.random.Generator
+        All chance.
+    noise : Noise, optional
+        Drawn at random where missing.
+    model : OdometryModel, optional
+        What the simulator believes; drawn at random where missing.
+    name : str
+        Name of the campaign.
+
+    Returns
+    -------
+    Campaign
+        In memory; ``calib.campaign.write.write_campaign`` puts it into a folder.
+    """
+    noise = noise or random_noise(rng)
+    model = model or random_model(design, rng)
+    causes = as_causes(truth, design, rng)
+    world = apply_causes(build_world(design, model), causes)
+    draw = draw_noise(noise, len(design), rng)
+    record = drive(world, draw)
+    return campaign_of(world, noise, draw, record, name=name)

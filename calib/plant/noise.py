@@ -1,0 +1,167 @@
+"""The plant's noise: floor texture, runs that differ, instruments; its tails and its proportions vary by case."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from calib.campaign.model import FloatArray
+
+__all__ = ["Noise", "NoiseDraw", "draw_noise", "quiet", "random_noise"]
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """Scales of the noise, all as standard deviations.
+
+    Parameters
+    ----------
+    texture_m : float
+        Random walk of each wheel's rolled path, metres per square root of a metre.
+    common, differential : float
+        A run's own relative change of both radii, and of their difference.
+    start_heading_rad : float
+        Error of the reference frame's heading at the start of a run.
+    laser_m, ref_xy_m, ref_theta_rad : float
+        Instruments, as they truly are.
+    stated_ratio : float
+        What the campaign file states of the reference's uncertainty, over the truth.
+    steer_rad, front : float
+        A run's own steering angle zero, and relative front radius.
+    tail : float
+        Degrees of freedom of Student's t over the runs; above 2, infinite is normal.
+    """
+
+    texture_m: float = 1.5e-4
+    common: float = 4e-5
+    differential: float = 1.5e-5
+    start_heading_rad: float = 2e-4
+    laser_m: float = 0.0015
+    ref_xy_m: float = 0.002
+    ref_theta_rad: float = 0.0008
+    stated_ratio: float = 1.0
+    steer_rad: float = 1e-3
+    front: float = 3e-4
+    tail: float = 5.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NoiseDraw:
+    """One draw of everything random about n runs.
+
+    Parameters
+    ----------
+    texture_m : array of float, shape (n_runs,)
+        Texture of each run.
+    scale_left, scale_right : array of float, shape (n_runs,)
+        Factors on the true radii.
+    phase : array of float, shape (3, n_runs)
+        Where the counters (left, right, front) stand between two counts at the start, 0 to 1.
+    laser_m, start_heading_rad, steer_rad, front : array of float, shape (n_runs,)
+        Errors of instruments and sensors.
+    pose : array of float, shape (n_runs, 3)
+        Errors of the reference end pose: x, y in m, theta in rad.
+    seed : int
+        Of the texture along the way and of the reference trace.
+    copies : int
+        How often the same runs stand end to end.
+    """
+
+    texture_m: FloatArray
+    scale_left: FloatArray
+    scale_right: FloatArray
+    phase: FloatArray
+    laser_m: FloatArray
+    start_heading_rad: FloatArray
+    steer_rad: FloatArray
+    front: FloatArray
+    pose: FloatArray
+    seed: int
+    copies: int = 1
+
+    def tile(self, times: int) -> NoiseDraw:
+        """Return the same draw for `times` copies of the runs, end to end."""
+        return NoiseDraw(
+            texture_m=np.tile(self.texture_m, times),
+            scale_left=np.tile(self.scale_left, times),
+            scale_right=np.tile(self.scale_right, times),
+            phase=np.tile(self.phase, (1, times)),
+            laser_m=np.tile(self.laser_m, times),
+            start_heading_rad=np.tile(self.start_heading_rad, times),
+            steer_rad=np.tile(self.steer_rad, times),
+            front=np.tile(self.front, times),
+            pose=np.tile(self.pose, (times, 1)),
+            seed=self.seed,
+            copies=times * self.copies,
+        )
+
+
+def _tailed(rng: np.random.Generator, shape: tuple[int, ...], tail: float) -> FloatArray:
+    """Draw from Student's t scaled to unit variance; the normal where `tail` is infinite."""
+    if np.isinf(tail):
+        return rng.standard_normal(shape)
+    drawn: FloatArray = rng.standard_t(tail, shape) * np.sqrt((tail - 2.0) / tail)
+    return drawn
+
+
+def draw_noise(noise: Noise, n_runs: int, rng: np.random.Generator) -> NoiseDraw:
+    """Draw the noise of `n_runs` runs."""
+    tail = noise.tail
+    common = noise.common * _tailed(rng, (n_runs,), tail)
+    differential = noise.differential * _tailed(rng, (n_runs,), tail)
+    # a run's texture is itself random: the mixture over runs has the heavy tail, and unit mean square
+    mixing = np.ones(n_runs) if np.isinf(tail) else np.sqrt((tail - 2.0) / rng.chisquare(tail, n_runs))
+    axes = np.array([noise.ref_xy_m, noise.ref_xy_m, noise.ref_theta_rad])
+    return NoiseDraw(
+        texture_m=noise.texture_m * mixing,
+        scale_left=1.0 + common - 0.5 * differential,
+        scale_right=1.0 + common + 0.5 * differential,
+        phase=rng.random((3, n_runs)),
+        laser_m=noise.laser_m * _tailed(rng, (n_runs,), tail),
+        start_heading_rad=noise.start_heading_rad * _tailed(rng, (n_runs,), tail),
+        steer_rad=noise.steer_rad * _tailed(rng, (n_runs,), tail),
+        front=noise.front * _tailed(rng, (n_runs,), tail),
+        pose=axes * _tailed(rng, (n_runs, 3), tail),
+        seed=int(rng.integers(2**62)),
+    )
+
+
+def quiet(n_runs: int) -> NoiseDraw:
+    """Return a draw without any noise."""
+    zero = np.zeros(n_runs)
+    return NoiseDraw(
+        texture_m=zero,
+        scale_left=zero + 1.0,
+        scale_right=zero + 1.0,
+        phase=np.zeros((3, n_runs)),
+        laser_m=zero,
+        start_heading_rad=zero,
+        steer_rad=zero,
+        front=zero,
+        pose=np.zeros((n_runs, 3)),
+        seed=0,
+    )
+
+
+def random_noise(rng: np.random.Generator, **fixed: Any) -> Noise:
+    """Draw a case's noise: each source's scale over a factor of about four, the tails from t(3.5) to normal."""
+
+    def within(low: float, high: float) -> float:
+        return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+    drawn: dict[str, Any] = {
+        "texture_m": within(7e-5, 3e-4),
+        "common": within(1e-5, 8e-5),
+        "differential": within(4e-6, 3e-5),
+        "start_heading_rad": within(5e-5, 6e-4),
+        "laser_m": within(8e-4, 3e-3),
+        "ref_xy_m": within(1e-3, 4e-3),
+        "ref_theta_rad": within(3e-4, 1.5e-3),
+        "stated_ratio": within(0.6, 1.6),
+        "steer_rad": within(3e-4, 2e-3),
+        "front": within(1e-4, 5e-4),
+        "tail": float(rng.choice([3.5, 5.0, 8.0, np.inf])),
+    }
+    return Noise(**{**drawn, **fixed})

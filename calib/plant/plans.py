@@ -1,0 +1,262 @@
+"""Designs of good and of poor quality, drawn at random within what a lab would drive."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, Final
+
+import numpy as np
+
+from calib.errors import BadInputError
+from calib.plant.design import Design
+from calib.plant.effects.wheels import COLUMNS
+from calib.vehicle import Vehicle
+
+__all__ = ["DESIGNS", "good_design", "lacks", "poor_design"]
+
+#: names of the poor designs
+DESIGNS: Final = ("load_a_session", "corridor_only", "squares_one_load", "few_repeats")
+
+_TURNING: Final = ("square_cw", "square_ccw", "figure8", "route_left", "route_right", "slalom")
+
+
+def _frame(conditions: list[dict[str, Any]], order: np.ndarray, **settings: Any) -> Design:
+    rows = [conditions[number] for number in order]
+
+    def column(name: str, default: Any) -> np.ndarray:
+        return np.array([row.get(name, default) for row in rows])
+
+    return Design(
+        kind=column("kind", "corridor").astype(np.str_),
+        direction=column("direction", "").astype(np.str_),
+        session=column("session", "s1").astype(np.str_),
+        payload_kg=column("payload_kg", 0.0).astype(np.float64),
+        payload_x_m=column("payload_x_m", 0.4).astype(np.float64),
+        payload_y_m=column("payload_y_m", 0.0).astype(np.float64),
+        speed_mps=column("speed_mps", 0.5).astype(np.float64),
+        temperature_C=column("temperature_C", 20.0).astype(np.float64),
+        minutes_under_load=column("minutes", 0.0).astype(np.float64),
+        flying=column("flying", False).astype(bool),
+        stops=column("stops", 0).astype(np.int64),
+        **settings,
+    )
+
+
+def _vehicle(rng: np.random.Generator) -> Vehicle:
+    return Vehicle(
+        track_m=round(float(rng.uniform(0.6, 0.8)), 3),
+        wheelbase_m=round(float(rng.uniform(0.9, 1.2)), 3),
+        cog_x_m=round(float(rng.uniform(0.35, 0.42)), 3),
+        cog_z_m=round(float(rng.uniform(0.35, 0.6)), 2),
+    )
+
+
+def good_design(rng: np.random.Generator, *, n_runs: int = 60, needs: Iterable[str] = (), **settings: Any) -> Design:
+    """Return a crossed design: routes, loads, sides, speeds, temperatures, dwell and sessions vary apart, with repeats.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        All chance.
+    n_runs : int
+        Runs.
+    needs : iterable of str
+        What an effect needs to be there at all; see `calib.plant.effects.form.Form`.
+    **settings
+        Fields of `Design` that are given instead of drawn (``front=True``, ``log_period_s=0.1``, ...).
+    """
+    need = set(needs)
+    column_names = [one.partition(":")[2] for one in need if one.startswith("column:")]
+    n_conditions = max(8, n_runs // 3)
+    n_sessions = int(rng.integers(3, 6))
+    sessions = [f"s{number + 1}" for number in range(n_sessions)]
+    payloads = [0.0, *sorted(rng.choice([50.0, 80.0, 100.0, 120.0, 150.0, 200.0], 3, replace=False))]
+    sides = [-0.15, 0.0, 0.15]
+    speeds = sorted(rng.choice([0.25, 0.35, 0.5, 0.65, 0.8], 3, replace=False))
+    kinds = ["corridor", *_TURNING] if settings.get("turning", True) else ["corridor"]
+    settings.pop("turning", None)
+
+    def deal(values: list[Any]) -> list[Any]:
+        """Return the values spread evenly over the conditions, in random order: no two factors go together."""
+        dealt = [values[number % len(values)] for number in range(n_conditions)]
+        return [dealt[number] for number in rng.permutation(n_conditions)]
+
+    # half of the conditions go along the corridor, the others turn; within each the routes are dealt evenly
+    half = n_conditions // 2
+    route = ["corridor"] * half + [kinds[1:][number % (len(kinds) - 1)] for number in range(n_conditions - half)]
+    if "lanes" in need:
+        route[:half:2] = ["corridor_b"] * len(route[:half:2])
+    ways = ["out", "back"]
+    payload, side, ahead = deal(payloads), deal(sides), deal([0.15, 0.4, 0.6])
+    speed = deal(list(map(float, speeds)))
+    stops = deal([0, 0, 1, 3] if "stops" in need else [0, 0, 0, 1])
+    flying = deal([True, False] if "flying" in need else [False])
+    made: list[dict[str, Any]] = []
+    for number in range(n_conditions):
+        corridor = route[number].startswith("corridor")
+        loaded = payload[number] > 0
+        made.append(
+            {
+                "kind": route[number],
+                "direction": ways[(number // 2 if "lanes" in need else number) % 2] if corridor else "",
+                "payload_kg": payload[number],
+                "payload_x_m": ahead[number] if loaded else 0.0,
+                "payload_y_m": side[number] if loaded else 0.0,
+                # tight routes are not driven fast
+                "speed_mps": speed[number]
+                if corridor or route[number].startswith("route")
+                else min(speed[number], 0.65),
+                "stops": stops[number],
+                "flying": flying[number],
+            }
+        )
+    # temperature, dwell and further columns vary from run to run, sessions take turns: nothing goes with the session
+    order = np.resize(np.arange(n_conditions), n_runs)
+    rows = []
+    for number in range(n_runs):
+        row = dict(made[order[number]])
+        row["session"] = sessions[number * n_sessions // n_runs]
+        row["temperature_C"] = round(float(rng.uniform(10, 30)), 1)
+        row["minutes"] = float(rng.choice([2.0, 10.0, 30.0, 60.0])) if row["payload_kg"] > 0 else 0.0
+        rows.append(row)
+    shuffle = np.concatenate([rng.permutation(part) for part in np.array_split(np.arange(n_runs), n_conditions)])
+    # conditions are dealt to sessions by a shuffle of the whole order, sessions stay contiguous
+    labels = [row["session"] for row in rows]
+    shuffled = [rows[number] for number in rng.permutation(shuffle)]
+    for row, label in zip(shuffled, labels, strict=True):
+        row["session"] = label
+    drawn: dict[str, Any] = {
+        "length_m": round(float(rng.uniform(15.0, 25.0)), 1),
+        "side_m": round(float(rng.uniform(2.0, 3.5)), 1),
+        "radius_m": round(float(rng.uniform(0.9, 1.4)), 2),
+        "vehicle": _vehicle(rng),
+        "counts_per_rev": float(rng.choice([2048, 4096, 8192])),
+        "slope_per_N": float(rng.uniform(0.8e-5, 1.4e-5)) if "slope" in need else 0.0,
+        "log_period_s": 0.0 if "no_logs" in need else float(rng.choice([0.1, 0.2, 0.2, 0.24])),
+        "front": "front" in need,
+        "trace": "trace" in need,
+        "outside": "outside" in need,
+    }
+    if "no_logs" in need:
+        drawn["poses"] = "none"
+    if column_names:
+        drawn["columns"] = {name: np.round(rng.uniform(0, 100, n_runs), 1) for name in column_names}
+    elif rng.random() < 0.3:
+        name = str(rng.choice(COLUMNS))
+        drawn["columns"] = {name: np.round(rng.uniform(0, 100, n_runs), 1)}
+    return _frame(shuffled, np.arange(n_runs), **{**drawn, **settings})
+
+
+def poor_design(name: str, rng: np.random.Generator, *, n_runs: int = 40, **settings: Any) -> Design:
+    """Return a design that cannot answer everything.
+
+    Parameters
+    ----------
+    name : str
+        ``load_a_session`` (the paper's own: corridor runs out and back, each session under its own load),
+        ``corridor_only`` (varied loads and speeds, no turn), ``squares_one_load``, ``few_repeats``.
+    rng : numpy.random.Generator
+        All chance.
+    n_runs : int
+        Runs.
+    **settings
+        Fields of `Design` that are given instead of drawn.
+
+    Raises
+    ------
+    BadInputError
+        Where the name is none of these.
+    """
+    rows: list[dict[str, Any]] = []
+    drawn: dict[str, Any] = {
+        "length_m": round(float(rng.uniform(15.0, 30.0)), 1),
+        "vehicle": _vehicle(rng),
+        "log_period_s": float(rng.choice([0.1, 0.2, 0.24])),
+    }
+    if name == "load_a_session":
+        loads = [0.0, 50.0, 100.0, 150.0, 200.0]
+        for number in range(n_runs):
+            session = number * len(loads) // n_runs
+            rows.append(
+                {
+                    "direction": "out" if number % 2 == 0 else "back",
+                    "session": f"s{session + 1}",
+                    "payload_kg": loads[session],
+                    "payload_x_m": 0.3 if loads[session] else 0.0,
+                    "temperature_C": round(19.0 + float(rng.uniform(-0.5, 0.5)), 1),
+                    "minutes": 10.0 if loads[session] else 0.0,
+                }
+            )
+        drawn["poses"] = str(rng.choice(["all", "none"]))
+    elif name == "corridor_only":
+        for number in range(n_runs):
+            payload = float(rng.choice([0.0, 100.0, 200.0]))
+            rows.append(
+                {
+                    "direction": "out" if number % 2 == 0 else "back",
+                    "session": f"s{number * 3 // n_runs + 1}",
+                    "payload_kg": payload,
+                    "payload_x_m": 0.4 if payload else 0.0,
+                    "payload_y_m": float(rng.choice([-0.15, 0.0, 0.15])) if payload else 0.0,
+                    "speed_mps": float(rng.choice([0.3, 0.6])),
+                    "temperature_C": round(float(rng.uniform(12, 28)), 1),
+                    "minutes": 10.0 if payload else 0.0,
+                }
+            )
+    elif name == "squares_one_load":
+        rows = [
+            {
+                "kind": ("square_cw", "square_ccw")[number % 2],
+                "session": f"s{number * 2 // n_runs + 1}",
+                "payload_kg": 100.0,
+                "temperature_C": 20.0,
+                "minutes": 10.0,
+                "speed_mps": 0.4,
+            }
+            for number in range(n_runs)
+        ]
+        drawn["laser"] = False
+    elif name == "few_repeats":
+        whole = good_design(rng, n_runs=3 * n_runs, **settings)
+        first = np.unique(
+            np.char.add(np.char.add(whole.kind, whole.direction), whole.payload_kg.astype(np.str_)), return_index=True
+        )[1]
+        rest = np.setdiff1d(np.arange(3 * n_runs), first)
+        take = np.sort(np.concatenate((first, rest))[:n_runs])
+        return whole.select(take)
+    else:
+        raise BadInputError(f"design {name!r} found; expected one of {', '.join(DESIGNS)}; name one of these")
+    return _frame(rows, np.arange(n_runs), **{**drawn, **settings})
+
+
+def lacks(design: Design, needs: Iterable[str]) -> list[str]:
+    """Return what a design lacks of an effect's needs; see `calib.plant.effects.form.Form`."""
+    turning = bool((~design.corridor).any())
+    has = {
+        "loads": len(np.unique(design.payload_kg)) > 1,
+        "offsets": len(np.unique(design.payload_kg)) > 2 and len(np.unique(design.payload_y_m)) > 1,
+        "turns": turning,
+        "bends": len(set(design.kind[~design.corridor])) > 2,
+        "speeds": len(np.unique(design.speed_mps)) > 1,
+        "three_speeds": len(np.unique(design.speed_mps)) > 2,
+        "temperatures": float(np.ptp(design.temperature_C)) > 5.0,
+        "dwell": len(np.unique(design.minutes_under_load)) > 2,
+        "sessions": len(set(design.session)) > 1,
+        "directions": len(set(design.direction) & {"out", "back"}) > 1,
+        "corridor": bool(design.corridor.any()),
+        "laser": design.laser and bool(design.corridor.any()),
+        "poses": design.poses == "all" or (design.poses == "turning" and turning),
+        "front": design.front,
+        "flying": bool(design.flying.any()),
+        "stops": bool(design.stops.any()),
+        "slope": design.slope_per_N != 0.0,
+        "trace": design.trace,
+        "lanes": bool(np.char.endswith(design.kind, "_b").any()),
+        "outside": design.outside,
+        "no_logs": design.log_period_s == 0.0,
+    }
+    return sorted(
+        need
+        for need in needs
+        if not (need.partition(":")[2] in design.columns if need.startswith("column:") else has[need])
+    )

@@ -1,0 +1,239 @@
+"""The true world of a campaign: what the wheels, floor and instruments really are, run by run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from calib.campaign.model import FloatArray
+from calib.campaign.settings import OdometryModel
+from calib.plant.design import Design
+from calib.units import GRAVITY_MPS2
+from calib.vehicle import Vehicle
+
+__all__ = ["REFERENCE_LOAD_N", "Moment", "World", "build_world", "wheel_loads"]
+
+REFERENCE_LOAD_N = 300.0
+
+
+@dataclass(slots=True)
+class Moment:
+    """All runs at one time step; effects read the upper part and add to the lower.
+
+    Parameters
+    ----------
+    t_s : float
+        Time since the start.
+    v_mps, acceleration_mps2, curvature_per_m : array of float, shape (n_runs,)
+        True motion of the rear axle's middle.
+    x_m, y_m, theta_rad : array of float, shape (n_runs,)
+        True pose in the run's own frame.
+    angle_left_rad, angle_right_rad : array of float, shape (n_runs,)
+        Rotation of the rear wheels.
+    left, right : array of float, shape (n_runs,)
+        Relative change of the rolling radii.
+    track : array of float, shape (n_runs,)
+        Relative change of the effective track.
+    lost_left, lost_right : array of float, shape (n_runs,)
+        Share of the counts that is lost.
+    lateral_mps : array of float, shape (n_runs,)
+        True lateral speed of the rear axle's middle.
+    yaw_radps : array of float, shape (n_runs,)
+        True yaw that no wheel sees.
+    drive : array of float, shape (n_runs,)
+        Slip of the driven front wheel.
+    """
+
+    t_s: float
+    v_mps: FloatArray
+    acceleration_mps2: FloatArray
+    curvature_per_m: FloatArray
+    x_m: FloatArray
+    y_m: FloatArray
+    theta_rad: FloatArray
+    angle_left_rad: FloatArray
+    angle_right_rad: FloatArray
+    left: FloatArray
+    right: FloatArray
+    track: FloatArray
+    lost_left: FloatArray
+    lost_right: FloatArray
+    lateral_mps: FloatArray
+    yaw_radps: FloatArray
+    drive: FloatArray
+
+    @staticmethod
+    def at_rest(n_runs: int) -> Moment:
+        """Return the moment before the start."""
+        zero = np.zeros(n_runs)
+        return Moment(0.0, *(zero.copy() for _ in range(16)))
+
+    def clear(self) -> None:
+        """Forget what the effects added."""
+        for array in (
+            self.left,
+            self.right,
+            self.track,
+            self.lost_left,
+            self.lost_right,
+            self.lateral_mps,
+            self.yaw_radps,
+            self.drive,
+        ):
+            array.fill(0.0)
+
+
+@dataclass(slots=True)
+class World:
+    """What is true, an array over runs each; effects change it before the drive.
+
+    Parameters
+    ----------
+    design : Design
+        The runs.
+    model : OdometryModel
+        What the vehicle and the simulator believe.
+    load_left_N, load_right_N : array of float, shape (n_runs,)
+        True static loads of the rear wheels.
+    believed_left_m, believed_right_m : array of float, shape (n_runs,)
+        The model's radii at the reported loads.
+    left, right, track : array of float, shape (n_runs,)
+        True radii and track over what the model believes at the *true* load.
+    during : list of callables
+        Effects that act while driving.
+    laser_scale, laser_offset_m : array of float, shape (n_runs,)
+        Of the rangefinder.
+    ref_yaw_rad, ref_lever_x_m, ref_lever_y_m, latency_s : array of float, shape (n_runs,)
+        Of the pose reference.
+    steer_zero_rad, steer_scale, steer_backlash_rad, steer_delay_s : array of float, shape (n_runs,)
+        Of the steering angle sensor.
+    weave_m, wavelength_m : array of float, shape (n_runs,)
+        Weave of the path driven.
+    rise : array of float, shape (n_runs,)
+        Surplus of the path over its plan, from an uneven floor.
+    gross : str
+        A gross fault of the counters in the record; empty is none.
+    gross_runs : array of float, shape (n_runs,)
+        1 for the runs that it strikes.
+    payload_scale, payload_dx_m, payload_dy_m : array of float, shape (n_runs,)
+        True payload against the reported one.
+    euler : array of float, shape (n_runs,)
+        1 where the outside simulator takes the heading at the end of its steps.
+    """
+
+    design: Design
+    model: OdometryModel
+    load_left_N: FloatArray
+    load_right_N: FloatArray
+    believed_left_m: FloatArray
+    believed_right_m: FloatArray
+    left: FloatArray
+    right: FloatArray
+    track: FloatArray
+    laser_scale: FloatArray
+    laser_offset_m: FloatArray
+    ref_yaw_rad: FloatArray
+    ref_lever_x_m: FloatArray
+    ref_lever_y_m: FloatArray
+    latency_s: FloatArray
+    steer_zero_rad: FloatArray
+    steer_scale: FloatArray
+    steer_backlash_rad: FloatArray
+    steer_delay_s: FloatArray
+    weave_m: FloatArray
+    wavelength_m: FloatArray
+    rise: FloatArray
+    euler: FloatArray
+    gross_runs: FloatArray
+    payload_scale: FloatArray
+    payload_dx_m: FloatArray
+    payload_dy_m: FloatArray
+    gross: str = ""
+    during: list[Callable[[Moment], None]] = field(default_factory=list)
+
+    @property
+    def mean_load_N(self) -> FloatArray:
+        """Mean true load of the rear wheels, shape (n_runs,)."""
+        mean: FloatArray = 0.5 * (self.load_left_N + self.load_right_N)
+        return mean
+
+    @property
+    def total_weight_N(self) -> FloatArray:
+        """True weight of vehicle and payload, shape (n_runs,)."""
+        weight: FloatArray = GRAVITY_MPS2 * (self.design.vehicle.mass_kg + self.payload_scale * self.design.payload_kg)
+        return weight
+
+    def settle(self) -> None:
+        """Put the true payload on: the true loads, and the radii that follow from the law truth and model share."""
+        design, model = self.design, self.model
+        self.load_left_N, self.load_right_N = wheel_loads(
+            design.vehicle,
+            self.payload_scale * design.payload_kg,
+            design.payload_x_m + self.payload_dx_m,
+            design.payload_y_m + self.payload_dy_m,
+        )
+        true_left = model.radius_left_m + model.slope_left_m_per_N * (self.load_left_N - model.reference_load_N)
+        true_right = model.radius_right_m + model.slope_right_m_per_N * (self.load_right_N - model.reference_load_N)
+        self.left = true_left / self.believed_left_m
+        self.right = true_right / self.believed_right_m
+
+
+def wheel_loads(
+    vehicle: Vehicle, payload_kg: FloatArray, payload_x_m: FloatArray, payload_y_m: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the static loads of the left and right rear wheel by moments about the axle and the centre line.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        Geometry and mass.
+    payload_kg, payload_x_m, payload_y_m : array of float, shape (n_runs,)
+        Payload ahead of the rear axle and left of the centre line.
+
+    Returns
+    -------
+    load_left_N, load_right_N : array of float, shape (n_runs,)
+    """
+    length, width = vehicle.wheelbase_m, vehicle.track_m
+    rear = vehicle.mass_kg * (1 - vehicle.cog_x_m / length) + payload_kg * (1 - payload_x_m / length)
+    moment = vehicle.mass_kg * vehicle.cog_y_m + payload_kg * payload_y_m
+    left: FloatArray = GRAVITY_MPS2 * (0.5 * rear + moment / width)
+    right: FloatArray = GRAVITY_MPS2 * (0.5 * rear - moment / width)
+    return left, right
+
+
+def build_world(design: Design, model: OdometryModel) -> World:
+    """Return the world in which the model is right."""
+    n_runs = len(design)
+    left_N, right_N = wheel_loads(design.vehicle, design.payload_kg, design.payload_x_m, design.payload_y_m)
+    return World(
+        design=design,
+        model=model,
+        load_left_N=left_N,
+        load_right_N=right_N,
+        believed_left_m=model.radius_left_m + model.slope_left_m_per_N * (left_N - model.reference_load_N),
+        believed_right_m=model.radius_right_m + model.slope_right_m_per_N * (right_N - model.reference_load_N),
+        left=np.ones(n_runs),
+        right=np.ones(n_runs),
+        track=np.ones(n_runs),
+        laser_scale=np.ones(n_runs),
+        steer_scale=np.ones(n_runs),
+        wavelength_m=np.full(n_runs, 5.0),
+        payload_scale=np.ones(n_runs),
+        laser_offset_m=np.zeros(n_runs),
+        ref_yaw_rad=np.zeros(n_runs),
+        ref_lever_x_m=np.zeros(n_runs),
+        ref_lever_y_m=np.zeros(n_runs),
+        latency_s=np.zeros(n_runs),
+        steer_zero_rad=np.zeros(n_runs),
+        steer_backlash_rad=np.zeros(n_runs),
+        steer_delay_s=np.zeros(n_runs),
+        weave_m=np.zeros(n_runs),
+        rise=np.zeros(n_runs),
+        euler=np.zeros(n_runs),
+        gross_runs=np.zeros(n_runs),
+        payload_dx_m=np.zeros(n_runs),
+        payload_dy_m=np.zeros(n_runs),
+    )
