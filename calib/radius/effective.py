@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from calib.campaign.model import Campaign, FloatArray, StrArray
+from calib.errors import RefusedError
+from calib.radius.path import correct_paths
 
 __all__ = ["Component", "EffectiveRadii", "LeftOut", "effective_radii"]
 
 #: standard deviation, in counts, of the difference of two readings of a counter that shows whole counts
 QUANTISATION_COUNTS: Final = (1.0 / 6.0) ** 0.5
+#: apparent turn beyond which a run was not straight; radii 1.5 % apart show 0.9 rad over 42 m on a track of 0.7 m
+STRAIGHT_TURN_RAD: Final = 1.2
+STRAIGHT_HEADING_RAD: Final = 0.5
+SHORTEST_M: Final = 1.0
+#: factor between measured and nominal radius that no load explains
+IMPLAUSIBLE: Final = 1.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +38,7 @@ class Component:
     Parameters
     ----------
     name : str
-        ``rangefinder``, ``quantisation``, ``path``, ``repeatability``.
+        ``rangefinder``, ``quantisation``, ``path``, ``other_run_to_run``, ``session_to_session``.
     kind : str
         GUM evaluation: ``A`` from repeats, ``B`` from other knowledge.
     distribution : str
@@ -39,6 +47,8 @@ class Component:
         The input quantity in words, with its standard uncertainty.
     std_left_m, std_right_m : float
         Contribution to the standard uncertainty of a typical (root mean square) run's radius.
+    dof : float or None
+        Degrees of freedom of an evaluation of type A; None for type B, which counts as known.
     """
 
     name: str
@@ -47,6 +57,7 @@ class Component:
     what: str
     std_left_m: float
     std_right_m: float
+    dof: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,7 +80,8 @@ class EffectiveRadii:
         Relative excess of the wheel's path over S_O that was corrected; the uncorrected radius is
         ``radius / (1 + path)``.
     path_source : array of str, shape (n_runs,)
-        Where the correction comes from: ``log``, ``log+heading``, ``heading``, ``columns`` or ``none``.
+        Where the correction comes from: ``log``, ``columns`` or ``none``, with ``+heading`` where the measured
+        heading at the end was used too.
     amplitude_m, wavelength_m : array of float, shape (n_runs,)
         Weave about the line, estimated or as measured; NaN where unknown.
     budget : tuple of Component
@@ -106,10 +118,15 @@ class EffectiveRadii:
 def effective_radii(campaign: Campaign) -> EffectiveRadii:
     """Return the effective radius of each wheel and run that can be used.
 
+    The path is corrected where something other than the radii themselves shows it: the weave in a run's log, the
+    measured heading at its end, or measured amplitude and wavelength. The total counts alone never do: a steady arc
+    and unequal radii leave the same difference between them, and correcting for it would make the radii equal.
+
     Parameters
     ----------
     campaign : Campaign
-        Excluded rows, and runs that lack a distance or counts, are left out and named.
+        Excluded rows, runs that are no straight run, and runs that lack distance, counts or load are left out and
+        named.
 
     Returns
     -------
@@ -121,13 +138,26 @@ def effective_radii(campaign: Campaign) -> EffectiveRadii:
     RefusedError
         Where no run can be used.
     """
-    runs = campaign.included().runs
-    n = len(runs)
+    campaign, left_out, notes = _usable(campaign)
+    runs, track = campaign.runs, campaign.vehicle.track_m
+    encoder, sigma = campaign.encoder, campaign.rangefinder.sigma_m
     distance = np.abs(runs.number("distance_m"))
-    left = distance / (2 * np.pi * np.abs(runs.number("counts_left")) / campaign.encoder.counts_per_rev_left)
-    right = distance / (2 * np.pi * np.abs(runs.number("counts_right")) / campaign.encoder.counts_per_rev_right)
-    zero = np.zeros(n)
-    nan = np.full(n, np.nan)
+    path = correct_paths(campaign)
+    notes = [*notes, *path.notes]
+    sides = {}
+    for side, per_rev, excess in (
+        ("left", encoder.counts_per_rev_left, path.left),
+        ("right", encoder.counts_per_rev_right, path.right),
+    ):
+        counts = np.abs(runs.number(f"counts_{side}"))
+        radius = distance * (1 + excess) / (2 * np.pi * counts / per_rev)
+        parts = {
+            "rangefinder": radius * sigma / distance,
+            "quantisation": radius * QUANTISATION_COUNTS / counts,
+            "path": radius * np.hypot(0.5 * track * path.yaw_std_rad / distance, path.centre_std),
+        }
+        sides[side] = radius, parts, np.sqrt(sum(part**2 for part in parts.values()))
+    notes.extend(_plausible(campaign, sides["left"][0], sides["right"][0]))
     return EffectiveRadii(
         run_id=runs.run_id,
         session=runs.label("session"),
@@ -135,13 +165,103 @@ def effective_radii(campaign: Campaign) -> EffectiveRadii:
         load_left_N=runs.number("load_left_N"),
         load_right_N=runs.number("load_right_N"),
         distance_m=distance,
-        radius_left_m=left,
-        radius_right_m=right,
-        std_left_m=left * campaign.rangefinder.sigma_m / distance,
-        std_right_m=right * campaign.rangefinder.sigma_m / distance,
-        path_left=zero,
-        path_right=zero,
-        path_source=np.full(n, "none"),
-        amplitude_m=nan,
-        wavelength_m=nan,
+        radius_left_m=sides["left"][0],
+        radius_right_m=sides["right"][0],
+        std_left_m=sides["left"][2],
+        std_right_m=sides["right"][2],
+        path_left=path.left,
+        path_right=path.right,
+        path_source=path.source,
+        amplitude_m=path.amplitude_m,
+        wavelength_m=path.wavelength_m,
+        budget=_budget(sides["left"][1], sides["right"][1], campaign),
+        left_out=left_out,
+        notes=tuple(notes),
+    )
+
+
+def _usable(campaign: Campaign) -> tuple[Campaign, tuple[LeftOut, ...], list[str]]:
+    """Return the campaign of the runs that can be used, those left out with the reason, and notes."""
+    runs, notes = campaign.runs, []
+    loads = {side: runs.number(f"load_{side}_N") for side in ("left", "right")}
+    if not any(np.isfinite(load).any() for load in loads.values()):
+        unladen = campaign.vehicle.unladen_load_N
+        notes.append(
+            f"No run has wheel loads or a payload: all are taken as unladen ({unladen:.0f} N a wheel), so the radius "
+            "holds for that load only; add payload_kg, or load_left_N and load_right_N, to runs.csv."
+        )
+        loads = {side: np.full(len(runs), unladen) for side in loads}
+    turn = _apparent_turn_rad(campaign)
+    kind = np.char.lower(runs.label("kind"))
+    straight = np.char.startswith(kind, "corridor") | np.char.startswith(kind, "straight")
+    if not straight.any():
+        straight = np.ones(len(runs), dtype=np.bool_)
+    counts = {side: runs.number(f"counts_{side}") for side in loads}
+    distance = runs.number("distance_m")
+    # the first reason that applies is the one that is told
+    reasons = (
+        (runs.excluded, "flagged as excluded in runs.csv"),
+        (~straight, "not a corridor run by its kind"),
+        (~np.isfinite(distance), "has no distance_m"),
+        (np.abs(distance) < SHORTEST_M, f"is shorter than {SHORTEST_M} m"),
+        (~(np.isfinite(counts["left"]) & np.isfinite(counts["right"])), "has no counts"),
+        ((counts["left"] == 0) | (counts["right"] == 0), "has a wheel without a single count"),
+        (
+            counts["left"] * counts["right"] < 0,
+            "has counts of opposite sign: one encoder runs backwards, or the vehicle turned on the spot",
+        ),
+        (~(np.isfinite(loads["left"]) & np.isfinite(loads["right"])), "has no wheel load and no payload"),
+        (
+            (np.abs(turn) > STRAIGHT_TURN_RAD) | (np.abs(runs.number("ref_theta_rad")) > STRAIGHT_HEADING_RAD),
+            "is not a straight run: its heading changed too much",
+        ),
+    )
+    reason = np.full(len(runs), "", dtype="<U96")
+    for hit, text in reasons:
+        reason = np.where((reason == "") & hit, text, reason)
+    keep = reason == ""
+    left_out = tuple(LeftOut(str(run), str(text)) for run, text in zip(runs.run_id[~keep], reason[~keep], strict=True))
+    if not keep.any():
+        first = left_out[0] if left_out else LeftOut("(none)", "the run table is empty")
+        raise RefusedError(
+            f"{campaign.root or campaign.name}: found no run that can be used; expected straight runs with a distance, "
+            f"counts and a load; run {first.run_id} {first.reason}"
+        )
+    numbers = {**runs.numbers, **{f"load_{side}_N": load for side, load in loads.items()}}
+    return replace(campaign, runs=replace(runs, numbers=numbers)).select(keep), left_out, notes
+
+
+def _apparent_turn_rad(campaign: Campaign) -> FloatArray:
+    """Return the turn that the counts would mean if the model's radii were right, shape (n_runs,)."""
+    runs, model = campaign.runs, campaign.model
+    left = runs.number("counts_left") / campaign.encoder.counts_per_rev_left * model.radius_left_m
+    right = runs.number("counts_right") / campaign.encoder.counts_per_rev_right * model.radius_right_m
+    return np.asarray(2 * np.pi * (right - left) / campaign.vehicle.track_m)
+
+
+def _plausible(campaign: Campaign, left: FloatArray, right: FloatArray) -> list[str]:
+    nominal = campaign.vehicle.wheel_radius_m
+    notes = []
+    for side, radius in (("left", left), ("right", right)):
+        ratio = float(np.median(radius)) / nominal
+        if not 1 / IMPLAUSIBLE < ratio < IMPLAUSIBLE:
+            notes.append(
+                f"The {side} radii come out at {ratio:.3g} times the nominal {nominal:g} m: look for a wrong "
+                "counts_per_rev (a factor 2, 4 or pi), a wrong unit or swapped columns before using them."
+            )
+    return notes
+
+
+def _budget(left: dict[str, FloatArray], right: dict[str, FloatArray], campaign: Campaign) -> tuple[Component, ...]:
+    def typical(part: FloatArray) -> float:
+        return float(np.sqrt(np.mean(part**2)))
+
+    what = {
+        "rangefinder": ("normal", f"distance S_O, u = {1e3 * campaign.rangefinder.sigma_m:.2g} mm"),
+        "quantisation": ("triangular", f"counts of a run, u = {QUANTISATION_COUNTS:.2f} counts"),
+        "path": ("normal", "length of each wheel's path against S_O, and heading at the end"),
+    }
+    return tuple(
+        Component(name, "B", distribution, text, typical(left[name]), typical(right[name]))
+        for name, (distribution, text) in what.items()
     )
