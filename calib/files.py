@@ -86,7 +86,7 @@ def inside(
     try:
         path = (root / relative).resolve()
         ok = not Path(relative).is_absolute() and path.is_relative_to(top)
-    except (OSError, ValueError):
+    except (OSError, ValueError, RuntimeError):  # RuntimeError: a loop of symbolic links
         ok = False
     if not ok:
         raise BadFileError(

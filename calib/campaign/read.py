@@ -23,6 +23,7 @@ from calib.vehicle import Vehicle, wheel_loads_N
 __all__ = ["loads_from_payload", "log_totals", "read_campaign"]
 
 SETTINGS: Final = "campaign.toml"
+_MAX_PATH: Final = 500
 
 
 def read_campaign(folder: Path, *, logs: bool = True, lenient: bool = False) -> Campaign:
@@ -75,7 +76,7 @@ def read_campaign(folder: Path, *, logs: bool = True, lenient: bool = False) -> 
         files = _log_files(folder, runs, shown, border)
         found_logs = read_logs(files, len(runs), settings.encoder, border)
         for _, _, log_path, name in files:
-            if log_path.is_file():
+            if not lenient or _is_file(log_path):
                 hashes[name] = sha256_file(log_path)
     numbers = _filled_from_logs(runs, found_logs, shown, border)
     numbers = _totals_unwrapped(runs, numbers, found_logs, settings, shown, border)
@@ -124,6 +125,14 @@ def _runs_path(folder: Path) -> tuple[str, Path]:
     )
 
 
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:
+        # a name that the file system cannot hold
+        return False
+
+
 def _log_files(folder: Path, runs: RunTable, shown: str, border: Border) -> list[LogFile]:
     named = "log" in runs.labels
     files: list[LogFile] = []
@@ -139,6 +148,15 @@ def _log_files(folder: Path, runs: RunTable, shown: str, border: Border) -> list
             relative = next((name for name in candidates if (folder / name).exists()), "")
             if not relative:
                 continue
+        if len(relative) > _MAX_PATH:
+            raise BadFileError(
+                shown,
+                row=row,
+                column="log",
+                found=f"a path of {len(relative)} characters",
+                expected=f"at most {_MAX_PATH}",
+                remedy="correct the path",
+            )
         path = inside(folder, relative, named_in=shown, row=row, column="log")
         if path in taken:
             border.fault(
@@ -154,7 +172,7 @@ def _log_files(folder: Path, runs: RunTable, shown: str, border: Border) -> list
                 run_id,
             )
         taken.setdefault(path, row)
-        if not path.is_file():
+        if not _is_file(path):
             border.fault(
                 BadFileError(
                     shown,

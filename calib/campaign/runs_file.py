@@ -49,7 +49,7 @@ def run_table(raw: RawTable, shown: str, border: Border) -> RunTable:
         raise BadFileError(
             shown,
             column="run_id",
-            found=f"only {', '.join(list(raw.columns)[:12]) or 'nothing'}",
+            found=f"only {', '.join(list(raw.columns)[:12])[:200] or 'nothing'}",
             expected="a column run_id",
             remedy="name each run; 'calib ingest' makes a run table out of any spreadsheet",
         )

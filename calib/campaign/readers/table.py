@@ -48,6 +48,14 @@ def refuse_duplicates(names: Sequence[str], shown: str, row: int = 1) -> None:
     """Refuse a header that names a column twice, or that has no names at all."""
     seen: set[str] = set()
     for name in names:
+        if len(name) > 100 or not name.isprintable():
+            raise BadFileError(
+                shown,
+                row=row,
+                found=f"{name[:20]!r}, no column name",
+                expected="names of at most 100 printable characters",
+                remedy="check that this is the right file and its encoding UTF-8; export it again",
+            )
         if name in seen and name:
             raise BadFileError(
                 shown,
