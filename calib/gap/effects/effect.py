@@ -28,12 +28,15 @@ class Parameter:
         Order of magnitude that the field's literature and arithmetic give; the scale of its prior.
     largest : float
         Beyond this size the effect as named is physically implausible.
+    sign : int
+        1 where only positive values have a meaning, 0 where either sign does.
     """
 
     name: str
     unit: str
     typical: float
     largest: float
+    sign: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import importlib
+from collections.abc import Collection
 from typing import Final
 
+from calib.gap.effects.covariate import covariate_effects
 from calib.gap.effects.effect import Effect
+from calib.gap.effects.user import declared_effects, entry_point_effects
+from calib.gap.situation import Situation
 
 __all__ = ["REGISTRY", "library"]
 
@@ -15,14 +19,54 @@ REGISTRY: Final[dict[str, tuple[str, str]]] = {
     "unequal_radii": ("unequal_radii", "UnequalRadii"),
     "track_width": ("track_width", "TrackWidth"),
     "load_radius": ("load_radius", "LoadRadius"),
+    "load_radius_nonlinear": ("load_radius_nonlinear", "LoadRadiusNonlinear"),
+    "load_creep": ("load_creep", "LoadCreep"),
+    "curve_load_transfer": ("curve_load_transfer", "CurveLoadTransfer"),
+    "load_dependent_track": ("load_dependent_track", "LoadDependentTrack"),
+    "speed_radius": ("speed_radius", "SpeedRadius"),
+    "temperature_radius": ("temperature_radius", "TemperatureRadius"),
+    "wear": ("wear", "Wear"),
+    "session_step": ("session_step", "SessionStep"),
+    "lost_counts": ("lost_counts", "LostCounts"),
+    "rangefinder_scale": ("rangefinder_scale", "RangefinderScale"),
+    "rangefinder_offset": ("rangefinder_offset", "RangefinderOffset"),
+    "beam_misalignment": ("beam_misalignment", "BeamMisalignment"),
+    "reference_lever_arm": ("reference_lever_arm", "ReferenceLeverArm"),
     "reference_yaw": ("reference_yaw", "ReferenceYaw"),
+    "reference_latency": ("reference_latency", "ReferenceLatency"),
+    "rear_drag": ("rear_drag", "RearDrag"),
+    "travel_direction": ("travel_direction", "TravelDirection"),
+    "side_slip": ("side_slip", "SideSlip"),
+    "curve_scrub": ("curve_scrub", "CurveScrub"),
 }
 
 
-def library(exclude: tuple[str, ...] = ()) -> list[Effect]:
-    """Return one of each registered effect, without those whose id is in `exclude`."""
+def library(s: Situation, *, exclude: Collection[str] = (), declared: object = ()) -> list[Effect]:
+    """Return the effects that a campaign is judged by.
+
+    Parameters
+    ----------
+    s : Situation
+        The campaign; its further numeric columns become effects of their own.
+    exclude : collection of str
+        Ids to leave out.
+    declared : object
+        The ``[[effects]]`` tables of ``campaign.toml`` as read.
+
+    Returns
+    -------
+    list of Effect
+        The registered effects in the order of the registry, then covariates, then the user's own.
+
+    Raises
+    ------
+    CalibError
+        Where a declaration or an entry point cannot be used.
+    """
     made: list[Effect] = []
-    for name, (module, kind) in REGISTRY.items():
-        if name not in exclude:
-            made.append(getattr(importlib.import_module(f"calib.gap.effects.{module}"), kind)())
-    return made
+    for module, kind in REGISTRY.values():
+        made.append(getattr(importlib.import_module(f"calib.gap.effects.{module}"), kind)())
+    made += covariate_effects(s)
+    made += declared_effects(declared, s, [effect.id for effect in made])
+    made += entry_point_effects([effect.id for effect in made])
+    return [effect for effect in made if effect.id not in exclude]

@@ -1,0 +1,39 @@
+"""Fast turns press on the outer wheel: the radii follow the transferred load."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from calib.gap.effects.effect import Effect, Form, Parameter
+from calib.gap.effects.shapes import curvature_per_m, shows_curves
+from calib.gap.path import Push
+from calib.gap.situation import Situation
+from calib.units import GRAVITY_MPS2
+
+__all__ = ["CurveLoadTransfer"]
+
+
+class CurveLoadTransfer(Effect):
+    """dF = W v^2 kappa h / (g b) from the inner to the outer rear wheel, dr = c dF: e_theta ~ W v^2 theta.
+
+    The front wheel stands on the centre line and takes no part of the roll moment.
+    """
+
+    id: ClassVar[str] = "curve_load_transfer"
+    title: ClassVar[str] = "load that moves to the outer wheel in fast turns"
+    implausible: ClassVar[str] = "a track other than believed, or side slip"
+
+    def forms(self, s: Situation) -> list[Form]:
+        """Return the single form; none where nothing turns or no speed is known."""
+        if not shows_curves(s):
+            return []
+        speed = s.speed_mps
+        if not (speed != 0.0).any():
+            return []
+        moved_N = (
+            s.weight_N[s.unit] * speed**2 * curvature_per_m(s) * s.vehicle.cog_z_m / (GRAVITY_MPS2 * s.model.track_m)
+        )
+        per_left, per_right = -moved_N / s.radius_left_m[s.unit], moved_N / s.radius_right_m[s.unit]
+        radius = 0.5 * (s.model.radius_left_m + s.model.radius_right_m)
+        parameter = Parameter("slope", "m/N", typical=1e-5 * radius, largest=6e-5 * radius)
+        return [Form(self.id, "", (parameter,), lambda _: [Push(left=per_left, right=per_right)])]

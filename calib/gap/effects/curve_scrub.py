@@ -1,0 +1,31 @@
+"""Wheels scrub in turns: the track that acts widens with curvature."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from calib.gap.effects.effect import Effect, Form, Parameter
+from calib.gap.effects.shapes import curvature_per_m, shows_curves
+from calib.gap.path import Push
+from calib.gap.situation import Situation
+
+__all__ = ["CurveScrub"]
+
+
+class CurveScrub(Effect):
+    """b (1 + k |kappa|), so e_theta = -k |kappa| theta."""
+
+    id: ClassVar[str] = "curve_scrub"
+    title: ClassVar[str] = "scrubbing in turns that widens the track"
+    implausible: ClassVar[str] = "a track other than believed, or load transfer in fast turns"
+
+    def forms(self, s: Situation) -> list[Form]:
+        """Return the single form; none where nothing turns."""
+        if not shows_curves(s):
+            return []
+        bend = np.abs(curvature_per_m(s))
+        # up to 3 % in a turn of 1 m
+        parameter = Parameter("widening", "m", typical=1.5e-2, largest=1.5e-1)
+        return [Form(self.id, "", (parameter,), lambda _: [Push(track=bend)])]

@@ -1,0 +1,78 @@
+"""The radii give way slowly under a load, and come back slowly when it is taken off."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Final
+
+import numpy as np
+
+from calib.campaign.model import FloatArray
+from calib.gap.effects.effect import Effect, Form, Parameter, varies
+from calib.gap.path import Push
+from calib.gap.situation import Situation
+
+__all__ = ["LoadCreep"]
+
+TIMES_MIN: Final = (3.0, 10.0, 30.0, 90.0)
+
+
+class LoadCreep(Effect):
+    """dr_i = -c_i F_i (1 - exp(-t / tau)), t since the load was put on, each wheel its own c."""
+
+    id: ClassVar[str] = "load_creep"
+    title: ClassVar[str] = "wheel bands that creep under the load"
+    implausible: ClassVar[str] = "the load itself, or a temperature that rose meanwhile"
+
+    def forms(self, s: Situation) -> list[Form]:
+        """Return forms by time constant and by the load that creeps; none where the times under load do not vary.
+
+        The load that creeps is the whole wheel load, its part above the reference load, or (where the order of the
+        loads makes a difference) the change since the load before: then a band that was unloaded recovers as slowly.
+        """
+        minutes = s.number("minutes_under_load")
+        left, right = s.number("load_left_N"), s.number("load_right_N")
+        if not varies(minutes, 0.5) or not (np.isfinite(left).all() and np.isfinite(right).all()):
+            return []
+        # the middle of the run stands for the run: a tau of minutes hardly moves within it
+        t = minutes + 0.5 * np.nan_to_num(s.total(np.nan_to_num(s.duration_s))) / 60.0
+        radius = 0.5 * (s.model.radius_left_m + s.model.radius_right_m)
+        reference = s.model.reference_load_N
+        unladen = s.vehicle.unladen_load_N
+        parameters = tuple(
+            Parameter(name, "m/N", typical=1.5e-6 * radius, largest=2e-5 * radius)
+            for name in ("creep_left", "creep_right")
+        )
+        shapes: dict[str, tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]] = {}
+        zero = np.zeros(len(s))
+        shapes["whole load"] = ((left, right), (zero, zero))
+        over = (left - reference, right - reference)
+        if varies(left, 5.0) or varies(right, 5.0):
+            shapes["load above the reference"] = (over, (zero, zero))
+            before = (_before(left, right, unladen), _before(right, left, unladen))
+            if np.ptp(before[0]) > 5.0 or np.ptp(before[1]) > 5.0:
+                shapes["change of load"] = (over, (before[0] - reference, before[1] - reference))
+        tries = len(shapes) * len(TIMES_MIN)
+
+        def made(name: str, tau: float) -> Form:
+            (now_left, now_right), (old_left, old_right) = shapes[name]
+            gone = np.exp(-t / tau)
+            per_left = -(now_left - (now_left - old_left) * gone) / s.radius_left_m
+            per_right = -(now_right - (now_right - old_right) * gone) / s.radius_right_m
+            return Form(
+                self.id,
+                f"{name}, time constant {tau:g} min",
+                parameters,
+                lambda _: [Push(left=per_left), Push(right=per_right)],
+                settings={"tau_min": tau},
+                tries=tries,
+            )
+
+        return [made(name, tau) for name in shapes for tau in TIMES_MIN]
+
+
+def _before(load: FloatArray, other: FloatArray, first: float) -> FloatArray:
+    """Return the load of the wheel before the present payload was put on, shape (n_units,), in the order driven."""
+    new = np.concatenate(([True], (np.abs(np.diff(load)) > 5.0) | (np.abs(np.diff(other)) > 5.0)))
+    block = np.cumsum(new) - 1
+    of_block = load[new]
+    return np.asarray(np.concatenate(([first], of_block[:-1]))[block])

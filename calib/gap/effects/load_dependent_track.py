@@ -1,0 +1,30 @@
+"""The track that acts changes with the load on the rear axle."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from calib.gap.effects.effect import Effect, Form, Parameter, varies
+from calib.gap.effects.shapes import shows_curves
+from calib.gap.path import Push
+from calib.gap.situation import Situation
+
+__all__ = ["LoadDependentTrack"]
+
+
+class LoadDependentTrack(Effect):
+    """b (1 + k (F - F_0)), F the load of both rear wheels, F_0 twice the reference load of a wheel."""
+
+    id: ClassVar[str] = "load_dependent_track"
+    title: ClassVar[str] = "a track that follows the load"
+    implausible: ClassVar[str] = "load transfer in turns, or misreported payloads"
+
+    def forms(self, s: Situation) -> list[Form]:
+        """Return the single form; none where the loads do not vary or nothing turns."""
+        axle = s.number("load_left_N") + s.number("load_right_N")
+        if not varies(axle, 10.0) or not shows_curves(s):
+            return []
+        over = axle - 2.0 * s.model.reference_load_N
+        # up to 1 % for 1000 N
+        parameter = Parameter("per_N", "1/N", typical=5e-6, largest=5e-5)
+        return [Form(self.id, "", (parameter,), lambda _: [Push(track=over)])]

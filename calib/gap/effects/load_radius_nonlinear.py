@@ -1,0 +1,56 @@
+"""The effective radius of each wheel follows its load by a curved law."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Final
+
+import numpy as np
+
+from calib.campaign.model import FloatArray
+from calib.gap.effects.effect import Effect, Form, Parameter, varies
+from calib.gap.path import Push
+from calib.gap.situation import Situation
+
+__all__ = ["LoadRadiusNonlinear"]
+
+EXPONENTS: Final = (0.5, 0.7, 0.85, 2.0)
+
+
+class LoadRadiusNonlinear(Effect):
+    """dr_i = c_i F_0 [(F_i / F_0)^p - 1] / p: no change at the reference load F_0, slope c_i there, for any p."""
+
+    id: ClassVar[str] = "load_radius_nonlinear"
+    title: ClassVar[str] = "wheel radii that follow the load by a curved law"
+    implausible: ClassVar[str] = "misreported payloads, or a wheel that has come loose from its rim"
+
+    def forms(self, s: Situation) -> list[Form]:
+        """Return one form an exponent, one slope a wheel; none where the loads do not vary."""
+        left, right = s.number("load_left_N"), s.number("load_right_N")
+        if not (varies(left, 5.0) or varies(right, 5.0)):
+            return []
+        reference = s.model.reference_load_N
+        if reference <= 1.0:
+            reference = max(1.0, float(np.mean(0.5 * (left + right))))
+        radius = 0.5 * (s.model.radius_left_m + s.model.radius_right_m)
+        slopes = tuple(
+            Parameter(name, "m/N", typical=1e-5 * radius, largest=6e-5 * radius)
+            for name in ("slope_left", "slope_right")
+        )
+
+        def made(exponent: float) -> Form:
+            def shape(load: FloatArray) -> FloatArray:
+                ratio = np.maximum(load, 0.0) / reference
+                return np.asarray(reference * (ratio**exponent - 1.0) / exponent)
+
+            per_left, per_right = shape(left) / s.radius_left_m, shape(right) / s.radius_right_m
+            label = "quadratic" if exponent == 2.0 else f"exponent {exponent:g}"
+            return Form(
+                self.id,
+                label,
+                slopes,
+                lambda _: [Push(left=per_left), Push(right=per_right)],
+                settings={"exponent": exponent},
+                tries=len(EXPONENTS),
+            )
+
+        return [made(exponent) for exponent in EXPONENTS]

@@ -1,0 +1,53 @@
+"""One wheel's counter loses counts."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from calib.campaign.model import FloatArray
+from calib.gap.effects.effect import Effect, Form, Parameter, varies
+from calib.gap.effects.shapes import driven_speed_mps
+from calib.gap.path import Push
+from calib.gap.situation import Situation
+
+__all__ = ["LostCounts"]
+
+
+class LostCounts(Effect):
+    """One wheel travels a share p more than its counts say: p constant, or growing with the speed above v_0.
+
+    A constant share is an exact alias of that wheel's radius.
+    """
+
+    id: ClassVar[str] = "lost_counts"
+    title: ClassVar[str] = "counts lost by one encoder"
+    implausible: ClassVar[str] = "the radius of that wheel, or a wrong count per revolution"
+
+    def forms(self, s: Situation) -> list[Form]:
+        """Return, for each wheel, a constant share and, where speeds differ, two shares that grow with speed."""
+        ones = np.ones(len(s))
+        constant = Parameter("share", "1", typical=2e-3, largest=2e-2, sign=1)
+        shapes: list[tuple[str, FloatArray, Parameter, dict[str, float]]] = [("constant share", ones, constant, {})]
+        speed = driven_speed_mps(s)
+        if varies(speed, 0.02):
+            growing = Parameter("share_per_mps", "s/m", typical=5e-3, largest=5e-2, sign=1)
+            for v_0 in (float(speed.min()), float(np.median(speed))):
+                over = np.maximum(speed - v_0, 0.0)
+                if varies(over, 0.02):
+                    label = f"share growing above {v_0:.2f} m/s"
+                    shapes.append((label, over, growing, {"speed_mps": v_0}))
+
+        def made(side: str, label: str, part: FloatArray, parameter: Parameter, settings: dict[str, float]) -> Form:
+            push = Push(left=part) if side == "left" else Push(right=part)
+            return Form(
+                self.id,
+                f"{side} wheel, {label}",
+                (parameter,),
+                lambda _: [push],
+                settings=settings,
+                tries=2 * len(shapes),
+            )
+
+        return [made(side, *shape) for shape in shapes for side in ("left", "right")]

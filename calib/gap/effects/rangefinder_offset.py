@@ -1,0 +1,30 @@
+"""The rangefinder's distances are all off by the same length."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from calib.gap.effects.effect import Effect, Form, Parameter
+from calib.gap.path import Push
+from calib.gap.situation import Situation
+
+__all__ = ["RangefinderOffset"]
+
+
+class RangefinderOffset(Effect):
+    """The laser reads a constant too much, whatever the distance; end poses do not change."""
+
+    id: ClassVar[str] = "rangefinder_offset"
+    title: ClassVar[str] = "a constant offset of the rangefinder"
+    implausible: ClassVar[str] = "a start mark or target that moved"
+
+    def forms(self, s: Situation) -> list[Form]:
+        """Return the single form; none without a laser distance."""
+        if not s.usable[:, 0].any():
+            return []
+        reading = np.zeros((len(s), 6))
+        reading[:, 0] = 1.0
+        parameter = Parameter("offset", "m", typical=5e-3, largest=3e-2)
+        return [Form(self.id, "", (parameter,), lambda _: [Push(reading=reading)])]

@@ -1,0 +1,45 @@
+"""A rear wheel drags when it rolls one way."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from calib.campaign.model import FloatArray
+from calib.gap.effects.effect import Effect, Form, Parameter, varies
+from calib.gap.path import Push
+from calib.gap.situation import Situation
+
+__all__ = ["RearDrag"]
+
+
+class RearDrag(Effect):
+    """One wheel travels a share more for its counts, in one rolling sense only.
+
+    The sense is forward where any run rolls backward; else the ``direction`` label stands for it, out against back.
+    """
+
+    id: ClassVar[str] = "rear_drag"
+    title: ClassVar[str] = "a rear wheel that drags one way"
+    implausible: ClassVar[str] = "unequal radii, or a brake that does not release"
+
+    def forms(self, s: Situation) -> list[Form]:
+        """Return a form for the left and one for the right wheel; none where everything rolls and goes one way."""
+        backward = s.total(np.where(s.path_m < 0.0, -s.path_m, 0.0))
+        if (backward > 0.5).any():
+            # a unit that rolls one way throughout needs no steps
+            one_way = bool(((backward < 1e-3) | (backward > s.length_m - 1e-3)).all())
+            forward = (s.total(s.path_m) > 0.0) if one_way else (s.path_m >= 0.0)
+            sense, label = np.asarray(forward, dtype=np.float64), "rolling forward"
+        elif varies(s.heading_sign):
+            sense, label = (s.heading_sign > 0.0).astype(np.float64), "going out"
+        else:
+            return []
+        parameter = Parameter("relative", "1", typical=5e-4, largest=5e-3)
+
+        def made(side: str, part: FloatArray) -> Form:
+            push = Push(left=part) if side == "left" else Push(right=part)
+            return Form(self.id, f"{side} wheel, {label}", (parameter,), lambda _: [push], tries=2)
+
+        return [made("left", sense), made("right", sense)]

@@ -1,0 +1,41 @@
+"""The reference looks at a point that is not the middle of the rear axle."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from calib.campaign.model import FloatArray
+from calib.gap.effects.effect import Effect, Form, Parameter
+from calib.gap.effects.shapes import start_to_end_frame
+from calib.gap.path import Path, Push, predict
+from calib.gap.situation import Situation
+
+__all__ = ["ReferenceLeverArm"]
+
+
+class ReferenceLeverArm(Effect):
+    """A point l = (l_x, l_y) of the vehicle is read instead of its origin: the position moves by R(theta) l - l."""
+
+    id: ClassVar[str] = "reference_lever_arm"
+    title: ClassVar[str] = "a reference point off the middle of the rear axle"
+    implausible: ClassVar[str] = "heading errors in turns"
+
+    def forms(self, s: Situation) -> list[Form]:
+        """Return the single form; none without end positions or where no run ends turned against its start."""
+        heading = predict(s).frame
+        if not (s.usable[:, 1] & (np.abs(np.exp(1j * heading) - 1.0) > 0.02)).any():
+            return []
+
+        def push(path: Path, x: FloatArray, y: FloatArray) -> Push:
+            reading = np.zeros((len(s), 6))
+            reading[:, 1], reading[:, 2] = start_to_end_frame(path, x, y)
+            return Push(reading=reading)
+
+        def pushes(path: Path) -> list[Push]:
+            c, sn = np.cos(path.frame), np.sin(path.frame)
+            return [push(path, c - 1.0, sn), push(path, -sn, c - 1.0)]
+
+        parameters = tuple(Parameter(name, "m", typical=1e-2, largest=2e-1) for name in ("lever_x", "lever_y"))
+        return [Form(self.id, "", parameters, pushes)]

@@ -1,0 +1,37 @@
+"""Each session has radii of its own, of no known cause."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from calib.gap.effects.effect import Effect, Form, Parameter
+from calib.gap.path import Push
+from calib.gap.situation import Situation
+
+__all__ = ["SessionStep"]
+
+
+class SessionStep(Effect):
+    """A relative step of each radius in every session but the first, counted from the campaign's mean."""
+
+    id: ClassVar[str] = "session_step"
+    title: ClassVar[str] = "wheel radii that step from session to session"
+    implausible: ClassVar[str] = "wheels, encoders or set-up changed between sessions"
+
+    def forms(self, s: Situation) -> list[Form]:
+        """Return the single form, a left and a right step a session but the first; none with one session."""
+        session = s.labels["session"]
+        names, first = np.unique(session, return_index=True)
+        names = names[np.argsort(first)]
+        if len(names) < 2:
+            return []
+        parameters: list[Parameter] = []
+        pushes: list[Push] = []
+        for name in names[1:]:
+            inside = (session == name).astype(np.float64)
+            step = inside - inside.mean()
+            parameters += [Parameter(f"{side}_{name}", "1", typical=5e-4, largest=1e-2) for side in ("left", "right")]
+            pushes += [Push(left=step), Push(right=step)]
+        return [Form(self.id, "", tuple(parameters), lambda _: pushes)]

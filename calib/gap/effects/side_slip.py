@@ -1,0 +1,31 @@
+"""The rear axle slips outward in fast turns."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from calib.gap.effects.effect import Effect, Form, Parameter
+from calib.gap.effects.shapes import curvature_per_m, shows_curves
+from calib.gap.path import Push
+from calib.gap.situation import Situation
+
+__all__ = ["SideSlip"]
+
+
+class SideSlip(Effect):
+    """A slip angle -K v^2 kappa: a step of ds moves -K v^2 kappa ds to the left, e_n ~ v^2 theta."""
+
+    id: ClassVar[str] = "side_slip"
+    title: ClassVar[str] = "side slip of the rear axle in fast turns"
+    implausible: ClassVar[str] = "load transfer, or a reference point off the rear axle"
+
+    def forms(self, s: Situation) -> list[Form]:
+        """Return the single form; none where nothing turns, no speed is known or no position was measured."""
+        if not shows_curves(s) or not s.usable[:, 1:3].any():
+            return []
+        speed = s.speed_mps
+        if not (speed != 0.0).any():
+            return []
+        left_m = -(speed**2) * curvature_per_m(s) * s.path_m
+        parameter = Parameter("slip_per_acceleration", "s2/m", typical=2e-3, largest=5e-2)
+        return [Form(self.id, "", (parameter,), lambda _: [Push(lateral_m=left_m)])]

@@ -1,0 +1,31 @@
+"""Both radii change with speed."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from calib.gap.effects.effect import Effect, Form, Parameter, centred, varies
+from calib.gap.effects.shapes import driven_speed_mps
+from calib.gap.path import Push
+from calib.gap.situation import Situation
+
+__all__ = ["SpeedRadius"]
+
+
+class SpeedRadius(Effect):
+    """dr / r = k (v - v_0) for both wheels, v_0 the campaign's mean speed; the speed of a run is its driven mean."""
+
+    id: ClassVar[str] = "speed_radius"
+    title: ClassVar[str] = "wheel radii that follow the speed"
+    implausible: ClassVar[str] = (
+        "latency or lost counts (the centrifugal growth of a solid wheel is only about 6e-5 at 1 m/s)"
+    )
+
+    def forms(self, s: Situation) -> list[Form]:
+        """Return the single form; none where all runs were driven alike."""
+        speed = driven_speed_mps(s)
+        if not varies(speed, 0.02):
+            return []
+        over = centred(speed)
+        parameter = Parameter("per_mps", "s/m", typical=3e-4, largest=3e-4)
+        return [Form(self.id, "", (parameter,), lambda _: [Push(left=over, right=over)])]

@@ -1,0 +1,27 @@
+"""The same floor driven out and back gives different radii."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from calib.gap.effects.effect import Effect, Form, Parameter, varies
+from calib.gap.path import Push
+from calib.gap.situation import Situation
+
+__all__ = ["TravelDirection"]
+
+
+class TravelDirection(Effect):
+    """dr / r = d sigma for both wheels, sigma +1 out and -1 back."""
+
+    id: ClassVar[str] = "travel_direction"
+    title: ClassVar[str] = "a difference between driving out and back"
+    implausible: ClassVar[str] = "a sloping floor, or a start mark that differs"
+
+    def forms(self, s: Situation) -> list[Form]:
+        """Return the single form; none where all runs go one way."""
+        sigma = s.heading_sign
+        if not varies(sigma):
+            return []
+        parameter = Parameter("relative", "1", typical=1e-3, largest=5e-3)
+        return [Form(self.id, "", (parameter,), lambda _: [Push(left=sigma, right=sigma)])]

@@ -1,0 +1,191 @@
+"""Effects that users add: classes by entry point, and linear ones declared in ``campaign.toml``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, Final
+
+import numpy as np
+
+from calib.errors import BadFileError, BadInputError
+from calib.gap.effects.effect import Effect, Form, Parameter, centred, varies
+from calib.gap.path import Push
+from calib.gap.situation import Situation
+
+__all__ = ["ACTS_ON", "GROUP", "Declared", "declared_effects", "entry_point_effects"]
+
+#: group of entry points under which packages offer classes of effects
+GROUP: Final = "calib.effects"
+
+#: what a declared effect acts on -> unit of its size per unit of the column
+ACTS_ON: Final[dict[str, str]] = {
+    "left": "1",
+    "right": "1",
+    "both": "1",
+    "track": "1",
+    "yaw": "rad/m",
+    "distance": "m",
+}
+_FILE: Final = "campaign.toml"
+_KEYS: Final = ("id", "title", "column", "acts_on", "typical", "largest")
+
+
+class Declared(Effect):
+    """A linear effect: size times (column - its mean) on one radius, both, the track, yaw per metre or the laser.
+
+    Parameters
+    ----------
+    id : str
+        Name in verdicts.
+    title : str
+        What it is.
+    column : str
+        Numeric column of the run table.
+    acts_on : str
+        ``left``, ``right``, ``both`` or ``track`` (relative change), ``yaw`` (rad per metre) or ``distance`` (m added
+        to the laser's distance).
+    typical, largest : float
+        Sizes per unit of the column.
+    """
+
+    id: str  # type: ignore[misc]
+    title: str  # type: ignore[misc]
+    implausible = "something else that changed with this column"
+
+    def __init__(self, *, id: str, title: str, column: str, acts_on: str, typical: float, largest: float) -> None:  # noqa: A002
+        self.id, self.title = id, title
+        self.column, self.acts_on = column, acts_on
+        self.typical, self.largest = typical, largest
+
+    def forms(self, s: Situation) -> list[Form]:
+        """Return the single form; none where the column has gaps or does not vary."""
+        values = s.number(self.column)
+        if not varies(values):
+            return []
+        over = centred(values)
+        if self.acts_on == "distance":
+            reading = np.zeros((len(s), 6))
+            reading[:, 0] = over
+            push = Push(reading=reading)
+        elif self.acts_on == "yaw":
+            push = Push(heading_rad=over[s.unit] * s.path_m)
+        elif self.acts_on == "track":
+            push = Push(track=over)
+        else:
+            push = Push(
+                left=over if self.acts_on in {"left", "both"} else None,
+                right=over if self.acts_on in {"right", "both"} else None,
+            )
+        unit = f"{ACTS_ON[self.acts_on]} per {self.column}"
+        parameter = Parameter("size", unit, self.typical, self.largest)
+        return [Form(self.id, "", (parameter,), lambda _: [push], settings={"mean": float(np.mean(values))})]
+
+
+def _wrong(key: str, found: object, expected: str, remedy: str) -> BadFileError:
+    return BadFileError(_FILE, column=key, found=repr(found), expected=expected, remedy=remedy)
+
+
+def _text(entry: Mapping[str, Any], number: int, key: str) -> str:
+    value = entry.get(key)
+    if not isinstance(value, str) or not value.strip():
+        raise _wrong(f"effects[{number}].{key}", value, "a text", f"give every [[effects]] table its {key}")
+    return value.strip()
+
+
+def _size(entry: Mapping[str, Any], number: int, key: str) -> float:
+    value = entry.get(key)
+    bad = isinstance(value, bool) or not isinstance(value, int | float)
+    if bad or not math.isfinite(float(value)) or float(value) <= 0.0:  # type: ignore[arg-type]
+        remedy = f"give {key} as the size of the effect for one unit of the column"
+        raise _wrong(f"effects[{number}].{key}", value, "a number above 0", remedy)
+    return float(value)  # type: ignore[arg-type]
+
+
+def declared_effects(declared: object, s: Situation, taken: Collection[str]) -> list[Effect]:
+    """Return the effects of the ``[[effects]]`` tables.
+
+    Parameters
+    ----------
+    declared : object
+        The section as read; a sequence of tables with the keys id, title, column, acts_on, typical and largest.
+    s : Situation
+        The campaign, for the names of its columns.
+    taken : collection of str
+        Ids that are in use.
+
+    Raises
+    ------
+    BadFileError
+        Names the key that cannot be used. Nothing in a declaration is ever evaluated.
+    """
+    if declared is None:
+        return []
+    if isinstance(declared, str | bytes | Mapping) or not isinstance(declared, Sequence):
+        raise _wrong("effects", declared, "a list of tables", "write each effect as its own [[effects]] table")
+    made: list[Effect] = []
+    used = set(taken)
+    for number, entry in enumerate(declared):
+        if not isinstance(entry, Mapping):
+            raise _wrong(f"effects[{number}]", entry, "a table", "write each effect as its own [[effects]] table")
+        strange = [str(key) for key in entry if key not in _KEYS]
+        if strange:
+            raise _wrong(f"effects[{number}]", strange[0], "only the keys " + ", ".join(_KEYS), "remove or rename it")
+        name = _text(entry, number, "id")
+        if name in used:
+            raise _wrong(f"effects[{number}].id", name, "an id that no other effect has", "choose another id")
+        column = _text(entry, number, "column")
+        if column not in s.numbers:
+            known = ", ".join(sorted(s.numbers))
+            remedy = f"add the column to runs.csv or name one of: {known}"
+            raise _wrong(f"effects[{number}].column", column, "a numeric column of the run table", remedy)
+        acts_on = _text(entry, number, "acts_on")
+        if acts_on not in ACTS_ON:
+            raise _wrong(f"effects[{number}].acts_on", acts_on, "one of " + ", ".join(ACTS_ON), "name one of these")
+        typical, largest = _size(entry, number, "typical"), _size(entry, number, "largest")
+        if largest < typical:
+            key = f"effects[{number}].largest"
+            raise _wrong(key, largest, f"no less than typical ({typical:g})", "raise largest or lower typical")
+        title = _text(entry, number, "title") if "title" in entry else f"an influence of the column {column}"
+        made.append(Declared(id=name, title=title, column=column, acts_on=acts_on, typical=typical, largest=largest))
+        used.add(name)
+    return made
+
+
+def entry_point_effects(taken: Collection[str], points: Sequence[EntryPoint] | None = None) -> list[Effect]:
+    """Return the effects that installed packages offer.
+
+    Parameters
+    ----------
+    taken : collection of str
+        Ids that are in use.
+    points : sequence of EntryPoint, optional
+        Where to look; the installed packages' entry points of the group `GROUP` by default.
+
+    Raises
+    ------
+    BadInputError
+        Where an entry point cannot be loaded, is no subclass of `Effect`, or its id is in use.
+    """
+    made: list[Effect] = []
+    used = set(taken)
+    for point in entry_points(group=GROUP) if points is None else points:
+        where = f"entry point {point.name} = {point.value} of group {GROUP}"
+        remedy = "mend or uninstall the package that offers it"
+        try:
+            kind = point.load()
+        except Exception as error:
+            raise BadInputError(f"{where}: found {error}; expected a class that can be loaded; {remedy}") from error
+        if not (isinstance(kind, type) and issubclass(kind, Effect)):
+            raise BadInputError(f"{where}: found {kind!r}; expected a subclass of calib's Effect; {remedy}")
+        try:
+            effect = kind()
+        except TypeError as error:
+            raise BadInputError(f"{where}: found {error}; expected a class made without arguments; {remedy}") from error
+        name = getattr(effect, "id", None)
+        if not isinstance(name, str) or not name or name in used:
+            raise BadInputError(f"{where}: found the id {name!r}; expected one that no other effect has; {remedy}")
+        made.append(effect)
+        used.add(name)
+    return made

@@ -1,0 +1,40 @@
+"""The radii wear away."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from calib.campaign.model import FloatArray
+from calib.gap.effects.effect import Effect, Form, Parameter, centred, varies
+from calib.gap.path import Push
+from calib.gap.situation import Situation
+
+__all__ = ["Wear"]
+
+
+class Wear(Effect):
+    """dr_i / r_i = w_i times the km driven in the campaign, or the number of the session; each wheel its own w."""
+
+    id: ClassVar[str] = "wear"
+    title: ClassVar[str] = "wheels that wear"
+    implausible: ClassVar[str] = "temperature, or something else that drifted over the campaign"
+
+    def forms(self, s: Situation) -> list[Form]:
+        """Return a form per km and, with two sessions and more, one per session."""
+        found: list[tuple[str, str, FloatArray, float, float]] = []
+        km = s.number("travelled_km")
+        if varies(km, 1e-3):
+            found.append(("per km", "1/km", centred(km), 1e-5, 1e-4))
+        session = s.labels["session"]
+        names, first, of = np.unique(session, return_index=True, return_inverse=True)
+        if len(names) > 1:
+            rank = np.argsort(np.argsort(first))
+            found.append(("per session", "1/session", centred(rank[of].astype(np.float64)), 1e-4, 1e-3))
+
+        def made(label: str, unit: str, grows: FloatArray, typical: float, largest: float) -> Form:
+            parameters = tuple(Parameter(f"rate_{side}", unit, typical, largest) for side in ("left", "right"))
+            return Form(self.id, label, parameters, lambda _: [Push(left=grows), Push(right=grows)], tries=len(found))
+
+        return [made(*one) for one in found]
