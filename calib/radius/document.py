@@ -9,19 +9,28 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from calib.campaign.model import FloatArray
+from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
 from calib.errors import BadInputError
 from calib.radius.checks import Check
 from calib.radius.effective import Component, EffectiveRadii, LeftOut
 from calib.radius.law import WheelLaw
 from calib.radius.regression import NaiveLine, WheelFit
 from calib.radius.strata import Estimate
+from calib.vehicle import Vehicle
 
 if TYPE_CHECKING:
-    from calib.radius.fit import Fit
+    from calib.radius.fit import Fit, Setup
 
 __all__ = ["fit_from_dict", "fit_to_dict", "wheel_from_dict", "wheel_to_dict"]
 
 _TEXTS = ("run_id", "session", "direction", "path_source")
+_SECTIONS: dict[str, type] = {
+    "vehicle": Vehicle,
+    "encoder": Encoder,
+    "model": OdometryModel,
+    "rangefinder": Rangefinder,
+    "reference": Reference,
+}
 _ESTIMATE = ("dof_within", "dof_between", "run_variance", "session_variance")
 
 
@@ -174,9 +183,22 @@ def fit_to_dict(fit: Fit) -> dict[str, Any]:
         "budget": [asdict(component) for component in radii.budget],
         "left_out": [asdict(run) for run in radii.left_out],
         "notes": list(fit.notes),
+        "setup": None if fit.setup is None else _setup_to_dict(fit.setup),
         "provenance": dict(fit.provenance),
         "passed": fit.passed,
     }
+
+
+def _setup_to_dict(setup: Setup) -> dict[str, Any]:
+    sections = {name: asdict(getattr(setup, name)) for name in _SECTIONS}
+    return {**sections, "conditions": {name: list(span) for name, span in setup.conditions.items()}}
+
+
+def _setup_from_dict(value: Mapping[str, Any]) -> Setup:
+    from calib.radius.fit import Setup
+
+    sections: dict[str, Any] = {name: kind(**value[name]) for name, kind in _SECTIONS.items()}
+    return Setup(**sections, conditions={name: _pair(span) for name, span in value["conditions"].items()})
 
 
 def fit_from_dict(value: Mapping[str, Any]) -> Fit:
@@ -213,6 +235,7 @@ def fit_from_dict(value: Mapping[str, Any]) -> Fit:
             static={name: wheel_from_dict(name, wheel) for name, wheel in value["static"].items()},
             notes=tuple(value["notes"]),
             provenance=dict(value["provenance"]),
+            setup=None if value.get("setup") is None else _setup_from_dict(value["setup"]),
         )
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
         raise BadInputError(

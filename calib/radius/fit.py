@@ -3,17 +3,56 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
+import numpy as np
+
 from calib.campaign.model import Campaign
-from calib.radius.effective import EffectiveRadii, effective_radii
+from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
+from calib.errors import RefusedError
+from calib.radius.effective import Component, EffectiveRadii, effective_radii
 from calib.radius.law import RadiusLaw
 from calib.radius.regression import WheelFit, fit_wheel
+from calib.vehicle import Vehicle
 
-__all__ = ["FORMAT", "Fit", "fit_campaign", "fit_law"]
+__all__ = ["FORMAT", "Fit", "Setup", "fit_campaign", "fit_law"]
 
 FORMAT: Final = "calib-fit/1"
+
+
+#: columns whose span tells the conditions of a campaign
+CONDITIONS: Final = (
+    "distance_m",
+    "speed_mps",
+    "temperature_C",
+    "payload_kg",
+    "payload_x_m",
+    "payload_y_m",
+    "minutes_under_load",
+    "load_left_N",
+    "load_right_N",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """What the runs were measured with and under, so that a report needs no campaign.
+
+    Parameters
+    ----------
+    vehicle, encoder, model, rangefinder, reference
+        Sections of ``campaign.toml``.
+    conditions : mapping of str to (float, float)
+        Smallest and largest value over the runs used, by column of the run table.
+    """
+
+    vehicle: Vehicle
+    encoder: Encoder
+    model: OdometryModel
+    rangefinder: Rangefinder
+    reference: Reference
+    conditions: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,6 +75,8 @@ class Fit:
         What the user should know, in sentences.
     provenance : mapping
         ``version`` of calib, ``inputs`` (path -> sha256), ``arguments``; filled by the command line.
+    setup : Setup or None
+        Vehicle, instruments and conditions; None where the radii came from elsewhere than a campaign.
     """
 
     name: str
@@ -46,6 +87,7 @@ class Fit:
     static: Mapping[str, WheelFit] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    setup: Setup | None = None
 
     @property
     def law(self) -> RadiusLaw:
@@ -107,6 +149,7 @@ def fit_law(radii: EffectiveRadii, *, reference_load_N: float, name: str = "", s
     ):
         found = fit_wheel(wheel, load, radius, radii.session, reference_load_N=reference_load_N)
         wheels[wheel] = checked(found, radii.session, radii.direction, radii.run_id)
+    radii = replace(radii, budget=(*radii.budget, *_observed(radii, wheels["left"], wheels["right"])))
     return Fit(
         name=name, simulated=simulated, left=wheels["left"], right=wheels["right"], radii=radii, notes=radii.notes
     )
@@ -115,14 +158,102 @@ def fit_law(radii: EffectiveRadii, *, reference_load_N: float, name: str = "", s
 def fit_campaign(campaign: Campaign) -> Fit:
     """Return the fit of a campaign: effective radii, both laws, and the static radius where it was measured.
 
+    Parameters
+    ----------
+    campaign : Campaign
+        Static radii are taken from the columns ``static_radius_left_m`` and ``static_radius_right_m``, where there are.
+
+    Returns
+    -------
+    Fit
+        With its setup.
+
     Raises
     ------
     RefusedError
         Where fewer than three runs can be used.
     """
-    return fit_law(
-        effective_radii(campaign),
+    radii = effective_radii(campaign)
+    fit = fit_law(
+        radii,
         reference_load_N=campaign.model.reference_load_N,
         name=campaign.name,
         simulated=campaign.simulated,
     )
+    static, notes = _static(campaign)
+    used = campaign.select(np.isin(campaign.runs.run_id, radii.run_id)).runs
+    conditions = {}
+    for name in CONDITIONS:
+        column = used.number(name)
+        if np.isfinite(column).any():
+            conditions[name] = (float(np.nanmin(column)), float(np.nanmax(column)))
+    return replace(
+        fit,
+        static=static,
+        notes=(*fit.notes, *notes),
+        setup=Setup(
+            vehicle=campaign.vehicle,
+            encoder=campaign.encoder,
+            model=campaign.model,
+            rangefinder=campaign.rangefinder,
+            reference=campaign.reference,
+            conditions=conditions,
+        ),
+    )
+
+
+def _static(campaign: Campaign) -> tuple[dict[str, WheelFit], tuple[str, ...]]:
+    """Return the fits of the static radius against load, and notes on those that could not be made."""
+    from calib.radius.residual_checks import checked
+
+    runs = campaign.included().runs
+    fits, notes = {}, []
+    for wheel in ("left", "right"):
+        radius, load = runs.number(f"static_radius_{wheel}_m"), runs.number(f"load_{wheel}_N")
+        good = np.isfinite(radius) & np.isfinite(load)
+        if not good.any():
+            continue
+        session = runs.label("session")[good]
+        try:
+            found = fit_wheel(
+                wheel, load[good], radius[good], session, reference_load_N=campaign.model.reference_load_N
+            )
+        except RefusedError as error:
+            notes.append(f"Static radius not fitted: {error}.")
+            continue
+        fits[wheel] = checked(found, session, runs.label("direction")[good], runs.run_id[good])
+    return fits, tuple(notes)
+
+
+def _observed(radii: EffectiveRadii, left: WheelFit, right: WheelFit) -> tuple[Component, ...]:
+    """Return the type A lines of the budget: what the runs scatter beyond what the instruments explain."""
+    instruments = [float(np.sqrt(np.nanmean(std**2))) for std in (radii.std_left_m, radii.std_right_m)]
+    explained = [value if np.isfinite(value) else 0.0 for value in instruments]
+    rest = [
+        float(np.sqrt(max(wheel.run_std_m**2 - known**2, 0.0)))
+        for wheel, known in zip((left, right), explained, strict=True)
+    ]
+    lines = [
+        Component(
+            "other_run_to_run",
+            "A",
+            "t",
+            "scatter of runs within a session beyond the above",
+            rest[0],
+            rest[1],
+            left.estimate.dof_within,
+        )
+    ]
+    if left.estimate.dof_between > 0:
+        lines.append(
+            Component(
+                "session_to_session",
+                "A",
+                "t",
+                "scatter of sessions beyond their runs",
+                left.session_std_m,
+                right.session_std_m,
+                left.estimate.dof_between,
+            )
+        )
+    return tuple(lines)
