@@ -11,10 +11,7 @@ from calib.cli.output import FORCE, JSON, emit_json, say, wants_stdout
 
 __all__ = ["register"]
 
-EPILOG = (
-    "Example: calib export sample_runs/corridor --to c --output calib_coefficients.h  |  "
-    "calib export results/corridor --to ros2 --load 300 --load 500,700 --output params/"
-)
+EPILOG = "Example: calib export sample_runs/corridor --to ros2 --load 300 --load 500,700 --output params"
 
 
 def register(application: typer.Typer, name: str) -> None:

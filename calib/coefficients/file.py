@@ -168,9 +168,8 @@ def load_coefficients(path: Path | str) -> CoefficientFile:
         file = CoefficientFile.model_validate(document)
         computed = checksum(document)
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        where = ".".join(str(part) for part in first["loc"]) or None
-        raise _bad(path, _shown(first.get("input")), first["msg"], column=where) from error
+        where, found, expected = _first(error)
+        raise _bad(path, found, expected, column=where or None) from error
     except (ValueError, OverflowError) as error:
         raise _bad(path, str(error), "finite numbers") from error
     if computed != file.checksum:
@@ -198,10 +197,9 @@ def sealed(document: dict[str, Any]) -> CoefficientFile:
         body = CoefficientFile.model_validate(blank).to_dict()
         return CoefficientFile.model_validate({**body, "checksum": checksum(body)})
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        where = ".".join(str(part) for part in first["loc"]) or "the coefficients"
+        where, found, expected = _first(error)
         raise BadInputError(
-            f"{where}: found {_shown(first.get('input'))}; expected {first['msg']}; these make no coefficient file"
+            f"{where or 'the coefficients'}: found {found}; expected {expected}; these make no coefficient file"
         ) from error
 
 
@@ -247,6 +245,13 @@ def _no_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(document) != len(pairs):
         raise ValueError("a key stands twice in one object")
     return document
+
+
+def _first(error: ValidationError) -> tuple[str, str, str]:
+    """Return where the first fault stands, what was found and what was expected."""
+    first = error.errors(include_url=False)[0]
+    where = ".".join(str(part) for part in first["loc"])
+    return where, _shown(first.get("input")), first["msg"].removeprefix("Value error, ")
 
 
 def _shown(value: Any) -> str:

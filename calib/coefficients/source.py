@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from datetime import date
 from pathlib import Path
 
 from calib.coefficients.file import FORMAT, CoefficientFile, Outside, load_coefficients
@@ -43,6 +44,8 @@ def coefficients_of(path: Path | str, *, outside: str | None = None, created: st
 
     path = Path(path)
     wanted = _outside(outside)
+    if created is not None:
+        _check_date(created)
     if not path.exists():
         raise BadFileError(
             path,
@@ -82,6 +85,15 @@ def _outside(text: str | None) -> Outside | None:
     if text == "clamp":
         return "clamp"
     raise BadInputError(f"--outside: found {text!r}; expected refuse or clamp; choose one of them")
+
+
+def _check_date(text: str) -> None:
+    try:
+        fine = len(text) == len("YYYY-MM-DD") and bool(date.fromisoformat(text))
+    except ValueError:
+        fine = False
+    if not fine:
+        raise BadInputError(f"--date: found {text!r}; expected a date as YYYY-MM-DD; for example 2025-03-31")
 
 
 def _is_coefficients(path: Path) -> bool:

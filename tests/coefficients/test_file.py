@@ -1,0 +1,195 @@
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from calib.campaign.settings import Encoder
+from calib.coefficients.build import from_law, load_points
+from calib.coefficients.file import CoefficientFile, load_coefficients
+from calib.coefficients.sections import EffectSection
+from calib.errors import BadFileError, BadInputError, CalibError, RefusedError
+from calib.radius.law import RadiusLaw
+from calib.vehicle import Vehicle
+
+
+def leaves(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[tuple[Any, ...], Any]]:
+    if isinstance(value, dict):
+        for key, item in value.items():
+            yield from leaves(item, (*path, key))
+    elif isinstance(value, list):
+        for index, item in enumerate(value):
+            yield from leaves(item, (*path, index))
+    else:
+        yield path, value
+
+
+def put(document: Any, path: tuple[Any, ...], value: Any) -> Any:
+    copy = json.loads(json.dumps(document))
+    at = copy
+    for key in path[:-1]:
+        at = at[key]
+    at[path[-1]] = value
+    return copy
+
+
+def test_a_file_reads_back_as_it_was_written(file: CoefficientFile, tmp_path: Path) -> None:
+    path = tmp_path / "c.json"
+    path.write_bytes(file.to_bytes())
+    assert load_coefficients(path) == file
+    assert load_coefficients(path).to_bytes() == file.to_bytes()
+
+
+def test_the_same_input_gives_the_same_bytes_on_any_day(law: RadiusLaw) -> None:
+    made = [from_law(law, Vehicle(), Encoder(), name="n", simulated=False).to_bytes() for _ in range(2)]
+    assert made[0] == made[1]
+    assert json.loads(made[0])["created"] is None
+
+
+def test_every_number_stands_beside_its_unit(file: CoefficientFile) -> None:
+    document = file.to_dict()
+    numbers = 0
+    for path, value in leaves(document):
+        if isinstance(value, (int, float)) and not isinstance(value, bool):
+            numbers += 1
+            section = document
+            for key in path[:-1]:
+                section = section[key]
+            assert path[-1] == "value" and isinstance(section["unit"], str), path
+    assert numbers > 40
+
+
+def test_the_checksum_is_sha256_of_the_sorted_rest_with_all_numbers_as_doubles(file: CoefficientFile) -> None:
+    """The definition of the format, written out a second time with parse_int."""
+    document = json.loads(file.to_bytes(), parse_int=float)
+    stated = document.pop("checksum")
+    text = json.dumps(document, sort_keys=True, separators=(",", ":"))
+    assert stated == "sha256:" + hashlib.sha256(text.encode()).hexdigest()
+
+
+def test_reformatting_keeps_the_checksum(file: CoefficientFile, tmp_path: Path) -> None:
+    """Another program may re-indent, re-order, and write 4096.0 as 4096."""
+    text = json.dumps(json.loads(file.to_bytes()), sort_keys=True, indent=7).replace("4096.0", "4096")
+    path = tmp_path / "c.json"
+    path.write_text("\ufeff" + text, encoding="utf-8")
+    assert load_coefficients(path) == file
+
+
+@settings(deadline=None, max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_no_altered_value_passes(file: CoefficientFile, tmp_path: Path, data: st.DataObject) -> None:
+    """Whatever leaf is changed, to whatever, the file is refused in one line."""
+    document = file.to_dict()
+    path, old = data.draw(st.sampled_from(list(leaves(document))))
+    other = st.one_of(
+        st.floats(allow_nan=False, allow_infinity=False), st.text(max_size=5), st.none(), st.booleans(), st.just([])
+    ).filter(lambda value: value != old or type(value) is not type(old))
+    target = tmp_path / "c.json"
+    target.write_text(json.dumps(put(document, path, data.draw(other))), encoding="utf-8")
+    with pytest.raises(BadFileError) as caught:
+        load_coefficients(target)
+    assert "\n" not in str(caught.value) and "c.json" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"{", b"[]", b"{}", b'{"format": "calib-coefficients/2"}', b"\xff\xfe", b"[" * 100_000, b'{"a":1,"a":2}'],
+)
+def test_what_is_no_coefficient_file_is_refused_in_one_line(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "c.json"
+    path.write_bytes(content)
+    with pytest.raises(BadFileError) as caught:
+        load_coefficients(path)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("number", ["NaN", "Infinity", "1e999", "1" + "0" * 400])
+def test_numbers_that_are_not_finite_doubles_are_refused(file: CoefficientFile, tmp_path: Path, number: str) -> None:
+    path = tmp_path / "c.json"
+    path.write_text(file.to_bytes().decode().replace("1.3e-06", number, 1), encoding="utf-8")
+    with pytest.raises(BadFileError):
+        load_coefficients(path)
+
+
+def test_radii_follow_the_line_of_each_wheel(file: CoefficientFile) -> None:
+    loads = np.linspace(220.0, 1000.0, 50)
+    left, right = file.radius_m(loads, loads[::-1])
+    # atol: a few last bits of 0.1 m
+    np.testing.assert_allclose(left, 0.0990 + 1.3e-6 * (loads - 300.0), rtol=0, atol=1e-16)
+    np.testing.assert_allclose(right, 0.0991 - 1.47e-6 * (loads[::-1] - 300.0), rtol=0, atol=1e-16)
+
+
+@pytest.mark.parametrize("loads", [(199.9, 300.0), (300.0, 1050.1), (300.0, 212.5)])
+def test_a_load_outside_the_range_is_refused_or_clamped_as_the_file_says(
+    file: CoefficientFile, loads: tuple[float, float]
+) -> None:
+    with pytest.raises(RefusedError, match="wheel load"):
+        file.radius_m(*loads)
+    clamped = file.changed(outside="clamp").radius_m(*loads)
+    inside = file.radius_m(np.clip(loads[0], 200.0, 1100.0), np.clip(loads[1], 212.551, 1050.0))
+    assert clamped == inside
+
+
+@pytest.mark.parametrize("outside", ["refuse", "clamp"])
+def test_a_load_that_is_no_number_is_refused_even_where_loads_are_clamped(file: CoefficientFile, outside: str) -> None:
+    with pytest.raises(BadInputError):
+        file.changed(outside=outside).radius_m([300.0, np.nan], 300.0)
+
+
+def test_the_valid_range_reaches_outwards_to_whole_millinewtons(file: CoefficientFile) -> None:
+    assert file.wheels.right.valid_load.min.value == 212.551
+    assert file.law.right.load_max_N == 1050.0
+
+
+def test_law_and_vehicle_come_back_as_they_went_in(file: CoefficientFile, law: RadiusLaw) -> None:
+    for wheel, given_ in ((file.law.left, law.left), (file.law.right, law.right)):
+        np.testing.assert_array_equal(wheel.covariance, given_.covariance)
+        assert (wheel.radius_ref_m, wheel.slope_m_per_N, wheel.dof, wheel.n_runs) == (
+            given_.radius_ref_m,
+            given_.slope_m_per_N,
+            given_.dof,
+            given_.n_runs,
+        )
+    assert file.geometry == Vehicle()
+
+
+def test_a_change_makes_a_valid_file_of_another_checksum(file: CoefficientFile, tmp_path: Path) -> None:
+    effect = EffectSection(effect="track_width", parameters={"relative": {"value": 3e-3, "unit": "1"}})
+    changed = file.changed(effects=[effect], created="2025-03-31")
+    path = tmp_path / "c.json"
+    path.write_bytes(changed.to_bytes())
+    assert load_coefficients(path).effects == [effect]
+    assert changed.checksum != file.checksum
+    with pytest.raises(CalibError, match="created"):
+        file.changed(created="31.3.2025")
+
+
+def test_impossible_coefficients_make_no_file(law: RadiusLaw) -> None:
+    """A correlation beyond 1, a radius that reaches zero, a step beyond half a wrap."""
+    with pytest.raises(BadInputError, match="correlation"):
+        from dataclasses import replace
+
+        bad = replace(law.left, covariance=np.array([[1e-12, 1e-13], [1e-13, 1e-16]]))
+        from_law(RadiusLaw(bad, law.right), Vehicle(), Encoder(), name="n", simulated=False)
+    with pytest.raises(BadInputError, match="above zero"):
+        bad = replace(law.left, slope_m_per_N=-2e-4)
+        from_law(RadiusLaw(bad, law.right), Vehicle(), Encoder(), name="n", simulated=False)
+    with pytest.raises(BadInputError, match="half a wrap"):
+        from_law(law, Vehicle(), Encoder(wrap_bits=8), name="n", simulated=False, max_step_m=0.5)
+    assert from_law(law, Vehicle(), Encoder(wrap_bits=8), name="n", simulated=False).limits.max_step.value < 0.02
+
+
+def test_load_points_are_the_means_of_runs_that_agree_to_a_newton() -> None:
+    points = load_points([300.1, 299.9, 800.0, np.nan], [310.0, 310.2, 700.0, 1.0])
+    assert set(points) == {"L300 R310", "L800 R700"}
+    # atol: rounding of a mean of two
+    np.testing.assert_allclose(points["L300 R310"], (300.0, 310.1), rtol=0, atol=1e-9)
+    many = np.arange(200.0, 400.0)
+    assert load_points(many, many) == {}

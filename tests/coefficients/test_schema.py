@@ -1,0 +1,73 @@
+from __future__ import annotations
+
+import copy
+import json
+from typing import Any
+
+import pytest
+from jsonschema import Draft202012Validator
+from pydantic import ValidationError
+
+from calib.coefficients.file import CoefficientFile
+from calib.coefficients.schema import committed_schema_text, fresh_schema_text
+
+
+@pytest.fixture(scope="module")
+def validator() -> Draft202012Validator:
+    schema = json.loads(committed_schema_text())
+    Draft202012Validator.check_schema(schema)
+    return Draft202012Validator(schema)
+
+
+def test_the_committed_schema_is_the_one_the_model_makes() -> None:
+    assert committed_schema_text() == fresh_schema_text()
+
+
+def test_a_file_satisfies_the_schema(file: CoefficientFile, validator: Draft202012Validator) -> None:
+    assert list(validator.iter_errors(json.loads(file.to_bytes()))) == []
+
+
+def _without(*path: str) -> Any:
+    def damage(document: dict[str, Any]) -> None:
+        at = document
+        for key in path[:-1]:
+            at = at[key]
+        del at[path[-1]]
+
+    return damage
+
+
+def _with(value: Any, *path: str) -> Any:
+    def damage(document: dict[str, Any]) -> None:
+        at = document
+        for key in path[:-1]:
+            at = at[key]
+        at[path[-1]] = value
+
+    return damage
+
+
+DAMAGES = {
+    "unit missing": _without("vehicle", "track", "unit"),
+    "unit wrong": _with("mm", "vehicle", "track", "unit"),
+    "value as text": _with("0.7", "vehicle", "track", "value"),
+    "value negative": _with(-0.7, "vehicle", "track", "value"),
+    "wheel missing": _without("wheels", "left"),
+    "rule unknown": _with("extrapolate", "outside"),
+    "key unknown": _with(1, "vehicle", "colour"),
+    "checksum short": _with("sha256:00", "checksum"),
+    "flag as number": _with(1, "simulated"),
+    "date as text": _with("today", "created"),
+    "hash missing": _with([{"path": "runs.csv"}], "inputs"),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGES)
+def test_schema_and_model_refuse_the_same_damage(
+    file: CoefficientFile, validator: Draft202012Validator, name: str
+) -> None:
+    document = copy.deepcopy(json.loads(file.to_bytes()))
+    DAMAGES[name](document)
+    assert not validator.is_valid(document)
+    with pytest.raises(ValidationError):
+        CoefficientFile.model_validate(document)
