@@ -32,16 +32,19 @@ def detect_wrap_bits(counts: FloatArray, offsets: IntArray) -> int | None:
     int or None
         16 or 32, or None where nothing overflows.
     """
-    step = _steps(counts, offsets)
-    magnitude = np.abs(step)
+    if not len(counts) or np.isnan(counts).all():
+        return None
+    low, high = np.nanmin(counts), np.nanmax(counts)
     for bits in WIDTHS:
         full = 2.0**bits
+        unsigned, signed = low >= 0 and high < full, low >= -full / 2 and high < full / 2
+        if not (unsigned or signed) or high - low < 0.875 * full:
+            continue
+        magnitude = np.abs(_steps(counts, offsets))
         if not (np.abs(magnitude - full) < full / 8).any():
             continue
-        low, high = np.nanmin(counts), np.nanmax(counts)
-        unsigned, signed = low >= 0 and high < full, low >= -full / 2 and high < full / 2
         rest = magnitude[np.abs(magnitude - full) >= full / 8]
-        if (unsigned or signed) and (not len(rest) or np.nanmax(rest) < full / 8):
+        if not len(rest) or np.nanmax(rest) < full / 8:
             return bits
     return None
 

@@ -121,10 +121,11 @@ def _fast(
         )
         columns = {}
         for name, position in zip(keep, positions, strict=True):
-            if frame[position].dtype.kind not in "iuf":
+            values = frame[position].to_numpy()
+            if values.dtype.kind not in "iuf":
                 return None
-            columns[name] = frame.pop(position).to_numpy(dtype=np.float64)
-            if np.isinf(columns[name]).any():
+            columns[name] = values.astype(np.float64)
+            if values.dtype.kind == "f" and np.isinf(values).any():
                 return None
     except (ValueError, OverflowError):
         return None
