@@ -109,12 +109,14 @@ class Path:
     @cached_property
     def cos(self) -> FloatArray:
         """Cosine of the heading at the middle of each step, shape (n_steps,)."""
-        return np.asarray(np.cos(self.mid_rad))
+        made: FloatArray = np.cos(self.mid_rad)
+        return made
 
     @cached_property
     def sin(self) -> FloatArray:
         """Sine of the heading at the middle of each step, shape (n_steps,)."""
-        return np.asarray(np.sin(self.mid_rad))
+        made: FloatArray = np.sin(self.mid_rad)
+        return made
 
     @cached_property
     def lever_x(self) -> FloatArray:

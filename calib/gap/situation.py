@@ -64,7 +64,11 @@ class Situation:
     labels : mapping of str to array of str, shape (n_units,)
         ``run_id``, ``session``, ``kind``, ``direction``.
     condition : array of int, shape (n_units,)
-        Units driven alike (same route, direction, load, speed, session) share a number.
+        Units driven alike (same route, direction, loads, speed) share a number.
+    cell : array of int, shape (n_units,)
+        Units of one condition that were also driven in the same session, warmth, dwell and further columns.
+    kind : array of int, shape (n_units,)
+        Units of the same route and direction.
     axis : array of float, shape (n_units,)
         1 where the laser's distance is the projection on the start heading, 0 where it is the length of the line.
     notes : tuple of str
@@ -89,6 +93,8 @@ class Situation:
     numbers: Mapping[str, FloatArray]
     labels: Mapping[str, StrArray]
     condition: IntArray
+    cell: IntArray
+    kind: IntArray
     axis: FloatArray
     sigma_distance_m: float
     sigma_xy_m: float
@@ -112,7 +118,8 @@ class Situation:
 
     def total(self, steps: npt.ArrayLike) -> FloatArray:
         """Sum a step array (n_steps,) over each unit, shape (n_units,)."""
-        return np.asarray(np.add.reduceat(np.asarray(steps, dtype=np.float64), self.starts[:-1]))
+        summed: FloatArray = np.add.reduceat(np.asarray(steps, dtype=np.float64), self.starts[:-1])
+        return summed
 
     def cumulative(self, steps: FloatArray) -> FloatArray:
         """Return the running sum of a step array (n_steps,) within each unit, the step included, shape (n_steps,)."""
@@ -471,20 +478,20 @@ def _assemble(
         notes.append("no payload or wheel load is given: every run is taken as unladen")
     numbers["travelled_km"] = np.concatenate(([0.0], np.cumsum(np.abs(path))[:-1])) / 1000.0
     labels = {name: runs.label(name)[index] for name in ("run_id", "session", "kind", "direction")}
-    condition = _conditions(
-        [
-            labels["session"],
-            labels["kind"],
-            labels["direction"],
-            _binned(numbers["load_left_N"], 5.0),
-            _binned(numbers["load_right_N"], 5.0),
-            _binned(runs.number("speed_mps")[index], 0.05),
-            _binned(runs.number("temperature_C")[index], 4.0),
-            _binned(runs.number("minutes_under_load")[index], 10.0),
-            *(_binned(np.where(np.isfinite(v), v, np.nan), _width(v)) for v in (numbers[c] for c in runs.covariates)),
-            np.arange(len(units)) if windowed else np.zeros(len(units)),
-        ]
-    )
+    place = np.concatenate([np.arange((index == run).sum()) for run in np.unique(index)]) if windowed else 0 * index
+    alike: list[npt.NDArray[np.generic]] = [labels["kind"], labels["direction"], place]
+    driven = [
+        *alike,
+        _binned(numbers["load_left_N"], 5.0),
+        _binned(numbers["load_right_N"], 5.0),
+        _binned(runs.number("speed_mps")[index], 0.05),
+    ]
+    surroundings = [
+        labels["session"],
+        _binned(runs.number("temperature_C")[index], 4.0),
+        _binned(runs.number("minutes_under_load")[index], 10.0),
+        *(_binned(numbers[name], _width(numbers[name])) for name in runs.covariates),
+    ]
     return Situation(
         vehicle=campaign.vehicle,
         model=model,
@@ -503,7 +510,9 @@ def _assemble(
         usable=usable,
         numbers=numbers,
         labels=labels,
-        condition=condition,
+        condition=_conditions(driven),
+        cell=_conditions([*driven, *surroundings]),
+        kind=_conditions(alike),
         axis=_laser_axis(measured, usable),
         sigma_distance_m=campaign.rangefinder.sigma_m,
         sigma_xy_m=campaign.reference.sigma_xy_m,

@@ -1,0 +1,102 @@
+"""The whitened linear picture of the gap about one path, and the evidence of Gaussian hypotheses in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from calib.campaign.model import FloatArray
+from calib.gap.effects.effect import Form
+from calib.gap.noise import Noise, whiten
+from calib.gap.path import Path, signature
+
+__all__ = ["CALIBRATION_SD", "Nuisance", "form_columns", "log_evidence", "project", "rows"]
+
+#: prior standard deviation of a plain recalibration: left, right radius, track, front radius (relative)
+CALIBRATION_SD: Final = np.array([0.03, 0.03, 0.1, 0.05])
+
+
+def rows(path: Path, noise: Noise, columns: FloatArray) -> FloatArray:
+    """Whiten columns (n_units, 6, k) and lay the usable rows end to end, shape (n_rows, k)."""
+    masked = np.where(path.s.usable[:, :, None], columns, 0.0)
+    made = whiten(noise.covariance, masked)
+    return made[path.s.usable]
+
+
+def form_columns(path: Path, form: Form) -> FloatArray:
+    """Return the signatures of a form's parameters, each times its typical size, shape (n_units, 6, n_parameters)."""
+    pushes = form.pushes(path)
+    made = [signature(path, push) * parameter.typical for push, parameter in zip(pushes, form.parameters, strict=True)]
+    return np.stack(made, axis=2)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Nuisance:
+    """What is left out of the judgement: a recalibration, and what known effects may deviate by.
+
+    Parameters
+    ----------
+    columns : array of float, shape (n_rows, k)
+        Whitened, each scaled to unit prior variance.
+    factor : array of float, shape (k, k)
+        Inverse Cholesky factor of I + X^T X.
+    log_det : float
+        log |I + X X^T|.
+    """
+
+    columns: FloatArray
+    factor: FloatArray
+    log_det: float
+
+    @staticmethod
+    def of(columns: FloatArray) -> Nuisance:
+        """Make it of whitened columns scaled to unit prior variance, shape (n_rows, k)."""
+        gram = np.eye(columns.shape[1]) + columns.T @ columns
+        lower = np.linalg.cholesky(gram)
+        inverse = np.linalg.solve(lower, np.eye(len(lower)))
+        return Nuisance(columns, inverse, float(2 * np.log(np.diag(lower)).sum()))
+
+    def scalar(self, left: FloatArray, right: FloatArray) -> FloatArray:
+        """Return left^T (I + X X^T)^-1 right for columns (n_rows, p) and (n_rows, q), shape (p, q)."""
+        a, b = self.factor @ (self.columns.T @ left), self.factor @ (self.columns.T @ right)
+        made: FloatArray = left.T @ right - a.T @ b
+        return made
+
+
+def project(nuisance: Nuisance, columns: FloatArray) -> FloatArray:
+    """Return (I + X X^T)^(-1/2)-like projected columns: what is left of them once the nuisance took its share.
+
+    The result P has P^T P equal to the scalar product of `Nuisance.scalar` in the limit of a broad nuisance.
+    """
+    weights = nuisance.factor.T @ (nuisance.factor @ (nuisance.columns.T @ columns))
+    made: FloatArray = columns - nuisance.columns @ weights
+    return made
+
+
+def log_evidence(gram: FloatArray, right: FloatArray, variance: FloatArray) -> FloatArray:
+    """Return the log Bayes factor of Gaussian columns against none.
+
+    Parameters
+    ----------
+    gram : array of float, shape (..., p, p)
+        Scalar products of the columns.
+    right : array of float, shape (..., p)
+        Their scalar products with the residual.
+    variance : array of float, shape (..., p)
+        Prior variances.
+
+    Returns
+    -------
+    array of float, shape (...)
+        -1/2 log |I + S G| + 1/2 g^T (S^-1 + G)^-1 g.
+    """
+    root = np.sqrt(variance)
+    inner = root[..., :, None] * gram * root[..., None, :] + np.eye(gram.shape[-1])
+    scaled = root * right
+    lower = np.linalg.cholesky(inner)
+    solved = np.linalg.solve(lower, scaled[..., None])[..., 0]
+    log_det = 2 * np.log(np.diagonal(lower, axis1=-2, axis2=-1)).sum(axis=-1)
+    made: FloatArray = -0.5 * log_det + 0.5 * (solved**2).sum(axis=-1)
+    return made

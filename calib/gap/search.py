@@ -1,0 +1,408 @@
+"""Searching the hypotheses: single effects, pairs, triples, each beside a free recalibration, and "unknown"."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from calib.campaign.model import FloatArray, IntArray
+from calib.gap.effects.effect import Effect, Form
+from calib.gap.fit import Fitted, fit
+from calib.gap.linear import CALIBRATION_SD, Nuisance, form_columns, log_evidence, project, rows
+from calib.gap.noise import Noise
+from calib.gap.path import Path
+from calib.gap.residuals import residuals
+
+__all__ = ["Hypothesis", "Search", "Settings", "search"]
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What the search takes for granted; fixed on development cases, never on scored ones.
+
+    Parameters
+    ----------
+    prior_effect : float
+        Prior odds of any one effect being at work.
+    prior_unknown : float
+        Prior odds of a cause outside the library.
+    tolerance : float
+        Share by which an effect may deviate from its assumed form, a condition.
+    temper : float
+        Power of the evidence; below 1 because the noise is never quite the one assumed.
+    singles, pairs : int
+        How many of the best hypotheses of a size are re-simulated and fitted.
+    """
+
+    prior_effect: float = 0.03
+    prior_unknown: float = 0.03
+    tolerance: float = 0.15
+    temper: float = 0.7
+    singles: int = 8
+    pairs: int = 8
+    triples: int = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hypothesis:
+    """A hypothesis with its evidence.
+
+    Parameters
+    ----------
+    effects : tuple of str
+        Ids of its effects, sorted; empty is "a recalibration at most".
+    unknown : bool
+        Whether a rest of unknown cause is part of it.
+    fitted : Fitted
+        Its fit (that of the named effects).
+    log_evidence : float
+        Natural logarithm of the evidence, tempered.
+    log_prior : float
+        Natural logarithm of its prior odds.
+    """
+
+    effects: tuple[str, ...]
+    unknown: bool
+    fitted: Fitted
+    log_evidence: float
+    log_prior: float
+
+    @property
+    def log_weight(self) -> float:
+        """Logarithm of evidence times prior."""
+        return self.log_evidence + self.log_prior
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """All that was tried.
+
+    Parameters
+    ----------
+    hypotheses : tuple of Hypothesis
+        Best first.
+    base : Fitted
+        The recalibration alone.
+    nominal : Path
+        The model alone.
+    noise : Noise
+        Noise of the units.
+    forms : mapping of str to list of Form
+        Forms of each effect on this campaign.
+    signal : mapping of str to float
+        Whitened norm of each effect's best single fit after projection.
+    """
+
+    hypotheses: tuple[Hypothesis, ...]
+    base: Fitted
+    nominal: Path
+    noise: Noise
+    forms: dict[str, list[Form]]
+    signal: dict[str, float] = field(default_factory=dict)
+
+    def probabilities(self) -> FloatArray:
+        """Posterior probability of each hypothesis, shape (n_hypotheses,)."""
+        weight = np.array([h.log_weight for h in self.hypotheses])
+        weight = np.exp(weight - weight.max())
+        made: FloatArray = weight / weight.sum()
+        return made
+
+
+def _marginal(columns: FloatArray, y: FloatArray) -> float:
+    """Return log N(y | 0, I + X X^T) without its constant."""
+    nuisance = Nuisance.of(columns)
+    square = nuisance.scalar(y[:, None], y[:, None])[0, 0]
+    return float(-0.5 * (square + nuisance.log_det))
+
+
+class Workbench:
+    """The whitened system about one path: residual, recalibration and form columns, made once each."""
+
+    def __init__(self, path: Path, nominal: Path, noise: Noise) -> None:
+        self.path, self.nominal, self.noise = path, nominal, noise
+        self.gap = rows(path, noise, residuals(path, nominal)[:, :, None])[:, 0]
+        self.calibration = rows(path, noise, path.calibration * CALIBRATION_SD)
+        usable = path.s.usable
+        self.unit: IntArray = np.repeat(np.arange(len(path.s))[:, None], 6, axis=1)[usable]
+        self.channel: IntArray = np.repeat(np.arange(6)[None, :], len(path.s), axis=0)[usable]
+        self.condition: IntArray = path.s.condition[self.unit]
+        self._columns: dict[int, FloatArray] = {}
+
+    def columns(self, form: Form) -> FloatArray:
+        """Return the whitened signatures of a form in typical sizes, shape (n_rows, n_parameters)."""
+        found = self._columns.get(id(form))
+        if found is None:
+            found = rows(self.path, self.noise, form_columns(self.path, form))
+            self._columns[id(form)] = found
+        return found
+
+    def by_condition(self, contribution: FloatArray) -> FloatArray:
+        """Split a whitened contribution (n_rows,) by condition, shape (n_rows, n_conditions)."""
+        labels, index = np.unique(self.condition, return_inverse=True)
+        made = np.zeros((len(contribution), len(labels)))
+        made[np.arange(len(contribution)), index] = contribution
+        return made
+
+    def unknown_columns(self) -> list[FloatArray]:
+        """Return columns of an unknown cause: offsets of the calibration by condition, and of channels by condition.
+
+        Each is scaled so that 1 is about the floor of one unit.
+        """
+        n = len(self.unit)
+        norm = np.sqrt((self.calibration[:, :3] ** 2).sum(axis=0) / max(len(self.path.s), 1))
+        present = np.flatnonzero(self.path.s.usable.any(axis=0))
+        wide = np.zeros((len(self.path.s), 6, len(present)))
+        for number, channel in enumerate(present):
+            wide[:, channel, number] = self.noise.floor[:, channel]
+        white = rows(self.path, self.noise, wide)
+        made = []
+        for cells in (self.path.s.condition, self.path.s.cell):
+            labels, index = np.unique(cells[self.unit], return_inverse=True)
+            for columns in (self.calibration[:, :3] / np.maximum(norm, 1e-12), white):
+                spread = np.zeros((n, len(labels), columns.shape[1]))
+                spread[np.arange(n), index] = columns
+                made.append(spread.reshape(n, -1))
+        return made
+
+
+UNKNOWN_SCALES: Final = (0.3, 0.7, 1.5, 3.0, 7.0, 15.0, 40.0, 120.0)
+
+
+def effect_scale(theta_typical: FloatArray) -> float:
+    """Return the prior scale of an effect in typical sizes, chosen by its fitted size within a tenth to three."""
+    size = float(np.sqrt(np.mean(theta_typical**2))) if len(theta_typical) else 1.0
+    return float(np.clip(size, 0.1, 3.0))
+
+
+#: what choosing the prior's scale by the fitted size costs, in nats
+SCALE_COST: Final = float(np.log(4.0))
+
+
+def evaluate(
+    fitted: Fitted, nominal: Path, noise: Noise, settings: Settings, *, unknown: bool = False
+) -> tuple[float, float]:
+    """Return the log evidence of a fitted hypothesis without and with a rest of unknown cause.
+
+    The second is minus infinity unless `unknown` asks for it.
+    """
+    bench = Workbench(fitted.path, nominal, noise)
+    y = bench.gap + bench.calibration @ (fitted.calibration / CALIBRATION_SD)
+    columns = [bench.calibration]
+    cost = 0.0
+    for form, theta in zip(fitted.forms, fitted.theta, strict=True):
+        signature = bench.columns(form)
+        sizes = theta / np.array([p.typical for p in form.parameters])
+        contribution = signature @ sizes
+        y = y + contribution
+        columns += [signature * effect_scale(sizes), settings.tolerance * bench.by_condition(contribution)]
+        cost += SCALE_COST
+    base = np.concatenate(columns, axis=1)
+    plain = _marginal(base, y) - cost
+    if not unknown:
+        return plain, -np.inf
+    return plain, _unknown_evidence(bench, base, y) - cost
+
+
+def _unknown_evidence(bench: Workbench, base: FloatArray, y: FloatArray) -> float:
+    """Return the evidence with offsets by condition added, averaged over their kind and scale."""
+    found = []
+    nuisance = Nuisance.of(base)
+    start = -0.5 * (nuisance.scalar(y[:, None], y[:, None])[0, 0] + nuisance.log_det)
+    for columns in bench.unknown_columns():
+        gram = nuisance.scalar(columns, columns)
+        right = nuisance.scalar(columns, y[:, None])[:, 0]
+        eigen, vectors = np.linalg.eigh(gram)
+        turned = (vectors.T @ right) ** 2
+        eigen = np.maximum(eigen, 0.0)
+        for scale in UNKNOWN_SCALES:
+            variance = scale**2
+            found.append(
+                start
+                - 0.5 * np.log1p(variance * eigen).sum()
+                + 0.5 * (turned * variance / (1.0 + variance * eigen)).sum()
+            )
+    top = max(found)
+    return float(top + np.log(np.mean(np.exp(np.array(found) - top))))
+
+
+def search(
+    nominal: Path, noise: Noise, base: Fitted, effects: Sequence[Effect], settings: Settings | None = None
+) -> Search:
+    """Search the library.
+
+    Parameters
+    ----------
+    nominal : Path
+        The model alone.
+    noise : Noise
+        Covariance of each unit.
+    base : Fitted
+        The recalibration alone.
+    effects : sequence of Effect
+        The library; the calibration's own three are left to the recalibration.
+    settings : Settings, optional
+        What is taken for granted.
+
+    Returns
+    -------
+    Search
+    """
+    settings = settings or Settings()
+    s = nominal.s
+    forms = {e.id: e.forms(s) for e in effects if not e.calibration}
+    forms = {name: made for name, made in forms.items() if made}
+    bench = Workbench(base.path, nominal, noise)
+    start = Nuisance.of(bench.calibration)
+    ranking, signal = _screen(bench, start, forms, ())
+    hypotheses: dict[tuple[str, ...], Hypothesis] = {}
+
+    def add(chosen: tuple[Form, ...], begin: Fitted) -> Fitted:
+        fitted = fit(nominal, noise, chosen, start=begin) if chosen else base
+        key = tuple(sorted(f.effect for f in chosen))
+        plain, with_unknown = evaluate(fitted, nominal, noise, settings, unknown=True)
+        prior = float(sum(np.log(settings.prior_effect / f.tries) for f in chosen))
+        for unknown, value in ((False, plain), (True, with_unknown)):
+            made = Hypothesis(
+                effects=key,
+                unknown=unknown,
+                fitted=fitted,
+                log_evidence=settings.temper * value,
+                log_prior=prior + (float(np.log(settings.prior_unknown)) if unknown else 0.0),
+            )
+            have = hypotheses.get((*key, "?") if unknown else key)
+            if have is None or made.log_weight > have.log_weight:
+                hypotheses[(*key, "?") if unknown else key] = made
+        return fitted
+
+    add((), base)
+    singles = _best(ranking, settings.singles)
+    fitted_singles = [(chosen, add(chosen, base)) for chosen in singles]
+    pairs = _extend(fitted_singles, nominal, noise, forms, settings, settings.pairs)
+    pairs += _blind_pairs(bench, start, forms, ranking, settings, base)
+    fitted_pairs = [(chosen, add(chosen, begin)) for chosen, begin in _distinct(pairs, hypotheses)]
+    fitted_pairs.sort(key=lambda item: -hypotheses[tuple(sorted(f.effect for f in item[0]))].log_weight)
+    triples = _extend(fitted_pairs[:3], nominal, noise, forms, settings, settings.triples)
+    for chosen, begin in _distinct(triples, hypotheses):
+        add(chosen, begin)
+    ordered = sorted(hypotheses.values(), key=lambda h: -h.log_weight)
+    return Search(tuple(ordered), base, nominal, noise, forms, signal)
+
+
+Ranking = list[tuple[float, tuple[Form, ...]]]
+
+
+def _screen(
+    bench: Workbench, nuisance: Nuisance, forms: dict[str, list[Form]], held: tuple[str, ...]
+) -> tuple[Ranking, dict[str, float]]:
+    """Rank all forms by their evidence beside a nuisance, best first, and say each effect's projected signal."""
+    ranking: Ranking = []
+    signal: dict[str, float] = {}
+    gap = project(nuisance, bench.gap[:, None])[:, 0]
+    for name, made in forms.items():
+        if name in held:
+            continue
+        for form in made:
+            columns = project(nuisance, bench.columns(form))
+            gram, right = columns.T @ columns, columns.T @ gap
+            sizes = np.linalg.solve(gram + 1e-2 * np.eye(len(gram)), right)
+            scale = effect_scale(sizes)
+            value = float(log_evidence(gram, right, np.full(len(gram), scale**2)))
+            ranking.append((value - SCALE_COST - np.log(form.tries), (form,)))
+            signal[name] = max(signal.get(name, 0.0), float(np.sqrt(max(sizes @ gram @ sizes, 0.0))))
+    ranking.sort(key=lambda item: -item[0])
+    return ranking, signal
+
+
+def _best(ranking: Ranking, count: int) -> list[tuple[Form, ...]]:
+    """Return the best form of each of the `count` best effects."""
+    seen: dict[str, tuple[Form, ...]] = {}
+    for _, chosen in ranking:
+        seen.setdefault(chosen[0].effect, chosen)
+        if len(seen) == count:
+            break
+    return list(seen.values())
+
+
+def _extend(
+    fitted: Sequence[tuple[tuple[Form, ...], Fitted]],
+    nominal: Path,
+    noise: Noise,
+    forms: dict[str, list[Form]],
+    settings: Settings,
+    count: int,
+) -> list[tuple[float, tuple[Form, ...], Fitted]]:
+    """Rank what could be added to fitted hypotheses, each about its own re-simulated path."""
+    found: list[tuple[float, tuple[Form, ...], Fitted]] = []
+    for chosen, begin in fitted:
+        bench = Workbench(begin.path, nominal, noise)
+        columns = [bench.calibration]
+        for form, theta in zip(begin.forms, begin.theta, strict=True):
+            signature = bench.columns(form)
+            sizes = theta / np.array([p.typical for p in form.parameters])
+            columns += [3.0 * signature, settings.tolerance * bench.by_condition(signature @ sizes)]
+        nuisance = Nuisance.of(np.concatenate(columns, axis=1))
+        ranking, _ = _screen(bench, nuisance, forms, tuple(f.effect for f in chosen))
+        base = -0.5 * nuisance.scalar(bench.gap[:, None], bench.gap[:, None])[0, 0] - 0.5 * nuisance.log_det
+        names: set[str] = set()
+        for value, extra in ranking:
+            if extra[0].effect in names:
+                continue
+            names.add(extra[0].effect)
+            found.append((base + value, chosen + extra, begin))
+            if len(names) == count:
+                break
+    found.sort(key=lambda item: -item[0])
+    return found[: 2 * count]
+
+
+def _blind_pairs(
+    bench: Workbench,
+    nuisance: Nuisance,
+    forms: dict[str, list[Form]],
+    ranking: Ranking,
+    settings: Settings,
+    base: Fitted,
+) -> list[tuple[float, tuple[Form, ...], Fitted]]:
+    """Rank all pairs of effects (each by its best forms) about the recalibrated path, found by neither alone."""
+    best = [chosen[0] for chosen in _best(ranking, len(forms))]
+    kept = [form for form in best if len(form.parameters) <= 4]
+    gap = project(nuisance, bench.gap[:, None])[:, 0]
+    columns = [project(nuisance, bench.columns(form)) for form in kept]
+    cuts = np.cumsum([0, *(c.shape[1] for c in columns)])
+    whole = np.concatenate(columns, axis=1) if columns else np.zeros((len(gap), 0))
+    gram, right = whole.T @ whole, whole.T @ gap
+    width = 8
+    pairs = [(a, b) for a in range(len(kept)) for b in range(a + 1, len(kept))]
+    if not pairs:
+        return []
+    index = np.full((len(pairs), width), -1)
+    for number, (a, b) in enumerate(pairs):
+        both = np.concatenate([np.arange(cuts[a], cuts[a + 1]), np.arange(cuts[b], cuts[b + 1])])
+        index[number, : len(both)] = both
+    there = index >= 0
+    small = gram[index[:, :, None], index[:, None, :]] * (there[:, :, None] & there[:, None, :])
+    small = small + np.eye(width) * np.where(there, 0.0, 1.0)[:, None, :]
+    rhs = right[index] * there
+    sizes = np.linalg.solve(small + 1e-2 * np.eye(width), rhs[:, :, None])[:, :, 0]
+    variance = np.where(there, np.clip(sizes**2, 0.01, 9.0), 1e-12)
+    value = log_evidence(small, rhs, variance)
+    order = np.argsort(-value)[: settings.pairs]
+    chosen = [pairs[int(number)] for number in order]
+    return [(float(value[n]), (kept[a], kept[b]), base) for n, (a, b) in zip(order, chosen, strict=True)]
+
+
+def _distinct(
+    found: list[tuple[float, tuple[Form, ...], Fitted]], have: dict[tuple[str, ...], Hypothesis]
+) -> list[tuple[tuple[Form, ...], Fitted]]:
+    """Leave out hypotheses that were fitted already or that are listed twice."""
+    seen = set(have)
+    made = []
+    for _, chosen, begin in found:
+        key = tuple(sorted(f.effect for f in chosen))
+        if key not in seen:
+            seen.add(key)
+            made.append((chosen, begin))
+    return made
