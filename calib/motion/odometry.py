@@ -2,12 +2,14 @@
 
 Everything is done block by block, so that the intermediate arrays stay in the processor's cache, and in place. Sums run
 within a block and are carried from block to block, which keeps their rounding below that of a sample-by-sample loop.
+Sine and cosine both come from the tangent of half the angle: one vectorised function instead of two scalar ones.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from math import isfinite
 from typing import Final
 
 import numpy as np
@@ -27,11 +29,20 @@ _BEHIND: Final = {"exact": 0.5, "mid_point": 0.5, "euler": 1.0, "end_point": 0.0
 SCHEMES: Final = tuple(_BEHIND)
 
 #: samples a block: the arrays in use stay in the second-level cache
-BLOCK: Final = 8192
+BLOCK: Final = 16384
 
-#: sin(u)/u as a series in u^2, and how many of its terms are good to the last digit up to which abs(u)
-_SERIES: Final = (1.0, -1 / 6, 1 / 120, -1 / 5040, 1 / 362880, -1 / 39916800, 1 / 6227020800)
-_TERMS: Final = ((2, 1e-4), (3, 4e-3), (4, 2e-2), (7, 0.5))
+#: running sums are taken over rows of this many samples by one product with a triangle of ones
+ROW: Final = 16
+
+#: sin(d/2)/d as a series in d^2: half the ratio of chord to arc for a turn of d
+_SERIES: Final = (1 / 2, -1 / 48, 1 / 3840, -1 / 645120, 1 / 185794560, -1 / 81749606400, 1 / 51011754393600)
+
+#: how many of its terms are good to the last digit up to which d
+_TERMS: Final = ((2, 2e-4), (3, 8e-3), (4, 4e-2), (7, 1.0))
+
+#: a product with this triangle turns a row of steps into its running sums
+_SUMS: Final = np.triu(np.ones((ROW, ROW)))
+_ONES: Final = np.ones(ROW)
 
 
 def integrate(
@@ -42,6 +53,7 @@ def integrate(
     offsets: npt.ArrayLike | None = None,
     start: npt.ArrayLike = (0.0, 0.0, 0.0),
     scheme: str = "exact",
+    out: Poses | None = None,
 ) -> Poses:
     """Integrate the travel of the rear wheels into poses.
 
@@ -60,6 +72,8 @@ def integrate(
     scheme : {"exact", "mid_point", "euler", "end_point"}
         How a step is drawn: as the arc of constant curvature; as a straight line at the heading in its middle, at its
         beginning, or at its end (Eq. 7 as printed).
+    out : Poses, optional
+        Contiguous arrays of the travel's shape to write to; new memory costs as much as the arithmetic.
 
     Returns
     -------
@@ -73,14 +87,16 @@ def integrate(
     """
     job = _job(travel_left_m, travel_right_m, track_m, offsets, start, scheme)
     n = len(job.left)
-    x, y, theta = np.empty(n), np.empty(n), np.empty(n)
-    for block in _blocks(job):
+    if out is None:
+        out = Poses(np.empty(job.shape), np.empty(job.shape), np.empty(job.shape))
+    elif any(a.shape != job.shape or not a.flags.c_contiguous for a in (out.x_m, out.y_m, out.theta_rad)):
+        raise BadInputError(f"out: found arrays of shape {out.shape}; expected contiguous ones of shape {job.shape}")
+    x, y, theta = out.x_m.reshape(n), out.y_m.reshape(n), out.theta_rad.reshape(n)
+    for block in _blocks(job, theta):
         part = slice(block.first, block.last)
-        for total, step, out in ((0, block.dx, x[part]), (1, block.dy, y[part])):
-            np.cumsum(step, out=out)
-            block.settle(job, out, total)
-        theta[part] = block.heading
-    return Poses(x.reshape(job.shape), y.reshape(job.shape), theta.reshape(job.shape))
+        block.running(job, block.dx, 0, [(x[part], 0.0)])
+        block.running(job, block.dy, 1, [(y[part], 0.0)])
+    return out
 
 
 def end_poses(
@@ -103,16 +119,11 @@ def end_poses(
     """
     job = _job(travel_left_m, travel_right_m, track_m, offsets, start, scheme)
     end = job.pose.copy()
-    for block in _blocks(job):
+    for block in _blocks(job, None):
         runs = job.runs[block.runs]
-        if len(block.local) == 1:
-            end[0, runs] += block.dx.sum()
-            end[1, runs] += block.dy.sum()
-            end[2, runs] = block.heading[-1]
-        else:
-            end[0, runs] += np.add.reduceat(block.dx, block.local)
-            end[1, runs] += np.add.reduceat(block.dy, block.local)
-            end[2, runs] = block.heading[np.append(block.local[1:], len(block.heading)) - 1]
+        end[0, runs] += block.sums(block.dx)
+        end[1, runs] += block.sums(block.dy)
+        end[2, runs] += block.turned
     if offsets is None and len(job.shape) == 1:
         return Poses(end[0, 0], end[1, 0], end[2, 0])
     return Poses(end[0], end[1], end[2])
@@ -125,18 +136,19 @@ def sinc(u: npt.ArrayLike) -> FloatArray:
 
 @dataclass(slots=True, eq=False)
 class _Job:
-    """Input, laid flat; `pose` (3, runs) holds the start poses and stays as it is."""
+    """Input, laid flat; `carried` is where the block before ended, `rest` what its rounding left out."""
 
     left: FloatArray
     right: FloatArray
-    track: FloatArray | float
+    per_m: FloatArray | float
     starts: IntArray
     runs: IntArray
     pose: FloatArray
     behind: float
     curved: bool
     shape: tuple[int, ...]
-    carried: FloatArray
+    carried: list[float]
+    rest: list[float]
 
 
 @dataclass(slots=True, eq=False)
@@ -148,32 +160,73 @@ class _Block:
     runs: slice
     local: IntArray
     continues: bool
-    heading: FloatArray
     dx: FloatArray
     dy: FloatArray
+    turned: FloatArray
 
-    def settle(self, job: _Job, sums: FloatArray, which: int) -> None:
-        """Turn running sums of the block into running sums of each run, from its start or from the block before."""
+    def sums(self, steps: FloatArray) -> FloatArray:
+        """Return the sum of the steps of each piece, shape (pieces,)."""
+        return np.add.reduceat(steps, self.local) if len(self.local) > 1 else np.array([steps.sum()])
+
+    def running(self, job: _Job, steps: FloatArray, which: int, wanted: list[tuple[FloatArray, float]]) -> None:
+        """Write the running sums of each run, from its start or from the block before.
+
+        `wanted` holds pairs of an output and the part of each last step to leave out. `steps` is used up.
+        """
         base = job.pose[which, job.runs[self.runs]]
         if self.continues:
-            base[0] = job.carried[which]
-        if len(base) == 1:
-            sums += base[0]
-        else:
-            base[1:] -= sums[self.local[1:] - 1]
-            sums += np.repeat(base, np.diff(self.local, append=len(sums)))
-        job.carried[which] = sums[-1]
+            base[0] = job.carried[which] + job.rest[which]
+        if len(base) > 1:
+            sums = self.sums(steps)
+            job.carried[which], job.rest[which] = float(base[-1] + sums[-1]), 0.0
+            base[1:] -= np.cumsum(sums[:-1])
+            _running_sums(steps, 0.0, wanted)
+            shift = np.repeat(base, np.diff(self.local, append=len(steps)))
+            for out, _ in wanted:
+                out += shift
+            return
+        # the carry is summed with its rounding (Neumaier), so that equal steps do not add up a bias
+        before, rest = (job.carried[which], job.rest[which]) if self.continues else (float(base[0]), 0.0)
+        total = _running_sums(steps, float(base[0]), wanted)
+        after = before + total
+        lost = (before - after) + total if abs(before) >= abs(total) else (total - after) + before
+        job.carried[which], job.rest[which] = after, rest + lost
 
 
-def _blocks(job: _Job) -> Iterator[_Block]:
-    """Go over the steps block by block; the arrays of a block are overwritten by the next one."""
+def _running_sums(steps: FloatArray, before: float, wanted: list[tuple[FloatArray, float]]) -> float:
+    """Write running sums of `steps`, begun at `before`; return the sum of the steps alone."""
+    if len(steps) % ROW == 0:
+        rows = steps.reshape(-1, ROW)
+        totals = rows @ _ONES
+        np.cumsum(totals, out=totals)
+        total = float(totals[-1])
+        # a product would spread a single NaN over its row
+        if isfinite(total):
+            totals[1:] = totals[:-1]
+            totals[0] = 0.0
+            totals += before
+            rows[:, 0] += totals
+            for out, left_out in wanted:
+                made = out.reshape(-1, ROW)
+                np.matmul(rows, _SUMS if left_out == 0.0 else _SUMS - left_out * np.eye(ROW), out=made)
+                if left_out != 0.0:
+                    made[:, 0] += left_out * totals
+            return total
+    sums = np.cumsum(steps)
+    for out, left_out in wanted:
+        np.add(sums, before, out=out)
+        if left_out != 0.0:
+            out -= left_out * steps
+    return float(sums[-1])
+
+
+def _blocks(job: _Job, theta: FloatArray | None) -> Iterator[_Block]:
+    """Go over the steps block by block, writing headings to `theta`; the next block overwrites a block's arrays."""
     n = len(job.left)
-    size = min(BLOCK, n)
-    store = np.empty((5, size))
+    store = np.empty((4, min(BLOCK, n)))
     for first in range(0, n, BLOCK):
         last = min(first + BLOCK, n)
-        m = last - first
-        heading, turn, chord, mid, work = (row[:m] for row in store)
+        turn, chord, tangent, work = (row[: last - first] for row in store)
         k0 = int(np.searchsorted(job.starts, first, side="right")) - 1
         k1 = int(np.searchsorted(job.starts, last, side="left"))
         local = job.starts[k0:k1] - first
@@ -181,43 +234,44 @@ def _blocks(job: _Job) -> Iterator[_Block]:
         local[0] = 0
         left, right = job.left[first:last], job.right[first:last]
         np.subtract(right, left, out=turn)
-        if isinstance(job.track, float):
-            turn /= job.track
-        else:
-            turn /= job.track[first:last]
+        turn *= job.per_m if isinstance(job.per_m, float) else job.per_m[first:last]
         np.add(right, left, out=chord)
-        chord *= 0.5
-        np.cumsum(turn, out=heading)
-        block = _Block(first, last, slice(k0, k1), local, continues, heading, work, turn)
-        block.settle(job, heading, 2)
-        if job.behind == 0.0:
-            mid[:] = heading
-        else:
-            turn *= job.behind
-            np.subtract(heading, turn, out=mid)
         if job.curved:
-            _shorten(chord, turn, work)
-        np.cos(mid, out=work)
+            _shorten(chord, turn, work, tangent)
+        else:
+            chord *= 0.5
+        block = _Block(first, last, slice(k0, k1), local, continues, dx=work, dy=tangent, turned=turn)
+        block.turned = block.sums(turn)
+        wanted = [(tangent, job.behind)]
+        if theta is not None:
+            wanted.append((theta[first:last], 0.0))
+        block.running(job, turn, 2, wanted)
+        # cos a = 2 / (1 + t^2) - 1 and sin a = 2 t / (1 + t^2) with t = tan(a / 2)
+        tangent *= 0.5
+        np.tan(tangent, out=tangent)
+        np.multiply(tangent, tangent, out=work)
+        work += 1.0
+        np.divide(2.0, work, out=work)
         work *= chord
-        np.sin(mid, out=turn)
-        turn *= chord
+        tangent *= work
+        work -= chord
         yield block
 
 
-def _shorten(chord: FloatArray, half: FloatArray, work: FloatArray) -> None:
-    """Turn the length of arcs into that of their chords, in place; `half` is half their turn and is overwritten."""
-    largest = max(float(half.max()), -float(half.min()))
+def _shorten(path: FloatArray, turn: FloatArray, square: FloatArray, work: FloatArray) -> None:
+    """Turn twice the length of arcs into the length of their chords, in place."""
+    np.multiply(turn, turn, out=square)
+    largest = float(square.max())
     for terms, limit in _TERMS:
-        if largest <= limit:
-            np.multiply(half, half, out=half)
-            np.multiply(half, _SERIES[terms - 1], out=work)
+        if largest <= limit * limit:
+            np.multiply(square, _SERIES[terms - 1], out=work)
             for coefficient in _SERIES[terms - 2 : 0 : -1]:
                 work += coefficient
-                work *= half
-            work += 1.0
-            chord *= work
+                work *= square
+            work += _SERIES[0]
+            path *= work
             return
-    chord *= sinc(half)
+    path *= 0.5 * sinc(0.5 * turn)
 
 
 def _job(
@@ -263,12 +317,13 @@ def _job(
     return _Job(
         left=left.reshape(-1),
         right=right.reshape(-1),
-        track=float(track.reshape(-1)[0]) if wide is None else wide,
+        per_m=1.0 / float(track.reshape(-1)[0]) if wide is None else 1.0 / wide,
         starts=edges[:-1][runs],
         runs=runs,
         pose=np.ascontiguousarray(np.broadcast_to(pose, (n_runs, 3)).T),
         behind=_BEHIND[scheme],
         curved=scheme == "exact",
         shape=shape,
-        carried=np.zeros(3),
+        carried=[0.0, 0.0, 0.0],
+        rest=[0.0, 0.0, 0.0],
     )
