@@ -1,0 +1,354 @@
+"""Campaigns of the contact plant: design, drive, measure."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from calib.campaign.model import Campaign, Logs, RunTable
+from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
+from calib.errors import BadInputError
+from calib.plant.contact.baseline import Baseline, baseline, belief_of
+from calib.plant.contact.engine import engine
+from calib.plant.contact.machine import Machine, Payload
+from calib.plant.contact.ride import COUNTS_PER_REV, Ride, Track, drive
+from calib.plant.contact.variants import VARIANTS, Variant, sound_machine
+from calib.vehicle import wheel_loads_N
+
+__all__ = ["Lengths", "drive_all", "make_contact_campaign"]
+
+FloatArray = npt.NDArray[np.float64]
+
+_EMPTY = Payload()
+_LEFT = Payload(100.0, 0.30, 0.15)
+_FULL = Payload(200.0, 0.30, 0.0)
+_RIGHT = Payload(200.0, 0.30, -0.10)
+
+#: route, direction, payload, speed: loads, sides, speeds and directions vary apart from one another
+_CONDITIONS: Final = (
+    ("corridor", "out", _EMPTY, 0.5),
+    ("corridor", "back", _EMPTY, 0.5),
+    ("square_ccw", "", _EMPTY, 0.5),
+    ("square_cw", "", _EMPTY, 0.5),
+    ("corridor", "out", _FULL, 0.5),
+    ("corridor", "back", _FULL, 0.5),
+    ("route_left", "", _FULL, 0.4),
+    ("route_right", "", _EMPTY, 0.6),
+    ("corridor", "out", _LEFT, 0.3),
+    ("corridor", "back", _LEFT, 0.7),
+    ("square_ccw", "", _FULL, 0.4),
+    ("square_cw", "", _RIGHT, 0.6),
+    ("corridor", "out", _RIGHT, 0.7),
+    ("corridor", "back", _RIGHT, 0.3),
+    ("route_left", "", _LEFT, 0.6),
+    ("route_right", "", _RIGHT, 0.4),
+)
+_START_XY_M, _START_HEADING_RAD = 0.005, 0.003
+
+
+@dataclass(frozen=True, slots=True)
+class Lengths:
+    """Dimensions of the routes; the paper route has its own.
+
+    Parameters
+    ----------
+    corridor_m : float
+        The paper's corridor runs were 37 to 42 m long; 20 m tell as much here and are the default.
+    side_m, turn_radius_m : float
+        Straight part of a square's side, radius of its corners.
+    curve_speed_mps : float
+        Speed limit in curves.
+    """
+
+    corridor_m: float = 20.0
+    side_m: float = 3.0
+    turn_radius_m: float = 1.0
+    curve_speed_mps: float = 0.2
+
+
+def drive_all(
+    machine: Machine,
+    rides: Sequence[Ride],
+    *,
+    workers: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[Track]:
+    """Drive many runs, the same with any number of processes.
+
+    Parameters
+    ----------
+    machine : Machine
+        The vehicle and its floor.
+    rides : sequence of Ride
+        The runs.
+    workers : int
+        Processes; 1 drives in this one.
+    progress : callable, optional
+        Called with (runs done, runs) after each.
+
+    Raises
+    ------
+    CalibError
+        Where MuJoCo is missing or a run does not arrive.
+    """
+    engine()
+    tracks: list[Track] = []
+    if workers <= 1:
+        for ride in rides:
+            tracks.append(drive(machine, ride))
+            if progress:
+                progress(len(tracks), len(rides))
+        return tracks
+    with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+        for track in pool.map(drive, [machine] * len(rides), rides):
+            tracks.append(track)
+            if progress:
+                progress(len(tracks), len(rides))
+    return tracks
+
+
+def _order(runs: int, sessions: int, rng: np.random.Generator) -> tuple[list[int], list[int]]:
+    """Return the condition and the session of each run: every session goes through the conditions in its own order."""
+    condition: list[int] = []
+    session: list[int] = []
+    for number, part in enumerate(np.array_split(np.arange(runs), sessions)):
+        # What is left over beyond whole rounds are repeats, other ones in each session.
+        dealt = (np.arange(len(part)) + 8 * number) % len(_CONDITIONS)
+        condition += rng.permutation(dealt).tolist()
+        session += [number] * len(part)
+    return condition, session
+
+
+def _model(variant: Variant, machine: Machine, sound: Baseline | None) -> OdometryModel:
+    """Return what the simulator believes."""
+    if variant.own_baseline or sound is None:
+        sound = baseline(machine if variant.own_baseline else sound_machine())
+    if not variant.rigid_model:
+        return sound.model
+    # The unladen run alone: the wheels are taken for rigid.
+    return replace(
+        sound.model,
+        radius_left_m=float(sound.radii_left_m[0]),
+        radius_right_m=float(sound.radii_right_m[0]),
+        slope_left_m_per_N=0.0,
+        slope_right_m_per_N=0.0,
+    )
+
+
+def make_contact_campaign(
+    variant: str,
+    rng: np.random.Generator,
+    *,
+    runs: int = 48,
+    sessions: int = 2,
+    strength: float = 1.0,
+    lengths: Lengths | None = None,
+    trace: bool = True,
+    name: str = "contact",
+    sound: Baseline | None = None,
+    workers: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+) -> Campaign:
+    """Drive a campaign with one thing wrong.
+
+    The campaign holds no trace of the variant: the truth is ``VARIANTS[variant].truth(strength)``.
+
+    Parameters
+    ----------
+    variant : str
+        A key of `VARIANTS`.
+    rng : numpy.random.Generator
+        Order of the runs, how the vehicle happens to stand at each start, noise of the instruments.
+    runs, sessions : int
+        Runs, and measuring sessions that they are spread over; 16 conditions are repeated in turn.
+    strength : float
+        Multiple of the variant's size.
+    lengths : Lengths, optional
+        Dimensions of the routes.
+    trace : bool
+        The logs have the rangefinder's distance and the reference's trajectory, too.
+    name : str
+        Name of the campaign.
+    sound : Baseline, optional
+        Of `sound_machine`; driven where missing (7 short runs).
+    workers : int
+        Processes.
+    progress : callable, optional
+        Called with (runs done, runs).
+
+    Returns
+    -------
+    Campaign
+        In memory; ``calib.campaign.write.write_campaign`` puts it into a folder. ``[model]`` is what `baseline` runs
+        of the sound vehicle measured.
+
+    Raises
+    ------
+    BadInputError
+        Where the variant is unknown or the numbers make no campaign.
+    CalibError
+        Where MuJoCo is missing.
+    """
+    if variant not in VARIANTS:
+        raise BadInputError(
+            f"contact plant: found the variant {variant!r}; expected one of {', '.join(VARIANTS)}; choose one"
+        )
+    if not 1 <= sessions <= runs or strength <= 0.0:
+        raise BadInputError(
+            f"contact plant: found {runs} runs in {sessions} sessions at strength {strength}; "
+            "expected a session to have a run and a strength above 0; change them"
+        )
+    chosen = VARIANTS[variant]
+    lengths = lengths or Lengths()
+    machine = chosen.build(sound_machine(), strength)
+    vehicle = sound_machine().vehicle
+    model = _model(chosen, machine, sound)
+    condition, session = _order(runs, sessions, rng)
+    rides = []
+    reported: list[Payload] = []
+    loads = []
+    for number in condition:
+        kind, direction, payload, speed = _CONDITIONS[number]
+        _, left, right = (float(load) for load in wheel_loads_N(vehicle, payload.mass_kg, payload.x_m, payload.y_m))
+        jitter = rng.normal(0.0, _START_XY_M, 2)
+        backward = direction == "back"
+        rides.append(
+            Ride(
+                kind=kind,
+                payload=chosen.placed(payload, strength),
+                belief=belief_of(model, left, right, wheelbase_m=vehicle.wheelbase_m, front_m=vehicle.wheel_radius_m),
+                speed_mps=speed,
+                curve_speed_mps=lengths.curve_speed_mps,
+                length_m=lengths.corridor_m,
+                side_m=lengths.side_m,
+                turn_radius_m=lengths.turn_radius_m,
+                start_m=(float(jitter[0]) + backward * lengths.corridor_m, float(jitter[1])),
+                heading_rad=float(rng.normal(0.0, _START_HEADING_RAD)) + backward * np.pi,
+                phases_rad=tuple(rng.uniform(0.0, 2.0 * np.pi, 3).tolist()),
+            )
+        )
+        reported.append(payload)
+        loads.append((left, right))
+    tracks = drive_all(machine, rides, workers=workers, progress=progress)
+    return _measured(
+        rng, name, model, session, [_CONDITIONS[number] for number in condition], loads, rides, tracks, trace=trace
+    )
+
+
+def _measured(
+    rng: np.random.Generator,
+    name: str,
+    model: OdometryModel,
+    session: list[int],
+    conditions: Sequence[tuple[str, str, Payload, float]],
+    loads: Sequence[tuple[float, float]],
+    rides: Sequence[Ride],
+    tracks: Sequence[Track],
+    *,
+    trace: bool,
+) -> Campaign:
+    """Return the campaign that the instruments make of what happened."""
+    laser, reference, vehicle = Rangefinder(), Reference(), sound_machine().vehicle
+    n_runs = len(tracks)
+    corridor = np.array([kind == "corridor" for kind, *_ in conditions])
+    pose = np.array([(track.x_m[-1], track.y_m[-1], track.theta_rad[-1]) for track in tracks])
+    pose += rng.normal(size=pose.shape) * (reference.sigma_xy_m, reference.sigma_xy_m, reference.sigma_theta_rad)
+    distance = np.array([_along(track, ride)[-1] for track, ride in zip(tracks, rides, strict=True)])
+    distance += rng.normal(0.0, laser.sigma_m, n_runs)
+    session_temperature = rng.normal(20.0, 1.0, max(session) + 1)
+    run_id = np.array([f"r{number:03d}" for number in range(n_runs)])
+    payloads = [payload for _, _, payload, _ in conditions]
+    table = RunTable(
+        labels={
+            "run_id": run_id,
+            "session": np.array([f"s{number + 1}" for number in session]),
+            "kind": np.array([kind for kind, *_ in conditions]),
+            "direction": np.array([direction for _, direction, *_ in conditions]),
+            "log": np.array([f"logs/{one}.csv" for one in run_id]),
+        },
+        numbers={
+            "payload_kg": np.array([payload.mass_kg for payload in payloads]),
+            "payload_x_m": np.array([payload.x_m if payload.mass_kg else 0.0 for payload in payloads]),
+            "payload_y_m": np.array([payload.y_m for payload in payloads]),
+            "load_left_N": np.round([left for left, _ in loads], 2),
+            "load_right_N": np.round([right for _, right in loads], 2),
+            "speed_mps": np.array([speed for *_, speed in conditions]),
+            "temperature_C": np.round(session_temperature[session] + rng.normal(0.0, 0.3, n_runs), 1),
+            "distance_m": np.where(corridor, np.round(distance, 4), np.nan),
+            "counts_left": np.array([track.counts_left[-1] for track in tracks]),
+            "counts_right": np.array([track.counts_right[-1] for track in tracks]),
+            "ref_x_m": np.round(pose[:, 0], 5),
+            "ref_y_m": np.round(pose[:, 1], 5),
+            "ref_theta_rad": np.round(pose[:, 2], 6),
+        },
+        excluded=np.zeros(n_runs, dtype=bool),
+        line=np.arange(2, n_runs + 2, dtype=np.int64),
+    )
+    return Campaign(
+        root=None,
+        name=name,
+        simulated=True,
+        vehicle=vehicle,
+        encoder=Encoder(COUNTS_PER_REV, COUNTS_PER_REV),
+        model=model,
+        rangefinder=laser,
+        reference=reference,
+        runs=table,
+        logs=_logs(rng, rides, tracks, pose, distance, laser, reference, trace=trace),
+    )
+
+
+def _along(track: Track, ride: Ride) -> FloatArray:
+    """Return the way made along the axis of the hall since the start, shape (n,): what a laser at the wall sees."""
+    cos, sin = np.cos(ride.heading_rad), np.sin(ride.heading_rad)
+    return np.asarray(np.sign(cos) * (cos * track.x_m - sin * track.y_m))
+
+
+def _logs(
+    rng: np.random.Generator,
+    rides: Sequence[Ride],
+    tracks: Sequence[Track],
+    pose: FloatArray,
+    distance: FloatArray,
+    laser: Rangefinder,
+    reference: Reference,
+    *,
+    trace: bool,
+) -> Logs:
+    """Return the logs; last readings are those of the run table, and first ones zero."""
+    columns: dict[str, list[FloatArray]] = {}
+
+    def put(column: str, values: FloatArray, decimals: int) -> None:
+        columns.setdefault(column, []).append(np.round(values, decimals))
+
+    for ride, track, end, way in zip(rides, tracks, pose, distance, strict=True):
+        n = len(track.t_s)
+        put("t_s", track.t_s, 3)
+        put("counts_left", track.counts_left, 0)
+        put("counts_right", track.counts_right, 0)
+        put("counts_front", track.counts_front, 0)
+        put("steer_rad", track.steer_rad, 5)
+        if not trace:
+            continue
+        ranged = _along(track, ride) + rng.normal(0.0, laser.sigma_m, n)
+        ranged[0], ranged[-1] = 0.0, way
+        put("range_m", ranged if ride.kind == "corridor" else np.full(n, np.nan), 4)
+        for column, true, last, sigma, decimals in (
+            ("ref_x_m", track.x_m, end[0], reference.sigma_xy_m, 5),
+            ("ref_y_m", track.y_m, end[1], reference.sigma_xy_m, 5),
+            ("ref_theta_rad", track.theta_rad, end[2], reference.sigma_theta_rad, 6),
+        ):
+            read = true + rng.normal(0.0, sigma, n)
+            read[0], read[-1] = 0.0, last
+            put(column, read, decimals)
+    lengths = [len(track.t_s) for track in tracks]
+    return Logs(
+        offsets=np.concatenate(([0], np.cumsum(lengths))).astype(np.int64),
+        columns={column: np.concatenate(parts) for column, parts in columns.items()},
+    )
