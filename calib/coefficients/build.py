@@ -10,21 +10,18 @@ import numpy as np
 import numpy.typing as npt
 
 from calib import __version__
-from calib.campaign.settings import Encoder
 from calib.coefficients.file import FORMAT, CoefficientFile, Outside, sealed
 from calib.coefficients.sections import EffectSection
-from calib.errors import BadFileError
+from calib.errors import BadInputError
 from calib.radius.law import RadiusLaw, WheelLaw
 from calib.units import GRAVITY_MPS2
 from calib.vehicle import Vehicle
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
-    from calib.campaign.model import Campaign
+    from calib.campaign.settings import Encoder
     from calib.radius.fit import Fit
 
-__all__ = ["from_fit", "from_law", "from_result", "load_points"]
+__all__ = ["from_fit", "from_law", "load_points"]
 
 # Defaults of what a corridor campaign does not measure; every one stands in the file, where it can be bettered.
 TRACK_STD_M: Final = 1e-3
@@ -37,89 +34,50 @@ LOAD_TABLE_LINES: Final = 64
 
 
 def from_fit(
-    law: RadiusLaw,
-    campaign: Campaign,
+    fit: Fit,
     *,
     outside: Outside = "refuse",
     created: str | None = None,
+    inputs: Mapping[str, str] | None = None,
     effects: Iterable[EffectSection] = (),
 ) -> CoefficientFile:
-    """Return the coefficient file of a fitted law, with vehicle, encoder, loads and hashes of its campaign.
-
-    Parameters
-    ----------
-    law : RadiusLaw
-        The fitted laws of both wheels.
-    campaign : Campaign
-        The campaign that they were fitted on.
-    outside : {"refuse", "clamp"}
-        What the vehicle does with a load that was not measured.
-    created : str, optional
-        Date as YYYY-MM-DD; passed in, so that the same input gives the same file.
-    effects : iterable of EffectSection
-        Diagnosed effects that belong to the model.
-    """
-    runs = campaign.runs.select(~campaign.runs.excluded)
-    return from_law(
-        law,
-        campaign.vehicle,
-        campaign.encoder,
-        name=campaign.name,
-        simulated=campaign.simulated,
-        outside=outside,
-        created=created,
-        load_table=load_points(runs.number("load_left_N"), runs.number("load_right_N")),
-        effects=effects,
-        inputs=campaign.hashes,
-    )
-
-
-def from_result(
-    fit: Fit, *, source: Path | str, outside: Outside = "refuse", created: str | None = None
-) -> CoefficientFile:
-    """Return the coefficient file of a fit that was read from a result folder.
+    """Return the coefficient file of a fit: its laws, vehicle, encoder and load points.
 
     Parameters
     ----------
     fit : Fit
-        With the vehicle and the encoder in its provenance, as the result folder carries them.
-    source : Path or str
-        Where it was read, for the error's text.
-    outside, created
-        As in `from_fit`.
+        From `fit_campaign`, or read from a result folder.
+    outside : {"refuse", "clamp"}
+        What the vehicle does with a load that was not measured.
+    created : str, optional
+        Date as YYYY-MM-DD; passed in, so that the same input gives the same file.
+    inputs : mapping of str to str, optional
+        Path of an input -> its SHA-256; None: those of the fit's provenance.
+    effects : iterable of EffectSection
+        Diagnosed effects that belong to the model.
 
     Raises
     ------
-    BadFileError
-        Where the result folder lacks vehicle or encoder.
+    BadInputError
+        Where the fit lacks vehicle and encoder, or its provenance is damaged.
     """
-    try:
-        vehicle = Vehicle(**{key: float(value) for key, value in fit.provenance["vehicle"].items()})
-        bits = fit.provenance["encoder"]["wrap_bits"]
-        encoder = Encoder(
-            counts_per_rev_left=float(fit.provenance["encoder"]["counts_per_rev_left"]),
-            counts_per_rev_right=float(fit.provenance["encoder"]["counts_per_rev_right"]),
-            wrap_bits=None if bits is None else int(bits),
+    hashes = fit.provenance.get("inputs", {}) if inputs is None else inputs
+    if fit.setup is None or not isinstance(hashes, Mapping):
+        raise BadInputError(
+            f"fit of {fit.name!r}: found no vehicle, encoder and input hashes; expected those of its campaign; "
+            "make it anew with 'calib fit CAMPAIGN --into FOLDER'"
         )
-        inputs = {str(key): str(value) for key, value in fit.provenance["inputs"].items()}
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise BadFileError(
-            source,
-            column="provenance",
-            found=f"no usable vehicle, encoder and inputs ({error})",
-            expected="those of the campaign",
-            remedy="make the result anew with 'calib fit CAMPAIGN --into FOLDER', or export from the campaign",
-        ) from error
     return from_law(
         fit.law,
-        vehicle,
-        encoder,
+        fit.setup.vehicle,
+        fit.setup.encoder,
         name=fit.name,
         simulated=fit.simulated,
         outside=outside,
         created=created,
         load_table=load_points(fit.radii.load_left_N, fit.radii.load_right_N),
-        inputs=inputs,
+        inputs=hashes,
+        effects=effects,
     )
 
 

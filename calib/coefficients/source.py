@@ -58,18 +58,18 @@ def coefficients_of(path: Path | str, *, outside: str | None = None, created: st
         changes = {"outside": wanted, "created": created}
         kept = {key: value for key, value in changes.items() if value is not None}
         return Source(file.changed(**kept) if kept else file)
-    from calib.coefficients.build import from_fit, from_result
+    from calib.coefficients.build import from_fit
 
+    inputs = None
     if is_result(path):
         fit = read_result(path)
-        made = from_result(fit, source=path, outside=wanted or "refuse", created=created)
     else:
         from calib.campaign.read import read_campaign
         from calib.radius.fit import fit_campaign
 
         campaign = read_campaign(path)
-        fit = fit_campaign(campaign)
-        made = from_fit(fit.law, campaign, outside=wanted or "refuse", created=created)
+        fit, inputs = fit_campaign(campaign), campaign.hashes
+    made = from_fit(fit, outside=wanted or "refuse", created=created, inputs=inputs)
     notes = tuple(
         f"{name} wheel, check {check.name} failed: {check.sentence}"
         for name, wheel in fit.wheels.items()

@@ -6,7 +6,6 @@ import csv
 import io
 import json
 from collections.abc import Mapping
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,7 +21,7 @@ RUNS_FILE: Final = "runs.csv"
 
 
 def provenance(campaign: Campaign, *, version: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """Return where a fit comes from: version, arguments, the SHA-256 of every file read, vehicle and encoder.
+    """Return where a fit comes from: version, arguments and the SHA-256 of every file read.
 
     Parameters
     ----------
@@ -38,14 +37,7 @@ def provenance(campaign: Campaign, *, version: str, arguments: Mapping[str, Any]
         for name in ("campaign.toml", "runs.csv"):
             if (campaign.root / name).is_file():
                 hashes[name] = sha256_file(campaign.root / name)
-    return {
-        "version": version,
-        "arguments": dict(arguments),
-        "inputs": dict(sorted(hashes.items())),
-        # what the coefficient file needs besides the laws, so that a result folder can be exported on its own
-        "vehicle": asdict(campaign.vehicle),
-        "encoder": asdict(campaign.encoder),
-    }
+    return {"version": version, "arguments": dict(arguments), "inputs": dict(sorted(hashes.items()))}
 
 
 def write_result(fit: Fit, folder: Path, *, force: bool = False) -> Path:
