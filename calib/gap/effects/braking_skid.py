@@ -1,0 +1,58 @@
+"""The vehicle slides on when it stops, its rear wheels turning too little."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from calib.campaign.model import BoolArray, FloatArray
+from calib.gap.effects.effect import Effect, Form, Parameter, varies
+from calib.gap.effects.shapes import MOVING_MPS, driven_speed_mps
+from calib.gap.path import Push
+from calib.gap.situation import Situation
+
+__all__ = ["BrakingSkid", "stops"]
+
+
+class BrakingSkid(Effect):
+    """A slide at each stop, the same at every stop or growing with the square of the speed before it."""
+
+    id: ClassVar[str] = "braking_skid"
+    title: ClassVar[str] = "skidding when it stops"
+    implausible: ClassVar[str] = "latency, or an offset of the reference"
+
+    def forms(self, s: Situation) -> list[Form]:
+        """Return a form with equal slides and, where speeds differ, one ~ v^2; none where no run stops."""
+        steps = stops(s)
+        if not steps.any():
+            return []
+        slide = np.where(steps, np.where(s.path_m < 0.0, -1.0, 1.0), 0.0)
+        speed = driven_speed_mps(s)
+        found: list[tuple[str, FloatArray, Parameter]] = [
+            ("the same at each stop", slide, Parameter("per_stop", "m", typical=5e-4, largest=1e-2))
+        ]
+        if varies(speed, 0.02):
+            square = slide * speed[s.unit] ** 2
+            found.append(("~ v^2", square, Parameter("per_speed_squared", "s2/m", typical=2e-3, largest=4e-2)))
+
+        def made(label: str, along: FloatArray, parameter: Parameter) -> Form:
+            return Form(self.id, label, (parameter,), lambda _: [Push(along_m=along)], tries=len(found))
+
+        return [made(*one) for one in found]
+
+
+def stops(s: Situation) -> BoolArray:
+    """Return the last moving step before each stop, shape (n_steps,).
+
+    A log that ends at less than half the driven speed ends in a stop. A run without a log stops once, at its end.
+    """
+    speed = np.abs(s.speed_mps)
+    last = np.zeros(len(s.unit), dtype=bool)
+    last[s.starts[1:] - 1] = True
+    moving = speed > MOVING_MPS
+    follows = np.concatenate((moving[1:], [False]))
+    driven = np.nan_to_num(driven_speed_mps(s))[s.unit]
+    within = moving & ~last & ~follows
+    at_end = last & moving & (speed < 0.5 * driven)
+    return np.where(s.from_log[s.unit], within | at_end, last)

@@ -1,0 +1,71 @@
+"""The floor slopes."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from calib.campaign.model import FloatArray
+from calib.gap.effects.effect import Effect, Form, Parameter, varies
+from calib.gap.effects.floor import map_heading_rad
+from calib.gap.path import Path, Push, predict
+from calib.gap.situation import Situation
+
+__all__ = ["FloorSlope"]
+
+
+class FloorSlope(Effect):
+    """By the heading phi on the floor: both radii ~ cos(phi), a pull to one side ~ sin(phi) where it slopes along x.
+
+    Where it slopes across, the pull goes with cos(phi): to the left going out, to the right going back.
+    """
+
+    id: ClassVar[str] = "floor_slope"
+    title: ClassVar[str] = "a sloping floor"
+    implausible: ClassVar[str] = "a difference between driving out and back of another cause"
+
+    def forms(self, s: Situation) -> list[Form]:
+        """Return forms by slope and pull; none where the floor is only driven one way, or for windows of a recording.
+
+        The place of a window on the floor is not kept.
+        """
+        if s.windowed:
+            return []
+        nominal = predict(s)
+        heading = map_heading_rad(nominal)
+        way = np.abs(s.path_m)
+        length = np.maximum(s.length_m, 1e-9)
+        along, across = (s.total(way * part(heading)) / length for part in (np.cos, np.sin))
+        if not (varies(along, 0.2) or varies(across, 0.2)):
+            return []
+        radii = Parameter("radii", "1", typical=2e-4, largest=2e-3)
+        pull = Parameter("pull", "rad/m", typical=2e-4, largest=5e-3)
+        sided = bool((np.abs(across) > 0.02).any()) or bool((s.total(way * np.abs(np.sin(heading))) > 0.2).any())
+
+        def by_cos(path: Path) -> Push:
+            part: FloatArray = np.cos(map_heading_rad(path))
+            return Push(left=part, right=part)
+
+        def by_sin(path: Path) -> Push:
+            return Push(heading_rad=np.abs(s.path_m) * np.sin(map_heading_rad(path)))
+
+        def crosswise(path: Path) -> Push:
+            return Push(heading_rad=np.abs(s.path_m) * np.cos(map_heading_rad(path)))
+
+        tries = 3 if sided else 2
+        made = [
+            Form(self.id, "along x, radii alone", (radii,), lambda path: [by_cos(path)], tries=tries),
+            Form(self.id, "across, pull alone", (pull,), lambda path: [crosswise(path)], tries=tries),
+        ]
+        if sided:
+            made.append(
+                Form(
+                    self.id,
+                    "along x, radii and pull",
+                    (radii, pull),
+                    lambda path: [by_cos(path), by_sin(path)],
+                    tries=tries,
+                )
+            )
+        return made

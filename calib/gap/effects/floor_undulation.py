@@ -1,0 +1,45 @@
+"""An uneven floor: the wheels roll up and down, the vehicle gets less far."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Final
+
+import numpy as np
+
+from calib.campaign.model import BoolArray
+from calib.gap.effects.effect import Effect, Form, Parameter, varies
+from calib.gap.path import Push
+from calib.gap.situation import Situation
+
+__all__ = ["FloorUndulation"]
+
+_MOST: Final = 8
+
+
+class FloorUndulation(Effect):
+    """On one lane the way is shorter than what the wheels roll by <z'^2> / 2, never longer."""
+
+    id: ClassVar[str] = "floor_undulation"
+    title: ClassVar[str] = "an uneven floor on one lane"
+    implausible: ClassVar[str] = "both effective radii on that lane, or a path that weaves"
+
+    def forms(self, s: Situation) -> list[Form]:
+        """Return a form for each lane: the values of a column ``lane`` where there is one, else the kinds of route."""
+        lane = s.number("lane")
+        groups: list[tuple[str, BoolArray]]
+        if varies(lane):
+            values = np.unique(lane)
+            groups = [(f"lane {value:g}", lane == value) for value in values]
+        else:
+            kind = s.labels["kind"]
+            groups = [(f"route {name}", kind == name) for name in np.unique(kind)]
+        if not 1 < len(groups) <= _MOST:
+            return []
+        parameter = Parameter("excess", "1", typical=2.5e-4, largest=2e-3, sign=1)
+
+        def made(label: str, mine: BoolArray) -> Form:
+            shorter = np.where(mine, -1.0, 0.0)
+            push = Push(left=shorter, right=shorter)
+            return Form(self.id, label, (parameter,), lambda _: [push], tries=len(groups))
+
+        return [made(*group) for group in groups]

@@ -1,0 +1,114 @@
+"""A stretch of floor that shortens the way or turns the vehicle."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Final
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from calib.campaign.model import FloatArray, IntArray
+from calib.gap.effects.effect import Effect, Form, Parameter
+from calib.gap.effects.floor import floor_place, lanes, map_heading_rad
+from calib.gap.path import Path, Push, predict
+from calib.gap.situation import Situation
+
+__all__ = ["CELL_M", "MOST_FORMS", "FloorZone"]
+
+CELL_M: Final = 2.0
+MOST_FORMS: Final = 40
+_FEWEST_UNITS: Final = 3
+#: cells are numbered (lane, column, row) in one integer; a floor is smaller than this many cells either way
+_WIDE: Final = 2**16
+
+
+class FloorZone(Effect):
+    """Within a cell of the floor: a relative change of the way, a turn per metre, the same or by the heading driven."""
+
+    id: ClassVar[str] = "floor_zone"
+    title: ClassVar[str] = "a zone of the floor that shortens the way or turns the vehicle"
+    implausible: ClassVar[str] = "a step or joint that the vehicle should not be driven over"
+
+    def forms(self, s: Situation) -> list[Form]:
+        """Return a form for each cell of about 2 m that some runs cross and others do not, or cross otherwise.
+
+        Only runs with a log have a place; a cell that fewer than three runs cross is left out, and the cells that tell
+        runs apart best are kept.
+        """
+        if s.windowed or np.count_nonzero(s.from_log) < _FEWEST_UNITS:
+            return []
+        lane = lanes(s)[s.unit]
+        places: WeakKeyDictionary[Path, tuple[FloatArray, FloatArray, FloatArray]] = WeakKeyDictionary()
+
+        def place(path: Path) -> tuple[FloatArray, FloatArray, FloatArray]:
+            """Return x, y and the cosine of the heading on the floor; kept, as every cell asks for them."""
+            if path not in places:
+                places[path] = (*floor_place(path), np.cos(map_heading_rad(path)))
+            return places[path]
+
+        cells = _cells(s, lane, *place(predict(s)))
+        along = Parameter("along", "1", typical=1e-3, largest=2e-2)
+        turn = Parameter("turn", "rad/m", typical=1e-3, largest=2e-2)
+        turn_by_heading = Parameter("turn_by_heading", "rad/m", typical=1e-3, largest=2e-2)
+
+        def made(number: int, x: float, y: float, both_ways: bool) -> Form:
+            def pushes(path: Path) -> list[Push]:
+                at_x, at_y, cosine = place(path)
+                inside = s.from_log[s.unit] & (lane == number)
+                inside &= (np.abs(at_x - x) < 0.5 * CELL_M) & (np.abs(at_y - y) < 0.5 * CELL_M)
+                share = inside.astype(np.float64)
+                way = share * np.abs(s.path_m)
+                found = [Push(left=share, right=share), Push(heading_rad=way)]
+                return [*found, Push(heading_rad=way * cosine)] if both_ways else found
+
+            label = f"x {x:g} m, y {y:g} m" + (f", lane {number + 1}" if lane.max() > 0 else "")
+            parameters = (along, turn, turn_by_heading) if both_ways else (along, turn)
+            settings = {"x_m": x, "y_m": y, "lane": float(number), "size_m": CELL_M}
+            return Form(self.id, label, parameters, pushes, settings=settings, tries=len(cells))
+
+        return [made(*cell) for cell in cells]
+
+
+def _cells(
+    s: Situation, lane: IntArray, x: FloatArray, y: FloatArray, cosine: FloatArray
+) -> list[tuple[int, float, float, bool]]:
+    """Return (lane, x, y, driven both ways) of the cells worth asking about, best first to be kept, then by place."""
+    found = _grid(s, lane, x, y, cosine, 0.5)
+    if 2 * len(found) <= MOST_FORMS:
+        # a zone that lies across the edge of two cells fills one of the second grid
+        found += _grid(s, lane, x, y, cosine, 1.0)
+    found.sort(key=lambda one: -one[0])
+    return sorted(one[1] for one in found[:MOST_FORMS])
+
+
+def _grid(
+    s: Situation, lane: IntArray, x: FloatArray, y: FloatArray, cosine: FloatArray, shift: float
+) -> list[tuple[float, tuple[int, float, float, bool]]]:
+    """Return (how much the cell tells runs apart, cell) on the grid whose columns are shifted by `shift` cells."""
+    way = np.where(s.from_log[s.unit], np.abs(s.path_m), 0.0)
+    column = np.floor(x / CELL_M + 0.5 - shift).astype(np.int64)
+    row = np.floor(y / CELL_M + 0.5).astype(np.int64)
+    code = (lane * _WIDE + np.clip(column, -_WIDE // 4, _WIDE // 4) + _WIDE // 2) * _WIDE
+    code += np.clip(row, -_WIDE // 4, _WIDE // 4) + _WIDE // 2
+    codes, cell = np.unique(code, return_inverse=True)
+    n_units, n_cells = len(s), len(codes)
+    flat = s.unit * n_cells + cell
+    in_cell = np.bincount(flat, way, n_units * n_cells).reshape(n_units, n_cells)
+    heading = np.bincount(flat, way * cosine, n_units * n_cells).reshape(n_units, n_cells)
+    logged = s.from_log
+    visits = in_cell > 0.25 * CELL_M
+    lateral = bool(s.usable[:, 2].any())
+    found = []
+    for number in np.flatnonzero(visits.sum(axis=0) >= _FEWEST_UNITS):
+        seen = visits[:, number]
+        cosines = heading[seen, number] / in_cell[seen, number]
+        both_ways = bool(np.ptp(cosines) > 1.0)
+        spread = float(np.std(in_cell[logged, number]))
+        alike = spread < 0.05 * float(np.mean(in_cell[logged, number]))
+        if alike and not (both_ways and lateral):
+            continue
+        first = int(np.flatnonzero(cell == number)[0])
+        centre = (float(column[first] + shift) * CELL_M, float(row[first]) * CELL_M)
+        worth = spread + (float(np.mean(in_cell[logged, number])) if both_ways else 0.0)
+        found.append((worth, (int(lane[first]), *centre, both_ways)))
+    return found

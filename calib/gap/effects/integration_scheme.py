@@ -1,0 +1,55 @@
+"""The outside simulator takes the heading at one end of its steps."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from calib.gap.effects.effect import Effect, Form, Parameter
+from calib.gap.effects.shapes import start_to_end_frame
+from calib.gap.path import Path, Push, predict
+from calib.gap.situation import Situation
+
+__all__ = ["IntegrationScheme"]
+
+
+class IntegrationScheme(Effect):
+    """Exact arcs less steps along the heading at their end (Eq. 7 as printed) or start (Euler): e_n ~ v dt theta / 2.
+
+    Calib's own odometry integrates exact arcs, so only an outside simulator's poses can have it. The difference is
+    computed on the log's steps and grows with them: a share of 1 means that the simulator takes the log's steps.
+    """
+
+    id: ClassVar[str] = "integration_scheme"
+    title: ClassVar[str] = "a simulator that integrates the heading coarsely"
+    implausible: ClassVar[str] = "latency, or a start heading that differs"
+
+    def forms(self, s: Situation) -> list[Form]:
+        """Return the end-point and the Euler form; none without an outside simulator's poses on turning runs."""
+        outside = s.from_log & np.isfinite(s.simulated[:, 1:3]).all(axis=1) & s.usable[:, 1]
+        if not outside.any():
+            return []
+        parameter = Parameter("share", "1", typical=1.0, largest=2.0, sign=1)
+
+        def made(label: str, side: float) -> Form:
+            def pushes(path: Path) -> list[Push]:
+                heading = path.mid_rad + side * 0.5 * path.turn_rad
+                x = path.end[:, 0] - s.total(path.ds_m * np.cos(heading))
+                y = path.end[:, 1] - s.total(path.ds_m * np.sin(heading))
+                x, y = np.where(outside, x, 0.0), np.where(outside, y, 0.0)
+                reading = np.zeros((len(s), 6))
+                reading[:, 1], reading[:, 2] = start_to_end_frame(path, x, y)
+                # a laser's simulated distance was taken from the same pose
+                far = np.maximum(np.hypot(path.end[:, 0], path.end[:, 1]), 1e-9)
+                chord = (path.end[:, 0] * x + path.end[:, 1] * y) / far
+                laser = np.where(s.axis == 1, x, np.where(s.axis == 2, chord, 0.0))
+                reading[:, 0] = np.where(np.isfinite(s.simulated[:, 0]), laser, 0.0)
+                return [Push(reading=reading)]
+
+            return Form(self.id, label, (parameter,), pushes, tries=2)
+
+        forms = [made("end-point heading", 1.0), made("start heading (Euler)", -1.0)]
+        nominal = predict(s)
+        reading = forms[0].pushes(nominal)[0].reading
+        return forms if reading is not None and float(np.abs(reading).max()) > 1e-5 else []

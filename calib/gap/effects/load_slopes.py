@@ -1,0 +1,56 @@
+"""How the radii follow the load under a hypothesis: what a misreported load acts through."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from calib.campaign.model import BoolArray, FloatArray
+from calib.gap.path import Path
+from calib.gap.situation import Situation
+from calib.vehicle import wheel_loads_N
+
+__all__ = ["NOMINAL_PER_N", "payload_load_N", "radius_slopes_m_per_N"]
+
+#: relative slope where neither the model nor the hypothesis has any
+NOMINAL_PER_N: Final = 1e-5
+
+
+def radius_slopes_m_per_N(path: Path, use: BoolArray | None = None) -> tuple[float, float]:
+    """Return the slopes of the left and right radius against load.
+
+    Those of the model; where it has none, those that the hypothesis gives the radii of the units `use`, shape
+    (n_units,); where there are none either, `NOMINAL_PER_N` times the radius. With a nominal slope only the product
+    of slope and misreported load means anything.
+    """
+    s = path.s
+    model = s.model
+    if model.slope_left_m_per_N != 0.0 or model.slope_right_m_per_N != 0.0:
+        return model.slope_left_m_per_N, model.slope_right_m_per_N
+    keep = np.ones(len(s), dtype=bool) if use is None else use
+    found = []
+    for travel, roll, load, radius in (
+        (path.ds_left_m, s.roll_left_rad, s.number("load_left_N"), model.radius_left_m),
+        (path.ds_right_m, s.roll_right_rad, s.number("load_right_N"), model.radius_right_m),
+    ):
+        sense = np.sign(roll)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            rolled = s.total(travel * sense) / s.total(np.abs(roll))
+        good = keep & np.isfinite(rolled) & np.isfinite(load)
+        slope = 0.0
+        if good.sum() > 1 and np.ptp(load[good]) > 20.0:
+            over = load[good] - load[good].mean()
+            slope = float(over @ rolled[good] / (over @ over))
+        found.append(slope if abs(slope) > 0.1 * NOMINAL_PER_N * radius else NOMINAL_PER_N * radius)
+    return found[0], found[1]
+
+
+def payload_load_N(s: Situation) -> tuple[FloatArray, FloatArray]:
+    """Return what the reported payload adds to the left and right wheel, each shape (n_units,) (Eqs 1 and 2)."""
+    payload = np.nan_to_num(s.number("payload_kg"))
+    x, y = s.number("payload_x_m"), s.number("payload_y_m")
+    x, y = np.where(np.isnan(x), s.vehicle.cog_x_m, x), np.nan_to_num(y)
+    _, left, right = wheel_loads_N(s.vehicle, payload, x, y)
+    _, none_left, none_right = wheel_loads_N(s.vehicle, 0.0, 0.0, 0.0)
+    return left - none_left, right - none_right

@@ -1,0 +1,76 @@
+"""The vehicle weaves about its line, where only the ends and a distance are known."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from calib.campaign.model import FloatArray
+from calib.gap.effects.effect import Effect, Form, Parameter
+from calib.gap.effects.shapes import distance_m, start_to_end_frame
+from calib.gap.path import Path, Push, predict
+from calib.gap.situation import Situation
+
+__all__ = ["PathWeave", "sine_excess"]
+
+
+class PathWeave(Effect):
+    """Wheels roll (pi A / lambda)^2 further than the distance shows; the parameter is the share of the known weave.
+
+    A run with a log needs no such thing, its path is integrated; a run without one is taken as one arc, and an outside
+    simulator may have driven the straight line.
+    """
+
+    id: ClassVar[str] = "path_weave"
+    title: ClassVar[str] = "a path that weaves about its line"
+    implausible: ClassVar[str] = "both effective radii, or a weave other than noted"
+
+    def forms(self, s: Situation) -> list[Form]:
+        """Return a form by the noted amplitude and wavelength and one by the logs of outside simulations."""
+        noted = np.where(s.from_log, 0.0, np.nan_to_num(sine_excess(s.number("amplitude_m"), s.number("wavelength_m"))))
+        has_noted = bool((noted > 1e-7).any())
+        outside = s.from_log & np.isfinite(s.simulated[:, :2]).any(axis=1)
+        logged = np.where(outside, _weave_of_logs(s), 0.0)
+        has_logged = bool((logged > 1e-7).any())
+        parameter = Parameter("share", "1", typical=1.0, largest=2.0, sign=1)
+        tries = int(has_noted) + int(has_logged)
+
+        def made(label: str, excess: FloatArray) -> Form:
+            shorter = -excess / (1.0 + excess)
+
+            def pushes(path: Path) -> list[Push]:
+                reading = np.zeros((len(s), 6))
+                reading[:, 0] = shorter * distance_m(path)
+                x, y = shorter * path.end[:, 0], shorter * path.end[:, 1]
+                reading[:, 1], reading[:, 2] = start_to_end_frame(path, x, y)
+                return [Push(reading=reading)]
+
+            return Form(self.id, label, (parameter,), pushes, tries=tries)
+
+        wanted = [("by the noted amplitude", has_noted, noted), ("by the logs", has_logged, logged)]
+        return [made(label, excess) for label, offered, excess in wanted if offered]
+
+
+def sine_excess(amplitude_m: FloatArray, wavelength_m: FloatArray) -> FloatArray:
+    """Return by which share a sine is longer than its line over whole periods, same shape as the arguments.
+
+    (2 / pi) sqrt(1 + u) E(u / (1 + u)) - 1 with u = (2 pi A / lambda)^2 and E the complete elliptic integral of the
+    second kind; (pi A / lambda)^2 for small amplitudes.
+    """
+    from scipy.special import ellipe
+
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u = (2.0 * np.pi * amplitude_m / wavelength_m) ** 2
+    return np.asarray(2.0 / np.pi * np.sqrt(1.0 + u) * ellipe(u / (1.0 + u)) - 1.0, dtype=np.float64)
+
+
+def _weave_of_logs(s: Situation) -> FloatArray:
+    """Return by which share the logged path is longer than its line, 0 on routes that turn, shape (n_units,)."""
+    path = predict(s)
+    way = s.total(np.abs(path.ds_m))
+    line = np.abs(s.total(path.ds_m * path.weave_cos))
+    straight = np.abs(path.end[:, 2]) < 0.35
+    with np.errstate(divide="ignore", invalid="ignore"):
+        excess = way / line - 1.0
+    return np.where(straight & np.isfinite(excess), excess, 0.0)

@@ -1,0 +1,55 @@
+"""A payload weighs other than reported."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Final
+
+import numpy as np
+
+from calib.gap.effects.effect import Effect, Form, Parameter
+from calib.gap.effects.load_slopes import payload_load_N, radius_slopes_m_per_N
+from calib.gap.path import Path, Push
+from calib.gap.situation import Situation
+
+__all__ = ["PayloadMass"]
+
+_MOST: Final = 6
+
+
+class PayloadMass(Effect):
+    """The payload of one label is off by a share, and with it the loads: dr_i = c_i share dF_i.
+
+    The slopes c_i are the model's, else those of the hypothesis as the other payloads show them, else a nominal 1 % per
+    kN (then the share is only as good as that slope).
+    """
+
+    id: ClassVar[str] = "payload_mass"
+    title: ClassVar[str] = "a misreported payload mass"
+    implausible: ClassVar[str] = "radii that follow the load by a curved law"
+
+    def forms(self, s: Situation) -> list[Form]:
+        """Return a form for each of the (at most six) payloads driven most; none without payloads."""
+        payload = np.nan_to_num(s.number("payload_kg"))
+        values, counts = np.unique(np.round(payload, 3), return_counts=True)
+        laden = values > 0.0
+        values, counts = values[laden], counts[laden]
+        values = np.sort(values[np.argsort(-counts, kind="stable")[:_MOST]])
+        added_left, added_right = payload_load_N(s)
+        parameter = Parameter("share", "1", typical=0.15, largest=0.5)
+
+        def made(value: float) -> Form:
+            mine = np.abs(payload - value) < 1e-3
+
+            def pushes(path: Path) -> list[Push]:
+                left, right = radius_slopes_m_per_N(path, ~mine)
+                return [
+                    Push(
+                        left=np.where(mine, left * added_left, 0.0) / s.radius_left_m,
+                        right=np.where(mine, right * added_right, 0.0) / s.radius_right_m,
+                    )
+                ]
+
+            label = f"payload of {value:g} kg"
+            return Form(self.id, label, (parameter,), pushes, {"payload_kg": value}, tries=len(values))
+
+        return [made(float(value)) for value in values]

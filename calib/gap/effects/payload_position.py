@@ -1,0 +1,65 @@
+"""The payload stands elsewhere than reported."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from calib.gap.effects.effect import Effect, Form, Parameter
+from calib.gap.effects.load_slopes import radius_slopes_m_per_N
+from calib.gap.path import Path, Push
+from calib.gap.situation import Situation
+from calib.units import GRAVITY_MPS2
+
+__all__ = ["PayloadPosition"]
+
+
+class PayloadPosition(Effect):
+    """All payloads stand dy further left or dx further ahead: the loads shift, and with them the radii.
+
+    Left: dF = +-m g dy / b, e_theta ~ S 2 c W dy / b^2. Ahead: dF = -m g dx / 2L on each rear wheel and +m g dx / L on
+    the front wheel, so e_s and e_F go opposite ways. The slope is the mean of both wheels' (see `load_slopes`).
+    """
+
+    id: ClassVar[str] = "payload_position"
+    title: ClassVar[str] = "a misreported payload position"
+    implausible: ClassVar[str] = "rear wheels of unequal radius, or loads that were misread"
+
+    def forms(self, s: Situation) -> list[Form]:
+        """Return a form sideways and one lengthways; none without payloads."""
+        weight_N = GRAVITY_MPS2 * np.nan_to_num(s.number("payload_kg"))
+        if not (weight_N > 0.0).any():
+            return []
+        wheelbase, track = s.vehicle.wheelbase_m, s.model.track_m
+        front_m = np.where(s.usable[:, 4], np.nan_to_num(s.total(np.nan_to_num(s.front_roll_rad))), 0.0)
+        by_steering = s.total(np.nan_to_num(s.front_roll_rad) * np.sin(np.nan_to_num(s.steer_rad))) / wheelbase
+        by_steering = np.where(s.usable[:, 5], by_steering, 0.0)
+
+        def slope(path: Path) -> float:
+            return 0.5 * sum(radius_slopes_m_per_N(path))
+
+        def sideways(path: Path) -> list[Push]:
+            change_m = slope(path) * weight_N / track
+            return [Push(left=change_m / s.radius_left_m, right=-change_m / s.radius_right_m)]
+
+        def ahead(path: Path) -> list[Push]:
+            change_m = slope(path) * weight_N / wheelbase
+            reading = np.zeros((len(s), 6))
+            # the front wheel travels more for its counts, which the front channels subtract
+            reading[:, 4], reading[:, 5] = -front_m * change_m, -by_steering * change_m
+            return [
+                Push(
+                    left=-0.5 * change_m / s.radius_left_m,
+                    right=-0.5 * change_m / s.radius_right_m,
+                    reading=reading,
+                )
+            ]
+
+        def parameter(name: str) -> tuple[Parameter, ...]:
+            return (Parameter(name, "m", typical=3e-2, largest=2.5e-1),)
+
+        return [
+            Form(self.id, "sideways", parameter("further_left"), sideways, tries=2),
+            Form(self.id, "lengthways", parameter("further_ahead"), ahead, tries=2),
+        ]

@@ -1,0 +1,51 @@
+"""What the four errors of the steering angle share."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from calib.campaign.model import BoolArray, FloatArray
+from calib.gap.effects.effect import Form, Parameter
+from calib.gap.path import Push
+from calib.gap.situation import Situation
+
+__all__ = ["error_form", "front_travel_m", "has_front", "steer_rad"]
+
+
+def has_front(s: Situation) -> BoolArray:
+    """Return which units have the front wheel's counts and steering angle, shape (n_units,)."""
+    return s.usable[:, 5]
+
+
+def front_travel_m(s: Situation) -> FloatArray:
+    """Return the front wheel's travel of each step, 0 where it was not logged, shape (n_steps,)."""
+    return np.where(has_front(s)[s.unit], np.nan_to_num(s.front_roll_rad), 0.0) * s.vehicle.wheel_radius_m
+
+
+def steer_rad(s: Situation) -> FloatArray:
+    """Return the logged steering angle of each step, 0 where it was not logged, shape (n_steps,)."""
+    return np.nan_to_num(s.steer_rad)
+
+
+def error_form(
+    s: Situation,
+    effect: str,
+    label: str,
+    parameter: Parameter,
+    error_rad: FloatArray,
+    *,
+    tries: int = 1,
+    settings: dict[str, float] | None = None,
+) -> Form:
+    """Return a form by which the logged steering angle is too large by `error_rad`, shape (n_steps,), per unit.
+
+    The heading by steering, sum of ds sin(delta) / L, is then too large by ds cos(delta) error / L. The channel is the
+    rear wheels' heading less that, so taking the error out of the steering's part adds the excess.
+    """
+    excess = front_travel_m(s) * np.cos(steer_rad(s)) * error_rad / s.vehicle.wheelbase_m
+    reading = np.zeros((len(s), 6))
+    reading[:, 5] = s.total(excess)
+    pushes: Sequence[Push] = [Push(reading=reading)]
+    return Form(effect, label, (parameter,), lambda _: pushes, tries=tries, settings=settings or {})

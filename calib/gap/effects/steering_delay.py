@@ -1,0 +1,44 @@
+"""The steering angle is logged late."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from calib.campaign.model import FloatArray
+from calib.gap.effects.effect import Effect, Form, Parameter
+from calib.gap.effects.steering import error_form, has_front, steer_rad
+from calib.gap.situation import Situation
+
+__all__ = ["SteeringDelay"]
+
+
+class SteeringDelay(Effect):
+    """The logged angle is tau old, so short of the true one by tau d(delta)/dt.
+
+    On a run at one speed e_delta = -v tau (delta_end - delta_start) / L.
+    """
+
+    id: ClassVar[str] = "steering_delay"
+    title: ClassVar[str] = "a steering angle that is logged late"
+    implausible: ClassVar[str] = "a steering angle of wrong scale"
+
+    def forms(self, s: Situation) -> list[Form]:
+        """Return the single form; none where the steering does not move or the log has no times."""
+        rate = _rate(s, steer_rad(s))
+        if not has_front(s).any() or not (np.abs(rate) > 1e-3).any():
+            return []
+        parameter = Parameter("delay", "s", typical=1e-1, largest=5e-1)
+        return [error_form(s, self.id, "", parameter, -rate)]
+
+
+def _rate(s: Situation, angle: FloatArray) -> FloatArray:
+    """Return the rate of the steering angle in each step, one-sided at the ends of a unit, shape (n_steps,)."""
+    index = np.arange(len(angle))
+    before = np.maximum(index - 1, s.starts[s.unit])
+    after = np.minimum(index + 1, s.starts[s.unit + 1] - 1)
+    middle = s.time_s - 0.5 * s.duration_s
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rate = (angle[after] - angle[before]) / (middle[after] - middle[before])
+    return np.where(np.isfinite(rate), rate, 0.0)

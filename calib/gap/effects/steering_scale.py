@@ -1,0 +1,44 @@
+"""The steering angle's scale is off, or the wheelbase."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from calib.gap.effects.effect import Effect, Form, Parameter
+from calib.gap.effects.steering import error_form, front_travel_m, has_front, steer_rad
+from calib.gap.path import Path, Push
+from calib.gap.situation import Situation
+
+__all__ = ["SteeringScale"]
+
+
+class SteeringScale(Effect):
+    """The logged angle is (1 + k) times the true one, or the wheelbase is (1 + k) times the believed one."""
+
+    id: ClassVar[str] = "steering_scale"
+    title: ClassVar[str] = "a steering angle of wrong scale, or a wrong wheelbase"
+    implausible: ClassVar[str] = "slip of the front wheel"
+
+    def forms(self, s: Situation) -> list[Form]:
+        """Return a form for the angle and one for the wheelbase; none where the front wheel is never turned."""
+        angle = steer_rad(s)
+        if not has_front(s).any() or not (np.abs(angle) > 0.02).any():
+            return []
+        parameter = Parameter("relative", "1", typical=1e-2, largest=1e-1)
+        wheelbase = s.vehicle.wheelbase_m
+        by_steering = s.total(front_travel_m(s) * np.sin(angle)) / wheelbase
+
+        def longer(path: Path) -> list[Push]:
+            reading = np.zeros((len(s), 6))
+            swing = wheelbase * path.turn_rad
+            length = np.maximum(np.hypot(path.ds_m, swing), 1e-12)
+            reading[:, 4] = np.where(has_front(s), s.total(np.sign(path.ds_m) * swing**2 / length), 0.0)
+            reading[:, 5] = by_steering
+            return [Push(reading=reading)]
+
+        return [
+            error_form(s, self.id, "scale of the angle", parameter, angle, tries=2),
+            Form(self.id, "wheelbase", (parameter,), longer, tries=2),
+        ]

@@ -1,0 +1,28 @@
+"""The steering angle's zero is off."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from calib.gap.effects.effect import Effect, Form, Parameter
+from calib.gap.effects.steering import error_form, has_front
+from calib.gap.situation import Situation
+
+__all__ = ["SteeringZero"]
+
+
+class SteeringZero(Effect):
+    """The logged angle is too large by delta_0: e_delta = S delta_0 / L on a straight."""
+
+    id: ClassVar[str] = "steering_zero"
+    title: ClassVar[str] = "a steering angle whose zero is off"
+    implausible: ClassVar[str] = "backlash, or rear wheels of unequal radius"
+
+    def forms(self, s: Situation) -> list[Form]:
+        """Return the single form; none without a front wheel in the log."""
+        if not has_front(s).any():
+            return []
+        parameter = Parameter("zero", "rad", typical=8e-3, largest=3.5e-2)
+        return [error_form(s, self.id, "", parameter, np.ones(len(s.unit)))]

@@ -1,0 +1,52 @@
+"""A wheel turns about a point that is not its middle."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from calib.campaign.model import FloatArray
+from calib.gap.effects.effect import Effect, Form, Parameter
+from calib.gap.path import Push
+from calib.gap.situation import Situation
+
+__all__ = ["WheelEccentricity"]
+
+
+class WheelEccentricity(Effect):
+    """The travel of a wheel gains e [sin(phi + phi_0) - sin(phi_0)], never more than 2 e.
+
+    Linear in e cos(phi_0) and e sin(phi_0). The wheel angle phi is the counter's, so phi_0 is common to runs only
+    where the counter keeps its place between them.
+    """
+
+    id: ClassVar[str] = "wheel_eccentricity"
+    title: ClassVar[str] = "an eccentric wheel"
+    implausible: ClassVar[str] = "a slipping encoder coupling"
+
+    def forms(self, s: Situation) -> list[Form]:
+        """Return forms for the left wheel, the right wheel and both; none without logs."""
+        if not s.from_log.any():
+            return []
+        logged = s.from_log[s.unit]
+
+        def relative(angle: FloatArray, roll: FloatArray, radius: FloatArray) -> tuple[FloatArray, FloatArray]:
+            """Return the relative change of each step's travel per metre of e cos(phi_0) and of e sin(phi_0)."""
+            middle, half = angle - 0.5 * roll, 0.5 * roll
+            # sin(a) - sin(b) = 2 cos(middle) sin(half), so the quotient by the roll stays finite at rest
+            share = np.where(logged, np.sinc(half / np.pi), 0.0) / radius[s.unit]
+            return np.cos(middle) * share, -np.sin(middle) * share
+
+        of_left = relative(s.phase_left_rad, s.roll_left_rad, s.radius_left_m)
+        of_right = relative(s.phase_right_rad, s.roll_right_rad, s.radius_right_m)
+
+        def parameters(side: str) -> tuple[Parameter, ...]:
+            return tuple(Parameter(f"{side}_{part}", "m", typical=2e-4, largest=2e-3) for part in ("cos", "sin"))
+
+        left, right = [Push(left=part) for part in of_left], [Push(right=part) for part in of_right]
+        return [
+            Form(self.id, "left wheel", parameters("left"), lambda _: left, tries=3),
+            Form(self.id, "right wheel", parameters("right"), lambda _: right, tries=3),
+            Form(self.id, "both wheels", parameters("left") + parameters("right"), lambda _: [*left, *right], tries=3),
+        ]

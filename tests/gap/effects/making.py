@@ -1,0 +1,201 @@
+"""Campaigns in memory for the tests of the diagnosis: true paths given, counts worked out from them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from calib.campaign.model import Campaign, Logs, RunTable
+from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
+from calib.gap.situation import Situation, build_situation
+from calib.vehicle import Vehicle
+
+TRACK_M, RADIUS_M, WHEELBASE_M = 0.7, 0.1, 1.0
+MODEL = OdometryModel(RADIUS_M, RADIUS_M, TRACK_M, 300.0)
+COUNTS = 4096.0
+Piece = tuple[float, float]
+
+
+@dataclass
+class Run:
+    """One run: pieces of (length_m, curvature_per_m), negative lengths backward, at a constant speed."""
+
+    pieces: list[Piece]
+    speed_mps: float = 0.5
+    steps: int = 100
+    session: str = "s1"
+    kind: str = "corridor"
+    direction: str = "out"
+    load_left_N: float = 300.0
+    load_right_N: float = 300.0
+    log: bool = True
+    front: bool = True
+    stops: bool = False
+    numbers: dict[str, float] = field(default_factory=dict)
+
+
+STRAIGHT: list[Piece] = [(10.0, 0.0)]
+ROUTE: list[Piece] = [(5.0, 0.0), (0.5 * np.pi * 3.0, 1 / 3.0), (5.0, 0.0)]
+SQUARE: list[Piece] = [(2.0, 0.0), (0.5 * np.pi * 0.5, 2.0)] * 4
+
+
+def steps_of(run: Run) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Path and turn of every step, and its duration; each piece in equal steps, so that steps are whole arcs."""
+    ds, turn = [], []
+    whole = sum(abs(length) for length, _ in run.pieces)
+    for length, kappa in run.pieces:
+        n = max(1, round(run.steps * abs(length) / whole))
+        ds.append(np.full(n, length / n))
+        turn.append(np.full(n, abs(length) * kappa / n))
+    ds_m, turn_rad = np.concatenate(ds), np.concatenate(turn)
+    return ds_m, turn_rad, np.abs(ds_m) / run.speed_mps
+
+
+def end_pose(ds_m: np.ndarray, turn_rad: np.ndarray) -> np.ndarray:
+    """End pose of exact arcs, by turning complex numbers."""
+    place, heading = 0.0 + 0.0j, 0.0
+    for ds, turn in zip(ds_m, turn_rad, strict=True):
+        chord = ds if abs(turn) < 1e-12 else ds * np.sin(0.5 * turn) / (0.5 * turn)
+        place += chord * np.exp(1j * (heading + 0.5 * turn))
+        heading += turn
+    return np.array([place.real, place.imag, heading])
+
+
+def campaign(runs: list[Run], *, vehicle: Vehicle | None = None, model: OdometryModel = MODEL) -> Campaign:
+    """The campaign of runs in which the model is right: no gap, counts not rounded."""
+    n = len(runs)
+    lengths = []
+    columns: dict[str, list[np.ndarray]] = {
+        name: [] for name in ("t_s", "counts_left", "counts_right", "counts_front", "steer_rad")
+    }
+    numbers: dict[str, np.ndarray] = {}
+    extra = sorted({name for run in runs for name in run.numbers})
+    for name in [
+        "load_left_N",
+        "load_right_N",
+        "speed_mps",
+        "distance_m",
+        "counts_left",
+        "counts_right",
+        "ref_x_m",
+        "ref_y_m",
+        "ref_theta_rad",
+    ] + extra:
+        numbers[name] = np.full(n, np.nan)
+    for i, run in enumerate(runs):
+        ds, turn, dt = steps_of(run)
+        if run.stops:
+            ds, turn, dt = (np.concatenate([a, [b, b]]) for a, b in ((ds, 0.0), (turn, 0.0), (dt, 0.5)))
+        rad_left = model.radius_left_m + model.slope_left_m_per_N * (run.load_left_N - model.reference_load_N)
+        rad_right = model.radius_right_m + model.slope_right_m_per_N * (run.load_right_N - model.reference_load_N)
+        per = COUNTS / (2 * np.pi)
+        left = np.concatenate([[0.0], np.cumsum(ds - 0.5 * turn * model.track_m)]) / rad_left * per
+        right = np.concatenate([[0.0], np.cumsum(ds + 0.5 * turn * model.track_m)]) / rad_right * per
+        kappa = np.where(np.abs(ds) > 0, turn / np.where(ds == 0, 1.0, ds), 0.0)
+        steer = np.arctan(WHEELBASE_M * kappa)
+        front = np.concatenate([[0.0], np.cumsum(ds / np.cos(steer))]) / RADIUS_M * per
+        if run.log:
+            columns["t_s"].append(np.concatenate([[0.0], np.cumsum(dt)]))
+            columns["counts_left"].append(left)
+            columns["counts_right"].append(right)
+            columns["counts_front"].append(front if run.front else np.full(len(front), np.nan))
+            padded = np.concatenate([steer[:1], 0.5 * (steer[1:] + steer[:-1]), steer[-1:]])
+            columns["steer_rad"].append(padded if run.front else np.full(len(front), np.nan))
+            lengths.append(len(left))
+        else:
+            lengths.append(0)
+        x, y, theta = end_pose(ds, turn)
+        row = {
+            "load_left_N": run.load_left_N,
+            "load_right_N": run.load_right_N,
+            "speed_mps": run.speed_mps,
+            "counts_left": left[-1],
+            "counts_right": right[-1],
+            "ref_x_m": x,
+            "ref_y_m": y,
+            "ref_theta_rad": theta,
+            "distance_m": abs(x) if run.kind.startswith("corridor") else np.nan,
+            **run.numbers,
+        }
+        for name, value in row.items():
+            numbers[name][i] = value
+    return Campaign(
+        root=None,
+        name="made",
+        simulated=True,
+        vehicle=vehicle or Vehicle(track_m=TRACK_M, wheelbase_m=WHEELBASE_M),
+        encoder=Encoder(COUNTS, COUNTS),
+        model=model,
+        rangefinder=Rangefinder(),
+        reference=Reference(),
+        runs=RunTable(
+            labels={
+                "run_id": np.array([f"r{i:03d}" for i in range(n)]),
+                "session": np.array([run.session for run in runs]),
+                "kind": np.array([run.kind for run in runs]),
+                "direction": np.array([run.direction for run in runs]),
+            },
+            numbers=numbers,
+            excluded=np.zeros(n, dtype=bool),
+            line=np.arange(n) + 2,
+        ),
+        logs=Logs(
+            offsets=np.concatenate(([0], np.cumsum(lengths))).astype(np.int64),
+            columns={name: np.concatenate(parts) for name, parts in columns.items() if parts},
+        ),
+    )
+
+
+def situation(runs: list[Run], **settings: object) -> Situation:
+    """The campaign as the diagnosis sees it."""
+    return build_situation(campaign(runs, **settings))  # type: ignore[arg-type]
+
+
+def rich_runs() -> list[Run]:
+    """Runs that vary everything: routes, loads, speeds, temperatures, sessions, directions, dwell, a column."""
+    runs = []
+    rng = np.random.default_rng(3)
+    for i in range(24):
+        pieces, kind = [(STRAIGHT, "corridor"), (ROUTE, "route_left"), (SQUARE, "square_ccw")][i % 3]
+        if i % 6 == 5:
+            pieces, kind = [(length, -kappa) for length, kappa in pieces], "square_cw"
+        if i == 7:
+            pieces = [(3.0, 0.0), (-2.0, 0.3), (4.0, 0.2)]
+        payload = [0.0, 100.0, 200.0, 150.0][i // 3 % 4]
+        share = 9.81 * payload / 2
+        runs.append(
+            Run(
+                pieces,
+                steps=400,
+                speed_mps=[0.3, 0.6, 0.9][i // 2 % 3],
+                session=f"s{1 + i // 8}",
+                kind=kind,
+                direction="back" if i % 2 else "out",
+                load_left_N=300.0 + 0.6 * share,
+                load_right_N=300.0 + 0.5 * share,
+                log=i != 9,
+                stops=i % 4 != 0,
+                numbers={
+                    "payload_kg": payload,
+                    "payload_x_m": 0.3,
+                    "payload_y_m": 0.02,
+                    "temperature_C": float(rng.uniform(10, 30)),
+                    "minutes_under_load": float(rng.uniform(0, 60)),
+                    "humidity": float(rng.uniform(0.2, 0.8)),
+                    "amplitude_m": 0.05,
+                    "wavelength_m": 5.0,
+                },
+            )
+        )
+    return runs
+
+
+def with_outside_simulator(made: Campaign, off_m: float = 0.01) -> Campaign:
+    """The same campaign with an outside simulator's end poses, off by a constant."""
+    numbers = dict(made.runs.numbers)
+    numbers["sim_x_m"] = numbers["ref_x_m"] + off_m
+    numbers["sim_y_m"] = numbers["ref_y_m"] - off_m
+    numbers["sim_theta_rad"] = numbers["ref_theta_rad"].copy()
+    numbers["sim_distance_m"] = numbers["distance_m"].copy()
+    return replace(made, runs=replace(made.runs, numbers=numbers))

@@ -1,0 +1,207 @@
+"""What holds of every effect."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import calib.gap.effects as package
+from calib.gap.effects.effect import Effect, Form
+from calib.gap.effects.library import REGISTRY, library
+from calib.gap.path import predict, signature
+from calib.gap.situation import Situation, build_situation
+from tests.gap.effects.making import campaign, rich_runs, situation, with_outside_simulator
+
+#: the effects that the diagnosis promises, without the covariates
+IDS = set(
+    [
+        "radius_scale",
+        "unequal_radii",
+        "track_width",
+        "load_radius",
+        "load_radius_nonlinear",
+        "load_creep",
+        "wheel_eccentricity",
+        "curve_load_transfer",
+        "load_dependent_track",
+        "braking_skid",
+        "speed_radius",
+        "temperature_radius",
+        "wear",
+        "session_step",
+        "lost_counts",
+        "encoder_gross",
+        "rangefinder_scale",
+        "rangefinder_offset",
+        "beam_misalignment",
+        "reference_lever_arm",
+        "reference_yaw",
+        "reference_latency",
+        "rear_drag",
+        "travel_direction",
+        "side_slip",
+        "curve_scrub",
+        "steering_zero",
+        "steering_scale",
+        "steering_backlash",
+        "steering_delay",
+        "drive_slip",
+        "payload_mass",
+        "payload_position",
+        "floor_slope",
+        "floor_zone",
+        "floor_undulation",
+        "path_weave",
+        "integration_scheme",
+    ]
+)
+
+
+@pytest.fixture(scope="module")
+def rich() -> Situation:
+    return build_situation(with_outside_simulator(campaign(rich_runs())))
+
+
+def test_the_registry_holds_every_promised_effect_and_no_other() -> None:
+    assert set(REGISTRY) == IDS
+
+
+def test_an_effect_bears_the_id_under_which_it_is_registered(rich: Situation) -> None:
+    assert [e.id for e in library(rich)] == [*REGISTRY, "covariate:humidity"]
+
+
+def test_every_file_holds_one_effect_or_none() -> None:
+    for path in Path(package.__file__).parent.glob("*.py"):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        kinds = [
+            node.name
+            for node in tree.body
+            if isinstance(node, ast.ClassDef) and any(getattr(base, "id", "") == "Effect" for base in node.bases)
+        ]
+        assert len(kinds) <= 1, path.name
+        if path.stem in IDS:
+            assert kinds == [REGISTRY[path.stem][1]], path.name
+
+
+def test_excluded_effects_are_left_out_covariates_as_well(rich: Situation) -> None:
+    left = {e.id for e in library(rich, exclude=("wear", "covariate:humidity"))}
+    assert left == IDS - {"wear"}
+
+
+def every_form(s: Situation) -> list[Form]:
+    return [form for effect in library(s) for form in effect.forms(s)]
+
+
+def test_every_effect_but_a_gross_fault_shows_in_a_campaign_that_varies_everything(rich: Situation) -> None:
+    silent = {effect.id for effect in library(rich) if not effect.forms(rich)}
+    assert silent == {"encoder_gross"}
+
+
+def test_parameters_have_names_units_and_sizes(rich: Situation) -> None:
+    for form in every_form(rich):
+        assert form.parameters
+        names = [p.name for p in form.parameters]
+        assert len(set(names)) == len(names), form.effect
+        for p in form.parameters:
+            assert p.name and p.unit, form.effect
+            assert 0.0 < p.typical <= p.largest, form.effect
+            assert p.sign in (0, 1)
+        assert form.tries >= 1
+
+
+def test_forms_of_an_effect_have_labels_that_differ_and_pay_for_each_other(rich: Situation) -> None:
+    for effect in library(rich):
+        forms = effect.forms(rich)
+        labels = [form.label for form in forms]
+        assert len(set(labels)) == len(labels), effect.id
+        assert all(form.effect == effect.id for form in forms)
+        assert all(form.tries == len(forms) for form in forms), effect.id
+
+
+def test_titles_and_suspicions_are_clauses(rich: Situation) -> None:
+    for effect in library(rich):
+        assert effect.title and not effect.title.endswith("."), effect.id
+        assert effect.implausible and not effect.implausible.endswith("."), effect.id
+
+
+def rotated(path_frame: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """Changes of readings with x and y turned into along and lateral of the end frame."""
+    made = change.copy()
+    c, s = np.cos(path_frame), np.sin(path_frame)
+    made[:, 1], made[:, 2] = c * change[:, 1] + s * change[:, 2], c * change[:, 2] - s * change[:, 1]
+    return made
+
+
+@pytest.mark.parametrize("name", [*sorted(IDS - {"encoder_gross"}), "covariate:humidity"])
+def test_a_signature_is_the_derivative_of_the_prediction(rich: Situation, name: str) -> None:
+    path = predict(rich)
+    for form in next(e for e in library(rich) if e.id == name).forms(rich):
+        pushes = form.pushes(path)
+        assert len(pushes) == len(form.parameters)
+        for parameter, push in zip(form.parameters, pushes, strict=True):
+            stepped = 1e-3 * parameter.typical
+            up, down = (predict(rich, [push.scaled(h)]).reading for h in (stepped, -stepped))
+            numeric = rotated(path.frame, (up - down) / (2 * stepped))
+            # only channels that were measured count; a laser's line is no distance on a curved route
+            numeric, analytic = (np.where(rich.usable, one, 0.0) for one in (numeric, signature(path, push)))
+            scale = np.abs(numeric).max()
+            assert scale > 0.0, f"{form.label}: {parameter.name} does nothing"
+            # chords against arcs and the mean heading's share in the line's length are of second order in a step's
+            # turn (0.04 rad here): 3e-3 of the largest change
+            np.testing.assert_allclose(analytic, numeric, rtol=0, atol=3e-3 * scale, err_msg=form.label)
+
+
+def test_a_campaign_of_equal_straight_runs_has_forms_only_where_something_can_show() -> None:
+    from tests.gap.effects.making import STRAIGHT, Run
+
+    s = situation([Run(STRAIGHT, front=False) for _ in range(12)])
+    offered = {effect.id for effect in library(s) if effect.forms(s)}
+    assert offered.isdisjoint(
+        [
+            "load_radius",
+            "load_radius_nonlinear",
+            "load_creep",
+            "curve_load_transfer",
+            "load_dependent_track",
+            "speed_radius",
+            "temperature_radius",
+            "session_step",
+            "rear_drag",
+            "travel_direction",
+            "side_slip",
+            "curve_scrub",
+            "steering_zero",
+            "steering_scale",
+            "steering_backlash",
+            "steering_delay",
+            "drive_slip",
+            "payload_mass",
+            "payload_position",
+            "floor_slope",
+            "path_weave",
+            "integration_scheme",
+            "floor_undulation",
+            "reference_lever_arm",
+            "encoder_gross",
+        ]
+    )
+
+
+@pytest.mark.parametrize("missing", ["temperature_C", "minutes_under_load", "speed_mps", "payload_kg", "load_left_N"])
+def test_a_missing_column_silences_effects_and_never_breaks_them(missing: str) -> None:
+    made = campaign(rich_runs())
+    numbers = {name: column for name, column in made.runs.numbers.items() if name != missing}
+    from dataclasses import replace
+
+    s = build_situation(replace(made, runs=replace(made.runs, numbers=numbers)))
+    path = predict(s)
+    for form in every_form(s):
+        for push in form.pushes(path):
+            assert np.isfinite(signature(path, push)).all(), form.effect
+
+
+def test_an_effect_is_a_subclass_of_the_one_base(rich: Situation) -> None:
+    assert all(isinstance(effect, Effect) for effect in library(rich))
