@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.campaign.model import BoolArray, FloatArray, IntArray, StrArray
+from calib.plant.routes import SHORT
 from calib.vehicle import Vehicle
 
 __all__ = ["Design", "conditions"]
@@ -96,6 +97,12 @@ class Design:
     def heading_sign(self) -> FloatArray:
         """+1 where the run starts along the map's x axis, -1 against it (``back``), shape (n_runs,)."""
         return np.where(self.direction == "back", -1.0, 1.0)
+
+    @property
+    def start_x_m(self) -> FloatArray:
+        """Where the runs start on the map's x axis: ``back`` at the far end of its stretch, shape (n_runs,)."""
+        stretch = self.length_m * np.where(self.kind == "corridor_short", SHORT, 1.0)
+        return np.where(self.direction == "back", stretch, 0.0)
 
     def select(self, keep: npt.ArrayLike) -> Design:
         """Return the runs that `keep` (mask or indices, repeats allowed) picks."""

@@ -86,6 +86,10 @@ def good_design(rng: np.random.Generator, *, n_runs: int = 60, needs: Iterable[s
     route = ["corridor"] * half + [kinds[1:][number % (len(kinds) - 1)] for number in range(n_conditions - half)]
     if "lanes" in need:
         route[:half:2] = ["corridor_b"] * len(route[:half:2])
+    elif "lengths" in need or rng.random() < 0.5:
+        for number in range(half):
+            if number % 3 == 1:
+                route[number] = "corridor_short"
     ways = ["out", "back"]
     payload, side, ahead = deal(payloads), deal(sides), deal([0.15, 0.4, 0.6])
     speed = deal(list(map(float, speeds)))
@@ -98,7 +102,7 @@ def good_design(rng: np.random.Generator, *, n_runs: int = 60, needs: Iterable[s
         made.append(
             {
                 "kind": route[number],
-                "direction": ways[(number // 2 if "lanes" in need else number) % 2] if corridor else "",
+                "direction": ways[(number // 2) % 2] if corridor else "",
                 "payload_kg": payload[number],
                 "payload_x_m": ahead[number] if loaded else 0.0,
                 "payload_y_m": side[number] if loaded else 0.0,
@@ -251,6 +255,7 @@ def lacks(design: Design, needs: Iterable[str]) -> list[str]:
         "stops": bool(design.stops.any()),
         "slope": design.slope_per_N != 0.0,
         "trace": design.trace,
+        "lengths": bool((design.kind == "corridor_short").any()),
         "lanes": bool(np.char.endswith(design.kind, "_b").any()),
         "outside": design.outside,
         "no_logs": design.log_period_s == 0.0,

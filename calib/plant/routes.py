@@ -12,9 +12,11 @@ import numpy as np
 from calib.campaign.model import FloatArray
 from calib.errors import BadInputError
 
-__all__ = ["PITCH_M", "RouteTables", "segments_of", "tabulate"]
+__all__ = ["PITCH_M", "SHORT", "RouteTables", "segments_of", "tabulate"]
 
 PITCH_M: Final = 0.01
+#: length of ``corridor_short`` over that of ``corridor``
+SHORT: Final = 0.6
 _EASE_M: Final = 0.6  # curvature changes over this length, as a steered wheel cannot jump
 _TAIL_M: Final = 3.0  # straight run-out behind the end, for runs read while still rolling
 
@@ -29,7 +31,7 @@ def segments_of(kind: str, *, length_m: float, side_m: float, radius_m: float) -
     Parameters
     ----------
     kind : str
-        ``corridor`` (and ``corridor_b``, the second lane), ``square_cw``, ``square_ccw``, ``figure8``,
+        ``corridor`` (``corridor_b`` is its second lane, ``corridor_short`` a part of it), ``square_cw``, ``square_ccw``, ``figure8``,
         ``route_left``, ``route_right``, ``slalom``.
     length_m : float
         Length of the corridor.
@@ -49,6 +51,8 @@ def segments_of(kind: str, *, length_m: float, side_m: float, radius_m: float) -
     stem = re.sub(r"_b$", "", kind)
     if stem == "corridor":
         return [(length_m, 0.0)]
+    if stem == "corridor_short":
+        return [(SHORT * length_m, 0.0)]
     if stem in {"square_cw", "square_ccw"}:
         sign = 1.0 if stem == "square_ccw" else -1.0
         return [(side_m, 0.0), (_QUARTER * radius_m, sign / radius_m)] * 4

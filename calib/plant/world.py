@@ -168,16 +168,24 @@ class World:
     def settle(self) -> None:
         """Put the true payload on: the true loads, and the radii that follow from the law truth and model share."""
         design, model = self.design, self.model
+
+        def lawful() -> tuple[FloatArray, FloatArray]:
+            left_N, right_N = self.load_left_N - model.reference_load_N, self.load_right_N - model.reference_load_N
+            return (
+                model.radius_left_m + model.slope_left_m_per_N * left_N,
+                model.radius_right_m + model.slope_right_m_per_N * right_N,
+            )
+
+        left_before, right_before = lawful()
         self.load_left_N, self.load_right_N = wheel_loads(
             design.vehicle,
             self.payload_scale * design.payload_kg,
             design.payload_x_m + self.payload_dx_m,
             design.payload_y_m + self.payload_dy_m,
         )
-        true_left = model.radius_left_m + model.slope_left_m_per_N * (self.load_left_N - model.reference_load_N)
-        true_right = model.radius_right_m + model.slope_right_m_per_N * (self.load_right_N - model.reference_load_N)
-        self.left = true_left / self.believed_left_m
-        self.right = true_right / self.believed_right_m
+        left_after, right_after = lawful()
+        self.left = self.left * left_after / left_before
+        self.right = self.right * right_after / right_before
 
 
 def wheel_loads(

@@ -14,8 +14,7 @@ __all__ = ["FORMS", "map_x_m", "map_y_m"]
 
 def map_x_m(world: World, now: Moment) -> FloatArray:
     """Return where the runs are on the hall's map, along the corridor; ``back`` starts at its far end."""
-    sign = world.design.heading_sign
-    place: FloatArray = np.where(sign < 0, world.design.length_m, 0.0) + sign * now.x_m
+    place: FloatArray = world.design.start_x_m + world.design.heading_sign * now.x_m
     return place
 
 

@@ -135,12 +135,13 @@ def _outside_scheme(world: World, size: FloatArray, _knobs: Knobs) -> None:
     world.euler = np.maximum(world.euler, np.sign(size))
 
 
+_LASER = frozenset({"laser", "corridor", "lengths", "turns", "poses"})
 _LABELS = frozenset({"loads", "slope", "poses"})
 
 FORMS = (
-    Form("rangefinder_scale", "plain", 1.5e-3, "1", _laser_scale, frozenset({"laser", "corridor", "turns", "poses"})),
-    Form("rangefinder_offset", "plain", 5e-3, "m", _laser_offset, frozenset({"laser", "corridor", "turns", "poses"})),
-    Form("beam_misalignment", "plain", 0.05, "rad", _beam, frozenset({"laser", "corridor", "turns", "poses"})),
+    Form("rangefinder_scale", "plain", 1.5e-3, "1", _laser_scale, _LASER),
+    Form("rangefinder_offset", "plain", 5e-3, "m", _laser_offset, _LASER),
+    Form("beam_misalignment", "plain", 0.05, "rad", _beam, _LASER),
     Form("reference_lever_arm", "plain", 8e-3, "m", _lever, frozenset({"turns", "poses"}), _lever_knobs),
     Form("reference_yaw", "plain", 4e-3, "rad", _yaw, frozenset({"poses", "turns"})),
     Form("reference_latency", "plain", 0.05, "s", _latency, frozenset({"flying", "speeds", "poses"})),

@@ -1,0 +1,103 @@
+"""What else could have left what a cause left: every other effect's nearness to it on the same runs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.campaign.settings import OdometryModel
+from calib.plant.design import Design
+from calib.plant.effects.form import Cause
+from calib.plant.effects.registry import ALL
+from calib.plant.noise import Noise
+from calib.plant.plans import lacks
+from calib.plant.signal import is_calibration, strength, strengths
+
+__all__ = ["Rival", "rivals"]
+
+_SKIPPED = ("encoder_gross", "integration_scheme", "path_weave", "floor_zone")
+
+
+@dataclass(frozen=True, slots=True)
+class Rival:
+    """Another effect, and how far it stays from what the cause does.
+
+    Parameters
+    ----------
+    effect : str
+        Its id.
+    distance : float
+        Norm of what it cannot imitate, in standard deviations of the noise, a recalibration being free.
+    """
+
+    effect: str
+    distance: float
+
+
+def _variants(design: Design, slope_per_N: float) -> list[Cause]:
+    """Return causes at small sizes whose sums span what each effect can do on a design."""
+    n_sessions = len(set(design.session))
+    made: list[Cause] = []
+    for form in ALL:
+        if form.effect in _SKIPPED or form.effect.startswith("outside:"):
+            continue
+        if lacks(design, form.needs - {"slope", "offsets"}) or ("slope" in form.needs and slope_per_N == 0.0):
+            continue
+        size = 0.2 * form.typical
+        knobs: list[dict[str, float]] = [{}]
+        if form.effect.startswith(("load_radius", "wear")):
+            exponent = {"hertz": 2 / 3, "root": 0.5, "quadratic": 2.0, "power": 0.87, "running_in": 0.8}.get(
+                form.form, 1.0
+            )
+            knobs = [{"right_ratio": ratio, "exponent": exponent} for ratio in (0.0, 1.0)]
+        elif form.effect == "load_creep":
+            knobs = [{"tau_min": 15.0}]
+        elif form.effect == "session_step":
+            knobs = [{f"step_{one}": 1.0} for one in range(1, n_sessions)] if form.form == "plain" else []
+        elif form.effect == "wheel_eccentricity":
+            knobs = [{"left_rad": a, "right_rad": b} for a, b in ((0.0, 0.0), (1.57, 0.0), (0.0, 1.57))]
+        elif form.effect in {"rear_drag", "lost_counts"}:
+            knobs = [{"right": 0.0}, {"right": 1.0}]
+        elif form.effect == "reference_lever_arm":
+            knobs = [{"towards_rad": 0.0}, {"towards_rad": np.pi / 2}]
+        elif form.effect == "floor_slope":
+            knobs = [{"downhill_rad": 0.0}, {"downhill_rad": np.pi / 2}]
+        elif form.effect.startswith("covariate:"):
+            knobs = [form.knobs(np.random.default_rng(0), design)]
+        made.extend(Cause(form.effect, size, form.form, one) for one in knobs)
+    return made
+
+
+def rivals(design: Design, model: OdometryModel, noise: Noise, cause: Cause) -> tuple[Rival, ...]:
+    """Return the other effects, nearest first.
+
+    Parameters
+    ----------
+    design, model, noise
+        The case.
+    cause : Cause
+        The true cause at its size.
+
+    Returns
+    -------
+    tuple of Rival
+        Every effect that the design can show, by the best of its forms.
+    """
+    others = [one for one in _variants(design, model.slope_left_m_per_N) if one.effect != cause.effect]
+    found = strengths(design, model, noise, [cause, *others], step_s=0.05, weigh=False)
+    truth = found.change[0]
+    families: dict[tuple[str, str], list[int]] = {}
+    for number, one in enumerate(others, start=1):
+        # one wheel or the other, never both: alternatives, while the other variants of an effect add up
+        which = str(one.knobs["right"]) if "right" in one.knobs else ""
+        families.setdefault((one.effect, one.form + which), []).append(number)
+    nearest: dict[str, float] = {}
+    base = None if is_calibration(cause) else found.absorbed
+    for (effect, _), numbers in families.items():
+        columns = np.stack([np.nan_to_num(found.change[number]) for number in numbers], axis=-1)
+        free = columns if base is None else np.concatenate((base, columns), axis=-1)
+        distance = strength(truth, found.cov, free)
+        nearest[effect] = min(nearest.get(effect, np.inf), distance)
+    ordered = sorted(nearest.items(), key=lambda item: item[1])
+    return tuple(Rival(effect, round(distance, 3)) for effect, distance in ordered)

@@ -1,0 +1,331 @@
+"""How strongly an effect shows: the whitened norm of what it does, after what a recalibration would absorb.
+
+All by the plant's own means: noise-free drives with and without the effect, the covariance of its own noise by linear
+propagation along the path driven.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+
+from calib.campaign.model import FloatArray
+from calib.campaign.settings import OdometryModel
+from calib.plant.design import Design
+from calib.plant.drive import Record, drive
+from calib.plant.effects.form import Cause
+from calib.plant.effects.registry import find
+from calib.plant.make import apply_causes
+from calib.plant.measure import reference_poses, simulated_poses, steering_readings
+from calib.plant.noise import Noise, NoiseDraw, quiet
+from calib.plant.world import World, build_world
+
+__all__ = [
+    "CALIBRATION",
+    "Strength",
+    "covariance",
+    "is_calibration",
+    "outputs",
+    "recalibration",
+    "strength",
+    "strengths",
+    "to_signal",
+    "whiten",
+]
+
+#: effects that a recalibration absorbs by definition: their signal is taken without projecting it out
+CALIBRATION: Final = ("radius_scale", "unequal_radii", "track_width")
+CHANNELS: Final = ("distance", "x", "y", "theta", "front_distance", "front_theta")
+_SQUARED: Final = ("beam_misalignment", "path_weave")
+_LARGEST, _SMALLEST = 3.0, 0.05  # of the typical size
+
+
+def is_calibration(cause: Cause) -> bool:
+    """Return whether a recalibration absorbs a cause, so that its signal is taken without projecting it out."""
+    return cause.effect in CALIBRATION or (cause.effect, cause.form) == ("lost_counts", "constant")
+
+
+def outputs(world: World, draw: NoiseDraw, record: Record, *, quantise: bool = False) -> FloatArray:
+    """Return measured minus the vehicle's own odometry, shape (n_runs, 6), NaN where a run lacks the channel.
+
+    Channels: laser distance, x, y, theta of the end pose in the start's frame, front wheel's distance and heading.
+    """
+    design = world.design
+    poses = record.last(reference_poses(world, draw, record)) + draw.pose.T
+    own = record.last(record.odo)
+    if design.outside:
+        own = np.concatenate([simulated_poses(world, record), own[3:]])
+    laser = world.laser_scale * record.last(record.x_m) + world.laser_offset_m + draw.laser_m
+    out = np.full((len(design), 6), np.nan)
+    corridor = design.corridor
+    if design.laser:
+        believed = own[0] if design.log_period_s > 0 else own[3]
+        out[corridor, 0] = (laser - believed)[corridor]
+    posed = _posed(design)
+    out[posed, 1:4] = (poses - own[:3]).T[posed]
+    if design.front and design.log_period_s > 0:
+        steer = steering_readings(world, draw, record, quantise=quantise)
+        rolled = np.diff(record.counts[2], axis=0) * (2 * np.pi / design.counts_per_rev) * design.vehicle.wheel_radius_m
+        angle = 0.5 * (steer[1:] + steer[:-1])
+        out[:, 4] = np.sum(rolled * np.cos(angle), axis=0) - own[3]
+        out[:, 5] = np.sum(rolled * np.sin(angle), axis=0) / design.vehicle.wheelbase_m - own[2]
+    return out
+
+
+def _posed(design: Design) -> np.ndarray:
+    everywhere = np.ones(len(design), dtype=bool)
+    return {"all": everywhere, "turning": ~design.corridor}.get(design.poses, ~everywhere)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Levers:
+    """What a metre of path error and a radian of heading error at each frame do to the outputs at the end."""
+
+    path: FloatArray  # (n_steps, n_runs, 6)
+    turn: FloatArray  # (n_steps, n_runs, 6)
+    way: FloatArray  # (n_steps, n_runs)
+    turned: FloatArray  # (n_steps, n_runs)
+
+
+def _levers(record: Record) -> _Levers:
+    x, y, theta, s = record.odo
+    way, turned = np.diff(s, axis=0), np.diff(theta, axis=0)
+    middle = 0.5 * (theta[1:] + theta[:-1])
+    end_x, end_y = record.last(x), record.last(y)
+    across, along = -(end_y - 0.5 * (y[1:] + y[:-1])), end_x - 0.5 * (x[1:] + x[:-1])
+    one, zero = np.ones_like(middle), np.zeros_like(middle)
+    cos, sin = np.cos(middle), np.sin(middle)
+    return _Levers(
+        path=np.stack([cos, cos, sin, zero, one, zero], axis=-1),
+        turn=np.stack([across, across, along, one, zero, one], axis=-1),
+        way=way,
+        turned=turned,
+    )
+
+
+def covariance(world: World, noise: Noise, record: Record) -> FloatArray:
+    """Return the covariance of `outputs`, shape (n_runs, 6, 6), by linear propagation along the path driven."""
+    levers, track = _levers(record), world.model.track_m
+    variance = noise.texture_m**2 * np.abs(levers.way)
+    total = np.einsum("kr,krc,krd->rcd", 0.5 * variance, levers.path, levers.path)
+    total += np.einsum("kr,krc,krd->rcd", 2 / track**2 * variance, levers.turn, levers.turn)
+    common = np.einsum("kr,krc->rc", levers.way, levers.path) + np.einsum("kr,krc->rc", levers.turned, levers.turn)
+    split = np.einsum("kr,krc->rc", levers.way / track, levers.turn)
+    total += noise.common**2 * common[:, :, None] * common[:, None, :]
+    total += noise.differential**2 * split[:, :, None] * split[:, None, :]
+    end_x, end_y, _, length = record.last(record.odo)
+    n_runs = len(end_x)
+    zero, one = np.zeros(n_runs), np.ones(n_runs)
+    start = np.stack([zero, -end_y, end_x, one, zero, zero], axis=1) * noise.start_heading_rad
+    total += start[:, :, None] * start[:, None, :]
+    wheelbase = world.design.vehicle.wheelbase_m
+    alone = np.stack(
+        [
+            one * noise.laser_m**2,
+            one * noise.ref_xy_m**2,
+            one * noise.ref_xy_m**2,
+            one * noise.ref_theta_rad**2,
+            (noise.front * length) ** 2 + 1e-8,
+            (noise.steer_rad * length / wheelbase) ** 2 + 1e-8,
+        ],
+        axis=1,
+    )
+    return np.asarray(total + alone[:, :, None] * np.eye(6))
+
+
+def recalibration(world: World, record: Record) -> FloatArray:
+    """Return what changes of the two radii and of the track do to `outputs`, shape (n_runs, 6, 3)."""
+    levers, track = _levers(record), world.model.track_m
+    left = levers.way - 0.5 * track * levers.turned
+    right = levers.way + 0.5 * track * levers.turned
+
+    def to(path: FloatArray, turn: FloatArray) -> FloatArray:
+        both: FloatArray = np.einsum("kr,krc->rc", path, levers.path) + np.einsum("kr,krc->rc", turn, levers.turn)
+        return both
+
+    return np.stack(
+        [to(0.5 * left, -left / track), to(0.5 * right, right / track), to(0 * left, -levers.turned)], axis=-1
+    )
+
+
+def strength(change: FloatArray, cov: FloatArray, absorbed: FloatArray | None) -> float:
+    """Return the whitened norm of a change of the outputs.
+
+    Parameters
+    ----------
+    change : array of float, shape (n_runs, 6)
+        NaN where a run lacks the channel.
+    cov : array of float, shape (n_runs, 6, 6)
+        Covariance of the noise.
+    absorbed : array of float, shape (n_runs, 6, n), or None
+        Directions to project out.
+    """
+    white, directions = whiten(change, cov, absorbed)
+    if directions is None:
+        return float(np.linalg.norm(white))
+    rest = white - directions @ np.linalg.lstsq(directions, white, rcond=1e-10)[0]
+    return float(np.linalg.norm(rest))
+
+
+def whiten(change: FloatArray, cov: FloatArray, absorbed: FloatArray | None) -> tuple[FloatArray, FloatArray | None]:
+    """Return the whitened change, shape (6 n_runs,), and the whitened directions, shape (6 n_runs, n)."""
+    present = np.isfinite(change)
+    both = present[:, :, None] & present[:, None, :]
+    held = np.where(both, cov, np.where(np.eye(6, dtype=bool), 1.0, 0.0))
+    root = np.linalg.cholesky(held)
+    white = np.linalg.solve(root, np.where(present, change, 0.0)[:, :, None])[:, :, 0].ravel()
+    if absorbed is None:
+        return white, None
+    held_directions = np.where(present[:, :, None], absorbed, 0.0)
+    directions = np.linalg.solve(root, held_directions).reshape(len(white), -1)
+    scale = np.linalg.norm(directions, axis=0)
+    return white, directions / np.where(scale > 0, scale, 1.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Strength:
+    """How strongly causes show on a design.
+
+    Parameters
+    ----------
+    alone : tuple of float
+        Signal of each cause by itself.
+    beside : tuple of float
+        Signal of each cause after what the others could imitate was projected out as well.
+    together : float
+        Signal of all of them at once.
+    change : array of float, shape (n_causes, n_runs, 6)
+        What each does to the outputs.
+    cov : array of float, shape (n_runs, 6, 6)
+        Covariance of the noise.
+    absorbed : array of float, shape (n_runs, 6, 3)
+        What a recalibration does.
+    """
+
+    alone: tuple[float, ...]
+    beside: tuple[float, ...]
+    together: float
+    change: FloatArray
+    cov: FloatArray
+    absorbed: FloatArray
+
+
+def strengths(
+    design: Design,
+    model: OdometryModel,
+    noise: Noise,
+    causes: Sequence[Cause],
+    *,
+    step_s: float = 0.02,
+    weigh: bool = True,
+) -> Strength:
+    """Drive without noise, once without any cause and once with each, all in one stack, and weigh the differences.
+
+    Parameters
+    ----------
+    design, model, noise
+        The case.
+    causes : sequence of Cause
+        What to drive.
+    step_s : float
+        Time step.
+    weigh : bool
+        Whether to weigh each beside the others too; quadratic in the number of causes.
+    """
+    n_runs, n_causes = len(design), len(causes)
+    if design.log_period_s:
+        design = replace(design, log_period_s=0.24)
+    stacked = design.select(np.tile(np.arange(n_runs), n_causes + 1))
+    world = build_world(stacked, model)
+    blocks = np.zeros((n_causes, n_causes + 1, n_runs))
+    for number in range(n_causes):
+        blocks[number, number + 1] = 1.0
+    apply_causes(world, causes, blocks.reshape(n_causes, -1))
+    still = quiet(n_runs).tile(n_causes + 1)
+    record = drive(world, still, quantise=False, step_s=step_s)
+    out = outputs(world, still, record).reshape(n_causes + 1, n_runs, 6)
+    change = out[1:] - out[0]
+    base_world = build_world(design, model)
+    first = _cut(record, n_runs)
+    cov, absorbed = covariance(base_world, noise, first), recalibration(base_world, first)
+    plain = any(is_calibration(cause) for cause in causes)
+    nothing = None if plain else absorbed
+    alone = tuple(
+        strength(change[number], cov, None if is_calibration(causes[number]) else absorbed)
+        for number in range(n_causes)
+    )
+    beside = []
+    for number in range(n_causes if weigh else 0):
+        others = [change[other][:, :, None] for other in range(n_causes) if other != number]
+        parts = [] if is_calibration(causes[number]) else [absorbed]
+        extra = np.concatenate([*parts, *[np.nan_to_num(other) for other in others]], axis=2) if others else None
+        beside.append(strength(change[number], cov, extra) if extra is not None else alone[number])
+    together = strength(change.sum(axis=0), cov, nothing) if n_causes else 0.0
+    return Strength(alone, tuple(beside), together, change, cov, absorbed)
+
+
+def _cut(record: Record, n_runs: int) -> Record:
+    """Return the first `n_runs` runs of a record."""
+    changed: dict[str, Any] = {
+        name: getattr(record, name)[..., :n_runs]
+        for name in ("frames", "t_s", "x_m", "y_m", "theta_rad", "v_mps", "omega_radps", "steer_rad", "counts", "odo")
+    }
+    return replace(record, **changed)
+
+
+def to_signal(
+    design: Design, model: OdometryModel, noise: Noise, causes: Sequence[Cause], targets: Sequence[float]
+) -> tuple[list[Cause], Noise, Strength]:
+    """Scale causes so that each alone has the wanted signal.
+
+    Where that would take more than about three times the typical size, the case's noise is lowered first (to a
+    quarter at most); where it would take hardly anything, the noise is raised (threefold at most).
+
+    Parameters
+    ----------
+    design, model, noise
+        The case.
+    causes : sequence of Cause
+        At any size, their sign kept.
+    targets : sequence of float
+        Wanted signal of each; NaN leaves the cause as it is.
+
+    Returns
+    -------
+    causes : list of Cause
+        At their sizes.
+    noise : Noise
+        The case's noise.
+    strength : Strength
+        What was reached.
+    """
+    wanted = np.asarray(targets, dtype=np.float64)
+    sizes = np.array([cause.size for cause in causes])
+    typical = np.array([find(cause.effect, cause.form).typical for cause in causes])
+    scaled = list(causes)
+    for attempt in range(3):
+        found = strengths(design, model, noise, scaled, step_s=0.04)
+        reached = np.array(found.alone)
+        factor = np.where(np.isfinite(wanted) & (reached > 0), wanted / np.maximum(reached, 1e-12), 1.0)
+        if attempt == 0 and len(causes):
+            ratio = float(np.max(np.abs(sizes * factor) / typical))
+            quieter = np.clip(_LARGEST / ratio, 0.25, 1.0) if ratio > _LARGEST else 1.0
+            louder = np.clip(_SMALLEST / ratio, 1.0, 3.0) if ratio < _SMALLEST else 1.0
+            noise = _louder(noise, float(quieter * louder))
+            factor = np.where(np.isfinite(wanted), factor * quieter * louder, factor)
+        if np.all(np.abs(factor - 1) < 0.02):
+            break
+        # these act with the square of their size; everything else in proportion
+        power = np.array([0.5 if cause.effect in _SQUARED else 1.0 for cause in causes])
+        sizes = sizes * factor**power
+        scaled = [replace(cause, size=float(f"{size:.5g}")) for cause, size in zip(causes, sizes, strict=True)]
+    return scaled, noise, strengths(design, model, noise, scaled)
+
+
+def _louder(noise: Noise, factor: float) -> Noise:
+    scales = ("texture_m", "common", "differential", "start_heading_rad", "laser_m", "ref_xy_m", "ref_theta_rad")
+    changed = {name: float(f"{getattr(noise, name) * factor:.4g}") for name in (*scales, "steer_rad", "front")}
+    return replace(noise, **changed)
