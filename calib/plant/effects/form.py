@@ -42,8 +42,8 @@ class Form:
     needs : set of str
         What a design must have for the effect to be there at all: ``loads``, ``offsets``, ``turns``, ``speeds``,
         ``temperatures``, ``dwell``, ``sessions``, ``directions``, ``corridor``, ``laser``, ``poses``, ``front``,
-        ``flying``, ``stops``, ``slope`` (truth and model share a load law), ``trace``, ``lanes``, ``lengths``, ``outside``,
-        ``no_logs``, ``column:<name>``, ``bends`` (several radii of turn).
+        ``flying``, ``stops``, ``slope`` (truth and model share a load law), ``trace``, ``lanes``, ``lengths``,
+        ``outside``, ``no_logs``, ``column:<name>``, ``bends`` (several radii of turn).
     knobs : callable
         ``knobs(rng, design)`` draws what else there is to choose, once a case.
     """
