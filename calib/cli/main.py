@@ -21,6 +21,9 @@ EXIT_BUG: Final = 3
 COMMANDS: Final[dict[str, str]] = {
     "export": "export",
     "check": "check",
+    "ingest": "ingest",
+    "fit": "fit",
+    "deviation": "deviation",
 }
 
 

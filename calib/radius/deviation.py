@@ -16,6 +16,7 @@ from calib.campaign.model import FloatArray
 __all__ = [
     "PathExcess",
     "allowed_amplitude_m",
+    "allowed_amplitude_on_run_m",
     "arc_excess",
     "arc_of_radii_rad",
     "excess_of_radius_error",
@@ -176,6 +177,47 @@ def excess_of_radius_error(error: npt.ArrayLike) -> FloatArray:
     return np.asarray(e / (1 - e))
 
 
+def allowed_amplitude_on_run_m(
+    tolerance: npt.ArrayLike,
+    wavelength_m: npt.ArrayLike,
+    distance_m: npt.ArrayLike,
+    track_m: float,
+    *,
+    phase_rad: npt.ArrayLike = 0.0,
+) -> FloatArray:
+    """Return the largest amplitude that keeps the radii of *both* wheels within a tolerance on one run.
+
+    Unlike `allowed_amplitude_m` it counts the turn that is left where the run is no whole number of periods. The worse
+    wheel's error grows with the amplitude, so that bisection finds it.
+
+    Parameters
+    ----------
+    tolerance : array_like of float
+        Largest relative error of a radius, between 0 and 1.
+    wavelength_m, distance_m, phase_rad : array_like of float
+        Weave and length of the run, and the phase at its start.
+    track_m : float
+        Distance between the wheels' contact points.
+
+    Returns
+    -------
+    array of float
+        In m, of the broadcast shape.
+    """
+    high = np.broadcast_arrays(
+        allowed_amplitude_m(tolerance, wavelength_m), np.asarray(distance_m, dtype=np.float64), np.asarray(phase_rad)
+    )[0].copy()
+    low = np.zeros_like(high)
+    # 48 halvings: a relative 4e-15 of the whole-period amplitude, which is an upper bound
+    for _ in range(48):
+        middle = 0.5 * (low + high)
+        excess = weave_excess(middle, wavelength_m, distance_m, track_m, phase_rad=phase_rad)
+        worse = np.maximum(np.abs(radius_error(excess.left)), np.abs(radius_error(excess.right)))
+        fits = worse <= np.asarray(tolerance, dtype=np.float64)
+        low, high = np.where(fits, middle, low), np.where(fits, high, middle)
+    return np.asarray(low)
+
+
 def allowed_amplitude_m(tolerance: npt.ArrayLike, wavelength_m: npt.ArrayLike) -> FloatArray:
     """Return the largest amplitude whose weave keeps a radius within a tolerance.
 
@@ -205,7 +247,7 @@ def allowed_amplitude_m(tolerance: npt.ArrayLike, wavelength_m: npt.ArrayLike) -
         # d/du of (2/pi) int sqrt(1 + u cos^2) = (1/pi) int cos^2 / sqrt(1 + u cos^2), in complete integrals
         with np.errstate(invalid="ignore", divide="ignore"):
             derivative = np.where(
-                u > 1e-6, (np.sqrt(1 + u) * ellipe(m) - ellipk(m) / np.sqrt(1 + u)) / (np.pi * u), 0.25
+                u > 1e-4, (np.sqrt(1 + u) * ellipe(m) - ellipk(m) / np.sqrt(1 + u)) / (np.pi * u), 0.25 - 3 * u / 32
             )
         value = np.where(u < 1e-6, u / 4 - 3 * u**2 / 64, value)
         u = np.maximum(u - (value - target) / derivative, 0.0)

@@ -2,33 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from calib.campaign.model import Campaign, FloatArray, StrArray
-from calib.errors import RefusedError
 from calib.radius.path import correct_paths
+from calib.radius.usable import LeftOut, usable_runs
 
 __all__ = ["Component", "EffectiveRadii", "LeftOut", "effective_radii"]
 
 #: standard deviation, in counts, of the difference of two readings of a counter that shows whole counts
 QUANTISATION_COUNTS: Final = (1.0 / 6.0) ** 0.5
-#: apparent turn beyond which a run was not straight; radii 1.5 % apart show 0.9 rad over 42 m on a track of 0.7 m
-STRAIGHT_TURN_RAD: Final = 1.2
-STRAIGHT_HEADING_RAD: Final = 0.5
-SHORTEST_M: Final = 1.0
 #: factor between measured and nominal radius that no load explains
 IMPLAUSIBLE: Final = 1.2
-
-
-@dataclass(frozen=True, slots=True)
-class LeftOut:
-    """A run that the fit does not use, and why."""
-
-    run_id: str
-    reason: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +126,7 @@ def effective_radii(campaign: Campaign) -> EffectiveRadii:
     RefusedError
         Where no run can be used.
     """
-    campaign, left_out, notes = _usable(campaign)
+    campaign, left_out, notes = usable_runs(campaign)
     runs, track = campaign.runs, campaign.vehicle.track_m
     encoder, sigma = campaign.encoder, campaign.rangefinder.sigma_m
     distance = np.abs(runs.number("distance_m"))
@@ -178,65 +166,6 @@ def effective_radii(campaign: Campaign) -> EffectiveRadii:
         left_out=left_out,
         notes=tuple(notes),
     )
-
-
-def _usable(campaign: Campaign) -> tuple[Campaign, tuple[LeftOut, ...], list[str]]:
-    """Return the campaign of the runs that can be used, those left out with the reason, and notes."""
-    runs, notes = campaign.runs, []
-    loads = {side: runs.number(f"load_{side}_N") for side in ("left", "right")}
-    if not any(np.isfinite(load).any() for load in loads.values()):
-        unladen = campaign.vehicle.unladen_load_N
-        notes.append(
-            f"No run has wheel loads or a payload: all are taken as unladen ({unladen:.0f} N a wheel), so the radius "
-            "holds for that load only; add payload_kg, or load_left_N and load_right_N, to runs.csv."
-        )
-        loads = {side: np.full(len(runs), unladen) for side in loads}
-    turn = _apparent_turn_rad(campaign)
-    kind = np.char.lower(runs.label("kind"))
-    straight = np.char.startswith(kind, "corridor") | np.char.startswith(kind, "straight")
-    if not straight.any():
-        straight = np.ones(len(runs), dtype=np.bool_)
-    counts = {side: runs.number(f"counts_{side}") for side in loads}
-    distance = runs.number("distance_m")
-    # the first reason that applies is the one that is told
-    reasons = (
-        (runs.excluded, "flagged as excluded in runs.csv"),
-        (~straight, "not a corridor run by its kind"),
-        (~np.isfinite(distance), "has no distance_m"),
-        (np.abs(distance) < SHORTEST_M, f"is shorter than {SHORTEST_M} m"),
-        (~(np.isfinite(counts["left"]) & np.isfinite(counts["right"])), "has no counts"),
-        ((counts["left"] == 0) | (counts["right"] == 0), "has a wheel without a single count"),
-        (
-            counts["left"] * counts["right"] < 0,
-            "has counts of opposite sign: one encoder runs backwards, or the vehicle turned on the spot",
-        ),
-        (~(np.isfinite(loads["left"]) & np.isfinite(loads["right"])), "has no wheel load and no payload"),
-        (
-            (np.abs(turn) > STRAIGHT_TURN_RAD) | (np.abs(runs.number("ref_theta_rad")) > STRAIGHT_HEADING_RAD),
-            "is not a straight run: its heading changed too much",
-        ),
-    )
-    reason = np.full(len(runs), "", dtype="<U96")
-    for hit, text in reasons:
-        reason = np.where((reason == "") & hit, text, reason)
-    keep = reason == ""
-    left_out = tuple(LeftOut(str(run), str(text)) for run, text in zip(runs.run_id[~keep], reason[~keep], strict=True))
-    if not keep.any():
-        first = left_out[0] if left_out else LeftOut("(none)", "the run table is empty")
-        raise RefusedError(
-            f"{campaign.root or campaign.name}: found no run that can be used; expected straight runs with a distance, "
-            f"counts and a load; run {first.run_id} {first.reason}"
-        )
-    numbers = {**runs.numbers, **{f"load_{side}_N": load for side, load in loads.items()}}
-    return replace(campaign, runs=replace(runs, numbers=numbers)).select(keep), left_out, notes
-
-
-def _apparent_turn_rad(campaign: Campaign) -> FloatArray:
-    """Return the turn that the counts would mean if the model's radii were right, shape (n_runs,)."""
-    runs, model = campaign.runs, campaign.model
-    left = runs.number("counts_left") / campaign.encoder.counts_per_rev_left * model.radius_left_m
-    right = runs.number("counts_right") / campaign.encoder.counts_per_rev_right * model.radius_right_m
-    return np.asarray(2 * np.pi * (right - left) / campaign.vehicle.track_m)
 
 
 def _plausible(campaign: Campaign, left: FloatArray, right: FloatArray) -> list[str]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
-from calib.errors import RefusedError
+from calib.errors import BadInputError, RefusedError
 from calib.radius.effective import Component, EffectiveRadii, effective_radii
 from calib.radius.law import RadiusLaw
 from calib.radius.regression import WheelFit, fit_wheel
@@ -155,13 +155,15 @@ def fit_law(radii: EffectiveRadii, *, reference_load_N: float, name: str = "", s
     )
 
 
-def fit_campaign(campaign: Campaign) -> Fit:
+def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -> Fit:
     """Return the fit of a campaign: effective radii, both laws, and the static radius where it was measured.
 
     Parameters
     ----------
     campaign : Campaign
         Static radii are taken from the columns ``static_radius_left_m`` and ``static_radius_right_m``, where there are.
+    reference_load_N : float, optional
+        Load on which the coefficients are centred; without it the one of the campaign's model.
 
     Returns
     -------
@@ -173,14 +175,19 @@ def fit_campaign(campaign: Campaign) -> Fit:
     RefusedError
         Where fewer than three runs can be used.
     """
+    reference = campaign.model.reference_load_N if reference_load_N is None else reference_load_N
+    if not np.isfinite(reference) or reference < 0:
+        raise BadInputError(
+            f"reference load: found {reference:g} N; expected a load of zero or more; see --reference-load"
+        )
     radii = effective_radii(campaign)
     fit = fit_law(
         radii,
-        reference_load_N=campaign.model.reference_load_N,
+        reference_load_N=reference,
         name=campaign.name,
         simulated=campaign.simulated,
     )
-    static, notes = _static(campaign)
+    static, notes = _static(campaign, reference)
     used = campaign.select(np.isin(campaign.runs.run_id, radii.run_id)).runs
     conditions = {}
     for name in CONDITIONS:
@@ -202,7 +209,7 @@ def fit_campaign(campaign: Campaign) -> Fit:
     )
 
 
-def _static(campaign: Campaign) -> tuple[dict[str, WheelFit], tuple[str, ...]]:
+def _static(campaign: Campaign, reference_load_N: float) -> tuple[dict[str, WheelFit], tuple[str, ...]]:
     """Return the fits of the static radius against load, and notes on those that could not be made."""
     from calib.radius.residual_checks import checked
 
@@ -215,9 +222,7 @@ def _static(campaign: Campaign) -> tuple[dict[str, WheelFit], tuple[str, ...]]:
             continue
         session = runs.label("session")[good]
         try:
-            found = fit_wheel(
-                wheel, load[good], radius[good], session, reference_load_N=campaign.model.reference_load_N
-            )
+            found = fit_wheel(wheel, load[good], radius[good], session, reference_load_N=reference_load_N)
         except RefusedError as error:
             notes.append(f"Static radius not fitted: {error}.")
             continue
@@ -227,8 +232,7 @@ def _static(campaign: Campaign) -> tuple[dict[str, WheelFit], tuple[str, ...]]:
 
 def _observed(radii: EffectiveRadii, left: WheelFit, right: WheelFit) -> tuple[Component, ...]:
     """Return the type A lines of the budget: what the runs scatter beyond what the instruments explain."""
-    instruments = [float(np.sqrt(np.nanmean(std**2))) for std in (radii.std_left_m, radii.std_right_m)]
-    explained = [value if np.isfinite(value) else 0.0 for value in instruments]
+    explained = [float(np.sqrt(np.mean(np.nan_to_num(std) ** 2))) for std in (radii.std_left_m, radii.std_right_m)]
     rest = [
         float(np.sqrt(max(wheel.run_std_m**2 - known**2, 0.0)))
         for wheel, known in zip((left, right), explained, strict=True)

@@ -14,7 +14,7 @@ from calib.errors import BadFileError, CalibError, would_overwrite
 from calib.files import sha256_file, write_json, write_text
 from calib.radius.fit import Fit
 
-__all__ = ["FIT_FILE", "is_result", "provenance", "read_result", "write_result"]
+__all__ = ["FIT_FILE", "RUNS_FILE", "is_result", "provenance", "read_result", "write_result"]
 
 FIT_FILE: Final = "fit.json"
 RUNS_FILE: Final = "runs.csv"
