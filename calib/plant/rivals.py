@@ -16,6 +16,7 @@ from calib.plant.signal import is_calibration, strength, strengths
 
 __all__ = ["Rival", "rivals"]
 
+_EXPONENTS = {"hertz": 2 / 3, "root": 0.5, "quadratic": 2.0, "power": 0.87, "running_in": 0.8}
 _SKIPPED = ("encoder_gross", "integration_scheme", "path_weave", "floor_zone")
 
 
@@ -47,9 +48,7 @@ def _variants(design: Design, slope_per_N: float) -> list[Cause]:
         size = 0.2 * form.typical
         knobs: list[dict[str, float]] = [{}]
         if form.effect.startswith(("load_radius", "wear")):
-            exponent = {"hertz": 2 / 3, "root": 0.5, "quadratic": 2.0, "power": 0.87, "running_in": 0.8}.get(
-                form.form, 1.0
-            )
+            exponent = _EXPONENTS.get(form.form, 1.0)
             knobs = [{"right_ratio": ratio, "exponent": exponent} for ratio in (0.0, 1.0)]
         elif form.effect == "load_creep":
             knobs = [{"tau_min": 15.0}]

@@ -176,13 +176,14 @@ def whiten(change: FloatArray, cov: FloatArray, absorbed: FloatArray | None) -> 
     both = present[:, :, None] & present[:, None, :]
     held = np.where(both, cov, np.where(np.eye(6, dtype=bool), 1.0, 0.0))
     root = np.linalg.cholesky(held)
-    white = np.linalg.solve(root, np.where(present, change, 0.0)[:, :, None])[:, :, 0].ravel()
+    white: FloatArray = np.linalg.solve(root, np.where(present, change, 0.0)[:, :, None])[:, :, 0].ravel()
     if absorbed is None:
         return white, None
     held_directions = np.where(present[:, :, None], absorbed, 0.0)
-    directions = np.linalg.solve(root, held_directions).reshape(len(white), -1)
-    scale = np.linalg.norm(directions, axis=0)
-    return white, directions / np.where(scale > 0, scale, 1.0)
+    directions: FloatArray = np.linalg.solve(root, held_directions).reshape(len(white), -1)
+    scale: FloatArray = np.linalg.norm(directions, axis=0)
+    unit: FloatArray = directions / np.where(scale > 0, scale, 1.0)
+    return white, unit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
