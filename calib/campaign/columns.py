@@ -9,7 +9,7 @@ from typing import Final
 
 from calib.units import SUFFIXES, convertible, split_suffix
 
-__all__ = ["Recognised", "recognise"]
+__all__ = ["Recognised", "recognise", "spelled"]
 
 _BRACKETS: Final = re.compile(r"(.*?)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]\s*")
 _SPELLINGS: Final = {
@@ -42,6 +42,15 @@ class Recognised:
     unitless: str = ""
 
 
+def spelled(found: str) -> str:
+    """Return a column name with blanks as underscores and a unit in brackets as its suffix."""
+    name = found.strip()
+    if match := _BRACKETS.fullmatch(name):
+        unit = _SPELLINGS.get(match[2], match[2])
+        name = f"{match[1]}_{unit}" if unit in SUFFIXES else match[1] if match[2] in {"", "-", "1"} else name
+    return re.sub(r"[\s\-]+", "_", name.strip())
+
+
 def recognise(found: str, known: Sequence[str] | Iterable[str], *, further: bool = True) -> Recognised:
     """Match one column name against the known ones.
 
@@ -63,11 +72,7 @@ def recognise(found: str, known: Sequence[str] | Iterable[str], *, further: bool
     name = found.strip()
     if name in known:
         return Recognised(found, name)
-    clean = name
-    if match := _BRACKETS.fullmatch(name):
-        unit = _SPELLINGS.get(match[2], match[2])
-        clean = f"{match[1]}_{unit}" if unit in SUFFIXES else match[1] if match[2] in {"", "-", "1"} else name
-    clean = re.sub(r"[\s\-]+", "_", clean.strip())
+    clean = spelled(name)
     if clean in known:
         return Recognised(found, clean, said=f"read as {clean}")
     stem, suffix = split_suffix(clean)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from calib.campaign.columns import recognise
+from calib.campaign.columns import Recognised, recognise
 from calib.campaign.faults import Border
 from calib.campaign.model import LOG_COLUMNS, FloatArray, IntArray, Logs
 from calib.campaign.readers import read_table
@@ -16,7 +16,7 @@ from calib.campaign.settings import Encoder
 from calib.campaign.wraps import detect_wrap_bits, unwrap
 from calib.errors import BadFileError
 
-__all__ = ["LogFile", "read_log", "read_logs"]
+__all__ = ["LogFile", "Renames", "read_log", "read_logs"]
 
 _REQUIRED: Final = LOG_COLUMNS[:3]
 _COUNTS: Final = ("counts_left", "counts_right", "counts_front")
@@ -24,8 +24,11 @@ _COUNTS: Final = ("counts_left", "counts_right", "counts_front")
 #: run number, run id, path, and its name in messages
 LogFile = tuple[int, str, Path, str]
 
+#: column as found -> name with unit that it stands for, and a factor
+Renames = Mapping[str, tuple[str, float]]
 
-def read_log(path: Path, shown: str, border: Border) -> dict[str, FloatArray]:
+
+def read_log(path: Path, shown: str, border: Border, renames: Renames | None = None) -> dict[str, FloatArray]:
     """Read one log.
 
     Parameters
@@ -36,6 +39,8 @@ def read_log(path: Path, shown: str, border: Border) -> dict[str, FloatArray]:
         Its name in messages.
     border : Border
         Takes notes.
+    renames : mapping of str to (str, float), optional
+        Column as found -> name that it stands for, with a unit (``t_ms``), and a factor.
 
     Returns
     -------
@@ -47,11 +52,16 @@ def read_log(path: Path, shown: str, border: Border) -> dict[str, FloatArray]:
     BadFileError
         Where a required column is missing or holds a gap, or a cell is no number.
     """
-    raw = read_table(path, shown, lambda name: recognise(name, LOG_COLUMNS, further=False).name in LOG_COLUMNS)
+    names = renames or {}
+
+    def called(found: str) -> Recognised:
+        return recognise(names[found][0] if found in names else found, LOG_COLUMNS, further=False)
+
+    raw = read_table(path, shown, lambda name: called(name).name in LOG_COLUMNS)
     border.notes.extend(raw.notes)
     columns: dict[str, FloatArray] = {}
     for found, cells in raw.columns.items():
-        match = recognise(found, LOG_COLUMNS, further=False)
+        match = called(found)
         if match.name in columns:
             raise BadFileError(
                 shown,
@@ -63,7 +73,8 @@ def read_log(path: Path, shown: str, border: Border) -> dict[str, FloatArray]:
             )
         if match.said:
             border.say(f"{shown}, column {found}", match.said, "unit" if match.factor != 1.0 else "name")
-        columns[match.name] = cells if match.factor == 1.0 and not match.offset else match.factor * cells + match.offset
+        factor = match.factor * (names[found][1] if found in names else 1.0)
+        columns[match.name] = cells if factor == 1.0 and not match.offset else factor * cells + match.offset
     for name in _REQUIRED:
         if name not in columns:
             raise BadFileError(
@@ -92,7 +103,9 @@ def read_log(path: Path, shown: str, border: Border) -> dict[str, FloatArray]:
     return columns
 
 
-def read_logs(files: Sequence[LogFile], n_runs: int, encoder: Encoder, border: Border) -> Logs:
+def read_logs(
+    files: Sequence[LogFile], n_runs: int, encoder: Encoder, border: Border, renames: Renames | None = None
+) -> Logs:
     """Read the logs of a campaign and undo the overflow of their counters.
 
     Parameters
@@ -105,6 +118,8 @@ def read_logs(files: Sequence[LogFile], n_runs: int, encoder: Encoder, border: B
         ``wrap_bits`` where the settings name it; else overflows are looked for.
     border : Border
         Takes notes and faults; a log that cannot be used is a fault.
+    renames : mapping of str to (str, float), optional
+        See `read_log`.
 
     Returns
     -------
@@ -114,7 +129,7 @@ def read_logs(files: Sequence[LogFile], n_runs: int, encoder: Encoder, border: B
     parts: dict[int, dict[str, FloatArray]] = {}
     for index, run_id, path, name in files:
         try:
-            parts[index] = read_log(path, name, border)
+            parts[index] = read_log(path, name, border, renames)
         except BadFileError as error:
             border.fault(error, "unreadable_log", run_id)
     lengths = np.zeros(n_runs, dtype=np.int64)

@@ -15,7 +15,7 @@ from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Referen
 from calib.errors import BadFileError
 from calib.vehicle import Vehicle
 
-__all__ = ["FORMAT", "Settings", "read_settings"]
+__all__ = ["FORMAT", "Settings", "load_toml", "parse_settings", "read_settings"]
 
 FORMAT: Final = "calib-campaign/1"
 
@@ -78,7 +78,11 @@ def read_settings(path: Path, shown: str) -> Settings:
     BadFileError
         Where the file is missing, is no TOML, or holds a value of the wrong kind or range.
     """
-    document = _load(path, shown)
+    return parse_settings(load_toml(path, shown), shown, path.parent.resolve().name)
+
+
+def parse_settings(document: dict[str, Any], shown: str, default_name: str) -> Settings:
+    """Check a settings document; see `read_settings`. Its keys ``format``, ``name``, ``simulated`` are taken out."""
     notes: list[Note] = []
     found_format = document.pop("format", None)
     if found_format is None:
@@ -91,7 +95,7 @@ def read_settings(path: Path, shown: str) -> Settings:
             expected=f'"{FORMAT}"',
             remedy="convert the campaign, or correct the key if it is one of this format",
         )
-    name = _typed(document.pop("name", path.parent.resolve().name), str, shown, "name", "a text")
+    name = _typed(document.pop("name", default_name), str, shown, "name", "a text")
     simulated = _typed(document.pop("simulated", False), bool, shown, "simulated", "true or false")
     extra: dict[str, Any] = {}
     section = _Sections(document, shown, notes, extra)
@@ -119,13 +123,14 @@ def read_settings(path: Path, shown: str) -> Settings:
     return Settings(name, simulated, vehicle, encoder, model, rangefinder, reference, extra, tuple(notes))
 
 
-def _load(path: Path, shown: str) -> dict[str, Any]:
+def load_toml(path: Path, shown: str) -> dict[str, Any]:
+    """Return a TOML file as read, with errors that name the place."""
     if not path.is_file():
         raise BadFileError(
             shown,
             found="a folder" if path.is_dir() else "no such file",
-            expected="the campaign's settings",
-            remedy="give a campaign folder that holds campaign.toml, or make one with 'calib ingest'",
+            expected="a settings file",
+            remedy="give a folder that holds campaign.toml, or make one with 'calib ingest'",
         )
     try:
         if path.stat().st_size > 1 << 24:

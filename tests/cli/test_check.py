@@ -1,0 +1,59 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from calib.campaign.write import write_campaign
+from calib.cli.main import run
+from tests.campaign.making import campaign
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return write_campaign(campaign(), tmp_path / "c")
+
+
+def test_a_sound_campaign_exits_0_and_says_what_is_there(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["check", str(folder)]) == 0
+    out, err = capsys.readouterr()
+    assert "30" in out
+    assert "Nothing is wrong" in out
+    assert err == ""
+
+
+def test_something_wrong_exits_1(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "logs" / "r003.csv").unlink()
+    assert run(["check", str(folder)]) == 1
+    assert "row 5" in capsys.readouterr().out
+
+
+def test_suspicious_alone_exits_0(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["check", str(write_campaign(campaign(crossed=False), tmp_path / "c"))]) == 0
+    assert "cannot be told apart" in capsys.readouterr().out
+
+
+def test_json_on_standard_output_stands_alone(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["check", str(folder), "--json", "-"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["found"]["n_runs"] == 30
+    assert result["wrong"] == []
+
+
+def test_json_is_not_overwritten_unless_forced(folder: Path, tmp_path: Path) -> None:
+    target = tmp_path / "out.json"
+    assert run(["check", str(folder), "--json", str(target)]) == 0
+    assert run(["check", str(folder), "--json", str(target)]) == 2
+    assert run(["check", str(folder), "--json", str(target), "--force"]) == 0
+
+
+def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["check", str(tmp_path / "nothing")]) == 2
+    out, err = capsys.readouterr()
+    assert (out, err.count("\n")) == ("", 1)
+
+
+def test_help_shows_an_example(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["check", "--help"]) == 0
+    assert "calib check" in capsys.readouterr().out
