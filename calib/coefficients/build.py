@@ -28,6 +28,10 @@ TRACK_STD_M: Final = 1e-3
 ALONG_M_PER_SQRT_M: Final = 5e-4
 HEADING_RAD_PER_SQRT_M: Final = 5e-4
 COUNT_STD: Final = 1.0 / math.sqrt(12.0)  # a reading is uniform within one count
+# The valid range reaches beyond the loads measured by this part of their span, and by 1 N at least: weighing scatters
+# by newtons, and a vehicle that carries what it carried in the campaign must not be refused.
+LOAD_MARGIN: Final = 0.01
+LEAST_LOAD_MARGIN_N: Final = 1.0
 MAX_STEP_M: Final = 0.5
 MAX_GAP_S: Final = 1.0
 LOAD_TABLE_LINES: Final = 64
@@ -115,6 +119,7 @@ def from_law(
     load_table: Mapping[str, tuple[float, float]] | None = None,
     effects: Iterable[EffectSection] = (),
     inputs: Mapping[str, str] | None = None,
+    load_margin_N: float | None = None,
     track_std_m: float = TRACK_STD_M,
     along_m_per_sqrt_m: float = ALONG_M_PER_SQRT_M,
     heading_rad_per_sqrt_m: float = HEADING_RAD_PER_SQRT_M,
@@ -129,6 +134,8 @@ def from_law(
         Name of a line -> wheel loads left and right in N; lines outside the valid range are left out.
     inputs : mapping of str to str
         Path of an input -> its SHA-256.
+    load_margin_N : float, optional
+        How far the valid range reaches beyond the loads measured. None: 1 % of their span, 1 N at least.
     track_std_m : float
         Standard uncertainty of the track.
     along_m_per_sqrt_m, heading_rad_per_sqrt_m : float
@@ -143,7 +150,7 @@ def from_law(
         if encoder.wrap_bits is not None
     ]
     step = max_step_m if max_step_m is not None else min([MAX_STEP_M, *(0.25 * length for length in lengths)])
-    sides = {"left": _wheel(law.left), "right": _wheel(law.right)}
+    sides = {"left": _wheel(law.left, load_margin_N), "right": _wheel(law.right, load_margin_N)}
     loads = [
         {"name": key, "load_left": _q(left, "N"), "load_right": _q(right, "N")}
         for key, (left, right) in (load_table or {}).items()
@@ -192,7 +199,9 @@ def _q(value: float, unit: str) -> dict[str, Any]:
     return {"value": float(value), "unit": unit}
 
 
-def _wheel(law: WheelLaw) -> dict[str, Any]:
+def _wheel(law: WheelLaw, load_margin_N: float | None) -> dict[str, Any]:
+    span = law.load_max_N - law.load_min_N
+    margin = max(LOAD_MARGIN * span, LEAST_LOAD_MARGIN_N) if load_margin_N is None else load_margin_N
     return {
         "radius_ref": _q(law.radius_ref_m, "m"),
         "slope": _q(law.slope_m_per_N, "m/N"),
@@ -205,8 +214,8 @@ def _wheel(law: WheelLaw) -> dict[str, Any]:
         "n_runs": _q(law.n_runs, "1"),
         # outwards to whole millinewtons: a load computed by another program must not fall out by its last bit
         "valid_load": {
-            "min": _q(math.floor(law.load_min_N * 1e3) / 1e3, "N"),
-            "max": _q(math.ceil(law.load_max_N * 1e3) / 1e3, "N"),
+            "min": _q(max(math.floor((law.load_min_N - margin) * 1e3) / 1e3, 0.0), "N"),
+            "max": _q(math.ceil((law.load_max_N + margin) * 1e3) / 1e3, "N"),
         },
     }
 

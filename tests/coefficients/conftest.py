@@ -38,6 +38,7 @@ def file(law: RadiusLaw) -> CoefficientFile:
         Vehicle(),
         Encoder(),
         name="corridor",
+        load_margin_N=0.0,
         simulated=True,
         load_table={"empty": (300.0, 301.5), "full": (900.0, 1000.25)},
         inputs={"runs.csv": "a" * 64},

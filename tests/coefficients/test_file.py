@@ -3,6 +3,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -148,6 +149,15 @@ def test_the_valid_range_reaches_outwards_to_whole_millinewtons(file: Coefficien
     assert file.law.right.load_max_N == 1050.0
 
 
+def test_the_valid_range_leaves_room_for_the_scatter_of_weighing(law: RadiusLaw) -> None:
+    """1 % of the span measured, 1 N at least, never below zero."""
+    made = from_law(law, Vehicle(), Encoder(), name="n", simulated=False).law
+    assert (made.left.load_min_N, made.left.load_max_N) == (191.0, 1109.0)
+    narrow = RadiusLaw(replace(law.left, load_min_N=0.5, load_max_N=1.5), law.right)
+    made = from_law(narrow, Vehicle(), Encoder(), name="n", simulated=False).law
+    assert (made.left.load_min_N, made.left.load_max_N) == (0.0, 2.5)
+
+
 def test_law_and_vehicle_come_back_as_they_went_in(file: CoefficientFile, law: RadiusLaw) -> None:
     for wheel, given_ in ((file.law.left, law.left), (file.law.right, law.right)):
         np.testing.assert_array_equal(wheel.covariance, given_.covariance)
@@ -174,8 +184,6 @@ def test_a_change_makes_a_valid_file_of_another_checksum(file: CoefficientFile, 
 def test_impossible_coefficients_make_no_file(law: RadiusLaw) -> None:
     """A correlation beyond 1, a radius that reaches zero, a step beyond half a wrap."""
     with pytest.raises(BadInputError, match="correlation"):
-        from dataclasses import replace
-
         bad = replace(law.left, covariance=np.array([[1e-12, 1e-13], [1e-13, 1e-16]]))
         from_law(RadiusLaw(bad, law.right), Vehicle(), Encoder(), name="n", simulated=False)
     with pytest.raises(BadInputError, match="above zero"):

@@ -42,6 +42,7 @@ def file() -> CoefficientFile:
         Vehicle(cog_y_m=0.01),
         Encoder(counts_per_rev_left=4096.0, counts_per_rev_right=4000.0, wrap_bits=16),
         name="corridor",
+        load_margin_N=0.0,
         simulated=True,
         load_table={"empty": (300.0, 301.5), "full": (900.0, 1000.25)},
     )
