@@ -64,7 +64,14 @@ def write_text(path: Path, text: str, *, force: bool = False) -> Path:
 
 def to_json(value: Any) -> str:
     """Return `value` as indented JSON with a final newline; NaN and infinity are refused, never written."""
-    return json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    return json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False, default=_plain) + "\n"
+
+
+def _plain(value: Any) -> Any:
+    """Return a numpy scalar (a bool or an integer of an array, say) as Python's own."""
+    if hasattr(value, "item"):
+        return value.item()
+    raise TypeError(f"{type(value).__name__} has no JSON form")
 
 
 def write_json(path: Path, value: Any, *, force: bool = False) -> Path:
