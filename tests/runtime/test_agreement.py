@@ -223,3 +223,32 @@ def test_on_a_winding_path_the_random_walk_is_that_of_simulated_vehicles(file: C
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
     # five standard errors of a covariance from 20,000 draws: 5 sqrt(2 / 20000)
     np.testing.assert_allclose(found / scale, expected / scale, rtol=0, atol=0.05)
+
+
+@pytest.mark.parametrize("band", ["mean", "prediction"])
+def test_the_runtimes_covariance_is_that_of_the_array_form(file: CoefficientFile, band: str) -> None:
+    """Systematic, random and encoder parts together, with loads that change on the way."""
+    arrays = pytest.importorskip("calib.motion.pose_covariance")
+    left, right, loads = winding(300)
+    radii = file.radius_m(loads[:, 0], loads[:, 1])
+    rev = (4096.0, 4000.0)
+    travel = [
+        np.diff(counts, prepend=0) * 2 * np.pi / n * radius
+        for counts, n, radius in zip((left, right), rev, radii, strict=True)
+    ]
+    path = arrays.steps(*travel, 0.7, radius_left_m=radii[0], radius_right_m=radii[1])
+    jacobian = arrays.jacobian(path, load_offset_left_N=loads[:, 0] - 300.0, load_offset_right_N=loads[:, 1] - 300.0)[
+        -1
+    ]
+    parameters = arrays.parameter_covariance(file.law, track_std_m=1e-3, single_run=band == "prediction")
+    walk = arrays.RandomWalk(
+        sigma_along_m_per_sqrt_m=file.noise.along.value,
+        sigma_heading_rad_per_sqrt_m=file.noise.heading.value,
+        count_std=file.noise.count_std.value,
+        counts_per_rev_left=rev[0],
+        counts_per_rev_right=rev[1],
+    )
+    expected = jacobian @ parameters @ jacobian.T + walk.covariance(path)[-1]
+    found = np.array(run(file, left, right, loads, band).covariance)
+    # rtol: two orders of summation; atol: entries that cancel
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12 * np.abs(expected).max())
