@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from calib.errors import BadInputError, RefusedError
 from calib.units import GRAVITY_MPS2
 
-__all__ = ["Vehicle", "wheel_loads_N"]
+__all__ = ["Vehicle", "WeighedPayload", "check_wheel_loads", "payload_from_wheel_loads", "wheel_loads_N"]
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -84,3 +85,103 @@ def wheel_loads_N(
     roll = (vehicle.mass_kg * vehicle.cog_y_m + mass * y) * GRAVITY_MPS2 / vehicle.track_m
     rear = weight - front
     return front, 0.5 * rear + roll, 0.5 * rear - roll
+
+
+def check_wheel_loads(
+    vehicle: Vehicle, front_N: npt.ArrayLike, left_N: npt.ArrayLike, right_N: npt.ArrayLike, *, what: str = "payload"
+) -> None:
+    """Refuse wheel loads under which the vehicle would tip or carry too much.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        Its permissible wheel load is the limit.
+    front_N, left_N, right_N : array_like of float
+        Wheel loads, any shapes.
+    what : str
+        What causes the loads; begins the message.
+
+    Raises
+    ------
+    RefusedError
+        Where a wheel would lift off (no load or less) or carry more than is permitted; names the wheel and the load.
+    """
+    for name, load in (("front", front_N), ("left", left_N), ("right", right_N)):
+        loads = np.atleast_1d(np.asarray(load, dtype=np.float64))
+        if not loads.size:
+            continue
+        if not np.isfinite(loads).all():
+            raise BadInputError(f"{what}: found a {name} wheel load that is not finite; expected newtons; check it")
+        least, most = float(loads.min()), float(loads.max())
+        if least <= 0.0:
+            raise RefusedError(
+                f"{what}: the {name} wheel lifts off ({least:.4g} N): the vehicle tips; expected a load above 0 N on "
+                "every wheel; put the payload nearer to the middle or reduce it"
+            )
+        if most > vehicle.max_wheel_load_N:
+            raise RefusedError(
+                f"{what}: the {name} wheel carries {most:.5g} N: overload; expected at most "
+                f"{vehicle.max_wheel_load_N:.5g} N a wheel; reduce the payload or shift it to another wheel"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class WeighedPayload:
+    """Payload and its position from three weighed wheels, with standard uncertainties.
+
+    Parameters
+    ----------
+    payload_kg, payload_x_m, payload_y_m : float
+        Mass, distance ahead of the rear axle, distance left of the centre line.
+    payload_std_kg, payload_x_std_m, payload_y_std_m : float
+        Standard uncertainties that those of the weighings cause.
+    """
+
+    payload_kg: float
+    payload_x_m: float
+    payload_y_m: float
+    payload_std_kg: float
+    payload_x_std_m: float
+    payload_y_std_m: float
+
+
+def payload_from_wheel_loads(
+    vehicle: Vehicle, front_N: float, left_N: float, right_N: float, *, sigma_N: float = 0.0
+) -> WeighedPayload:
+    """Return payload mass and position from three weighed wheels: Eqs (1), (2) and the force balance.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        Geometry and mass without payload.
+    front_N, left_N, right_N : float
+        Weighed wheel loads.
+    sigma_N : float
+        Standard uncertainty of each weighing.
+
+    Raises
+    ------
+    RefusedError
+        Where the wheels carry no more than the vehicle alone: there is then no payload to place.
+    """
+    total = front_N + left_N + right_N
+    own = vehicle.mass_kg * GRAVITY_MPS2
+    weight = total - own
+    if not weight > max(1e-6 * own, 2.0 * sigma_N):
+        raise RefusedError(
+            f"weighed wheels: found {total:.6g} N in all, the vehicle alone weighs {own:.6g} N; expected "
+            "more than that; there is no payload to place; check the weighings or the vehicle's mass"
+        )
+    x = (front_N * vehicle.wheelbase_m - own * vehicle.cog_x_m) / weight
+    y = (0.5 * (left_N - right_N) * vehicle.track_m - own * vehicle.cog_y_m) / weight
+    # derivatives of x and y by each weighed load
+    by_x = np.array([vehicle.wheelbase_m - x, -x, -x]) / weight
+    by_y = np.array([-y, 0.5 * vehicle.track_m - y, -0.5 * vehicle.track_m - y]) / weight
+    return WeighedPayload(
+        payload_kg=weight / GRAVITY_MPS2,
+        payload_x_m=x,
+        payload_y_m=y,
+        payload_std_kg=sigma_N * float(np.sqrt(3.0)) / GRAVITY_MPS2,
+        payload_x_std_m=sigma_N * float(np.linalg.norm(by_x)),
+        payload_y_std_m=sigma_N * float(np.linalg.norm(by_y)),
+    )

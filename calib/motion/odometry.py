@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from math import isfinite
+from math import factorial, isfinite
 from typing import Final
 
 import numpy as np
@@ -18,7 +18,7 @@ import numpy.typing as npt
 from calib.errors import BadInputError
 from calib.motion.poses import FloatArray, Poses
 
-__all__ = ["SCHEMES", "Poses", "end_poses", "integrate", "sinc"]
+__all__ = ["SCHEMES", "Poses", "end_poses", "integrate", "shorten", "sinc"]
 
 IntArray = npt.NDArray[np.int64]
 
@@ -35,10 +35,10 @@ BLOCK: Final = 16384
 ROW: Final = 16
 
 #: sin(d/2)/d as a series in d^2: half the ratio of chord to arc for a turn of d
-_SERIES: Final = (1 / 2, -1 / 48, 1 / 3840, -1 / 645120, 1 / 185794560, -1 / 81749606400, 1 / 51011754393600)
+_SERIES: Final = tuple((-1) ** k / (2 ** (2 * k + 1) * factorial(2 * k + 1)) for k in range(12))
 
 #: how many of its terms are good to the last digit up to which d
-_TERMS: Final = ((2, 2e-4), (3, 8e-3), (4, 4e-2), (7, 1.0))
+_TERMS: Final = ((2, 2e-4), (3, 8e-3), (4, 4e-2), (5, 0.2), (7, 1.0), (9, 2.0), (12, 3.2))
 
 #: a product with this triangle turns a row of steps into its running sums
 _SUMS: Final = np.triu(np.ones((ROW, ROW)))
@@ -237,7 +237,7 @@ def _blocks(job: _Job, theta: FloatArray | None) -> Iterator[_Block]:
         turn *= job.per_m if isinstance(job.per_m, float) else job.per_m[first:last]
         np.add(right, left, out=chord)
         if job.curved:
-            _shorten(chord, turn, work, tangent)
+            shorten(chord, turn, work, tangent)
         else:
             chord *= 0.5
         block = _Block(first, last, slice(k0, k1), local, continues, dx=work, dy=tangent, turned=turn)
@@ -258,8 +258,18 @@ def _blocks(job: _Job, theta: FloatArray | None) -> Iterator[_Block]:
         yield block
 
 
-def _shorten(path: FloatArray, turn: FloatArray, square: FloatArray, work: FloatArray) -> None:
-    """Turn twice the length of arcs into the length of their chords, in place."""
+def shorten(path: FloatArray, turn: FloatArray, square: FloatArray, work: FloatArray) -> None:
+    """Turn twice the length of arcs into the length of their chords, in place.
+
+    Parameters
+    ----------
+    path : array of float, shape (n,)
+        Twice the length of each arc in m; becomes the chord.
+    turn : array of float, shape (n,)
+        Turn of each arc in rad.
+    square, work : array of float, shape (n,)
+        Overwritten.
+    """
     np.multiply(turn, turn, out=square)
     largest = float(square.max())
     for terms, limit in _TERMS:

@@ -1,0 +1,190 @@
+"""Routes of straights and arcs: by name, or from a small TOML file."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from calib.errors import BadFileError, BadInputError
+from calib.motion.odometry import integrate
+from calib.motion.poses import Poses
+
+__all__ = ["FORMAT", "NAMED", "Route", "arc", "find_route", "read_route", "straight"]
+
+FloatArray = npt.NDArray[np.float64]
+Segment = tuple[float, float]
+
+FORMAT: Final = "calib-route/1"
+FILE_LIMIT_BYTES: Final = 1 << 20
+
+
+def straight(length_m: float) -> Segment:
+    """Return a straight of a length in m; negative is driven backwards."""
+    return (length_m, 0.0)
+
+
+def arc(radius_m: float, turn_rad: float) -> Segment:
+    """Return an arc of a radius in m; a positive turn goes left; radius 0 turns on the spot."""
+    return (radius_m * abs(turn_rad), turn_rad)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Route:
+    """Straights and arcs that the middle of the rear axle follows, starting at (0, 0, 0).
+
+    Parameters
+    ----------
+    name : str
+        Its name.
+    length_m : array of float, shape (n_segments,)
+        Length of each segment.
+    turn_rad : array of float, shape (n_segments,)
+        Turn of each segment, left positive; 0 in a straight.
+    """
+
+    name: str
+    length_m: FloatArray
+    turn_rad: FloatArray
+
+    @staticmethod
+    def of(name: str, *segments: Segment) -> Route:
+        """Return the route of `straight` and `arc` segments."""
+        made = np.array(segments, dtype=np.float64).reshape(-1, 2)
+        return Route(name, made[:, 0].copy(), made[:, 1].copy())
+
+    def __len__(self) -> int:
+        return len(self.length_m)
+
+    @property
+    def total_m(self) -> float:
+        """Length of the whole route."""
+        return float(np.abs(self.length_m).sum())
+
+    def divided(self, spacing_m: float) -> Route:
+        """Return the same route with every segment cut into equal pieces of at most `spacing_m` (or 3 degrees)."""
+        if not spacing_m > 0.0:
+            raise BadInputError(f"spacing: found {spacing_m!r} m; expected a length above 0")
+        pieces = np.ceil(
+            np.maximum(np.abs(self.length_m) / spacing_m, np.abs(self.turn_rad) / math.radians(3.0)) - 1e-9
+        )
+        count = np.maximum(pieces, 1).astype(np.int64)
+        return Route(self.name, np.repeat(self.length_m / count, count), np.repeat(self.turn_rad / count, count))
+
+    def mirrored(self) -> Route:
+        """Return the route with left and right swapped."""
+        return Route(self.name, self.length_m, -self.turn_rad)
+
+    def poses(self) -> Poses:
+        """Return the poses at the start and at the end of each segment, shape (n_segments + 1,)."""
+        half = 0.5 * self.turn_rad
+        driven = integrate(self.length_m - half, self.length_m + half, 1.0)
+        return Poses(*(np.concatenate(([0.0], part)) for part in (driven.x_m, driven.y_m, driven.theta_rad)))
+
+    def distance_m(self) -> FloatArray:
+        """Return the distance driven at the start and at the end of each segment, shape (n_segments + 1,)."""
+        return np.concatenate(([0.0], np.cumsum(np.abs(self.length_m))))
+
+
+def _square(side_m: float, turn_rad: float) -> tuple[Segment, ...]:
+    return (straight(side_m), arc(0.5, turn_rad)) * 4
+
+
+QUARTER: Final = math.pi / 2
+
+#: adding a named route means adding one line here
+NAMED: Final[Mapping[str, tuple[Segment, ...]]] = {
+    "corridor": (straight(40.0),),
+    "straight15": (straight(15.0),),
+    "paper_route": (straight(5.0), arc(3.0, QUARTER), straight(5.0)),
+    "square_cw": _square(4.0, -QUARTER),
+    "square_ccw": _square(4.0, QUARTER),
+    "figure8": (arc(2.0, 2 * math.pi), arc(2.0, -2 * math.pi)),
+}
+
+
+def find_route(name: str) -> Route:
+    """Return a route by its name, or from a TOML file where `name` ends in ``.toml``.
+
+    Raises
+    ------
+    BadInputError
+        Where there is no such route.
+    """
+    if name in NAMED:
+        return Route.of(name, *NAMED[name])
+    if name.endswith(".toml"):
+        return read_route(Path(name))
+    raise BadInputError(
+        f"route: found {name!r}; expected {', '.join(NAMED)}, or a file ending in .toml; choose one of them"
+    )
+
+
+def read_route(path: Path) -> Route:
+    """Read a route file.
+
+    The file says ``format = "calib-route/1"``, a ``name`` where wanted, and one ``[[segment]]`` for each piece with
+    either ``straight_m``, or ``radius_m`` and ``turn_deg`` (or ``turn_rad``), left positive.
+
+    Raises
+    ------
+    BadFileError
+        Where the file cannot be used.
+    """
+    path = Path(path)
+
+    def bad(found: str, expected: str, column: str | None = None) -> BadFileError:
+        return BadFileError(path, found=found, expected=expected, remedy="correct the route file", column=column)
+
+    try:
+        if path.stat().st_size > FILE_LIMIT_BYTES:
+            raise bad(f"{path.stat().st_size} bytes", f"at most {FILE_LIMIT_BYTES}")
+        document = tomllib.loads(path.read_bytes().decode("utf-8-sig"))
+    except OSError as error:
+        raise bad(error.strerror or "no file", "a route file") from error
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise bad(f"no TOML ({error})", "a TOML file") from error
+    if document.get("format") != FORMAT:
+        raise bad(repr(document.get("format")), repr(FORMAT), "format")
+    pieces = document.get("segment")
+    if not isinstance(pieces, list) or not pieces:
+        raise bad("no [[segment]]", "one [[segment]] or more", "segment")
+    name = document.get("name", path.stem)
+    if not isinstance(name, str):
+        raise bad(repr(name), "a text", "name")
+    made = []
+    for number, piece in enumerate(pieces, start=1):
+        where = f"segment {number}"
+        if not isinstance(piece, dict):
+            raise bad(repr(piece), "a table", where)
+        keys = frozenset(piece)
+        if keys not in _KEYS:
+            raise bad(", ".join(sorted(keys)) or "nothing", "straight_m, or radius_m and turn_deg (or turn_rad)", where)
+        values = {key: _number(value) for key, value in piece.items()}
+        for key, value in values.items():
+            if value is None or (key == "radius_m" and value < 0.0):
+                raise bad(f"{key} = {piece[key]!r}", "a finite number, a radius not below 0", where)
+        made.append(_segment({key: value for key, value in values.items() if value is not None}))
+    return Route.of(name, *made)
+
+
+_KEYS: Final = {frozenset({"straight_m"}), frozenset({"radius_m", "turn_deg"}), frozenset({"radius_m", "turn_rad"})}
+
+
+def _number(value: Any) -> float | None:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value) or abs(value) > 1e6:
+        return None
+    return float(value)
+
+
+def _segment(values: Mapping[str, float]) -> Segment:
+    if "straight_m" in values:
+        return straight(values["straight_m"])
+    turn = math.radians(values["turn_deg"]) if "turn_deg" in values else values["turn_rad"]
+    return arc(values["radius_m"], turn)
