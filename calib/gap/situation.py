@@ -449,7 +449,9 @@ def _assemble(
     turn = turn / model.track_m
     # a reference heading may come wrapped: bring it next to what the wheels say
     with np.errstate(invalid="ignore"):
-        measured[:, 3] += 2 * np.pi * np.round((turn - measured[:, 3]) / (2 * np.pi))
+        wraps = 2 * np.pi * np.round((turn - measured[:, 3]) / (2 * np.pi))
+        # but only where the two then agree: with swapped or halved counts it is the wheels that are wrong
+        measured[:, 3] += np.where(np.abs(turn - measured[:, 3] - wraps) < 1.0, wraps, 0.0)
         chord = np.hypot(measured[:, 1], measured[:, 2])
         straight = (np.abs(turn) < STRAIGHT_RAD) & ~(chord < 0.9 * np.abs(path))
     logged = np.array([u.logged for u in units])

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+import numpy as np
+
 from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.shapes import curvature_per_m, shows_curves
 from calib.gap.path import Push
@@ -30,9 +32,9 @@ class CurveLoadTransfer(Effect):
         speed = s.speed_mps
         if not (speed != 0.0).any():
             return []
-        moved_N = (
-            s.weight_N[s.unit] * speed**2 * curvature_per_m(s) * s.vehicle.cog_z_m / (GRAVITY_MPS2 * s.model.track_m)
-        )
+        # the curvature counts turn per way without sign: rolling backward, the same turn pulls to the other side
+        pull_mps2 = speed * np.abs(speed) * curvature_per_m(s)
+        moved_N = s.weight_N[s.unit] * pull_mps2 * s.vehicle.cog_z_m / (GRAVITY_MPS2 * s.model.track_m)
         per_left, per_right = -moved_N / s.radius_left_m[s.unit], moved_N / s.radius_right_m[s.unit]
         radius = 0.5 * (s.model.radius_left_m + s.model.radius_right_m)
         parameter = Parameter("slope", "m/N", typical=1e-5 * radius, largest=6e-5 * radius)

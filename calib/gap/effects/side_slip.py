@@ -26,6 +26,7 @@ class SideSlip(Effect):
         speed = s.speed_mps
         if not (speed != 0.0).any():
             return []
+        # v^2 kappa ds is v |v| times the turn: it changes sides when the vehicle rolls backward
         left_m = -(speed**2) * curvature_per_m(s) * s.path_m
         parameter = Parameter("slip_per_acceleration", "s2/m", typical=2e-3, largest=5e-2)
         return [Form(self.id, "", (parameter,), lambda _: [Push(lateral_m=left_m)])]

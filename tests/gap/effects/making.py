@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from calib.campaign.model import Campaign, Logs, RunTable
 from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
+from calib.gap.path import Push, predict
 from calib.gap.situation import Situation, build_situation
 from calib.vehicle import Vehicle
 
@@ -19,7 +21,10 @@ Piece = tuple[float, float]
 
 @dataclass
 class Run:
-    """One run: pieces of (length_m, curvature_per_m), negative lengths backward, at a constant speed."""
+    """One run: pieces of (length_m, curvature_per_m), negative lengths backward, at a constant speed.
+
+    `ramp`: the speed is reached from rest; `stops`: the log goes on for a second at rest.
+    """
 
     pieces: list[Piece]
     speed_mps: float = 0.5
@@ -32,12 +37,66 @@ class Run:
     log: bool = True
     front: bool = True
     stops: bool = False
+    ramp: bool = False
     numbers: dict[str, float] = field(default_factory=dict)
 
 
 STRAIGHT: list[Piece] = [(10.0, 0.0)]
 ROUTE: list[Piece] = [(5.0, 0.0), (0.5 * np.pi * 3.0, 1 / 3.0), (5.0, 0.0)]
 SQUARE: list[Piece] = [(2.0, 0.0), (0.5 * np.pi * 0.5, 2.0)] * 4
+
+
+@dataclass
+class Motion:
+    """What truly happens in each step of a run, and what an effect makes of it.
+
+    The upper fields say how the vehicle moves, the lower ones are for a truth to fill: relative change of the radii and
+    of the track, turn, way along and sideways that no wheel sees, what instruments add at the end.
+    """
+
+    ds_m: np.ndarray
+    turn_rad: np.ndarray
+    dt_s: np.ndarray
+    t_s: np.ndarray
+    v_mps: np.ndarray
+    kappa: np.ndarray
+    steer_rad: np.ndarray
+    x_m: np.ndarray
+    y_m: np.ndarray
+    theta_rad: np.ndarray
+    left: np.ndarray | float = 0.0
+    right: np.ndarray | float = 0.0
+    track: np.ndarray | float = 0.0
+    yaw_rad: np.ndarray | float = 0.0
+    along_m: np.ndarray | float = 0.0
+    lateral_m: np.ndarray | float = 0.0
+    left_m: np.ndarray | float = 0.0
+    right_m: np.ndarray | float = 0.0
+    front: np.ndarray | float = 0.0
+    steer_error_rad: np.ndarray | float = 0.0
+    laser_m: float = 0.0
+    end_x_m: float = 0.0
+    end_y_m: float = 0.0
+    end_rad: float = 0.0
+    swapped: bool = False
+
+
+def motion_of(run: Run) -> Motion:
+    """The plan of a run, stops added, places at the middle of each step by exact arcs."""
+    ds, turn, dt = steps_of(run)
+    if run.stops:
+        ds, turn, dt = (np.concatenate([a, [b, b]]) for a, b in ((ds, 0.0), (turn, 0.0), (dt, 0.5)))
+    kappa = np.where(ds != 0.0, turn / np.where(ds == 0, 1.0, ds), 0.0)
+    heading = np.concatenate([[0.0], np.cumsum(turn)])
+    middle = 0.5 * (heading[1:] + heading[:-1])
+    place = np.concatenate([[0.0], np.cumsum(ds * np.sinc(0.5 * turn / np.pi) * np.exp(1j * middle))])
+    half = 0.5 * (place[1:] + place[:-1])
+    return Motion(
+        ds, turn, dt, np.cumsum(dt), ds / dt, kappa, np.arctan(WHEELBASE_M * kappa), half.real, half.imag, middle
+    )
+
+
+Truth = Callable[[Run, Motion], None]
 
 
 def steps_of(run: Run) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -49,21 +108,28 @@ def steps_of(run: Run) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         ds.append(np.full(n, length / n))
         turn.append(np.full(n, abs(length) * kappa / n))
     ds_m, turn_rad = np.concatenate(ds), np.concatenate(turn)
-    return ds_m, turn_rad, np.abs(ds_m) / run.speed_mps
+    speed = np.full(len(ds_m), run.speed_mps)
+    if run.ramp:
+        # from rest at constant acceleration over the first fifth of the way
+        way = np.cumsum(np.abs(ds_m)) - 0.5 * np.abs(ds_m)
+        speed *= np.sqrt(np.minimum(1.0, way / (0.2 * whole)))
+    return ds_m, turn_rad, np.abs(ds_m) / speed
 
 
-def end_pose(ds_m: np.ndarray, turn_rad: np.ndarray) -> np.ndarray:
+def end_pose(ds_m: np.ndarray, turn_rad: np.ndarray, lateral_m: np.ndarray | float = 0.0) -> np.ndarray:
     """End pose of exact arcs, by turning complex numbers."""
     place, heading = 0.0 + 0.0j, 0.0
-    for ds, turn in zip(ds_m, turn_rad, strict=True):
+    for ds, turn, aside in zip(ds_m, turn_rad, np.broadcast_to(lateral_m, ds_m.shape), strict=True):
         chord = ds if abs(turn) < 1e-12 else ds * np.sin(0.5 * turn) / (0.5 * turn)
-        place += chord * np.exp(1j * (heading + 0.5 * turn))
+        place += (chord + 1j * aside) * np.exp(1j * (heading + 0.5 * turn))
         heading += turn
     return np.array([place.real, place.imag, heading])
 
 
-def campaign(runs: list[Run], *, vehicle: Vehicle | None = None, model: OdometryModel = MODEL) -> Campaign:
-    """The campaign of runs in which the model is right: no gap, counts not rounded."""
+def campaign(
+    runs: list[Run], *, vehicle: Vehicle | None = None, model: OdometryModel = MODEL, truth: Truth | None = None
+) -> Campaign:
+    """The campaign of runs in which the model is right but for what `truth` does; counts are not rounded."""
     n = len(runs)
     lengths = []
     columns: dict[str, list[np.ndarray]] = {
@@ -71,32 +137,28 @@ def campaign(runs: list[Run], *, vehicle: Vehicle | None = None, model: Odometry
     }
     numbers: dict[str, np.ndarray] = {}
     extra = sorted({name for run in runs for name in run.numbers})
-    for name in [
-        "load_left_N",
-        "load_right_N",
-        "speed_mps",
-        "distance_m",
-        "counts_left",
-        "counts_right",
-        "ref_x_m",
-        "ref_y_m",
-        "ref_theta_rad",
-    ] + extra:
+    known = ("load_left_N", "load_right_N", "speed_mps", "distance_m", "counts_left", "counts_right")
+    for name in (*known, "ref_x_m", "ref_y_m", "ref_theta_rad", *extra):
         numbers[name] = np.full(n, np.nan)
     for i, run in enumerate(runs):
-        ds, turn, dt = steps_of(run)
-        if run.stops:
-            ds, turn, dt = (np.concatenate([a, [b, b]]) for a, b in ((ds, 0.0), (turn, 0.0), (dt, 0.5)))
+        now = motion_of(run)
+        if truth is not None:
+            truth(run, now)
         rad_left = model.radius_left_m + model.slope_left_m_per_N * (run.load_left_N - model.reference_load_N)
         rad_right = model.radius_right_m + model.slope_right_m_per_N * (run.load_right_N - model.reference_load_N)
         per = COUNTS / (2 * np.pi)
-        left = np.concatenate([[0.0], np.cumsum(ds - 0.5 * turn * model.track_m)]) / rad_left * per
-        right = np.concatenate([[0.0], np.cumsum(ds + 0.5 * turn * model.track_m)]) / rad_right * per
-        kappa = np.where(np.abs(ds) > 0, turn / np.where(ds == 0, 1.0, ds), 0.0)
-        steer = np.arctan(WHEELBASE_M * kappa)
-        front = np.concatenate([[0.0], np.cumsum(ds / np.cos(steer))]) / RADIUS_M * per
+        # what the wheels roll: the true way and turn less what no wheel sees
+        rolled, half = now.ds_m - now.along_m, 0.5 * (now.turn_rad - now.yaw_rad) * model.track_m * (1.0 + now.track)
+        left_roll = (rolled - half - now.left_m) / (rad_left * (1.0 + now.left))
+        right_roll = (rolled + half - now.right_m) / (rad_right * (1.0 + now.right))
+        if now.swapped:
+            left_roll, right_roll = right_roll, left_roll
+        left, right = (np.concatenate([[0.0], np.cumsum(roll)]) * per for roll in (left_roll, right_roll))
+        steer = now.steer_rad + now.steer_error_rad
+        front_way = now.ds_m / np.cos(now.steer_rad) * (1.0 + now.front)
+        front = np.concatenate([[0.0], np.cumsum(front_way)]) / RADIUS_M * per
         if run.log:
-            columns["t_s"].append(np.concatenate([[0.0], np.cumsum(dt)]))
+            columns["t_s"].append(np.concatenate([[0.0], now.t_s]))
             columns["counts_left"].append(left)
             columns["counts_right"].append(right)
             columns["counts_front"].append(front if run.front else np.full(len(front), np.nan))
@@ -105,7 +167,9 @@ def campaign(runs: list[Run], *, vehicle: Vehicle | None = None, model: Odometry
             lengths.append(len(left))
         else:
             lengths.append(0)
-        x, y, theta = end_pose(ds, turn)
+        x, y, theta = end_pose(now.ds_m, now.turn_rad, now.lateral_m)
+        laser = abs(x) + now.laser_m
+        x, y, theta = x + now.end_x_m, y + now.end_y_m, theta + now.end_rad
         row = {
             "load_left_N": run.load_left_N,
             "load_right_N": run.load_right_N,
@@ -115,7 +179,7 @@ def campaign(runs: list[Run], *, vehicle: Vehicle | None = None, model: Odometry
             "ref_x_m": x,
             "ref_y_m": y,
             "ref_theta_rad": theta,
-            "distance_m": abs(x) if run.kind.startswith("corridor") else np.nan,
+            "distance_m": laser if run.kind.startswith("corridor") else np.nan,
             **run.numbers,
         }
         for name, value in row.items():
@@ -150,6 +214,11 @@ def campaign(runs: list[Run], *, vehicle: Vehicle | None = None, model: Odometry
 def situation(runs: list[Run], **settings: object) -> Situation:
     """The campaign as the diagnosis sees it."""
     return build_situation(campaign(runs, **settings))  # type: ignore[arg-type]
+
+
+def gap(s: Situation, pushes: list[Push] | None = None) -> np.ndarray:
+    """Measured less predicted under a hypothesis, shape (n_units, 6); 0 where a channel was not measured."""
+    return np.where(s.usable, s.measured - predict(s, pushes).reading, 0.0)
 
 
 def rich_runs() -> list[Run]:
