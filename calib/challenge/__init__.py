@@ -1,1 +1,1 @@
-"""The blind check: make sealed cases, run the diagnosis on them, score it."""
+"""A blind check of the diagnosis: sealed cases, a runner that never opens the truth, a score."""

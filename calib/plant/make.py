@@ -16,7 +16,7 @@ from calib.plant.measure import campaign_of
 from calib.plant.noise import Noise, draw_noise, random_noise
 from calib.plant.world import REFERENCE_LOAD_N, World, build_world
 
-__all__ = ["apply_causes", "as_causes", "make_campaign", "random_model"]
+__all__ = ["apply_causes", "as_causes", "make_campaign", "make_campaigns", "random_model"]
 
 
 def random_model(design: Design, rng: np.random.Generator) -> OdometryModel:
@@ -108,10 +108,28 @@ def make_campaign(
     Campaign
         In memory; ``calib.campaign.write.write_campaign`` puts it into a folder.
     """
+    return make_campaigns(design, truth, rng, noise=noise, model=model, names=(name,))[0]
+
+
+def make_campaigns(
+    design: Design,
+    truth: Mapping[str, float] | Sequence[Cause],
+    rng: np.random.Generator,
+    *,
+    noise: Noise | None = None,
+    model: OdometryModel | None = None,
+    names: Sequence[str] = ("campaign",),
+) -> tuple[Campaign, ...]:
+    """Drive a design as often as there are names, each time with other noise; see `make_campaign`."""
     noise = noise or random_noise(rng)
     model = model or random_model(design, rng)
     causes = as_causes(truth, design, rng)
-    world = apply_causes(build_world(design, model), causes)
-    draw = draw_noise(noise, len(design), rng)
+    n_runs, times = len(design), len(names)
+    stacked = design if times == 1 else design.select(np.tile(np.arange(n_runs), times))
+    world = apply_causes(build_world(stacked, model), causes)
+    draw = draw_noise(noise, n_runs * times, rng)
     record = drive(world, draw)
-    return campaign_of(world, noise, draw, record, name=name)
+    return tuple(
+        campaign_of(world, noise, draw, record, name=name, pick=np.arange(n_runs) + number * n_runs)
+        for number, name in enumerate(names)
+    )

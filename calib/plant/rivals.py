@@ -84,7 +84,7 @@ def rivals(design: Design, model: OdometryModel, noise: Noise, cause: Cause) -> 
         Every effect that the design can show, by the best of its forms.
     """
     others = [one for one in _variants(design, model.slope_left_m_per_N) if one.effect != cause.effect]
-    found = strengths(design, model, noise, [cause, *others], step_s=0.05, weigh=False)
+    found = strengths(design, model, noise, [cause, *others], step_s=0.08, weigh=False)
     truth = found.change[0]
     families: dict[tuple[str, str], list[int]] = {}
     for number, one in enumerate(others, start=1):

@@ -31,8 +31,8 @@ def segments_of(kind: str, *, length_m: float, side_m: float, radius_m: float) -
     Parameters
     ----------
     kind : str
-        ``corridor`` (``corridor_b`` is its second lane, ``corridor_short`` a part of it), ``square_cw``, ``square_ccw``,
-        ``figure8``, ``route_left``, ``route_right``, ``slalom``.
+        ``corridor`` (``corridor_b`` is its second lane, ``corridor_short`` a part of it), ``square_cw``,
+        ``square_ccw``, ``figure8``, ``route_left``, ``route_right``, ``slalom``.
     length_m : float
         Length of the corridor.
     side_m, radius_m : float

@@ -176,14 +176,14 @@ def whiten(change: FloatArray, cov: FloatArray, absorbed: FloatArray | None) -> 
     both = present[:, :, None] & present[:, None, :]
     held = np.where(both, cov, np.where(np.eye(6, dtype=bool), 1.0, 0.0))
     root = np.linalg.cholesky(held)
-    white: FloatArray = np.linalg.solve(root, np.where(present, change, 0.0)[:, :, None])[:, :, 0].ravel()
+    white = np.linalg.solve(root, np.where(present, change, 0.0)[:, :, None])[:, :, 0].ravel()
     if absorbed is None:
-        return white, None
+        return np.asarray(white, dtype=np.float64), None
     held_directions = np.where(present[:, :, None], absorbed, 0.0)
-    directions: FloatArray = np.linalg.solve(root, held_directions).reshape(len(white), -1)
-    scale: FloatArray = np.linalg.norm(directions, axis=0)
-    unit: FloatArray = directions / np.where(scale > 0, scale, 1.0)
-    return white, unit
+    directions = np.linalg.solve(root, held_directions).reshape(len(white), -1)
+    scale = np.linalg.norm(directions, axis=0)
+    unit = directions / np.where(scale > 0, scale, 1.0)
+    return np.asarray(white, dtype=np.float64), np.asarray(unit, dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -323,7 +323,7 @@ def to_signal(
         power = np.array([0.5 if cause.effect in _SQUARED else 1.0 for cause in causes])
         sizes = sizes * factor**power
         scaled = [replace(cause, size=float(f"{size:.5g}")) for cause, size in zip(causes, sizes, strict=True)]
-    return scaled, noise, strengths(design, model, noise, scaled)
+    return scaled, noise, strengths(design, model, noise, scaled, step_s=0.04)
 
 
 def _louder(noise: Noise, factor: float) -> Noise:

@@ -1,0 +1,200 @@
+"""A case from its recipe: first its truth, then its campaigns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+
+from calib.campaign.model import Campaign
+from calib.campaign.settings import OdometryModel
+from calib.challenge.recipe import Recipe
+from calib.plant.design import Design
+from calib.plant.effects.form import Cause
+from calib.plant.effects.registry import find
+from calib.plant.make import as_causes, make_campaigns, random_model
+from calib.plant.noise import Noise, random_noise
+from calib.plant.plans import good_design, poor_design
+from calib.plant.rivals import rivals
+from calib.plant.signal import to_signal
+
+__all__ = ["Truth", "campaigns_of", "case_design", "truth_of"]
+
+_UNSIGNED: Final = ("encoder_gross", "integration_scheme")
+_ONE_SIGN: Final = (
+    "lost_counts",
+    "beam_misalignment",
+    "floor_undulation",
+    "path_weave",
+    "load_creep",
+    "wear",
+    "reference_latency",
+    "steering_backlash",
+    "steering_delay",
+    "drive_slip",
+    "braking_skid",
+    "curve_scrub",
+    "side_slip",
+    "wheel_eccentricity",
+    "outside:hidden",
+)
+_TRIES: Final = 6
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """What is true in a case; one entry of the sealed file.
+
+    Parameters
+    ----------
+    recipe : Recipe
+        What was asked for.
+    seed, max_runs : int
+        From the seeds file.
+    redraw : int
+        How often the pair was drawn again because its two effects hid in one another.
+    causes : tuple of Cause
+        What is wrong, at its size.
+    typical : tuple of float
+        Typical size of each.
+    signals, beside : tuple of float
+        Signal of each alone, and after what the other could imitate was projected out.
+    rivals : tuple of (str, float)
+        Other effects, and how far in standard deviations they stay from what the cause does; nearest first.
+    noise, model
+        Of the case.
+    n_runs : int
+        Runs.
+    """
+
+    recipe: Recipe
+    seed: int
+    max_runs: int
+    redraw: int
+    causes: tuple[Cause, ...]
+    typical: tuple[float, ...]
+    signals: tuple[float | None, ...]
+    beside: tuple[float | None, ...]
+    rivals: tuple[tuple[str, float], ...]
+    noise: Noise
+    model: OdometryModel
+    n_runs: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain JSON values; an infinite tail as None."""
+        made = asdict(self)
+        made["noise"]["tail"] = None if np.isinf(self.noise.tail) else self.noise.tail
+        made["recipe"]["targets"] = [None if np.isnan(one) else one for one in self.recipe.targets]
+        return made
+
+    @staticmethod
+    def from_dict(data: Mapping[str, Any]) -> Truth:
+        """Return what `to_dict` said."""
+        recipe = dict(data["recipe"])
+        for key in ("effects", "aliases"):
+            recipe[key] = tuple(recipe[key])
+        recipe["targets"] = tuple(float("nan") if one is None else float(one) for one in recipe["targets"])
+        noise = dict(data["noise"])
+        noise["tail"] = float("inf") if noise["tail"] is None else noise["tail"]
+        return Truth(
+            recipe=Recipe(**recipe),
+            seed=data["seed"],
+            max_runs=data["max_runs"],
+            redraw=data["redraw"],
+            causes=tuple(Cause(**one) for one in data["causes"]),
+            typical=tuple(data["typical"]),
+            signals=tuple(data["signals"]),
+            beside=tuple(data["beside"]),
+            rivals=tuple((name, distance) for name, distance in data["rivals"]),
+            noise=Noise(**noise),
+            model=OdometryModel(**data["model"]),
+            n_runs=data["n_runs"],
+        )
+
+
+def case_design(recipe: Recipe, seed: int, max_runs: int, redraw: int = 0) -> Design:
+    """Return the runs of a case; the same for the same arguments."""
+    rng = np.random.default_rng([seed, recipe.number, 0, redraw])
+    needs: set[str] = set()
+    for name in recipe.effects:
+        effect, _, form = name.partition("/")
+        needs |= find(effect, form).needs
+    n_runs = int(rng.choice([30, 40, 50, 60, 60, 80, 100]))
+    if rng.random() < 0.05:
+        n_runs = int(rng.choice([20, 120, 160]))
+    n_runs = min(n_runs, max_runs)
+    if recipe.group == "empty":
+        # what an empty campaign has besides its runs varies as in the others
+        needs |= {str(one) for one in rng.choice(["front", "slope", "lanes", "flying", "stops"], 2, replace=False)}
+    if recipe.design == "good":
+        weighed = "slope" not in needs and bool(rng.random() < 0.15)
+        poses = {"poses": "turning"} if "poses" not in needs and rng.random() < 0.2 and "no_logs" not in needs else {}
+        return good_design(rng, n_runs=max(n_runs, 30), needs=needs, weighed=weighed, **poses)
+    if recipe.design == "laser_only":
+        return replace(poor_design("corridor_only", rng, n_runs=n_runs), poses="none")
+    design = poor_design(recipe.design, rng, n_runs=n_runs)
+    # an alias by design has to be seen: with end poses
+    return replace(design, poses="all") if recipe.group == "alias" else design
+
+
+def truth_of(recipe: Recipe, seed: int, max_runs: int) -> Truth:
+    """Draw the truth of a case: noise, model, causes, and their sizes for the wanted signals."""
+    for redraw in range(_TRIES):
+        made = _draw(recipe, seed, max_runs, redraw)
+        hidden = [
+            beside is not None and signal is not None and beside < 0.6 * signal
+            for beside, signal in zip(made.beside, made.signals, strict=True)
+        ]
+        if not any(hidden):
+            break
+    return made
+
+
+def _draw(recipe: Recipe, seed: int, max_runs: int, redraw: int) -> Truth:
+    design = case_design(recipe, seed, max_runs, redraw)
+    rng = np.random.default_rng([seed, recipe.number, 1, redraw])
+    heavy = {"tail": float(rng.choice([3.5, 4.0, np.inf]))} if recipe.group == "empty" else {}
+    noise = random_noise(rng, **heavy)
+    model = random_model(design, rng)
+    causes = []
+    for one in as_causes({name: float("nan") for name in recipe.effects}, design, rng):
+        sign = 1.0 if one.effect in (*_UNSIGNED, *_ONE_SIGN) else float(rng.choice([-1.0, 1.0]))
+        causes.append(replace(one, size=sign * one.size))
+    gross = any(one.effect in _UNSIGNED for one in causes)
+    signals: tuple[float | None, ...] = tuple(None for _ in causes)
+    beside = signals
+    near: tuple[tuple[str, float], ...] = ()
+    if causes and not gross:
+        scaled, noise, found = to_signal(design, model, noise, causes, recipe.targets)
+        causes = scaled
+        signals, beside = tuple(round(v, 3) for v in found.alone), tuple(round(v, 3) for v in found.beside)
+        if len(causes) == 1 and not causes[0].effect.startswith("outside:") and recipe.group != "natural":
+            near = tuple((r.effect, r.distance) for r in rivals(design, model, noise, causes[0])[:8])
+    return Truth(
+        recipe=recipe,
+        seed=seed,
+        max_runs=max_runs,
+        redraw=redraw,
+        causes=tuple(causes),
+        typical=tuple(find(one.effect, one.form).typical for one in causes),
+        signals=signals,
+        beside=beside,
+        rivals=near,
+        noise=noise,
+        model=model,
+        n_runs=len(design),
+    )
+
+
+def campaigns_of(truth: Truth, *, fresh: bool = True) -> tuple[Campaign, Campaign | None]:
+    """Return the campaign of a case, and a fresh one: the same truth driven again with other noise."""
+    recipe = truth.recipe
+    design = case_design(recipe, truth.seed, truth.max_runs, truth.redraw)
+
+    rng = np.random.default_rng([truth.seed, recipe.number, 2, truth.redraw])
+    # both are called what the case is called: a name must not tell them apart
+    names = (recipe.case,) * (2 if fresh else 1)
+    made = make_campaigns(design, truth.causes, rng, noise=truth.noise, model=truth.model, names=names)
+    return made[0], made[1] if fresh else None

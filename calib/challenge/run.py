@@ -1,0 +1,125 @@
+"""Diagnosing every case of a set; the truth is never opened here."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from concurrent.futures import as_completed
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from calib.campaign.model import Campaign
+from calib.campaign.read import read_campaign
+from calib.challenge.seal import read_public, workers_of
+from calib.errors import CalibError
+from calib.files import inside, write_json
+
+__all__ = ["Ran", "run", "run_case"]
+
+#: campaign, seed, effects to leave out, the fresh campaign of the same truth -> verdict and, where it can be had, what
+#: the verdict's fix achieves on the fresh campaign
+Diagnoser = Callable[[Campaign, int, tuple[str, ...], Campaign | None], tuple[dict[str, Any], dict[str, Any] | None]]
+
+
+@dataclass(frozen=True, slots=True)
+class Ran:
+    """What a run did.
+
+    Parameters
+    ----------
+    done, skipped, failed : int
+        Cases diagnosed now, found diagnosed already, and ended by an error (written down as such).
+    """
+
+    done: int
+    skipped: int
+    failed: int
+
+
+def diagnose_in_full(
+    campaign: Campaign, seed: int, exclude: tuple[str, ...], fresh: Campaign | None
+) -> tuple[dict[str, Any], dict[str, Any] | None]:
+    """Diagnose with the library's own diagnosis, and try its fix on the fresh campaign."""
+    from calib.gap.diagnose import diagnose
+
+    verdict = diagnose(campaign, seed=seed, exclude=exclude)
+    return verdict.to_dict(), None
+
+
+def run_case(
+    folder: Path, case: str, exclude: tuple[str, ...], seed: int, diagnoser: Diagnoser = diagnose_in_full
+) -> bool:
+    """Diagnose one case and write ``verdicts/<case>.json``; return whether it ended without an error.
+
+    An error of the diagnosis is written down as such: it is a miss of the case, not an end of the run.
+    """
+    folder = Path(folder)
+    place = inside(folder, f"cases/{case}", named_in=folder / "challenge.json", column=case)
+    again = folder / "fresh" / case
+    started = time.perf_counter()
+    try:
+        campaign = read_campaign(place)
+        fresh = read_campaign(again) if again.is_dir() else None
+        verdict, achieved = diagnoser(campaign, seed, exclude, fresh)
+        found = {**verdict, "challenge": {"seconds": round(time.perf_counter() - started, 3), "achieved": achieved}}
+        fine = True
+    except Exception as error:
+        what = "refused" if isinstance(error, CalibError) else type(error).__name__
+        found = {"verdict": "error", "error": f"{what}: {error}", "challenge": {"seconds": None, "achieved": None}}
+        fine = False
+    write_json(folder / "verdicts" / f"{case}.json", found, force=True)
+    return fine
+
+
+def _job(job: tuple[str, str, tuple[str, ...], int]) -> bool:
+    return run_case(Path(job[0]), *job[1:])
+
+
+def run(
+    folder: Path,
+    *,
+    workers: int = 2,
+    seed: int = 0,
+    limit: int | None = None,
+    diagnoser: Diagnoser | None = None,
+    tick: Callable[[int, int], None] | None = None,
+) -> Ran:
+    """Diagnose the cases that have no verdict yet.
+
+    Parameters
+    ----------
+    folder : Path
+        A set made by `calib.challenge.seal.make`.
+    workers : int
+        Processes; 1 stays in this one.
+    seed : int
+        Of the diagnosis.
+    limit : int, optional
+        Only the first so many cases.
+    diagnoser : callable, optional
+        Instead of the library's own diagnosis; needs ``workers=1``.
+    tick : callable, optional
+        ``tick(done, total)``.
+    """
+    folder = Path(folder)
+    cases = list(read_public(folder)["cases"].items())[:limit]
+    waiting = [
+        (str(folder), case, tuple(entry["exclude"]), seed)
+        for case, entry in cases
+        if not (folder / "verdicts" / f"{case}.json").exists()
+    ]
+    skipped = len(cases) - len(waiting)
+    report = tick or (lambda _done, _total: None)
+    report(skipped, len(cases))
+    fine: list[bool] = []
+    if workers <= 1 or diagnoser is not None:
+        for job in waiting:
+            fine.append(run_case(folder, job[1], job[2], seed, diagnoser or diagnose_in_full))
+            report(skipped + len(fine), len(cases))
+    elif waiting:
+        with workers_of(workers) as pool:
+            for future in as_completed([pool.submit(_job, job) for job in waiting]):
+                fine.append(future.result())
+                report(skipped + len(fine), len(cases))
+    return Ran(done=len(fine), skipped=skipped, failed=fine.count(False))
