@@ -1,0 +1,177 @@
+"""Effects that users add, and columns that are candidates by themselves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from importlib.metadata import EntryPoint
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+from calib.errors import BadFileError, BadInputError, CalibError
+from calib.gap.effects.covariate import covariate_columns
+from calib.gap.effects.effect import Effect, Form, Parameter
+from calib.gap.effects.library import library
+from calib.gap.effects.user import entry_point_effects
+from calib.gap.path import Push, predict, signature
+from calib.gap.situation import Situation, build_situation
+from tests.gap.effects.making import STRAIGHT, Run, campaign, situation
+
+RUNS = [Run(STRAIGHT, numbers={"tyre_bar": 2.0 + 0.1 * (i % 4), "temperature_C": 20.0 + i}) for i in range(12)]
+SOUND = {
+    "id": "tyre",
+    "title": "soft tyres",
+    "column": "tyre_bar",
+    "acts_on": "both",
+    "typical": 1e-3,
+    "largest": 1e-2,
+}
+BAR = np.array([run.numbers["tyre_bar"] for run in RUNS])
+
+
+class Foreign(Effect):
+    """An effect as another package would offer it."""
+
+    id: ClassVar[str] = "foreign"
+    title: ClassVar[str] = "an effect of another package"
+
+    def forms(self, s: Situation) -> list[Form]:
+        push = Push(left=np.ones(len(s)))
+        return [Form(self.id, "", (Parameter("size", "1", 1e-3, 1e-2),), lambda _: [push])]
+
+
+class NeedsArguments(Foreign):
+    def __init__(self, size: float) -> None:
+        self.size = size
+
+
+def declared(s: Situation, **changes: object) -> Effect:
+    entry = {key: value for key, value in {**SOUND, **changes}.items() if value is not None}
+    return next(e for e in library(s, declared=[entry]) if e.id == entry["id"])
+
+
+@pytest.fixture(scope="module")
+def s() -> Situation:
+    return situation(RUNS)
+
+
+@pytest.mark.parametrize(
+    ("acts_on", "channel", "expected"),
+    [
+        # ten metres straight: both radii lengthen the way, one does by half and turns, yaw turns, distance adds
+        ("both", 1, 10.0 * (BAR - BAR.mean())),
+        ("left", 3, -10.0 / 0.7 * (BAR - BAR.mean())),
+        ("right", 3, 10.0 / 0.7 * (BAR - BAR.mean())),
+        ("yaw", 3, 10.0 * (BAR - BAR.mean())),
+        ("distance", 0, BAR - BAR.mean()),
+    ],
+)
+def test_a_declared_effect_acts_where_it_says(s: Situation, acts_on: str, channel: int, expected: np.ndarray) -> None:
+    (form,) = declared(s, acts_on=acts_on).forms(s)
+    path = predict(s)
+    (push,) = form.pushes(path)
+    # sums of a hundred steps
+    np.testing.assert_allclose(signature(path, push)[:, channel], expected, rtol=1e-9, atol=1e-9)
+    assert form.parameters[0].typical == 1e-3
+
+
+def test_a_declared_effect_on_the_track_acts_in_turns() -> None:
+    bent = situation([replace(run, pieces=[(4.0, 0.5)], kind="bend") for run in RUNS])
+    (form,) = declared(bent, acts_on="track").forms(bent)
+    path = predict(bent)
+    # two radians, each short by the share
+    np.testing.assert_allclose(
+        signature(path, form.pushes(path)[0])[:, 3], -2.0 * (BAR - BAR.mean()), rtol=1e-9, atol=1e-9
+    )
+
+
+@pytest.mark.parametrize(
+    ("changes", "key"),
+    [
+        ({"id": None}, "effects[0].id"),
+        ({"id": "wear"}, "effects[0].id"),
+        ({"id": 3}, "effects[0].id"),
+        ({"column": "nowhere"}, "effects[0].column"),
+        ({"acts_on": "steering"}, "effects[0].acts_on"),
+        ({"acts_on": "__import__('os')"}, "effects[0].acts_on"),
+        ({"typical": "1e-3"}, "effects[0].typical"),
+        ({"typical": -1.0}, "effects[0].typical"),
+        ({"typical": True}, "effects[0].typical"),
+        ({"typical": float("nan")}, "effects[0].typical"),
+        ({"largest": 1e-4}, "effects[0].largest"),
+        ({"formula": "2 * tyre_bar"}, "effects[0]"),
+    ],
+)
+def test_a_bad_declaration_is_refused_by_file_and_key(s: Situation, changes: dict[str, object], key: str) -> None:
+    entry = {name: value for name, value in {**SOUND, **changes}.items() if value is not None}
+    with pytest.raises(BadFileError) as caught:
+        library(s, declared=[entry])
+    assert caught.value.path == "campaign.toml"
+    assert caught.value.column == key
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("section", ["text", {"id": "tyre"}, 3, ["tyre"]])
+def test_a_section_that_is_no_list_of_tables_is_refused(s: Situation, section: object) -> None:
+    with pytest.raises(CalibError, match=r"campaign\.toml, column effects"):
+        library(s, declared=section)
+
+
+def test_two_declarations_of_one_id_are_refused(s: Situation) -> None:
+    with pytest.raises(BadFileError, match=r"effects\[1\]\.id"):
+        library(s, declared=[SOUND, SOUND])
+
+
+def test_a_title_may_be_left_out(s: Situation) -> None:
+    assert "tyre_bar" in declared(s, title=None).title
+
+
+def point(name: str) -> EntryPoint:
+    return EntryPoint(name=name.lower(), value=f"tests.gap.effects.test_user:{name}", group="calib.effects")
+
+
+def test_an_entry_point_adds_its_class() -> None:
+    (effect,) = entry_point_effects((), [point("Foreign")])
+    assert effect.id == "foreign"
+
+
+def test_an_installed_package_is_found_by_the_library(s: Situation, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        "calib.gap.effects.user.entry_points", lambda group: [point("Foreign")] * (group == "calib.effects")
+    )
+    assert [e.id for e in library(s)][-1] == "foreign"
+
+
+@pytest.mark.parametrize("name", ["Missing", "RUNS", "NeedsArguments"])
+def test_an_entry_point_that_cannot_be_used_is_named(name: str) -> None:
+    with pytest.raises(BadInputError, match=f"entry point {name.lower()}"):
+        entry_point_effects((), [point(name)])
+
+
+def test_an_entry_point_may_not_take_an_id_that_is_in_use() -> None:
+    with pytest.raises(BadInputError, match="foreign"):
+        entry_point_effects(("foreign",), [point("Foreign")])
+
+
+def test_only_further_columns_are_covariates(s: Situation) -> None:
+    assert covariate_columns(s) == ("tyre_bar",)
+
+
+def test_a_covariate_is_standardised(s: Situation) -> None:
+    effect = next(e for e in library(s) if e.id == "covariate:tyre_bar")
+    form = next(f for f in effect.forms(s) if f.label == "both radii")
+    (push,) = form.pushes(predict(s))
+    assert push.left is not None
+    # mean 0, standard deviation 1 by definition
+    assert abs(push.left.mean()) < 1e-12
+    assert push.left.std() == pytest.approx(1.0, rel=1e-12)
+    assert form.settings["mean"] == pytest.approx(BAR.mean())
+
+
+@pytest.mark.parametrize("column", [np.full(12, 2.2), np.where(np.arange(12) == 3, np.nan, BAR)], ids=["same", "gap"])
+def test_a_column_that_is_constant_or_has_gaps_is_no_candidate(column: np.ndarray) -> None:
+    made = campaign(RUNS)
+    numbers = {**made.runs.numbers, "tyre_bar": column}
+    s = build_situation(replace(made, runs=replace(made.runs, numbers=numbers)))
+    assert next(e for e in library(s) if e.id == "covariate:tyre_bar").forms(s) == []
