@@ -207,9 +207,9 @@ def allowed_amplitude_on_run_m(
     high = np.broadcast_arrays(
         allowed_amplitude_m(tolerance, wavelength_m), np.asarray(distance_m, dtype=np.float64), np.asarray(phase_rad)
     )[0].copy()
-    low = np.zeros_like(high)
-    # 48 halvings: a relative 4e-15 of the whole-period amplitude, which is an upper bound
-    for _ in range(48):
+    # a part of a period may be flatter than the whole: a wide bracket, and halvings to a relative 1e-14
+    high, low = 8 * high, np.zeros_like(high)
+    for _ in range(50):
         middle = 0.5 * (low + high)
         excess = weave_excess(middle, wavelength_m, distance_m, track_m, phase_rad=phase_rad)
         worse = np.maximum(np.abs(radius_error(excess.left)), np.abs(radius_error(excess.right)))

@@ -17,7 +17,6 @@ from calib.radius.strata import (
     Groups,
     groups_of,
     plain_line,
-    satterthwaite,
     stratified_constant,
     stratified_line,
 )
@@ -142,13 +141,12 @@ class WheelFit:
     def _band(self, load_N: npt.ArrayLike, coverage: float, *, single: bool) -> tuple[FloatArray, FloatArray]:
         load = np.asarray(load_N, dtype=np.float64)
         contrast = np.stack((np.ones_like(load), load - self.law.reference_load_N), axis=-1)
-        within = np.einsum("...i,ij,...j->...", contrast, self.estimate.cov_within, contrast)
-        between = np.einsum("...i,ij,...j->...", contrast, self.estimate.cov_between, contrast)
-        if single:
-            within = within + self.run_std_m**2
-            between = between + self.session_std_m**2
-        dof = satterthwaite(within, self.estimate.dof_within, between, self.estimate.dof_between)
-        half = t_quantile(dof, coverage) * np.sqrt(np.maximum(within + between, 0.0))
+        half = self.estimate.half_width(
+            contrast,
+            coverage,
+            more_within=self.run_std_m**2 if single else 0.0,
+            more_between=self.session_std_m**2 if single else 0.0,
+        )
         return self.law.radius_m(load), np.asarray(half)
 
 

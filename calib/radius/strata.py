@@ -4,7 +4,7 @@ Runs of one session share whatever shifted that day (temperature, a remounted ra
 independent. A radius is ``a + b x + session + run``; both kinds of scatter are estimated from their own stratum and
 never assumed away, so the intervals hold whether or not sessions scatter. Where the loads are crossed with the
 sessions the slope's interval is the exact t of the within-session regression, where each session has one load it is
-the exact t of the regression on session means, and between the two it is Satterthwaite's approximation.
+the exact t of the regression on session means, and between the two it follows `calib.radius.two_strata`.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.campaign.model import FloatArray, IntArray, StrArray
+from calib.radius.two_strata import critical_value, equivalent_dof
 
 __all__ = ["Estimate", "Groups", "groups_of", "plain_line", "stratified_constant", "stratified_line"]
 
@@ -107,8 +108,8 @@ class Estimate:
         """Covariance of the coefficients, shape (2, 2)."""
         return np.asarray(self.cov_within + self.cov_between)
 
-    def dof(self, contrast: npt.ArrayLike) -> FloatArray:
-        """Return Satterthwaite's degrees of freedom of ``contrast @ coefficients``.
+    def parts(self, contrast: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Return the within and between parts of the variance of ``contrast @ coefficients``.
 
         Parameters
         ----------
@@ -117,27 +118,43 @@ class Estimate:
 
         Returns
         -------
-        array of float, shape (...)
+        within, between : array of float, shape (...)
         """
-        c = np.atleast_2d(np.asarray(contrast, dtype=np.float64))
+        c = np.asarray(contrast, dtype=np.float64)
         within = np.einsum("...i,ij,...j->...", c, self.cov_within, c)
         between = np.einsum("...i,ij,...j->...", c, self.cov_between, c)
-        return satterthwaite(within, self.dof_within, between, self.dof_between).reshape(np.shape(contrast)[:-1])
+        return np.maximum(within, 0.0), np.maximum(between, 0.0)
 
+    def half_width(
+        self, contrast: npt.ArrayLike, coverage: float, *, more_within: float = 0.0, more_between: float = 0.0
+    ) -> FloatArray:
+        """Return the half width of the interval of ``contrast @ coefficients``, shape (...); see `parts`.
 
-def satterthwaite(first: npt.ArrayLike, dof_first: float, second: npt.ArrayLike, dof_second: float) -> FloatArray:
-    """Return the degrees of freedom of the sum of two independent variance estimates (Satterthwaite 1946)."""
-    a, b = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
-    spread = np.zeros(np.broadcast(a, b).shape)
-    if dof_first > 0:
-        spread = spread + a**2 / dof_first
-    if dof_second > 0:
-        spread = spread + b**2 / dof_second
-    total = (a + b) ** 2
-    limit = max(dof_first, dof_second)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        dof = np.where(spread > 0, total / spread, limit)
-    return np.asarray(dof)
+        Parameters
+        ----------
+        contrast : array_like, shape (..., 2)
+            What is wanted of the coefficients.
+        coverage : float
+            Coverage of the interval.
+        more_within, more_between : float
+            Variances of a further run and session, for a prediction.
+        """
+        within, between = self.parts(contrast)
+        within, between = within + more_within, between + more_between
+        total = within + between
+        share = np.where(total > 0, between / np.where(total > 0, total, 1.0), 0.0)
+        return critical_value(share, self.dof_between, self.dof_within, coverage) * np.sqrt(total)
+
+    def dof(self, contrast: npt.ArrayLike, coverage: float = 0.95) -> FloatArray:
+        """Return the degrees of freedom whose Student's t gives `half_width`, shape (...)."""
+        within, between = self.parts(contrast)
+        total = within + between
+        share = np.where(total > 0, between / np.where(total > 0, total, 1.0), 0.0)
+        critical = critical_value(share, self.dof_between, self.dof_within, coverage)
+        found = equivalent_dof(critical, coverage)
+        # pure parts to the last digit
+        found = np.where(share <= 0, self.dof_within, found)
+        return np.where(share >= 1, self.dof_between, found)
 
 
 def breusch_pagan(residual: FloatArray, x: FloatArray) -> tuple[float, float]:

@@ -1,0 +1,86 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from calib.radius.deviation import (
+    allowed_amplitude_m,
+    allowed_amplitude_on_run_m,
+    arc_excess,
+    arc_of_radii_rad,
+    excess_of_radius_error,
+    radius_error,
+    small_amplitude_excess,
+    weave_excess,
+    whole_period_excess,
+)
+
+AMPLITUDES = st.floats(1e-4, 1.5)
+WAVELENGTHS = st.floats(0.5, 80.0)
+
+
+@given(AMPLITUDES, WAVELENGTHS, st.integers(1, 12))
+def test_over_whole_periods_centre_and_wheels_agree(amplitude: float, wavelength: float, periods: int) -> None:
+    path = weave_excess(amplitude, wavelength, periods * wavelength, 0.7)
+    whole = whole_period_excess(amplitude, wavelength)
+    for one in (path.centre, path.left, path.right):
+        # rounding of a path of many periods; the excess itself may be as small as 1e-11
+        np.testing.assert_allclose(one, whole, rtol=1e-9, atol=1e-13 * periods + 1e-14 / wavelength)
+
+
+@given(AMPLITUDES, WAVELENGTHS)
+def test_small_amplitude_form_is_an_upper_bound_and_near_for_small_slopes(amplitude: float, wavelength: float) -> None:
+    exact, small = whole_period_excess(amplitude, wavelength), small_amplitude_excess(amplitude, wavelength)
+    u = (2 * np.pi * amplitude / wavelength) ** 2
+    assert exact <= small * (1 + 1e-9)
+    # next term of the series: the forms differ by the share 3 u / 16 at most
+    assert exact >= small * (1 - 3 * u / 16 - 1e-9)
+
+
+@given(AMPLITUDES, WAVELENGTHS, st.floats(1.0, 60.0), st.floats(0, 6.3))
+def test_wheels_keep_half_a_track_from_the_centre(
+    amplitude: float, wavelength: float, distance: float, phase: float
+) -> None:
+    path = weave_excess(amplitude, wavelength, distance, 0.7, phase_rad=phase)
+    # rounding of numbers near one
+    np.testing.assert_allclose(path.right + path.left, 2 * path.centre, atol=1e-12)
+    np.testing.assert_allclose((path.right - path.left) * distance, 0.7 * path.yaw_rad, atol=1e-12 * distance)
+
+
+@given(st.floats(1e-7, 0.3), WAVELENGTHS)
+def test_allowed_amplitude_uses_up_the_tolerance(tolerance: float, wavelength: float) -> None:
+    amplitude = allowed_amplitude_m(tolerance, wavelength)
+    # digits lost where 1 is subtracted from an excess of 1e-7
+    np.testing.assert_allclose(-radius_error(whole_period_excess(amplitude, wavelength)), tolerance, rtol=1e-8)
+
+
+@given(st.floats(1e-5, 0.01), st.floats(3.0, 30.0), st.floats(20.0, 45.0), st.floats(0, 6.3))
+def test_allowed_amplitude_on_a_run_uses_up_the_tolerance_of_the_worse_wheel(
+    tolerance: float, wavelength: float, distance: float, phase: float
+) -> None:
+    amplitude = allowed_amplitude_on_run_m(tolerance, wavelength, distance, 0.7, phase_rad=phase)
+    path = weave_excess(amplitude, wavelength, distance, 0.7, phase_rad=phase)
+    worse = max(abs(float(radius_error(path.left))), abs(float(radius_error(path.right))))
+    assert worse == pytest.approx(tolerance, rel=1e-7)  # rounding of 1 + excess
+
+
+@given(st.floats(-0.5, 0.5))
+def test_error_of_a_radius_undoes_the_excess(excess: float) -> None:
+    assert (1 + excess) * (1 + radius_error(excess)) == pytest.approx(1.0, rel=1e-12)  # rounding
+    assert excess_of_radius_error(-radius_error(excess)) == pytest.approx(excess, abs=1e-12)
+
+
+def test_arc_is_longer_than_its_chord_by_a_24th_of_the_turn_squared() -> None:
+    path = arc_excess(0.01, 40.0, 0.7)
+    assert path.centre == pytest.approx(0.01**2 / 24, rel=1e-4)  # next term of the series is 7 turn^4 / 5760
+    assert (path.right - path.left) * 40.0 == pytest.approx(0.7 * 0.01, rel=1e-9)
+    assert arc_excess(0.0, 40.0, 0.7).centre == 0.0
+
+
+def test_steady_arc_of_unequal_radii_is_the_circle_both_wheels_share() -> None:
+    """Wheels that turn alike run on circles whose radii are in the ratio of the wheels' radii."""
+    turn = float(arc_of_radii_rad(40.0, 0.1, 0.101, 0.7))
+    circle = 40.0 / turn
+    assert (circle + 0.35) / (circle - 0.35) == pytest.approx(1.01, rel=1e-12)  # rounding
