@@ -24,6 +24,8 @@ __all__ = ["loads_from_payload", "log_totals", "read_campaign"]
 
 SETTINGS: Final = "campaign.toml"
 _MAX_PATH: Final = 500
+#: counts that a total and the log of the same run may differ by, since they are not read at the same instant
+_SAME_COUNTS: Final = 50.0
 
 
 def read_campaign(folder: Path, *, logs: bool = True, lenient: bool = False) -> Campaign:
@@ -239,7 +241,7 @@ def _totals_unwrapped(
         for bits in (settings.encoder.wrap_bits,) if settings.encoder.wrap_bits else (16, 32):
             full = 2.0**bits
             inside_span: BoolArray = np.abs(total) < full
-            turns = rewrap_total(total, logged, bits, np.full(len(runs), full / 64))
+            turns = rewrap_total(total, logged, bits, np.full(len(runs), _SAME_COUNTS))
             if settings.encoder.wrap_bits:
                 by_distance = rewrap_total(total, driven, bits, np.minimum(0.05 * np.abs(driven), full / 4))
                 turns = np.where(np.isnan(logged), by_distance, turns)

@@ -11,6 +11,7 @@ from typing import Any, Final
 
 from calib.campaign.columns import recognise
 from calib.campaign.model import Note
+from calib.campaign.readers.table import LARGEST
 from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
 from calib.errors import BadFileError
 from calib.vehicle import Vehicle
@@ -39,6 +40,7 @@ _POSITIVE: Final = frozenset(
         "sigma_theta_rad",
     }
 )
+_SMALLEST: Final = 1e-12
 #: keys that scale every result: a default for them is said as suspicious
 _WEIGHTY: Final = {"vehicle": ("track_m", "wheel_radius_m")}
 
@@ -183,16 +185,20 @@ class _Sections:
                     Note("suspicious", f"{self.shown}, {column}", f"the key is not known and not used{hint}", "key")
                 )
                 continue
-            if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(_float(value)):
+            if isinstance(value, bool) or not isinstance(value, int | float) or not abs(_float(value)) <= LARGEST:
                 raise BadFileError(
-                    self.shown, column=column, found=repr(value)[:60], expected="a finite number", remedy="correct it"
+                    self.shown,
+                    column=column,
+                    found=repr(value)[:60],
+                    expected="a finite number below 1e30",
+                    remedy="correct it",
                 )
             if match.name in values:
                 raise BadFileError(
                     self.shown, column=column, found="the key in two units", expected="one", remedy="remove one"
                 )
             number = match.factor * value + match.offset
-            if match.name in _POSITIVE and number <= 0:
+            if match.name in _POSITIVE and number < _SMALLEST:
                 raise BadFileError(
                     self.shown, column=column, found=f"{value:g}", expected="more than 0", remedy="correct the value"
                 )

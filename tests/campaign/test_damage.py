@@ -15,8 +15,8 @@ from calib.cli.main import COMMANDS, run
 from tests.campaign.damage import DAMAGES
 from tests.campaign.making import campaign
 
-PER_BATCH = 30
-NUMBER = 360
+PER_BATCH = 26
+NUMBER = 312
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.model import Note
-from calib.campaign.readers.table import RawTable, Wanted, comma_evidence, numbers, refuse_duplicates
+from calib.campaign.readers.table import LARGEST, RawTable, Wanted, comma_evidence, numbers, refuse_duplicates
 from calib.errors import BadFileError
 
 __all__ = ["read"]
@@ -125,7 +125,7 @@ def _fast(
             if values.dtype.kind not in "iuf":
                 return None
             columns[name] = values.astype(np.float64)
-            if values.dtype.kind == "f" and np.isinf(values).any():
+            if np.fmax.reduce(values) > LARGEST or np.fmin.reduce(values) < -LARGEST:
                 return None
     except (ValueError, OverflowError):
         return None

@@ -13,9 +13,12 @@ import numpy.typing as npt
 from calib.campaign.model import Note
 from calib.errors import BadFileError
 
-__all__ = ["RawTable", "Wanted", "comma_evidence", "numbers", "refuse_duplicates"]
+__all__ = ["LARGEST", "RawTable", "Wanted", "comma_evidence", "numbers", "refuse_duplicates"]
 
 Wanted = Callable[[str], bool]
+
+#: nothing measured is larger; a cell that is has been spoilt, and would overflow later
+LARGEST: Final = 1e30
 
 _EMPTY: Final = frozenset({"", "nan", "na", "n/a", "#n/a", "null", "none", "-"})
 _POINT: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
@@ -107,7 +110,7 @@ def numbers(
     """
     if cells.dtype != object:
         values = cells.astype(np.float64)
-        bad = np.flatnonzero(np.isinf(values))
+        bad = np.flatnonzero(np.abs(values) > LARGEST)
         if len(bad):
             raise _no_number(shown, column, int(line[bad[0]]), str(values[bad[0]]))
         return values, False
@@ -132,7 +135,7 @@ def numbers(
             value = float(text)
         else:
             value = float(cell)
-        if not np.isfinite(value) and not (isinstance(cell, float) and np.isnan(cell)):
+        if not abs(value) <= LARGEST and not (isinstance(cell, float) and np.isnan(cell)):
             raise _no_number(shown, column, int(line[index]), str(cell))
         out[index] = value
     return out, used_comma
@@ -157,7 +160,7 @@ def _no_number(shown: str, column: str, row: int, text: str) -> BadFileError:
         row=row,
         column=column,
         found=repr(text[:40]),
-        expected="a finite number or an empty cell",
+        expected="a finite number below 1e30, or an empty cell",
         remedy="correct the cell, or leave it empty where nothing was measured",
     )
 
