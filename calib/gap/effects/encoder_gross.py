@@ -8,7 +8,6 @@ import numpy as np
 
 from calib.campaign.model import BoolArray
 from calib.gap.effects.effect import Effect, Form, Parameter
-from calib.gap.effects.shapes import distance_m
 from calib.gap.path import Path, Push, predict
 from calib.gap.situation import Situation
 
@@ -56,13 +55,19 @@ def _struck(s: Situation) -> BoolArray:
     """Say which units contradict the model by more than a fifth in distance or heading, shape (n_units,)."""
     path = predict(s)
     length = np.maximum(s.length_m, 1e-3)
-    laser = distance_m(path)
+    # along the bent line, so that a straying heading does not pass for a wrong distance
+    line = np.abs(s.total(path.ds_m * path.weave_cos))
     with np.errstate(invalid="ignore"):
-        by_distance = np.abs(s.measured[:, 0] - laser) > 0.2 * np.maximum(np.abs(laser), 0.2 * length)
+        by_distance = np.abs(s.measured[:, 0] - line) > 0.2 * np.maximum(line, 0.2 * length)
         turned = np.abs(s.measured[:, 3] - path.end[:, 2])
         # wheels that differ by 5 % are beyond any unequal radii; a radian beyond any straying on a straight run
         by_heading = (
             (turned > 0.2 * np.abs(path.end[:, 2])) & (turned > 0.5) & (turned * s.model.track_m > 0.05 * length)
         )
-    struck: BoolArray = (by_distance & s.usable[:, 0]) | (by_heading & s.usable[:, 3])
+    measured, predicted = s.measured[:, 1:3], path.end[:, :2]
+    far = np.minimum(np.hypot(measured[:, 0], measured[:, 1]), np.hypot(predicted[:, 0], predicted[:, 1]))
+    with np.errstate(invalid="ignore"):
+        # driven to the opposite side, and well away from the start
+        opposite = (np.sum(measured * predicted, axis=1) < -0.5 * far**2) & (far > 0.3 * length)
+    struck: BoolArray = (by_distance & s.usable[:, 0]) | (by_heading & s.usable[:, 3]) | (opposite & s.usable[:, 1])
     return struck

@@ -28,7 +28,11 @@ class PathWeave(Effect):
 
     def forms(self, s: Situation) -> list[Form]:
         """Return a form by the noted amplitude and wavelength and one by the logs of outside simulations."""
-        noted = np.where(s.from_log, 0.0, np.nan_to_num(sine_excess(s.number("amplitude_m"), s.number("wavelength_m"))))
+        amplitude, wavelength = s.number("amplitude_m"), s.number("wavelength_m")
+        noted = np.zeros(len(s))
+        weaves = ~s.from_log & (amplitude > 0.0) & (wavelength > 0.0)
+        if weaves.any():
+            noted[weaves] = sine_excess(amplitude[weaves], wavelength[weaves])
         has_noted = bool((noted > 1e-7).any())
         outside = s.from_log & np.isfinite(s.simulated[:, :2]).any(axis=1)
         logged = np.where(outside, _weave_of_logs(s), 0.0)
