@@ -129,15 +129,16 @@ class Workbench:
         self.unit: IntArray = np.repeat(np.arange(len(path.s))[:, None], 6, axis=1)[usable]
         self.channel: IntArray = np.repeat(np.arange(6)[None, :], len(path.s), axis=0)[usable]
         self.condition: IntArray = path.s.condition[self.unit]
-        self._columns: dict[int, FloatArray] = {}
+        self._columns: dict[int, tuple[Form, FloatArray]] = {}
 
     def columns(self, form: Form) -> FloatArray:
         """Return the whitened signatures of a form in typical sizes, shape (n_rows, n_parameters)."""
         found = self._columns.get(id(form))
         if found is None:
-            found = rows(self.path, self.noise, form_columns(self.path, form))
+            # the form is kept with its columns, so that its id stays its own
+            found = (form, rows(self.path, self.noise, form_columns(self.path, form)))
             self._columns[id(form)] = found
-        return found
+        return found[1]
 
     def by_condition(self, contribution: FloatArray) -> FloatArray:
         """Split a whitened contribution (n_rows,) by condition, shape (n_rows, n_conditions)."""
