@@ -225,7 +225,7 @@ def fit_wheel(
         slope_ci95_m_per_N=t_interval(plain.coefficients[1], float(results.bse[1]), results.df_resid),
     )
     return _wheel_fit(
-        wheel, load, radius, estimate, design, naive, reference_load_N, float(results.rsquared), influence
+        wheel, load, radius, estimate, design, naive, reference_load_N, _r_squared(radius, results.resid), influence
     )
 
 
@@ -290,6 +290,12 @@ def _wheel_fit(
         leverage=leverage,
         cook=cook,
     )
+
+
+def _r_squared(radius: FloatArray, residual: FloatArray) -> float:
+    centred = radius - radius.mean()
+    total = float(centred @ centred)
+    return 1.0 - float(residual @ residual) / total if total > 0 else 0.0
 
 
 def _influence(x: FloatArray, residual: FloatArray, scale: float) -> tuple[float, FloatArray, FloatArray]:

@@ -9,6 +9,7 @@ vanishes it is Student's t of the other.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -26,6 +27,7 @@ MANY_NODES: Final = 16
 MANY: Final = 20.0
 
 
+@lru_cache(maxsize=64)
 def critical_curve(dof_between: float, dof_within: float, coverage: float) -> FloatArray:
     """Return the critical values at the observed shares `SHARES` of the between part.
 
@@ -39,7 +41,7 @@ def critical_curve(dof_between: float, dof_within: float, coverage: float) -> Fl
     Returns
     -------
     array of float, shape (25,)
-        From Student's t of `dof_within` to that of `dof_between`.
+        From Student's t of `dof_within` to that of `dof_between`; read-only: wheels and bands share it.
     """
     from scipy.special import ndtr, stdtrit
 
@@ -62,6 +64,7 @@ def critical_curve(dof_between: float, dof_within: float, coverage: float) -> Fl
             # past the dip that pooled degrees of freedom allow, more weight on fewer of them never narrows it
             low = int(np.argmin(curve))
             curve[low:] = np.maximum.accumulate(curve[low:])
+    curve.flags.writeable = False
     return curve
 
 

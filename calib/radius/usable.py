@@ -60,6 +60,8 @@ def usable_runs(campaign: Campaign, *, need_load: bool = True) -> tuple[Campaign
         )
         loads = {side: np.full(len(runs), unladen) for side in loads}
     turn = _apparent_turn_rad(campaign)
+    # a wrong counts_per_rev turns every run alike: that is for the user to see, not a reason to drop them all
+    usual = np.nanmedian(turn) if np.isfinite(turn).any() else 0.0
     kind = np.char.lower(runs.label("kind"))
     straight = np.char.startswith(kind, "corridor") | np.char.startswith(kind, "straight")
     if not straight.any():
@@ -83,7 +85,8 @@ def usable_runs(campaign: Campaign, *, need_load: bool = True) -> tuple[Campaign
             "has no wheel load and no payload",
         ),
         (
-            (np.abs(turn) > STRAIGHT_TURN_RAD) | (np.abs(runs.number("ref_theta_rad")) > STRAIGHT_HEADING_RAD),
+            ((np.abs(turn) > STRAIGHT_TURN_RAD) & (np.abs(turn - usual) > STRAIGHT_TURN_RAD))
+            | (np.abs(runs.number("ref_theta_rad")) > STRAIGHT_HEADING_RAD),
             "is not a straight run: its heading changed too much",
         ),
     )
