@@ -1,0 +1,183 @@
+"""One verdict held against one truth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, Final
+
+from calib.challenge.cases import Truth
+from calib.challenge.parameters import Compared, compare
+
+__all__ = ["APART", "Judged", "judge"]
+
+#: two causes nearer than this, in standard deviations of the noise, form one group: no diagnosis can tell them apart
+APART: Final = 3.0
+_OPEN: Final = ("unknown", "partly_explained")
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """How one case went.
+
+    Parameters
+    ----------
+    case, group, design : str
+        Which.
+    truth : tuple of str
+        True effects.
+    deleted : str
+        Effect deleted from the library.
+    signal : float or None
+        Target signal; None where there is none or it is natural.
+    verdict : str
+        The verdict's word; ``error`` where the diagnosis failed, ``missing`` where there is no verdict.
+    named : tuple of str
+        Effects named as causes, likeliest first.
+    right : bool
+        The right answer of its group, see `judge`.
+    first : bool
+        A true effect is named first (for empty cases: nothing is named).
+    in_group : bool
+        Every true effect is named, or stands in a group with a named one.
+    covered : bool or None
+        The 95 % set holds the truth; None where the truth is in no library.
+    set_size : int
+        Hypotheses in the 95 % set.
+    separable : bool or None
+        The plant's own measure: no other effect comes nearer than `APART`; None where it was not taken.
+    rival : str
+        The nearest other effect, with its distance.
+    recommended, wrong_fix : bool
+        A fix is recommended; and a cause of it is neither true nor in a group with the truth.
+    harmful : bool or None
+        The recommended fix made the fresh campaign worse; None where it was not tried.
+    statements : tuple of (float, bool)
+        Probability of each named cause, and whether it is true.
+    intervals : tuple of (str, float, float, float)
+        Parameter, truth, low, high.
+    predicted, achieved : float or None
+        Closure on held-out runs as stated, and on the fresh campaign.
+    seconds : float or None
+        What the diagnosis took.
+    error : str
+        Why it failed.
+    """
+
+    case: str
+    group: str
+    design: str
+    truth: tuple[str, ...]
+    deleted: str
+    signal: float | None
+    verdict: str
+    named: tuple[str, ...]
+    right: bool
+    first: bool
+    in_group: bool
+    covered: bool | None
+    set_size: int
+    separable: bool | None
+    rival: str
+    recommended: bool
+    wrong_fix: bool
+    harmful: bool | None
+    statements: tuple[tuple[float, bool], ...]
+    intervals: tuple[Compared, ...]
+    predicted: float | None
+    achieved: float | None
+    seconds: float | None
+    error: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain JSON values."""
+        return asdict(self)
+
+
+def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
+    """Hold a verdict against the truth.
+
+    The right answer is: nothing, for an empty case; the effect first, for one effect; both, for two; ``unknown`` or
+    ``partly_explained`` with a rest, for an effect outside the library; a group that holds the truth and an alias, for
+    an exact alias; ``unknown``, a rest, or an effect nearer than `APART`, where the true effect was deleted.
+
+    Parameters
+    ----------
+    truth : Truth
+        What is true.
+    verdict : mapping or None
+        In the shape of ``calib diagnose --json``; None where there is none.
+    """
+    recipe = truth.recipe
+    given: Mapping[str, Any] = verdict if verdict is not None else {"verdict": "missing"}
+    word = str(given.get("verdict", "missing"))
+    effects = tuple(cause.effect for cause in truth.causes)
+    causes = [cause for cause in given.get("causes", []) if isinstance(cause, dict)]
+    named = tuple(str(cause.get("effect", "")) for cause in causes)
+    groups = [set(group) for group in given.get("indistinguishable", [])]
+    # an effect too near for any diagnosis to tell, and the exact aliases of the recipe
+    near = {name for name, distance in truth.rivals if distance < APART} | set(recipe.aliases)
+    in_library = recipe.group != "outside" and not recipe.deleted
+    first = bool(named) and named[0] in effects if effects else not named and word == "no_gap"
+    both = all(_grouped(effect, named, groups) for effect in effects) and (bool(effects) or first)
+    sets = [set(one) for one in given.get("credible_sets", [])]
+    sure = [cause for cause in named if cause not in effects and not _with_truth(cause, effects, groups, near)]
+    recommended = bool(given.get("recommended", False))
+    extra = given.get("challenge") or {}
+    tried = extra.get("achieved") or {}
+    before, after = tried.get("before_rms_m"), tried.get("after_rms_m")
+    harmful = None if not recommended or before is None or after is None else bool(after > before)
+    target = recipe.targets[0] if recipe.targets else float("nan")
+    if recipe.group == "empty":
+        right = first
+    elif recipe.group == "outside":
+        right = word in _OPEN
+    elif recipe.group == "deleted":
+        right = word in _OPEN or (bool(named) and named[0] in near)
+    elif recipe.group == "alias":
+        right = any(effects[0] in group and group & set(recipe.aliases) for group in groups)
+    elif recipe.group == "pair":
+        right = set(effects) <= set(named)
+    else:
+        right = first
+    closure = given.get("closure") or {}
+    return Judged(
+        case=recipe.case,
+        group=recipe.group,
+        design=recipe.design,
+        truth=effects,
+        deleted=recipe.deleted,
+        signal=None if target != target else target,
+        verdict=word,
+        named=named,
+        right=right,
+        first=first,
+        in_group=both,
+        covered=any(set(effects) <= one for one in sets) if in_library else None,
+        set_size=len(sets),
+        separable=truth.rivals[0][1] >= APART if truth.rivals else None,
+        rival=f"{truth.rivals[0][0]} {truth.rivals[0][1]:.1f}" if truth.rivals else "",
+        recommended=recommended,
+        wrong_fix=recommended and bool(sure or not effects),
+        harmful=harmful,
+        statements=tuple(
+            (float(cause["probability"]), effect in effects)
+            for cause, effect in zip(causes, named, strict=True)
+            if cause.get("probability") is not None and recipe.group != "alias"
+        ),
+        intervals=tuple(compare(truth, given)),
+        predicted=closure.get("fraction"),
+        achieved=tried.get("fraction"),
+        seconds=extra.get("seconds"),
+        error=str(given.get("error", "")),
+    )
+
+
+def _grouped(effect: str, named: tuple[str, ...], groups: list[set[str]]) -> bool:
+    """Return whether an effect is named, or stands in a group with a named one."""
+    return effect in named or any(effect in group and group & set(named) for group in groups)
+
+
+def _with_truth(cause: str, effects: tuple[str, ...], groups: list[set[str]], near: set[str]) -> bool:
+    """Return whether a named cause is in a group with a true one, by the verdict or by the plant's own measure."""
+    return cause in near or any(cause in group and group & set(effects) for group in groups)

@@ -1,0 +1,261 @@
+"""The score of a set: the truth is opened once, its hash checked, every verdict judged."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from calib.challenge.cases import Truth
+from calib.challenge.intervals import Share, share
+from calib.challenge.judge import Judged, judge
+from calib.challenge.seal import TRUTH_FORMAT, read_public, truth_path
+from calib.errors import BadFileError
+from calib.files import sha256_file
+
+__all__ = ["TARGETS", "Score", "open_truth", "score", "score_of"]
+
+_BINS: Final = 10
+
+#: line of the board -> (what it must reach, whether at least or at most)
+TARGETS: Final[dict[str, tuple[float, str]]] = {
+    "first at signal >= 10": (0.95, "at least"),
+    "first or its group at signal >= 10": (0.99, "at least"),
+    "first at signal 5": (0.60, "at least"),
+    "95 % set holds it at signal 5": (0.95, "at least"),
+    "false alarms": (0.05, "at most"),
+    "outside effects left open": (0.90, "at least"),
+    "false unknowns at signal 25": (0.05, "at most"),
+    "both of a pair": (0.90, "at least"),
+    "exact aliases named": (1.0, "at least"),
+    "wrong fixes": (0.02, "at most"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """The score.
+
+    Parameters
+    ----------
+    purpose : str
+        Of the seeds: ``development``, ``scoring``, ``ci``.
+    truth_sha256 : str
+        Hash of the truth, checked.
+    cases : tuple of Judged
+        Every case.
+    board : mapping of str to Share
+        The lines that have a target, and others.
+    by_signal : mapping of str to mapping of str to Share
+        Target signal -> ``first``, ``in_group``, ``covered``, ``detected``.
+    reliability : tuple of mappings
+        Stated probability against how often it was true, a bin each.
+    confusion : mapping of str to mapping of str to int
+        Truth -> what was named first (or the verdict) -> cases.
+    summary : mapping
+        Sizes of the 95 % sets, interval coverage, closure, seconds.
+    """
+
+    purpose: str
+    truth_sha256: str
+    cases: tuple[Judged, ...]
+    board: Mapping[str, Share]
+    by_signal: Mapping[str, Mapping[str, Share]]
+    reliability: tuple[Mapping[str, Any], ...]
+    confusion: Mapping[str, Mapping[str, int]]
+    summary: Mapping[str, Any]
+
+    @property
+    def misses(self) -> tuple[Judged, ...]:
+        """The cases whose answer is not the right one."""
+        return tuple(case for case in self.cases if not case.right)
+
+    def meets(self, line: str) -> bool | None:
+        """Return whether a line of the board reaches its target; None where it has none or no case."""
+        if line not in TARGETS or self.board[line].rate is None:
+            return None
+        wanted, sense = TARGETS[line]
+        rate = self.board[line].rate or 0.0
+        return rate >= wanted if sense == "at least" else rate <= wanted
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain JSON values."""
+        return {
+            "format": "calib-challenge-score/1",
+            "purpose": self.purpose,
+            "truth_sha256": self.truth_sha256,
+            "board": {
+                name: {
+                    **one.to_dict(),
+                    "target": None if name not in TARGETS else {"value": TARGETS[name][0], "sense": TARGETS[name][1]},
+                    "met": self.meets(name),
+                }
+                for name, one in self.board.items()
+            },
+            "by_signal": {s: {n: one.to_dict() for n, one in row.items()} for s, row in self.by_signal.items()},
+            "reliability": [dict(one) for one in self.reliability],
+            "confusion": {truth: dict(row) for truth, row in self.confusion.items()},
+            "summary": dict(self.summary),
+            "misses": [case.to_dict() for case in self.misses],
+            "cases": [case.to_dict() for case in self.cases],
+        }
+
+
+def open_truth(folder: Path, truth_file: Path | None = None) -> tuple[dict[str, Truth], str]:
+    """Open the sealed truth of a set, once its hash agrees with the one that was stored first.
+
+    Raises
+    ------
+    BadFileError
+        Where it is missing, or is not the file that was sealed.
+    """
+    public = read_public(folder)
+    path = Path(truth_file) if truth_file else truth_path(folder)
+    if not path.is_file():
+        raise BadFileError(
+            path, found="no such file", expected="the sealed truth", remedy="name it with --truth, or make the set anew"
+        )
+    digest = sha256_file(path)
+    if digest != public["truth_sha256"]:
+        raise BadFileError(
+            path,
+            found=f"SHA-256 {digest}",
+            expected=f"{public['truth_sha256']}, as sealed",
+            remedy="the truth was changed after sealing: make the set anew and run it again",
+        )
+    data = json.loads(path.read_text(encoding="utf-8"))
+    if data.get("format") != TRUTH_FORMAT:
+        raise BadFileError(path, found=repr(data.get("format")), expected=TRUTH_FORMAT, remedy="make the set anew")
+    return {case: Truth.from_dict(entry) for case, entry in data["cases"].items()}, digest
+
+
+def score(folder: Path, *, truth_file: Path | None = None) -> Score:
+    """Score the verdicts of a set; see `Score`.
+
+    A case without a verdict counts as a miss.
+    """
+    folder = Path(folder)
+    truths, digest = open_truth(folder, truth_file)
+    judged = []
+    for case in read_public(folder)["cases"]:
+        path = folder / "verdicts" / f"{case}.json"
+        verdict = None
+        if path.is_file():
+            try:
+                verdict = json.loads(path.read_text(encoding="utf-8"))
+            except ValueError as error:
+                raise BadFileError(
+                    path, found=str(error), expected="a verdict as JSON", remedy="delete it and run again"
+                ) from error
+        judged.append(judge(truths[case], verdict))
+    return score_of(judged, purpose=str(read_public(folder).get("purpose", "")), truth_sha256=digest)
+
+
+def score_of(cases: list[Judged], *, purpose: str = "", truth_sha256: str = "") -> Score:
+    """Return the score of judged cases."""
+    strong = [case for case in cases if case.group == "single" and case.signal is not None and case.signal >= 10]
+    apart = [case for case in strong if case.separable]
+    five = [case for case in cases if case.group == "single" and case.signal == 5]
+    top = [case for case in cases if case.group == "single" and case.signal == 25]
+    empty = _of(cases, "empty")
+    right_unknown = [case for case in top if case.separable is not False]
+    tried = [case for case in cases if case.harmful is not None]
+    board = {
+        "first at signal >= 10": share([case.first for case in strong]),
+        "first at signal >= 10, where no other effect is nearer than 3 sigma": share([case.first for case in apart]),
+        "first or its group at signal >= 10": share([case.first or case.in_group for case in strong]),
+        "first at signal 5": share([case.first for case in five]),
+        "95 % set holds it at signal 5": share([bool(case.covered) for case in five]),
+        "95 % set holds it, all single": share([bool(case.covered) for case in _of(cases, "single")]),
+        "false alarms": share([not case.right for case in empty]),
+        "calibration named first": share([case.first for case in _of(cases, "calibration")]),
+        "natural size named first": share([case.first for case in _of(cases, "natural")]),
+        "outside effects left open": share([case.right for case in _of(cases, "outside")]),
+        "deleted effects left open or aliased": share([case.right for case in _of(cases, "deleted")]),
+        "false unknowns at signal 25": share([case.verdict == "unknown" for case in right_unknown]),
+        "both of a pair": share([case.right for case in _of(cases, "pair")]),
+        "exact aliases named": share([case.right for case in _of(cases, "alias")]),
+        "wrong fixes": share([case.wrong_fix for case in cases]),
+        "fixes that made the fresh campaign worse": share([bool(case.harmful) for case in tried]),
+        "ended in an error or missing": share([case.verdict in ("error", "missing") for case in cases]),
+    }
+    by_signal: dict[str, dict[str, Share]] = {}
+    for signal in sorted({case.signal for case in _of(cases, "single") if case.signal is not None}):
+        some = [case for case in _of(cases, "single") if case.signal == signal]
+        by_signal[f"{signal:g}"] = {
+            "detected": share([case.verdict not in ("no_gap", "error", "missing") for case in some]),
+            "first": share([case.first for case in some]),
+            "in_group": share([case.first or case.in_group for case in some]),
+            "covered": share([bool(case.covered) for case in some]),
+        }
+    return Score(
+        purpose=purpose,
+        truth_sha256=truth_sha256,
+        cases=tuple(cases),
+        board=board,
+        by_signal=by_signal,
+        reliability=_reliability([one for case in cases for one in case.statements]),
+        confusion=_confusion(cases),
+        summary=_summary(cases),
+    )
+
+
+def _of(cases: list[Judged], group: str) -> list[Judged]:
+    return [case for case in cases if case.group == group]
+
+
+def _reliability(statements: list[tuple[float, bool]]) -> tuple[Mapping[str, Any], ...]:
+    made = []
+    for number in range(_BINS):
+        low, high = number / _BINS, (number + 1) / _BINS
+        inside = [one for one in statements if low <= one[0] < high or (number == _BINS - 1 and one[0] == 1.0)]
+        if inside:
+            made.append(
+                {
+                    "low": low,
+                    "high": high,
+                    "stated": float(np.mean([p for p, _ in inside])),
+                    "true": share([hit for _, hit in inside]).to_dict(),
+                }
+            )
+    return tuple(made)
+
+
+def _confusion(cases: list[Judged]) -> dict[str, dict[str, int]]:
+    made: dict[str, dict[str, int]] = {}
+    for case in cases:
+        if case.group == "pair":
+            continue
+        row = made.setdefault(("deleted: " if case.deleted else "") + (case.truth[0] if case.truth else "nothing"), {})
+        said = case.named[0] if case.named else case.verdict
+        row[said] = row.get(said, 0) + 1
+    return {truth: dict(sorted(made[truth].items(), key=lambda item: -item[1])) for truth in sorted(made)}
+
+
+def _summary(cases: list[Judged]) -> dict[str, Any]:
+    def median(values: list[float]) -> float | None:
+        return float(np.median(values)) if values else None
+
+    intervals = [one for case in cases for one in case.intervals]
+    hits: dict[str, list[bool]] = {}
+    for name, truth, low, high in intervals:
+        hits.setdefault(name, []).append(low <= truth <= high)
+    both = [
+        (case.predicted, case.achieved) for case in cases if case.predicted is not None and case.achieved is not None
+    ]
+    explained = [case.predicted for case in cases if case.verdict == "explained" and case.predicted is not None]
+    return {
+        "cases": len(cases),
+        "median_set_size": median([float(case.set_size) for case in cases if case.set_size]),
+        "interval_coverage": share([low <= truth <= high for _, truth, low, high in intervals]).to_dict(),
+        "interval_coverage_by_parameter": {name: share(found).to_dict() for name, found in sorted(hits.items())},
+        "closure_predicted_minus_achieved_median": median([abs(p - a) for p, a in both]),
+        "closure_compared": len(both),
+        "closure_of_explained_median": median(explained),
+        "closure_of_explained_0.9": share([value >= 0.9 for value in explained]).to_dict(),
+        "seconds_median": median([case.seconds for case in cases if case.seconds is not None]),
+    }
