@@ -1,0 +1,156 @@
+"""Each check speaks up at the fault it is for, and is silent on sound campaigns."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+from statsmodels.regression.linear_model import OLS
+from statsmodels.stats.anova import anova_lm
+from statsmodels.stats.outliers_influence import OLSInfluence
+
+from calib.radius.checks import FAILED, NOTE, OK, Check
+from calib.radius.regression import WheelFit, fit_wheel
+from calib.radius.residual_checks import checked
+
+LOADS = np.array([300.0, 500.0, 700.0, 900.0, 1100.0])
+N = 60
+
+
+def made(
+    seed: int = 1, *, crossed: bool = True, sessions: int = 5, bend_m: float = 0.0, growth: float = 1.0, **shift: float
+) -> tuple[WheelFit, dict[str, Check]]:
+    """Return a checked fit of 60 runs with the faults asked for."""
+    rng = np.random.default_rng(seed)
+    session = np.repeat(np.arange(sessions), N // sessions)
+    load = np.tile(np.resize(LOADS, 12), 5) if crossed else np.repeat(LOADS, N // 5)
+    z = (load - 700) / 400
+    noise = rng.normal(0, 1.5e-5, N) * (1 + (growth - 1) * (z + 1) / 2)
+    radius = 0.1 + 1.3e-6 * (load - 300) - bend_m * (1 - z**2) + noise
+    radius = radius + rng.normal(0, shift.get("session", 0.0), sessions)[session]
+    radius = radius + shift.get("back", 0.0) * (np.arange(N) % 2)
+    radius[7] += shift.get("run", 0.0)
+    names = np.array([f"s{one}" for one in session])
+    direction = np.resize(["out", "back"], N)
+    run_id = np.array([f"r{run:02d}" for run in range(N)])
+    fit = checked(fit_wheel("left", load, radius, names, reference_load_N=300.0), names, direction, run_id)
+    return fit, {check.name: check for check in fit.checks}
+
+
+def test_sound_campaigns_seldom_alarm() -> None:
+    """Six tests at 1 % each; 40 campaigns give 2.4 notes on average, and more than 8 once in 900."""
+    notes = sum(check.level != OK for seed in range(40) for check in made(seed)[0].checks)
+    assert notes <= 8
+
+
+def test_no_sound_campaign_fails() -> None:
+    assert all(made(seed)[0].checks and all(check.passed for check in made(seed)[0].checks) for seed in range(20))
+
+
+@pytest.mark.parametrize(
+    ("fault", "name", "level", "word"),
+    [
+        ({"bend_m": 1e-4}, "curvature", FAILED, "bends"),
+        ({"bend_m": 1e-4}, "lack_of_fit", FAILED, "neighbouring"),
+        ({"growth": 8.0}, "equal_scatter", NOTE, "HC3"),
+        ({"run": 2e-4}, "influence", FAILED, "r07"),
+        ({"session": 1e-4}, "session", NOTE, "look for the cause"),
+        ({"back": 5e-5}, "direction", NOTE, "rangefinder"),
+        ({"crossed": False}, "design", NOTE, "drive at least two loads in every session"),
+        ({"sessions": 1}, "design", NOTE, "one session"),
+    ],
+)
+def test_a_fault_is_told_by_its_check(fault: dict[str, float], name: str, level: str, word: str) -> None:
+    _, checks = made(**fault)  # type: ignore[arg-type]
+    assert checks[name].level == level
+    assert word in checks[name].sentence
+
+
+def test_every_check_ends_in_a_sentence() -> None:
+    for fault in ({}, {"crossed": False}, {"sessions": 1}, {"bend_m": 1e-4}, {"growth": 8.0}):
+        for check in made(**fault)[0].checks:  # type: ignore[arg-type]
+            assert check.sentence.endswith(".")
+            assert check.sentence[0].isupper()
+
+
+def test_lack_of_fit_is_the_analysis_of_variance_of_nested_models() -> None:
+    fit, checks = made(3, sessions=1)
+    line = np.column_stack((np.ones(N), fit.load_N))
+    levels = (fit.load_N[:, None] == LOADS).astype(float)
+    scaled = fit.radius_m * 1e6
+    oracle = anova_lm(OLS(scaled, line).fit(), OLS(scaled, levels).fit())
+    assert checks["lack_of_fit"].statistic == pytest.approx(oracle["F"].iloc[1], rel=1e-6)  # rounding of residuals
+    assert checks["lack_of_fit"].p_value == pytest.approx(oracle["Pr(>F)"].iloc[1], rel=1e-6)
+
+
+def test_curvature_is_the_t_of_a_quadratic_term() -> None:
+    fit, checks = made(3, sessions=1)
+    z = (fit.load_N - 700) / 400
+    oracle = OLS(fit.radius_m * 1e6, np.column_stack((np.ones(N), z, z**2))).fit()
+    assert checks["curvature"].statistic == pytest.approx(oracle.tvalues[2], rel=1e-6)  # rounding of residuals
+    assert checks["curvature"].p_value == pytest.approx(oracle.pvalues[2], rel=1e-6)
+
+
+def test_the_bend_is_told_in_micrometres() -> None:
+    _, checks = made(4, bend_m=2e-4)
+    told = float(checks["curvature"].sentence.split("about ")[1].split(" um")[0])
+    assert told == pytest.approx(200, abs=20)  # noise of 60 runs: 15 um / sqrt(60) times about 3
+
+
+def test_cook_and_leverage_are_those_of_statsmodels() -> None:
+    fit, _ = made(5)
+    oracle = OLSInfluence(OLS(fit.radius_m * 1e6, np.column_stack((np.ones(N), fit.load_N))).fit())
+    np.testing.assert_allclose(fit.leverage, oracle.hat_matrix_diag, rtol=1e-9)  # rounding
+    np.testing.assert_allclose(fit.cook, oracle.cooks_distance[0], rtol=1e-6)  # rounding of residuals
+
+
+def test_session_statistic_is_the_analysis_of_variance_of_sessions_given_load() -> None:
+    fit, checks = made(6, session=1e-5)
+    names = np.repeat(np.arange(5), 12)
+    dummies = (names[:, None] == np.arange(5)).astype(float)
+    scaled = fit.radius_m * 1e6
+    oracle = anova_lm(
+        OLS(scaled, np.column_stack((np.ones(N), fit.load_N))).fit(),
+        OLS(scaled, np.column_stack((dummies, fit.load_N))).fit(),
+    )
+    # the same where sessions have the same loads
+    assert checks["session"].statistic == pytest.approx(oracle["F"].iloc[1], rel=1e-6)
+
+
+def test_normality_is_shapiro_wilk() -> None:
+    fit, checks = made(7, sessions=1)
+    assert checks["normality"].p_value == pytest.approx(
+        stats.shapiro(fit.residual_m * 1e6).pvalue, rel=1e-3
+    )  # centring
+
+
+def test_two_loads_are_fitted_and_straightness_is_left_open() -> None:
+    rng = np.random.default_rng(8)
+    load = np.resize([300.0, 900.0], 20)
+    names = np.full(20, "one")
+    fit = fit_wheel("left", load, 0.1 + 1e-6 * load + rng.normal(0, 1e-5, 20), names, reference_load_N=300.0)
+    fit = checked(fit, names, np.full(20, ""), np.array([str(run) for run in range(20)]))
+    checks = {check.name: check for check in fit.checks}
+    assert fit.model == "line"
+    assert "two loads" in checks["design"].sentence
+    assert "third load" in checks["lack_of_fit"].sentence
+
+
+def test_one_load_says_what_to_drive() -> None:
+    rng = np.random.default_rng(9)
+    names = np.full(20, "one")
+    fit = fit_wheel("left", np.full(20, 300.0), 0.1 + rng.normal(0, 1e-5, 20), names, reference_load_N=300.0)
+    fit = checked(fit, names, np.full(20, ""), np.array([str(run) for run in range(20)]))
+    assert "drive two further loads" in {check.name: check for check in fit.checks}["design"].sentence
+
+
+def test_reference_load_outside_the_measured_loads_is_extrapolation() -> None:
+    fit, _ = made(10)
+    names = np.full(N, "one")
+    again = checked(
+        fit_wheel("left", fit.load_N, fit.radius_m, names, reference_load_N=50.0),
+        names,
+        np.full(N, ""),
+        np.array([str(run) for run in range(N)]),
+    )
+    assert "extrapolated" in {check.name: check for check in again.checks}["range"].sentence

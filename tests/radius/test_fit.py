@@ -1,0 +1,127 @@
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.errors import BadInputError
+from calib.radius.fit import Fit, fit_campaign
+from calib.radius.result import is_result, read_result, write_result
+from tests.radius.coverage import DESIGNS, campaign_of
+from tests.radius.making import straight
+
+LOAD = np.resize([300.0, 500.0, 700.0, 900.0, 1100.0], 20)
+
+
+@pytest.fixture(scope="module")
+def fit() -> Fit:
+    return fit_campaign(campaign_of(DESIGNS["crossed+"], np.random.default_rng(1)))
+
+
+CONTRACT = {
+    "n_runs",
+    "reference_load_N",
+    "radius_ref_m",
+    "intercept_m",
+    "slope_m_per_N",
+    "radius_ref_ci95_m",
+    "slope_ci95_m_per_N",
+    "r_squared",
+    "residual_std_m",
+    "dof",
+    "covariance",
+}
+
+
+def test_document_has_the_keys_of_the_contract(fit: Fit) -> None:
+    document = fit.to_dict()
+    for wheel in ("left", "right"):
+        assert document["wheels"][wheel].keys() >= CONTRACT
+        assert np.shape(document["wheels"][wheel]["covariance"]) == (2, 2)
+    assert document["runs"][0].keys() >= {"run_id", "radius_left_m", "radius_right_m"}
+
+
+def test_a_fit_survives_json(fit: Fit) -> None:
+    document = fit.to_dict()
+    again = Fit.from_dict(json.loads(json.dumps(document, allow_nan=False)))
+    assert again.to_dict() == document
+    at = np.array([300.0, 800.0])
+    np.testing.assert_array_equal(again.left.prediction_band_m(at), fit.left.prediction_band_m(at))
+    assert again.setup == fit.setup
+
+
+def test_result_folder_is_read_back_and_not_overwritten(fit: Fit, tmp_path: Path) -> None:
+    folder = tmp_path / "result"
+    assert not is_result(folder)
+    write_result(fit, folder)
+    assert is_result(folder)
+    assert is_result(folder / "fit.json")
+    assert read_result(folder).to_dict() == fit.to_dict()
+    assert len((folder / "runs.csv").read_text(encoding="utf-8").splitlines()) == 61
+    with pytest.raises(BadInputError, match="--force"):
+        write_result(fit, folder)
+    write_result(fit, folder, force=True)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[1]", "{}", '{"format": "calib-fit/1"}', "{" * 5000, '{"format": "calib-fit/9"}']
+)
+def test_a_damaged_result_is_bad_input_in_one_line(tmp_path: Path, text: str) -> None:
+    (tmp_path / "fit.json").write_text(text, encoding="utf-8")
+    with pytest.raises(BadInputError) as caught:
+        read_result(tmp_path)
+    assert "fit.json" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_part_of_a_result_is_bad_input(fit: Fit, tmp_path: Path) -> None:
+    document = json.loads(json.dumps(fit.to_dict()))
+    for key in list(document):
+        if key in {"passed"}:
+            continue
+        cut = {name: value for name, value in document.items() if name != key}
+        (tmp_path / "fit.json").write_text(json.dumps(cut), encoding="utf-8")
+        if key == "setup":
+            assert read_result(tmp_path).setup is None
+            continue
+        with pytest.raises(BadInputError):
+            read_result(tmp_path)
+
+
+def test_the_static_radius_is_fitted_beside_the_moving_one() -> None:
+    campaign = straight(0.1 + 1.3e-6 * (LOAD - 300), 0.1 + 1.2e-6 * (LOAD - 300), LOAD)
+    rng = np.random.default_rng(2)
+    static = 0.1 - 3e-6 * (LOAD - 300) + rng.normal(0, 1e-6, 20)
+    runs = replace(campaign.runs, numbers={**campaign.runs.numbers, "static_radius_left_m": static})
+    fit = fit_campaign(replace(campaign, runs=runs))
+    assert set(fit.static) == {"left"}
+    # five standard errors: 1 um / (283 N sqrt(20))
+    assert fit.static["left"].law.slope_m_per_N == pytest.approx(-3e-6, abs=4e-9)
+    assert fit.left.law.slope_m_per_N == pytest.approx(1.3e-6, rel=1e-9)  # rounding
+    assert Fit.from_dict(json.loads(json.dumps(fit.to_dict()))).static["left"].law.n_runs == 20
+
+
+def test_loads_that_nobody_knows_are_taken_as_unladen_and_said() -> None:
+    campaign = straight(np.full(20, 0.1), np.full(20, 0.1), LOAD)
+    numbers = {name: column for name, column in campaign.runs.numbers.items() if not name.startswith("load")}
+    fit = fit_campaign(replace(campaign, runs=replace(campaign.runs, numbers=numbers)))
+    assert fit.left.model == "constant"
+    assert fit.left.law.reference_load_N == pytest.approx(campaign.vehicle.unladen_load_N)
+    assert any("unladen" in note for note in fit.notes)
+    json.dumps(fit.to_dict(), allow_nan=False)
+
+
+def test_budget_adds_up_to_the_observed_scatter(fit: Fit) -> None:
+    """Type B from the instruments and type A beyond them give the scatter of a single run."""
+    total = sum(part.std_left_m**2 for part in fit.radii.budget)
+    # rangefinder and counts a run differ by 10 % between runs of 37 and 42 m
+    assert np.sqrt(total) == pytest.approx(np.hypot(fit.left.run_std_m, fit.left.session_std_m), rel=1e-6)
+    assert {part.kind for part in fit.radii.budget} == {"A", "B"}
+
+
+def test_the_same_campaign_gives_the_same_fit() -> None:
+    one, other = (fit_campaign(campaign_of(DESIGNS["crossed"], np.random.default_rng(4))) for _ in range(2))
+    assert one.to_dict() == other.to_dict()
