@@ -21,7 +21,7 @@ from calib.plant.contact.ride import COUNTS_PER_REV, Ride, Track, drive
 from calib.plant.contact.variants import VARIANTS, Variant, sound_machine
 from calib.vehicle import wheel_loads_N
 
-__all__ = ["Lengths", "drive_all", "make_contact_campaign"]
+__all__ = ["CONDITIONS", "Lengths", "drive_all", "make_contact_campaign", "order_of_runs"]
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -31,7 +31,7 @@ _FULL = Payload(200.0, 0.30, 0.0)
 _RIGHT = Payload(200.0, 0.30, -0.10)
 
 #: route, direction, payload, speed: loads, sides, speeds and directions vary apart from one another
-_CONDITIONS: Final = (
+CONDITIONS: Final = (
     ("corridor", "out", _EMPTY, 0.5),
     ("corridor", "back", _EMPTY, 0.5),
     ("square_ccw", "", _EMPTY, 0.5),
@@ -49,6 +49,8 @@ _CONDITIONS: Final = (
     ("route_left", "", _LEFT, 0.6),
     ("route_right", "", _RIGHT, 0.4),
 )
+#: the plant's 50 samples a second against a log's 10
+_LOG_EVERY = 5
 _START_XY_M, _START_HEADING_RAD = 0.005, 0.003
 
 
@@ -113,13 +115,28 @@ def drive_all(
     return tracks
 
 
-def _order(runs: int, sessions: int, rng: np.random.Generator) -> tuple[list[int], list[int]]:
-    """Return the condition and the session of each run: every session goes through the conditions in its own order."""
+def order_of_runs(runs: int, sessions: int, rng: np.random.Generator) -> tuple[list[int], list[int]]:
+    """Return the condition and the session of each run; every session goes through the conditions in its own order.
+
+    Parameters
+    ----------
+    runs, sessions : int
+        How many of each.
+    rng : numpy.random.Generator
+        The order.
+
+    Returns
+    -------
+    condition : list of int
+        Index into `CONDITIONS`, a run each.
+    session : list of int
+        Number of the session, a run each.
+    """
     condition: list[int] = []
     session: list[int] = []
     for number, part in enumerate(np.array_split(np.arange(runs), sessions)):
         # What is left over beyond whole rounds are repeats, other ones in each session.
-        dealt = (np.arange(len(part)) + 8 * number) % len(_CONDITIONS)
+        dealt = (np.arange(len(part)) + 8 * number) % len(CONDITIONS)
         condition += rng.permutation(dealt).tolist()
         session += [number] * len(part)
     return condition, session
@@ -209,12 +226,12 @@ def make_contact_campaign(
     machine = chosen.build(sound_machine(), strength)
     vehicle = sound_machine().vehicle
     model = _model(chosen, machine, sound)
-    condition, session = _order(runs, sessions, rng)
+    condition, session = order_of_runs(runs, sessions, rng)
     rides = []
     reported: list[Payload] = []
     loads = []
     for number in condition:
-        kind, direction, payload, speed = _CONDITIONS[number]
+        kind, direction, payload, speed = CONDITIONS[number]
         _, left, right = (float(load) for load in wheel_loads_N(vehicle, payload.mass_kg, payload.x_m, payload.y_m))
         jitter = rng.normal(0.0, _START_XY_M, 2)
         backward = direction == "back"
@@ -237,7 +254,7 @@ def make_contact_campaign(
         loads.append((left, right))
     tracks = drive_all(machine, rides, workers=workers, progress=progress)
     return _measured(
-        rng, name, model, session, [_CONDITIONS[number] for number in condition], loads, rides, tracks, trace=trace
+        rng, name, model, session, [CONDITIONS[number] for number in condition], loads, rides, tracks, trace=trace
     )
 
 
@@ -327,27 +344,28 @@ def _logs(
     def put(column: str, values: FloatArray, decimals: int) -> None:
         columns.setdefault(column, []).append(np.round(values, decimals))
 
+    lengths = []
     for ride, track, end, way in zip(rides, tracks, pose, distance, strict=True):
-        n = len(track.t_s)
-        put("t_s", track.t_s, 3)
-        put("counts_left", track.counts_left, 0)
-        put("counts_right", track.counts_right, 0)
-        put("counts_front", track.counts_front, 0)
-        put("steer_rad", track.steer_rad, 5)
+        kept = np.union1d(np.arange(0, len(track.t_s), _LOG_EVERY), [len(track.t_s) - 1])
+        lengths.append(len(kept))
+        put("t_s", track.t_s[kept], 3)
+        put("counts_left", track.counts_left[kept], 0)
+        put("counts_right", track.counts_right[kept], 0)
+        put("counts_front", track.counts_front[kept], 0)
+        put("steer_rad", track.steer_rad[kept], 5)
         if not trace:
             continue
-        ranged = _along(track, ride) + rng.normal(0.0, laser.sigma_m, n)
+        ranged = _along(track, ride)[kept] + rng.normal(0.0, laser.sigma_m, len(kept))
         ranged[0], ranged[-1] = 0.0, way
-        put("range_m", ranged if ride.kind == "corridor" else np.full(n, np.nan), 4)
+        put("range_m", ranged if ride.kind == "corridor" else np.full(len(kept), np.nan), 4)
         for column, true, last, sigma, decimals in (
             ("ref_x_m", track.x_m, end[0], reference.sigma_xy_m, 5),
             ("ref_y_m", track.y_m, end[1], reference.sigma_xy_m, 5),
             ("ref_theta_rad", track.theta_rad, end[2], reference.sigma_theta_rad, 6),
         ):
-            read = true + rng.normal(0.0, sigma, n)
+            read = true[kept] + rng.normal(0.0, sigma, len(kept))
             read[0], read[-1] = 0.0, last
             put(column, read, decimals)
-    lengths = [len(track.t_s) for track in tracks]
     return Logs(
         offsets=np.concatenate(([0], np.cumsum(lengths))).astype(np.int64),
         columns={column: np.concatenate(parts) for column, parts in columns.items()},

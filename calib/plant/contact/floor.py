@@ -9,6 +9,7 @@ nothing wrong contains it.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -25,11 +26,12 @@ from calib.plant.contact.baseline import (
 from calib.plant.contact.machine import Machine, Payload
 from calib.plant.contact.ride import COUNTS_PER_REV, Ride, Track, drive, wheel_loads_N
 
-__all__ = ["NoiseFloor", "RunFloor", "noise_floor"]
+__all__ = ["KINDS", "NoiseFloor", "RunFloor", "noise_floor"]
 
 FloatArray = npt.NDArray[np.float64]
 
-_KINDS: Final = ("corridor", "square_ccw", "square_cw", "route_left")
+#: routes of the full measurement
+KINDS: Final = ("corridor", "square_ccw", "square_cw", "route_left")
 _PAYLOADS: Final = (Payload(), Payload(200.0, 0.3, 0.1))
 
 
@@ -118,6 +120,7 @@ def noise_floor(
     repeats: int = 6,
     length_m: float = 20.0,
     curve_speed_mps: float = 0.2,
+    kinds: Sequence[str] = KINDS,
 ) -> NoiseFloor:
     """Measure the floor of a sound machine.
 
@@ -133,6 +136,8 @@ def noise_floor(
         Of the corridor.
     curve_speed_mps : float
         In curves.
+    kinds : sequence of str
+        Routes; the figures of the radius want the corridor among them.
     """
     believed = baseline(machine)
     halved = replace(machine, step_s=machine.step_s / 2.0)
@@ -147,7 +152,7 @@ def noise_floor(
             wheelbase_m=machine.vehicle.wheelbase_m,
             front_m=machine.radius_front_m,
         )
-        for kind in _KINDS:
+        for kind in kinds:
             ride = Ride(kind, payload, belief, length_m=length_m, curve_speed_mps=curve_speed_mps)
             rides = [_perturbed(ride, rng) for _ in range(repeats)]
             tracks = [drive(machine, one) for one in rides]

@@ -144,8 +144,8 @@ class Machine:
         Dry friction torque on the left rear wheel.
     backlash_rad : float
         Free play between the steering motor and the front wheel, end to end.
-    tyre : Tyre
-        All three contacts.
+    tyre, front_tyre : Tyre
+        Contacts of the rear wheels, and of the driven wheel, whose band is far harder and resists being turned.
     floor : Floor
         What it drives on.
     step_s : float
@@ -162,6 +162,7 @@ class Machine:
     drag_left_Nm: float = 0.0
     backlash_rad: float = 0.0
     tyre: Tyre = field(default_factory=Tyre)
+    front_tyre: Tyre = field(default_factory=lambda: Tyre(impedance=(0.98, 0.98, 0.001, 0.5, 2.0), dimensions=4))
     floor: Floor = field(default_factory=Floor)
     step_s: float = 0.002
 
@@ -180,6 +181,17 @@ def _wheel(name: str, radius_m: float, mass_kg: float, tyre: Tyre, *, offset_m: 
     )
 
 
+def _pair(wheel: str, tyre: Tyre) -> str:
+    """Return the contact of a wheel with the floor."""
+    friction = f"{tyre.friction} {tyre.friction} {tyre.torsion_m} {tyre.rolling_m} {tyre.rolling_m}"
+    solimp = " ".join(repr(value) for value in tyre.impedance)
+    return (
+        f'<pair name="{wheel}" geom1="floor" geom2="{wheel}" condim="{tyre.dimensions}" friction="{friction}" '
+        f'solref="{-tyre.stiffness_per_s2} {-tyre.damping_per_s}" solimp="{solimp}" '
+        f'solreffriction="-1 {-tyre.creep_damping_per_s}"/>'
+    )
+
+
 def mjcf(machine: Machine, payload: Payload) -> str:
     """Return the MJCF text of the vehicle with its payload on its floor.
 
@@ -190,12 +202,14 @@ def mjcf(machine: Machine, payload: Payload) -> str:
     BadInputError
         Where masses leave no chassis, or the tyre is of no known shape or dimension.
     """
-    tyre, vehicle = machine.tyre, machine.vehicle
-    if tyre.shape not in {"crowned", "flat"} or tyre.dimensions not in {3, 4, 6}:
-        raise BadInputError(
-            f"contact plant: found tyre {tyre.shape!r} with {tyre.dimensions} dimensions; "
-            "expected 'crowned' or 'flat' with 3, 4 or 6; choose one of them"
-        )
+    vehicle = machine.vehicle
+    tyres = {"left": machine.tyre, "right": machine.tyre, "front": machine.front_tyre}
+    for tyre in tyres.values():
+        if tyre.shape not in {"crowned", "flat"} or tyre.dimensions not in {3, 4, 6}:
+            raise BadInputError(
+                f"contact plant: found tyre {tyre.shape!r} with {tyre.dimensions} dimensions; "
+                "expected 'crowned' or 'flat' with 3, 4 or 6; choose one of them"
+            )
     wheels_kg = 2 * _REAR_WHEEL_KG + _FORK_KG + _FRONT_WHEEL_KG
     chassis_kg = vehicle.mass_kg - wheels_kg
     if chassis_kg <= 0.0:
@@ -209,18 +223,11 @@ def mjcf(machine: Machine, payload: Payload) -> str:
     cog_x = (vehicle.mass_kg * vehicle.cog_x_m - front_kg * vehicle.wheelbase_m) / chassis_kg
     cog_y = vehicle.mass_kg * vehicle.cog_y_m / chassis_kg
     cog_z = (vehicle.mass_kg * vehicle.cog_z_m - wheels_kg * hub) / chassis_kg - hub
-    slide, twist, roll = tyre.friction, tyre.torsion_m, tyre.rolling_m
-    solimp = " ".join(repr(value) for value in tyre.impedance)
-    pairs = "".join(
-        f'<pair name="{wheel}" geom1="floor" geom2="{wheel}" condim="{tyre.dimensions}" '
-        f'friction="{slide} {slide} {twist} {roll} {roll}" solimp="{solimp}" '
-        f'solref="{-tyre.stiffness_per_s2} {-tyre.damping_per_s}" solreffriction="-1 {-tyre.creep_damping_per_s}"/>'
-        for wheel in ("left", "right", "front")
-    )
+    pairs = "".join(_pair(wheel, tyre) for wheel, tyre in tyres.items())
     rear = "".join(
         f'<body name="{name}" pos="0 {side * machine.track_m / 2} {radius - hub}">'
         f'<joint name="{name}" axis="0 1 0" damping="{machine.axle_drag_Nms}" frictionloss="{drag}"/>'
-        f"{_wheel(name, radius, _REAR_WHEEL_KG, tyre, offset_m=offset)}</body>"
+        f"{_wheel(name, radius, _REAR_WHEEL_KG, machine.tyre, offset_m=offset)}</body>"
         for name, side, radius, drag, offset in (
             ("left", 1, machine.radius_left_m, machine.drag_left_Nm, machine.eccentricity_left_m),
             ("right", -1, machine.radius_right_m, 0.0, 0.0),
@@ -247,6 +254,8 @@ def mjcf(machine: Machine, payload: Payload) -> str:
             'solimp="0.98 0.98 0.001 0.5 2" solreffriction="0.004 1"/>'
         )
     gravity = " ".join(repr(value) for value in machine.floor.gravity_mps2)
+    # Gains times the time step stay well below the rotors' reflected inertias (armature): the integrator adds a motor's
+    # damping after the contacts are solved, and a stiffer motor would tear the wheel off its rolling.
     return f"""<mujoco model="tricycle">
 <compiler angle="radian"/>
 <option timestep="{machine.step_s}" integrator="implicitfast" cone="elliptic" impratio="10" solver="Newton"
@@ -262,12 +271,12 @@ def mjcf(machine: Machine, payload: Payload) -> str:
 <joint name="steer" axis="0 0 1" armature="0.2"/>
 <inertial pos="0 0 0" mass="{_FORK_KG / 2}" diaginertia="0.005 0.005 0.005"/>
 <body name="knuckle">{play}<inertial pos="0 0 0" mass="{_FORK_KG / 2}" diaginertia="0.005 0.005 0.005"/>
-<body name="front"><joint name="front" axis="0 1 0" damping="{machine.axle_drag_Nms}"/>
-{_wheel("front", machine.radius_front_m, _FRONT_WHEEL_KG, tyre)}</body></body>
+<body name="front"><joint name="front" axis="0 1 0" damping="{machine.axle_drag_Nms}" armature="0.2"/>
+{_wheel("front", machine.radius_front_m, _FRONT_WHEEL_KG, machine.front_tyre)}</body></body>
 </body></body>
 {load}
 </worldbody>
 <contact>{pairs}</contact>
 <actuator><position name="steer" joint="steer" kp="2000" kv="40"/>
-<velocity name="drive" joint="front" kv="100"/></actuator>
+<velocity name="drive" joint="front" kv="20"/></actuator>
 </mujoco>"""

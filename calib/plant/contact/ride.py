@@ -21,7 +21,6 @@ FloatArray = npt.NDArray[np.float64]
 
 COUNTS_PER_REV = 4096.0
 _CONTROL_HZ = 50
-_LOG_EVERY = 5
 _SETTLE_S = 1.5
 _REST_S = 1.0
 _WHEELS = ("left", "right", "front")
@@ -67,7 +66,7 @@ class Ride:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
-    """What really happened in a run, at 10 Hz and at its end; the frame is that of the start pose.
+    """What really happened in a run, at 50 Hz; the frame is that of the start pose.
 
     Parameters
     ----------
@@ -149,10 +148,15 @@ def _apply_zone(model: Any, hubs: dict[str, Any], zone: Zone, machine: Machine) 
     """Give each wheel's contact the surface on which its hub stands."""
     for wheel, hub in hubs.items():
         inside = zone.holds(float(hub[0]), float(hub[1]))
-        pair = model.pair(wheel).id
-        model.pair_friction[pair, :2] = zone.friction if inside else machine.tyre.friction
-        creep = zone.creep_damping_per_s if inside else machine.tyre.creep_damping_per_s
+        pair, tyre = model.pair(wheel).id, machine.front_tyre if wheel == "front" else machine.tyre
+        model.pair_friction[pair, :2] = zone.friction if inside else tyre.friction
+        creep = zone.creep_damping_per_s if inside else tyre.creep_damping_per_s
         model.pair_solreffriction[pair, 1] = -creep
+
+
+def _yaw_rad(w: float, x: float, y: float, z: float) -> float:
+    """Return the heading of an orientation given as a unit quaternion."""
+    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
 
 def drive(machine: Machine, ride: Ride) -> Track:
@@ -182,7 +186,7 @@ def drive(machine: Machine, ride: Ride) -> Track:
         acceleration_mps2=ride.acceleration_mps2,
     )
     angles = tuple(data.joint(name).qpos for name in _WHEELS)
-    motor, position, rotation = data.joint("steer").qpos, data.body("vehicle").xpos, data.body("vehicle").xmat
+    motor, body = data.joint("steer").qpos, data.joint("vehicle").qpos
     steer, spin = data.actuator("steer").ctrl, data.actuator("drive").ctrl
     zone = machine.floor.zone
     hubs = {name: data.body(name).xpos for name in _WHEELS}
@@ -193,43 +197,43 @@ def drive(machine: Machine, ride: Ride) -> Track:
     patience = round(_CONTROL_HZ * (30.0 + 4.0 * float(path.s_m[-1]) / min(ride.speed_mps, ride.curve_speed_mps)))
     rest = round(_REST_S * _CONTROL_HZ)
     samples = []
-    tick = 0
-    while rest > 0:
+
+    def read() -> list[int]:
+        """Record the state now and return the counters."""
         counts = [math.floor(angle[0] * per_rad) - start for angle, start in zip(angles, zero, strict=True)]
-        if tick % _LOG_EVERY == 0:
-            yaw = math.atan2(rotation[3], rotation[0])
-            samples.append(
-                (tick * dt, position[0], position[1], yaw, *(angle[0] for angle in angles), *counts, motor[0])
-            )
+        samples.append((body[0], body[1], _yaw_rad(*body[3:7]), *(angle[0] for angle in angles), *counts, motor[0]))
+        return counts
+
+    tick = 0
+    counts = read()
+    while rest > 0:
         steer[0], spin[0] = driver.command(counts[0], counts[1], dt)
         if zone is not None:
             _apply_zone(model, hubs, zone, machine)
         physics.mj_step(model, data, substeps)
         tick += 1
         rest -= driver.arrived
-        if tick > patience or not math.isfinite(position[0]):
+        counts = read()
+        if tick > patience or data.warning[physics.mjtWarning.mjWARN_BADQACC].number > 0:
             raise CalibError(
-                f"contact plant: found the {ride.kind} run still going after {tick * dt:.0f} s; expected it to arrive; "
-                "give it more friction, a lower speed or a wider turn"
+                f"contact plant: found the {ride.kind} run lost after {tick * dt:.0f} s; expected it to arrive; "
+                "give the machine a shorter time step, more friction, or a lower speed"
             )
-    counts = [math.floor(angle[0] * per_rad) - start for angle, start in zip(angles, zero, strict=True)]
-    yaw = math.atan2(rotation[3], rotation[0])
-    samples.append((tick * dt, position[0], position[1], yaw, *(angle[0] for angle in angles), *counts, motor[0]))
     table = np.array(samples, dtype=np.float64).T
-    x, y, yaw_all = table[1] - table[1, 0], table[2] - table[2, 0], np.unwrap(table[3])
-    cos, sin = math.cos(yaw_all[0]), math.sin(yaw_all[0])
+    x, y, yaw = table[0] - table[0, 0], table[1] - table[1, 0], np.unwrap(table[2])
+    cos, sin = math.cos(yaw[0]), math.sin(yaw[0])
     return Track(
-        t_s=table[0],
+        t_s=np.asarray(dt * np.arange(table.shape[1]), dtype=np.float64),
         x_m=cos * x + sin * y,
         y_m=-sin * x + cos * y,
-        theta_rad=yaw_all - yaw_all[0],
-        left_rad=table[4] - table[4, 0],
-        right_rad=table[5] - table[5, 0],
-        front_rad=table[6] - table[6, 0],
-        counts_left=table[7],
-        counts_right=table[8],
-        counts_front=table[9],
-        steer_rad=table[10],
+        theta_rad=yaw - yaw[0],
+        left_rad=table[3] - table[3, 0],
+        right_rad=table[4] - table[4, 0],
+        front_rad=table[5] - table[5, 0],
+        counts_left=table[6],
+        counts_right=table[7],
+        counts_front=table[8],
+        steer_rad=table[9],
         load_left_N=forces["left"],
         load_right_N=forces["right"],
     )

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib.plant.contact.floor import noise_floor
-from calib.plant.contact.machine import Machine, Tyre
+from calib.plant.contact.machine import Machine
 
 
 def main() -> None:
@@ -21,7 +21,8 @@ def main() -> None:
     parser.add_argument("--dimensions", type=int, choices=(3, 4, 6), default=3)
     parser.add_argument("--seed", type=int, default=1)
     args = parser.parse_args()
-    machine = replace(Machine(), tyre=replace(Tyre(), shape=args.shape, dimensions=args.dimensions))
+    sound = Machine()
+    machine = replace(sound, tyre=replace(sound.tyre, shape=args.shape, dimensions=args.dimensions))
     floor = noise_floor(
         machine,
         np.random.default_rng(args.seed),
