@@ -24,6 +24,10 @@ COMMANDS: Final[dict[str, str]] = {
     "ingest": "ingest",
     "fit": "fit",
     "deviation": "deviation",
+    "report": "report",
+    "loads": "loads",
+    "challenge": "challenge",
+    "simulate": "simulate",
 }
 
 

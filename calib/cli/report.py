@@ -1,0 +1,66 @@
+"""`calib report`: the PDF that a customer gets."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from calib.cli.output import FORCE, JSON, emit_json, say
+
+__all__ = ["register"]
+
+EPILOG = "Example: calib report sample_runs/corridor_crossed --into corridor_crossed.pdf --date 2025-03-31"
+
+
+def register(application: typer.Typer, name: str) -> None:
+    """Add the command to `application`."""
+
+    @application.command(name, epilog=EPILOG)
+    def report(
+        source: Path = typer.Argument(
+            ..., metavar="CAMPAIGN|RESULT", help="Campaign folder, or result folder of calib fit, or its fit.json."
+        ),
+        into: Path | None = typer.Option(
+            None,
+            "--into",
+            metavar="FILE|FOLDER",
+            help="PDF file, or folder for it; without it: reports/<campaign>.pdf.",
+        ),
+        date: str | None = typer.Option(
+            None, "--date", metavar="YYYY-MM-DD", help="Date of issue; without it: today. Fixes the bytes of the PDF."
+        ),
+        figures: Path | None = typer.Option(
+            None, "--figures", metavar="FOLDER", help="Write every figure there, too, as PNG, SVG and PDF."
+        ),
+        json_target: str | None = JSON,
+        force: bool = FORCE,
+    ) -> int:
+        """Write the report on a campaign as PDF/A-3, the coefficient file attached.
+
+        The [report] section of campaign.toml states laboratory, customer, vehicle, instruments and dates. Exit status 1
+        where a check says that the law should not be used as it is; the report is written all the same and says so.
+        """
+        from calib.files import write_bytes
+        from calib.report.content import compose
+        from calib.report.pdf import to_pdf, write_figures
+        from calib.report.place import place_of
+        from calib.report.source import issue_date, source_of
+
+        found, _ = source_of(source, issued=issue_date(date))
+        target = place_of(found.fit.name, into, force=force)
+        made = compose(found)
+        drawn = [] if figures is None else write_figures(made, figures, force=force)
+        write_bytes(target, to_pdf(made), force=force)
+        say(
+            f"wrote {target} (report {made.report_id}{', simulated data' if made.simulated else ''})",
+            target=json_target,
+        )
+        if figures is not None:
+            say(f"wrote {len(drawn)} figure files to {figures}", target=json_target)
+        if not made.passed:
+            say("A check failed: the law should not be used as it is; the report says why.", target=json_target)
+        document: dict[str, Any] = {"file": str(target), "figures": [str(path) for path in drawn], **made.to_dict()}
+        emit_json(document, json_target, force=force)
+        return 0 if made.passed else 1

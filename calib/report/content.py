@@ -1,0 +1,138 @@
+"""What a report says, as plain sections; how it looks is the page's business."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+from calib import __version__
+from calib.report.blocks import Picture, Section
+from calib.report.pages import sections_of
+from calib.report.source import Source
+
+__all__ = ["Attachment", "Report", "compose"]
+
+#: longest campaign name in the header of a page; the title has it whole
+SHORT_NAME: Final = 44
+
+
+@dataclass(frozen=True, slots=True)
+class Attachment:
+    """A file carried inside the PDF."""
+
+    name: str
+    data: bytes
+    mime: str
+    description: str
+    relationship: str = "data"
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """A report, ready to be set.
+
+    Parameters
+    ----------
+    report_id : str
+        Identification, on every page.
+    title, name : str
+        Title and campaign.
+    issued : str
+        Date of issue, YYYY-MM-DD.
+    simulated : bool
+        Every page says so.
+    passed : bool
+        Whether every check of the fit allows the law to be used.
+    author : str
+        The laboratory, as stated; may be empty.
+    head : tuple of (str, str)
+        Facts under the title.
+    sections : tuple of Section
+        What is said.
+    attachments : tuple of Attachment
+        Files inside the PDF.
+    """
+
+    report_id: str
+    title: str
+    name: str
+    issued: str
+    simulated: bool
+    passed: bool
+    author: str
+    head: tuple[tuple[str, str], ...]
+    sections: tuple[Section, ...]
+    attachments: tuple[Attachment, ...]
+
+    @property
+    def pictures(self) -> tuple[Picture, ...]:
+        """The figures, in the order of the pages."""
+        return tuple(block for section in self.sections for block in section.blocks if isinstance(block, Picture))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the report as plain values, as the page reads it."""
+        short = self.name if len(self.name) <= SHORT_NAME else self.name[: SHORT_NAME - 1] + "…"
+        return {
+            "format": "calib-report/1",
+            "id": self.report_id,
+            "kind": "Calibration report",
+            "title": self.title,
+            "name": self.name,
+            "short_name": short,
+            "subject": f"Calibration report on the campaign {self.name}" + (", simulated data" * self.simulated),
+            "issued": self.issued,
+            "date": [int(part) for part in self.issued.split("-")],
+            "program": f"calib {__version__}",
+            "simulated": self.simulated,
+            "passed": self.passed,
+            "author": self.author,
+            "head": [list(fact) for fact in self.head],
+            "sections": [section.to_dict() for section in self.sections],
+            "attachments": [
+                {"name": one.name, "relationship": one.relationship, "mime": one.mime, "description": one.description}
+                for one in self.attachments
+            ],
+        }
+
+
+def compose(source: Source) -> Report:
+    """Return the report on a fit.
+
+    Parameters
+    ----------
+    source : Source
+        From `calib.report.source.source_of`.
+
+    Returns
+    -------
+    Report
+        The sections of every page that has something to say.
+    """
+    head = (
+        ("Report", source.report_id),
+        ("Date of issue", source.issued),
+        ("Laboratory", source.said("laboratory")),
+        ("Customer", source.said("customer")),
+        ("Vehicle", source.said("item")),
+        ("Dates of measurement", source.said("measured")),
+        ("Authorised by", source.said("authorised")),
+    )
+    return Report(
+        report_id=source.report_id,
+        title="Effective rolling radius of the rear wheels",
+        name=source.fit.name,
+        issued=source.issued,
+        simulated=source.simulated,
+        passed=source.fit.passed,
+        author=source.stated.get("laboratory", ""),
+        head=head,
+        sections=sections_of(source),
+        attachments=(
+            Attachment(
+                name="coefficients.json",
+                data=source.coefficients.to_bytes(),
+                mime="application/json",
+                description="Radius law of both wheels with covariance and valid load range, as the vehicle loads it",
+            ),
+        ),
+    )

@@ -1,0 +1,51 @@
+"""What the report shows of a diagnosis: the verdict as plain values, and the arrays behind its figures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["GapFindings"]
+
+FloatArray = npt.NDArray[np.float64]
+StrArray = npt.NDArray[np.str_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GapFindings:
+    """A verdict and its arrays; figures whose arrays are missing are left out.
+
+    Parameters
+    ----------
+    verdict : mapping
+        As ``calib diagnose --json`` writes it.
+    channels : tuple of (str, str)
+        Name and unit (``m`` or ``rad``) of each channel, shape (n_channels,).
+    before, after : array of float, shape (n_units, n_channels), or None
+        Measured minus simulated, by the model alone and by the model with the named cause, on held-out units; NaN where
+        a unit lacks the channel.
+    floor : array of float, shape (n_units, n_channels), or None
+        Standard deviation that repeats cannot explain away; NaN as above.
+    group : array of str, shape (n_units,), or None
+        Route or kind of each unit, for colours.
+    covariates : mapping of str to array of float, shape (n_units,)
+        Candidates that the gap may depend on, by name with unit suffix.
+    paths_m : tuple of array of float, shape (n_samples, 2)
+        Path of each unit on the floor plan, x and y.
+    offset_m : array of float, shape (n_units, 2), or None
+        Measured minus simulated end position on the floor plan.
+    """
+
+    verdict: Mapping[str, Any]
+    channels: tuple[tuple[str, str], ...] = ()
+    before: FloatArray | None = None
+    after: FloatArray | None = None
+    floor: FloatArray | None = None
+    group: StrArray | None = None
+    covariates: Mapping[str, FloatArray] = field(default_factory=dict)
+    paths_m: tuple[FloatArray, ...] = ()
+    offset_m: FloatArray | None = None

@@ -1,0 +1,117 @@
+"""Numbers as a report writes them: two significant digits of uncertainty, values to the same place."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Sequence
+from typing import Final
+
+from calib.report.blocks import Column
+
+__all__ = [
+    "MISSING",
+    "aligned",
+    "fixed",
+    "left",
+    "measured",
+    "places",
+    "plural",
+    "probability",
+    "prose",
+    "span",
+    "two_digits",
+]
+
+MISSING: Final = "–"
+#: blanks as wide as a figure and as a full stop
+_FIGURE, _STOP = "\u2007", "\u2008"
+#: what terminals can show, and how it is printed
+_PROSE: Final = (
+    (re.compile(r"\bum\b"), "µm"),
+    (re.compile(r"\bdegC\b"), "°C"),
+    (re.compile(r"\bS_O\b"), "Sₒ"),
+    (re.compile(r"\bchi2\("), "χ²("),
+    (re.compile(r"(?<=[\w)])\^2\b"), "²"),
+    (re.compile(r"(?<![\w.])-(?=\d)"), "−"),
+)
+
+
+def places(std: float, digits: int = 2) -> int:
+    """Return the decimals at which `std` shows `digits` significant digits, 0 at least and 12 at most."""
+    if not math.isfinite(std) or std <= 0:
+        return 6
+    # rounding may carry into the next decade: 0.0996 is 0.10
+    exponent = math.floor(math.log10(float(f"{std:.{digits - 1}e}")))
+    return min(max(digits - 1 - exponent, 0), 12)
+
+
+def fixed(value: float | None, decimals: int) -> str:
+    """Return `value` with that many decimals and a true minus sign; a dash where there is none."""
+    if value is None or not math.isfinite(value):
+        return MISSING
+    text = f"{value:.{decimals}f}"
+    if float(text) == 0:
+        text = text.lstrip("-")
+    return text.replace("-", "−")
+
+
+def two_digits(std: float | None) -> str:
+    """Return a standard or expanded uncertainty with two significant digits."""
+    if std is None or not math.isfinite(std):
+        return MISSING
+    if std == 0:
+        return "0"
+    exponent = math.floor(math.log10(abs(float(f"{std:.1e}"))))
+    return fixed(float(f"{std:.1e}"), max(1 - exponent, 0))
+
+
+def measured(value: float, std: float) -> tuple[str, str]:
+    """Return value and uncertainty as texts with the same last place, two significant digits of uncertainty."""
+    decimals = places(std)
+    return fixed(value, decimals), two_digits(std) if decimals == 0 else fixed(std, decimals)
+
+
+def aligned(rows: Iterable[Sequence[str]], *columns: int) -> tuple[tuple[str, ...], ...]:
+    """Return rows whose numbers, in the given columns, stand with their decimal points below each other.
+
+    Shorter fractions are filled up with blanks as wide as a figure, since they have fewer significant digits.
+    """
+    made = [list(row) for row in rows]
+    for column in columns:
+        fractions = [len(row[column].partition(".")[2]) for row in made]
+        most = max(fractions, default=0)
+        for row, fraction in zip(made, fractions, strict=True):
+            if row[column] and row[column] != MISSING and fraction < most:
+                row[column] += (_STOP if fraction == 0 else "") + _FIGURE * (most - fraction)
+    return tuple(tuple(row) for row in made)
+
+
+def plural(count: int, one: str, many: str = "") -> str:
+    """Return a count with its noun."""
+    return f"{count} {one if count == 1 else many or one + 's'}"
+
+
+def prose(text: str) -> str:
+    """Return a sentence made for terminals with the signs that print has for units and minus."""
+    for pattern, sign in _PROSE:
+        text = pattern.sub(sign, text)
+    return text
+
+
+def probability(p: float | None) -> str:
+    """Return a p-value: three decimals, or that it is below a thousandth."""
+    if p is None or not math.isfinite(p):
+        return MISSING
+    return "< 0.001" if p < 0.001 else f"{p:.3f}"
+
+
+def span(low: float, high: float, unit: str, form: str = ".4g") -> str:
+    """Return a range with its unit; one value where both ends read the same."""
+    first, last = (format(end, form).replace("-", "−") for end in (low, high))
+    return f"{first} {unit}".strip() if first == last else f"{first} to {last} {unit}".strip()
+
+
+def left(title: str, *, wide: bool = False) -> Column:
+    """Return a column of texts."""
+    return Column(title, align="left", wide=wide)

@@ -1,0 +1,200 @@
+"""What a report is made from: a fit, its coefficient file, and what the campaign states of laboratory and customer."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from datetime import date
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from calib import __version__
+from calib.campaign.model import Campaign
+from calib.coefficients.build import from_fit
+from calib.coefficients.file import CoefficientFile
+from calib.errors import BadFileError, BadInputError, RefusedError
+from calib.files import to_json
+from calib.radius.fit import Fit, fit_campaign
+from calib.radius.result import is_result, provenance, read_result
+
+if TYPE_CHECKING:
+    from calib.report.gap_findings import GapFindings
+
+__all__ = ["STATED", "Source", "from_campaign", "issue_date", "source_of"]
+
+#: a PDF cannot carry an earlier date of creation
+FIRST_YEAR: Final = 1970
+
+#: keys of the campaign's ``[report]`` section, and what a reader is told where one is missing
+STATED: Final[Mapping[str, str]] = {
+    "laboratory": "name and address of the laboratory",
+    "customer": "name and contact of the customer",
+    "item": "description of the vehicle",
+    "item_id": "serial number of the vehicle",
+    "item_condition": "condition of the wheels",
+    "place": "where the runs were driven",
+    "floor": "floor of the corridor",
+    "received": "date of receipt of the vehicle",
+    "measured": "dates of the measurement",
+    "instruments": "instruments and their calibration certificates",
+    "deviations": "deviations from the method",
+    "authorised": "who authorises the report",
+    "remarks": "remarks",
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Source:
+    """Everything that the pages speak of.
+
+    Parameters
+    ----------
+    fit : Fit
+        The fit with its setup and provenance.
+    coefficients : CoefficientFile
+        The same law as the vehicle gets it; attached to the PDF.
+    issued : str
+        Date of issue, YYYY-MM-DD.
+    stated : mapping of str to str
+        What the campaign's ``[report]`` section states, by the keys of `STATED`.
+    gap : GapFindings or None
+        Findings of the diagnosis, where one was asked for.
+    """
+
+    fit: Fit
+    coefficients: CoefficientFile
+    issued: str
+    stated: Mapping[str, str] = field(default_factory=dict)
+    gap: GapFindings | None = None
+
+    @property
+    def simulated(self) -> bool:
+        """True where a program made the data."""
+        return self.fit.simulated
+
+    @property
+    def inputs(self) -> dict[str, str]:
+        """SHA-256 of every input file, by path relative to the campaign."""
+        found = self.fit.provenance.get("inputs", {})
+        return {str(key): str(value) for key, value in found.items()} if isinstance(found, Mapping) else {}
+
+    @property
+    def report_id(self) -> str:
+        """Identification: derived from the inputs, the program's version and what was asked, never from chance."""
+        inputs = self.inputs or {"fit": hashlib.sha256(to_json(self.fit.to_dict()).encode()).hexdigest()}
+        content = {
+            "inputs": inputs,
+            "campaign": self.fit.name,
+            "version": __version__,
+            "coefficients": self.coefficients.changed(created=None).checksum,
+            "gap": None if self.gap is None else self.gap.verdict,
+        }
+        return "CR-" + hashlib.sha256(to_json(content).encode()).hexdigest()[:12].upper()
+
+    def said(self, key: str) -> str:
+        """Return what the campaign states under a key of `STATED`, or that it states nothing."""
+        return self.stated.get(key, "not stated")
+
+
+def issue_date(text: str | None) -> str:
+    """Return the date of issue: `text`, checked, or today's where it is None.
+
+    Raises
+    ------
+    BadInputError
+        Where `text` is no date as YYYY-MM-DD.
+    """
+    if text is None:
+        return date.today().isoformat()
+    try:
+        fine = len(text) == len("YYYY-MM-DD") and date.fromisoformat(text).year >= FIRST_YEAR
+    except ValueError:
+        fine = False
+    if not fine:
+        raise BadInputError(f"--date: found {text!r}; expected a date as YYYY-MM-DD; for example 2025-03-31")
+    return text
+
+
+def source_of(path: Path | str, *, issued: str) -> tuple[Source, Campaign | None]:
+    """Return what a report on a campaign folder or a result folder is made from.
+
+    Parameters
+    ----------
+    path : Path or str
+        A campaign's folder, which is fitted now, or a result folder or ``fit.json``, which is only read.
+    issued : str
+        Date of issue, YYYY-MM-DD.
+
+    Returns
+    -------
+    source : Source
+        Without diagnosis.
+    campaign : Campaign or None
+        The campaign, where it was read.
+
+    Raises
+    ------
+    BadInputError
+        Where the path is neither, or cannot be used.
+    RefusedError
+        Where the runs allow no law.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise BadFileError(
+            path,
+            found="nothing",
+            expected="a campaign folder or a result folder of calib fit",
+            remedy="give the path of one",
+        )
+    if is_result(path):
+        fit = read_result(path)
+        if fit.setup is None:
+            raise RefusedError(
+                f"{path}: found a fit without its setup; expected vehicle, instruments and conditions; make it anew "
+                "with 'calib fit CAMPAIGN --into FOLDER'"
+            )
+        made = from_fit(fit, created=issued)
+        return Source(fit, made, issued, _stated(fit.provenance.get("report"), path)), None
+    from calib.campaign.read import read_campaign
+
+    campaign = read_campaign(path)
+    return from_campaign(campaign, issued=issued), campaign
+
+
+def from_campaign(campaign: Campaign, *, issued: str) -> Source:
+    """Return what a report on `campaign`, fitted now, is made from; see `source_of`."""
+    fit = fit_campaign(campaign)
+    fit = replace(fit, provenance=provenance(campaign, version=__version__, arguments={}))
+    made = from_fit(fit, created=issued, inputs=campaign.hashes)
+    where = "campaign.toml" if campaign.root is None else campaign.root / "campaign.toml"
+    return Source(fit, made, issued, _stated(campaign.extra.get("report"), where))
+
+
+def _stated(section: Any, where: Path | str) -> dict[str, str]:
+    """Return the texts of a ``[report]`` section; a list of texts is joined."""
+    if section is None:
+        return {}
+    remedy = f"write text under these keys: {', '.join(STATED)}"
+    if not isinstance(section, Mapping):
+        raise BadFileError(where, column="report", found=type(section).__name__, expected="a section", remedy=remedy)
+    made = {}
+    for key, value in section.items():
+        texts = value if isinstance(value, (list, tuple)) else [value]
+        if key not in STATED or not all(isinstance(text, (str, int, float)) or _is_date(text) for text in texts):
+            raise BadFileError(
+                where,
+                column=f"report.{key}",
+                found="an unknown key" if key not in STATED else f"a {type(value).__name__}",
+                expected="text",
+                remedy=remedy,
+            )
+        joined = "; ".join(str(text).strip() for text in texts if str(text).strip())
+        if joined:
+            made[str(key)] = joined
+    return made
+
+
+def _is_date(value: Any) -> bool:
+    return hasattr(value, "isoformat")

@@ -1,0 +1,120 @@
+"""How every figure looks, and how a figure becomes SVG, PNG or PDF bytes: the same bytes for the same figure."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from functools import wraps
+from typing import Any, Final, ParamSpec
+
+import matplotlib as mpl
+from matplotlib.figure import Figure
+
+__all__ = ["BLUE", "GREY", "INK", "ORANGE", "PALETTE", "WIDTH_CM", "axes_grid", "canvas", "colour", "render", "styled"]
+
+P = ParamSpec("P")
+
+#: Okabe and Ito's colours, told apart by colour-blind readers, dark ones first
+PALETTE: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#7A5C00", "#56B4E9", "#E69F00", "#5D5D5D")
+BLUE, ORANGE = PALETTE[0], PALETTE[1]
+INK: Final = "#222222"
+GREY: Final = "#8A8A8A"
+#: width of the text on the page
+WIDTH_CM: Final = 17.0
+CM_PER_INCH: Final = 2.54
+PNG_DPI: Final = 200
+
+_STYLE: Final[dict[str, Any]] = {
+    "font.family": ["DejaVu Sans"],
+    "font.size": 7.0,
+    "axes.titlesize": 7.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.labelsize": 7.0,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": "#666666",
+    "axes.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.unicode_minus": True,
+    "axes.formatter.useoffset": False,
+    "grid.color": "#E3E3E3",
+    "grid.linewidth": 0.5,
+    "xtick.labelsize": 6.5,
+    "ytick.labelsize": 6.5,
+    "xtick.color": "#444444",
+    "ytick.color": "#444444",
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "legend.fontsize": 6.5,
+    "legend.frameon": False,
+    "lines.linewidth": 1.2,
+    "lines.markersize": 3.5,
+    "figure.facecolor": "white",
+    "figure.constrained_layout.h_pad": 0.04,
+    "figure.constrained_layout.w_pad": 0.04,
+    "text.parse_math": False,
+    "text.usetex": False,
+    "svg.fonttype": "path",
+    "svg.hashsalt": "calib",
+    "pdf.fonttype": 42,
+    "savefig.dpi": PNG_DPI,
+}
+
+
+def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
+    """Make `draw` use the report's style, whatever the user's matplotlib settings are."""
+
+    @wraps(draw)
+    def inner(*args: P.args, **kwargs: P.kwargs) -> Figure:
+        with mpl.rc_context(_rc()):
+            return draw(*args, **kwargs)
+
+    return inner
+
+
+def _rc() -> Any:
+    return {**mpl.rcParamsDefault, "backend": mpl.rcParams["backend"], **_STYLE}
+
+
+def canvas(height_cm: float, width_cm: float = WIDTH_CM) -> Figure:
+    """Return an empty figure of a size given in cm; needs no display."""
+    return Figure(figsize=(width_cm / CM_PER_INCH, height_cm / CM_PER_INCH), layout="constrained")
+
+
+def axes_grid(figure: Figure, rows: int, columns: int, **options: Any) -> Any:
+    """Return an array of axes, shape (rows, columns)."""
+    return figure.subplots(rows, columns, squeeze=False, **options)
+
+
+def colour(number: int) -> str:
+    """Return the colour of group `number`; they repeat after eight."""
+    return PALETTE[number % len(PALETTE)]
+
+
+def render(figure: Figure, form: str) -> bytes:
+    """Return a figure as bytes.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+        As the figure functions make it.
+    form : str
+        ``svg``, ``png`` or ``pdf``.
+
+    Returns
+    -------
+    bytes
+        The same for the same figure: no date, fixed ids.
+    """
+    metadata: dict[str, Any] = {
+        "svg": {"Date": None, "Creator": None},
+        "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
+        "png": {"Software": None},
+    }[form]
+    out = io.BytesIO()
+    with mpl.rc_context(_rc()):
+        figure.savefig(out, format=form, metadata=metadata)
+    return out.getvalue()
