@@ -23,7 +23,7 @@ from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Referen
 from calib.campaign.write import write_campaign
 from calib.vehicle import Vehicle, wheel_loads_N
 
-SEED: Final = 20190612
+SEED: Final = 20190615
 VEHICLE: Final = Vehicle()
 ENCODER: Final = Encoder()
 NOMINAL_RADIUS_M: Final = 0.1

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import os
 import sys
+from collections.abc import Sequence
 from typing import Final
 
 import typer
@@ -30,9 +31,33 @@ COMMANDS: Final[dict[str, str]] = {
     "simulate": "simulate",
 }
 
+#: command -> its line in ``calib --help``, so that the list of commands imports none of them
+SUMMARIES: Final[dict[str, str]] = {
+    "check": "Say what a campaign holds and what is wrong.",
+    "ingest": "Make a campaign out of raw lab files.",
+    "fit": "Fit each wheel's radius against its load.",
+    "deviation": "Show what a woven path does to a radius.",
+    "report": "Write the calibration report as PDF.",
+    "export": "Write coefficients for vehicle or controller.",
+    "loads": "Compute static wheel loads from a payload.",
+    "simulate": "Simulate a route on odometry, load by load.",
+    "geometry": "Estimate radii and track from end poses.",
+    "diagnose": "Say why the simulation differs from reality.",
+    "plan": "Say which runs to drive next.",
+    "challenge": "Check the diagnosis blind, on sealed cases.",
+    "fleet": "Calibrate many vehicles at once.",
+}
 
-def build() -> typer.Typer:
-    """Return the application with every command; a command's heavy imports happen inside its body."""
+
+def build(arguments: Sequence[str] | None = None) -> typer.Typer:
+    """Return the application.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        With a command's name in it, only that command is imported; with none, names and summaries alone. Without
+        arguments every command is there in full. A command's heavy imports happen inside its body.
+    """
     application = typer.Typer(
         name="calib",
         no_args_is_help=True,
@@ -50,10 +75,18 @@ def build() -> typer.Typer:
             typer.echo(f"calib {__version__}")
             raise typer.Exit
 
-    for name, module in COMMANDS.items():
-        loaded = importlib.import_module(f"calib.cli.{module}")
-        loaded.register(application, name)
+    asked = next((one for one in arguments or () if not one.startswith("-")), None)
+    order = [*(name for name in SUMMARIES if name in COMMANDS), *(name for name in COMMANDS if name not in SUMMARIES)]
+    for name in order:
+        if arguments is not None and asked != name and name in SUMMARIES:
+            application.command(name, help=SUMMARIES[name])(_elsewhere)
+        else:
+            importlib.import_module(f"calib.cli.{COMMANDS[name]}").register(application, name)
     return application
+
+
+def _elsewhere() -> None:
+    """Stand in the list of commands for one that was not asked for."""
 
 
 def app() -> typer.Typer:
@@ -69,7 +102,8 @@ def main(arguments: list[str] | None = None) -> None:
 def run(arguments: list[str] | None = None) -> int:
     """Run the command line and return its exit status."""
     try:
-        result = build()(args=arguments, prog_name="calib", standalone_mode=False)
+        given = sys.argv[1:] if arguments is None else arguments
+        result = build(given)(args=given, prog_name="calib", standalone_mode=False)
     except CalibError as error:
         return _complain(str(error))
     except typer.TyperException as error:
