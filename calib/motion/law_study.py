@@ -102,12 +102,14 @@ class Journey:
         ``mean`` or ``prediction``.
     without, corrected : dict of str to Interval
         Error along, lateral, of heading, and global x and y.
+    radius_ratio : float
+        E_r that the uncorrected odometry overlooks: (real over believed) right, over the same left.
     without_rms_m, corrected_rms_m : float
-        Root mean square of the distance to the intended end over the draws.
+        Root mean square of the distance to the intended end, to first order, at the fit's standard deviations.
     without_95_m, corrected_95_m : float
         Distance that 95 % of the draws stay below.
     ratio, ratio_ci95 : float, tuple of float
-        Ratio of the two root mean squares; its interval from how well the fit's degrees of freedom know the scatter.
+        Ratio of the two root mean squares; its interval says how well the fit's degrees of freedom know the scatter.
     journeys_ratio : tuple of float
         Ratio of the distances draw by draw: 2.5, 50 and 97.5 % quantiles.
     draws : int
@@ -121,6 +123,7 @@ class Journey:
     band: str
     without: dict[str, Interval]
     corrected: dict[str, Interval]
+    radius_ratio: float
     without_rms_m: float
     corrected_rms_m: float
     without_95_m: float
@@ -166,38 +169,39 @@ def law_journey(
     BadInputError
         Where `band` is not known or `draws` below 100.
     """
-    from scipy.stats import chi2
-
     if band not in BANDS or draws < 100:
         raise BadInputError(f"band {band!r}, {draws} draws: expected one of {', '.join(BANDS)} and 100 draws or more")
     wheels = (law.left, law.right)
+    dof = [wheel.dof for wheel in wheels]
     mean = [float(wheel.radius_m(load)) for wheel, load in zip(wheels, loads_N, strict=True)]
-    std = [_std(wheel, load, band) for wheel, load in zip(wheels, loads_N, strict=True)]
-    radii = [m + s * _student_draws(w.dof, draws, rng) for m, s, w in zip(mean, std, wheels, strict=True)]
+    std = np.array([_std(wheel, load, band) for wheel, load in zip(wheels, loads_N, strict=True)])
+    # a radius whose standard uncertainty was itself estimated follows Student's t
+    scale = np.stack([np.sqrt(d / rng.chisquare(d, draws)) for d in dof])
+    radii = np.array(mean)[:, None] + std[:, None] * scale * rng.standard_normal((2, draws))
     reference = [float(wheel.radius_m(load)) for wheel, load in zip(wheels, reference_N, strict=True)]
     end = route.poses()[-1]
-    drawn: dict[str, FloatArray] = {}
+    distance: dict[str, FloatArray] = {}
+    square: dict[str, FloatArray] = {}
     intervals: dict[str, dict[str, Interval]] = {}
     for name, believed in (("without", reference), ("corrected", mean)):
-        axle = Axle(believed[0], believed[1], track_m)
+        axle, real = Axle(believed[0], believed[1], track_m), Axle(mean[0], mean[1], track_m)
         errors = pose_errors(end_of_route(route, axle, Axle(radii[0], radii[1], track_m)), end)
-        drawn[name] = errors.distance_m
-        centre = pose_errors(end_of_route(route, axle, Axle(mean[0], mean[1], track_m)), end)
-        slopes = _end_jacobian(route, axle, Axle(mean[0], mean[1], track_m), float(end.theta_rad))
-        dof = [wheel.dof for wheel in wheels]
+        centre = pose_errors(end_of_route(route, axle, real), end)
+        slopes = _end_jacobian(route, axle, real, float(end.theta_rad))
+        distance[name] = errors.distance_m
+        # squared distance to the end, expected for a given scatter: at the fit's, and at each draw's
+        by_wheel = (slopes[3:] ** 2).sum(axis=0) * std**2
+        spread = np.column_stack([np.ones(2), scale]) ** 2
+        square[name] = float(centre.distance_m[0]) ** 2 + by_wheel @ spread
         intervals[name] = {}
         for row, component in enumerate(COMPONENTS):
-            parts = (slopes[row] * np.array(std)) ** 2
-            half = _welch(parts, dof) * float(np.sqrt(parts.sum()))
+            half = _half_width(np.abs(slopes[row]) * std, dof)
             value = float(getattr(centre, component)[0])
             low, high = np.quantile(getattr(errors, component), [0.025, 0.975])
             intervals[name][component] = Interval(value, (value - half, value + half), (float(low), float(high)))
-    before, after = drawn["without"], drawn["corrected"]
-    rms = {name: float(np.sqrt(np.mean(np.square(distance)))) for name, distance in drawn.items()}
-    ratio = rms["without"] / rms["corrected"]
-    least = min(wheel.dof for wheel in wheels)
-    scale = np.sqrt(chi2.ppf([0.025, 0.975], least) / least)
-    each = np.quantile(before / np.maximum(after, 1e-15), [0.025, 0.5, 0.975])
+    ratios = np.sqrt(square["without"] / square["corrected"])
+    ratio_low, ratio_high = np.quantile(ratios[1:], [0.025, 0.975])
+    each = np.quantile(distance["without"] / np.maximum(distance["corrected"], 1e-15), [0.025, 0.5, 0.975])
     return Journey(
         load_left_N=loads_N[0],
         load_right_N=loads_N[1],
@@ -206,12 +210,13 @@ def law_journey(
         band=band,
         without=intervals["without"],
         corrected=intervals["corrected"],
-        without_rms_m=rms["without"],
-        corrected_rms_m=rms["corrected"],
-        without_95_m=float(np.quantile(before, 0.95)),
-        corrected_95_m=float(np.quantile(after, 0.95)),
-        ratio=ratio,
-        ratio_ci95=(float(ratio * scale[0]), float(ratio * scale[1])),
+        radius_ratio=mean[1] / reference[1] / (mean[0] / reference[0]),
+        without_rms_m=float(np.sqrt(square["without"][0])),
+        corrected_rms_m=float(np.sqrt(square["corrected"][0])),
+        without_95_m=float(np.quantile(distance["without"], 0.95)),
+        corrected_95_m=float(np.quantile(distance["corrected"], 0.95)),
+        ratio=float(ratios[0]),
+        ratio_ci95=(float(ratio_low), float(ratio_high)),
         journeys_ratio=(float(each[0]), float(each[1]), float(each[2])),
         draws=draws,
     )
@@ -238,17 +243,31 @@ def _student(dof: float) -> float:
     return float(t.ppf(0.975, dof))
 
 
-def _student_draws(dof: float, n: int, rng: np.random.Generator) -> FloatArray:
-    """Draw from Student's t: a radius whose standard uncertainty was itself estimated."""
-    return rng.standard_t(dof, n)
+def _half_width(scales: FloatArray, dof: list[float]) -> float:
+    """Return the 97.5 % quantile of a sum of two independent Student variates, each times its scale.
 
+    With few degrees of freedom this is wider than the Welch-Satterthwaite factor, which forgets that both standard
+    deviations were estimated.
+    """
+    from scipy.optimize import brentq
+    from scipy.special import stdtr, stdtrit
 
-def _welch(variances: FloatArray, dof: list[float]) -> float:
-    """Return Student's factor for a sum of variances of different degrees of freedom (Welch-Satterthwaite)."""
-    total = float(variances.sum())
-    if total <= 0.0:
+    large, small = (0, 1) if scales[0] >= scales[1] else (1, 0)
+    if scales[large] <= 0.0:
         return 0.0
-    return _student(total**2 / sum(float(v) ** 2 / d for v, d in zip(variances, dof, strict=True)))
+    share = float(scales[small] / scales[large])
+    # the smaller variate by equal parts of its probability, refined towards the tails
+    edge = np.linspace(-1.0, 1.0, 4002)[1:-1]
+    probability = 0.5 * (1.0 + np.sin(0.5 * np.pi * edge))
+    weight = np.cos(0.5 * np.pi * edge)
+    weight /= weight.sum()
+    points = share * stdtrit(dof[small], probability)
+
+    def beyond(q: float) -> float:
+        return float(weight @ stdtr(dof[large], q - points)) - 0.975
+
+    widest = _student(dof[large]) + share * _student(dof[small])
+    return float(scales[large] * brentq(beyond, 0.0, 2.0 * widest, xtol=1e-9))
 
 
 def band_along(

@@ -6,7 +6,8 @@ and with the law's radii at the load of each run (Fig. 7). The vehicle's own run
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
@@ -92,6 +93,38 @@ class Replay:
     ratio_ci95: tuple[float, float]
     runtime: RuntimeCheck
     left_out: dict[str, int]
+
+    def document(self) -> dict[str, Any]:
+        """Return everything, ready for JSON; the runtime's differences are null where no sample could be compared."""
+        runtime = asdict(self.runtime)
+        for key in ("largest_difference_m", "largest_difference_rad"):
+            runtime[key] = runtime[key] if np.isfinite(runtime[key]) else None
+        runs = []
+        for k in range(len(self.run_id)):
+            row: dict[str, Any] = {
+                "run_id": str(self.run_id[k]),
+                "kind": str(self.kind[k]),
+                "load_left_N": float(self.load_left_N[k]),
+                "load_right_N": float(self.load_right_N[k]),
+                "in_range": bool(self.in_range[k]),
+                "distance_m": float(self.distance_m[k]),
+            }
+            for method in METHODS:
+                e = self.errors[method]
+                row[f"{method}_along_m"] = float(e.along_m[k])
+                row[f"{method}_lateral_m"] = float(e.lateral_m[k])
+                row[f"{method}_heading_rad"] = float(e.heading_rad[k])
+                row[f"{method}_distance_m"] = float(e.distance_m[k])
+            runs.append(row)
+        return {
+            "rms_m": self.rms_m,
+            "rms_heading_rad": self.rms_heading_rad,
+            "ratio": self.ratio,
+            "ratio_ci95": list(self.ratio_ci95),
+            "runtime": runtime,
+            "left_out": self.left_out,
+            "runs": runs,
+        }
 
 
 def replay(

@@ -13,10 +13,11 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.errors import BadFileError, BadInputError
-from calib.motion.odometry import integrate
+from calib.motion.odometry import integrate, sinc
 from calib.motion.poses import Poses
+from calib.motion.trajectory import read_tum
 
-__all__ = ["FORMAT", "NAMED", "Route", "arc", "find_route", "read_route", "straight"]
+__all__ = ["FORMAT", "NAMED", "Route", "arc", "driven_route", "find_route", "read_route", "straight"]
 
 FloatArray = npt.NDArray[np.float64]
 Segment = tuple[float, float]
@@ -110,7 +111,7 @@ NAMED: Final[Mapping[str, tuple[Segment, ...]]] = {
 
 
 def find_route(name: str) -> Route:
-    """Return a route by its name, or from a TOML file where `name` ends in ``.toml``.
+    """Return a route by its name, from a TOML file, or from a recorded trajectory (``.tum``).
 
     Raises
     ------
@@ -121,9 +122,31 @@ def find_route(name: str) -> Route:
         return Route.of(name, *NAMED[name])
     if name.endswith(".toml"):
         return read_route(Path(name))
+    if name.endswith(".tum"):
+        return driven_route(Path(name))
     raise BadInputError(
-        f"route: found {name!r}; expected {', '.join(NAMED)}, or a file ending in .toml; choose one of them"
+        f"route: found {name!r}; expected {', '.join(NAMED)}, or a file ending in .toml or .tum; choose one of them"
     )
+
+
+def driven_route(path: Path) -> Route:
+    """Return the route that a recorded trajectory (TUM file) describes: one arc from each pose to the next.
+
+    An arc keeps the poses' distance and turn; what a pose lies off the arc's chord is lost.
+
+    Raises
+    ------
+    BadFileError
+        Where the file cannot be used or holds fewer than two poses.
+    """
+    _, poses = read_tum(path)
+    if len(poses) < 2:
+        raise BadFileError(path, found="one pose", expected="two or more", remedy="record a longer trajectory")
+    turn = np.diff(poses.theta_rad)
+    dx, dy = np.diff(poses.x_m), np.diff(poses.y_m)
+    middle = poses.theta_rad[:-1] + 0.5 * turn
+    sign = np.where(dx * np.cos(middle) + dy * np.sin(middle) < 0.0, -1.0, 1.0)
+    return Route(path.stem, sign * np.hypot(dx, dy) / sinc(0.5 * turn), turn)
 
 
 def read_route(path: Path) -> Route:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -108,7 +108,21 @@ class Case:
     @property
     def label(self) -> str:
         """Short name for tables and legends."""
-        return f"E = {self.ratio:g}" if self.which == "equal" else f"{self.which} wheel, E_r = {self.ratio:g}"
+        if self.which == "given":
+            return f"given radii, E_r = {self.ratio:.6g}"
+        if self.which == "equal":
+            return f"both alike, E = {self.ratio:g}"
+        return f"{self.which} off, E_r = {self.ratio:g}"
+
+    @staticmethod
+    def of(which: str, ratio: float) -> Case:
+        """Return the case of a wheel that is off by a ratio; see `ratios`."""
+        return Case(which, ratio, *ratios(which, ratio))
+
+    @staticmethod
+    def given(left: float, right: float) -> Case:
+        """Return the case of radii (left, right) over the believed ones."""
+        return Case("given", right / left, left, right)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -178,11 +192,10 @@ class Sweep:
 
 def run_sweep(
     route: Route | str,
-    cases: list[tuple[str, float]],
+    cases: Sequence[Case],
     *,
     track_m: float = 0.7,
     real_track_m: float | None = None,
-    radius_m: float = 0.1,
     spacing_m: float = SPACING_M,
 ) -> Sweep:
     """Drive vehicles with different radii over a route.
@@ -191,21 +204,19 @@ def run_sweep(
     ----------
     route : Route or str
         Route, or the name of one.
-    cases : list of (str, float)
-        Which wheel is off, and the ratio of radii; see `ratios`.
+    cases : sequence of Case
+        Vehicles; only the ratios of real to believed radii matter.
     track_m, real_track_m : float
         Track that the odometry believes, and the real one (None: the same).
-    radius_m : float
-        Radius that the odometry believes of both wheels.
     spacing_m : float
         Spacing of the points.
     """
     way = find_route(route) if isinstance(route, str) else route
-    made = tuple(Case(which, ratio, *ratios(which, ratio)) for which, ratio in cases)
-    believed = Axle(radius_m, radius_m, track_m)
+    made = tuple(cases)
+    believed = Axle(1.0, 1.0, track_m)
     real = Axle(
-        radius_m * np.array([case.left for case in made]),
-        radius_m * np.array([case.right for case in made]),
+        np.array([case.left for case in made]),
+        np.array([case.right for case in made]),
         track_m if real_track_m is None else real_track_m,
     )
     fine = way.divided(spacing_m)

@@ -1,0 +1,227 @@
+"""One simulation as the user asked for it: sweeps of radii, a law's journeys, the headline, and their document."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from calib.errors import BadInputError
+from calib.motion.law_study import BANDS, Journey, TableRow, band_along, law_journey, law_table
+from calib.motion.pose_covariance import Ellipses, ellipses
+from calib.motion.poses import FloatArray, Poses
+from calib.motion.routes import find_route
+from calib.motion.studies import STUDIES, Case, Sweep, run_sweep
+from calib.radius.law import RadiusLaw
+
+__all__ = ["CUSTOM", "LOADS_N", "TABLE_LOADS_N", "Headline", "LawPart", "Simulation", "simulate"]
+
+CUSTOM: Final = "custom"
+
+#: wheel loads (left, right) of the studies' journeys: the extremes of Fig. 3
+LOADS_N: Final = {
+    "symmetric": ((1100.0, 1100.0),),
+    "asymmetric": ((200.0, 900.0), (900.0, 200.0)),
+    "corrected": ((200.0, 900.0), (900.0, 200.0), (1100.0, 1100.0)),
+}
+
+#: loads of Table 1
+TABLE_LOADS_N: Final = (200.0, 300.0, 400.0, 500.0, 600.0, 700.0, 800.0, 900.0, 1000.0, 1100.0)
+
+#: which error a figure shows
+SHOWN: Final = {"fig12": "distance_m", "fig13": "lateral_m", "fig14": "global_x_m", "fig16": "global_x_m"}
+
+
+@dataclass(frozen=True, slots=True)
+class Headline:
+    """End error without and with the correction, each the largest case of its sweep, and their ratio.
+
+    Parameters
+    ----------
+    which : str
+        Wheel that is off.
+    without_m, corrected_m : float
+        Largest global e_x by absolute value.
+    ratio : float
+        How many times smaller the corrected one is.
+    """
+
+    which: str
+    without_m: float
+    corrected_m: float
+    ratio: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LawPart:
+    """What a fitted law says.
+
+    Parameters
+    ----------
+    law : RadiusLaw
+        The law.
+    table : tuple of TableRow
+        Table 1 and the bands of Fig. 15.
+    journeys : tuple of Journey
+        Journeys without and with correction, for each pair of loads and each band.
+    notes : tuple of str
+        What the reader should know.
+    band_route, band_covariance, band_ellipses
+        Pose, covariance of the single run, and 95 % ellipses along the first route with the correction on.
+    """
+
+    law: RadiusLaw
+    table: tuple[TableRow, ...]
+    journeys: tuple[Journey, ...]
+    notes: tuple[str, ...]
+    band_route: Poses
+    band_covariance: FloatArray
+    band_ellipses: Ellipses
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Simulation:
+    """A simulation: `sweeps` by the name of their figure, `headlines` by wheel, the law's part where one is given."""
+
+    study: str
+    title: str
+    sweeps: dict[str, Sweep]
+    headlines: tuple[Headline, ...]
+    law: LawPart | None
+
+    def document(self) -> dict[str, Any]:
+        """Return everything but the points along the routes, ready for JSON."""
+        made: dict[str, Any] = {
+            "study": self.study,
+            "title": self.title,
+            "sweeps": [
+                {"figure": name, "route": sweep.route.name, "track_m": sweep.track_m, "cases": sweep.ends()}
+                for name, sweep in self.sweeps.items()
+            ],
+            "headline": [asdict(line) for line in self.headlines],
+            "law": None,
+        }
+        if self.law is not None:
+            made["law"] = {
+                "table": [asdict(row) for row in self.law.table],
+                "journeys": [asdict(journey) for journey in self.law.journeys],
+                "notes": list(self.law.notes),
+            }
+        return made
+
+
+def simulate(
+    study: str,
+    *,
+    routes: Sequence[str] = (),
+    cases: Sequence[Case] = (),
+    track_m: float,
+    real_track_m: float | None = None,
+    law: RadiusLaw | None = None,
+    loads_N: Sequence[tuple[float, float]] = (),
+    reference_N: tuple[float, float] = (300.0, 300.0),
+    draws: int = 20_000,
+    rng: np.random.Generator,
+) -> Simulation:
+    """Run a study by name, or ``custom`` with routes and cases of one's own.
+
+    Parameters
+    ----------
+    study : str
+        A name of `STUDIES`, or ``custom``.
+    routes, cases : sequence
+        In place of the study's own.
+    track_m, real_track_m : float
+        Track that the odometry believes, and the real one (None: the same).
+    law : RadiusLaw, optional
+        Adds Table 1, Fig. 15 and journeys under this law.
+    loads_N : sequence of (float, float)
+        Loads (left, right) of those journeys, in place of the study's own.
+    reference_N : (float, float)
+        Loads whose radii the uncorrected odometry uses.
+    draws : int
+        Draws of the Monte Carlo.
+    rng : numpy.random.Generator
+        Source of chance.
+
+    Raises
+    ------
+    BadInputError
+        Where the study, a route or a case cannot be used.
+    """
+    known = STUDIES.get(study)
+    if known is None and study != CUSTOM:
+        raise BadInputError(f"study: found {study!r}; expected {', '.join(STUDIES)} or {CUSTOM}; choose one of them")
+    names = tuple(routes) or (known.routes if known else ("paper_route",))
+    chosen = tuple(cases) or (
+        tuple(Case.of(which, ratio) for which in known.which for ratio in known.ratios) if known else ()
+    )
+    if not chosen and law is None:
+        raise BadInputError("custom study: found no radii; expected --real, --ratio or --law; give one of them")
+    figures = known.figures if known and not routes else tuple(f"route{k + 1}" for k in range(len(names)))
+    sweeps = {
+        figure: run_sweep(name, chosen or (Case.given(1.0, 1.0),), track_m=track_m, real_track_m=real_track_m)
+        for figure, name in zip(figures, names, strict=True)
+    }
+    part = None
+    if law is not None:
+        pairs = tuple(loads_N) or LOADS_N.get(study, LOADS_N["corrected"])
+        part = _law_part(law, names[-1], pairs, reference_N, track_m, draws, rng)
+    return Simulation(
+        study=study,
+        title=known.title if known else "Radii as given",
+        sweeps=sweeps,
+        headlines=_headlines(sweeps, track_m) if study == "corrected" and not cases else (),
+        law=part,
+    )
+
+
+def _headlines(sweeps: dict[str, Sweep], track_m: float) -> tuple[Headline, ...]:
+    """Set the study of corrected radii against that of uncorrected ones, on the same route, wheel by wheel."""
+    after = next(iter(sweeps.values()))
+    made = []
+    known = STUDIES["asymmetric"]
+    for which in known.which:
+        before = run_sweep(after.route, [Case.of(which, ratio) for ratio in known.ratios], track_m=track_m)
+        first = before.largest_m()
+        second = max(abs(float(row["error_global_x_m"])) for row in after.ends() if row["which"] == which)
+        made.append(Headline(which, first, second, first / second))
+    return tuple(made)
+
+
+def _law_part(
+    law: RadiusLaw,
+    route_name: str,
+    pairs: tuple[tuple[float, float], ...],
+    reference_N: tuple[float, float],
+    track_m: float,
+    draws: int,
+    rng: np.random.Generator,
+) -> LawPart:
+    route = find_route(route_name)
+    journeys = tuple(
+        law_journey(law, route, loads_N=pair, reference_N=reference_N, track_m=track_m, band=band, draws=draws, rng=rng)
+        for pair in pairs
+        for band in BANDS
+    )
+    notes = []
+    for side, wheel, number in (("left", law.left, 0), ("right", law.right, 1)):
+        loads = sorted({pair[number] for pair in pairs} | {reference_N[number]})
+        beyond = [load for load in loads if not wheel.load_min_N - 1.0 <= load <= wheel.load_max_N + 1.0]
+        if beyond:
+            notes.append(
+                f"{side} wheel: {', '.join(f'{load:g}' for load in beyond)} N lie outside the "
+                f"{wheel.load_min_N:g} to {wheel.load_max_N:g} N that were measured: the law extrapolates there"
+            )
+    poses, covariance = band_along(law, route.divided(0.05), loads_N=pairs[0], track_m=track_m, band="prediction")
+    return LawPart(
+        law=law,
+        table=law_table(law, np.array(TABLE_LOADS_N)),
+        journeys=journeys,
+        notes=tuple(notes),
+        band_route=poses,
+        band_covariance=covariance,
+        band_ellipses=ellipses(covariance),
+    )

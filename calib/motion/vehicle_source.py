@@ -1,0 +1,44 @@
+"""The vehicle that a user means: of a campaign, of a coefficient file, or the nominal one with some values changed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+from calib.errors import BadInputError
+from calib.vehicle import Vehicle
+
+__all__ = ["vehicle_of"]
+
+
+def vehicle_of(source: Path | None, **changes: float | None) -> Vehicle:
+    """Return a vehicle.
+
+    Parameters
+    ----------
+    source : Path or None
+        Campaign folder or coefficient file; None: the nominal vehicle.
+    **changes : float or None
+        Fields of `Vehicle` to replace; None leaves them.
+
+    Raises
+    ------
+    BadInputError
+        Where the source cannot be used or a value is not possible.
+    """
+    vehicle = Vehicle()
+    if source is not None:
+        if source.is_dir():
+            from calib.campaign.read import read_campaign
+
+            vehicle = read_campaign(source, logs=False).vehicle
+        else:
+            from calib.coefficients.file import load_coefficients
+
+            vehicle = load_coefficients(source).geometry
+    given = {name: value for name, value in changes.items() if value is not None}
+    for name, value in given.items():
+        if not math.isfinite(value) or (not name.startswith("cog") and value <= 0.0):
+            raise BadInputError(f"{name}: found {value!r}; expected a finite number above 0; correct it")
+    return replace(vehicle, **given)
