@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.campaign.model import BoolArray, FloatArray
 from calib.gap.effects.effect import Effect, Form, Parameter, varies
-from calib.gap.effects.shapes import MOVING_MPS, driven_speed_mps
+from calib.gap.effects.shapes import MOVING_MPS, curvature_per_m, driven_speed_mps
 from calib.gap.path import Push
 from calib.gap.situation import Situation
 
@@ -16,7 +16,10 @@ __all__ = ["BrakingSkid", "stops"]
 
 
 class BrakingSkid(Effect):
-    """A slide at each stop, the same at every stop or growing with the square of the speed before it."""
+    """A slide at each stop, the same at every stop or growing with the square of the speed before it.
+
+    The vehicle slides on along its path, so in a turn it turns on too.
+    """
 
     id: ClassVar[str] = "braking_skid"
     title: ClassVar[str] = "skidding when it stops"
@@ -28,6 +31,7 @@ class BrakingSkid(Effect):
         if not steps.any():
             return []
         slide = np.where(steps, np.where(s.path_m < 0.0, -1.0, 1.0), 0.0)
+        bend = curvature_per_m(s)
         speed = driven_speed_mps(s)
         found: list[tuple[str, FloatArray, Parameter]] = [
             ("the same at each stop", slide, Parameter("per_stop", "m", typical=5e-4, largest=1e-2))
@@ -37,7 +41,8 @@ class BrakingSkid(Effect):
             found.append(("~ v^2", square, Parameter("per_speed_squared", "s2/m", typical=2e-3, largest=4e-2)))
 
         def made(label: str, along: FloatArray, parameter: Parameter) -> Form:
-            return Form(self.id, label, (parameter,), lambda _: [Push(along_m=along)], tries=len(found))
+            push = Push(along_m=along, heading_rad=np.abs(along) * bend)
+            return Form(self.id, label, (parameter,), lambda _: [push], tries=len(found))
 
         return [made(*one) for one in found]
 

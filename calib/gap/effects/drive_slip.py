@@ -18,8 +18,8 @@ __all__ = ["DriveSlip"]
 class DriveSlip(Effect):
     """The front wheel counts a share s = F_x / C more than it travels; only the front channels see it.
 
-    The driving force is mass times acceleration (when it speeds up, or also, reversed, when the front wheel brakes),
-    or rolling resistance, which goes with the weight.
+    The driving force is mass times acceleration (when it speeds up, or also, reversed, when the front wheel brakes) and
+    rolling resistance, which goes with the weight; the stiffness C is constant or goes with the front wheel's load.
     """
 
     id: ClassVar[str] = "drive_slip"
@@ -30,24 +30,40 @@ class DriveSlip(Effect):
         """Return forms by the force that slips; none without a front wheel in the log."""
         if not has_front(s).any():
             return []
-        force = s.weight_N / float(np.mean(s.weight_N))
-        acceleration = _acceleration_mps2(s) * force[s.unit]
+        weight = s.weight_N / float(np.mean(s.weight_N))
+        front_N = s.weight_N - s.number("load_left_N") - s.number("load_right_N")
+        over_front = s.weight_N / np.maximum(front_N, 0.05 * s.weight_N)
+        acceleration = _acceleration_mps2(s)
         speeding = np.maximum(acceleration, 0.0)
-        # a run from rest to rest gains and loses the same by acceleration and braking
-        found: list[tuple[str, FloatArray, Parameter]] = []
-        per_acceleration = Parameter("slip_per_mps2", "s2/m", typical=1e-2, largest=1e-1)
         front = front_travel_m(s)
-        if (np.abs(s.total(front * speeding)) > 1e-4).any():
-            found.append(("speeding up", speeding, per_acceleration))
-        if (np.abs(s.total(front * acceleration)) > 1e-2).any():
-            found.append(("speeding up and braking", acceleration, per_acceleration))
-        found.append(("rolling resistance", force[s.unit], Parameter("slip", "1", typical=1e-2, largest=5e-2)))
+        per_acceleration = Parameter("slip_per_mps2", "s2/m", typical=1e-2, largest=1e-1)
+        rolling = Parameter("slip_rolling", "1", typical=3e-3, largest=5e-2)
+        # a run from rest to rest gains and loses the same by acceleration and braking
+        gains = bool((np.abs(s.total(front * speeding)) > 1e-4).any())
+        unlike = bool(np.isfinite(over_front).all() and np.ptp(over_front / np.mean(over_front) / weight) > 0.02)
+        forces: list[tuple[str, FloatArray]] = [("by the force", weight)]
+        if unlike:
+            forces.append(("by the force over the front load", over_front / float(np.mean(over_front))))
+        found: list[tuple[str, list[FloatArray], tuple[Parameter, ...]]] = []
+        for name, force in forces:
+            wide = force[s.unit]
+            if gains:
+                found.append((f"{name}, speeding up", [speeding * wide], (per_acceleration,)))
+                both = [speeding * wide, wide]
+                found.append((f"{name}, speeding up and rolling", both, (per_acceleration, rolling)))
+            if (np.abs(s.total(front * acceleration * wide)) > 1e-2).any():
+                both = [acceleration * wide, wide]
+                found.append((f"{name}, speeding up, braking and rolling", both, (per_acceleration, rolling)))
+            found.append((f"{name}, rolling", [wide], (rolling,)))
 
-        def made(label: str, slip: FloatArray, parameter: Parameter) -> Form:
-            reading = np.zeros((len(s), 6))
-            reading[:, 4] = s.total(front * slip)
-            reading[:, 5] = s.total(front * slip * np.sin(steer_rad(s))) / s.vehicle.wheelbase_m
-            return Form(self.id, label, (parameter,), lambda _: [Push(reading=reading)], tries=len(found))
+        def made(label: str, slips: list[FloatArray], parameters: tuple[Parameter, ...]) -> Form:
+            pushes = []
+            for slip in slips:
+                reading = np.zeros((len(s), 6))
+                reading[:, 4] = s.total(front * slip)
+                reading[:, 5] = s.total(front * slip * np.sin(steer_rad(s))) / s.vehicle.wheelbase_m
+                pushes.append(Push(reading=reading))
+            return Form(self.id, label, parameters, lambda _: pushes, tries=len(found))
 
         return [made(*one) for one in found]
 

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import re
+from typing import Final
+
 import numpy as np
 
 from calib.campaign.model import FloatArray, IntArray
 from calib.gap.path import Path
 from calib.gap.situation import Situation
 
-__all__ = ["corridor_length_m", "floor_place", "is_back", "lanes", "map_heading_rad"]
+__all__ = ["far_end_m", "floor_place", "is_back", "lanes", "map_heading_rad"]
+
+
+#: a kind that ends so is driven on another lane of the same floor
+_LANE: Final = re.compile(r"_([b-z]|\d+)$")
 
 
 def is_back(s: Situation) -> FloatArray:
@@ -16,24 +23,31 @@ def is_back(s: Situation) -> FloatArray:
     return np.where(s.heading_sign < 0.0, 1.0, 0.0)
 
 
-def corridor_length_m(s: Situation) -> float:
-    """Return where runs back start: the median measured length of corridor runs out (else of all corridor runs)."""
-    corridor = np.char.startswith(s.labels["kind"].astype(np.str_), "corridor")
+def far_end_m(s: Situation) -> FloatArray:
+    """Return where on x each unit starts: 0, or for corridor runs back the corridor's length, shape (n_units,).
+
+    The length is the median measured one of the runs out of the same kind (else of all of that kind).
+    """
+    kind = s.labels["kind"].astype(np.str_)
     length = np.where(np.isfinite(s.measured[:, 0]), s.measured[:, 0], np.abs(s.measured[:, 1]))
     length = np.where(np.isfinite(length), length, s.length_m)
-    for chosen in (corridor & (s.heading_sign > 0), corridor):
-        if chosen.any():
-            return float(np.median(length[chosen]))
-    return 0.0
+    start = np.zeros(len(s))
+    for name in np.unique(kind[np.char.startswith(kind, "corridor")]):
+        mine = kind == name
+        out = mine & (s.heading_sign > 0)
+        start[mine & (s.heading_sign < 0)] = np.median(length[out if out.any() else mine])
+    return start
 
 
 def lanes(s: Situation) -> IntArray:
-    """Return the lane of each unit: a number for each kind of corridor, 0 for ``corridor`` and all other routes."""
-    kind = s.labels["kind"].astype(np.str_)
-    other = np.char.startswith(kind, "corridor") & (kind != "corridor")
-    _, number = np.unique(np.where(other, kind, ""), return_inverse=True)
-    # the empty text sorts first; without it every unit is on another lane, which numbers from 1
-    return np.asarray(number + (0 if (~other).any() else 1), dtype=np.int64)
+    """Return the lane of each unit: 0, or a number for each ending of the kind of route such as ``_b`` or ``_2``."""
+    ending = [_LANE.search(str(kind)) for kind in s.labels["kind"]]
+    names = np.array([found.group(1) if found else "" for found in ending])
+    others = [name for name in np.unique(names) if name]
+    number = np.zeros(len(s), dtype=np.int64)
+    for place, name in enumerate(others, start=1):
+        number[names == name] = place
+    return number
 
 
 def map_heading_rad(path: Path) -> FloatArray:
@@ -44,13 +58,8 @@ def map_heading_rad(path: Path) -> FloatArray:
 def floor_place(path: Path) -> tuple[FloatArray, FloatArray]:
     """Return the place on the floor at the middle of each step in m, each shape (n_steps,).
 
-    Runs out start at the origin heading along x; corridor runs back start at the corridor's far end heading back; other
-    routes start at the origin whatever their label.
+    Runs out start at the origin heading along x; runs back head the other way, in a corridor from its far end.
     """
     s = path.s
-    corridor = np.char.startswith(s.labels["kind"].astype(np.str_), "corridor")
-    turned = (corridor & (s.heading_sign < 0.0))[s.unit]
-    return (
-        np.where(turned, corridor_length_m(s) - path.x_m, path.x_m),
-        np.where(turned, -path.y_m, path.y_m),
-    )
+    sign = s.heading_sign[s.unit]
+    return far_end_m(s)[s.unit] + sign * path.x_m, sign * path.y_m

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -16,9 +17,9 @@ __all__ = ["FloorSlope"]
 
 
 class FloorSlope(Effect):
-    """By the heading phi on the floor: both radii ~ cos(phi), a pull to one side ~ sin(phi) where it slopes along x.
+    """By the heading phi on the floor: both radii ~ cos(phi - phi_0) with phi_0 downhill, a pull ~ sin(phi - phi_0).
 
-    Where it slopes across, the pull goes with cos(phi): to the left going out, to the right going back.
+    Where it slopes across a corridor, the pull goes with cos(phi): to the left going out, to the right going back.
     """
 
     id: ClassVar[str] = "floor_slope"
@@ -47,25 +48,24 @@ class FloorSlope(Effect):
             part: FloatArray = np.cos(map_heading_rad(path))
             return Push(left=part, right=part)
 
+        def any_way(path: Path) -> list[Push]:
+            part: FloatArray = np.sin(map_heading_rad(path))
+            return [by_cos(path), Push(left=part, right=part)]
+
         def by_sin(path: Path) -> Push:
             return Push(heading_rad=np.abs(s.path_m) * np.sin(map_heading_rad(path)))
 
         def crosswise(path: Path) -> Push:
             return Push(heading_rad=np.abs(s.path_m) * np.cos(map_heading_rad(path)))
 
-        tries = 3 if sided else 2
+        tries = 4 if sided else 2
         made = [
             Form(self.id, "along x, radii alone", (radii,), lambda path: [by_cos(path)], tries=tries),
             Form(self.id, "across, pull alone", (pull,), lambda path: [crosswise(path)], tries=tries),
         ]
         if sided:
-            made.append(
-                Form(
-                    self.id,
-                    "along x, radii and pull",
-                    (radii, pull),
-                    lambda path: [by_cos(path), by_sin(path)],
-                    tries=tries,
-                )
-            )
+            along_and_pull = ("along x, radii and pull", (radii, pull))
+            both = (replace(radii, name="radii_x"), replace(radii, name="radii_y"))
+            made.append(Form(self.id, *along_and_pull, lambda path: [by_cos(path), by_sin(path)], tries=tries))
+            made.append(Form(self.id, "any direction, radii alone", both, any_way, tries=tries))
         return made

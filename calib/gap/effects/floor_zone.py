@@ -20,6 +20,8 @@ MOST_FORMS: Final = 40
 _FEWEST_UNITS: Final = 3
 #: cells are numbered (lane, column, row) in one integer; a floor is smaller than this many cells either way
 _WIDE: Final = 2**16
+#: lane number of a strip across all lanes
+_STRIP: Final = -1
 
 
 class FloorZone(Effect):
@@ -30,10 +32,10 @@ class FloorZone(Effect):
     implausible: ClassVar[str] = "a step or joint that the vehicle should not be driven over"
 
     def forms(self, s: Situation) -> list[Form]:
-        """Return a form for each cell of about 2 m that some runs cross and others do not, or cross otherwise.
+        """Return a form for each strip and cell of about 2 m that some runs cross and others not, or cross otherwise.
 
-        Only runs with a log have a place; a cell that fewer than three runs cross is left out, and the cells that tell
-        runs apart best are kept.
+        A strip lies across the whole floor, as a joint does. Only runs with a log have a place; what fewer than three
+        runs cross is left out, and what tells runs apart best is kept.
         """
         if s.windowed or np.count_nonzero(s.from_log) < _FEWEST_UNITS:
             return []
@@ -52,16 +54,20 @@ class FloorZone(Effect):
         turn_by_heading = Parameter("turn_by_heading", "rad/m", typical=1e-3, largest=2e-2)
 
         def made(number: int, x: float, y: float, both_ways: bool) -> Form:
+            strip = number < 0
+
             def pushes(path: Path) -> list[Push]:
                 at_x, at_y, cosine = place(path)
-                inside = s.from_log[s.unit] & (lane == number)
-                inside &= (np.abs(at_x - x) < 0.5 * CELL_M) & (np.abs(at_y - y) < 0.5 * CELL_M)
+                inside = s.from_log[s.unit] & (np.abs(at_x - x) < 0.5 * CELL_M)
+                if not strip:
+                    inside &= (lane == number) & (np.abs(at_y - y) < 0.5 * CELL_M)
                 share = inside.astype(np.float64)
                 way = share * np.abs(s.path_m)
                 found = [Push(left=share, right=share), Push(heading_rad=way)]
                 return [*found, Push(heading_rad=way * cosine)] if both_ways else found
 
-            label = f"x {x:g} m, y {y:g} m" + (f", lane {number + 1}" if lane.max() > 0 else "")
+            where = ", whole width" if strip else f", y {y:g} m" + (f", lane {number + 1}" if lane.max() > 0 else "")
+            label = f"x {x:g} m{where}"
             parameters = (along, turn, turn_by_heading) if both_ways else (along, turn)
             settings = {"x_m": x, "y_m": y, "lane": float(number), "size_m": CELL_M}
             return Form(self.id, label, parameters, pushes, settings=settings, tries=len(cells))
@@ -72,13 +78,21 @@ class FloorZone(Effect):
 def _cells(
     s: Situation, lane: IntArray, x: FloatArray, y: FloatArray, cosine: FloatArray
 ) -> list[tuple[int, float, float, bool]]:
-    """Return (lane, x, y, driven both ways) of the cells worth asking about, best first to be kept, then by place."""
-    found = _grid(s, lane, x, y, cosine, 0.5)
-    if 2 * len(found) <= MOST_FORMS:
-        # a zone that lies across the edge of two cells fills one of the second grid
-        found += _grid(s, lane, x, y, cosine, 1.0)
-    found.sort(key=lambda one: -one[0])
-    return sorted(one[1] for one in found[:MOST_FORMS])
+    """Return (lane, x, y, driven both ways) of the strips and cells worth asking about, by place."""
+    flat, one_lane = np.zeros_like(y), np.full_like(lane, _STRIP)
+    aside = bool((lane != lane[0]).any()) or bool((np.abs(y) > 0.5 * CELL_M).any())
+    # where all runs keep to one line, its cells are strips
+    grids = [(one_lane, flat), (lane, y)] if aside else [(one_lane, flat)]
+    most = MOST_FORMS // len(grids)
+    kept: list[tuple[int, float, float, bool]] = []
+    for of_lane, across in grids:
+        found = _grid(s, of_lane, x, across, cosine, 0.5)
+        if 2 * len(found) <= most:
+            # a zone that lies across the edge of two cells fills one of the second grid
+            found += _grid(s, of_lane, x, across, cosine, 1.0)
+        found.sort(key=lambda one: -one[0])
+        kept += sorted(one[1] for one in found[:most])
+    return kept
 
 
 def _grid(
@@ -88,7 +102,7 @@ def _grid(
     way = np.where(s.from_log[s.unit], np.abs(s.path_m), 0.0)
     column = np.floor(x / CELL_M + 0.5 - shift).astype(np.int64)
     row = np.floor(y / CELL_M + 0.5).astype(np.int64)
-    code = (lane * _WIDE + np.clip(column, -_WIDE // 4, _WIDE // 4) + _WIDE // 2) * _WIDE
+    code = ((lane + 1) * _WIDE + np.clip(column, -_WIDE // 4, _WIDE // 4) + _WIDE // 2) * _WIDE
     code += np.clip(row, -_WIDE // 4, _WIDE // 4) + _WIDE // 2
     codes, cell = np.unique(code, return_inverse=True)
     n_units, n_cells = len(s), len(codes)

@@ -32,9 +32,9 @@ class IntegrationScheme(Effect):
             return []
         parameter = Parameter("share", "1", typical=1.0, largest=2.0, sign=1)
 
-        def made(label: str, side: float) -> Form:
+        def made(label: str, back: float) -> Form:
             def pushes(path: Path) -> list[Push]:
-                heading = path.mid_rad + side * 0.5 * path.turn_rad
+                heading = s.cumulative(path.turn_rad) - back * path.turn_rad
                 x = path.end[:, 0] - s.total(path.ds_m * np.cos(heading))
                 y = path.end[:, 1] - s.total(path.ds_m * np.sin(heading))
                 x, y = np.where(outside, x, 0.0), np.where(outside, y, 0.0)
@@ -49,7 +49,7 @@ class IntegrationScheme(Effect):
 
             return Form(self.id, label, (parameter,), pushes, tries=2)
 
-        forms = [made("end-point heading", 1.0), made("start heading (Euler)", -1.0)]
+        forms = [made("end-point heading", 0.0), made("start heading (Euler)", 1.0)]
         nominal = predict(s)
         reading = forms[0].pushes(nominal)[0].reading
         return forms if reading is not None and float(np.abs(reading).max()) > 1e-5 else []

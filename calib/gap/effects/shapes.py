@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.campaign.model import FloatArray
+from calib.campaign.model import BoolArray, FloatArray
 from calib.gap.path import Path
 from calib.gap.situation import Situation
 
@@ -20,8 +20,10 @@ __all__ = [
 
 #: slower than this counts as standing still
 MOVING_MPS = 0.05
-#: the motion at the end is the mean over this time
+#: the motion at the end is judged over twice this time
 _END_S = 0.3
+#: an end speed below this is a halt, seen through the counter's steps
+_STANDS_MPS = 0.05
 
 
 def driven_speed_mps(s: Situation) -> FloatArray:
@@ -65,18 +67,35 @@ def start_to_end_frame(path: Path, x_m: FloatArray, y_m: FloatArray) -> tuple[Fl
 def end_motion(s: Situation) -> tuple[FloatArray, FloatArray]:
     """Return signed speed (m/s) and turn rate (rad/s) at the end of each unit, each shape (n_units,).
 
-    By the last three tenths of a second of the log. A unit without a log is taken as read at its set speed, 0 where
-    that is not known.
+    By the log's last two stretches of three tenths of a second, carried on to the very end: a vehicle that brakes to a
+    halt stands there. A unit without a log is taken as read at its set speed, 0 where that is not known.
     """
-    last = s.time_s[s.starts[1:] - 1]
+    ends = s.time_s[s.starts[1:] - 1]
+    back = ends[s.unit] - (s.time_s - 0.5 * np.nan_to_num(s.duration_s))
     with np.errstate(invalid="ignore"):
-        near = s.time_s > (last - _END_S)[s.unit] + 1e-9
-    near[s.starts[1:] - 1] = True
-    seconds = s.total(np.where(near, np.nan_to_num(s.duration_s), 0.0))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        speed = s.total(np.where(near, s.path_m, 0.0)) / seconds
-        rate = s.total(np.where(near, s.turn_rad, 0.0)) / seconds
-    known = s.from_log & (seconds > 0)
+        late, early = back < _END_S, (back >= _END_S) & (back < 2 * _END_S)
+    late[s.starts[1:] - 1] = True
+    early[s.starts[1:] - 1] = False
+    way, turn = (_carried_on(s, part, back, late, early) for part in (s.path_m, s.turn_rad))
+    stands = np.abs(way) < _STANDS_MPS
+    known = s.from_log & np.isfinite(way)
     set_speed = np.nan_to_num(s.number("speed_mps")) * np.sign(s.total(s.path_m))
     last_curvature = curvature_per_m(s)[s.starts[1:] - 1]
-    return np.where(known, speed, set_speed), np.where(known, rate, np.abs(set_speed) * last_curvature)
+    speed = np.where(known, np.where(stands, 0.0, way), set_speed)
+    return speed, np.where(known, np.where(stands, 0.0, turn), np.abs(set_speed) * last_curvature)
+
+
+def _carried_on(s: Situation, steps: FloatArray, back: FloatArray, late: BoolArray, early: BoolArray) -> FloatArray:
+    """Return the rate of a step quantity carried on to the end; never past zero, shape (n_units,)."""
+    rate, age = [], []
+    for part in (late, early):
+        time = np.where(part, np.nan_to_num(s.duration_s), 0.0)
+        seconds = s.total(time)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            rate.append(s.total(np.where(part, steps, 0.0)) / seconds)
+            age.append(s.total(np.where(part, np.nan_to_num(back) * time, 0.0)) / seconds)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        carried = rate[0] + (rate[0] - rate[1]) * age[0] / (age[1] - age[0])
+    last = np.where(np.isfinite(rate[0]), rate[0], np.nan)
+    carried = np.where(np.isfinite(carried), carried, last)
+    return np.where(np.isnan(last) | (np.sign(carried) == np.sign(last)), carried, 0.0)

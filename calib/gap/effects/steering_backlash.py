@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import ClassVar, Final
 
 import numpy as np
 
@@ -13,35 +13,56 @@ from calib.gap.situation import Situation
 
 __all__ = ["SteeringBacklash"]
 
-#: a move smaller than this is noise of the sensor
-_MOVE_RAD = 1e-3
+#: a smaller angle is noise of the sensor
+_NOISE_RAD: Final = 2e-3
+#: plays that are tried; the least stands for the side of the last move
+PLAYS_RAD: Final = (2e-3, 8e-3, 2e-2)
 
 
 class SteeringBacklash(Effect):
-    """The logged angle is ahead of the wheel by half the play, on the side of the last move or of the turn."""
+    """The logged angle is ahead of the wheel by a share of half the play, on the side of the last moves or of the turn.
+
+    Negative where the sensor sits beyond the play and lags the wheel.
+    """
 
     id: ClassVar[str] = "steering_backlash"
     title: ClassVar[str] = "backlash in the steering"
     implausible: ClassVar[str] = "a steering angle whose zero is off"
 
     def forms(self, s: Situation) -> list[Form]:
-        """Return a form by the last move of the steering and one by the side of the turn; none without moves."""
+        """Return forms that follow the moves through plays of several widths, and one by the side of the turn."""
         angle = steer_rad(s)
         if not has_front(s).any() or not (np.abs(angle) > 0.02).any():
             return []
-        parameter = Parameter("play", "rad", typical=8e-3, largest=4e-2, sign=1)
-        by_side = np.where(np.abs(angle) > _MOVE_RAD, np.sign(angle), 0.0)
-        return [
-            error_form(s, self.id, "by the last move", parameter, 0.5 * _last_move(s, angle), tries=2),
-            error_form(s, self.id, "by the side of the turn", parameter, 0.5 * by_side, tries=2),
+        parameter = Parameter("play", "rad", typical=8e-3, largest=4e-2)
+        by_side = np.where(np.abs(angle) > _NOISE_RAD, np.sign(angle), 0.0)
+        tries = 1 + len(PLAYS_RAD)
+        made = [
+            error_form(
+                s,
+                self.id,
+                f"by the moves, through {1e3 * play:g} mrad",
+                parameter,
+                _lost_in_play(s, angle, play) / play,
+                tries=tries,
+                settings={"play_rad": play},
+            )
+            for play in PLAYS_RAD
         ]
+        return [*made, error_form(s, self.id, "by the side of the turn", parameter, 0.5 * by_side, tries=tries)]
 
 
-def _last_move(s: Situation, angle: FloatArray) -> FloatArray:
-    """Return the sign of the last move of the steering at each step, 0 before the first, shape (n_steps,)."""
-    move = np.concatenate(([0.0], np.diff(angle)))
-    move[s.starts[:-1]] = 0.0
-    index = np.arange(len(angle))
-    latest = np.maximum.accumulate(np.where(np.abs(move) > _MOVE_RAD, index, -1))
-    known = latest >= s.starts[s.unit]
-    return np.where(known, np.sign(move[np.maximum(latest, 0)]), 0.0)
+def _lost_in_play(s: Situation, angle: FloatArray, play: float) -> FloatArray:
+    """Return angle less what comes through the play, which starts in its middle, shape (n_steps,).
+
+    The output keeps still until the input has crossed the play: a recursion, taken step by step over all units.
+    """
+    longest = int(s.lengths.max())
+    index = np.minimum(s.starts[:-1] + np.arange(longest)[:, None], s.starts[1:] - 1)
+    through = angle[index]
+    now = through[0]
+    for row in through:
+        now = np.clip(now, row - 0.5 * play, row + 0.5 * play)
+        row[:] = now
+    step = np.arange(len(angle)) - s.starts[s.unit]
+    return np.asarray(angle - through[step, s.unit])

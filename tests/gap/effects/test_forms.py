@@ -80,10 +80,12 @@ def test_a_gross_fault_acts_on_the_runs_that_it_struck_only() -> None:
 
     runs = [Run(STRAIGHT, session="s2" if i > 8 else "s1") for i in range(12)]
     s = situation(runs, truth=truth)
-    form = next(f for e in library(s) if e.id == "encoder_gross" for f in e.forms(s) if "left" in f.label)
+    form = next(
+        f for e in library(s) if e.id == "encoder_gross" for f in e.forms(s) if f.label == "left counts times 2"
+    )
     (push,) = form.pushes(predict(s))
     assert push.left is not None
-    np.testing.assert_array_equal(push.left, [0.0] * 9 + [1.0] * 3)
+    np.testing.assert_array_equal(push.left, [0.0] * 9 + [-0.5] * 3)
 
 
 def test_floor_zones_stay_within_their_number_on_a_large_floor() -> None:
