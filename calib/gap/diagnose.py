@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from calib.gap.closure import Closure, measure_closure
 from calib.gap.effects.effect import Effect, Form
 from calib.gap.effects.library import library
 from calib.gap.fit import Fitted, fit
+from calib.gap.gross import GrossFault, corrected, find_gross
 from calib.gap.linear import CALIBRATION_SD, Nuisance, rows
 from calib.gap.noise import Noise, estimate_noise
 from calib.gap.path import Path, predict
@@ -22,6 +23,9 @@ from calib.gap.residuals import residuals
 from calib.gap.search import Hypothesis, Search, Settings, Workbench, search
 from calib.gap.situation import CHANNELS, Situation, build_situation
 from calib.gap.verdict import Cause, Quantity, Verdict
+
+#: a gap is said to exist where the probability that anything is off reaches this
+DETECTION: Final = 0.8
 
 __all__ = ["Diagnosis", "diagnose", "diagnose_in_full"]
 
@@ -101,12 +105,19 @@ def diagnose_in_full(
     settings = settings or Settings()
     s = build_situation(campaign, model)
     nominal = predict(s)
+    fault = find_gross(s, nominal) if "encoder_gross" not in exclude else None
+    before = residuals(nominal, nominal)
+    if fault is not None:
+        s = corrected(s, fault)
+        nominal = predict(s)
     effects = library(s, exclude=exclude, declared=campaign.extra.get("effects", ()))
     noise, base = _settle(nominal)
     found = search(nominal, noise, base, effects, settings)
     chosen = _choose(found)
     recalibration = judge_recalibration(chosen.fitted, nominal, noise, settings)
-    return _Judge(campaign, s, nominal, noise, effects, found, chosen, recalibration, settings, seed).diagnosis()
+    return _Judge(
+        campaign, s, nominal, noise, effects, found, chosen, recalibration, settings, seed, fault, before
+    ).diagnosis()
 
 
 def _settle(nominal: Path) -> tuple[Noise, Fitted]:
@@ -139,11 +150,14 @@ class _Judge:
         recalibration: Recalibration,
         settings: Settings,
         seed: int,
+        fault: GrossFault | None,
+        before: FloatArray,
     ) -> None:
         self.campaign, self.s, self.nominal, self.noise = campaign, s, nominal, noise
         self.effects = {e.id: e for e in effects}
         self.found, self.chosen, self.recalibration = found, chosen, recalibration
         self.settings, self.seed = settings, seed
+        self.fault, self.before = fault, before
         self.probabilities = found.probabilities()
         self.named_calibration = recalibration.subsets[0]
         self.bench = Workbench(chosen.fitted.path, nominal, noise)
@@ -163,7 +177,9 @@ class _Judge:
             sessions="session_step" not in chosen.effects,
         )
         named = (*chosen.effects, *self.named_calibration)
-        if chosen.unknown and not named:
+        if self._gap_probability() < DETECTION:
+            verdict, named = "no_gap", ()
+        elif chosen.unknown and not named:
             verdict = "unknown"
         elif chosen.unknown:
             verdict = "partly_explained"
@@ -175,13 +191,15 @@ class _Judge:
             verdict = "ambiguous"
         else:
             verdict = "explained"
-        if verdict in ("explained", "ambiguous") and closure.fraction is not None and closure.fraction < 0.7:
+        if verdict in ("explained", "ambiguous") and closure.ci95 is not None and closure.ci95[1] < 0.7:
             verdict = "unknown"
-        causes = self._causes() if verdict not in ("no_gap", "unknown") else ()
+        if self.fault is not None:
+            verdict = {"no_gap": "explained", "unknown": "partly_explained"}.get(verdict, verdict)
+        causes = self._causes() if named and verdict not in ("no_gap", "unknown") else []
+        if self.fault is not None:
+            causes.insert(0, self._gross_cause())
         if verdict == "no_gap":
             groups = []
-        white = rows(self.nominal, self.noise, closure.before[:, :, None])[:, 0]
-        del white
         made = Verdict(
             verdict=verdict,
             sentence=sentence,
@@ -204,6 +222,32 @@ class _Judge:
             simulated=self.campaign.simulated,
         )
         return Diagnosis(made, self.s, self.noise, self.nominal, chosen.fitted, closure)
+
+    def _gap_probability(self) -> float:
+        """Return the probability that anything at all is off."""
+        nothing = self._probability(lambda h: not h.effects and not h.unknown)
+        for subset, p in zip(self.recalibration.subsets, self.recalibration.probabilities, strict=True):
+            if not subset:
+                return 1.0 - nothing * float(p)
+        return 1.0
+
+    def _gross_cause(self) -> Cause:
+        fault = self.fault
+        assert fault is not None
+        quantities = {
+            "factor_left": Quantity(fault.left, (fault.left, fault.left), "1"),
+            "factor_right": Quantity(fault.right, (fault.right, fault.right), "1"),
+        }
+        return Cause(
+            effect="encoder_gross",
+            title="a gross fault of the encoders",
+            form=fault.label,
+            probability=1.0,
+            share=1.0,
+            signal=float("inf"),
+            parameters=quantities,
+            remark="put the counts right, then diagnose again",
+        )
 
     def _probability(self, what: Any) -> float:
         return float(sum(p for h, p in zip(self.found.hypotheses, self.probabilities, strict=True) if what(h)))
@@ -350,7 +394,7 @@ class _Judge:
             return float("nan")
 
         made = {
-            "before_rms_m": rms(closure.before),
+            "before_rms_m": rms(self.before),
             "after_rms_m": rms(closure.after),
             "floor_rms_m": rms(closure.floor),
             "fraction": closure.fraction,

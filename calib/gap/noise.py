@@ -27,8 +27,10 @@ COMPONENTS: Final[tuple[tuple[str, float, float], ...]] = (
     ("radius_scatter", 2e-5, 1.0),  # relative, both wheels, from run to run
     ("yaw_scatter", 2e-5, 1.0),  # relative, right against left, from run to run
     ("start_heading", 3e-4, 1.0),  # rad, from run to run
-    ("front_walk", 2e-3, 1.0),  # m per sqrt(m)
-    ("steering_walk", 2e-3, 1.0),  # rad per sqrt(m)
+    ("front_walk", 5e-4, 1.0),  # m per sqrt(m)
+    ("steering_walk", 1e-3, 1.0),  # rad per sqrt(m)
+    ("front_scatter", 3e-4, 1.0),  # relative, front radius, from run to run
+    ("steer_scatter", 1e-3, 1.0),  # rad, zero of the steering angle, from run to run
 )
 
 
@@ -100,7 +102,9 @@ def _kernels(path: Path) -> FloatArray:
     start[:, 1] = np.sin(path.frame) * path.end[:, 0] - np.cos(path.frame) * path.end[:, 1]
     start[:, 2] = np.cos(path.frame) * path.end[:, 0] + np.sin(path.frame) * path.end[:, 1]
     start[:, 3] = 1.0
-    for number, rows in ((5, both), (6, differ), (7, start)):
+    zero = np.zeros((n, 6))
+    zero[:, 5] = s.total(path.ds_m) / s.vehicle.wheelbase_m
+    for number, rows in ((5, both), (6, differ), (7, start), (10, calibration[:, :, 3]), (11, zero)):
         made[number] = np.einsum("ua,ub->uab", rows, rows)
     made[8, :, 4, 4] = s.length_m
     made[9, :, 5, 5] = s.length_m

@@ -201,7 +201,7 @@ def predict(s: Situation, pushes: list[Push] | None = None) -> Path:
     turn = (right - left) / track + wide(push.heading_rad)
     slip = np.broadcast_to(np.asarray(wide(push.lateral_m), dtype=np.float64), ds.shape)
     heading = s.cumulative(turn)
-    mid = heading - 0.5 * turn
+    mid = heading - 0.5 * turn + _bend(s, turn)
     half = 0.5 * turn
     chord = ds * (1.0 - half * half / 6.0)
     c, sn = np.cos(mid), np.sin(mid)
@@ -236,6 +236,19 @@ def predict(s: Situation, pushes: list[Push] | None = None) -> Path:
     if push.reading is not None:
         reading += _in_start_frame(path, push.reading)
     return path
+
+
+def _bend(s: Situation, turn: FloatArray) -> FloatArray:
+    """Return by how much the mean heading of each step differs from the mean of its ends, shape (n_steps,).
+
+    The arc of a step is bent further where the curvature changes on the way: with the heading as a parabola the mean
+    differs by a twelfth of its second difference. Matters for logs of a few hertz on winding routes.
+    """
+    made = np.zeros(len(turn))
+    made[1:-1] = (turn[:-2] - turn[2:]) / 24.0
+    made[s.starts[:-1]] = 0.0
+    made[s.starts[1:] - 1] = 0.0
+    return made
 
 
 def _in_start_frame(path: Path, reading: FloatArray) -> FloatArray:

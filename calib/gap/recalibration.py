@@ -21,7 +21,7 @@ __all__ = ["DIRECTIONS", "NAMES", "Recalibration", "judge_recalibration"]
 NAMES: Final = ("radius_scale", "unequal_radii", "track_width")
 DIRECTIONS: Final = np.array([[1.0, 1.0, 0.0, 0.0], [-0.5, 0.5, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]])
 TYPICAL: Final = np.array([3e-3, 2e-3, 1e-2])
-PRIOR: Final = 0.1
+PRIOR: Final = 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -37,10 +37,10 @@ class Settings:
         How many of the best hypotheses of a size are re-simulated and fitted.
     """
 
-    prior_effect: float = 0.03
-    prior_unknown: float = 0.03
+    prior_effect: float = 0.01
+    prior_unknown: float = 0.01
     tolerance: float = 0.15
-    temper: float = 0.7
+    temper: float = 0.8
     singles: int = 8
     pairs: int = 8
     triples: int = 4
@@ -178,6 +178,11 @@ def effect_scale(theta_typical: FloatArray) -> float:
     return float(np.clip(size, 0.1, 3.0))
 
 
+def wrong_sign(form: Form, sizes: FloatArray) -> bool:
+    """Return whether a parameter that can only have one sign came out with the other."""
+    return any(p.sign * size < 0 for p, size in zip(form.parameters, sizes, strict=True))
+
+
 #: what choosing the prior's scale by the fitted size costs, in nats
 SCALE_COST: Final = float(np.log(4.0))
 
@@ -262,7 +267,9 @@ def search(
 
     def add(chosen: tuple[Form, ...], begin: Fitted) -> Fitted:
         fitted = fit(nominal, noise, chosen, start=begin) if chosen else base
-        key = tuple(sorted(f.effect for f in chosen))
+        if any(wrong_sign(form, theta) for form, theta in zip(fitted.forms, fitted.theta, strict=True)):
+            return fitted
+        key = _key(chosen)
         plain, with_unknown = evaluate(fitted, nominal, noise, settings, unknown=True)
         prior = float(sum(np.log(settings.prior_effect / f.tries) for f in chosen))
         for unknown, value in ((False, plain), (True, with_unknown)):
@@ -284,12 +291,17 @@ def search(
     pairs = _extend(fitted_singles, nominal, noise, forms, settings, settings.pairs)
     pairs += _blind_pairs(bench, start, forms, ranking, settings, base)
     fitted_pairs = [(chosen, add(chosen, begin)) for chosen, begin in _distinct(pairs, hypotheses)]
-    fitted_pairs.sort(key=lambda item: -hypotheses[tuple(sorted(f.effect for f in item[0]))].log_weight)
+    fitted_pairs = [item for item in fitted_pairs if _key(item[0]) in hypotheses]
+    fitted_pairs.sort(key=lambda item: -hypotheses[_key(item[0])].log_weight)
     triples = _extend(fitted_pairs[:3], nominal, noise, forms, settings, settings.triples)
     for chosen, begin in _distinct(triples, hypotheses):
         add(chosen, begin)
     ordered = sorted(hypotheses.values(), key=lambda h: -h.log_weight)
     return Search(tuple(ordered), base, nominal, noise, forms, signal)
+
+
+def _key(chosen: Sequence[Form]) -> tuple[str, ...]:
+    return tuple(sorted(form.effect for form in chosen))
 
 
 Ranking = list[tuple[float, tuple[Form, ...]]]
@@ -309,6 +321,8 @@ def _screen(
             columns = project(nuisance, bench.columns(form))
             gram, right = columns.T @ columns, columns.T @ gap
             sizes = np.linalg.solve(gram + 1e-2 * np.eye(len(gram)), right)
+            if wrong_sign(form, sizes):
+                continue
             scale = effect_scale(sizes)
             value = float(log_evidence(gram, right, np.full(len(gram), scale**2)))
             ranking.append((value - SCALE_COST - np.log(form.tries), (form,)))
@@ -402,7 +416,7 @@ def _distinct(
     seen = set(have)
     made = []
     for _, chosen, begin in found:
-        key = tuple(sorted(f.effect for f in chosen))
+        key = _key(chosen)
         if key not in seen:
             seen.add(key)
             made.append((chosen, begin))
