@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from calib.cli.output import FORCE, JSON, emit_json, say, table
+from calib.cli.output import FORCE, JSON, emit_json, say, table, wants_stdout
 
 if TYPE_CHECKING:
     from calib.radius.run_deviation import RunDeviations
@@ -68,12 +68,13 @@ def register(application: typer.Typer, name: str) -> None:
         distance_m, track_m = table_setting(read, distance, track, default_distance_m=DISTANCE_M)
         rows = deviation_rows(amplitude or AMPLITUDES_M, wavelength or WAVELENGTHS_M, distance_m, track_m, tolerance)
         arc = None if radius_ratio is None else arc_row(radius_ratio, distance_m, track_m)
-        if judged is None or amplitude or wavelength:
-            _show_table(rows, tolerance, track_m, json_target)
-        if arc is not None:
-            _show_arc(arc, json_target)
-        if judged is not None and read is not None:
-            _show_runs(read.name, read.simulated, judged, json_target)
+        if not wants_stdout(json_target):
+            if judged is None or amplitude or wavelength:
+                _show_table(rows, tolerance, track_m, json_target)
+            if arc is not None:
+                _show_arc(arc, json_target)
+            if judged is not None and read is not None:
+                _show_runs(read.name, read.simulated, judged, json_target)
         document: dict[str, Any] = {"tolerance": tolerance, "track_m": track_m, "table": rows, "arc": arc}
         if judged is not None and read is not None:
             document |= {

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from calib.cli.output import FORCE, JSON, emit_json, say, table
+from calib.cli.output import FORCE, JSON, emit_json, say, table, wants_stdout
 
 if TYPE_CHECKING:
     from calib.radius.fit import Fit
@@ -58,10 +58,12 @@ def register(application: typer.Typer, name: str) -> None:
         found = fit_campaign(read, reference_load_N=reference_load)
         arguments = {"campaign": campaign.name, "reference_load_N": reference_load}
         found = replace(found, provenance=provenance(read, version=__version__, arguments=arguments))
-        _show(found, json_target, runs=runs)
+        if not wants_stdout(json_target):
+            _show(found, json_target, runs=runs)
         if into is not None:
             written = write_result(found, into, force=force)
-            say(f"wrote {written}", target=json_target)
+            if not wants_stdout(json_target):
+                say(f"wrote {written}", target=json_target)
         emit_json(found.to_dict(), json_target, force=force)
         return 0 if found.passed else 1
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import isfinite
 from typing import Any, Final
 
 __all__ = ["FAILED", "NOTE", "OK", "Check"]
@@ -53,9 +54,9 @@ class Check:
             "name": self.name,
             "level": self.level,
             "passed": self.passed,
-            "statistic": self.statistic,
+            "statistic": _finite(self.statistic),
             "statistic_name": self.statistic_name,
-            "p_value": self.p_value,
+            "p_value": _finite(self.p_value),
             "sentence": self.sentence,
         }
 
@@ -70,3 +71,8 @@ class Check:
             statistic_name=str(value.get("statistic_name", "")),
             p_value=value.get("p_value"),
         )
+
+
+def _finite(value: float | None) -> float | None:
+    """Return `value` as JSON can hold it: an infinite statistic, of data without any scatter, is not a number there."""
+    return float(value) if value is not None and isfinite(value) else None

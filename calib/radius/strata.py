@@ -191,7 +191,7 @@ def plain_line(x: FloatArray, y: FloatArray, *, robust: bool = True) -> tuple[Es
 
     results = OLS(y, np.column_stack((np.ones_like(x), x))).fit(method="qr")
     covariance = np.asarray(results.cov_params(), dtype=np.float64)
-    hc3 = robust and results.df_resid >= 4 and breusch_pagan(results.resid, x)[1] < HC3_BELOW
+    hc3 = bool(robust and results.df_resid >= 4 and breusch_pagan(results.resid, x)[1] < HC3_BELOW)
     if hc3:
         covariance = np.asarray(results.cov_HC3, dtype=np.float64)
     estimate = Estimate(

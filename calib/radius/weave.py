@@ -23,8 +23,8 @@ CHUNK: Final = 128
 MIN_SAMPLES: Final = 16
 #: a wave longer than twice the run cannot be told from a trend
 MIN_PERIODS: Final = 0.5
-MAX_PERIODS: Final = 60.0
-PERIOD_STEP: Final = 0.2
+MAX_PERIODS: Final = 42.0
+PERIOD_STEP: Final = 0.25
 ROUNDS: Final = 7
 
 
