@@ -1,0 +1,169 @@
+"""`calib simulate`: studies, laws, replay and trajectories as a user meets them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from calib.cli.main import run
+from calib.motion.trajectory import read_tum
+
+
+@pytest.fixture(scope="module")
+def campaign(project_root_module: Path) -> Path:
+    return project_root_module / "sample_runs" / "corridor_crossed"
+
+
+@pytest.fixture(scope="module")
+def project_root_module() -> Path:
+    return Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="module")
+def coefficients(campaign: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("coefficients") / "coefficients.json"
+    assert run(["export", str(campaign), "--to", "json", "--output", str(path)]) == 0
+    return path
+
+
+def document(capsys: pytest.CaptureFixture[str]) -> dict:
+    out = capsys.readouterr().out
+    found = json.loads(out)
+    assert isinstance(found, dict)
+    return found
+
+
+def test_symmetric_study_gives_fig_12(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["simulate", "symmetric", "--json", "-"]) == 0
+    row = document(capsys)["sweeps"][0]["cases"][0]
+    got = (row["first_segment_m"], row["end_x_m"], row["end_y_m"], row["error_distance_m"])
+    assert got == pytest.approx((4.9, 8.052432, 7.803350, 0.203520), abs=0.5e-6)  # digits printed
+
+
+def test_corrected_study_gives_fig_16_and_the_headline(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["simulate", "corrected", "--output", str(tmp_path), "--json", "-"]) == 0
+    found = document(capsys)
+    right = next(line for line in found["headline"] if line["which"] == "right")
+    assert (right["without_m"], right["corrected_m"]) == pytest.approx((1.24753, 0.07375), abs=0.5e-5)  # digits printed
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {"corrected.json", "fig16.png", "fig16.svg", "fig16.pdf", "fig16.csv"}
+    assert json.loads((tmp_path / "corrected.json").read_text())["headline"] == found["headline"]
+
+
+def test_table_1_and_fig_15_come_from_coefficients_or_campaign_alike(
+    campaign: Path, coefficients: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    common = ["--draws", "500", "--seed", "4", "--json", "-"]
+    assert run(["simulate", "asymmetric", "--law", str(campaign), "--output", str(tmp_path), *common]) == 0
+    by_campaign = document(capsys)
+    assert run(["simulate", "asymmetric", "--model", str(coefficients), *common]) == 0
+    by_file = document(capsys)
+    assert by_campaign["law"]["table"] == by_file["law"]["table"]
+    assert by_campaign["law"]["journeys"] == by_file["law"]["journeys"]
+    assert [row["load_N"] for row in by_file["law"]["table"]] == [100.0 * k for k in range(2, 12)]
+    made = {path.name for path in tmp_path.iterdir()}
+    assert {"table1.csv", "fig15.png", "fig15.svg", "fig15.pdf", "band.png", "fig13.pdf", "fig14.svg"} <= made
+
+
+def test_a_study_of_ones_own(capsys: pytest.CaptureFixture[str]) -> None:
+    """Radii believed and real, on a square: both directions, real track another."""
+    arguments = ["--route", "square_cw", "--route", "square_ccw", "--real", "0.099,0.1", "--believed", "0.1,0.1"]
+    assert run(["simulate", "custom", *arguments, "--real-track", "0.702", "--json", "-"]) == 0
+    found = document(capsys)
+    assert [sweep["route"] for sweep in found["sweeps"]] == ["square_cw", "square_ccw"]
+    ends = [sweep["cases"][0]["error_distance_m"] for sweep in found["sweeps"]]
+    assert min(ends) > 0.1
+    assert ends[0] != ends[1]
+
+
+def test_payload_and_wheel_loads_say_the_same(coefficients: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    common = ["simulate", "custom", "--law", str(coefficients), "--draws", "200", "--json", "-"]
+    assert run([*common, "--payload", "100,0.5,0.1"]) == 0
+    by_payload = document(capsys)["law"]["journeys"][0]
+    loads = f"{by_payload['load_left_N']!r},{by_payload['load_right_N']!r}"
+    assert run([*common, "--load", loads]) == 0
+    assert document(capsys)["law"]["journeys"][0] == by_payload
+
+
+def test_trajectories_are_written_and_followed_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["simulate", "symmetric", "--tum", str(tmp_path)]) == 0
+    capsys.readouterr()
+    t, poses = read_tum(tmp_path / "fig12_equal_0.98.tum")
+    assert float(t[-1]) == pytest.approx((10 + 1.5 * 3.141592653589793) / 0.5, rel=1e-12)
+    assert float(poses.x_m[-1]) == pytest.approx(8.052432, abs=0.5e-6)
+    route = str(tmp_path / "fig12_route.tum")
+    assert run(["simulate", "custom", "--route", route, "--wheel", "equal", "--ratio", "0.98", "--json", "-"]) == 0
+    row = document(capsys)["sweeps"][0]["cases"][0]
+    assert (row["end_x_m"], row["end_y_m"]) == pytest.approx((8.052432, 7.803350), abs=0.5e-6)
+
+
+def test_replay_shows_what_the_correction_is_worth(
+    campaign: Path, coefficients: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["simulate", "--replay", str(campaign), "--law", str(coefficients), "--output", str(tmp_path / "out")]
+    assert run([*arguments, "--tum", str(tmp_path / "tum"), "--json", "-"]) == 0
+    found = document(capsys)
+    assert found["simulated"] is True
+    assert found["ratio_ci95"][0] <= found["ratio"] <= found["ratio_ci95"][1]
+    # the sample's radii change by a percent over the loads; without the correction that is metres after 40 m
+    assert found["ratio"] > 5.0
+    assert found["runtime"]["largest_difference_m"] < 1e-9
+    assert found["runtime"]["faults"] == {}
+    assert len(found["runs"]) == 60
+    assert (tmp_path / "out" / "replay.png").exists()
+    assert len(list((tmp_path / "tum").glob("*.tum"))) >= 60
+
+
+def test_the_schemes_differ_in_replay_as_their_order_says(
+    campaign: Path, coefficients: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ends = {}
+    for scheme in ("exact", "mid_point", "end_point"):
+        arguments = ["simulate", "--replay", str(campaign), "--law", str(coefficients), "--scheme", scheme]
+        assert run([*arguments, "--json", "-"]) == 0
+        ends[scheme] = [row["corrected_lateral_m"] for row in document(capsys)["runs"]]
+    gap = [max(abs(a - b) for a, b in zip(ends["exact"], ends[s], strict=True)) for s in ("mid_point", "end_point")]
+    assert gap[0] < 1e-3 * gap[1]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "--replay"),
+        (["sideways"], "symmetric"),
+        (["custom"], "--real"),
+        (["custom", "--ratio", "0"], "ratio of radii"),
+        (["custom", "--ratio", "1", "--wheel", "front"], "which wheel"),
+        (["custom", "--ratio", "x"], "--ratio"),
+        (["custom", "--believed", "0.1,0.1"], "--real"),
+        (["custom", "--real", "0.1,-0.1"], "radius of 0 or below"),
+        (["symmetric", "--route", "spiral"], "figure8"),
+        (["symmetric", "--load", "300,300"], "--law"),
+        (["symmetric", "--track", "-1"], "track"),
+        (["symmetric", "--speed", "0"], "--speed"),
+        (["symmetric", "--law", "nowhere"], "nowhere"),
+        (["symmetric", "--replay", "nowhere"], "one of the two"),
+        (["--replay", "nowhere"], "nowhere"),
+    ],
+)
+def test_impossible_requests_are_refused_in_one_line(
+    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["simulate", *arguments]) == 2
+    said = capsys.readouterr()
+    assert words in said.err
+    assert said.err.count("\n") == 1
+    assert said.out == ""
+
+
+def test_the_same_seed_gives_the_same_text_and_another_one_other_draws(
+    coefficients: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made = []
+    for seed in ("9", "9", "10"):
+        arguments = ["simulate", "corrected", "--law", str(coefficients), "--draws", "300", "--seed", seed]
+        assert run([*arguments, "--json", "-"]) == 0
+        made.append(capsys.readouterr().out)
+    assert made[0] == made[1] != made[2]
