@@ -12,7 +12,7 @@ from matplotlib.ticker import FuncFormatter, NullFormatter
 from calib.radius.deviation import whole_period_excess
 from calib.radius.effective import EffectiveRadii
 from calib.radius.regression import WheelFit
-from calib.report.style import BLUE, GREY, INK, ORANGE, axes_grid, canvas, colour, styled
+from calib.report.style import BLUE, GREY, INK, ORANGE, axes_grid, canvas, colour, shared_legend, styled
 
 __all__ = ["path_deviation", "regressions", "residuals", "runs_by_series"]
 
@@ -121,10 +121,7 @@ def regressions(left: WheelFit, right: WheelFit, session: npt.NDArray[np.str_]) 
     handles, labels = axes[0, 0].get_legend_handles_labels()
     bands = [labels.index(text) for text in ("law", "band of the mean", "prediction band")]
     shown = bands + ([k for k, text in enumerate(labels) if k not in bands] if 1 < len(names) <= LEGEND_LIMIT else [])
-    figure.legend(
-        [handles[k] for k in shown], [labels[k] for k in shown], loc="outside upper center", ncols=min(len(shown), 8),
-        handlelength=1.4, columnspacing=1.4,
-    )  # fmt: skip
+    shared_legend(figure, [handles[k] for k in shown], [labels[k] for k in shown])
     return figure
 
 
@@ -268,4 +265,4 @@ def _errorbars(axis: Any, x: Any, y: Any, std: Any, tint: str, label: str) -> No
 def _session_legend(figure: Figure, axis: Any, names: list[str]) -> None:
     if 1 < len(names) <= LEGEND_LIMIT:
         handles, labels = axis.get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=len(names), handletextpad=0.1, title=None)
+        shared_legend(figure, handles, labels)

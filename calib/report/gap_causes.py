@@ -103,9 +103,8 @@ def apart_blocks(verdict: Mapping[str, Any]) -> list[Block]:
             Text("These runs cannot tell apart, because each would leave the same traces in them:"),
             Items(tuple(" – ".join(group) for group in groups[:MOST])),
         ]
-    sets = [
-        " + ".join(effect_name(effect) for effect in group) or "none" for group in verdict.get("credible_sets") or ()
-    ]
+    credible = verdict.get("credible_sets") or ()
+    sets = [" + ".join(effect_name(effect) for effect in group) or "none" for group in credible]
     if len(sets) > 1:
         blocks.append(Text(f"With 95 % probability the cause is one of: {'; '.join(sets[:MOST])}."))
     unseen = [(name, size) for name, size in (verdict.get("undetectable") or {}).items()]
@@ -129,12 +128,13 @@ def _said(value: Any) -> str:
 def _interval(found: Mapping[str, Any]) -> tuple[str, str, str]:
     """Return value and interval to the place that two digits of its half width have."""
     value = finite(found.get("value"))
-    ends = [finite(end) for end in (found.get("ci95") or (None, None))]
+    ends = [finite(end) for end in (*(found.get("ci95") or ()), None, None)][:2]
     if value is None:
         return MISSING, MISSING, MISSING
-    half = 0.5 * (ends[1] - ends[0]) if len(ends) == 2 and ends[0] is not None and ends[1] is not None else abs(value)
+    half = 0.5 * (ends[1] - ends[0]) if ends[0] is not None and ends[1] is not None else abs(value)
     if 0 < max(abs(value), half) < 1e-3:
-        return _scientific(value), *(MISSING if end is None else _scientific(end) for end in ends)  # type: ignore[return-value]
+        low, high = (MISSING if end is None else _scientific(end) for end in ends)
+        return _scientific(value), low, high
     decimals = places(half)
     return fixed(value, decimals), fixed(ends[0], decimals), fixed(ends[1], decimals)
 

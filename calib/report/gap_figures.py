@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
 
-from calib.report.style import BLUE, GREY, INK, ORANGE, WIDTH_CM, axes_grid, canvas, colour, styled
+from calib.report.style import BLUE, GREY, INK, ORANGE, WIDTH_CM, axes_grid, canvas, colour, shared_legend, styled
 
 __all__ = ["before_after", "gap_by_covariate", "gap_map"]
 
@@ -87,7 +87,7 @@ def gap_map(paths_m: Sequence[FloatArray], offset_m: FloatArray, group: StrArray
     axis.set_title(f"Gap at the end of each run ({scale}arrows {factor:g} times{note})")
     if 1 < len(names) <= LEGEND_LIMIT:
         handles, labels = axis.get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 4), handletextpad=0.2)
+        shared_legend(figure, handles, labels, below=True)
     return figure
 
 
@@ -152,7 +152,7 @@ def gap_by_covariate(
         row[0].set_ylabel(f"{channel} ({name})")
     if 1 < len(names) <= LEGEND_LIMIT:
         handles, labels = axes[0, 0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=min(len(labels), 4), handletextpad=0.1)
+        shared_legend(figure, handles, labels)
     return figure
 
 

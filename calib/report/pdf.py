@@ -72,8 +72,9 @@ def figure_files(report: Report) -> Mapping[str, bytes]:
     """Return every figure of a report in every format of `FORMS`, by file name."""
     made = {}
     for picture in report.pictures:
+        figure = picture.draw()
         for form in FORMS:
-            made[f"{picture.name}.{form}"] = render(picture.draw(), form)
+            made[f"{picture.name}.{form}"] = render(figure, form)
     return made
 
 

@@ -3,14 +3,27 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import wraps
 from typing import Any, Final, ParamSpec
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-__all__ = ["BLUE", "GREY", "INK", "ORANGE", "PALETTE", "WIDTH_CM", "axes_grid", "canvas", "colour", "render", "styled"]
+__all__ = [
+    "BLUE",
+    "GREY",
+    "INK",
+    "ORANGE",
+    "PALETTE",
+    "WIDTH_CM",
+    "axes_grid",
+    "canvas",
+    "colour",
+    "render",
+    "shared_legend",
+    "styled",
+]
 
 P = ParamSpec("P")
 
@@ -23,6 +36,9 @@ GREY: Final = "#8A8A8A"
 WIDTH_CM: Final = 17.0
 CM_PER_INCH: Final = 2.54
 PNG_DPI: Final = 200
+#: characters of a legend that fit the width, and those that handle and gap take
+LINE_CHARACTERS: Final = 118
+LEGEND_GAP: Final = 6
 
 _STYLE: Final[dict[str, Any]] = {
     "font.family": ["DejaVu Sans"],
@@ -87,6 +103,21 @@ def canvas(height_cm: float, width_cm: float = WIDTH_CM) -> Figure:
 def axes_grid(figure: Figure, rows: int, columns: int, **options: Any) -> Any:
     """Return an array of axes, shape (rows, columns)."""
     return figure.subplots(rows, columns, squeeze=False, **options)
+
+
+def shared_legend(figure: Figure, handles: Sequence[Any], labels: Sequence[str], *, below: bool = False) -> None:
+    """Put one legend outside the axes, in as many columns as the longest label leaves room for."""
+    if labels:
+        columns = max(1, min(len(labels), int(LINE_CHARACTERS / (max(len(text) for text in labels) + LEGEND_GAP))))
+        figure.legend(
+            handles,
+            labels,
+            loc="outside lower center" if below else "outside upper center",
+            ncols=columns,
+            handlelength=1.2,
+            handletextpad=0.5,
+            columnspacing=1.4,
+        )
 
 
 def colour(number: int) -> str:

@@ -147,12 +147,13 @@ def _by_covariate(gap: GapFindings) -> Picture | None:
         return None
     worst = int(np.argmax(ratios))
     channel, unit = gap.channels[worst]
+    title = effect_name(channel)
     floor_value = None if gap.floor is None else _rms(gap.floor[:, worst])
     return Picture(
         "gap-by-covariate",
-        f"The {effect_name(channel)} gap against what varied between the runs; squares are means with their standard errors, "
-        "the grey band is the floor.",
-        f"Gap of the channel {effect_name(channel)} against {', '.join(effect_name(name) for name in list(varied)[:6])}",
+        f"The {title} gap against what varied between the runs; squares are means with their standard errors, the grey "
+        "band is the floor.",
+        f"Gap of the channel {title} against {', '.join(effect_name(name) for name in list(varied)[:6])}",
         partial(
             gap_figures.gap_by_covariate,
             gap.before[:, worst],
@@ -176,8 +177,8 @@ def _closure(gap: GapFindings) -> list[Block]:
     before, after, floor = (finite(found.get(f"{name}_rms_m")) for name in ("before", "after", "floor"))
     if before is not None and after is not None:
         text = (
-            f"On held-out runs (by {effect_name(found.get('held_out') or 'run')}) the gap is {two_digits(1e3 * before)} mm "
-            f"with the model alone and {two_digits(1e3 * after)} mm with the cause added"
+            f"On held-out runs (by {effect_name(found.get('held_out') or 'run')}) the gap is "
+            f"{two_digits(1e3 * before)} mm with the model alone and {two_digits(1e3 * after)} mm with the cause added"
         )
         text += "." if floor is None else f"; the floor is {two_digits(1e3 * floor)} mm."
         fraction, ends = finite(found.get("fraction")), found.get("ci95")
