@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Final
@@ -51,7 +52,7 @@ class Judged:
     recommended, wrong_fix : bool
         A fix is recommended; and a cause of it is neither true nor in a group with the truth.
     harmful : bool or None
-        The recommended fix made the fresh campaign worse; None where it was not tried.
+        The recommended fix made the fresh campaign worse, all channels against their noise; None where not tried.
     statements : tuple of (float, bool)
         Probability of each named cause, and whether it is true.
     intervals : tuple of (str, float, float, float)
@@ -125,7 +126,7 @@ def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
     recommended = bool(given.get("recommended", False))
     extra = given.get("challenge") or {}
     tried = extra.get("achieved") or {}
-    before, after = tried.get("before_rms_m"), tried.get("after_rms_m")
+    before, after = tried.get("before_over_floor"), tried.get("after_over_floor")
     harmful = None if not recommended or before is None or after is None else bool(after > before)
     target = recipe.targets[0] if recipe.targets else float("nan")
     if recipe.group == "empty":
@@ -147,7 +148,7 @@ def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
         design=recipe.design,
         truth=effects,
         deleted=recipe.deleted,
-        signal=None if target != target else target,
+        signal=None if math.isnan(target) else target,
         verdict=word,
         named=named,
         right=right,

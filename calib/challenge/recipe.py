@@ -159,7 +159,7 @@ def _library() -> list[str]:
     return [name for name in names if name not in covariates[1:]]
 
 
-def _singles(count: int) -> list[tuple[str, float]]:
+def _singles(count: int, rng: np.random.Generator) -> list[tuple[str, float]]:
     """Return (effect/form, signal): every effect at every signal, forms in turn, strong ones twice; gross."""
     gross = [(f"{form.effect}/{form.form}", float("nan")) for name in _GROSS for form in forms_of(name)]
     made: list[tuple[str, float]] = []
@@ -169,8 +169,9 @@ def _singles(count: int) -> list[tuple[str, float]]:
             forms = [one.form for one in forms_of(name) if (name, one.form) != ("lost_counts", "constant")]
             made.append((f"{name}/{forms[(turn + place) % len(forms)]}", signal))
     if count < len(made) + len(gross):
-        spread = np.linspace(0, len(made) - 1, max(count - 1, 1)).round().astype(int)
-        return ([made[int(one)] for one in spread] + gross[:1])[:count]
+        # a small set: other effects each time, strong ones first
+        names = [str(one) for one in rng.permutation(_library())]
+        return [(names[n % len(names)], (10.0, 25.0, 25.0, 10.0, 5.0, 3.0)[n % 6]) for n in range(count)]
     whole = made + gross
     return [whole[number % len(whole)] for number in range(count)]
 
@@ -186,7 +187,7 @@ def _of_group(group: str, count: int, rng: np.random.Generator) -> list[dict[str
             for n in range(count)
         ]
     if group == "single":
-        return [{"effects": (name,), "targets": (signal,)} for name, signal in _singles(count)]
+        return [{"effects": (name,), "targets": (signal,)} for name, signal in _singles(count, rng)]
     if group == "natural":
         names = [str(one) for one in rng.permutation(_library())]
         return [{"effects": (names[n % len(names)],), "targets": (nan,)} for n in range(count)]

@@ -37,18 +37,19 @@ class Ran:
     failed: int
 
 
-def diagnose_in_full(
+def diagnose_and_try(
     campaign: Campaign, seed: int, exclude: tuple[str, ...], fresh: Campaign | None
 ) -> tuple[dict[str, Any], dict[str, Any] | None]:
     """Diagnose with the library's own diagnosis, and try its fix on the fresh campaign."""
-    from calib.gap.diagnose import diagnose
+    from calib.challenge.achieved import achieved
+    from calib.gap.diagnose import diagnose_in_full as whole
 
-    verdict = diagnose(campaign, seed=seed, exclude=exclude)
-    return verdict.to_dict(), None
+    diagnosis = whole(campaign, seed=seed, exclude=exclude)
+    return diagnosis.verdict.to_dict(), None if fresh is None else achieved(diagnosis, fresh, exclude)
 
 
 def run_case(
-    folder: Path, case: str, exclude: tuple[str, ...], seed: int, diagnoser: Diagnoser = diagnose_in_full
+    folder: Path, case: str, exclude: tuple[str, ...], seed: int, diagnoser: Diagnoser = diagnose_and_try
 ) -> bool:
     """Diagnose one case and write ``verdicts/<case>.json``; return whether it ended without an error.
 
@@ -115,7 +116,7 @@ def run(
     fine: list[bool] = []
     if workers <= 1 or diagnoser is not None:
         for job in waiting:
-            fine.append(run_case(folder, job[1], job[2], seed, diagnoser or diagnose_in_full))
+            fine.append(run_case(folder, job[1], job[2], seed, diagnoser or diagnose_and_try))
             report(skipped + len(fine), len(cases))
     elif waiting:
         with workers_of(workers) as pool:

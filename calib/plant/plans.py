@@ -72,7 +72,8 @@ def good_design(rng: np.random.Generator, *, n_runs: int = 60, needs: Iterable[s
     sessions = [f"s{number + 1}" for number in range(n_sessions)]
     payloads = [0.0, *sorted(rng.choice([50.0, 80.0, 100.0, 120.0, 150.0, 200.0], 3, replace=False))]
     sides = [-0.15, 0.0, 0.15]
-    speeds = sorted(rng.choice([0.25, 0.35, 0.5, 0.65, 0.8], 3, replace=False))
+    quick = [0.25, 0.35, 0.5, 0.65] if "three_speeds" in need else [0.25, 0.35, 0.5, 0.65, 0.8]
+    speeds = sorted(rng.choice(quick, 3, replace=False))
     kinds = ["corridor", *_TURNING] if settings.get("turning", True) else ["corridor"]
     settings.pop("turning", None)
 
@@ -114,21 +115,28 @@ def good_design(rng: np.random.Generator, *, n_runs: int = 60, needs: Iterable[s
                 "flying": flying[number],
             }
         )
-    # temperature, dwell and further columns vary from run to run, sessions take turns: nothing goes with the session
+    # each session has a cold and a warm half; dwell varies from run to run; no condition goes with a session
+    levels = []
+    for _ in sessions:
+        cold = float(rng.uniform(10, 20))
+        halves = [cold, cold + float(rng.uniform(6, 12))]
+        levels.append(halves if rng.random() < 0.5 else halves[::-1])
     order = np.resize(np.arange(n_conditions), n_runs)
     rows = []
     for number in range(n_runs):
         row = dict(made[order[number]])
         row["session"] = sessions[number * n_sessions // n_runs]
-        row["temperature_C"] = round(float(rng.uniform(10, 30)), 1)
         row["minutes"] = float(rng.choice([2.0, 10.0, 30.0, 60.0])) if row["payload_kg"] > 0 else 0.0
         rows.append(row)
     shuffle = np.concatenate([rng.permutation(part) for part in np.array_split(np.arange(n_runs), n_conditions)])
     # conditions are dealt to sessions by a shuffle of the whole order, sessions stay contiguous
     labels = [row["session"] for row in rows]
     shuffled = [rows[number] for number in rng.permutation(shuffle)]
-    for row, label in zip(shuffled, labels, strict=True):
+    for number, (row, label) in enumerate(zip(shuffled, labels, strict=True)):
         row["session"] = label
+        place = number * n_sessions / n_runs
+        level = levels[int(place)][int(2 * (place % 1))]
+        row["temperature_C"] = round(level + float(rng.uniform(-0.3, 0.3)), 1)
     drawn: dict[str, Any] = {
         "length_m": round(float(rng.uniform(15.0, 25.0)), 1),
         "side_m": round(float(rng.uniform(2.0, 3.5)), 1),
@@ -136,7 +144,7 @@ def good_design(rng: np.random.Generator, *, n_runs: int = 60, needs: Iterable[s
         "vehicle": _vehicle(rng),
         "counts_per_rev": float(rng.choice([2048, 4096, 8192])),
         "slope_per_N": float(rng.uniform(0.8e-5, 1.4e-5)) if "slope" in need else 0.0,
-        "log_period_s": 0.0 if "no_logs" in need else float(rng.choice([0.1, 0.2, 0.2, 0.24])),
+        "log_period_s": 0.0 if "no_logs" in need else float(rng.choice([0.1, 0.1, 0.14])),
         "front": "front" in need,
         "trace": "trace" in need,
         "outside": "outside" in need,
@@ -175,7 +183,7 @@ def poor_design(name: str, rng: np.random.Generator, *, n_runs: int = 40, **sett
     drawn: dict[str, Any] = {
         "length_m": round(float(rng.uniform(15.0, 30.0)), 1),
         "vehicle": _vehicle(rng),
-        "log_period_s": float(rng.choice([0.1, 0.2, 0.24])),
+        "log_period_s": float(rng.choice([0.1, 0.14])),
     }
     if name == "load_a_session":
         loads = [0.0, 50.0, 100.0, 150.0, 200.0]

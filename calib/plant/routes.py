@@ -63,7 +63,7 @@ def segments_of(kind: str, *, length_m: float, side_m: float, radius_m: float) -
         sign = 1.0 if stem == "route_left" else -1.0
         return [(5.0, 0.0), (_QUARTER * 3.0, sign / 3.0), (5.0, 0.0)]
     if stem == "slalom":
-        bend = 2.2
+        bend = 3.0
         return [
             (2.0, 0.0),
             *([(0.6 * bend, 1 / bend), (1.2 * bend, -1 / bend), (0.6 * bend, 1 / bend)] * 3),

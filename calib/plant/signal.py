@@ -116,20 +116,25 @@ def covariance(world: World, noise: Noise, record: Record) -> FloatArray:
     split = np.einsum("kr,krc->rc", levers.way / track, levers.turn)
     total += noise.common**2 * common[:, :, None] * common[:, None, :]
     total += noise.differential**2 * split[:, :, None] * split[:, None, :]
-    end_x, end_y, _, length = record.last(record.odo)
+    end_x, end_y, end_theta, length = record.last(record.odo)
     n_runs = len(end_x)
     zero, one = np.zeros(n_runs), np.ones(n_runs)
     start = np.stack([zero, -end_y, end_x, one, zero, zero], axis=1) * noise.start_heading_rad
     total += start[:, :, None] * start[:, None, :]
+    # a steering zero turns the front wheel's path: less forward by L theta, more heading by S / L
     wheelbase = world.design.vehicle.wheelbase_m
+    steer = np.stack([zero, zero, zero, zero, -wheelbase * end_theta, length / wheelbase], axis=1) * noise.steer_rad
+    front = np.stack([zero, zero, zero, zero, length, end_theta], axis=1) * noise.front
+    for run in (steer, front):
+        total += run[:, :, None] * run[:, None, :]
     alone = np.stack(
         [
             one * noise.laser_m**2,
             one * noise.ref_xy_m**2,
             one * noise.ref_xy_m**2,
             one * noise.ref_theta_rad**2,
-            (noise.front * length) ** 2 + 1e-8,
-            (noise.steer_rad * length / wheelbase) ** 2 + 1e-8,
+            one * 1e-8,  # counters and angle readings are whole steps
+            one * 1e-8,
         ],
         axis=1,
     )

@@ -1,0 +1,98 @@
+"""What a verdict's fix is worth: tried, as it stands, on a fresh campaign of the same truth."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from calib.campaign.model import Campaign, FloatArray
+
+if TYPE_CHECKING:
+    from calib.gap.diagnose import Diagnosis
+    from calib.gap.effects.effect import Form
+    from calib.gap.situation import Situation
+
+__all__ = ["achieved"]
+
+
+def achieved(diagnosis: Diagnosis, fresh: Campaign, exclude: tuple[str, ...] = ()) -> dict[str, Any] | None:
+    """Return the gap of the fresh campaign under the model alone and under the fitted fix; nothing is refitted.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+        Of the other campaign of the same truth.
+    fresh : Campaign
+        Never seen by the diagnosis.
+    exclude : tuple of str
+        Effects that were left out of the library.
+
+    Returns
+    -------
+    dict or None
+        ``before_rms_m``, ``after_rms_m`` of the end position (else of the distance); ``before_over_floor``,
+        ``after_over_floor``, all channels against their noise; the closure ``fraction`` of whitened squares. None
+        where the verdict names no cause, or a form of its causes cannot be had there.
+    """
+    from calib.gap.fit import hypothesis_path
+    from calib.gap.linear import rows
+    from calib.gap.path import predict
+    from calib.gap.residuals import residuals
+    from calib.gap.situation import build_situation
+
+    if not diagnosis.verdict.causes:
+        return None
+    there = build_situation(fresh)
+    forms = _forms_there(diagnosis, there, fresh, exclude)
+    if forms is None or len(there) != len(diagnosis.situation):
+        return None
+    nominal = predict(there)
+    fixed = hypothesis_path(there, diagnosis.fitted.calibration, forms, diagnosis.fitted.theta, nominal)
+    before, after = residuals(nominal, nominal), residuals(fixed, nominal)
+    white = rows(nominal, diagnosis.noise, np.stack([before, after], axis=2))
+    squares, floor = np.sum(white**2, axis=0), float(len(white))
+    gap = float(squares[0]) - floor
+    fraction = None if gap < 0.5 * floor else float(np.clip(1 - max(float(squares[1]) - floor, 0.0) / gap, -1.0, 1.0))
+    norms = np.sqrt(squares / max(floor, 1.0))
+    return {
+        "before_rms_m": _rms(there, before),
+        "after_rms_m": _rms(there, after),
+        "before_over_floor": float(norms[0]),
+        "after_over_floor": float(norms[1]),
+        "fraction": fraction,
+    }
+
+
+def _forms_there(
+    diagnosis: Diagnosis, there: Situation, fresh: Campaign, exclude: tuple[str, ...]
+) -> tuple[Form, ...] | None:
+    """Return the verdict's forms on another campaign, found again by effect, label and settings."""
+    from calib.gap.effects.library import library
+
+    effects = {e.id: e for e in library(there, exclude=exclude, declared=fresh.extra.get("effects", ()))}
+    found = []
+    for wanted in diagnosis.fitted.forms:
+        effect = effects.get(wanted.effect)
+        alike = [
+            form
+            for form in (effect.forms(there) if effect is not None else [])
+            if form.label == wanted.label and len(form.parameters) == len(wanted.parameters)
+        ]
+        if not alike:
+            return None
+        found.append(min(alike, key=lambda form: _apart(form.settings, wanted.settings)))
+    return tuple(found)
+
+
+def _apart(one: dict[str, float], other: dict[str, float]) -> float:
+    return sum(abs(one.get(key, np.inf) - value) for key, value in other.items())
+
+
+def _rms(there: Situation, values: FloatArray) -> float | None:
+    pose = there.usable[:, 1] & there.usable[:, 2]
+    if pose.any():
+        return float(np.sqrt(np.mean(values[pose, 1] ** 2 + values[pose, 2] ** 2)))
+    if there.usable[:, 0].any():
+        return float(np.sqrt(np.mean(values[there.usable[:, 0], 0] ** 2)))
+    return None

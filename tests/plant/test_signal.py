@@ -1,0 +1,130 @@
+"""The signal is what it says: checked against repeated noisy drives and closed forms."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.plant.drive import drive
+from calib.plant.effects.form import Cause
+from calib.plant.effects.registry import ALL, find
+from calib.plant.make import as_causes, make_campaign, random_model
+from calib.plant.noise import Noise, draw_noise
+from calib.plant.plans import good_design, lacks
+from calib.plant.rivals import rivals
+from calib.plant.signal import covariance, outputs, recalibration, strength, strengths, to_signal
+from calib.plant.world import build_world
+
+NORMAL = Noise(tail=np.inf, stated_ratio=1.0)
+
+
+def test_the_linear_covariance_is_that_of_noisy_drives() -> None:
+    """240 noisy drives of the same runs scatter as the propagated covariance says, channel by channel."""
+    rng = np.random.default_rng(4)
+    once = good_design(rng, n_runs=24, needs={"front"})
+    model = random_model(once, rng)
+    runs = np.array(
+        [int(np.flatnonzero(np.char.startswith(once.kind, kind))[0]) for kind in ("corridor", "square", "route")]
+    )
+    design = replace(once.select(np.repeat(runs, 240)), log_period_s=0.24)
+    world = build_world(design, model)
+    draw = draw_noise(NORMAL, len(design), rng)
+    record = drive(world, draw)
+    out = outputs(world, draw, record, quantise=True).reshape(3, 240, 6)
+    expected = covariance(world, NORMAL, record).reshape(3, 240, 6, 6)[:, 0]
+    for one in range(3):
+        seen = np.isfinite(out[one, 0])
+        scatter = np.cov(out[one][:, seen].T)
+        # rtol: a standard deviation from 240 draws is known to 4.6 %; five times that over 15 comparisons
+        np.testing.assert_allclose(
+            np.sqrt(np.diag(scatter)), np.sqrt(np.diag(expected[one]))[seen], rtol=0.23, atol=2e-4
+        )
+        # the lateral and heading errors hang together as the path's lever says
+        correlation = np.corrcoef(out[one][:, 2], out[one][:, 3])[0, 1]
+        said = expected[one][2, 3] / np.sqrt(expected[one][2, 2] * expected[one][3, 3])
+        assert correlation == pytest.approx(said, abs=0.25)  # three times the scatter of a correlation of 240
+
+
+def test_a_recalibration_hides_a_wrong_track_entirely() -> None:
+    """What a mis-set track does lies in the span of the recalibration; nothing is left of it."""
+    rng = np.random.default_rng(1)
+    design = good_design(rng, n_runs=24)
+    model = random_model(design, rng)
+    found = strengths(design, model, NORMAL, [Cause("track_width", 1e-4)])
+    whole = strength(found.change[0], found.cov, None)
+    left = strength(found.change[0], found.cov, found.absorbed)
+    assert whole > 1.0
+    assert left < 0.02 * whole  # second order of 1e-4 times a full turn
+
+
+def test_the_signal_of_a_rangefinder_offset_is_in_closed_form() -> None:
+    """Each distance is off by the same: the norm is offset / sigma over the runs, nothing projected out."""
+    rng = np.random.default_rng(2)
+    design = good_design(rng, n_runs=30, needs={"laser", "lengths"})
+    only = replace(design, poses="none")
+    model = random_model(only, rng)
+    found = strengths(only, model, NORMAL, [Cause("rangefinder_offset", 0.004)])
+    sigma = np.sqrt(found.cov[only.corridor, 0, 0])
+    expected = 0.004 * np.sqrt(np.sum(1 / sigma**2))
+    # rtol: without a pose the only channel is the distance, so whitening is a division; rounding only
+    assert strength(found.change[0], found.cov, None) == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("form", ALL, ids=lambda form: f"{form.effect}/{form.form}")
+def test_every_form_shows_on_a_design_with_what_it_needs(form: object) -> None:
+    found = find(form.effect, form.form)  # type: ignore[attr-defined]
+    rng = np.random.default_rng(8)
+    design = good_design(rng, n_runs=24, needs=found.needs)
+    assert not lacks(design, found.needs)
+    if found.effect in ("encoder_gross", "integration_scheme"):
+        campaign = make_campaign(design, {f"{found.effect}/{found.form}": 1.0}, rng, noise=NORMAL)
+        plain = make_campaign(design, {}, rng, noise=NORMAL)
+        assert set(campaign.runs.numbers) == set(plain.runs.numbers)
+        return
+    model = random_model(design, rng)
+    causes = as_causes({f"{found.effect}/{found.form}": float("nan")}, design, rng)
+    reached = strengths(design, model, NORMAL, causes, step_s=0.05)
+    assert reached.alone[0] > 0.5
+
+
+@pytest.mark.parametrize("effect", ["load_radius/power", "side_slip", "beam_misalignment", "reference_latency"])
+def test_a_cause_is_scaled_to_the_wanted_signal(effect: str) -> None:
+    """Also where it acts with the square of its size, and where the noise has to be lowered for it."""
+    rng = np.random.default_rng(8)
+    design = good_design(rng, n_runs=24, needs=find(*effect.split("/")).needs)
+    model = random_model(design, rng)
+    made, noise, reached = to_signal(design, model, NORMAL, as_causes({effect: float("nan")}, design, rng), [10.0])
+    assert noise.laser_m <= 3 * NORMAL.laser_m
+    assert abs(made[0].size) <= 6 * find(*effect.split("/")).typical
+    # rtol: three rounds of scaling; what is left is curvature and the last round's 2 %
+    assert reached.alone[0] == pytest.approx(10.0, rel=0.06)
+
+
+def test_rivals_know_the_exact_alias() -> None:
+    """A misaligned beam is a rangefinder scale: its distance is zero, and no other effect comes near."""
+    rng = np.random.default_rng(6)
+    design = good_design(rng, n_runs=24, needs=find("beam_misalignment").needs)
+    model = random_model(design, rng)
+    made, noise, _ = to_signal(design, model, NORMAL, [Cause("beam_misalignment", 0.05)], [15.0])
+    found = rivals(design, model, noise, made[0])
+    assert found[0].effect == "rangefinder_scale"
+    assert found[0].distance < 0.05
+    assert found[1].distance > 1.0
+
+
+def test_the_levers_of_the_recalibration_are_its_derivatives() -> None:
+    """A radius 0.01 % larger in the model moves the outputs as the first column says."""
+    rng = np.random.default_rng(3)
+    design = good_design(rng, n_runs=24)
+    model = random_model(design, rng)
+    world = build_world(design, model)
+    draw = draw_noise(replace(NORMAL, texture_m=0.0, common=0.0, differential=0.0), len(design), rng)
+    record = drive(world, draw, quantise=False)
+    columns = recalibration(world, record)
+    found = strengths(design, model, NORMAL, [Cause("radius_scale", 1e-4)])
+    predicted = 1e-4 * (columns[:, :, 0] + columns[:, :, 1])
+    seen = np.isfinite(found.change[0])
+    # atol: the two drives differ by their start heading noise and by second order, micrometres
+    np.testing.assert_allclose(found.change[0][seen], predicted[seen], atol=6e-5)
