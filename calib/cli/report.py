@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from calib.cli.output import FORCE, JSON, emit_json, say
+
+if TYPE_CHECKING:
+    from calib.campaign.model import Campaign
+    from calib.report.source import Source
 
 __all__ = ["register"]
 
@@ -34,6 +38,10 @@ def register(application: typer.Typer, name: str) -> None:
         figures: Path | None = typer.Option(
             None, "--figures", metavar="FOLDER", help="Write every figure there, too, as PNG, SVG and PDF."
         ),
+        diagnosis: bool = typer.Option(
+            False, "--diagnosis", help="Add the diagnosis of the gap between measured and simulated motion."
+        ),
+        seed: int = typer.Option(0, "--seed", metavar="N", help="Seed of the diagnosis."),
         json_target: str | None = JSON,
         force: bool = FORCE,
     ) -> int:
@@ -48,8 +56,10 @@ def register(application: typer.Typer, name: str) -> None:
         from calib.report.place import place_of
         from calib.report.source import issue_date, source_of
 
-        found, _ = source_of(source, issued=issue_date(date))
+        found, campaign = source_of(source, issued=issue_date(date))
         target = place_of(found.fit.name, into, force=force)
+        if diagnosis:
+            found = _diagnosed(found, campaign, source, seed)
         made = compose(found)
         drawn = [] if figures is None else write_figures(made, figures, force=force)
         write_bytes(target, to_pdf(made), force=force)
@@ -64,3 +74,14 @@ def register(application: typer.Typer, name: str) -> None:
         document: dict[str, Any] = {"file": str(target), "figures": [str(path) for path in drawn], **made.to_dict()}
         emit_json(document, json_target, force=force)
         return 0 if made.passed else 1
+
+
+def _diagnosed(found: Source, campaign: Campaign | None, path: Path, seed: int) -> Source:
+    from calib.errors import BadInputError
+    from calib.report.gap_source import with_diagnosis
+
+    if campaign is None:
+        raise BadInputError(
+            f"{path}: found the result of a fit; expected a campaign folder, which a diagnosis needs; give the campaign"
+        )
+    return with_diagnosis(found, campaign, seed=seed)

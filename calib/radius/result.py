@@ -21,7 +21,7 @@ RUNS_FILE: Final = "runs.csv"
 
 
 def provenance(campaign: Campaign, *, version: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """Return where a fit comes from: version, arguments and the SHA-256 of every file read.
+    """Return where a fit comes from: version, arguments, the SHA-256 of every file read, and the ``[report]`` section.
 
     Parameters
     ----------
@@ -37,7 +37,11 @@ def provenance(campaign: Campaign, *, version: str, arguments: Mapping[str, Any]
         for name in ("campaign.toml", "runs.csv"):
             if (campaign.root / name).is_file():
                 hashes[name] = sha256_file(campaign.root / name)
-    return {"version": version, "arguments": dict(arguments), "inputs": dict(sorted(hashes.items()))}
+    found = {"version": version, "arguments": dict(arguments), "inputs": dict(sorted(hashes.items()))}
+    if "report" in campaign.extra:
+        # dates of TOML become texts
+        found["report"] = json.loads(json.dumps(campaign.extra["report"], default=str))
+    return found
 
 
 def write_result(fit: Fit, folder: Path, *, force: bool = False) -> Path:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -42,11 +43,14 @@ def test_a_result_folder_gives_the_same_report_as_its_campaign(
     sample: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Same identification, same sections: the result folder holds all that is said."""
-    read = read_campaign(sample)
+    stated = shutil.copytree(sample, tmp_path / "stated")
+    with (stated / "campaign.toml").open("a", encoding="utf-8") as stream:
+        stream.write('\n[report]\ncustomer = "Example Ltd, 1 Long Road"\nmeasured = [2025-03-03, 2025-03-05]\n')
+    read = read_campaign(stated)
     fit = fit_campaign(read)
     write_result(replace(fit, provenance=provenance(read, version=__version__, arguments={})), tmp_path / "result")
     said = []
-    for source, name in ((sample, "a.pdf"), (tmp_path / "result", "b.pdf")):
+    for source, name in ((stated, "a.pdf"), (tmp_path / "result", "b.pdf")):
         assert run(["report", str(source), "--into", str(tmp_path / name), *DATE, "--json", "-"]) == 0
         captured = capsys.readouterr()
         document = json.loads(captured.out)
@@ -54,6 +58,8 @@ def test_a_result_folder_gives_the_same_report_as_its_campaign(
         assert document["simulated"] is True
         said.append(document)
     assert said[0] == said[1]
+    assert ["Customer", "Example Ltd, 1 Long Road"] in said[0]["head"]
+    assert ["Dates of measurement", "2025-03-03; 2025-03-05"] in said[0]["head"]
 
 
 def test_figures_go_where_asked(sample: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -94,3 +100,11 @@ def test_a_name_becomes_a_file_name_inside_the_folder() -> None:
         assert not made.startswith(".")
         assert made.endswith(".pdf")
         assert len(made) <= 84
+
+
+def test_a_diagnosis_needs_the_campaign(sample: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    read = read_campaign(sample)
+    fit = fit_campaign(read)
+    write_result(replace(fit, provenance=provenance(read, version=__version__, arguments={})), tmp_path / "result")
+    assert run(["report", str(tmp_path / "result"), "--into", str(tmp_path), "--diagnosis"]) == 2
+    assert "campaign folder" in capsys.readouterr().err

@@ -1,0 +1,86 @@
+"""From a diagnosis to what its page shows: channels, gap before and after, covariates, and the floor plan."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from calib.campaign.model import Campaign
+from calib.gap.diagnose import Diagnosis, diagnose_in_full
+from calib.gap.residuals import residuals
+from calib.gap.situation import CHANNELS
+from calib.report.gap_findings import GapFindings
+from calib.report.source import Source
+
+__all__ = ["findings_of", "with_diagnosis"]
+
+_ANGLES = {"heading", "steering"}
+#: columns that are results or addresses, not circumstances
+_NOT_COVARIATES = {"counts_left", "counts_right", "distance_m"}
+
+
+def with_diagnosis(source: Source, campaign: Campaign, *, seed: int = 0) -> Source:
+    """Return `source` with the findings of a diagnosis of its campaign.
+
+    Parameters
+    ----------
+    source : Source
+        From `calib.report.source.source_of`.
+    campaign : Campaign
+        The same campaign.
+    seed : int
+        For the diagnosis.
+
+    Raises
+    ------
+    RefusedError
+        Where the campaign cannot be diagnosed.
+    """
+    return replace(source, gap=findings_of(diagnose_in_full(campaign, seed=seed)))
+
+
+def findings_of(diagnosis: Diagnosis) -> GapFindings:
+    """Return what a report shows of a diagnosis.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+        From `calib.gap.diagnose.diagnose_in_full`.
+
+    Returns
+    -------
+    GapFindings
+        Residuals of channels that a unit lacks are NaN; paths are those of the model alone, each from its own start.
+    """
+    s, nominal, closure = diagnosis.situation, diagnosis.nominal, diagnosis.closure
+    plain = np.where(s.usable, residuals(nominal, nominal), np.nan)
+    c, sn = np.cos(nominal.frame), np.sin(nominal.frame)
+    along, lateral = plain[:, 1], plain[:, 2]
+    offset = np.column_stack((c * along - sn * lateral, sn * along + c * lateral))
+    paths = tuple(
+        np.vstack(
+            (
+                np.zeros((1, 2)),
+                np.column_stack((nominal.x_m[first:last], nominal.y_m[first:last])),
+                nominal.end[unit, :2],
+            )
+        )
+        for unit, (first, last) in enumerate(zip(s.starts[:-1], s.starts[1:], strict=True))
+    )
+    covariates = {
+        name: values
+        for name, values in s.numbers.items()
+        if name not in _NOT_COVARIATES and not name.startswith(("ref_", "sim_"))
+    }
+    return GapFindings(
+        verdict=diagnosis.verdict.to_dict(),
+        channels=tuple((name, "rad" if name in _ANGLES else "m") for name in CHANNELS),
+        before=plain if closure is None else np.where(s.usable, closure.before, np.nan),
+        after=None if closure is None else np.where(s.usable, closure.after, np.nan),
+        floor=None if closure is None else np.where(s.usable, closure.floor, np.nan),
+        group=s.labels["kind"],
+        covariates=covariates,
+        paths_m=paths if np.isfinite(offset).any() else (),
+        offset_m=offset if np.isfinite(offset).any() else None,
+    )
