@@ -111,6 +111,8 @@ def diagnose_in_full(
         s = corrected(s, fault)
         nominal = predict(s)
     effects = library(s, exclude=exclude, declared=campaign.extra.get("effects", ()))
+    # a gross fault is looked for above, by re-simulation; the linear search is no place for it
+    effects = [effect for effect in effects if effect.id != "encoder_gross"]
     noise, base = _settle(nominal)
     found = search(nominal, noise, base, effects, settings)
     chosen = _choose(found)

@@ -15,8 +15,8 @@ from calib.gap.situation import Situation
 __all__ = ["GrossFault", "corrected", "find_gross"]
 
 FACTORS: Final = {"2": 2.0, "4": 4.0, "pi": np.pi, "1/2": 0.5, "1/4": 0.25, "1/pi": 1 / np.pi, "10": 10.0, "1/10": 0.1}
-#: a fault is gross where the typical run is off by more than this share of its length (or of a radian)
-GROSS: Final = 0.15
+#: a fault is gross where runs are off by more than this share of their length (or of a radian) on average
+GROSS: Final = 0.08
 #: and a correction is believed where it leaves less than this share of that
 CLOSES: Final = 0.2
 
@@ -48,28 +48,23 @@ def corrected(s: Situation, fault: GrossFault) -> Situation:
     """Return the situation with the counts put right."""
     left, right = (s.roll_right_rad, s.roll_left_rad) if fault.swapped else (s.roll_left_rad, s.roll_right_rad)
     phase = (s.phase_right_rad, s.phase_left_rad) if fault.swapped else (s.phase_left_rad, s.phase_right_rad)
-    made = replace(
+    return replace(
         s,
         roll_left_rad=left * fault.left,
         roll_right_rad=right * fault.right,
         phase_left_rad=phase[0] * fault.left,
         phase_right_rad=phase[1] * fault.right,
     )
-    # the measured heading was brought next to what the faulty wheels said
-    turn = made.total(made.turn_rad)
-    measured = made.measured.copy()
-    measured[:, 3] += 2 * np.pi * np.round((turn - measured[:, 3]) / (2 * np.pi))
-    return replace(made, measured=measured)
 
 
 def misfit(path: Path) -> FloatArray:
-    """Return how far each unit is off, as a share of its length and per radian, shape (n_units,)."""
+    """Return how far each unit is off, as a share of its length and per radian, 1 at most, shape (n_units,)."""
     s = path.s
     gap = np.abs(residuals(path, path))
     length = np.maximum(np.hypot(s.measured[:, 1], s.measured[:, 2]), np.nan_to_num(s.measured[:, 0]))
     length = np.where(np.isfinite(length) & (length > 0.5), length, np.maximum(s.length_m, 0.5))
     ways = np.where(s.usable[:, :3], gap[:, :3], 0.0).max(axis=1) / length
-    made: FloatArray = np.maximum(np.minimum(ways, 10.0), np.where(s.usable[:, 3], gap[:, 3], 0.0))
+    made: FloatArray = np.minimum(np.maximum(ways, np.where(s.usable[:, 3], gap[:, 3], 0.0)), 1.0)
     return made
 
 
@@ -85,11 +80,11 @@ def find_gross(s: Situation, nominal: Path) -> GrossFault | None:
     """
     if np.isfinite(s.simulated).any():
         return None
-    now = float(np.median(misfit(nominal)))
+    now = float(np.mean(misfit(nominal)))
     if now < GROSS:
         return None
     tried = [
-        (float(np.median(misfit(predict(corrected(s, fault))))), number) for number, fault in enumerate(_candidates())
+        (float(np.mean(misfit(predict(corrected(s, fault))))), number) for number, fault in enumerate(_candidates())
     ]
     best, number = min(tried)
     return _candidates()[number] if best < CLOSES * now and best < GROSS else None

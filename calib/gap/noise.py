@@ -7,6 +7,7 @@ differs between units driven alike, after a mean in each channel and a calibrati
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -15,7 +16,7 @@ import numpy as np
 from calib.campaign.model import NUMERIC_COLUMNS, BoolArray, FloatArray, IntArray
 from calib.gap.path import Path
 
-__all__ = ["COMPONENTS", "Noise", "estimate_noise", "whiten"]
+__all__ = ["COMPONENTS", "Noise", "estimate_noise", "interactions", "surroundings", "whiten"]
 
 #: components: (name, prior median of the standard deviation's scale, prior spread of its natural logarithm)
 COMPONENTS: Final[tuple[tuple[str, float, float], ...]] = (
@@ -174,7 +175,7 @@ def estimate_noise(path: Path, gap: FloatArray) -> Noise:
         the instruments' stated uncertainty for the first three.
     """
     s = path.s
-    trend = _trend(path)
+    trend = np.concatenate([surroundings(path), *interactions(path)], axis=2)
     for labels, columns in ((s.cell, None), (s.condition, trend), (s.kind, trend), (np.zeros_like(s.kind), trend)):
         problem = _Problem(path, gap, labels, columns)
         if problem.dof >= ENOUGH_DOF:
@@ -182,7 +183,7 @@ def estimate_noise(path: Path, gap: FloatArray) -> Noise:
     return problem.solve()
 
 
-def _trend(path: Path) -> FloatArray:
+def surroundings(path: Path) -> FloatArray:
     """Return what both radii may do with the surroundings, shape (n_units, 6, k)."""
     s = path.s
     waited = s.number("minutes_under_load")
@@ -191,14 +192,39 @@ def _trend(path: Path) -> FloatArray:
     values += [s.numbers[name] for name in s.numbers if name not in NUMERIC_COLUMNS]
     sessions = np.unique(s.labels["session"])
     values += [(s.labels["session"] == name).astype(np.float64) for name in sessions[1:]]
+    return _on_radii(path, [(column, (0, 1)) for value in values for column in _standardised(value)])
+
+
+def interactions(path: Path) -> list[FloatArray]:
+    """Return what the surroundings may do differently under another load or at another speed.
+
+    One array (n_units, 6, k) for temperature and one for dwell, each where it varies.
+    """
+    s = path.s
+    others = ((s.number("load_left_N"), (0,)), (s.number("load_right_N"), (1,)), (s.number("speed_mps"), (0, 1)))
     made = []
-    for value in values:
-        filled = np.nan_to_num(value - np.nanmean(value)) if np.isfinite(value).any() else np.zeros(len(s))
-        spread = float(filled.std())
-        if spread > 0:
-            made += [path.calibration[:, :, k] * (filled / spread)[:, None] * 1e-2 for k in (0, 1)]
-    stacked = np.stack(made, axis=2) if made else np.zeros((len(s), 6, 0))
-    return np.where(s.usable[:, :, None], stacked, 0.0)
+    for value in (s.number("temperature_C"), s.number("minutes_under_load")):
+        for first in _standardised(value):
+            pairs = [(first * second, wheels) for other, wheels in others for second in _standardised(other)]
+            if pairs:
+                made.append(_on_radii(path, pairs))
+    return made
+
+
+def _on_radii(path: Path, columns: Sequence[tuple[FloatArray, tuple[int, ...]]]) -> FloatArray:
+    """Return a hundredth of each column acting on the radius of the wheels named, shape (n_units, 6, k)."""
+    made = [path.calibration[:, :, k] * column[:, None] * 1e-2 for column, wheels in columns for k in wheels]
+    stacked = np.stack(made, axis=2) if made else np.zeros((len(path.s), 6, 0))
+    return np.where(path.s.usable[:, :, None], stacked, 0.0)
+
+
+def _standardised(values: FloatArray) -> list[FloatArray]:
+    """Return the values less their mean over their spread; nothing where they do not vary."""
+    if not np.isfinite(values).any():
+        return []
+    filled = np.nan_to_num(values - np.nanmean(values))
+    spread = float(filled.std())
+    return [filled / spread] if spread > 1e-9 else []
 
 
 class _Problem:

@@ -12,7 +12,7 @@ from calib.campaign.model import FloatArray, IntArray
 from calib.gap.effects.effect import Effect, Form
 from calib.gap.fit import Fitted, fit
 from calib.gap.linear import CALIBRATION_SD, Nuisance, form_columns, log_evidence, project, rows
-from calib.gap.noise import Noise
+from calib.gap.noise import Noise, interactions, surroundings
 from calib.gap.path import Path
 from calib.gap.residuals import residuals
 
@@ -38,7 +38,7 @@ class Settings:
     """
 
     prior_effect: float = 0.01
-    prior_unknown: float = 0.01
+    prior_unknown: float = 0.04
     tolerance: float = 0.15
     temper: float = 0.8
     singles: int = 8
@@ -166,6 +166,10 @@ class Workbench:
                 spread = np.zeros((n, len(labels), columns.shape[1]))
                 spread[np.arange(n), index] = columns
                 made.append(spread.reshape(n, -1))
+        for columns in (surroundings(self.path), *interactions(self.path)):
+            if columns.shape[2]:
+                trend = rows(self.path, self.noise, columns)
+                made.append(trend / np.maximum(np.sqrt((trend**2).mean(axis=0)), 1e-12))
         return made
 
 

@@ -447,11 +447,12 @@ def _assemble(
     path = np.add.reduceat(0.5 * (roll_left * model.radius_left_m + roll_right * model.radius_right_m), starts[:-1])
     turn = np.add.reduceat((roll_right * model.radius_right_m - roll_left * model.radius_left_m), starts[:-1])
     turn = turn / model.track_m
-    # a reference heading may come wrapped: bring it next to what the wheels say
+    # a reference heading may come wrapped, then all of them lie within half a turn: bring it next to the wheels'
     with np.errstate(invalid="ignore"):
-        wraps = 2 * np.pi * np.round((turn - measured[:, 3]) / (2 * np.pi))
-        # but only where the two then agree: with swapped or halved counts it is the wheels that are wrong
-        measured[:, 3] += np.where(np.abs(turn - measured[:, 3] - wraps) < 1.0, wraps, 0.0)
+        if np.isfinite(measured[:, 3]).any() and np.nanmax(np.abs(measured[:, 3])) <= np.pi + 0.05:
+            wraps = 2 * np.pi * np.round((turn - measured[:, 3]) / (2 * np.pi))
+            # but only where the two then agree: with swapped or halved counts it is the wheels that are wrong
+            measured[:, 3] += np.where(np.abs(turn - measured[:, 3] - wraps) < 1.0, wraps, 0.0)
         chord = np.hypot(measured[:, 1], measured[:, 2])
         straight = (np.abs(turn) < STRAIGHT_RAD) & ~(chord < 0.9 * np.abs(path))
     logged = np.array([u.logged for u in units])
