@@ -7,8 +7,10 @@ Sine and cosine both come from the tangent of half the angle: one vectorised fun
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
-from dataclasses import dataclass
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from math import factorial, isfinite
 from typing import Final
 
@@ -29,7 +31,10 @@ _BEHIND: Final = {"exact": 0.5, "mid_point": 0.5, "euler": 1.0, "end_point": 0.0
 SCHEMES: Final = tuple(_BEHIND)
 
 #: samples a block: the arrays in use stay in the second-level cache
-BLOCK: Final = 16384
+BLOCK: Final = 32768
+
+#: steps from which on a second thread is worth its start
+MANY_STEPS: Final = 1_000_000
 
 #: running sums are taken over rows of this many samples by one product with a triangle of ones
 ROW: Final = 16
@@ -45,6 +50,25 @@ _SUMS: Final = np.triu(np.ones((ROW, ROW)))
 _ONES: Final = np.ones(ROW)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Part:
+    """Running sums that leave out part of each last step, times a factor: a product with a triangle."""
+
+    left_out: float
+    factor: float
+    triangle: FloatArray
+
+    @staticmethod
+    def of(left_out: float, factor: float) -> _Part:
+        return _Part(left_out, factor, np.ascontiguousarray(factor * (_SUMS - left_out * np.eye(ROW))))
+
+
+_WHOLE: Final = _Part.of(0.0, 1.0)
+
+#: half the heading that a scheme uses in each step
+_HALF_HEADING: Final = {behind: _Part.of(behind, 0.5) for behind in set(_BEHIND.values())}
+
+
 def integrate(
     travel_left_m: npt.ArrayLike,
     travel_right_m: npt.ArrayLike,
@@ -54,6 +78,7 @@ def integrate(
     start: npt.ArrayLike = (0.0, 0.0, 0.0),
     scheme: str = "exact",
     out: Poses | None = None,
+    threads: int | None = None,
 ) -> Poses:
     """Integrate the travel of the rear wheels into poses.
 
@@ -74,6 +99,9 @@ def integrate(
         beginning, or at its end (Eq. 7 as printed).
     out : Poses, optional
         Contiguous arrays of the travel's shape to write to; new memory costs as much as the arithmetic.
+    threads : {1, 2}, optional
+        Work on both halves of the steps at once; None: where there are two processors and a million steps. Where a
+        run is cut, its last digit depends on it.
 
     Returns
     -------
@@ -92,10 +120,25 @@ def integrate(
     elif any(a.shape != job.shape or not a.flags.c_contiguous for a in (out.x_m, out.y_m, out.theta_rad)):
         raise BadInputError(f"out: found arrays of shape {out.shape}; expected contiguous ones of shape {job.shape}")
     x, y, theta = out.x_m.reshape(n), out.y_m.reshape(n), out.theta_rad.reshape(n)
-    for block in _blocks(job, theta):
-        part = slice(block.first, block.last)
-        block.running(job, block.dx, 0, [(x[part], 0.0)])
-        block.running(job, block.dy, 1, [(y[part], 0.0)])
+    if threads is None:
+        threads = 2 if n >= MANY_STEPS and (os.cpu_count() or 1) > 1 else 1
+    if threads == 1 or n < 2:
+        _fill(job, x, y, theta)
+        return out
+    cut = _cut(job)
+    halves = (slice(0, cut), slice(cut, n))
+    jobs = (_head(job, cut), _tail(job, cut))
+    with ThreadPoolExecutor(2) as pool:
+        waiting = [pool.submit(_fill, j, x[h], y[h], theta[h]) for j, h in zip(jobs, halves, strict=True)]
+        for one in waiting:
+            one.result()
+        run = int(np.searchsorted(job.starts, cut, side="right")) - 1
+        if job.starts[run] != cut:
+            # the second half was driven from the origin: put it where the first one ended
+            stop = int(job.starts[run + 1]) if run + 1 < len(job.starts) else n
+            moved = [pool.submit(np.add, a[cut:stop], a[cut - 1], out=a[cut:stop]) for a in (x, y)]
+            for done in moved:
+                done.result()
     return out
 
 
@@ -151,6 +194,62 @@ class _Job:
     rest: list[float]
 
 
+def _fill(job: _Job, x: FloatArray, y: FloatArray, theta: FloatArray) -> None:
+    """Write the poses of a job."""
+    for block in _blocks(job, theta):
+        part = slice(block.first, block.last)
+        block.running(job, block.dx, 0, [(x[part], _WHOLE)])
+        block.running(job, block.dy, 1, [(y[part], _WHOLE)])
+
+
+def _cut(job: _Job) -> int:
+    """Return where to cut the steps in two: between two runs where that halves the work fairly, else in the middle."""
+    n = len(job.left)
+    middle = n // 2 // BLOCK * BLOCK or n // 2
+    near = int(job.starts[int(np.argmin(np.abs(job.starts - middle)))])
+    return near if near > 0 and abs(near - middle) < n // 16 else middle
+
+
+def _head(job: _Job, cut: int) -> _Job:
+    """Return the job of the steps before `cut`."""
+    keep = job.starts < cut
+    return replace(
+        job,
+        left=job.left[:cut],
+        right=job.right[:cut],
+        per_m=job.per_m if isinstance(job.per_m, float) else job.per_m[:cut],
+        starts=job.starts[keep],
+        runs=job.runs[keep],
+        carried=[0.0, 0.0, 0.0],
+        rest=[0.0, 0.0, 0.0],
+    )
+
+
+def _tail(job: _Job, cut: int) -> _Job:
+    """Return the job of the steps from `cut` on; a run that is cut goes on from the origin, with its heading."""
+    run = int(np.searchsorted(job.starts, cut, side="right")) - 1
+    pose = job.pose
+    if job.starts[run] != cut:
+        before = slice(int(job.starts[run]), cut)
+        if isinstance(job.per_m, float):
+            turned = (job.right[before].sum() - job.left[before].sum()) * job.per_m
+        else:
+            turned = ((job.right[before] - job.left[before]) * job.per_m[before]).sum()
+        pose = pose.copy()
+        pose[:, job.runs[run]] = 0.0, 0.0, pose[2, job.runs[run]] + turned
+    return replace(
+        job,
+        left=job.left[cut:],
+        right=job.right[cut:],
+        per_m=job.per_m if isinstance(job.per_m, float) else job.per_m[cut:],
+        starts=np.maximum(job.starts[run:] - cut, 0),
+        runs=job.runs[run:],
+        pose=pose,
+        carried=[0.0, 0.0, 0.0],
+        rest=[0.0, 0.0, 0.0],
+    )
+
+
 @dataclass(slots=True, eq=False)
 class _Block:
     """A stretch of the flat steps, with the pieces of runs that lie in it."""
@@ -168,22 +267,21 @@ class _Block:
         """Return the sum of the steps of each piece, shape (pieces,)."""
         return np.add.reduceat(steps, self.local) if len(self.local) > 1 else np.array([steps.sum()])
 
-    def running(self, job: _Job, steps: FloatArray, which: int, wanted: list[tuple[FloatArray, float]]) -> None:
-        """Write the running sums of each run, from its start or from the block before.
-
-        `wanted` holds pairs of an output and the part of each last step to leave out. `steps` is used up.
-        """
+    def running(self, job: _Job, steps: FloatArray, which: int, wanted: list[tuple[FloatArray, _Part]]) -> None:
+        """Write the running sums of each run, from its start or from the block before; `steps` is used up."""
         base = job.pose[which, job.runs[self.runs]]
         if self.continues:
             base[0] = job.carried[which] + job.rest[which]
         if len(base) > 1:
-            sums = self.sums(steps)
-            job.carried[which], job.rest[which] = float(base[-1] + sums[-1]), 0.0
-            base[1:] -= np.cumsum(sums[:-1])
-            _running_sums(steps, 0.0, wanted)
-            shift = np.repeat(base, np.diff(self.local, append=len(steps)))
-            for out, _ in wanted:
-                out += shift
+            ends = base + (self.turned if which == 2 else self.sums(steps))
+            job.carried[which], job.rest[which] = float(ends[-1]), 0.0
+            # the first step of a run leads from the end of the run before to its own start
+            lead, firsts = base[1:] - ends[:-1], self.local[1:]
+            steps[firsts] += lead
+            _running_sums(steps, float(base[0]), wanted)
+            for out, part in wanted:
+                if part.left_out:
+                    out[firsts] += part.left_out * part.factor * lead
             return
         # the carry is summed with its rounding (Neumaier), so that equal steps do not add up a bias
         before, rest = (job.carried[which], job.rest[which]) if self.continues else (float(base[0]), 0.0)
@@ -193,8 +291,8 @@ class _Block:
         job.carried[which], job.rest[which] = after, rest + lost
 
 
-def _running_sums(steps: FloatArray, before: float, wanted: list[tuple[FloatArray, float]]) -> float:
-    """Write running sums of `steps`, begun at `before`; return the sum of the steps alone."""
+def _running_sums(steps: FloatArray, before: float, wanted: list[tuple[FloatArray, _Part]]) -> float:
+    """Write running sums of `steps`, begun at `before`; return the sum of the steps alone. `steps` is used up."""
     if len(steps) % ROW == 0:
         rows = steps.reshape(-1, ROW)
         totals = rows @ _ONES
@@ -206,17 +304,21 @@ def _running_sums(steps: FloatArray, before: float, wanted: list[tuple[FloatArra
             totals[0] = 0.0
             totals += before
             rows[:, 0] += totals
-            for out, left_out in wanted:
+            for out, part in wanted:
                 made = out.reshape(-1, ROW)
-                np.matmul(rows, _SUMS if left_out == 0.0 else _SUMS - left_out * np.eye(ROW), out=made)
-                if left_out != 0.0:
-                    made[:, 0] += left_out * totals
+                # in pieces so small that no BLAS starts threads of its own
+                for k in range(0, len(rows), 1024):
+                    np.matmul(rows[k : k + 1024], part.triangle, out=made[k : k + 1024])
+                if part.left_out:
+                    totals *= part.left_out * part.factor
+                    made[:, 0] += totals
             return total
     sums = np.cumsum(steps)
-    for out, left_out in wanted:
+    for out, part in wanted:
         np.add(sums, before, out=out)
-        if left_out != 0.0:
-            out -= left_out * steps
+        if part.left_out:
+            out -= part.left_out * steps
+        out *= part.factor
     return float(sums[-1])
 
 
@@ -242,12 +344,9 @@ def _blocks(job: _Job, theta: FloatArray | None) -> Iterator[_Block]:
             chord *= 0.5
         block = _Block(first, last, slice(k0, k1), local, continues, dx=work, dy=tangent, turned=turn)
         block.turned = block.sums(turn)
-        wanted = [(tangent, job.behind)]
-        if theta is not None:
-            wanted.append((theta[first:last], 0.0))
-        block.running(job, turn, 2, wanted)
+        wanted = [] if theta is None else [(theta[first:last], _WHOLE)]
+        block.running(job, turn, 2, [*wanted, (tangent, _HALF_HEADING[job.behind])])
         # cos a = 2 / (1 + t^2) - 1 and sin a = 2 t / (1 + t^2) with t = tan(a / 2)
-        tangent *= 0.5
         np.tan(tangent, out=tangent)
         np.multiply(tangent, tangent, out=work)
         work += 1.0

@@ -88,6 +88,21 @@ def test_a_stack_of_runs_is_the_runs_one_by_one(monkeypatch: pytest.MonkeyPatch)
         close(whole[run], integrate(left[run], right[run], TRACK_M))
 
 
+@pytest.mark.parametrize("lengths", [[300], [10, 0, 280, 10], [150, 150], [3] * 100, [1, 0, 1], [2], [0, 299, 1]])
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_two_threads_give_the_poses_of_one(lengths: list[int], scheme: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wherever the cut falls: within a run, between two, next to an empty one."""
+    monkeypatch.setattr(odometry, "BLOCK", 16)
+    offsets = np.concatenate(([0], np.cumsum(lengths)))
+    left, right = steps(offsets[-1])
+    starts = np.random.default_rng(1).standard_normal((len(lengths), 3))
+    for track in (TRACK_M, np.linspace(0.6, 0.8, offsets[-1])):
+        arguments = {"offsets": offsets, "start": starts, "scheme": scheme}
+        one = integrate(left, right, track, threads=1, **arguments)  # type: ignore[arg-type]
+        two = integrate(left, right, track, threads=2, **arguments)  # type: ignore[arg-type]
+        close(one, two)
+
+
 def test_the_track_may_change_from_sample_to_sample() -> None:
     left, right = steps(300)
     track = np.linspace(0.6, 0.8, 300)
@@ -97,6 +112,17 @@ def test_the_track_may_change_from_sample_to_sample() -> None:
         pieces.append(tuple(end))
     got = integrate(left, right, track, scheme="mid_point")
     np.testing.assert_allclose(got.stacked(), pieces[1:], rtol=0.0, atol=ROUNDING_M)
+
+
+@pytest.mark.parametrize("block", [7, 64])
+def test_a_reading_that_is_not_a_number_spoils_nothing_before_it(block: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And nothing of the runs in other blocks."""
+    monkeypatch.setattr(odometry, "BLOCK", block)
+    left, right = steps(256)
+    left[100] = np.nan
+    broken, whole = integrate(left, right, TRACK_M), integrate(*steps(256), TRACK_M)
+    close(broken[:100], whole[:100])
+    assert np.isnan(broken.stacked()[100:]).all()
 
 
 def test_one_log_ends_in_one_pose_and_an_empty_one_where_it_starts() -> None:
