@@ -176,15 +176,16 @@ VARIANTS: Final[dict[str, Variant]] = {
         sizes=(("backlash_rad", math.radians(1.0)),),
         effects=("steering_backlash",),
         front=True,
-        note="Seen in steer_rad against the rear wheels' heading only; the rear odometry has no gap. The driven wheel's "
-        "own creep in bends, some 4e-4 of the turn, is in the same channel and may be named beside it (steering_scale, "
-        "drive_slip).",
+        note="Seen in steer_rad against the rear wheels' heading only; the rear odometry has no gap. The driven "
+        "wheel's own creep in bends, some 4e-4 of the turn, is in the same channel and may be named beside it "
+        "(steering_scale, drive_slip).",
     ),
     "eccentric_wheel": Variant(
         text="The left rear wheel runs out of true.",
         build=_eccentric,
         sizes=(("eccentricity_m", 0.5e-3),),
         effects=("wheel_eccentricity",),
+        note="The wheel starts each run at a random angle: end poses of repeats scatter, only the logs show the cycle.",
     ),
     "dragging_wheel": Variant(
         text="The left rear wheel's bearing drags.",
