@@ -198,16 +198,20 @@ def surroundings(path: Path) -> FloatArray:
 def interactions(path: Path) -> list[FloatArray]:
     """Return what the surroundings may do differently under another load or at another speed.
 
-    One array (n_units, 6, k) for temperature and one for dwell, each where it varies.
+    One array (n_units, 6, 2) for each of temperature and dwell with each of total load, own load, speed and turning,
+    where they vary.
     """
     s = path.s
-    others = ((s.number("load_left_N"), (0,)), (s.number("load_right_N"), (1,)), (s.number("speed_mps"), (0, 1)))
+    left, right = s.number("load_left_N"), s.number("load_right_N")
+    total, speed, turned = left + right, s.number("speed_mps"), s.total(np.abs(s.turn_rad))
+    others = ((total, total), (left, right), (speed, speed), (turned, turned))
     made = []
     for value in (s.number("temperature_C"), s.number("minutes_under_load")):
         for first in _standardised(value):
-            pairs = [(first * second, wheels) for other, wheels in others for second in _standardised(other)]
-            if pairs:
-                made.append(_on_radii(path, pairs))
+            for pair in others:
+                columns = [(first * second, (k,)) for k in (0, 1) for second in _standardised(pair[k])]
+                if columns:
+                    made.append(_on_radii(path, columns))
     return made
 
 
