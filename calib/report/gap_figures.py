@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
 
+from calib.report.numbers import readable
 from calib.report.style import BLUE, GREY, INK, ORANGE, WIDTH_CM, axes_grid, canvas, colour, shared_legend, styled
 
 __all__ = ["before_after", "gap_by_covariate", "gap_map"]
@@ -21,8 +22,6 @@ MANY: Final = 2000
 #: longest arrow of the map over the larger side of the floor plan
 ARROW_SHARE: Final = 0.12
 TALLEST_CM: Final = 11.5
-#: unit -> factor and unit shown
-_SHOWN: Final[Mapping[str, tuple[float, str]]] = {"m": (1e3, "mm"), "rad": (1e3, "mrad")}
 
 
 @styled
@@ -82,9 +81,13 @@ def gap_map(paths_m: Sequence[FloatArray], offset_m: FloatArray, group: StrArray
         axis.set_aspect("equal", adjustable="box")
     axis.set_xlabel("x (m)")
     axis.set_ylabel("y (m)")
-    scale = f"largest {1e3 * float(length.max()):.3g} mm; " if len(length) else ""
+    scale = ""
+    if len(length):
+        unit_factor, unit = readable("m", float(length.max()))
+        scale = f"largest {unit_factor * float(length.max()):.3g} {unit}; "
+    magnified = "to scale" if factor == 1 else f"{factor:g} times"
     note = ", y stretched" if stretched else ""
-    axis.set_title(f"Gap at the end of each run ({scale}arrows {factor:g} times{note})")
+    axis.set_title(f"Gap at the end of each run ({scale}arrows {magnified}{note})")
     if 1 < len(names) <= LEGEND_LIMIT:
         handles, labels = axis.get_legend_handles_labels()
         shared_legend(figure, handles, labels, below=True)
@@ -122,7 +125,7 @@ def gap_by_covariate(
         One panel a covariate.
     """
     shown = list(covariates.items())[:6]
-    factor, name = _SHOWN.get(unit, (1.0, unit))
+    factor, name = readable(unit, _largest(residual))
     columns = 2 if len(shown) in {2, 4} else min(3, max(len(shown), 1))
     rows = max(-(-len(shown) // columns), 1)
     figure = canvas(1.6 + 4.4 * rows)
@@ -188,7 +191,7 @@ def before_after(
             continue
         k = used[panel]
         title, unit = channels[k]
-        factor, name = _SHOWN.get(unit, (1.0, unit))
+        factor, name = readable(unit, _largest(before[:, k]))
         level = factor * _rms(floor[:, k])
         if np.isfinite(level):
             axis.axhspan(-level, level, color=GREY, alpha=0.22, lw=0)
@@ -209,6 +212,11 @@ def before_after(
         axis.set_ylabel(f"gap ({name})")
         axis.margins(y=0.08)
     return figure
+
+
+def _largest(values: FloatArray) -> float:
+    found = np.abs(values[np.isfinite(values)])
+    return float(found.max()) if len(found) else 0.0
 
 
 def _rms(values: FloatArray) -> float:

@@ -19,11 +19,14 @@ __all__ = [
     "plural",
     "probability",
     "prose",
+    "readable",
     "span",
     "two_digits",
 ]
 
 MISSING: Final = "–"
+#: metres or radians from which on nobody wants thousandths
+LARGE: Final = 1.0
 #: blanks as wide as a figure and as a full stop
 _FIGURE, _STOP = "\u2007", "\u2008"
 #: what terminals can show, and how it is printed
@@ -97,6 +100,13 @@ def prose(text: str) -> str:
     for pattern, sign in _PROSE:
         text = pattern.sub(sign, text)
     return text
+
+
+def readable(unit: str, size: float) -> tuple[float, str]:
+    """Return factor and unit in which a length or angle of this size (SI) reads well: mm or m, mrad or rad."""
+    if unit not in {"m", "rad"}:
+        return 1.0, unit
+    return (1.0, unit) if size >= LARGE else (1e3, f"m{unit}")
 
 
 def probability(p: float | None) -> str:

@@ -12,7 +12,7 @@ from calib.report import gap_figures
 from calib.report.blocks import Block, Column, Items, Notice, Picture, Section, Table, Text
 from calib.report.gap_causes import MOST, apart_blocks, cause_blocks, effect_name, finite, percent, plain_line
 from calib.report.gap_findings import GapFindings
-from calib.report.numbers import MISSING, fixed, left, probability, prose, two_digits
+from calib.report.numbers import MISSING, fixed, left, probability, prose, readable, two_digits
 from calib.report.source import Source
 
 __all__ = ["section"]
@@ -69,6 +69,11 @@ def _sentence(verdict: Mapping[str, Any]) -> str:
     return "No effect of the library explains the gap."
 
 
+def _length(value_m: float) -> str:
+    factor, unit = readable("m", value_m)
+    return f"{two_digits(factor * value_m)} {unit}"
+
+
 def _where(gap: GapFindings) -> list[Block]:
     blocks: list[Block] = []
     where = gap.verdict.get("where") or {}
@@ -79,7 +84,7 @@ def _where(gap: GapFindings) -> list[Block]:
                 "gap-map",
                 "The gap on the floor plan: paths driven, and arrows from the simulated to the measured end of each "
                 "run.",
-                f"Floor plan of {len(gap.paths_m)} runs with the gap at their ends, at most {1e3 * largest:.3g} mm",
+                f"Floor plan of {len(gap.paths_m)} runs with the gap at their ends, at most {_length(largest)}",
                 partial(gap_figures.gap_map, gap.paths_m, gap.offset_m, gap.group),
             )
         )
@@ -88,17 +93,12 @@ def _where(gap: GapFindings) -> list[Block]:
         units = dict(gap.channels)
         rows = []
         for name, found in channels:
-            unit = units.get(name, "rad" if name in {"heading", "steering"} else "m")
             rms, floor = finite(found.get("rms")), finite(found.get("floor"))
+            unit = units.get(name, "rad" if name in {"heading", "steering"} else "m")
+            factor, shown = readable(unit, rms or 0.0)
             ratio = rms / floor if rms is not None and floor else None
-            rows.append(
-                (
-                    effect_name(name),
-                    f"m{unit}",
-                    *(two_digits(None if value is None else 1e3 * value) for value in (rms, floor)),
-                    fixed(ratio, 1),
-                )
-            )
+            cells = (two_digits(None if value is None else factor * value) for value in (rms, floor))
+            rows.append((effect_name(name), shown, *cells, fixed(ratio, 1)))
         blocks.append(
             Table(
                 "The gap by channel, root mean square, against its floor.",
@@ -178,9 +178,9 @@ def _closure(gap: GapFindings) -> list[Block]:
     if before is not None and after is not None:
         text = (
             f"On held-out runs (by {effect_name(found.get('held_out') or 'run')}) the gap is "
-            f"{two_digits(1e3 * before)} mm with the model alone and {two_digits(1e3 * after)} mm with the cause added"
+            f"{_length(before)} with the model alone and {_length(after)} with the cause added"
         )
-        text += "." if floor is None else f"; the floor is {two_digits(1e3 * floor)} mm."
+        text += "." if floor is None else f"; the floor is {_length(floor)}."
         fraction, ends = finite(found.get("fraction")), found.get("ci95")
         if fraction is not None:
             text += f" That closes {percent(fraction)} of the gap above the floor"

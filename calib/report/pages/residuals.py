@@ -30,6 +30,11 @@ def section(source: Source) -> Section:
             ),
             partial(figures.residuals, fit.left, fit.right, fit.radii.session),
         ),
+        Text(
+            "p is the probability of a statistic at least as extreme where nothing is wrong; the decision rule below "
+            "says from which p on a check speaks.",
+            small=True,
+        ),
         *(
             Table(
                 f"Checks of the {name} wheel.",
@@ -38,11 +43,6 @@ def section(source: Source) -> Section:
                 dense=True,
             )
             for name, wheel in fit.wheels.items()
-        ),
-        Text(
-            "p is the probability of a statistic at least as extreme where nothing is wrong; the decision rule below "
-            "says from which p on a check speaks.",
-            small=True,
         ),
     ]
     return Section("Residual checks", tuple(blocks))
