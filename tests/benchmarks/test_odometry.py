@@ -20,7 +20,7 @@ from calib.motion.poses import Poses
 from calib.motion.routes import Route, find_route
 
 TRACK_M = 0.7
-REPEATS = 7
+REPEATS = 15
 
 LOOP = r"""
 #include <math.h>
