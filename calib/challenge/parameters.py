@@ -33,27 +33,29 @@ def _beam(_truth: Truth, cause: Cause) -> _Expected:
     return {"excess": 1 / float(np.cos(cause.size)) - 1}
 
 
+# the verdict's load is that of the axle, the plant's that of a wheel
 #: (effect, form of the truth) -> parameter of the verdict -> its true value
 _TRUE: Final[dict[tuple[str, str], Callable[[Truth, Cause], _Expected]]] = {
     ("radius_scale", "plain"): _size("relative"),
     ("unequal_radii", "plain"): _size("relative"),
     ("track_width", "plain"): _size("relative"),
     ("load_radius", "plain"): _load_slopes,
-    ("load_dependent_track", "plain"): _size("per_N"),
+    ("load_dependent_track", "plain"): _size("per_N", 0.5),
     ("curve_scrub", "plain"): _size("widening"),
     ("rangefinder_scale", "plain"): _size("relative"),
     ("rangefinder_offset", "plain"): _size("offset"),
     ("beam_misalignment", "plain"): _beam,
-    ("rear_drag", "plain"): _size("relative"),
     ("travel_direction", "plain"): _size("relative"),
     ("reference_yaw", "plain"): _size("yaw"),
     ("reference_latency", "plain"): _size("latency"),
-    ("temperature_radius", "plain"): _size("per_K"),
+    ("temperature_radius", "plain"): _size("alpha"),
     ("payload_mass", "plain"): _size("share"),
     ("floor_undulation", "plain"): _size("excess"),
     ("steering_zero", "plain"): _size("zero"),
     ("steering_scale", "plain"): _size("relative"),
     ("speed_radius", "plain"): _size("per_mps"),
+    ("side_slip", "plain"): _size("slip_per_acceleration"),
+    ("steering_delay", "plain"): _size("delay"),
 }
 
 

@@ -46,11 +46,14 @@ def steering_readings(world: World, noise: NoiseDraw, record: Record, *, quantis
     steer = record.steer_rad
     delay = world.steer_delay_s
     if delay.any():
-        gap_s = np.diff(record.t_s, axis=0, prepend=-1.0)
-        share = np.clip(delay / np.maximum(gap_s, 1e-9), 0.0, 1.0)
-        before = np.concatenate((steer[:1], steer[:-1]))
-        # a run's frames stand still behind its end; there the last gap is 0 and the frame repeats the end
-        steer = np.where(gap_s > 1e-9, steer + share * (before - steer), steer)
+        period_s = float(np.max(record.t_s[1]))
+        wanted_s = np.maximum(record.t_s - delay, 0.0)
+        first = np.minimum((wanted_s / period_s + 1e-9).astype(np.int64), len(steer) - 2)
+        runs = np.arange(steer.shape[1])
+        # the frame behind a run's last regular one is its end, nearer than a period
+        before_s, after_s = record.t_s[first, runs], record.t_s[first + 1, runs]
+        share = np.clip((wanted_s - before_s) / np.maximum(after_s - before_s, 1e-9), 0.0, 1.0)
+        steer = steer[first, runs] + share * (steer[first + 1, runs] - steer[first, runs])
     if world.steer_backlash_rad.any():
         half = 0.5 * world.steer_backlash_rad
         shown = np.empty_like(steer)

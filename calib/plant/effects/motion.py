@@ -148,8 +148,8 @@ def _drive_slip_soft(world: World, size: FloatArray, _knobs: Knobs) -> None:
 
 
 FORMS = (
-    Form("speed_radius", "plain", 1.5e-3, "s/m", _speed, frozenset({"speeds"})),
-    Form("speed_radius", "squared", 1.5e-3, "s/m", _speed_squared, frozenset({"speeds"})),
+    Form("speed_radius", "plain", 3e-4, "s/m", _speed, frozenset({"speeds"})),
+    Form("speed_radius", "squared", 3e-4, "s/m", _speed_squared, frozenset({"speeds"})),
     Form("curve_load_transfer", "plain", 1e-5, "1/N", _transfer, frozenset({"turns", "speeds", "loads", "poses"})),
     Form("curve_load_transfer", "roll", 1e-5, "1/N", _transfer_roll, frozenset({"turns", "speeds", "loads", "poses"})),
     Form("load_dependent_track", "plain", 1e-5, "1/N", _loaded_track, frozenset({"turns", "loads", "poses"})),

@@ -1,0 +1,44 @@
+"""A small sealed set, made, diagnosed and scored from end to end; it guards the score."""
+
+from __future__ import annotations
+
+import pytest
+
+from calib.challenge.recipe import SEEDS
+from calib.challenge.run import run
+from calib.challenge.score import Score, score
+from calib.challenge.seal import make
+
+pytest.importorskip("calib.gap.diagnose")
+
+
+@pytest.fixture(scope="module")
+def scored(tmp_path_factory: pytest.TempPathFactory) -> Score:
+    folder = tmp_path_factory.mktemp("blind") / "set"
+    make(SEEDS / "ci.toml", folder, workers=2)
+    run(folder, workers=2)
+    return score(folder)
+
+
+def test_no_case_ends_in_an_error(scored: Score) -> None:
+    assert [case.error for case in scored.cases if case.verdict in ("error", "missing")] == []
+
+
+def test_empty_campaigns_raise_no_alarm(scored: Score) -> None:
+    """At a rate of 5 % two alarms or more in six have a chance of 3 %."""
+    assert scored.board["false alarms"].hits <= 1
+
+
+def test_strong_effects_are_named_first(scored: Score) -> None:
+    """At a rate of 95 % two misses or more in six have a chance of 3 %."""
+    strong = scored.board["first at signal >= 10"]
+    assert strong.total - strong.hits <= 1
+
+
+def test_a_mis_set_calibration_is_named_as_such(scored: Score) -> None:
+    assert scored.board["calibration named first"].hits == scored.board["calibration named first"].total
+
+
+def test_few_fixes_are_wrong(scored: Score) -> None:
+    """At a rate of 2 % three or more in 24 have a chance of 1.2 %."""
+    assert scored.board["wrong fixes"].hits <= 2

@@ -1,0 +1,57 @@
+"""`calib challenge`: what a user sees."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from calib.cli.main import run
+
+SEEDS = """
+format = "calib-challenge-seeds/1"
+purpose = "test"
+seed = 6
+max_runs = 30
+[cases]
+empty = 1
+"""
+
+
+def test_make_prints_the_hash_and_score_wants_verdicts(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("seeds.toml").write_text(SEEDS, encoding="utf-8")
+    assert run(["challenge", "make", "--seeds", "seeds.toml", "--into", "blind", "--workers", "1", "--json", "-"]) == 0
+    out, err = capsys.readouterr()
+    made = json.loads(out)
+    assert made["sha256"] in err
+    assert made["cases"] == 1
+    # no verdict yet: the case counts as missing and the board misses its targets
+    assert run(["challenge", "score", "blind", "--json", "score.json"]) == 1
+    assert json.loads(Path("score.json").read_text(encoding="utf-8"))["board"]["false alarms"]["hits"] == 1
+    assert "MISSED" in capsys.readouterr().out
+    Path("blind/verdicts").mkdir()
+    Path("blind/verdicts/c0001.json").write_text('{"verdict": "no_gap", "causes": []}', encoding="utf-8")
+    assert run(["challenge", "run", "blind", "--workers", "1"]) == 0
+    assert "1 had a verdict already" in capsys.readouterr().out
+    assert run(["challenge", "score", "blind", "--plot", "board.svg"]) == 0
+    assert Path("board-confusion.svg").is_file()
+    assert run(["challenge", "make", "--seeds", "seeds.toml", "--into", "blind"]) == 2
+    assert "--force" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["run", "score"])
+def test_a_folder_that_is_no_set_is_bad_input(command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["challenge", command, str(tmp_path)]) == 2
+    err = capsys.readouterr().err
+    assert "calib challenge make" in err
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize("command", ["make", "run", "score"])
+def test_help_has_an_example(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["challenge", command, "--help"]) == 0
+    assert "Example: calib challenge" in capsys.readouterr().out
