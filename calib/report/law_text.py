@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.radius.regression import WheelFit, t_quantile
 from calib.report.blocks import Column
-from calib.report.numbers import MISSING, fixed, measured
+from calib.report.numbers import MISSING, fixed, measured, span
 
 __all__ = ["MM", "UM", "coverage_factor", "law_columns", "law_row"]
 
@@ -46,5 +46,5 @@ def law_row(fit: WheelFit) -> tuple[str, ...]:
         slope_cells = (*slope, fixed(k_slope, 2))
     else:
         slope_cells = (MISSING, MISSING, MISSING)
-    loads = f"{law.load_min_N:.0f}–{law.load_max_N:.0f}"
+    loads = span(law.load_min_N, law.load_max_N, "", ".0f").replace(" to ", "–")
     return (str(law.n_runs), loads, *radius, fixed(k_radius, 2), *slope_cells)

@@ -92,6 +92,28 @@ def test_markup_in_names_is_set_literally(report: Report, tmp_path: Path) -> Non
     assert captions[0]["caption"]["body"] == {"func": "text", "text": HOSTILE}
 
 
+def texts_in(value: object) -> list[str]:
+    """All texts of what a query gives."""
+    if isinstance(value, dict):
+        inner = [text for part in value.values() for text in texts_in(part)]
+        return [value["text"], *inner] if isinstance(value.get("text"), str) else inner
+    return [text for part in value for text in texts_in(part)] if isinstance(value, list) else []
+
+
+def test_long_names_may_break_but_hashes_stay_whole(report: Report, tmp_path: Path) -> None:
+    """A run id without a blank is set in pieces; a hash can be copied from the page as it is."""
+    name, digest = "run_" + "x" * 60, "sha256:" + "0123456789abcdef" * 4
+    table = Table("c", (Column("a"), Column("b")), ((name, digest),))
+    made = replace(report, name="n", head=(), sections=(Section("s", (table,)),))
+    (tmp_path / "main.typ").write_bytes((files("calib.report") / "page.typ").read_bytes())
+    (tmp_path / "data.json").write_text(to_json(made.to_dict()), encoding="utf-8")
+    (tmp_path / "coefficients.json").write_bytes(made.attachments[0].data)
+    found = texts_in(json.loads(typst.query(str(tmp_path / "main.typ"), "figure", root=str(tmp_path))))
+    assert digest in found
+    pieces = next(text for text in found if text.replace("\u200b", "") == name).split("\u200b")
+    assert max(map(len, pieces)) <= 10
+
+
 def test_the_page_is_set_without_a_warning(report: Report, tmp_path: Path) -> None:
     """No missing font, no missing glyph, nothing that does not converge."""
     (tmp_path / "main.typ").write_bytes((files("calib.report") / "page.typ").read_bytes())

@@ -33,8 +33,7 @@ def section(source: Source) -> Section:
             ),
             aligned(rows, 3, 4, 7),
         ),
-        Text("The standard uncertainty of the radius at a load F follows from both and their covariance,"),
-        Equation("law_uncertainty"),
+        *_propagation(source),
         Text(" ".join(_correlation(wheel) for wheel in fit.wheels.values())),
     ]
     if source.coefficients.outside == "refuse":
@@ -48,6 +47,13 @@ def section(source: Source) -> Section:
         )
     )
     return Section("Coefficients", tuple(blocks))
+
+
+def _propagation(source: Source) -> tuple[Block, ...]:
+    if all(wheel.model != "line" for wheel in source.fit.wheels.values()):
+        return ()
+    said = "The standard uncertainty of the radius at a load F follows from both and their covariance,"
+    return Text(said), Equation("law_uncertainty")
 
 
 def _rows(wheel: WheelFit) -> list[tuple[str, ...]]:

@@ -45,7 +45,7 @@ def section(source: Source) -> Section:
         notice = Notice("good", "The law can be used", "Every check of the fit passed without remark.")
     texts = [
         Text(
-            f"The law holds for wheel loads from {low:.0f} to {high:.0f} N. It comes from {len(fit.radii)} runs along "
+            f"The law holds for {_of_loads(low, high)}. It comes from {len(fit.radii)} runs along "
             f"a straight corridor. The same law, with its covariance, is attached to this PDF as coefficients.json."
         )
     ]
@@ -58,6 +58,12 @@ def section(source: Source) -> Section:
 def _loads(source: Source) -> tuple[float, float]:
     laws = [wheel.law for wheel in source.fit.wheels.values()]
     return max(law.load_min_N for law in laws), min(law.load_max_N for law in laws)
+
+
+def _of_loads(low: float, high: float) -> str:
+    if high - low < 1.0:
+        return f"a wheel load of {low:.0f} N"
+    return f"wheel loads from {low:.0f} to {high:.0f} N"
 
 
 def _wide_single_run(source: Source) -> str:
