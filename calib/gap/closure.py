@@ -98,7 +98,7 @@ def measure_closure(
     unit = np.repeat(np.arange(len(s))[:, None], 6, axis=1)[usable]
     per_unit = np.stack([np.bincount(unit, white[:, k] ** 2, len(s)) for k in range(2)], axis=1)
     dims = usable.sum(axis=1).astype(np.float64)
-    fraction = _fraction(per_unit, dims)
+    fraction = _fraction(per_unit.astype(np.float64), dims)
     ci95 = None
     if fraction is not None:
         _, condition = np.unique(s.condition, return_inverse=True)

@@ -324,13 +324,13 @@ def _screen(
         for form in made:
             columns = project(nuisance, bench.columns(form))
             gram, right = columns.T @ columns, columns.T @ gap
-            sizes = np.linalg.solve(gram + 1e-2 * np.eye(len(gram)), right)
+            sizes: FloatArray = np.linalg.solve(gram + 1e-2 * np.eye(len(gram)), right)
             if wrong_sign(form, sizes):
                 continue
             scale = effect_scale(sizes)
             value = float(log_evidence(gram, right, np.full(len(gram), scale**2)))
             ranking.append((value - SCALE_COST - np.log(form.tries), (form,)))
-            signal[name] = max(signal.get(name, 0.0), float(np.sqrt(max(sizes @ gram @ sizes, 0.0))))
+            signal[name] = max(signal.get(name, 0.0), float(np.sqrt(max(float(sizes @ gram @ sizes), 0.0))))
     ranking.sort(key=lambda item: -item[0])
     return ranking, signal
 

@@ -125,7 +125,8 @@ class Situation:
         """Return the running sum of a step array (n_steps,) within each unit, the step included, shape (n_steps,)."""
         running = np.cumsum(steps)
         before = np.concatenate(([0.0], running))[self.starts[:-1]]
-        return running - np.repeat(before, self.lengths)
+        within: FloatArray = running - np.repeat(before, self.lengths)
+        return within
 
     def number(self, name: str) -> FloatArray:
         """Return a covariate, shape (n_units,); NaN where the campaign has none."""

@@ -1,0 +1,297 @@
+"""From a search of hypotheses to a verdict: what is named, what cannot be told apart, what is recommended."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from calib.campaign.model import Campaign, FloatArray
+from calib.gap.aliases import aliases_of
+from calib.gap.closure import Closure
+from calib.gap.effects.effect import Effect, Form
+from calib.gap.gross import GrossFault
+from calib.gap.linear import CALIBRATION_SD, Nuisance, rows
+from calib.gap.noise import Noise
+from calib.gap.path import Path
+from calib.gap.recalibration import DIRECTIONS, NAMES, Recalibration
+from calib.gap.residuals import residuals
+from calib.gap.search import Hypothesis, Search, Workbench
+from calib.gap.verdict import Cause, Quantity, Verdict
+
+__all__ = ["Judge"]
+
+#: a gap is said to exist where the probability that anything is off reaches this
+DETECTION: Final = 0.8
+#: closure on held-out runs below which a fix is not recommended, and an explanation not believed
+CLOSES: Final = 0.7
+
+
+class Judge:
+    """Turns a search into a verdict.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        What was driven and measured.
+    nominal : Path
+        The model alone (a gross fault put right).
+    noise : Noise
+        Covariance of each unit.
+    effects : sequence of Effect
+        The library.
+    found : Search
+        All hypotheses tried, best first.
+    recalibration : Recalibration
+        Which calibration parameters are off beside the best hypothesis' effects.
+    closure : Closure
+        The gap before and after on held-out runs, for the best hypothesis.
+    fault : GrossFault, optional
+        A gross fault of the encoders, found and put right before the search.
+    """
+
+    def __init__(
+        self,
+        campaign: Campaign,
+        nominal: Path,
+        noise: Noise,
+        effects: Sequence[Effect],
+        found: Search,
+        recalibration: Recalibration,
+        closure: Closure,
+        fault: GrossFault | None,
+    ) -> None:
+        self.campaign, self.s, self.nominal, self.noise = campaign, nominal.s, nominal, noise
+        self.effects = {e.id: e for e in effects}
+        self.found, self.recalibration, self.closure, self.fault = found, recalibration, closure, fault
+        self.chosen: Hypothesis = found.hypotheses[0]
+        self.probabilities = found.probabilities()
+        self.calibration = tuple(n for n in recalibration.subsets[0] if n in self.effects)
+        #: a calibration parameter is off whose effect the library was denied: a cause outside the library
+        self.denied = len(self.calibration) < len(recalibration.subsets[0])
+        self.bench = Workbench(self.chosen.fitted.path, nominal, noise)
+        self.per_unit = self.bench.calibration / CALIBRATION_SD
+
+    def verdict(self, where: dict[str, Any], undetectable: dict[str, str], notes: tuple[str, ...]) -> Verdict:
+        """Return the verdict; `where`, `undetectable` and `notes` are passed through."""
+        groups = self._groups()
+        said = self._said(groups)
+        nothing = said in ("no_gap", "unknown")
+        causes = [] if nothing and self.fault is None else self._causes()
+        if self.fault is not None:
+            # where the rest is no gap or unknown, the fault alone is named
+            causes = [self._gross_cause(), *([] if nothing else causes)]
+            said = {"no_gap": "explained", "unknown": "partly_explained"}.get(said, said)
+        closure = self.closure
+        return Verdict(
+            verdict=said,
+            sentence="",
+            causes=tuple(causes),
+            credible_sets=self._credible_sets(),
+            indistinguishable=() if nothing else tuple(tuple(group) for group in groups if len(group) > 1),
+            undetectable=undetectable,
+            where=where,
+            closure=self._closure_said(),
+            recommended=said in ("explained", "partly_explained")
+            and closure.fraction is not None
+            and closure.fraction >= CLOSES
+            and closure.ci95 is not None
+            and closure.ci95[0] > 0.5 * CLOSES,
+            next_runs=(),
+            notes=(*self.s.notes, *notes),
+            noise={"dof": self.noise.dof, "scales": self.noise.scales},
+            probabilities=self.effect_probabilities(),
+            campaign=self.campaign.name,
+            simulated=self.campaign.simulated,
+        )
+
+    def _said(self, groups: list[list[str]]) -> str:
+        """Return which of the five verdicts it is, a gross fault left aside."""
+        closure, chosen = self.closure, self.chosen
+        named = (*chosen.effects, *self.calibration)
+        if self.gap_probability() < DETECTION:
+            return "no_gap"
+        if not named:
+            return "unknown" if chosen.unknown or self.denied else "no_gap"
+        rest = chosen.unknown or self.denied
+        if rest and (closure.fraction is None or closure.fraction < 0.3):
+            return "unknown"
+        if closure.ci95 is not None and closure.ci95[1] < CLOSES:
+            return "partly_explained" if closure.ci95[0] > 0.3 else "unknown"
+        if rest:
+            return "partly_explained"
+        return "ambiguous" if any(len(group) > 1 for group in groups) else "explained"
+
+    def gap_probability(self) -> float:
+        """Return the probability that anything at all is off."""
+        nothing = self._probability(lambda h: not h.effects and not h.unknown)
+        for subset, p in zip(self.recalibration.subsets, self.recalibration.probabilities, strict=True):
+            if not subset:
+                return 1.0 - nothing * float(p)
+        return 1.0
+
+    def effect_probabilities(self) -> dict[str, float]:
+        """Return the probability of each effect being at work, and that of an unknown cause, largest first."""
+        made: dict[str, float] = {"unknown": self._probability(lambda h: h.unknown)}
+        for h, p in zip(self.found.hypotheses, self.probabilities, strict=True):
+            for name in h.effects:
+                made[name] = made.get(name, 0.0) + float(p)
+        for name in NAMES:
+            if name in self.effects:
+                made[name] = self.recalibration.probability(name)
+        if self.fault is not None:
+            made["encoder_gross"] = 1.0
+        return {k: v for k, v in sorted(made.items(), key=lambda item: -item[1]) if v > 1e-4 or k == "unknown"}
+
+    def _probability(self, what: Callable[[Hypothesis], bool]) -> float:
+        return float(sum(p for h, p in zip(self.found.hypotheses, self.probabilities, strict=True) if what(h)))
+
+    def _contribution(self, form: Form, theta: FloatArray) -> FloatArray:
+        made: FloatArray = self.bench.columns(form) @ (theta / np.array([p.typical for p in form.parameters]))
+        return made
+
+    def _calibration_contribution(self, names: Sequence[str]) -> FloatArray:
+        made = np.zeros(len(self.bench.gap))
+        for name in names:
+            k = NAMES.index(name)
+            made += self.per_unit @ DIRECTIONS[k] * self.recalibration.values[k]
+        return made
+
+    def _groups(self) -> list[list[str]]:
+        """Return, for each named effect, the group that these runs cannot tell it from (itself first)."""
+        fitted = self.chosen.fitted
+        named = (*self.chosen.effects, *self.calibration)
+        forms = self.found.forms
+        groups = []
+        for form, theta in zip(fitted.forms, fitted.theta, strict=True):
+            rest = [self.bench.calibration]
+            rest += [3.0 * self.bench.columns(f) for f in fitted.forms if f is not form]
+            nuisance = Nuisance.of(np.concatenate(rest, axis=1))
+            near = aliases_of(self.bench, nuisance, self._contribution(form, theta), forms, named)
+            groups.append([form.effect, *sorted(near, key=lambda n: near[n])])
+        beside = [self.bench.calibration[:, 3:], *(3.0 * self.bench.columns(f) for f in fitted.forms)]
+        if len(self.calibration) > 1:
+            # one cause may look like two calibration parameters off at once (counts lost on one wheel)
+            nuisance = Nuisance.of(np.concatenate(beside, axis=1))
+            near = aliases_of(self.bench, nuisance, self._calibration_contribution(self.calibration), forms, named)
+            if near:
+                return [*groups, [*self.calibration, *sorted(near, key=lambda n: near[n])]]
+        offered = forms | {n: e.forms(self.s) for n, e in self.effects.items() if e.calibration}
+        for name in self.calibration:
+            others = [
+                (self.per_unit @ DIRECTIONS[NAMES.index(n)])[:, None] * 0.03 for n in self.calibration if n != name
+            ]
+            nuisance = Nuisance.of(np.concatenate([*beside, *others], axis=1))
+            near = aliases_of(self.bench, nuisance, self._calibration_contribution([name]), offered, named)
+            groups.append([name, *sorted(near, key=lambda n: near[n])])
+        return groups
+
+    def _causes(self) -> list[Cause]:
+        from scipy.special import stdtrit
+
+        fitted = self.chosen.fitted
+        k = float(stdtrit(max(self.noise.dof, 3.0), 0.975))
+        free = max(len(self.bench.gap) - len(fitted.parameters) - 4, 1)
+        inflate = float(np.sqrt(max(1.0, fitted.chi_square / free)))
+        before = rows(self.nominal, self.noise, residuals(self.nominal, self.nominal)[:, :, None])[:, 0]
+        excess = max(float(before @ before) - len(before), 1.0)
+        nuisance = Nuisance.of(self.bench.calibration)
+        probability = self.effect_probabilities()
+
+        def cause(name: str, form: Form, theta: FloatArray, sd: FloatArray, way: FloatArray, signal: float) -> Cause:
+            spread = sd * inflate
+            quantities = {
+                p.name: Quantity(float(v), (float(v - k * u), float(v + k * u)), p.unit)
+                for p, v, u in zip(form.parameters, theta, spread, strict=True)
+            }
+            sizes = zip(form.parameters, theta, spread, strict=True)
+            times = max((abs(v) - 2 * u) / p.largest for p, v, u in sizes)
+            effect = self.effects[name]
+            remark = f"{times:.2g} times what is physically plausible: suspect {effect.implausible}"
+            return Cause(
+                effect=name,
+                title=effect.title,
+                form=form.label,
+                probability=probability.get(name, 0.0),
+                share=float(np.clip(way @ way / excess, 0.0, 1.0)),
+                signal=signal,
+                parameters=quantities,
+                plausible=times <= 1.0,
+                remark="" if times <= 1.0 else remark,
+                settings=form.settings,
+            )
+
+        made = []
+        position = 4
+        for form, theta in zip(fitted.forms, fitted.theta, strict=True):
+            sd = np.sqrt(np.diag(fitted.covariance)[position : position + len(theta)])
+            position += len(theta)
+            way = self._contribution(form, theta)
+            signal = float(np.sqrt(nuisance.scalar(way[:, None], way[:, None])[0, 0]))
+            made.append(cause(form.effect, form, theta, sd, way, signal))
+        for name in self.calibration:
+            i = NAMES.index(name)
+            form = self.effects[name].forms(self.s)[0]
+            value, sd = self.recalibration.values[[i]], self.recalibration.sd[[i]]
+            way = self._calibration_contribution([name])
+            made.append(cause(name, form, value, sd, way, float(self.recalibration.signal[i])))
+        return sorted(made, key=lambda c: (-round(c.probability, 2), -c.signal))
+
+    def _gross_cause(self) -> Cause:
+        fault = self.fault
+        assert fault is not None
+        quantities = {
+            "factor_left": Quantity(fault.left, (fault.left, fault.left), "1"),
+            "factor_right": Quantity(fault.right, (fault.right, fault.right), "1"),
+        }
+        return Cause(
+            effect="encoder_gross",
+            title="a gross fault of the encoders",
+            form=fault.label,
+            probability=1.0,
+            share=1.0,
+            signal=float("inf"),
+            parameters=quantities,
+            remark="put the counts right, then diagnose again",
+        )
+
+    def _credible_sets(self) -> tuple[tuple[str, ...], ...]:
+        """Return the most probable sets of causes that together hold 95 %."""
+        weights: dict[tuple[str, ...], float] = {}
+        gross = () if self.fault is None else ("encoder_gross",)
+        for h, p in zip(self.found.hypotheses, self.probabilities, strict=True):
+            for subset, q in zip(self.recalibration.subsets, self.recalibration.probabilities, strict=True):
+                known = tuple(name for name in subset if name in self.effects)
+                unknown = h.unknown or len(known) < len(subset)
+                key = (*gross, *h.effects, *known, *(("unknown",) if unknown else ()))
+                weights[key] = weights.get(key, 0.0) + float(p * q)
+        made, total = [], 0.0
+        for key, weight in sorted(weights.items(), key=lambda item: -item[1]):
+            made.append(key)
+            total += weight
+            if total >= 0.95:
+                break
+        return tuple(made)
+
+    def _closure_said(self) -> dict[str, Any]:
+        closure = self.closure
+        on = self.s.usable
+
+        def rms(values: FloatArray) -> float | None:
+            pose = on[:, 1] & on[:, 2]
+            if pose.any():
+                return float(np.sqrt(np.mean(values[pose, 1] ** 2 + values[pose, 2] ** 2)))
+            if on[:, 0].any():
+                return float(np.sqrt(np.mean(values[on[:, 0], 0] ** 2)))
+            return None
+
+        return {
+            "before_rms_m": rms(closure.before),
+            "after_rms_m": rms(closure.after),
+            "floor_rms_m": rms(closure.floor),
+            "fraction": closure.fraction,
+            "ci95": None if closure.ci95 is None else list(closure.ci95),
+            "held_out": closure.held_out,
+            "by_channel": dict(closure.by_channel),
+        }
