@@ -139,9 +139,11 @@ class LoadPoint(Section):
 
 
 class EffectSection(Section):
-    """A diagnosed effect added to the model, with its parameters."""
+    """A diagnosed effect added to the model: which form of it, what is fixed in that form, and its parameters."""
 
     effect: Annotated[str, Field(min_length=1, max_length=128)]
+    form: Annotated[str, Field(max_length=256)] = ""
+    settings: dict[str, float] = Field(default_factory=dict)
     parameters: dict[str, Quantity]
 
 

@@ -80,7 +80,7 @@ def locate(
     weights = rng.multinomial(len(s), np.full(len(s), 1.0 / len(s)), BOOTSTRAPS).astype(np.float64)
     scaled = np.where(s.usable, gap / noise.floor, np.nan)
     for name, values in covariate_values(s).items():
-        found = _tested(name, values, scaled, weights)
+        found = _tested(name, values, scaled, weights, max(noise.dof, 3.0))
         if found is not None:
             findings.append(found)
     places: list[dict[str, Any]] = []
@@ -191,7 +191,9 @@ def _holm(findings: list[_Finding]) -> list[dict[str, Any]]:
     return made
 
 
-def _tested(name: str, values: FloatArray | StrArray, scaled: FloatArray, weights: FloatArray) -> _Finding | None:
+def _tested(
+    name: str, values: FloatArray | StrArray, scaled: FloatArray, weights: FloatArray, most_dof: float
+) -> _Finding | None:
     """Test a covariate in every channel; None where no channel allows it."""
     best: tuple[float, int, _Fit] | None = None
     tried = 0
@@ -200,7 +202,7 @@ def _tested(name: str, values: FloatArray | StrArray, scaled: FloatArray, weight
         if fit is None:
             continue
         tried += 1
-        p = fit.p_value()
+        p = fit.p_value(most_dof)
         if best is None or p < best[0]:
             best = (p, channel, fit)
     if best is None:
@@ -269,14 +271,14 @@ class _Fit:
                 explained = np.where(size > 0, summed**2 / size, 0.0).sum(axis=1) - n * mean**2
         return total, explained, n
 
-    def p_value(self) -> float:
-        """Return the p of an F test, the residual taken as no smaller than the floor."""
+    def p_value(self, most_dof: float) -> float:
+        """Return the p of an F test, the residual taken as no smaller than the floor and known no better than that."""
         from scipy.special import fdtrc
 
         total, explained, n = (float(part[0]) for part in self.squares(np.ones((1, len(self.y)))))
         dof = n - self.df - 1.0
         residual = max((total - explained) / dof, 1.0)
-        return float(fdtrc(self.df, dof, max(explained, 0.0) / self.df / residual))
+        return float(fdtrc(self.df, min(dof, most_dof), max(explained, 0.0) / self.df / residual))
 
     def shares(self, weight: FloatArray) -> FloatArray:
         """Return the share of the variance beyond the floor that the covariate explains, for weights (n_draws, n)."""
@@ -314,7 +316,8 @@ def _by_wheel(s: Situation, nominal: Path, noise: Noise, gap: FloatArray, rng: n
         explained, rest = _beside(whole[None], wheel)
         n = float(sizes.sum())
         residual = max(float(rest[0]) / max(n - 2.0, 1.0), 1.0)
-        p = float(fdtrc(1.0, max(n - 2.0, 1.0), float(explained[0]) / residual))
+        # without an intercept the test leans on the floor's own scale, known no better than repeats know it
+        p = float(fdtrc(1.0, float(np.clip(noise.dof, 3.0, max(n - 2.0, 3.0))), float(explained[0]) / residual))
 
         def share(moments: FloatArray, count: FloatArray, wheel: int = wheel) -> FloatArray:
             explained, rest = _beside(moments, wheel)
