@@ -41,7 +41,7 @@ def runs_by_series(radii: EffectiveRadii) -> Figure:
     matplotlib.figure.Figure
         One panel a wheel, one vertical scale.
     """
-    figure = canvas(8.6)
+    figure = canvas(8.0)
     axes = axes_grid(figure, 2, 1, sharex=True, sharey=True)[:, 0]
     order = np.arange(1, len(radii) + 1)
     names, group = _sessions(radii.session)
@@ -79,7 +79,7 @@ def regressions(left: WheelFit, right: WheelFit, session: npt.NDArray[np.str_]) 
     matplotlib.figure.Figure
         Below each wheel's law the same as deviation from it, where the bands can be read.
     """
-    figure = canvas(11.5)
+    figure = canvas(10.0)
     axes = axes_grid(figure, 2, 2, sharex="col", sharey="row", height_ratios=(1.15, 1.0))
     names, group = _sessions(session)
     for column, fit in enumerate((left, right)):
@@ -200,7 +200,7 @@ def residuals(left: WheelFit, right: WheelFit, session: npt.NDArray[np.str_]) ->
     """
     from scipy.special import ndtri
 
-    figure = canvas(9.2)
+    figure = canvas(8.0)
     axes = axes_grid(figure, 2, 3, sharey=True)
     names, group = _sessions(session)
     for row, fit in enumerate((left, right)):

@@ -108,7 +108,9 @@ def axes_grid(figure: Figure, rows: int, columns: int, **options: Any) -> Any:
 def shared_legend(figure: Figure, handles: Sequence[Any], labels: Sequence[str], *, below: bool = False) -> None:
     """Put one legend outside the axes, in as many columns as the longest label leaves room for."""
     if labels:
-        columns = max(1, min(len(labels), int(LINE_CHARACTERS / (max(len(text) for text in labels) + LEGEND_GAP))))
+        lengths = [len(text) + LEGEND_GAP for text in labels]
+        # all in one row, else in columns as wide as the longest
+        columns = len(labels) if sum(lengths) <= LINE_CHARACTERS else max(1, LINE_CHARACTERS // max(lengths))
         figure.legend(
             handles,
             labels,
