@@ -29,6 +29,7 @@ COMMANDS: Final[dict[str, str]] = {
     "loads": "loads",
     "challenge": "challenge",
     "simulate": "simulate",
+    "diagnose": "diagnose",
 }
 
 #: command -> its line in ``calib --help``, so that the list of commands imports none of them

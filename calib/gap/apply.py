@@ -34,7 +34,7 @@ CENTRE: Final = "centre"
 SPREAD: Final = "spread"
 
 
-def applied_model(diagnosis: Diagnosis, campaign: Campaign) -> CoefficientFile:
+def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[EffectSection] = ()) -> CoefficientFile:
     """Return the campaign's model with the named causes added, as a coefficient file.
 
     The recalibration that was fitted beside the causes goes into radii and track, a load effect into the slopes of the
@@ -47,6 +47,8 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign) -> CoefficientFile:
         From `calib.gap.diagnose.diagnose_in_full` on the same campaign.
     campaign : Campaign
         What was diagnosed.
+    given : sequence of EffectSection
+        Effects that the diagnosed model had already; they are kept.
 
     Raises
     ------
@@ -67,7 +69,7 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign) -> CoefficientFile:
     slope = {"left": model.slope_left_m_per_N * (1 + left), "right": model.slope_right_m_per_N * (1 + right)}
     radius = {"left": model.radius_left_m * (1 + left), "right": model.radius_right_m * (1 + right)}
     slope_variance = {"left": 0.0, "right": 0.0}
-    sections: list[EffectSection] = []
+    sections: list[EffectSection] = list(given)
     position = 4
     for form, theta in zip(fitted.forms, fitted.theta, strict=True):
         variance = np.diag(fitted.covariance)[position : position + len(theta)]

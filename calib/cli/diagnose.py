@@ -1,0 +1,248 @@
+"""`calib diagnose`: where the sim-to-real gap lies, which effect causes it, how far it shrinks."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from calib.cli.output import FORCE, JSON, emit_json, say, table
+
+if TYPE_CHECKING:
+    from calib.gap.verdict import Verdict
+
+__all__ = ["register"]
+
+EPILOG = "Example: calib diagnose sample_runs/corridor_crossed --apply coefficients.json"
+RESULT_FILE = "diagnosis.json"
+#: lines shown of long lists; the JSON has them all
+SHOWN = 12
+
+
+def register(application: typer.Typer, name: str) -> None:
+    """Add the command to `application`."""
+
+    @application.command(name, epilog=EPILOG)
+    def diagnose(
+        campaign: Path = typer.Argument(..., metavar="CAMPAIGN", help="Folder with campaign.toml and runs.csv."),
+        model: Path | None = typer.Option(
+            None, "--model", metavar="FILE", help="Coefficient file that the simulator believes, effects included."
+        ),
+        exclude: list[str] = typer.Option(
+            [], "--exclude", metavar="EFFECT", help="Leave an effect out of the library; again for more."
+        ),
+        seed: int = typer.Option(0, "--seed", help="Seed of the bootstraps."),
+        apply: Path | None = typer.Option(
+            None, "--apply", metavar="FILE", help="Write the model with the named effect added, as coefficient file."
+        ),
+        figures: Path | None = typer.Option(
+            None, "--figures", metavar="FOLDER", help="Write the pictures there as PNG, SVG and PDF."
+        ),
+        into: Path | None = typer.Option(None, "--into", metavar="FOLDER", help="Result folder: diagnosis.json."),
+        json_target: str | None = JSON,
+        force: bool = FORCE,
+    ) -> int:
+        """Say where the gap between measured and simulated motion lies, and which unmodelled effect causes it.
+
+        Exit status 0: there is no gap, or it is explained. 1: the causes cannot be told apart, or the gap is explained
+        in part only, or its cause is unknown. 2: bad input.
+        """
+        from calib.campaign.read import read_campaign
+        from calib.errors import would_overwrite
+        from calib.files import write_bytes, write_json
+        from calib.gap.apply import applied_model, model_of
+        from calib.gap.diagnose import diagnose_in_full
+
+        for target in (apply, None if into is None else into / RESULT_FILE):
+            if target is not None and target.exists() and not force:
+                raise would_overwrite(target)
+        read = read_campaign(campaign)
+        _known(exclude)
+        believed, effects = (None, ()) if model is None else model_of(model, read)
+        found = diagnose_in_full(read, seed=seed, exclude=tuple(exclude), model=believed, applied=effects)
+        document = found.verdict.to_dict()
+        _show(found.verdict, json_target)
+        if apply is not None:
+            write_bytes(apply, applied_model(found, read, effects).to_bytes(), force=force)
+            say(f"wrote {apply}", target=json_target)
+            if not found.verdict.recommended:
+                _wrapped("The written model is not recommended: see above what speaks against it.", json_target)
+        if into is not None:
+            write_json(into / RESULT_FILE, document, force=force)
+            say(f"wrote {into / RESULT_FILE}", target=json_target)
+        if figures is not None:
+            from calib.report.gap_pictures import write_gap_pictures
+
+            written = write_gap_pictures(found, figures, force=force)
+            say(f"wrote {len(written)} figure files to {figures}", target=json_target)
+        emit_json(document, json_target, force=force)
+        return 0 if found.verdict.verdict in {"no_gap", "explained"} else 1
+
+
+def _known(exclude: list[str]) -> None:
+    """Refuse effects that are not in the library; columns' and users' own are let through by their colon or dot."""
+    from calib.errors import BadInputError
+    from calib.gap.effects.library import REGISTRY
+
+    for one in exclude:
+        if one not in REGISTRY and not one.startswith("covariate:") and not one.startswith("user:"):
+            near = ", ".join(name for name in REGISTRY if name[:4] == one[:4]) or ", ".join(REGISTRY)
+            raise BadInputError(f"--exclude: found {one!r}; expected an effect of the library; choose of: {near}")
+
+
+def _show(verdict: Verdict, target: str | None) -> None:
+    document = verdict.to_dict()
+    say(verdict.campaign + (" - SIMULATED DATA" if verdict.simulated else ""), target=target)
+    say("", target=target)
+    _wrapped(f"Verdict ({verdict.verdict}): {verdict.sentence}", target)
+    say("", target=target)
+    _show_where(document["where"], target)
+    _show_causes(document, target)
+    _show_closure(document, target)
+    _show_limits(document, target)
+    _show_next(document, target)
+    for note in document["notes"]:
+        _wrapped(str(note), target, lead="  note  ")
+
+
+def _show_where(where: Mapping[str, Any], target: str | None) -> None:
+    rows = []
+    for name, one in where.get("channels", {}).items():
+        unit = "mrad" if name in {"heading", "steering"} else "mm"
+        rms, floor = one["rms"], one["floor"]
+        rows.append(
+            (name, _milli(rms), _milli(floor), unit, f"{rms / floor:.1f}" if floor else "-"),
+        )
+    if rows:
+        table("Where: the gap by channel", ["channel", "gap rms", "floor", "unit", "ratio"], rows, target=target)
+    found = [line for line in where.get("covariates", ()) if line.get("significant")]
+    if found:
+        table(
+            "What it goes with (chance of any false line 5 %)",
+            ["covariate", "channel", "share", "95 % interval", "p"],
+            [
+                (
+                    str(line["name"]),
+                    str(line["channel"]),
+                    f"{line['share']:.2f}",
+                    "-" if line["ci95"] is None else f"{line['ci95'][0]:.2f} .. {line['ci95'][1]:.2f}",
+                    f"{line['p_value']:.1e}",
+                )
+                for line in found[:SHOWN]
+            ],
+            target=target,
+        )
+    for place in where.get("places", ())[:5]:
+        _wrapped(_place(place), target, lead="  place  ")
+    worst = [run for run in where.get("runs", ()) if abs(run["z"]) > 4.0][:3]
+    for run in worst:
+        factor, unit = (1e3, "mrad") if run["channel"] in {"heading", "steering"} else (1e3, "mm")
+        said = f"{run['run_id']}: {run['channel']} {factor * run['value']:+.3g} {unit}, {abs(run['z']):.0f} floors"
+        _wrapped(said, target, lead="  run    ")
+
+
+def _place(place: Mapping[str, Any]) -> str:
+    unit = place["unit"]
+    size = f"{1e3 * place['size']:+.3g} m{unit}"
+    spread = " .. ".join(f"{1e3 * value:.3g}" for value in place["ci95"])
+    if "place" not in place:
+        return f"{place['where']}: {place['channel']} {size} {place.get('what', '')} (95 %: {spread})"
+    (low, high), (first, last) = place["place"], place["place_ci95"]
+    return (
+        f"{place['where']} on {place['route']}: {place['channel']} {size} (95 %: {spread}) between {low:.2f} m "
+        f"({first[0]:.2f} .. {first[1]:.2f}) and {high:.2f} m ({last[0]:.2f} .. {last[1]:.2f}), {place['coordinate']}"
+    )
+
+
+def _show_causes(document: Mapping[str, Any], target: str | None) -> None:
+    rows = []
+    for cause in document["causes"]:
+        for number, (name, one) in enumerate(cause["parameters"].items()):
+            low, high = one["ci95"]
+            value = one["value"]
+            half = None if low is None or high is None else 0.5 * (high - low)
+            rows.append(
+                (
+                    cause["effect"] + (f", {cause['form']}" if cause["form"] else "") if number == 0 else "",
+                    f"{cause['probability']:.2f}" if number == 0 else "",
+                    f"{cause['share']:.2f}" if number == 0 else "",
+                    name,
+                    "-" if value is None else f"{value:.4g}" + ("" if half is None else f" +- {half:.2g}"),
+                    one["unit"],
+                    ("yes" if cause["plausible"] else "NO") if number == 0 else "",
+                )
+            )
+    if rows:
+        table(
+            "Which: causes with sizes (+- is the 95 % interval)",
+            ["cause", "probability", "share", "parameter", "size", "unit", "plausible"],
+            rows,
+            target=target,
+        )
+    for cause in document["causes"]:
+        if cause["remark"]:
+            _wrapped(f"{cause['effect']}: {cause['remark']}", target, lead="  ")
+    for group in document["indistinguishable"]:
+        _wrapped(f"these runs cannot tell apart: {', '.join(group)}", target, lead="  ")
+
+
+def _show_closure(document: Mapping[str, Any], target: str | None) -> None:
+    closure = document["closure"]
+    if closure.get("before_rms_m") is None:
+        return
+    said = (
+        f"How far: gap {_milli(closure['before_rms_m'])} mm before, {_milli(closure.get('after_rms_m'))} mm after, "
+        f"floor {_milli(closure.get('floor_rms_m'))} mm, leaving out each {closure.get('held_out', 'condition')} in turn"
+    )
+    if closure.get("fraction") is not None:
+        said += f"; closure {closure['fraction']:.2f}"
+        if closure.get("ci95"):
+            said += f" (95 %: {closure['ci95'][0]:.2f} .. {closure['ci95'][1]:.2f})"
+    _wrapped(said + ".", target)
+    if document["causes"]:
+        advice = (
+            "Recommended: the fix holds on runs it has not seen."
+            if document["recommended"]
+            else "Not recommended: the fix is not shown to hold on runs it has not seen, or is not the only one."
+        )
+        _wrapped(advice, target)
+    say("", target=target)
+
+
+def _show_limits(document: Mapping[str, Any], target: str | None) -> None:
+    blind = document["undetectable"]
+    if not blind:
+        return
+    never = [name for name, said in blind.items() if str(said).startswith("never")]
+    rows = [(name, str(said)) for name, said in blind.items() if name not in never]
+    if rows:
+        table("What these runs could have shown", ["effect", "smallest size"], rows, target=target)
+    if never:
+        _wrapped(f"Never to be seen in these runs: {', '.join(never)}", target, lead="  ")
+
+
+def _show_next(document: Mapping[str, Any], target: str | None) -> None:
+    runs = document["next_runs"]
+    if runs:
+        say("Next runs, best first (more with 'calib plan'):", target=target)
+    for number, run in enumerate(runs[:5], start=1):
+        what = ", ".join(
+            f"{run[key]:g} {unit}"
+            for key, unit in (("payload_kg", "kg"), ("speed_mps", "m/s"), ("temperature_C", "degC"))
+            if run.get(key) is not None
+        )
+        _wrapped(f"{run['kind']} {run.get('direction', '')}, {what}: {run['why']}", target, lead=f"  {number}. ")
+
+
+def _milli(value: float | None) -> str:
+    return "-" if value is None else f"{1e3 * value:.3g}"
+
+
+def _wrapped(text: str, target: str | None, lead: str = "") -> None:
+    from shutil import get_terminal_size
+
+    width = min(max(get_terminal_size((120, 24)).columns, 60), 120)
+    say(textwrap.fill(text, width, initial_indent=lead, subsequent_indent=" " * len(lead)), target=target)
