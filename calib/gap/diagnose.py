@@ -131,6 +131,13 @@ def diagnose_in_full(
     noise, base = _settle(nominal)
     found = search(nominal, noise, base, effects, settings)
     chosen = found.hypotheses[0]
+    if chosen.effects:
+        # what a large effect leaves within conditions is no noise: take the floor again without it, and ask again
+        again = estimate_noise(chosen.fitted.path, chosen.fitted.left)
+        if _differ(noise, again):
+            noise, base = again, fit(nominal, again, start=base)
+            found = search(nominal, noise, base, effects, settings)
+            chosen = found.hypotheses[0]
     recalibration = judge_recalibration(chosen.fitted, nominal, noise, settings)
     rng = np.random.default_rng(seed)
     closure = measure_closure(nominal, noise, chosen.fitted, rng, sessions="session_step" not in chosen.effects)
@@ -141,6 +148,12 @@ def diagnose_in_full(
     verdict = judge.verdict(where, {}, notes)
     verdict = replace(verdict, sentence=sentence(verdict))
     return Diagnosis(verdict, s, noise, nominal, chosen.fitted, closure, found)
+
+
+def _differ(before: Noise, after: Noise) -> bool:
+    """Return whether the typical floor of any channel changed by more than a quarter."""
+    ratio = np.median(before.floor / after.floor, axis=0)
+    return bool((np.abs(np.log(ratio)) > np.log(1.25)).any())
 
 
 def _settle(nominal: Path) -> tuple[Noise, Fitted]:

@@ -88,7 +88,7 @@ def fit(
     use: BoolArray | None = None,
     start: Fitted | None = None,
     steps: int = 4,
-    theta_sd: float = 10.0,
+    theta_sd: float = 30.0,
 ) -> Fitted:
     """Fit a recalibration and effects by Gauss-Newton on the re-simulated path.
 

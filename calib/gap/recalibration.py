@@ -87,7 +87,10 @@ def judge_recalibration(
         sizes = theta / np.array([p.typical for p in form.parameters])
         contribution = signature @ sizes
         y = y + contribution
-        fixed += [signature * max(effect_scale(sizes), 3.0), settings.tolerance * bench.by_condition(contribution)]
+        fixed += [
+            signature * max(effect_scale(sizes, form), 3.0),
+            settings.tolerance * bench.by_condition(contribution),
+        ]
         fixed.append(directions / norm * (excuse * np.sqrt((contribution**2).sum())))
     matrix = DIRECTIONS[:, :3].T
     values = np.linalg.solve(matrix, fitted.calibration[:3])
@@ -100,7 +103,10 @@ def judge_recalibration(
                 np.concatenate(
                     [
                         *fixed,
-                        *(directions[:, [k]] * TYPICAL[k] * effect_scale(values[[k]] / TYPICAL[k]) for k in chosen),
+                        *(
+                            directions[:, [k]] * TYPICAL[k] * float(np.clip(abs(values[k]) / TYPICAL[k], 0.1, 10.0))
+                            for k in chosen
+                        ),
                     ],
                     axis=1,
                 )

@@ -176,10 +176,11 @@ class Workbench:
 UNKNOWN_SCALES: Final = (0.3, 0.7, 1.5, 3.0, 7.0, 15.0, 40.0, 120.0)
 
 
-def effect_scale(theta_typical: FloatArray) -> float:
-    """Return the prior scale of an effect in typical sizes, chosen by its fitted size within a tenth to three."""
-    size = float(np.sqrt(np.mean(theta_typical**2))) if len(theta_typical) else 1.0
-    return float(np.clip(size, 0.1, 3.0))
+def effect_scale(sizes: FloatArray, form: Form) -> float:
+    """Return the prior scale of a form in typical sizes: its fitted size, from a tenth to what is plausible at most."""
+    size = float(np.sqrt(np.mean(sizes**2))) if len(sizes) else 1.0
+    most = max([3.0, *(p.largest / p.typical for p in form.parameters)])
+    return float(np.clip(size, 0.1, most))
 
 
 def wrong_sign(form: Form, sizes: FloatArray) -> bool:
@@ -207,7 +208,7 @@ def evaluate(
         sizes = theta / np.array([p.typical for p in form.parameters])
         contribution = signature @ sizes
         y = y + contribution
-        columns += [signature * effect_scale(sizes), settings.tolerance * bench.by_condition(contribution)]
+        columns += [signature * effect_scale(sizes, form), settings.tolerance * bench.by_condition(contribution)]
         cost += SCALE_COST
     base = np.concatenate(columns, axis=1)
     plain = _marginal(base, y) - cost
@@ -327,7 +328,7 @@ def _screen(
             sizes: FloatArray = np.linalg.solve(gram + 1e-2 * np.eye(len(gram)), right)
             if wrong_sign(form, sizes):
                 continue
-            scale = effect_scale(sizes)
+            scale = effect_scale(sizes, form)
             value = float(log_evidence(gram, right, np.full(len(gram), scale**2)))
             ranking.append((value - SCALE_COST - np.log(form.tries), (form,)))
             signal[name] = max(signal.get(name, 0.0), float(np.sqrt(max(float(sizes @ gram @ sizes), 0.0))))
@@ -406,7 +407,7 @@ def _blind_pairs(
     small = small + np.eye(width) * np.where(there, 0.0, 1.0)[:, None, :]
     rhs = right[index] * there
     sizes = np.linalg.solve(small + 1e-2 * np.eye(width), rhs[:, :, None])[:, :, 0]
-    variance = np.where(there, np.clip(sizes**2, 0.01, 9.0), 1e-12)
+    variance = np.where(there, np.clip(sizes**2, 0.01, 100.0), 1e-12)
     value = log_evidence(small, rhs, variance)
     order = np.argsort(-value)[: settings.pairs]
     chosen = [pairs[int(number)] for number in order]

@@ -17,7 +17,7 @@ from calib.errors import RefusedError
 from calib.units import GRAVITY_MPS2
 from calib.vehicle import Vehicle, wheel_loads_N
 
-__all__ = ["CHANNELS", "Situation", "build_situation"]
+__all__ = ["CHANNELS", "STRAIGHT_RAD", "Situation", "build_situation"]
 
 #: channels of a residual: distance by laser; along, left of and heading of the end pose; front wheel against rear
 CHANNELS: Final = ("distance", "along", "lateral", "heading", "front", "steering")

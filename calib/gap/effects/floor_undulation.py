@@ -9,11 +9,13 @@ import numpy as np
 from calib.campaign.model import BoolArray
 from calib.gap.effects.effect import Effect, Form, Parameter, varies
 from calib.gap.path import Push
-from calib.gap.situation import Situation
+from calib.gap.situation import STRAIGHT_RAD, Situation
 
 __all__ = ["FloorUndulation"]
 
 _MOST: Final = 8
+#: a run that turns by more than this in all, to and fro, is no lane
+_BENT_RAD: Final = 2.5
 
 
 class FloorUndulation(Effect):
@@ -31,8 +33,11 @@ class FloorUndulation(Effect):
             values = np.unique(lane)
             groups = [(f"lane {value:g}", lane == value) for value in values]
         else:
+            # only routes that run straight along the hall are lanes
             kind = s.labels["kind"]
-            groups = [(f"route {name}", kind == name) for name in np.unique(kind)]
+            bent = (s.total(np.abs(s.turn_rad)) > _BENT_RAD) | (np.abs(s.total(s.turn_rad)) > STRAIGHT_RAD)
+            names = [name for name in np.unique(kind) if not bent[kind == name].any()]
+            groups = [(f"route {name}", kind == name) for name in names]
         if not 1 < len(groups) <= _MOST:
             return []
         parameter = Parameter("excess", "1", typical=2.5e-4, largest=2e-3, sign=1)

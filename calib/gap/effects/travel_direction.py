@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+import numpy as np
+
+from calib.campaign.model import FloatArray
 from calib.gap.effects.effect import Effect, Form, Parameter, varies
 from calib.gap.path import Push
 from calib.gap.situation import Situation
@@ -19,9 +22,17 @@ class TravelDirection(Effect):
     implausible: ClassVar[str] = "a sloping floor, or a start mark that differs"
 
     def forms(self, s: Situation) -> list[Form]:
-        """Return the single form; none where all runs go one way."""
+        """Return two forms, unlike in runs of neither direction; none where all runs go one way."""
         sigma = s.heading_sign
         if not varies(sigma):
             return []
+        labelled = np.isin(s.labels["direction"], ("out", "back"))
         parameter = Parameter("relative", "1", typical=1e-3, largest=5e-3)
-        return [Form(self.id, "", (parameter,), lambda _: [Push(left=sigma, right=sigma)])]
+
+        def made(label: str, way: FloatArray, tries: int) -> Form:
+            return Form(self.id, label, (parameter,), lambda _: [Push(left=way, right=way)], tries=tries)
+
+        if labelled.all():
+            return [made("", sigma, 1)]
+        along = made("along the corridor alone", np.where(labelled, sigma, 0.0), 2)
+        return [along, made("other routes as out", sigma, 2)]
