@@ -227,8 +227,6 @@ def rich_runs() -> list[Run]:
     rng = np.random.default_rng(3)
     for i in range(24):
         pieces, kind = [(STRAIGHT, "corridor"), (ROUTE, "route_left"), (SQUARE, "square_ccw")][i % 3]
-        if i % 6 == 3:
-            kind = "corridor_b"
         if i % 6 == 5:
             pieces, kind = [(length, -kappa) for length, kappa in pieces], "square_cw"
         if i == 7:

@@ -60,7 +60,9 @@ IDS = {
 
 @pytest.fixture(scope="module")
 def rich() -> Situation:
-    return build_situation(with_outside_simulator(campaign(rich_runs())))
+    # every other straight run goes along a second lane
+    runs = [replace(run, kind="corridor_b") if number % 6 == 3 else run for number, run in enumerate(rich_runs())]
+    return build_situation(with_outside_simulator(campaign(runs)))
 
 
 def test_the_registry_holds_every_promised_effect_and_no_other() -> None:
