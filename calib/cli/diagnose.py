@@ -195,7 +195,7 @@ def _show_closure(document: Mapping[str, Any], target: str | None) -> None:
         return
     said = (
         f"How far: gap {_milli(closure['before_rms_m'])} mm before, {_milli(closure.get('after_rms_m'))} mm after, "
-        f"floor {_milli(closure.get('floor_rms_m'))} mm, leaving out each {closure.get('held_out', 'condition')} in turn"
+        f"floor {_milli(closure.get('floor_rms_m'))} mm; each {closure.get('held_out', 'condition')} left out in turn"
     )
     if closure.get("fraction") is not None:
         said += f"; closure {closure['fraction']:.2f}"

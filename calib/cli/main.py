@@ -30,6 +30,7 @@ COMMANDS: Final[dict[str, str]] = {
     "challenge": "challenge",
     "simulate": "simulate",
     "diagnose": "diagnose",
+    "plan": "plan",
 }
 
 #: command -> its line in ``calib --help``, so that the list of commands imports none of them

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Final
@@ -27,7 +27,7 @@ from calib.radius.law import RadiusLaw, WheelLaw
 if TYPE_CHECKING:
     from calib.gap.diagnose import Diagnosis
 
-__all__ = ["applied_model", "applied_pushes", "model_of", "with_effects"]
+__all__ = ["applied_model", "applied_pushes", "matching_form", "model_of", "with_effects"]
 
 #: settings that say where a covariate's effect is nought, added to a form's own
 CENTRE: Final = "centre"
@@ -240,7 +240,7 @@ def applied_pushes(
     chosen: list[tuple[EffectSection, Form]] = []
     for section in sections:
         effect = effects.get(section.effect)
-        form = None if effect is None else _matching(effect.forms(s), section)
+        form = None if effect is None else matching_form(effect.forms(s), section.form, section.settings)
         if form is None:
             notes.append(
                 f"the model's effect {section.effect} ({section.form or 'its only form'}) has nothing to act on in "
@@ -286,15 +286,14 @@ def _recentred(s: Situation, section: EffectSection, push: Push) -> Push:
     )
 
 
-def _matching(forms: Sequence[Form], section: EffectSection) -> Form | None:
-    """Return the form that a section names: by label, and where several bear it by the nearest settings."""
-    same = [form for form in forms if form.label == section.form]
+def matching_form(forms: Sequence[Form], label: str, settings: Mapping[str, float]) -> Form | None:
+    """Return the form of a label, where several bear it the one with the nearest settings; None where there is none."""
+    same = [form for form in forms if form.label == label]
     if not same:
         return None
 
     def off(form: Form) -> float:
-        shared = form.settings.keys() & section.settings.keys()
-        return sum(abs(form.settings[key] - section.settings[key]) for key in shared)
+        return sum(abs(form.settings[key] - settings[key]) for key in form.settings.keys() & settings.keys())
 
     return min(same, key=off)
 
