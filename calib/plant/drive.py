@@ -61,7 +61,7 @@ def drive(world: World, noise: NoiseDraw, *, quantise: bool = True, step_s: floa
     """Drive all runs of a world.
 
     The path follower sees only the vehicle's odometry; its steering has a lag and a rate limit; the rear wheels roll
-    on the true radii and track, and their texture makes a random walk.
+    on the true radii and track, and the floor's texture makes a random walk of every wheel.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def drive(world: World, noise: NoiseDraw, *, quantise: bool = True, step_s: floa
 
     keep.append(snap())
     longest = float(np.max(tables.end_m / design.speed_mps + (design.stops + 2) * (_PAUSE_S + 6.0))) + 20.0
-    grain = np.zeros((_BLOCK, 2, n_runs))
+    grain = np.zeros((_BLOCK, 3, n_runs))
     target = np.where(done, 0.0, stop_m[pointer, runs])
     for number in range(1, int(longest / step_s) + 1):
         # follower, on the odometry
@@ -181,7 +181,7 @@ def drive(world: World, noise: NoiseDraw, *, quantise: bool = True, step_s: floa
         if texture:
             place = (number - 1) % _BLOCK
             if place == 0:
-                grain = np.tile(rng.standard_normal((_BLOCK, 2, unique)), (1, 1, noise.copies))
+                grain = np.tile(rng.standard_normal((_BLOCK, 3, unique)), (1, 1, noise.copies))
             rough = noise.texture_m * np.sqrt(np.abs(way))
             left += rough * grain[place, 0] / radius_left
             right += rough * grain[place, 1] / radius_right
@@ -198,7 +198,8 @@ def drive(world: World, noise: NoiseDraw, *, quantise: bool = True, step_s: floa
         # counters and the vehicle's own odometry
         angle[0] += left * (1.0 - now.lost_left)
         angle[1] += right * (1.0 - now.lost_right)
-        angle[2] += way_rolled / np.cos(steer) / radius_front * (1.0 + now.drive)
+        front = way_rolled / np.cos(steer) * (1.0 + now.drive)
+        angle[2] += (front + rough * grain[place, 2] if texture else front) / radius_front
         seen = angle[:2]
         if quantise:
             seen = np.floor(seen * per_rad + noise.phase[:2]) / per_rad

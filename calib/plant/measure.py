@@ -63,6 +63,8 @@ def steering_readings(world: World, noise: NoiseDraw, record: Record, *, quantis
             shown[number] = at
         steer = shown
     steer = world.steer_scale * steer + world.steer_zero_rad + noise.steer_rad
+    if noise.reading_rad:
+        steer = steer + noise.reading_rad * np.random.default_rng([noise.seed, 8]).standard_normal(steer.shape)
     return np.round(steer / _STEER_STEP_RAD) * _STEER_STEP_RAD if quantise else steer
 
 

@@ -30,6 +30,8 @@ class Noise:
         What the campaign file states of the reference's uncertainty, over the truth.
     steer_rad, front : float
         A run's own steering angle zero, and relative front radius.
+    reading_rad : float
+        One reading of the steering angle.
     tail : float
         Degrees of freedom of Student's t over the runs; above 2, infinite is normal.
     """
@@ -44,6 +46,7 @@ class Noise:
     stated_ratio: float = 1.0
     steer_rad: float = 1e-3
     front: float = 3e-4
+    reading_rad: float = 2e-3
     tail: float = 5.0
 
 
@@ -65,6 +68,8 @@ class NoiseDraw:
         Errors of the reference end pose: x, y in m, theta in rad.
     seed : int
         Of the texture along the way and of the reference trace.
+    reading_rad : float
+        Scale of one reading of the steering angle.
     copies : int
         How often the same runs stand end to end.
     """
@@ -79,6 +84,7 @@ class NoiseDraw:
     front: FloatArray
     pose: FloatArray
     seed: int
+    reading_rad: float = 0.0
     copies: int = 1
 
     def tile(self, times: int) -> NoiseDraw:
@@ -94,6 +100,7 @@ class NoiseDraw:
             front=np.tile(self.front, times),
             pose=np.tile(self.pose, (times, 1)),
             seed=self.seed,
+            reading_rad=self.reading_rad,
             copies=times * self.copies,
         )
 
@@ -125,6 +132,7 @@ def draw_noise(noise: Noise, n_runs: int, rng: np.random.Generator) -> NoiseDraw
         front=noise.front * _tailed(rng, (n_runs,), tail),
         pose=axes * _tailed(rng, (n_runs, 3), tail),
         seed=int(rng.integers(2**62)),
+        reading_rad=noise.reading_rad,
     )
 
 
@@ -162,6 +170,7 @@ def random_noise(rng: np.random.Generator, **fixed: Any) -> Noise:
         "stated_ratio": within(0.6, 1.6),
         "steer_rad": within(3e-4, 2e-3),
         "front": within(1e-4, 5e-4),
+        "reading_rad": within(8e-4, 4e-3),
         "tail": float(rng.choice([3.5, 5.0, 8.0, np.inf])),
     }
     return Noise(**{**drawn, **fixed})

@@ -144,7 +144,7 @@ def good_design(rng: np.random.Generator, *, n_runs: int = 60, needs: Iterable[s
         "vehicle": _vehicle(rng),
         "counts_per_rev": float(rng.choice([2048, 4096, 8192])),
         "slope_per_N": float(rng.uniform(0.8e-5, 1.4e-5)) if "slope" in need else 0.0,
-        "log_period_s": 0.0 if "no_logs" in need else float(rng.choice([0.1, 0.1, 0.14])),
+        "log_period_s": 0.0 if "no_logs" in need else float(rng.choice([0.1, 0.1, 0.12])),
         "front": "front" in need,
         "trace": "trace" in need,
         "outside": "outside" in need,
@@ -183,7 +183,7 @@ def poor_design(name: str, rng: np.random.Generator, *, n_runs: int = 40, **sett
     drawn: dict[str, Any] = {
         "length_m": round(float(rng.uniform(15.0, 30.0)), 1),
         "vehicle": _vehicle(rng),
-        "log_period_s": float(rng.choice([0.1, 0.14])),
+        "log_period_s": float(rng.choice([0.1, 0.12])),
     }
     if name == "load_a_session":
         loads = [0.0, 50.0, 100.0, 150.0, 200.0]

@@ -124,6 +124,7 @@ def covariance(world: World, noise: Noise, record: Record) -> FloatArray:
     # a steering zero turns the front wheel's path: less forward by L theta, more heading by S / L
     wheelbase = world.design.vehicle.wheelbase_m
     steer = np.stack([zero, zero, zero, zero, -wheelbase * end_theta, length / wheelbase], axis=1) * noise.steer_rad
+    spacing = world.design.speed_mps * (world.design.log_period_s or 0.1)
     front = np.stack([zero, zero, zero, zero, length, end_theta], axis=1) * noise.front
     for run in (steer, front):
         total += run[:, :, None] * run[:, None, :]
@@ -133,8 +134,8 @@ def covariance(world: World, noise: Noise, record: Record) -> FloatArray:
             one * noise.ref_xy_m**2,
             one * noise.ref_xy_m**2,
             one * noise.ref_theta_rad**2,
-            one * 1e-8,  # counters and angle readings are whole steps
-            one * 1e-8,
+            noise.texture_m**2 * length + 1e-8,  # counters come in whole steps
+            (noise.reading_rad / wheelbase) ** 2 * length * spacing + 1e-8,
         ],
         axis=1,
     )
@@ -332,6 +333,16 @@ def to_signal(
 
 
 def _louder(noise: Noise, factor: float) -> Noise:
-    scales = ("texture_m", "common", "differential", "start_heading_rad", "laser_m", "ref_xy_m", "ref_theta_rad")
-    changed = {name: float(f"{getattr(noise, name) * factor:.4g}") for name in (*scales, "steer_rad", "front")}
+    scales: tuple[str, ...] = (
+        "texture_m",
+        "common",
+        "differential",
+        "start_heading_rad",
+        "laser_m",
+        "ref_xy_m",
+        "ref_theta_rad",
+    )
+    changed = {
+        name: float(f"{getattr(noise, name) * factor:.4g}") for name in (*scales, "steer_rad", "front", "reading_rad")
+    }
     return replace(noise, **changed)
