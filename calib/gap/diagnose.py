@@ -17,9 +17,10 @@ from calib.gap.gross import corrected, find_gross
 from calib.gap.judge import Judge
 from calib.gap.noise import Noise, estimate_noise
 from calib.gap.path import Path, predict
+from calib.gap.plan import next_runs, undetectable
 from calib.gap.recalibration import judge_recalibration
 from calib.gap.residuals import residuals
-from calib.gap.search import Search, Settings, search
+from calib.gap.search import Search, Settings, Workbench, search
 from calib.gap.sentence import sentence
 from calib.gap.situation import Situation, build_situation
 from calib.gap.verdict import Verdict
@@ -70,10 +71,11 @@ def diagnose(
     model: OdometryModel | None = None,
     applied: Sequence[EffectSection] = (),
     settings: Settings | None = None,
+    plan: bool = True,
 ) -> Verdict:
     """Diagnose the gap of a campaign; see `diagnose_in_full`."""
     return diagnose_in_full(
-        campaign, seed=seed, exclude=exclude, model=model, applied=applied, settings=settings
+        campaign, seed=seed, exclude=exclude, model=model, applied=applied, settings=settings, plan=plan
     ).verdict
 
 
@@ -85,6 +87,7 @@ def diagnose_in_full(
     model: OdometryModel | None = None,
     applied: Sequence[EffectSection] = (),
     settings: Settings | None = None,
+    plan: bool = True,
 ) -> Diagnosis:
     """Diagnose the gap of a campaign.
 
@@ -102,6 +105,8 @@ def diagnose_in_full(
         Effects that the simulator has already, from a coefficient file.
     settings : Settings, optional
         What the search takes for granted.
+    plan : bool
+        Look for the runs that would tell tied causes apart, where there are any.
 
     Returns
     -------
@@ -145,8 +150,13 @@ def diagnose_in_full(
         closure = replace(closure, before=before)
     where = locate(s, nominal, noise, closure.before, rng=rng, campaign=campaign)
     judge = Judge(campaign, nominal, noise, effects, found, recalibration, closure, fault)
-    verdict = judge.verdict(where, {}, notes)
+    blind = undetectable(Workbench(base.path, nominal, noise), effects)
+    verdict = judge.verdict(where, blind, notes)
     verdict = replace(verdict, sentence=sentence(verdict))
+    if plan and verdict.indistinguishable:
+        ties = verdict.indistinguishable
+        wanted = next_runs(campaign, effects, noise, ties, chosen.fitted, model=model)
+        verdict = replace(verdict, next_runs=tuple(wanted))
     return Diagnosis(verdict, s, noise, nominal, chosen.fitted, closure, found)
 
 

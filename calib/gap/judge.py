@@ -88,7 +88,7 @@ class Judge:
             verdict=said,
             sentence="",
             causes=tuple(causes),
-            credible_sets=self._credible_sets(),
+            credible_sets=self._credible_sets(() if nothing else groups),
             indistinguishable=() if nothing else tuple(tuple(group) for group in groups if len(group) > 1),
             undetectable=undetectable,
             where=where,
@@ -256,8 +256,8 @@ class Judge:
             remark="put the counts right, then diagnose again",
         )
 
-    def _credible_sets(self) -> tuple[tuple[str, ...], ...]:
-        """Return the most probable sets of causes that together hold 95 %."""
+    def _credible_sets(self, groups: Sequence[Sequence[str]]) -> tuple[tuple[str, ...], ...]:
+        """Return the most probable sets of causes that together hold 95 %, and what could stand in for the best."""
         weights: dict[tuple[str, ...], float] = {}
         gross = () if self.fault is None else ("encoder_gross",)
         for h, p in zip(self.found.hypotheses, self.probabilities, strict=True):
@@ -272,6 +272,12 @@ class Judge:
             total += weight
             if total >= 0.95:
                 break
+        for group in groups:
+            held = [name for name in group if name in made[0]]
+            for other in group:
+                instead = tuple(sorted({other, *(name for name in made[0] if name not in held)}))
+                if other not in made[0] and instead not in made:
+                    made.append(instead)
         return tuple(made)
 
     def _closure_said(self) -> dict[str, Any]:

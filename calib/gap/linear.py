@@ -15,7 +15,7 @@ from calib.gap.path import Path, signature
 __all__ = ["CALIBRATION_SD", "Nuisance", "form_columns", "log_evidence", "project", "rows"]
 
 #: prior standard deviation of a plain recalibration: left, right radius, track, front radius (relative)
-CALIBRATION_SD: Final = np.array([0.03, 0.03, 0.1, 1e-5])
+CALIBRATION_SD: Final = np.array([0.03, 0.03, 0.1, 3e-4])
 
 
 def rows(path: Path, noise: Noise, columns: FloatArray) -> FloatArray:

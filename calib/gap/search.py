@@ -33,8 +33,12 @@ class Settings:
         Share by which an effect may deviate from its assumed form, a condition.
     temper : float
         Power of the evidence; below 1 because the noise is never quite the one assumed.
-    singles, pairs : int
+    singles, pairs, triples : int
         How many of the best hypotheses of a size are re-simulated and fitted.
+    extended : int
+        How many of the fitted singles are extended to pairs about their own path.
+    beside_unknown : int
+        Beside how many of the best hypotheses a rest of unknown cause is weighed.
     """
 
     prior_effect: float = 0.01
@@ -44,6 +48,8 @@ class Settings:
     singles: int = 8
     pairs: int = 8
     triples: int = 4
+    extended: int = 5
+    beside_unknown: int = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -275,25 +281,20 @@ def search(
         if any(wrong_sign(form, theta) for form, theta in zip(fitted.forms, fitted.theta, strict=True)):
             return fitted
         key = _key(chosen)
-        plain, with_unknown = evaluate(fitted, nominal, noise, settings, unknown=True)
+        value, _ = evaluate(fitted, nominal, noise, settings)
         prior = float(sum(np.log(settings.prior_effect / f.tries) for f in chosen))
-        for unknown, value in ((False, plain), (True, with_unknown)):
-            made = Hypothesis(
-                effects=key,
-                unknown=unknown,
-                fitted=fitted,
-                log_evidence=settings.temper * value,
-                log_prior=prior + (float(np.log(settings.prior_unknown)) if unknown else 0.0),
-            )
-            have = hypotheses.get((*key, "?") if unknown else key)
-            if have is None or made.log_weight > have.log_weight:
-                hypotheses[(*key, "?") if unknown else key] = made
+        made = Hypothesis(key, False, fitted, settings.temper * value, prior)
+        have = hypotheses.get(key)
+        if have is None or made.log_weight > have.log_weight:
+            hypotheses[key] = made
         return fitted
 
     add((), base)
     singles = _best(ranking, settings.singles)
     fitted_singles = [(chosen, add(chosen, base)) for chosen in singles]
-    pairs = _extend(fitted_singles, nominal, noise, forms, settings, settings.pairs)
+    fitted_singles = [item for item in fitted_singles if _key(item[0]) in hypotheses]
+    fitted_singles.sort(key=lambda item: -hypotheses[_key(item[0])].log_weight)
+    pairs = _extend(fitted_singles[: settings.extended], nominal, noise, forms, settings, settings.pairs)
     pairs += _blind_pairs(bench, start, forms, ranking, settings, base)
     fitted_pairs = [(chosen, add(chosen, begin)) for chosen, begin in _distinct(pairs, hypotheses)]
     fitted_pairs = [item for item in fitted_pairs if _key(item[0]) in hypotheses]
@@ -302,6 +303,14 @@ def search(
     for chosen, begin in _distinct(triples, hypotheses):
         add(chosen, begin)
     ordered = sorted(hypotheses.values(), key=lambda h: -h.log_weight)
+    # a rest of unknown cause is weighed beside the best of them, and beside a mere recalibration
+    beside = ordered[: settings.beside_unknown]
+    beside += [h for h in ordered[settings.beside_unknown :] if not h.effects]
+    for h in beside:
+        value = evaluate(h.fitted, nominal, noise, settings, unknown=True)[1]
+        prior = h.log_prior + float(np.log(settings.prior_unknown))
+        ordered.append(Hypothesis(h.effects, True, h.fitted, settings.temper * value, prior))
+    ordered.sort(key=lambda h: -h.log_weight)
     return Search(tuple(ordered), base, nominal, noise, forms, signal)
 
 
