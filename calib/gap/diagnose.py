@@ -143,7 +143,8 @@ def diagnose_in_full(
             noise, base = again, fit(nominal, again, start=base)
             found = search(nominal, noise, base, effects, settings)
             chosen = found.hypotheses[0]
-    recalibration = judge_recalibration(chosen.fitted, nominal, noise, settings)
+    shifts = {effect.id: effect.shifts for effect in effects}
+    recalibration = judge_recalibration(chosen.fitted, nominal, noise, settings, shifts)
     rng = np.random.default_rng(seed)
     closure = measure_closure(nominal, noise, chosen.fitted, rng, sessions="session_step" not in chosen.effects)
     if fault is not None:

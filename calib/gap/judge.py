@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from calib.campaign.model import Campaign, FloatArray
-from calib.gap.aliases import aliases_of
+from calib.gap.aliases import NEAR, aliases_of
 from calib.gap.closure import Closure
 from calib.gap.effects.effect import Effect, Form
 from calib.gap.gross import GrossFault
@@ -26,6 +26,8 @@ __all__ = ["Judge"]
 DETECTION: Final = 0.8
 #: closure on held-out runs below which a fix is not recommended, and an explanation not believed
 CLOSES: Final = 0.7
+#: hypotheses whose weights differ by less (a factor of ten) are not told apart either
+LIKELY_NATS: Final = 2.3
 
 
 class Judge:
@@ -169,6 +171,8 @@ class Judge:
             rest += [3.0 * self.bench.columns(f) for f in fitted.forms if f is not form]
             nuisance = Nuisance.of(np.concatenate(rest, axis=1))
             near = aliases_of(self.bench, nuisance, self._contribution(form, theta), forms, named)
+            alike = self._as_likely(form.effect)
+            near.update({name: NEAR for name in alike if name not in near and name not in named})
             groups.append([form.effect, *sorted(near, key=lambda n: near[n])])
         beside = [self.bench.calibration[:, 3:], *(3.0 * self.bench.columns(f) for f in fitted.forms)]
         if len(self.calibration) > 1:
@@ -186,6 +190,18 @@ class Judge:
             near = aliases_of(self.bench, nuisance, self._calibration_contribution([name]), offered, named)
             groups.append([name, *sorted(near, key=lambda n: near[n])])
         return groups
+
+    def _as_likely(self, effect: str) -> list[str]:
+        """Return the effects that, put in the place of one of the best hypothesis, are nearly as likely."""
+        best = self.chosen
+        rest = tuple(name for name in best.effects if name != effect)
+        made = []
+        for h in self.found.hypotheses:
+            if h.unknown == best.unknown and h.log_weight > best.log_weight - LIKELY_NATS:
+                instead = [name for name in h.effects if name not in rest]
+                if len(h.effects) == len(best.effects) and len(instead) == 1 and instead[0] != effect:
+                    made += instead
+        return made
 
     def _causes(self) -> list[Cause]:
         from scipy.special import stdtrit

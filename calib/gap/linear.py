@@ -54,9 +54,11 @@ class Nuisance:
     def of(columns: FloatArray) -> Nuisance:
         """Make it of whitened columns scaled to unit prior variance, shape (n_rows, k)."""
         gram = np.eye(columns.shape[1]) + columns.T @ columns
-        lower = np.linalg.cholesky(gram)
-        inverse = np.linalg.solve(lower, np.eye(len(lower)))
-        return Nuisance(columns, inverse, float(2 * np.log(np.diag(lower)).sum()))
+        # scaled to a unit diagonal: columns of very different size, or exactly alike, stay factorable
+        root = np.sqrt(np.diag(gram))
+        lower = np.linalg.cholesky(gram / np.outer(root, root) + 1e-11 * np.eye(len(gram)))
+        inverse = np.linalg.solve(lower, np.diag(1.0 / root))
+        return Nuisance(columns, inverse, float(2 * (np.log(np.diag(lower)) + np.log(root)).sum()))
 
     def scalar(self, left: FloatArray, right: FloatArray) -> FloatArray:
         """Return left^T (I + X X^T)^-1 right for columns (n_rows, p) and (n_rows, q), shape (p, q)."""

@@ -121,12 +121,14 @@ class Path:
     @cached_property
     def lever_x(self) -> FloatArray:
         """What a turn at a step moves the end point in x, per radian, shape (n_steps,)."""
-        return self.y_m - self.end[self.s.unit, 1]
+        made: FloatArray = self.y_m - self.end[self.s.unit, 1]
+        return made
 
     @cached_property
     def lever_y(self) -> FloatArray:
         """What a turn at a step moves the end point in y, per radian, shape (n_steps,)."""
-        return self.end[self.s.unit, 0] - self.x_m
+        made: FloatArray = self.end[self.s.unit, 0] - self.x_m
+        return made
 
     @cached_property
     def frame(self) -> FloatArray:

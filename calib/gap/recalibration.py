@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Final
@@ -52,7 +53,13 @@ class Recalibration:
 
 
 def judge_recalibration(
-    fitted: Fitted, nominal: Path, noise: Noise, settings: Settings, *, excuse: float = 0.5
+    fitted: Fitted,
+    nominal: Path,
+    noise: Noise,
+    settings: Settings,
+    shifts: Mapping[str, tuple[str, ...]] | None = None,
+    *,
+    excuse: float = 0.5,
 ) -> Recalibration:
     """Weigh the subsets of the calibration's parameters against each other.
 
@@ -69,6 +76,8 @@ def judge_recalibration(
         Covariance of each unit.
     settings : Settings
         What the search takes for granted.
+    shifts : mapping of str to tuple of str, optional
+        For each effect, the calibration parameters that another zero point of it would look like.
     excuse : float
         Share of an effect's whitened size that a calibration shift may have and still belong to it.
 
@@ -91,7 +100,8 @@ def judge_recalibration(
             signature * max(effect_scale(sizes, form), 3.0),
             settings.tolerance * bench.by_condition(contribution),
         ]
-        fixed.append(directions / norm * (excuse * np.sqrt((contribution**2).sum())))
+        looks_like = [NAMES.index(name) for name in (shifts or {}).get(form.effect, ())]
+        fixed.append((directions / norm)[:, looks_like] * (excuse * np.sqrt((contribution**2).sum())))
     matrix = DIRECTIONS[:, :3].T
     values = np.linalg.solve(matrix, fitted.calibration[:3])
     inverse = np.linalg.inv(matrix)

@@ -334,7 +334,7 @@ def _screen(
         for form in made:
             columns = project(nuisance, bench.columns(form))
             gram, right = columns.T @ columns, columns.T @ gap
-            sizes: FloatArray = np.linalg.solve(gram + 1e-2 * np.eye(len(gram)), right)
+            sizes = np.asarray(np.linalg.solve(gram + 1e-2 * np.eye(len(gram)), right), dtype=np.float64)
             if wrong_sign(form, sizes):
                 continue
             scale = effect_scale(sizes, form)

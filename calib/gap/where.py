@@ -102,7 +102,9 @@ def covariate_values(s: Situation) -> dict[str, FloatArray | StrArray]:
     Missing numbers are NaN, missing labels empty. Only what varies is listed.
     """
     load_left, load_right = s.number("load_left_N"), s.number("load_right_N")
-    turn = s.total(s.turn_rad)
+    by_wheels = s.total(s.turn_rad)
+    # by the reference where there is one: the wheels' own turn shares the gap's errors
+    turn = np.where(s.usable[:, 3], s.measured[:, 3], by_wheels)
     speed = s.number("speed_mps")
     made: dict[str, FloatArray | StrArray] = {
         "route": s.labels["kind"],
@@ -120,7 +122,7 @@ def covariate_values(s: Situation) -> dict[str, FloatArray | StrArray]:
     }
     if np.ptp(turn) > LEAST_TURN_RAD:
         made["turn"] = turn
-        made["turn_absolute"] = s.total(np.abs(s.turn_rad))
+        made["turn_absolute"] = np.maximum(s.total(np.abs(s.turn_rad)) - np.abs(by_wheels - turn), 0.0)
     if np.ptp(s.length_m) > LEAST_LENGTH * float(np.max(s.length_m)):
         made["length_m"] = s.length_m
     for name in ("amplitude_m", "wavelength_m", *covariate_columns(s)):

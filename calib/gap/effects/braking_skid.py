@@ -24,6 +24,7 @@ class BrakingSkid(Effect):
     id: ClassVar[str] = "braking_skid"
     title: ClassVar[str] = "skidding when it stops"
     implausible: ClassVar[str] = "latency, or an offset of the reference"
+    shifts: ClassVar[tuple[str, ...]] = ("radius_scale",)
 
     def forms(self, s: Situation) -> list[Form]:
         """Return a form with equal slides and, where speeds differ, one ~ v^2; none where no run stops."""

@@ -32,6 +32,7 @@ class Covariate(Effect):
     id: str  # type: ignore[misc]
     title: str  # type: ignore[misc]
     implausible = "something else that changed with this column"
+    shifts = ("radius_scale", "unequal_radii")
 
     def __init__(self, column: str) -> None:
         self.column = column

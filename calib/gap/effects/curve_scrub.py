@@ -20,6 +20,7 @@ class CurveScrub(Effect):
     id: ClassVar[str] = "curve_scrub"
     title: ClassVar[str] = "scrubbing in turns that widens the track"
     implausible: ClassVar[str] = "a track other than believed, or load transfer in fast turns"
+    shifts: ClassVar[tuple[str, ...]] = ("track_width",)
 
     def forms(self, s: Situation) -> list[Form]:
         """Return the single form; none where nothing turns."""

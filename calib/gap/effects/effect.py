@@ -80,12 +80,16 @@ class Effect(ABC):
         What to suspect where the fitted size is beyond what is plausible; a clause.
     calibration : bool
         True for the three that a plain recalibration absorbs.
+    shifts : tuple of str
+        Calibration effects that a zero point of this effect other than assumed looks like (a temperature counted from
+        20 degrees instead of the mean shifts the radii); a shift no larger than the effect counts as part of it.
     """
 
     id: ClassVar[str]
     title: ClassVar[str]
     implausible: ClassVar[str] = "another cause that looks alike"
     calibration: ClassVar[bool] = False
+    shifts: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
     def forms(self, s: Situation) -> list[Form]:

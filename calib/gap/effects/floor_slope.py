@@ -25,6 +25,7 @@ class FloorSlope(Effect):
     id: ClassVar[str] = "floor_slope"
     title: ClassVar[str] = "a sloping floor"
     implausible: ClassVar[str] = "a difference between driving out and back of another cause"
+    shifts: ClassVar[tuple[str, ...]] = ("radius_scale",)
 
     def forms(self, s: Situation) -> list[Form]:
         """Return forms by slope and pull; none where the floor is only driven one way, or for windows of a recording.

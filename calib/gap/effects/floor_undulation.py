@@ -24,6 +24,7 @@ class FloorUndulation(Effect):
     id: ClassVar[str] = "floor_undulation"
     title: ClassVar[str] = "an uneven floor on one lane"
     implausible: ClassVar[str] = "both effective radii on that lane, or a path that weaves"
+    shifts: ClassVar[tuple[str, ...]] = ("radius_scale",)
 
     def forms(self, s: Situation) -> list[Form]:
         """Return a form for each lane: the values of a column ``lane`` where there is one, else the kinds of route."""

@@ -22,6 +22,7 @@ class LoadCreep(Effect):
     id: ClassVar[str] = "load_creep"
     title: ClassVar[str] = "wheel bands that creep under the load"
     implausible: ClassVar[str] = "the load itself, or a temperature that rose meanwhile"
+    shifts: ClassVar[tuple[str, ...]] = ("radius_scale", "unequal_radii")
 
     def forms(self, s: Situation) -> list[Form]:
         """Return forms by time constant and by the load that creeps; none where the times under load do not vary.

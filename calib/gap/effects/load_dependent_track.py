@@ -18,6 +18,7 @@ class LoadDependentTrack(Effect):
     id: ClassVar[str] = "load_dependent_track"
     title: ClassVar[str] = "a track that follows the load"
     implausible: ClassVar[str] = "load transfer in turns, or misreported payloads"
+    shifts: ClassVar[tuple[str, ...]] = ("track_width",)
 
     def forms(self, s: Situation) -> list[Form]:
         """Return the single form; none where the loads do not vary or nothing turns."""

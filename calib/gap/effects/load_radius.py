@@ -17,6 +17,7 @@ class LoadRadius(Effect):
     id: ClassVar[str] = "load_radius"
     title: ClassVar[str] = "wheel radii that follow the load"
     implausible: ClassVar[str] = "misreported payloads, or a wheel that has come loose from its rim"
+    shifts: ClassVar[tuple[str, ...]] = ("radius_scale", "unequal_radii")
 
     def forms(self, s: Situation) -> list[Form]:
         """Return the linear law, one slope a wheel; none where the loads do not vary."""

@@ -22,6 +22,7 @@ class LoadRadiusNonlinear(Effect):
     id: ClassVar[str] = "load_radius_nonlinear"
     title: ClassVar[str] = "wheel radii that follow the load by a curved law"
     implausible: ClassVar[str] = "misreported payloads, or a wheel that has come loose from its rim"
+    shifts: ClassVar[tuple[str, ...]] = ("radius_scale", "unequal_radii")
 
     def forms(self, s: Situation) -> list[Form]:
         """Return one form an exponent, one slope a wheel; none where the loads do not vary."""

@@ -24,6 +24,7 @@ class LostCounts(Effect):
     id: ClassVar[str] = "lost_counts"
     title: ClassVar[str] = "counts lost by one encoder"
     implausible: ClassVar[str] = "the radius of that wheel, or a wrong count per revolution"
+    shifts: ClassVar[tuple[str, ...]] = ("radius_scale", "unequal_radii")
 
     def forms(self, s: Situation) -> list[Form]:
         """Return, for each wheel, a constant share and, where speeds differ, two shares that grow with speed."""

@@ -26,6 +26,7 @@ class PayloadMass(Effect):
     id: ClassVar[str] = "payload_mass"
     title: ClassVar[str] = "a misreported payload mass"
     implausible: ClassVar[str] = "radii that follow the load by a curved law"
+    shifts: ClassVar[tuple[str, ...]] = ("radius_scale", "unequal_radii")
 
     def forms(self, s: Situation) -> list[Form]:
         """Return a form for each of the (at most six) payloads driven most; none without payloads."""

@@ -25,6 +25,7 @@ class PayloadPosition(Effect):
     id: ClassVar[str] = "payload_position"
     title: ClassVar[str] = "a misreported payload position"
     implausible: ClassVar[str] = "rear wheels of unequal radius, or loads that were misread"
+    shifts: ClassVar[tuple[str, ...]] = ("radius_scale", "unequal_radii")
 
     def forms(self, s: Situation) -> list[Form]:
         """Return a form sideways and one lengthways; none without payloads."""

@@ -23,6 +23,7 @@ class RearDrag(Effect):
     id: ClassVar[str] = "rear_drag"
     title: ClassVar[str] = "a rear wheel that drags one way"
     implausible: ClassVar[str] = "unequal radii, or a brake that does not release"
+    shifts: ClassVar[tuple[str, ...]] = ("radius_scale", "unequal_radii")
 
     def forms(self, s: Situation) -> list[Form]:
         """Return a form for the left and one for the right wheel; none where everything rolls and goes one way."""

@@ -19,6 +19,7 @@ class SessionStep(Effect):
     id: ClassVar[str] = "session_step"
     title: ClassVar[str] = "wheel radii that step from session to session"
     implausible: ClassVar[str] = "wheels, encoders or set-up changed between sessions"
+    shifts: ClassVar[tuple[str, ...]] = ("radius_scale", "unequal_radii")
 
     def forms(self, s: Situation) -> list[Form]:
         """Return the single form, a left and a right step a session but the first; none with one session."""

@@ -17,6 +17,7 @@ class SpeedRadius(Effect):
 
     id: ClassVar[str] = "speed_radius"
     title: ClassVar[str] = "wheel radii that follow the speed"
+    shifts: ClassVar[tuple[str, ...]] = ("radius_scale",)
     implausible: ClassVar[str] = (
         "latency or lost counts (the centrifugal growth of a solid wheel is only about 6e-5 at 1 m/s)"
     )

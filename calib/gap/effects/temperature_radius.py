@@ -17,6 +17,7 @@ class TemperatureRadius(Effect):
     id: ClassVar[str] = "temperature_radius"
     title: ClassVar[str] = "wheel radii that follow the temperature"
     implausible: ClassVar[str] = "wear, or something else that changed with the session"
+    shifts: ClassVar[tuple[str, ...]] = ("radius_scale",)
 
     def forms(self, s: Situation) -> list[Form]:
         """Return the single form; none where the temperature is not known or does not vary."""

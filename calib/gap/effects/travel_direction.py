@@ -20,6 +20,7 @@ class TravelDirection(Effect):
     id: ClassVar[str] = "travel_direction"
     title: ClassVar[str] = "a difference between driving out and back"
     implausible: ClassVar[str] = "a sloping floor, or a start mark that differs"
+    shifts: ClassVar[tuple[str, ...]] = ("radius_scale",)
 
     def forms(self, s: Situation) -> list[Form]:
         """Return two forms, unlike in runs of neither direction; none where all runs go one way."""

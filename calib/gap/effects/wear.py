@@ -20,6 +20,7 @@ class Wear(Effect):
     id: ClassVar[str] = "wear"
     title: ClassVar[str] = "wheels that wear"
     implausible: ClassVar[str] = "temperature, or something else that drifted over the campaign"
+    shifts: ClassVar[tuple[str, ...]] = ("radius_scale", "unequal_radii")
 
     def forms(self, s: Situation) -> list[Form]:
         """Return a form per km and, with two sessions and more, one per session."""
