@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
-from calib.cli.output import FORCE, JSON, emit_json, say, table
+from calib.cli.output import FORCE, JSON, emit_json, say, say_wrapped, table
 
 if TYPE_CHECKING:
     from calib.gap.verdict import Verdict
@@ -69,7 +68,9 @@ def register(application: typer.Typer, name: str) -> None:
             write_bytes(apply, applied_model(found, read, effects).to_bytes(), force=force)
             say(f"wrote {apply}", target=json_target)
             if not found.verdict.recommended:
-                _wrapped("The written model is not recommended: see above what speaks against it.", json_target)
+                say_wrapped(
+                    "The written model is not recommended: see above what speaks against it.", target=json_target
+                )
         if into is not None:
             write_json(into / RESULT_FILE, document, force=force)
             say(f"wrote {into / RESULT_FILE}", target=json_target)
@@ -97,7 +98,7 @@ def _show(verdict: Verdict, target: str | None) -> None:
     document = verdict.to_dict()
     say(verdict.campaign + (" - SIMULATED DATA" if verdict.simulated else ""), target=target)
     say("", target=target)
-    _wrapped(f"Verdict ({verdict.verdict}): {verdict.sentence}", target)
+    say_wrapped(f"Verdict ({verdict.verdict}): {verdict.sentence}", target=target)
     say("", target=target)
     _show_where(document["where"], target)
     _show_causes(document, target)
@@ -105,7 +106,7 @@ def _show(verdict: Verdict, target: str | None) -> None:
     _show_limits(document, target)
     _show_next(document, target)
     for note in document["notes"]:
-        _wrapped(str(note), target, lead="  note  ")
+        say_wrapped(str(note), target=target, lead="  note  ")
 
 
 def _show_where(where: Mapping[str, Any], target: str | None) -> None:
@@ -136,12 +137,12 @@ def _show_where(where: Mapping[str, Any], target: str | None) -> None:
             target=target,
         )
     for place in where.get("places", ())[:5]:
-        _wrapped(_place(place), target, lead="  place  ")
+        say_wrapped(_place(place), target=target, lead="  place  ")
     worst = [run for run in where.get("runs", ()) if abs(run["z"]) > 4.0][:3]
     for run in worst:
         factor, unit = (1e3, "mrad") if run["channel"] in {"heading", "steering"} else (1e3, "mm")
         said = f"{run['run_id']}: {run['channel']} {factor * run['value']:+.3g} {unit}, {abs(run['z']):.0f} floors"
-        _wrapped(said, target, lead="  run    ")
+        say_wrapped(said, target=target, lead="  run    ")
 
 
 def _place(place: Mapping[str, Any]) -> str:
@@ -184,9 +185,9 @@ def _show_causes(document: Mapping[str, Any], target: str | None) -> None:
         )
     for cause in document["causes"]:
         if cause["remark"]:
-            _wrapped(f"{cause['effect']}: {cause['remark']}", target, lead="  ")
+            say_wrapped(f"{cause['effect']}: {cause['remark']}", target=target, lead="  ")
     for group in document["indistinguishable"]:
-        _wrapped(f"these runs cannot tell apart: {', '.join(group)}", target, lead="  ")
+        say_wrapped(f"these runs cannot tell apart: {', '.join(group)}", target=target, lead="  ")
 
 
 def _show_closure(document: Mapping[str, Any], target: str | None) -> None:
@@ -201,14 +202,14 @@ def _show_closure(document: Mapping[str, Any], target: str | None) -> None:
         said += f"; closure {closure['fraction']:.2f}"
         if closure.get("ci95"):
             said += f" (95 %: {closure['ci95'][0]:.2f} .. {closure['ci95'][1]:.2f})"
-    _wrapped(said + ".", target)
+    say_wrapped(said + ".", target=target)
     if document["causes"]:
         advice = (
             "Recommended: the fix holds on runs it has not seen."
             if document["recommended"]
             else "Not recommended: the fix is not shown to hold on runs it has not seen, or is not the only one."
         )
-        _wrapped(advice, target)
+        say_wrapped(advice, target=target)
     say("", target=target)
 
 
@@ -221,7 +222,7 @@ def _show_limits(document: Mapping[str, Any], target: str | None) -> None:
     if rows:
         table("What these runs could have shown", ["effect", "smallest size"], rows, target=target)
     if never:
-        _wrapped(f"Never to be seen in these runs: {', '.join(never)}", target, lead="  ")
+        say_wrapped(f"Never to be seen in these runs: {', '.join(never)}", target=target, lead="  ")
 
 
 def _show_next(document: Mapping[str, Any], target: str | None) -> None:
@@ -234,15 +235,10 @@ def _show_next(document: Mapping[str, Any], target: str | None) -> None:
             for key, unit in (("payload_kg", "kg"), ("speed_mps", "m/s"), ("temperature_C", "degC"))
             if run.get(key) is not None
         )
-        _wrapped(f"{run['kind']} {run.get('direction', '')}, {what}: {run['why']}", target, lead=f"  {number}. ")
+        say_wrapped(
+            f"{run['kind']} {run.get('direction', '')}, {what}: {run['why']}", target=target, lead=f"  {number}. "
+        )
 
 
 def _milli(value: float | None) -> str:
     return "-" if value is None else f"{1e3 * value:.3g}"
-
-
-def _wrapped(text: str, target: str | None, lead: str = "") -> None:
-    from shutil import get_terminal_size
-
-    width = min(max(get_terminal_size((120, 24)).columns, 60), 120)
-    say(textwrap.fill(text, width, initial_indent=lead, subsequent_indent=" " * len(lead)), target=target)

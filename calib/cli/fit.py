@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
-from calib.cli.output import FORCE, JSON, emit_json, say, table, wants_stdout
+from calib.cli.output import FORCE, JSON, emit_json, say, say_wrapped, table, wants_stdout
 
 if TYPE_CHECKING:
     from calib.radius.fit import Fit
@@ -97,7 +96,7 @@ def _show(fit: Fit, target: str | None, *, runs: bool) -> None:
             target=target,
         )
     for note in fit.notes:
-        _say_wrapped(note, target)
+        say_wrapped(note, target=target)
     if fit.radii.left_out:
         say(f"Left out: {len(fit.radii.left_out)} runs", target=target)
         for run in fit.radii.left_out:
@@ -187,7 +186,7 @@ def _show_checks(fit: Fit, target: str | None) -> None:
     order = {check.name: number for number, check in enumerate(fit.left.checks + fit.right.checks)}
     for (name, level, sentence), wheels in sorted(pairs.items(), key=lambda item: order[item[0][0]]):
         who = "both" if len(wheels) == 2 else wheels[0]
-        _say_wrapped(sentence, target, lead=f"  {MARKS[level]} {who:5} {name.replace('_', ' '):18}")
+        say_wrapped(sentence, target=target, lead=f"  {MARKS[level]} {who:5} {name.replace('_', ' '):18}")
 
 
 def _show_budget(fit: Fit, target: str | None) -> None:
@@ -231,10 +230,3 @@ def _run_rows(fit: Fit) -> list[list[str]]:
         [f"{1e6 * one:+.1f}" for one in fit.right.residual_m],
     ]
     return [[str(cell) for cell in row] for row in zip(*columns, strict=True)]
-
-
-def _say_wrapped(text: str, target: str | None, lead: str = "") -> None:
-    from shutil import get_terminal_size
-
-    width = min(max(get_terminal_size((120, 24)).columns, 60), 120)
-    say(textwrap.fill(text, width, initial_indent=lead, subsequent_indent=" " * len(lead)), target=target)

@@ -12,7 +12,7 @@ import typer
 from calib.errors import BadInputError
 from calib.files import to_json, write_json
 
-__all__ = ["FORCE", "JSON", "emit_json", "say", "table", "wants_stdout"]
+__all__ = ["FORCE", "JSON", "emit_json", "say", "say_wrapped", "table", "wants_stdout"]
 
 JSON = typer.Option(None, "--json", metavar="FILE", help="Write the result as JSON to FILE; '-' is standard output.")
 FORCE = typer.Option(False, "--force", help="Replace existing output files.")
@@ -41,6 +41,15 @@ def emit_json(value: Any, target: str | None, *, force: bool) -> None:
 def say(text: str, *, target: str | None = None) -> None:
     """Print a line for people; to standard error where standard output belongs to JSON."""
     typer.echo(text, err=wants_stdout(target))
+
+
+def say_wrapped(text: str, *, target: str | None = None, lead: str = "") -> None:
+    """Print a sentence over as many lines as it takes, `lead` before the first and the others in line with it."""
+    import textwrap
+    from shutil import get_terminal_size
+
+    width = min(max(get_terminal_size((120, 24)).columns, 60), 120)
+    say(textwrap.fill(text, width, initial_indent=lead, subsequent_indent=" " * len(lead)), target=target)
 
 
 def table(title: str, header: Sequence[str], rows: Iterable[Sequence[str]], *, target: str | None = None) -> None:
