@@ -1,0 +1,98 @@
+"""An effect that is written into the model is the one that was found, and closes the gap it was found in."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.campaign.model import Campaign
+from calib.coefficients.quantities import Quantity
+from calib.coefficients.sections import EffectSection
+from calib.errors import RefusedError
+from calib.files import write_bytes
+from calib.gap.apply import applied_model, applied_pushes, model_of, with_effects
+from calib.gap.diagnose import diagnose, diagnose_in_full
+from calib.gap.path import predict
+from calib.gap.residuals import residuals
+from calib.gap.situation import build_situation
+from calib.plant.effects.registry import find
+from calib.plant.make import make_campaign
+from calib.plant.plans import good_design
+
+
+def campaign_with(effect: str, times: float = 3.0, seed: int = 3, n_runs: int = 60) -> Campaign:
+    rng = np.random.default_rng(seed)
+    form = find(effect, "")
+    return make_campaign(good_design(rng, n_runs=n_runs, needs=form.needs), {effect: times * form.typical}, rng)
+
+
+@pytest.mark.parametrize("effect", ["track_width", "load_radius", "temperature_radius", "reference_lever_arm"])
+def test_with_the_effect_added_there_is_no_gap_on_the_same_runs(effect: str, tmp_path: Path) -> None:
+    campaign = campaign_with(effect)
+    found = diagnose_in_full(campaign)
+    assert effect in {cause.effect for cause in found.verdict.causes}
+    path = write_bytes(tmp_path / "model.json", applied_model(found, campaign).to_bytes())
+    model, sections = model_of(path, campaign)
+    again = diagnose(campaign, model=model, applied=sections)
+    assert again.verdict == "no_gap"
+
+
+def test_what_is_left_with_the_written_model_is_what_the_fit_left(tmp_path: Path) -> None:
+    """The written model predicts as the fit did: both residuals agree far below the floor."""
+    campaign = campaign_with("temperature_radius")
+    found = diagnose_in_full(campaign)
+    path = write_bytes(tmp_path / "model.json", applied_model(found, campaign).to_bytes())
+    model, sections = model_of(path, campaign)
+    s, notes = with_effects(build_situation(campaign, model), sections)
+    nominal = predict(s)
+    left = residuals(nominal, nominal)
+    assert notes == ()
+    # second order in the calibration and the effect, each about 1e-3, over 20 m
+    np.testing.assert_allclose(left[:, :4], found.fitted.left[:, :4], atol=1e-4, rtol=0)
+
+
+def test_a_load_effect_goes_into_the_law_and_nowhere_else(tmp_path: Path) -> None:
+    campaign = campaign_with("load_radius")
+    found = diagnose_in_full(campaign)
+    file = applied_model(found, campaign)
+    slopes = {cause.effect: cause for cause in found.verdict.causes}["load_radius"].parameters
+    before = campaign.model
+    assert "load_radius" not in {section.effect for section in file.effects}
+    # the old slope is scaled by the recalibration, which is below 1 %
+    assert file.law.left.slope_m_per_N == pytest.approx(
+        before.slope_left_m_per_N + slopes["slope_left"].value, rel=1e-2, abs=1e-12
+    )
+
+
+def test_a_covariate_is_counted_from_the_mean_that_the_file_says() -> None:
+    """On other temperatures the radius is that of the same law: alpha (T - centre)."""
+    campaign = campaign_with("temperature_radius")
+    s = build_situation(campaign)
+    section = EffectSection(
+        effect="temperature_radius",
+        settings={"centre": 5.0, "spread": 1.0},
+        parameters={"alpha": Quantity(value=1e-4, unit="1/K")},
+    )
+    (push,), notes = applied_pushes(s, [section])
+    assert notes == []
+    assert push.left is not None
+    # closed form
+    np.testing.assert_allclose(push.left, 1e-4 * (s.number("temperature_C") - 5.0), rtol=1e-12, atol=1e-15)
+
+
+def test_an_effect_that_has_nothing_to_act_on_is_said() -> None:
+    s = build_situation(campaign_with("track_width"))
+    section = EffectSection(effect="steering_zero", parameters={"zero": Quantity(value=0.01, unit="rad")})
+    pushes, notes = applied_pushes(s, [section])
+    assert pushes == []
+    assert "steering_zero" in notes[0]
+
+
+def test_without_a_cause_there_is_nothing_to_write() -> None:
+    campaign = campaign_with("track_width", 0.0, n_runs=40)
+    found = diagnose_in_full(campaign)
+    assert found.verdict.verdict == "no_gap"
+    with pytest.raises(RefusedError, match="no effect to add"):
+        applied_model(found, campaign)
