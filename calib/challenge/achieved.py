@@ -37,9 +37,9 @@ def achieved(diagnosis: Diagnosis, fresh: Campaign, exclude: tuple[str, ...] = (
     """
     from calib.gap.fit import hypothesis_path
     from calib.gap.linear import rows
+    from calib.gap.observe import build_situation
     from calib.gap.path import predict
     from calib.gap.residuals import residuals
-    from calib.gap.situation import build_situation
 
     if not diagnosis.verdict.causes:
         return None

@@ -16,13 +16,14 @@ from calib.gap.fit import Fitted, fit
 from calib.gap.gross import corrected, find_gross
 from calib.gap.judge import Judge
 from calib.gap.noise import Noise, estimate_noise
+from calib.gap.observe import build_situation
 from calib.gap.path import Path, predict
 from calib.gap.plan import next_runs, undetectable
 from calib.gap.recalibration import judge_recalibration
 from calib.gap.residuals import residuals
 from calib.gap.search import Search, Settings, Workbench, search
 from calib.gap.sentence import sentence
-from calib.gap.situation import Situation, build_situation
+from calib.gap.situation import Situation
 from calib.gap.verdict import Verdict
 from calib.gap.where import locate
 

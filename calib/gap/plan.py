@@ -17,11 +17,12 @@ from calib.gap.effects.library import library
 from calib.gap.fit import Fitted
 from calib.gap.linear import Nuisance, project
 from calib.gap.noise import Noise
+from calib.gap.observe import build_situation
 from calib.gap.path import predict
 from calib.gap.plan_distance import SEEN, Signatures, noise_at
 from calib.gap.plan_runs import DEFAULT_CORRIDOR_M, Measured, PlannedRun, default_candidates, drive, joined
 from calib.gap.search import Workbench
-from calib.gap.situation import Situation, build_situation
+from calib.gap.situation import Situation
 from calib.gap.verdict import Verdict
 
 __all__ = ["Outlook", "next_runs", "outlook_of", "plan_after", "undetectable"]

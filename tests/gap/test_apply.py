@@ -14,9 +14,9 @@ from calib.errors import RefusedError
 from calib.files import write_bytes
 from calib.gap.apply import applied_model, applied_pushes, model_of, with_effects
 from calib.gap.diagnose import diagnose, diagnose_in_full
+from calib.gap.observe import build_situation
 from calib.gap.path import predict
 from calib.gap.residuals import residuals
-from calib.gap.situation import build_situation
 from calib.plant.effects.registry import find
 from calib.plant.make import make_campaign
 from calib.plant.plans import good_design

@@ -8,9 +8,10 @@ import pytest
 from calib.campaign.model import Campaign, FloatArray
 from calib.gap.fit import fit
 from calib.gap.noise import Noise, estimate_noise
+from calib.gap.observe import build_situation
 from calib.gap.path import Path, predict
 from calib.gap.residuals import residuals
-from calib.gap.situation import Situation, build_situation
+from calib.gap.situation import Situation
 from calib.gap.where import locate
 from calib.plant.effects.registry import find
 from calib.plant.make import make_campaign

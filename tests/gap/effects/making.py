@@ -9,8 +9,9 @@ import numpy as np
 
 from calib.campaign.model import Campaign, Logs, RunTable
 from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
+from calib.gap.observe import build_situation
 from calib.gap.path import Push, predict
-from calib.gap.situation import Situation, build_situation
+from calib.gap.situation import Situation
 from calib.vehicle import Vehicle
 
 TRACK_M, RADIUS_M, WHEELBASE_M = 0.7, 0.1, 1.0

@@ -12,8 +12,9 @@ from calib.gap.effects.floor_zone import CELL_M, MOST_FORMS
 from calib.gap.effects.library import library
 from calib.gap.effects.path_weave import sine_excess
 from calib.gap.effects.shapes import driven_speed_mps, end_motion
+from calib.gap.observe import build_situation
 from calib.gap.path import predict
-from calib.gap.situation import Situation, build_situation
+from calib.gap.situation import Situation
 from tests.gap.effects.making import ROUTE, SQUARE, STRAIGHT, Motion, Run, campaign, motion_of, situation
 
 

@@ -12,8 +12,9 @@ import pytest
 import calib.gap.effects as package
 from calib.gap.effects.effect import Effect, Form
 from calib.gap.effects.library import REGISTRY, library
+from calib.gap.observe import build_situation
 from calib.gap.path import predict, signature
-from calib.gap.situation import Situation, build_situation
+from calib.gap.situation import Situation
 from tests.gap.effects.making import campaign, rich_runs, situation, with_outside_simulator
 
 #: the effects that the diagnosis promises, without the covariates

@@ -15,8 +15,9 @@ import pytest
 from calib.campaign.settings import OdometryModel
 from calib.gap.effects.effect import Form
 from calib.gap.effects.library import library
+from calib.gap.observe import build_situation
 from calib.gap.path import Push, predict
-from calib.gap.situation import Situation, build_situation
+from calib.gap.situation import Situation
 from tests.gap.effects.making import (
     MODEL,
     RADIUS_M,
