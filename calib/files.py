@@ -84,6 +84,17 @@ def inside(
 ) -> Path:
     """Resolve a path found in a data file, which must stay inside `root`.
 
+    Parameters
+    ----------
+    root : Path
+        The folder.
+    relative : str
+        The path as found.
+    named_in : Path or str
+        The file that names it.
+    row, column : optional
+        Where in that file.
+
     Raises
     ------
     BadFileError

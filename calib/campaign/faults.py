@@ -16,7 +16,21 @@ class Border:
         self.notes: list[Note] = []
 
     def say(self, where: str, text: str, code: str, *, level: str = "info", run_id: str = "") -> None:
-        """Keep a note."""
+        """Keep a note.
+
+        Parameters
+        ----------
+        where : str
+            File, row and column.
+        text : str
+            What was found, what was expected, what to do.
+        code : str
+            Name of the fault.
+        level : str
+            ``wrong``, ``suspicious`` or ``info``.
+        run_id : str
+            The run concerned; empty where it is none.
+        """
         self.notes.append(Note(level, where, text, code, run_id))
 
     def fault(self, error: BadFileError, code: str, run_id: str = "") -> None:

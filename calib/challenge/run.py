@@ -54,6 +54,19 @@ def run_case(
     """Diagnose one case and write ``verdicts/<case>.json``; return whether it ended without an error.
 
     An error of the diagnosis is written down as such: it is a miss of the case, not an end of the run.
+
+    Parameters
+    ----------
+    folder : Path
+        The sealed set.
+    case : str
+        Name of the case.
+    exclude : tuple of str
+        Effects that the library is denied.
+    seed : int
+        Seed of the diagnosis.
+    diagnoser : callable
+        What diagnoses; calib's own diagnosis by default.
     """
     folder = Path(folder)
     place = inside(folder, f"cases/{case}", named_in=folder / "challenge.json", column=case)

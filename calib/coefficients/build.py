@@ -130,8 +130,24 @@ def from_law(
 
     Parameters
     ----------
+    law : RadiusLaw
+        Radius by load of each wheel.
+    vehicle : Vehicle
+        Geometry and mass.
+    encoder : Encoder
+        Counts of a turn, and where the counters wrap.
+    name : str
+        Name of the campaign.
+    simulated : bool
+        Whether a program made the measurements.
+    outside : str
+        What happens to a load that was not measured: ``refuse`` or ``clamp``.
+    created : str, optional
+        Date, YYYY-MM-DD.
     load_table : mapping of str to (float, float)
         Name of a line -> wheel loads left and right in N; lines outside the valid range are left out.
+    effects : iterable of EffectSection
+        Effects that a diagnosis added to the model.
     inputs : mapping of str to str
         Path of an input -> its SHA-256.
     load_margin_N : float, optional

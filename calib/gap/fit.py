@@ -71,7 +71,21 @@ def calibration_pushes(s: Situation, calibration: FloatArray, path: Path | None)
 def hypothesis_path(
     s: Situation, calibration: FloatArray, forms: Sequence[Form], theta: Sequence[FloatArray], about: Path
 ) -> Path:
-    """Re-simulate under a hypothesis whose pushes are taken about a path."""
+    """Re-simulate under a hypothesis whose pushes are taken about a path.
+
+    Parameters
+    ----------
+    s : Situation
+        Units and steps.
+    calibration : array of float, shape (4,)
+        Relative change of left radius, right radius, track, front radius.
+    forms : sequence of Form
+        The hypothesis.
+    theta : sequence of array of float, each shape (n_parameters,)
+        Sizes of each form's parameters, in the parameters' units.
+    about : Path
+        Where the pushes are taken.
+    """
     pushes = calibration_pushes(s, calibration, about)
     for form, sizes in zip(forms, theta, strict=True):
         if np.any(sizes != 0):

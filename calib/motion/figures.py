@@ -64,6 +64,19 @@ _SWEEP_LABELS: Final = {
 def save(figure: Figure, folder: Path, stem: str, *, formats: Sequence[str] = FORMATS, force: bool) -> list[Path]:
     """Write a figure in each format; the same figure gives the same bytes.
 
+    Parameters
+    ----------
+    figure : Figure
+        What is written.
+    folder : Path
+        Where to.
+    stem : str
+        Name of the files without suffix.
+    formats : sequence of str
+        Suffixes without the point, of `FORMATS`.
+    force : bool
+        Whether existing files are replaced.
+
     Raises
     ------
     BadInputError

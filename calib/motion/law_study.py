@@ -275,6 +275,19 @@ def band_along(
 ) -> tuple[Poses, FloatArray]:
     """Return the route and the covariance of the real pose about it with the correction on.
 
+    Parameters
+    ----------
+    law : RadiusLaw
+        The law by which the odometry corrects.
+    route : Route
+        Followed on that odometry.
+    loads_N : tuple of float
+        Wheel loads, left and right.
+    track_m : float
+        Track.
+    band : str
+        Which uncertainty is carried: ``mean`` of the law, or ``prediction`` of a single run.
+
     Returns
     -------
     poses : Poses

@@ -79,7 +79,21 @@ def publish_replay(found: Replay, folder: Path, document: Mapping[str, Any], *, 
 
 
 def replay_trajectories(campaign: Campaign, law: RadiusLaw, track_m: float, folder: Path, *, force: bool) -> list[Path]:
-    """Write the odometry of each logged run with its radii under load, and its reference where logged, as TUM files."""
+    """Write the odometry of each logged run with its radii under load, and its reference where logged, as TUM files.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        The runs and logs.
+    law : RadiusLaw
+        Radii under load.
+    track_m : float
+        Track.
+    folder : Path
+        Where to.
+    force : bool
+        Whether existing files are replaced.
+    """
     made = []
     runs = campaign.runs
     for run in np.flatnonzero(campaign.logs.present).tolist():

@@ -28,6 +28,8 @@ def write_tum(path: Path, t_s: npt.ArrayLike, poses: Poses, *, force: bool = Fal
         Times.
     poses : Poses
         Shape (n,).
+    force : bool
+        Whether an existing file is replaced.
 
     Raises
     ------

@@ -17,7 +17,23 @@ Run = int | np.signedinteger[Any]
 
 
 def note(campaign: Campaign, run: Run, column: str, text: str, code: str, level: str = "suspicious") -> Note:
-    """Return a note on one cell of the run table."""
+    """Return a note on one cell of the run table.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        Whose table it is.
+    run : int
+        Number of the run, from 0.
+    column : str
+        The cell's column.
+    text : str
+        What was found, what was expected, what to do.
+    code : str
+        Name of the check.
+    level : str
+        ``wrong``, ``suspicious`` or ``info``.
+    """
     where = f"runs, row {int(campaign.runs.line[run])}, column {column}"
     return Note(level, where, text, code, str(campaign.runs.run_id[run]))
 

@@ -43,6 +43,21 @@ def error_form(
 
     The heading by steering, sum of ds sin(delta) / L, is then too large by ds cos(delta) error / L. The channel is the
     rear wheels' heading less that, so taking the error out of the steering's part adds the excess.
+
+    Parameters
+    ----------
+    s : Situation
+        Units and steps.
+    effect, label : str
+        Id of the effect, and which of its forms this is.
+    parameter : Parameter
+        The form's only parameter.
+    error_rad : array of float, shape (n_steps,)
+        Error of the angle per unit of the parameter.
+    tries : int
+        How many forms were searched over.
+    settings : dict of str to float, optional
+        Quantities of the form that are not fitted.
     """
     excess = front_travel_m(s) * np.cos(steer_rad(s)) * error_rad / s.vehicle.wheelbase_m
     reading = np.zeros((len(s), 6))

@@ -84,7 +84,17 @@ def rolling_radii_m(track: Track, track_m: float) -> tuple[float, float]:
 def belief_of(
     model: OdometryModel, load_left_N: float, load_right_N: float, *, wheelbase_m: float = 1.0, front_m: float = 0.1
 ) -> Belief:
-    """Return what a vehicle that carries `model` believes under the given wheel loads."""
+    """Return what a vehicle that carries `model` believes under the given wheel loads.
+
+    Parameters
+    ----------
+    model : OdometryModel
+        Radii by load, and track.
+    load_left_N, load_right_N : float
+        Wheel loads.
+    wheelbase_m, front_m : float
+        Wheelbase and radius of the front wheel.
+    """
     return Belief(
         radius_left_m=model.radius_left_m + model.slope_left_m_per_N * (load_left_N - model.reference_load_N),
         radius_right_m=model.radius_right_m + model.slope_right_m_per_N * (load_right_N - model.reference_load_N),

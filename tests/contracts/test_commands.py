@@ -1,0 +1,69 @@
+"""What every command of the command line has in common."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from calib.cli.main import COMMANDS, SUMMARIES, run
+
+CLI = Path(__file__).resolve().parents[2] / "calib" / "cli"
+#: files of the room that are no command
+SHARED = {"__init__", "main", "output"}
+#: command -> its sub-commands, which then carry the options
+GROUPS = {"challenge": ("make", "run", "score")}
+EVERY = [
+    arguments
+    for name in COMMANDS
+    for arguments in ([(name, one) for one in GROUPS[name]] if name in GROUPS else [(name,)])
+]
+
+
+def _help(arguments: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> str:
+    assert run([*arguments, "--help"]) == 0
+    return capsys.readouterr().out
+
+
+def test_every_file_of_a_command_is_registered() -> None:
+    files = {path.stem for path in CLI.glob("*.py") if not path.stem.startswith("_")} - SHARED
+    assert files == set(COMMANDS.values())
+
+
+def test_every_command_has_a_summary_and_no_summary_promises_another() -> None:
+    assert set(COMMANDS) <= set(SUMMARIES)
+
+
+@pytest.mark.parametrize("arguments", EVERY, ids=" ".join)
+def test_help_shows_an_example(arguments: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
+    shown = " ".join(_help(arguments, capsys).split())
+    assert re.search(r"Examples?: .*\bcalib " + " ".join(arguments), shown)
+
+
+@pytest.mark.parametrize("arguments", EVERY, ids=" ".join)
+def test_every_command_offers_json_and_never_overwrites_unasked(
+    arguments: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    shown = _help(arguments, capsys)
+    assert "--json" in shown
+    assert "--force" in shown
+
+
+@pytest.mark.parametrize("arguments", EVERY, ids=" ".join)
+def test_an_unknown_option_is_one_line_and_status_2(
+    arguments: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run([*arguments, "--no-such-option"]) == 2
+    out, err = capsys.readouterr()
+    assert (out, err.count("\n")) == ("", 1)
+
+
+@pytest.mark.parametrize("arguments", EVERY, ids=" ".join)
+def test_a_campaign_that_is_not_there_is_one_line_and_status_2(
+    arguments: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Commands without a campaign refuse the argument; the others say that there is no such folder."""
+    assert run([*arguments, str(tmp_path / "absent")]) == 2
+    out, err = capsys.readouterr()
+    assert (out, err.count("\n")) == ("", 1)

@@ -1,0 +1,86 @@
+"""What is public says what it is, and its parameters are the ones that it takes."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import pkgutil
+import re
+from collections.abc import Iterator
+from types import FunctionType, ModuleType
+
+import pytest
+
+import calib
+
+NAMES = sorted(
+    found.name
+    for found in pkgutil.walk_packages(calib.__path__, "calib.")
+    if not found.name.endswith("__main__")  # importing it runs the command line
+)
+#: a function of this many parameters is not described by one sentence
+MANY = 5
+#: what stands in place of a section: the parameters are those of a function that is named
+ELSEWHERE = re.compile(r"\b(?:see|those of) `[\w.]+`")
+
+
+def _load(name: str) -> ModuleType:
+    if name.startswith("calib.plant.contact"):
+        pytest.importorskip("mujoco", reason="the extra mujoco is not installed")
+    return importlib.import_module(name)
+
+
+def _public(module: ModuleType) -> Iterator[tuple[str, object]]:
+    """Yield what a module defines and offers, methods of its classes included."""
+    for name in getattr(module, "__all__", ()):
+        thing = getattr(module, name)
+        if getattr(thing, "__module__", None) != module.__name__:
+            continue
+        yield name, thing
+        if inspect.isclass(thing):
+            for key, value in vars(thing).items():
+                plain = value.fget if isinstance(value, property) else getattr(value, "__func__", value)
+                if not key.startswith("_") and isinstance(plain, FunctionType):
+                    yield f"{name}.{key}", getattr(thing, key)
+
+
+def _functions(module: ModuleType) -> Iterator[tuple[str, FunctionType, list[str], str]]:
+    for name, thing in _public(module):
+        if isinstance(thing, FunctionType):
+            taken = [one for one in inspect.signature(thing).parameters if one not in {"self", "cls"}]
+            yield name, thing, taken, inspect.getdoc(thing) or ""
+
+
+def _described(doc: str) -> list[str] | None:
+    """Return the names of a numpydoc section on parameters; None where there is none."""
+    section = re.search(r"^Parameters\n-+\n(.*?)(?=^\w[\w ]*\n-+\n|\Z)", doc, re.MULTILINE | re.DOTALL)
+    if section is None:
+        return None
+    heads = re.findall(r"^(\S[^:\n]*?)(?: :.*)?$", section[1], re.MULTILINE)
+    return [name.strip().lstrip("*") for head in heads for name in head.split(",")]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_module_says_what_it_holds(name: str) -> None:
+    assert (_load(name).__doc__ or "").strip()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_everything_public_has_a_docstring_or_inherits_one(name: str) -> None:
+    silent = [what for what, thing in _public(_load(name)) if callable(thing) and not inspect.getdoc(thing)]
+    assert not silent
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_section_on_parameters_names_each_of_them_and_no_other(name: str) -> None:
+    for what, _, taken, doc in _functions(_load(name)):
+        described = _described(doc)
+        if described is not None:
+            assert sorted(described) == sorted(taken), what
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_function_of_many_parameters_describes_them(name: str) -> None:
+    for what, _, taken, doc in _functions(_load(name)):
+        if len(taken) >= MANY and not ELSEWHERE.search(doc):
+            assert _described(doc) is not None, what
