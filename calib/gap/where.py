@@ -336,7 +336,7 @@ def _by_wheel(s: Situation, nominal: Path, noise: Noise, gap: FloatArray, rng: n
 def _beside(moments: FloatArray, wheel: int) -> tuple[FloatArray, FloatArray]:
     """Return what a wheel explains beside the other, and what both leave, of moments (n, 3, 3), each shape (n,)."""
     other = 1 - wheel
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(all="ignore"):
         ratio = moments[:, wheel, other] / moments[:, other, other]
         own = moments[:, wheel, wheel] - ratio * moments[:, other, wheel]
         right = moments[:, wheel, 2] - ratio * moments[:, other, 2]

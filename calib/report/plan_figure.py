@@ -37,8 +37,7 @@ def plan_matrix(outlook: Outlook) -> Figure:
     axis = axes_grid(figure, 1, 1)[0, 0]
     distance = np.column_stack((outlook.signal, np.where(np.isfinite(outlook.distance), outlook.distance, np.nan)))
     shown = np.ma.masked_invalid(distance)
-    colours = ListedColormap(list(SHADES))
-    colours.set_bad("white")
+    colours = ListedColormap(list(SHADES)).with_extremes(bad="white")
     image = axis.imshow(shown, cmap=colours, norm=BoundaryNorm(list(BOUNDS), colours.N), aspect="auto")
     names = [name.replace("_", " ") for name in outlook.effects]
     axis.set_xticks(range(n + 1), ["(seen at all)", *names], rotation=90)

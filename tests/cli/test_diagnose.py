@@ -1,0 +1,99 @@
+"""`calib diagnose` on the two campaigns whose outcome is known by hand, and on bad input."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from calib.cli.main import run
+
+FIELDS = {
+    "verdict",
+    "causes",
+    "credible_sets",
+    "indistinguishable",
+    "undetectable",
+    "where",
+    "closure",
+    "recommended",
+    "next_runs",
+}
+
+
+def test_one_load_a_session_is_ambiguous_and_the_run_that_splits_is_named(
+    project_root: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Load and session go together in the paper's design; a laden run in the session of an unladen one splits them."""
+    assert run(["diagnose", str(project_root / "sample_runs/corridor"), "--json", "-"]) == 1
+    captured = capsys.readouterr()
+    document = json.loads(captured.out)
+    assert document.keys() >= FIELDS
+    assert document["verdict"] == "ambiguous"
+    assert any({"load_radius", "session_step"} <= set(group) for group in document["indistinguishable"])
+    assert not document["recommended"]
+    assert document["next_runs"][0]["payload_kg"] > 0
+    assert "load_radius from session_step" in document["next_runs"][0]["why"]
+    assert "cannot tell" in captured.err
+
+
+def test_crossed_loads_explain_the_gap_with_the_slopes_of_the_fit(
+    project_root: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """The slopes lie within the intervals that the regression gives; with them in the model no gap is left."""
+    campaign = str(project_root / "sample_runs/corridor_crossed")
+    model = tmp_path / "model.json"
+    assert run(["diagnose", campaign, "--json", "-", "--apply", str(model)]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["verdict"] == "explained"
+    assert [cause["effect"] for cause in document["causes"]] == ["load_radius"]
+    assert document["closure"]["fraction"] > 0.9
+    assert document["recommended"]
+    run(["fit", campaign, "--json", "-"])
+    wheels = json.loads(capsys.readouterr().out)["wheels"]
+    for side in ("left", "right"):
+        low, high = wheels[side]["slope_ci95_m_per_N"]
+        assert low <= document["causes"][0]["parameters"][f"slope_{side}"]["value"] <= high
+    assert run(["diagnose", campaign, "--model", str(model), "--json", "-"]) == 0
+    assert json.loads(capsys.readouterr().out)["verdict"] == "no_gap"
+
+
+def test_pictures_and_result_are_written_and_not_overwritten(
+    project_root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    campaign = str(project_root / "sample_runs/corridor")
+    into, figures = tmp_path / "result", tmp_path / "figures"
+    assert run(["diagnose", campaign, "--into", str(into), "--figures", str(figures)]) == 1
+    capsys.readouterr()
+    assert json.loads((into / "diagnosis.json").read_text())["verdict"] == "ambiguous"
+    for name in ("gap-map", "before-after", "gap-by-covariate-distance"):
+        assert (figures / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+        assert (figures / f"{name}.pdf").read_bytes().startswith(b"%PDF")
+    assert run(["diagnose", campaign, "--into", str(into)]) == 2
+    assert "--force" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["nowhere"], "campaign.toml"),
+        (["CORRIDOR", "--exclude", "gremlins"], "gremlins"),
+        (["CORRIDOR", "--model", "nowhere.json"], "nowhere.json"),
+    ],
+)
+def test_bad_input_is_one_line(
+    project_root: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], said: str
+) -> None:
+    given = [str(project_root / "sample_runs/corridor") if one == "CORRIDOR" else one for one in arguments]
+    assert run(["diagnose", *given]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1
+
+
+def test_an_excluded_effect_is_not_named(project_root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    campaign = str(project_root / "sample_runs/corridor")
+    run(["diagnose", campaign, "--exclude", "session_step", "--json", "-"])
+    document = json.loads(capsys.readouterr().out)
+    assert "session_step" not in {one for group in document["indistinguishable"] for one in group}
