@@ -32,7 +32,7 @@ import numpy as np
 from calib.campaign.columns import recognise, spelled
 from calib.campaign.faults import Border
 from calib.campaign.logs_file import LogFile, Renames, read_logs
-from calib.campaign.model import LABEL_COLUMNS, LOG_COLUMNS, NUMERIC_COLUMNS, Campaign, Logs, Note, RunTable
+from calib.campaign.model import LABEL_COLUMNS, LOG_COLUMNS, NUMERIC_COLUMNS, Logs, Note, RunTable
 from calib.campaign.readers import READERS, RawTable, read_table
 from calib.campaign.runs_file import run_table
 from calib.campaign.settings_file import load_toml, parse_settings
@@ -120,19 +120,7 @@ def ingest(sources: Sequence[Path], into: Path, *, mapping: Path | None = None, 
     hashes |= {name: sha256_file(path) for _, _, path, name in files}
     if mapping:
         hashes[shown_mapping] = sha256_file(mapping)
-    campaign = Campaign(
-        root=None,
-        name=settings.name,
-        simulated=settings.simulated,
-        vehicle=settings.vehicle,
-        encoder=settings.encoder,
-        model=settings.model,
-        rangefinder=settings.rangefinder,
-        reference=settings.reference,
-        runs=runs,
-        logs=logs,
-        extra=settings.extra,
-    )
+    campaign = settings.campaign(runs, logs)
     write_campaign(campaign, into, force=force)
     record = {
         "sources": [{"path": name, "sha256": digest} for name, digest in sorted(hashes.items())],

@@ -83,20 +83,8 @@ def read_campaign(folder: Path, *, logs: bool = True, lenient: bool = False) -> 
     numbers = _filled_from_logs(runs, found_logs, shown, border)
     numbers = _totals_unwrapped(runs, numbers, found_logs, settings, shown, border)
     numbers = _filled_loads(settings.vehicle, runs, numbers, shown, border)
-    return Campaign(
-        root=folder,
-        name=settings.name,
-        simulated=settings.simulated,
-        vehicle=settings.vehicle,
-        encoder=settings.encoder,
-        model=settings.model,
-        rangefinder=settings.rangefinder,
-        reference=settings.reference,
-        runs=replace(runs, numbers=numbers),
-        logs=found_logs,
-        notes=tuple(border.notes),
-        hashes=hashes,
-        extra=settings.extra,
+    return settings.campaign(
+        replace(runs, numbers=numbers), found_logs, root=folder, notes=tuple(border.notes), hashes=hashes
     )
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from calib.campaign.columns import recognise
-from calib.campaign.model import Note
+from calib.campaign.model import Campaign, Logs, Note, RunTable
 from calib.campaign.readers.table import LARGEST
 from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
 from calib.errors import BadFileError
@@ -58,6 +58,21 @@ class Settings:
     reference: Reference
     extra: Mapping[str, Any]
     notes: tuple[Note, ...]
+
+    def campaign(self, runs: RunTable, logs: Logs, **further: Any) -> Campaign:
+        """Return the campaign of these settings; `further` fields of `Campaign` default to what a new one has."""
+        return Campaign(
+            name=self.name,
+            vehicle=self.vehicle,
+            encoder=self.encoder,
+            model=self.model,
+            rangefinder=self.rangefinder,
+            reference=self.reference,
+            runs=runs,
+            logs=logs,
+            extra=self.extra,
+            **{"root": None, "simulated": self.simulated, **further},
+        )
 
 
 def read_settings(path: Path, shown: str) -> Settings:

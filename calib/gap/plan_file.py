@@ -51,20 +51,8 @@ def read_plan(path: Path) -> Campaign:
     runs = _runs(document.pop("runs", None), path)
     measured, corridor_m = _measured(document.pop("measured", {}), path)
     settings = parse_settings(document, str(path), path.stem)
-    bare = Campaign(
-        root=None,
-        name=settings.name,
-        simulated=True,
-        vehicle=settings.vehicle,
-        encoder=settings.encoder,
-        model=settings.model,
-        rangefinder=settings.rangefinder,
-        reference=settings.reference,
-        runs=RunTable({"run_id": np.zeros(0, dtype=np.str_)}, {}, np.zeros(0, dtype=bool), np.zeros(0, dtype=np.int64)),
-        logs=Logs.empty(0),
-        notes=settings.notes,
-        extra=settings.extra,
-    )
+    nothing = RunTable({"run_id": np.zeros(0, dtype=np.str_)}, {}, np.zeros(0, dtype=bool), np.zeros(0, dtype=np.int64))
+    bare = settings.campaign(nothing, Logs.empty(0), simulated=True, notes=settings.notes)
     return drive(bare, runs, measured, corridor_m)
 
 

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.model import Note
-from calib.campaign.readers.table import LARGEST, RawTable, Wanted, comma_evidence, numbers, refuse_duplicates
+from calib.campaign.readers.table import LARGEST, RawTable, Wanted, made_numeric, refuse_duplicates
 from calib.errors import BadFileError
 
 __all__ = ["read"]
@@ -174,11 +174,5 @@ def _careful(text: str, shown: str, delimiter: str, wanted: Wanted | None, notes
         name: cells_by_row[:, index] for index, name in enumerate(names) if name and (wanted is None or wanted(name))
     }
     if wanted is not None:
-        evidence = comma_evidence(list(columns.values()))
-        used = False
-        for name, cells_of_column in columns.items():
-            columns[name], comma = numbers(cells_of_column, shown=shown, column=name, line=line, decimal_comma=evidence)
-            used = used or comma
-        if used:
-            notes.append(Note("info", shown, "decimal commas were read as decimal points", "decimal_comma"))
+        notes += made_numeric(columns, shown, line)
     return RawTable(columns, line, tuple(notes))

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from calib.campaign.model import Note
-from calib.campaign.readers.table import RawTable, Wanted, comma_evidence, numbers, refuse_duplicates
+from calib.campaign.readers.table import RawTable, Wanted, made_numeric, refuse_duplicates
 from calib.errors import BadFileError
 
 __all__ = ["read"]
@@ -67,13 +67,7 @@ def read(path: Path, shown: str, wanted: Wanted | None) -> RawTable:
             cells[:] = [row[index] if index < len(row) else None for row in rows]
             columns[name] = cells
     if wanted is not None:
-        evidence = comma_evidence(list(columns.values()))
-        used = False
-        for name, cells in columns.items():
-            columns[name], comma = numbers(cells, shown=shown, column=name, line=line, decimal_comma=evidence)
-            used = used or comma
-        if used:
-            notes.append(Note("info", shown, "decimal commas were read as decimal points", "decimal_comma"))
+        notes += made_numeric(columns, shown, line)
     return RawTable(columns, line, tuple(notes))
 
 

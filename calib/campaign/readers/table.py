@@ -13,7 +13,7 @@ import numpy.typing as npt
 from calib.campaign.model import Note
 from calib.errors import BadFileError
 
-__all__ = ["LARGEST", "RawTable", "Wanted", "comma_evidence", "numbers", "refuse_duplicates"]
+__all__ = ["LARGEST", "RawTable", "Wanted", "comma_evidence", "made_numeric", "numbers", "refuse_duplicates"]
 
 Wanted = Callable[[str], bool]
 
@@ -174,3 +174,28 @@ def _ambiguous(shown: str, column: str, row: int, text: str) -> BadFileError:
         expected="a number that can be read in one way only",
         remedy="export the table without thousands separators and with a decimal point",
     )
+
+
+def made_numeric(columns: dict[str, npt.NDArray[Any]], shown: str, line: npt.NDArray[np.int64]) -> list[Note]:
+    """Turn columns of cells into numbers, in place, and say so where commas were read as points.
+
+    Parameters
+    ----------
+    columns : dict of str to array, each shape (n_rows,)
+        Cells as read, by name.
+    shown : str
+        The file's name in messages.
+    line : array of int, shape (n_rows,)
+        Line of each row in the file.
+
+    Raises
+    ------
+    BadFileError
+        Where a cell is no number.
+    """
+    evidence = comma_evidence(list(columns.values()))
+    used = False
+    for name, cells in columns.items():
+        columns[name], comma = numbers(cells, shown=shown, column=name, line=line, decimal_comma=evidence)
+        used = used or comma
+    return [Note("info", shown, "decimal commas were read as decimal points", "decimal_comma")] if used else []
