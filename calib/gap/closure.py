@@ -107,7 +107,7 @@ def measure_closure(
         dims_condition = np.bincount(condition, dims, n)
         pick = rng.integers(0, n, (BOOTSTRAPS, n))
         sums, total = by_condition[pick].sum(axis=1), dims_condition[pick].sum(axis=1)
-        gap = np.maximum(sums[:, 0] - total, 0.05 * total)
+        gap = np.maximum(sums[:, 0] - total, 0.05 * np.maximum(total, 1.0))
         made = np.clip(1.0 - (sums[:, 1] - total) / gap, -1.0, 1.0)
         ci95 = (float(np.quantile(made, 0.025)), float(np.quantile(made, 0.975)))
     by_channel: dict[str, float | None] = {}

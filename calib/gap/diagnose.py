@@ -10,6 +10,7 @@ import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
+from calib.errors import RefusedError
 from calib.gap.closure import Closure, measure_closure
 from calib.gap.effects.library import library
 from calib.gap.fit import Fitted, fit
@@ -121,6 +122,11 @@ def diagnose_in_full(
     settings = settings or Settings()
     declared = campaign.extra.get("effects", ())
     s = build_situation(campaign, model)
+    if not s.usable.any():
+        raise RefusedError(
+            f"{campaign.name}: no run has a channel that can be compared with the simulation; an end pose needs "
+            "ref_x_m and ref_y_m together and a log where the path bends, or give distance_m or ref_theta_rad"
+        )
     notes: tuple[str, ...] = ()
     if applied:
         from calib.gap.apply import with_effects

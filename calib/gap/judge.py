@@ -23,7 +23,11 @@ from calib.gap.verdict import Cause, Quantity, Verdict
 __all__ = ["Judge"]
 
 #: a gap is said to exist where the probability that anything is off reaches this
-DETECTION: Final = 0.8
+DETECTION: Final = 0.9
+#: an unknown cause alone is called one where its probability reaches this; heavy tails look like one too
+UNKNOWN: Final = 0.97
+#: a cause named beside an unknown rest may be what the rest looks like: by so much its probability is cut
+DOUBT: Final = 0.6
 #: closure on held-out runs below which a fix is not recommended, and an explanation not believed
 CLOSES: Final = 0.7
 #: hypotheses whose weights differ by less (a factor of ten) are not told apart either
@@ -115,7 +119,8 @@ class Judge:
         if self.gap_probability() < DETECTION:
             return "no_gap"
         if not named:
-            return "unknown" if chosen.unknown or self.denied else "no_gap"
+            sure = self.denied or self._probability(lambda h: h.unknown) >= UNKNOWN
+            return "unknown" if sure else "no_gap"
         rest = chosen.unknown or self.denied
         if rest and (closure.fraction is None or closure.fraction < 0.3):
             return "unknown"
@@ -142,6 +147,8 @@ class Judge:
         for name in NAMES:
             if name in self.effects:
                 made[name] = self.recalibration.probability(name)
+        doubt = 1.0 - DOUBT * made["unknown"]
+        made = {name: value if name == "unknown" else value * doubt for name, value in made.items()}
         if self.fault is not None:
             made["encoder_gross"] = 1.0
         return {k: v for k, v in sorted(made.items(), key=lambda item: -item[1]) if v > 1e-4 or k == "unknown"}

@@ -13,8 +13,8 @@ from calib.gap.situation import Situation
 
 __all__ = ["SteeringBacklash"]
 
-#: a smaller angle is noise of the sensor
-_NOISE_RAD: Final = 2e-3
+#: path curvature from which on a step belongs to a turn
+_TURN_PER_M: Final = 0.1
 #: plays that are tried; the least stands for the side of the last move
 PLAYS_RAD: Final = (2e-3, 8e-3, 2e-2)
 
@@ -35,7 +35,9 @@ class SteeringBacklash(Effect):
         if not has_front(s).any() or not (np.abs(angle) > 0.02).any():
             return []
         parameter = Parameter("play", "rad", typical=8e-3, largest=4e-2)
-        by_side = np.where(np.abs(angle) > _NOISE_RAD, np.sign(angle), 0.0)
+        # the side is that of the turn by the rear wheels: the sign of a logged angle near zero is the sign of its noise
+        turns = np.abs(s.curvature_per_m) > _TURN_PER_M
+        by_side = np.where(turns, np.sign(s.curvature_per_m), 0.0)
         tries = 1 + len(PLAYS_RAD)
         made = [
             error_form(
