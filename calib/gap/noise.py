@@ -16,7 +16,17 @@ import numpy as np
 from calib.campaign.model import NUMERIC_COLUMNS, BoolArray, FloatArray, IntArray
 from calib.gap.path import Path
 
-__all__ = ["COMPONENTS", "Noise", "estimate_noise", "interactions", "surroundings", "whiten"]
+__all__ = [
+    "COMPONENTS",
+    "Noise",
+    "estimate_noise",
+    "interactions",
+    "kernels",
+    "masked",
+    "quantisation",
+    "surroundings",
+    "whiten",
+]
 
 #: components: (name, prior median of the standard deviation's scale, prior spread of its natural logarithm)
 COMPONENTS: Final[tuple[tuple[str, float, float], ...]] = (
@@ -67,7 +77,7 @@ class Noise:
         return made
 
 
-def _kernels(path: Path) -> FloatArray:
+def kernels(path: Path) -> FloatArray:
     """Return the covariance of each component at scale 1, shape (n_components, n_units, 6, 6)."""
     s = path.s
     n = len(s)
@@ -112,7 +122,7 @@ def _kernels(path: Path) -> FloatArray:
     return made
 
 
-def _quantisation(path: Path) -> FloatArray:
+def quantisation(path: Path) -> FloatArray:
     """Return the covariance that counting in whole counts gives, shape (n_units, 6, 6)."""
     s = path.s
     made = np.zeros((len(s), 6, 6))
@@ -127,7 +137,7 @@ def _quantisation(path: Path) -> FloatArray:
     return made
 
 
-def _masked(covariance: FloatArray, usable: BoolArray) -> FloatArray:
+def masked(covariance: FloatArray, usable: BoolArray) -> FloatArray:
     """Give missing channels unit variance and no correlation."""
     both = usable[:, :, None] & usable[:, None, :]
     made = np.where(both, covariance, 0.0)
@@ -236,7 +246,7 @@ class _Problem:
 
     def __init__(self, path: Path, gap: FloatArray, labels: IntArray, trend: FloatArray | None) -> None:
         s = path.s
-        self.kernels, self.fixed = _kernels(path), _quantisation(path)
+        self.kernels, self.fixed = kernels(path), quantisation(path)
         self.usable = s.usable
         both = s.usable[:, :, None] & s.usable[:, None, :]
         self.active = np.array([bool((np.abs(k) * both).sum() > 0) for k in self.kernels])
@@ -257,7 +267,7 @@ class _Problem:
         """Return the covariance of each unit, shape (n_units, 6, 6)."""
         variance = np.exp(2 * np.where(self.active, log_scale, self.median)) * self.active
         whole = np.einsum("c,cuab->uab", variance, self.kernels) + self.fixed
-        return _masked(whole / weight[:, None, None], self.usable)
+        return masked(whole / weight[:, None, None], self.usable)
 
     def _solved(self, columns: FloatArray) -> tuple[FloatArray, FloatArray, float]:
         """Return what is left (n, 6) and kept (n, 6, 6) of each whitened unit, and the restricted cost's middle.

@@ -11,7 +11,7 @@ from calib.campaign.model import BoolArray, FloatArray
 from calib.gap.aliases import NEAR, STRETCH
 from calib.gap.effects.effect import Effect, Form
 from calib.gap.linear import CALIBRATION_SD, Nuisance, form_columns, project, rows
-from calib.gap.noise import COMPONENTS, Noise, _kernels, _masked, _quantisation
+from calib.gap.noise import COMPONENTS, Noise, kernels, masked, quantisation
 from calib.gap.path import Path
 
 __all__ = ["SEEN", "Signatures", "noise_at"]
@@ -33,8 +33,8 @@ def noise_at(path: Path, scales: Mapping[str, float]) -> Noise:
         As of `Noise.scales`; a component that is missing takes its prior median.
     """
     scale = np.array([scales.get(name, median) for name, median, _ in COMPONENTS])
-    covariance = np.tensordot(scale**2, _kernels(path), axes=1) + _quantisation(path)
-    return Noise(_masked(covariance, path.s.usable), dict(scales), float("inf"), np.ones(len(path.s)))
+    covariance = np.tensordot(scale**2, kernels(path), axes=1) + quantisation(path)
+    return Noise(masked(covariance, path.s.usable), dict(scales), float("inf"), np.ones(len(path.s)))
 
 
 class Signatures:
