@@ -278,7 +278,11 @@ def _assemble(
     usable = np.isfinite(measured)
     usable[:, 1:3] &= pose_ok[:, None] & usable[:, 1:2] & usable[:, 2:3]
     # along and lateral are read in the frame of the measured heading; without one, of the wheels' heading
-    usable[:, 0] &= logged | (np.abs(turn) < STRAIGHT_RAD)
+    with np.errstate(invalid="ignore"):
+        # without a log the distance says itself whether the run was led along a line: wheels of unlike radii that
+        # roll a straight line seem to turn
+        led = np.abs(np.abs(measured[:, 0]) - np.abs(path)) < 0.05 * np.abs(path)
+    usable[:, 0] &= logged | led | (np.abs(turn) < STRAIGHT_RAD)
     left_out = int((~pose_ok & np.isfinite(measured[:, 1])).sum())
     if left_out:
         notes.append(f"{left_out} runs have an end pose but no log of a curved path: only their heading counts")
