@@ -88,7 +88,8 @@ def front_from_axle(
     The wheel is steered within 90 degrees either side; it turns backwards where the axle goes backwards. Where the axle
     turns on the spot it stands at 90 degrees on the side of the turn.
     """
-    speed, across = _array(speed_mps), _array(yaw_rad_per_s) * wheelbase_m
+    # 0 is added because -0 would be an angle of pi
+    speed, across = _array(speed_mps) + 0.0, _array(yaw_rad_per_s) * wheelbase_m + 0.0
     backwards = np.where(speed < 0.0, -1.0, 1.0)
     return (
         np.asarray(backwards * np.hypot(speed, across) / front_radius_m),

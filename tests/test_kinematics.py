@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from calib import kinematics
@@ -43,6 +43,8 @@ def test_effective_radius_undoes_the_distance() -> None:
 
 
 @given(st.floats(-2.0, 2.0), st.floats(-1.0, 1.0), st.floats(0.05, 0.5), st.floats(0.3, 3.0))
+@example(-0.0, 0.0, 0.1, 1.0)
+@example(-1.0, -0.0, 0.1, 1.0)
 def test_front_wheel_and_axle_say_the_same_motion(speed: float, yaw: float, radius: float, wheelbase: float) -> None:
     turning, steer = kinematics.front_from_axle(speed, yaw, radius, wheelbase)
     back = kinematics.front_to_axle(turning, steer, radius, wheelbase)
