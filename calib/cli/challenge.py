@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from calib.cli.output import FORCE, JSON, emit_json, say, table
+from calib.cli.threads import one_blas_thread
 
 if TYPE_CHECKING:
     from calib.challenge.score import Score
@@ -48,6 +49,7 @@ def register(application: typer.Typer, name: str) -> None:
         force: bool = FORCE,
     ) -> None:
         """Make sealed cases: first the truth, in one file apart whose hash is stored, then the campaigns."""
+        one_blas_thread()
         from calib.challenge.seal import make as make_set
 
         with _progress("making") as tick:
@@ -75,6 +77,7 @@ def register(application: typer.Typer, name: str) -> None:
         force: bool = FORCE,
     ) -> None:
         """Diagnose every case that has no verdict yet; the truth is not opened."""
+        one_blas_thread()
         from calib.challenge.run import run as run_set
 
         with _progress("diagnosing") as tick:
@@ -98,6 +101,7 @@ def register(application: typer.Typer, name: str) -> None:
         force: bool = FORCE,
     ) -> int:
         """Open the truth once, check its hash, and score the verdicts. Exit status 1 where a target is missed."""
+        one_blas_thread()
         from calib.challenge.score import score as score_set
 
         found = score_set(folder, truth_file=truth)

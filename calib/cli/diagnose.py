@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import typer
 
 from calib.cli.output import FORCE, JSON, emit_json, say, say_wrapped, table
-
-if TYPE_CHECKING:
-    from calib.gap.verdict import Verdict
+from calib.cli.threads import one_blas_thread
 
 __all__ = ["register"]
 
@@ -49,11 +47,13 @@ def register(application: typer.Typer, name: str) -> None:
         Exit status 0: there is no gap, or it is explained. 1: the causes cannot be told apart, or the gap is explained
         in part only, or its cause is unknown. 2: bad input.
         """
+        one_blas_thread()
         from calib.campaign.read import read_campaign
         from calib.errors import would_overwrite
         from calib.files import write_bytes, write_json
         from calib.gap.apply import applied_model, model_of
         from calib.gap.diagnose import diagnose_in_full
+        from calib.gap.headline import headline
 
         for target in (apply, None if into is None else into / RESULT_FILE):
             if target is not None and target.exists() and not force:
@@ -62,8 +62,8 @@ def register(application: typer.Typer, name: str) -> None:
         _known(exclude)
         believed, effects = (None, ()) if model is None else model_of(model, read)
         found = diagnose_in_full(read, seed=seed, exclude=tuple(exclude), model=believed, applied=effects)
-        document = found.verdict.to_dict()
-        _show(found.verdict, json_target)
+        document = found.verdict.to_dict() | {"headline": headline(found.verdict)}
+        _show(document, json_target)
         if apply is not None:
             write_bytes(apply, applied_model(found, read, effects).to_bytes(), force=force)
             say(f"wrote {apply}", target=json_target)
@@ -94,11 +94,10 @@ def _known(exclude: list[str]) -> None:
             raise BadInputError(f"--exclude: found {one!r}; expected an effect of the library; choose of: {near}")
 
 
-def _show(verdict: Verdict, target: str | None) -> None:
-    document = verdict.to_dict()
-    say(verdict.campaign + (" - SIMULATED DATA" if verdict.simulated else ""), target=target)
+def _show(document: Mapping[str, Any], target: str | None) -> None:
+    say(document["campaign"] + (" - SIMULATED DATA" if document["simulated"] else ""), target=target)
     say("", target=target)
-    say_wrapped(f"Verdict ({verdict.verdict}): {verdict.sentence}", target=target)
+    say_wrapped(f"Verdict ({document['verdict']}): {document['sentence']}", target=target)
     say("", target=target)
     _show_where(document["where"], target)
     _show_causes(document, target)
@@ -203,6 +202,8 @@ def _show_closure(document: Mapping[str, Any], target: str | None) -> None:
         if closure.get("ci95"):
             said += f" (95 %: {closure['ci95'][0]:.2f} .. {closure['ci95'][1]:.2f})"
     say_wrapped(said + ".", target=target)
+    if document["headline"] is not None:
+        say_wrapped(document["headline"]["sentence"], target=target)
     if document["causes"]:
         advice = (
             "Recommended: the fix holds on runs it has not seen."

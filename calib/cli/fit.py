@@ -11,6 +11,7 @@ import typer
 from calib.cli.output import FORCE, JSON, emit_json, say, say_wrapped, table, wants_stdout
 
 if TYPE_CHECKING:
+    from calib.radius.comparison import Difference, ModelComparison
     from calib.radius.fit import Fit
     from calib.radius.regression import WheelFit
 
@@ -35,6 +36,12 @@ def register(application: typer.Typer, name: str) -> None:
             metavar="N",
             help="Load on which the coefficients are centred; without it: reference_load_N of campaign.toml.",
         ),
+        model: Path | None = typer.Option(
+            None,
+            "--model",
+            metavar="FILE",
+            help="Coefficient file whose law the fitted one is held against, at that law's reference load.",
+        ),
         runs: bool = typer.Option(False, "--runs", help="List the radius of every run."),
         json_target: str | None = JSON,
         force: bool = FORCE,
@@ -42,28 +49,47 @@ def register(application: typer.Typer, name: str) -> None:
         """Fit each wheel's effective radius against its load.
 
         The intervals allow for what runs of one session have in common. Exit status 1 where a check says that the law
-        should not be used as it is.
+        should not be used as it is; what --model shows is told, and does not change it.
         """
         from dataclasses import replace
 
         from calib import __version__
         from calib.campaign.read import read_campaign
+        from calib.coefficients.source import coefficients_of, effects_left_out
+        from calib.errors import BadInputError
+        from calib.radius.comparison import compare_laws
         from calib.radius.fit import fit_campaign
         from calib.radius.result import FIT_FILE, RUNS_FILE, provenance, write_result
 
         if into is not None and not force:
             _refuse_existing(into, (FIT_FILE, RUNS_FILE))
+        believed = None
+        if model is not None:
+            if reference_load is not None:
+                raise BadInputError(
+                    "--reference-load: found with --model; expected one of them, since the model brings its own; leave "
+                    "one out"
+                )
+            believed = coefficients_of(model)
+            reference_load = believed.file.law.left.reference_load_N
         read = read_campaign(campaign)
         found = fit_campaign(read, reference_load_N=reference_load)
+        compared = None if believed is None else compare_laws(found.left, found.right, believed.file.law)
+        left_out = () if believed is None else (*believed.notes, *effects_left_out(believed.file, "not compared"))
         arguments = {"campaign": campaign.name, "reference_load_N": reference_load}
         found = replace(found, provenance=provenance(read, version=__version__, arguments=arguments))
         if not wants_stdout(json_target):
             _show(found, json_target, runs=runs)
+            if compared is not None:
+                _show_comparison(compared, left_out, json_target)
         if into is not None:
             written = write_result(found, into, force=force)
             if not wants_stdout(json_target):
                 say(f"wrote {written}", target=json_target)
-        emit_json(found.to_dict(), json_target, force=force)
+        document = found.to_dict()
+        if compared is not None:
+            document["model_comparison"] = compared.to_dict() | {"notes": list(left_out)}
+        emit_json(document, json_target, force=force)
         return 0 if found.passed else 1
 
 
@@ -157,6 +183,38 @@ def _show_wheel(title: str, fit: WheelFit, target: str | None) -> None:
     say(
         f"  next single run   within {low:+.0f} .. {high:+.0f} um of the law at {law.reference_load_N:.0f} N (95 %)",
         target=target,
+    )
+
+
+def _show_comparison(found: ModelComparison, notes: Sequence[str], target: str | None) -> None:
+    rows = []
+    for side, wheel in (("left", found.left), ("right", found.right)):
+        rows.append(_comparison_row(f"{side}: radius at {found.reference_load_N:.0f} N", wheel.radius_ref, 1e3, "mm"))
+        if wheel.slope is not None:
+            rows.append(_comparison_row(f"{side}: slope", wheel.slope, 1e6, "um/N"))
+    say("", target=target)
+    table(
+        "Fitted law against the model's",
+        ["", "unit", "fitted", "model", "difference", "95 %", "model lies"],
+        rows,
+        target=target,
+    )
+    for note in notes:
+        say_wrapped(note, target=target, lead="  note  ")
+
+
+def _comparison_row(name: str, one: Difference, factor: float, unit: str) -> tuple[str, ...]:
+    low, high = (factor * end for end in one.ci95)
+    digits = _decimals(0.5 * (high - low))
+    values = (f"{factor * one.fitted:.{digits}f}", f"{factor * one.model:.{digits}f}")
+    interval = f"{low:+.{digits}f} .. {high:+.{digits}f}"
+    return (
+        name,
+        unit,
+        *values,
+        f"{factor * one.difference:+.{digits}f}",
+        interval,
+        "inside" if one.inside else "OUTSIDE",
     )
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from calib.cli.output import FORCE, JSON, emit_json, say, table
+from calib.cli.threads import one_blas_thread
 
 if TYPE_CHECKING:
     from calib.gap.plan import Outlook
@@ -49,6 +50,7 @@ def register(application: typer.Typer, name: str) -> None:
         false) and corridor_m, and [[runs]], each with kind, count, direction, session, payload_kg, payload_x_m,
         payload_y_m, speed_mps, temperature_C, minutes_under_load, stops, read_rolling, or a further numeric column.
         """
+        one_blas_thread()
         from calib.errors import BadInputError
 
         if (campaign is None) == (source is None):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from calib.cli.output import FORCE, JSON, emit_json, say
+from calib.cli.threads import one_blas_thread
 
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign
@@ -50,6 +51,8 @@ def register(application: typer.Typer, name: str) -> None:
         The [report] section of campaign.toml states laboratory, customer, vehicle, instruments and dates. Exit status 1
         where a check says that the law should not be used as it is; the report is written all the same and says so.
         """
+        if diagnosis:
+            one_blas_thread()
         from calib.files import write_bytes
         from calib.report.content import compose
         from calib.report.pdf import to_pdf, write_figures

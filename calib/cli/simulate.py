@@ -37,7 +37,8 @@ def register(application: typer.Typer, name: str) -> None:
             "--law",
             "--model",
             metavar="PATH",
-            help="Fitted law: campaign, result folder of calib fit, or coefficients.json.",
+            help="Fitted law: campaign, result folder of calib fit, or coefficient file, also one of calib "
+            "diagnose --apply.",
         ),
         load: list[str] = typer.Option(
             [], "--load", metavar="L,R", help="Wheel loads of a journey under the law, N; again for more."
@@ -238,14 +239,14 @@ def _replay(
     force: bool,
 ) -> None:
     from calib.campaign.read import read_campaign
-    from calib.coefficients.source import coefficients_of
+    from calib.coefficients.source import coefficients_of, effects_left_out
     from calib.motion.publish import publish_replay, replay_trajectories
     from calib.motion.replay import replay
 
     campaign = read_campaign(folder)
     source = coefficients_of(law if law is not None else folder)
     found = replay(campaign, source.file, rng=rng, scheme=scheme)
-    notes = list(source.notes)
+    notes = [*source.notes, *effects_left_out(source.file, "not simulated")]
     if law is None:
         notes.append(
             "the law was fitted to this same campaign: give --law for a judgement on runs that it has not seen"

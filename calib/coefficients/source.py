@@ -10,7 +10,7 @@ from pathlib import Path
 from calib.coefficients.file import FORMAT, CoefficientFile, Outside, load_coefficients
 from calib.errors import BadFileError, BadInputError
 
-__all__ = ["Source", "coefficients_of"]
+__all__ = ["Source", "coefficients_of", "effects_left_out"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +77,22 @@ def coefficients_of(path: Path | str, *, outside: str | None = None, created: st
         if not check.passed
     )
     return Source(made, notes)
+
+
+def effects_left_out(file: CoefficientFile, what: str) -> tuple[str, ...]:
+    """Return one sentence that names the model's effects that `what` leaves out; nothing where there are none.
+
+    Parameters
+    ----------
+    file : CoefficientFile
+        Perhaps with effects beside its laws, as ``calib diagnose --apply`` writes them.
+    what : str
+        What does not use them, for example ``not simulated``.
+    """
+    if not file.effects:
+        return ()
+    names = ", ".join(dict.fromkeys(effect.effect for effect in file.effects))
+    return (f"{what}: {names} of the model; its radius laws and its track alone are used",)
 
 
 def _outside(text: str | None) -> Outside | None:

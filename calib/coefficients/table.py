@@ -25,6 +25,7 @@ CHECKSUM_DIGITS: Final = 23  # sha256: and 16 digits, enough to find the file
 def render(file: CoefficientFile, loads: Sequence[LoadPair]) -> tuple[Artifact, ...]:
     """Return the table at `loads`, or at 41 loads over the valid ranges of both wheels.
 
+    Effects of the simulator's model that no radius holds are named in a column of their own, which is there only then.
     A cell stays empty where a wheel's law was not measured at that load and the file says refuse.
 
     Raises
@@ -51,6 +52,9 @@ def render(file: CoefficientFile, loads: Sequence[LoadPair]) -> tuple[Artifact, 
         )
     cells["simulated"] = [str(file.simulated).lower()] * len(pairs)
     cells["checksum"] = [file.checksum[:CHECKSUM_DIGITS]] * len(pairs)
+    if file.effects:
+        # a column, since CSV has no comments that every reader skips
+        cells["effects_not_in_table"] = [" ".join(effect.effect for effect in file.effects)] * len(pairs)
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(cells)

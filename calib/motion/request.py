@@ -68,10 +68,11 @@ def request(
     vehicle, fitted = Vehicle(), None
     notes: tuple[str, ...] = ()
     if law is not None:
-        from calib.coefficients.source import coefficients_of
+        from calib.coefficients.source import coefficients_of, effects_left_out
 
         source = coefficients_of(law)
-        vehicle, fitted, notes = source.file.geometry, source.file.law, source.notes
+        vehicle, fitted = source.file.geometry, source.file.law
+        notes = (*source.notes, *effects_left_out(source.file, "not simulated"))
     cases: list[Case] = []
     if ratios is not None:
         cases += [Case.of(which, ratio) for ratio in numbers(ratios, None, "--ratio")]

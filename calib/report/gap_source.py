@@ -8,6 +8,7 @@ import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.gap.diagnose import Diagnosis, diagnose_in_full
+from calib.gap.headline import headline
 from calib.gap.residuals import residuals
 from calib.gap.situation import CHANNELS
 from calib.report.gap_findings import GapFindings
@@ -74,7 +75,7 @@ def findings_of(diagnosis: Diagnosis) -> GapFindings:
         if name not in _NOT_COVARIATES and not name.startswith(("ref_", "sim_"))
     }
     return GapFindings(
-        verdict=diagnosis.verdict.to_dict(),
+        verdict=diagnosis.verdict.to_dict() | {"headline": headline(diagnosis.verdict)},
         channels=tuple((name, "rad" if name in _ANGLES else "m") for name in CHANNELS),
         before=plain if closure is None else np.where(s.usable, closure.before, np.nan),
         after=None if closure is None else np.where(s.usable, closure.after, np.nan),

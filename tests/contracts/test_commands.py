@@ -11,7 +11,7 @@ from calib.cli.main import COMMANDS, SUMMARIES, run
 
 CLI = Path(__file__).resolve().parents[2] / "calib" / "cli"
 #: files of the room that are no command
-SHARED = {"__init__", "main", "output"}
+SHARED = {"__init__", "main", "output", "threads"}
 #: command -> its sub-commands, which then carry the options
 GROUPS = {"challenge": ("make", "run", "score")}
 EVERY = [

@@ -191,6 +191,9 @@ def _closure(gap: GapFindings) -> list[Block]:
             else " No fix is recommended on the strength of these runs."
         )
         blocks.append(Text(text))
+    beside = gap.verdict.get("headline")
+    if beside:
+        blocks.append(Text(prose(str(beside["sentence"]))))
     if gap.before is not None and gap.after is not None and gap.floor is not None and np.isfinite(gap.before).any():
         blocks.append(
             Picture(
