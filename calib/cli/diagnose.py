@@ -135,26 +135,13 @@ def _show_where(where: Mapping[str, Any], target: str | None) -> None:
             ],
             target=target,
         )
+    from calib.report.gap_lines import place_line, run_line
+
     for place in where.get("places", ())[:5]:
-        say_wrapped(_place(place), target=target, lead="  place  ")
+        say_wrapped(place_line(place), target=target, lead="  place  ")
     worst = [run for run in where.get("runs", ()) if abs(run["z"]) > 4.0][:3]
     for run in worst:
-        factor, unit = (1e3, "mrad") if run["channel"] in {"heading", "steering"} else (1e3, "mm")
-        said = f"{run['run_id']}: {run['channel']} {factor * run['value']:+.3g} {unit}, {abs(run['z']):.0f} floors"
-        say_wrapped(said, target=target, lead="  run    ")
-
-
-def _place(place: Mapping[str, Any]) -> str:
-    unit = place["unit"]
-    size = f"{1e3 * place['size']:+.3g} m{unit}"
-    spread = " .. ".join(f"{1e3 * value:.3g}" for value in place["ci95"])
-    if "place" not in place:
-        return f"{place['where']}: {place['channel']} {size} {place.get('what', '')} (95 %: {spread})"
-    (low, high), (first, last) = place["place"], place["place_ci95"]
-    return (
-        f"{place['where']} on {place['route']}: {place['channel']} {size} (95 %: {spread}) between {low:.2f} m "
-        f"({first[0]:.2f} .. {first[1]:.2f}) and {high:.2f} m ({last[0]:.2f} .. {last[1]:.2f}), {place['coordinate']}"
-    )
+        say_wrapped(run_line(run), target=target, lead="  run    ")
 
 
 def _show_causes(document: Mapping[str, Any], target: str | None) -> None:
@@ -195,10 +182,12 @@ def _show_closure(document: Mapping[str, Any], target: str | None) -> None:
         return
     said = (
         f"How far: gap {_milli(closure['before_rms_m'])} mm before, {_milli(closure.get('after_rms_m'))} mm after, "
-        f"floor {_milli(closure.get('floor_rms_m'))} mm; each {closure.get('held_out', 'condition')} left out in turn"
+        f"noise floor {_milli(closure.get('floor_rms_m'))} mm; "
+        f"each {closure.get('held_out', 'condition')} left out in turn"
     )
     if closure.get("fraction") is not None:
-        said += f"; closure {closure['fraction']:.2f}"
+        # the root mean squares are those of the ends, which the noisiest runs and channels rule; the closure weighs
+        said += f"; closure, every run and channel weighed by its noise, {closure['fraction']:.2f}"
         if closure.get("ci95"):
             said += f" (95 %: {closure['ci95'][0]:.2f} .. {closure['ci95'][1]:.2f})"
     say_wrapped(said + ".", target=target)
@@ -208,7 +197,9 @@ def _show_closure(document: Mapping[str, Any], target: str | None) -> None:
         advice = (
             "Recommended: the fix holds on runs it has not seen."
             if document["recommended"]
-            else "Not recommended: the fix is not shown to hold on runs it has not seen, or is not the only one."
+            else "Not recommended: other causes would explain these runs as well."
+            if document["indistinguishable"]
+            else "Not recommended: the fix is not shown to hold on runs that it has not seen."
         )
         say_wrapped(advice, target=target)
     say("", target=target)
@@ -242,4 +233,6 @@ def _show_next(document: Mapping[str, Any], target: str | None) -> None:
 
 
 def _milli(value: float | None) -> str:
-    return "-" if value is None else f"{1e3 * value:.3g}"
+    if value is None:
+        return "-"
+    return f"{1e3 * value:.3g}" if abs(value) < 0.9995 else f"{1e3 * value:.0f}"

@@ -39,7 +39,7 @@ def headline(verdict: Verdict) -> dict[str, Any] | None:
     here += "" if ratio is None else f", {ratio:.3g} times smaller"
     paper_ratio = PAPER_BEFORE_M / PAPER_AFTER_M
     said = (
-        f"Correction for the load; the paper: {PAPER_BEFORE_M:g} m to {PAPER_AFTER_M:g} m, {paper_ratio:.3g} times "
+        f"Correction for the load; the paper: {PAPER_BEFORE_M:g} m to {PAPER_AFTER_M:g} m, about {paper_ratio:.0f} times "
         f"smaller; {here}{'' if sole else ', if the load is the cause'}. The figures are end errors, each on its own "
         "route and loads."
     )

@@ -14,6 +14,8 @@ __all__ = ["MOST", "apart_blocks", "cause_blocks", "effect_name", "finite", "per
 
 #: most rows of a table made from a verdict
 MOST: Final = 24
+#: how the verdict begins what it says of effects that no size would show
+NEVER: Final = "never: "
 
 
 def effect_name(effect: Any) -> str:
@@ -107,7 +109,12 @@ def apart_blocks(verdict: Mapping[str, Any]) -> list[Block]:
     sets = [" + ".join(effect_name(effect) for effect in group) or "none" for group in credible]
     if len(sets) > 1:
         blocks.append(Text(f"With 95 % probability the cause is one of: {'; '.join(sets[:MOST])}."))
-    unseen = [(name, size) for name, size in (verdict.get("undetectable") or {}).items()]
+    limits = verdict.get("undetectable") or {}
+    never: dict[str, list[str]] = {}
+    for name, size in limits.items():
+        if str(size).startswith(NEVER):
+            never.setdefault(str(size).removeprefix(NEVER), []).append(effect_name(name))
+    unseen = [(name, size) for name, size in limits.items() if not str(size).startswith(NEVER)]
     if unseen:
         blocks.append(
             Table(
@@ -116,6 +123,11 @@ def apart_blocks(verdict: Mapping[str, Any]) -> list[Block]:
                 tuple((effect_name(name), plain_line(size)) for name, size in unseen[:MOST]),
             )
         )
+    if never:
+        blocks += [
+            Text("What these runs could not have shown at any size:"),
+            Items(tuple(f"{', '.join(names)}: {why}" for why, names in never.items())),
+        ]
     return blocks
 
 

@@ -11,14 +11,13 @@ from calib.gap.diagnose import Diagnosis, diagnose_in_full
 from calib.gap.headline import headline
 from calib.gap.residuals import residuals
 from calib.gap.situation import CHANNELS
+from calib.gap.where import covariate_values
 from calib.report.gap_findings import GapFindings
 from calib.report.source import Source
 
 __all__ = ["findings_of", "with_diagnosis"]
 
 _ANGLES = {"heading", "steering"}
-#: columns that are results or addresses, not circumstances
-_NOT_COVARIATES = {"counts_left", "counts_right", "distance_m"}
 
 
 def with_diagnosis(source: Source, campaign: Campaign, *, seed: int = 0) -> Source:
@@ -70,9 +69,9 @@ def findings_of(diagnosis: Diagnosis) -> GapFindings:
         for unit, (first, last) in enumerate(zip(s.starts[:-1], s.starts[1:], strict=True))
     )
     covariates = {
-        name: values
-        for name, values in s.numbers.items()
-        if name not in _NOT_COVARIATES and not name.startswith(("ref_", "sim_"))
+        name: np.asarray(values, dtype=np.float64)
+        for name, values in covariate_values(s).items()
+        if values.dtype.kind == "f"
     }
     return GapFindings(
         verdict=diagnosis.verdict.to_dict() | {"headline": headline(diagnosis.verdict)},

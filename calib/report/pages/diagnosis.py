@@ -10,8 +10,9 @@ import numpy as np
 
 from calib.report import gap_figures
 from calib.report.blocks import Block, Column, Items, Notice, Picture, Section, Table, Text
-from calib.report.gap_causes import MOST, apart_blocks, cause_blocks, effect_name, finite, percent, plain_line
+from calib.report.gap_causes import MOST, apart_blocks, cause_blocks, effect_name, finite, percent
 from calib.report.gap_findings import GapFindings
+from calib.report.gap_lines import place_line, run_line
 from calib.report.numbers import MISSING, fixed, left, probability, prose, readable, two_digits
 from calib.report.source import Source
 
@@ -121,8 +122,8 @@ def _where(gap: GapFindings) -> list[Block]:
                 ),
             )
         )
-    for key, title in (("runs", "Runs"), ("places", "Places")):
-        said = [plain_line(item) for item in (where.get(key) or ())][:MOST]
+    for key, title, line in (("runs", "Runs", run_line), ("places", "Places", place_line)):
+        said = [prose(line(item)) for item in (where.get(key) or ())][:MOST]
         if said:
             blocks += [Text(f"{title} where the gap stands out:"), Items(tuple(said))]
     return blocks
@@ -148,6 +149,11 @@ def _by_covariate(gap: GapFindings) -> Picture | None:
     worst = int(np.argmax(ratios))
     channel, unit = gap.channels[worst]
     title = effect_name(channel)
+    # what the channel depends on most comes first: only so many panels are drawn
+    lines = [row for row in (gap.verdict.get("where") or {}).get("covariates") or () if isinstance(row, Mapping)]
+    lines.sort(key=lambda row: not row.get("significant"))
+    rank = {str(row.get("name")): number for number, row in reversed(list(enumerate(lines)))}
+    varied = dict(sorted(varied.items(), key=lambda one: rank.get(one[0], len(rank))))
     floor_value = None if gap.floor is None else _rms(gap.floor[:, worst])
     return Picture(
         "gap-by-covariate",
@@ -183,7 +189,8 @@ def _closure(gap: GapFindings) -> list[Block]:
         text += "." if floor is None else f"; the floor is {_length(floor)}."
         fraction, ends = finite(found.get("fraction")), found.get("ci95")
         if fraction is not None:
-            text += f" That closes {percent(fraction)} of the gap above the floor"
+            text += f" With every run and channel weighed by its noise, that closes {percent(fraction)} of the gap"
+            text += " above the floor"
             text += f" (95 % interval {percent(ends[0])} to {percent(ends[1])})." if ends else "."
         text += (
             " The fix is recommended."
@@ -228,7 +235,7 @@ def _next_runs(verdict: Mapping[str, Any]) -> list[Block]:
         rows.append(
             (
                 str(number),
-                effect_name(run.get("kind", "")),
+                " ".join(effect_name(run[key]) for key in ("kind", "direction") if run.get(key)),
                 MISSING if payload is None else f"{payload:g}",
                 MISSING if speed is None else f"{speed:g}",
                 prose(str(run.get("why", ""))),

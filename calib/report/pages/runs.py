@@ -36,19 +36,28 @@ def section(source: Source) -> Section:
         blocks.append(
             Table(
                 "Runs that were not used.",
-                (left("Run"), left("Reason", wide=True)),
-                tuple((run.run_id, run.reason) for run in radii.left_out[:MOST_ROWS]),
+                (left("Reason", wide=True), Column("Number"), left("Runs", wide=True)),
+                tuple(_left_out(source)),
                 dense=True,
             )
         )
-        more = len(radii.left_out) - MOST_ROWS
-        if more > 0:
-            blocks.append(Text(f"{plural(more, 'further run')} not used.", small=True))
     else:
         blocks.append(Text("No run was left out.", small=True))
     if fit.static:
         blocks.append(_static(source))
     return Section("Runs", tuple(blocks))
+
+
+def _left_out(source: Source) -> list[tuple[str, str, str]]:
+    """Return one row a reason, since a campaign of many routes leaves dozens of runs out for the same."""
+    by_reason: dict[str, list[str]] = {}
+    for run in source.fit.radii.left_out:
+        by_reason.setdefault(run.reason, []).append(run.run_id)
+    rows = []
+    for reason, names in list(by_reason.items())[:MOST_ROWS]:
+        shown = ", ".join(names[:MOST_ROWS]) + (f" and {len(names) - MOST_ROWS} more" if len(names) > MOST_ROWS else "")
+        rows.append((reason, str(len(names)), shown))
+    return rows
 
 
 def _alt(source: Source) -> str:
