@@ -12,6 +12,7 @@ from calib.cli.threads import one_blas_thread
 
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign
+    from calib.report.content import Report
     from calib.report.source import Source
 
 __all__ = ["register"]
@@ -50,20 +51,27 @@ def register(application: typer.Typer, name: str) -> None:
 
         The [report] section of campaign.toml states laboratory, customer, vehicle, instruments and dates. Exit status 1
         where a check says that the law should not be used as it is; the report is written all the same and says so.
+        With --diagnosis, runs that allow no law, as loops do, still give a report of the diagnosis.
         """
         if diagnosis:
             one_blas_thread()
+        from calib.errors import RefusedError
         from calib.files import write_bytes
         from calib.report.content import compose
         from calib.report.pdf import to_pdf, write_figures
         from calib.report.place import place_of
         from calib.report.source import issue_date, source_of
 
-        found, campaign = source_of(source, issued=issue_date(date))
-        target = place_of(found.fit.name, into, force=force)
-        if diagnosis:
-            found = _diagnosed(found, campaign, source, seed)
-        made = compose(found)
+        issued = issue_date(date)
+        try:
+            found, campaign = source_of(source, issued=issued)
+        except RefusedError as error:
+            if not diagnosis:
+                raise
+            made, target = _without_law(source, into, issued, str(error), seed, force=force)
+        else:
+            target = place_of(found.fit.name, into, force=force)
+            made = compose(_diagnosed(found, campaign, source, seed) if diagnosis else found)
         drawn = [] if figures is None else write_figures(made, figures, force=force)
         write_bytes(target, to_pdf(made), force=force)
         say(
@@ -77,6 +85,19 @@ def register(application: typer.Typer, name: str) -> None:
         document: dict[str, Any] = {"file": str(target), "figures": [str(path) for path in drawn], **made.to_dict()}
         emit_json(document, json_target, force=force)
         return 0 if made.passed else 1
+
+
+def _without_law(
+    path: Path, into: Path | None, issued: str, why: str, seed: int, *, force: bool
+) -> tuple[Report, Path]:
+    """Return the report of the diagnosis alone and its file; refused where the path is no campaign."""
+    from calib.campaign.read import read_campaign
+    from calib.report.gap_report import diagnosis_report
+    from calib.report.place import place_of
+
+    campaign = read_campaign(path)
+    target = place_of(campaign.name, into, force=force)
+    return diagnosis_report(campaign, issued=issued, why=why.removeprefix(f"{path}: "), seed=seed), target
 
 
 def _diagnosed(found: Source, campaign: Campaign | None, path: Path, seed: int) -> Source:

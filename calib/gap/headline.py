@@ -38,9 +38,10 @@ def headline(verdict: Verdict) -> dict[str, Any] | None:
     here = f"this campaign: {_metres(before)} m to {_metres(after)} m"
     here += "" if ratio is None else f", {ratio:.3g} times smaller"
     paper_ratio = PAPER_BEFORE_M / PAPER_AFTER_M
+    paper = f"{PAPER_BEFORE_M:g} m to {PAPER_AFTER_M:g} m, about {paper_ratio:.0f} times smaller"
+    caveat = "" if sole else ", if the load is the cause"
     said = (
-        f"Correction for the load; the paper: {PAPER_BEFORE_M:g} m to {PAPER_AFTER_M:g} m, about {paper_ratio:.0f} times "
-        f"smaller; {here}{'' if sole else ', if the load is the cause'}. The figures are end errors, each on its own "
+        f"Correction for the load; the paper: {paper}; {here}{caveat}. The figures are end errors, each on its own "
         "route and loads."
     )
     return {

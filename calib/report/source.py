@@ -21,7 +21,7 @@ from calib.radius.result import is_result, provenance, read_result
 if TYPE_CHECKING:
     from calib.report.gap_findings import GapFindings
 
-__all__ = ["STATED", "Source", "from_campaign", "issue_date", "source_of"]
+__all__ = ["STATED", "Source", "from_campaign", "issue_date", "source_of", "stated_of"]
 
 #: a PDF cannot carry an earlier date of creation
 FIRST_YEAR: Final = 1970
@@ -168,8 +168,13 @@ def from_campaign(campaign: Campaign, *, issued: str) -> Source:
     fit = fit_campaign(campaign)
     fit = replace(fit, provenance=provenance(campaign, version=__version__, arguments={}))
     made = from_fit(fit, created=issued, inputs=campaign.hashes)
+    return Source(fit, made, issued, stated_of(campaign))
+
+
+def stated_of(campaign: Campaign) -> dict[str, str]:
+    """Return what the ``[report]`` section of a campaign states, by the keys of `STATED`."""
     where = "campaign.toml" if campaign.root is None else campaign.root / "campaign.toml"
-    return Source(fit, made, issued, _stated(campaign.extra.get("report"), where))
+    return _stated(campaign.extra.get("report"), where)
 
 
 def _stated(section: Any, where: Path | str) -> dict[str, str]:

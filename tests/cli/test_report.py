@@ -108,3 +108,22 @@ def test_a_diagnosis_needs_the_campaign(sample: Path, tmp_path: Path, capsys: py
     write_result(replace(fit, provenance=provenance(read, version=__version__, arguments={})), tmp_path / "result")
     assert run(["report", str(tmp_path / "result"), "--into", str(tmp_path), "--diagnosis"]) == 2
     assert "campaign folder" in capsys.readouterr().err
+
+
+def test_runs_without_a_law_still_give_a_report_of_the_diagnosis(
+    project_root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Loops alone: no effective radius, but a gap; without --diagnosis there is nothing to report on."""
+    loops = shutil.copytree(project_root / "sample_runs" / "yard", tmp_path / "loops")
+    rows = (loops / "runs.csv").read_text(encoding="utf-8").splitlines()
+    kept = [row for number, row in enumerate(rows) if number == 0 or "corridor" not in row]
+    (loops / "runs.csv").write_text("\n".join(kept) + "\n", encoding="utf-8")
+    target = tmp_path / "loops.pdf"
+    assert run(["report", str(loops), "--into", str(target), *DATE]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert run(["report", str(loops), "--diagnosis", "--into", str(target), *DATE, "--json", "-"]) == 0
+    titles = [section["title"] for section in json.loads(capsys.readouterr().out)["sections"]]
+    assert titles == ["Radius law", "Diagnosis of the gap", "What this report does not cover"]
+    assert target.read_bytes().startswith(b"%PDF")
+    assert b"diagnosis.json" in target.read_bytes()
+    assert str(tmp_path).encode() not in target.read_bytes()

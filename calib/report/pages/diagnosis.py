@@ -16,7 +16,7 @@ from calib.report.gap_lines import place_line, run_line
 from calib.report.numbers import MISSING, fixed, left, probability, prose, readable, two_digits
 from calib.report.source import Source
 
-__all__ = ["section"]
+__all__ = ["gap_section", "section"]
 
 _VERDICTS: Final[Mapping[str, tuple[str, str]]] = {
     "no_gap": ("good", "No gap beyond the noise"),
@@ -29,9 +29,11 @@ _VERDICTS: Final[Mapping[str, tuple[str, str]]] = {
 
 def section(source: Source) -> Section | None:
     """Return the findings of the diagnosis, or None where none was asked for."""
-    gap = source.gap
-    if gap is None:
-        return None
+    return None if source.gap is None else gap_section(source.gap)
+
+
+def gap_section(gap: GapFindings) -> Section:
+    """Return what a report says of the findings of a diagnosis."""
     verdict = gap.verdict
     level, title = _VERDICTS.get(str(verdict.get("verdict")), ("note", str(verdict.get("verdict"))))
     blocks: list[Block] = [

@@ -1,0 +1,90 @@
+"""A report of the diagnosis alone, for campaigns whose runs allow no radius law."""
+
+from __future__ import annotations
+
+import hashlib
+
+from calib import __version__
+from calib.campaign.model import Campaign
+from calib.files import to_json
+from calib.gap.diagnose import diagnose_in_full
+from calib.report.blocks import Items, Notice, Section
+from calib.report.content import Attachment, Report
+from calib.report.gap_source import findings_of
+from calib.report.numbers import prose
+from calib.report.pages.diagnosis import gap_section
+from calib.report.source import stated_of
+
+__all__ = ["diagnosis_report"]
+
+
+def diagnosis_report(campaign: Campaign, *, issued: str, why: str, seed: int = 0) -> Report:
+    """Return the report on what a diagnosis found, without a law.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        For example loops alone, from which no effective radius follows.
+    issued : str
+        Date of issue, YYYY-MM-DD.
+    why : str
+        Why there is no law, a sentence without its full stop.
+    seed : int
+        For the diagnosis.
+
+    Returns
+    -------
+    Report
+        The verdict is attached as ``diagnosis.json``.
+
+    Raises
+    ------
+    RefusedError
+        Where the campaign cannot be diagnosed either.
+    """
+    gap = findings_of(diagnose_in_full(campaign, seed=seed))
+    content = {"inputs": dict(campaign.hashes), "campaign": campaign.name, "version": __version__, "gap": gap.verdict}
+    number = "CR-" + hashlib.sha256(to_json(content).encode()).hexdigest()[:12].upper()
+    stated = stated_of(campaign)
+    facts = (
+        ("Laboratory", "laboratory"),
+        ("Customer", "customer"),
+        ("Vehicle", "item"),
+        ("Dates of measurement", "measured"),
+        ("Authorised by", "authorised"),
+    )
+    limits = Section(
+        "What this report does not cover",
+        (
+            Items(
+                (
+                    "No radius, slope or uncertainty of a wheel is stated, and no coefficient file is attached.",
+                    "The verdict holds for the vehicle, routes, loads and conditions of these runs.",
+                )
+            ),
+        ),
+    )
+    reason = Section("Radius law", (Notice("note", "These runs give no radius law", prose(why.rstrip(".")) + "."),))
+    return Report(
+        report_id=number,
+        title="Gap between measured and simulated motion",
+        name=campaign.name,
+        issued=issued,
+        simulated=campaign.simulated,
+        passed=True,
+        author=stated.get("laboratory", ""),
+        head=(
+            ("Report", number),
+            ("Date of issue", issued),
+            *((title, stated.get(key, "not stated")) for title, key in facts),
+        ),
+        sections=(reason, gap_section(gap), limits),
+        attachments=(
+            Attachment(
+                name="diagnosis.json",
+                data=to_json(gap.verdict).encode("utf-8"),
+                mime="application/json",
+                description="The verdict of the diagnosis with everything that it rests on",
+            ),
+        ),
+    )
