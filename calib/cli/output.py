@@ -52,15 +52,36 @@ def say_wrapped(text: str, *, target: str | None = None, lead: str = "") -> None
     say(textwrap.fill(text, width, initial_indent=lead, subsequent_indent=" " * len(lead)), target=target)
 
 
-def table(title: str, header: Sequence[str], rows: Iterable[Sequence[str]], *, target: str | None = None) -> None:
-    """Print a table for people with rich; the first column left, the others right."""
+def table(
+    title: str,
+    header: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    *,
+    texts: Sequence[str] = (),
+    target: str | None = None,
+) -> None:
+    """Print a table for people with rich; the first column left, the others right.
+
+    Parameters
+    ----------
+    title : str
+        Above the table.
+    header : sequence of str
+        Titles of the columns.
+    rows : iterable of sequence of str
+        Cells.
+    texts : sequence of str
+        Titles of further columns that stand left, since they hold words.
+    target : str, optional
+        Where the JSON goes; the table goes to standard error where that is standard output.
+    """
     from rich import box
     from rich.console import Console
     from rich.table import Table
 
     made = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
     for number, name in enumerate(header):
-        made.add_column(name, justify="left" if number == 0 else "right", overflow="fold")
+        made.add_column(name, justify="left" if number == 0 or name in texts else "right", overflow="fold")
     for row in rows:
         made.add_row(*row)
     console = Console(stderr=wants_stdout(target), highlight=False)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from calib.cli.output import FORCE, JSON, emit_json, say, table
+from calib.cli.output import FORCE, JSON, emit_json, say, say_wrapped, table
 from calib.cli.threads import one_blas_thread
 
 if TYPE_CHECKING:
@@ -75,13 +75,14 @@ def _next(
     read = read_campaign(campaign)
     offered = None if candidates is None else read_candidates(candidates)
     verdict, runs = plan_after(read, offered, most=most, seed=seed)
-    say(f"{verdict.campaign}: {verdict.sentence}", target=json_target)
+    say_wrapped(f"{verdict.campaign}: {verdict.sentence}", target=json_target)
     say("", target=json_target)
     if runs:
         table(
             "Next runs, best first; in one session that begins with a repeat of an unladen corridor run",
-            ["run", "payload kg", "at x, y m", "speed m/s", "temperature C", "loaded for min", "why"],
+            ["run", "kg", "at x, y m", "m/s", "degC", "loaded min", "why"],
             [_row(number, run) for number, run in enumerate(runs, start=1)],
+            texts=["why"],
             target=json_target,
         )
     else:
