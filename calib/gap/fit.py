@@ -101,7 +101,7 @@ def fit(
     free: npt.ArrayLike = (True, True, True, True),
     use: BoolArray | None = None,
     start: Fitted | None = None,
-    steps: int = 4,
+    steps: int = 10,
     theta_sd: float = 30.0,
 ) -> Fitted:
     """Fit a recalibration and effects by Gauss-Newton on the re-simulated path.
@@ -150,6 +150,8 @@ def fit(
         a, r = whole[:, :-1], whole[:, -1]
         now = np.concatenate([calibration / CALIBRATION_SD, *(t / u for t, u in zip(theta, typical, strict=True))])
         normal = a.T @ a + np.diag(precision)
+        # a whisker keeps columns exactly alike solvable
+        normal += 1e-11 * np.diag(np.diag(normal))
         step = np.linalg.solve(normal, a.T @ r - precision * now)
         scale = np.abs(step) * np.sqrt(np.diag(normal))
         now = now + step

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -219,6 +220,7 @@ class Judge:
         inflate = float(np.sqrt(max(1.0, fitted.chi_square / free)))
         before = rows(self.nominal, self.noise, residuals(self.nominal, self.nominal)[:, :, None])[:, 0]
         excess = max(float(before @ before) - len(before), 1.0)
+        explained = float(np.clip(1.0 - max(fitted.chi_square - len(before), 0.0) / excess, 0.0, 1.0))
         nuisance = Nuisance.of(self.bench.calibration)
         probability = self.effect_probabilities()
 
@@ -237,10 +239,10 @@ class Judge:
                 title=effect.title,
                 form=form.label,
                 probability=probability.get(name, 0.0),
-                share=float(np.clip(way @ way / excess, 0.0, 1.0)),
+                share=float(way @ way),
                 signal=signal,
                 parameters=quantities,
-                plausible=times <= 1.0,
+                plausible=bool(times <= 1.0),
                 remark="" if times <= 1.0 else remark,
                 settings=form.settings,
             )
@@ -259,6 +261,9 @@ class Judge:
             value, sd = self.recalibration.values[[i]], self.recalibration.sd[[i]]
             way = self._calibration_contribution([name])
             made.append(cause(name, form, value, sd, way, float(self.recalibration.signal[i])))
+        # what the named causes explain together is divided by their squares
+        total = max(sum(c.share for c in made), 1e-12)
+        made = [replace(c, share=explained * c.share / total) for c in made]
         return sorted(made, key=lambda c: (-round(c.probability, 2), -c.signal))
 
     def _gross_cause(self) -> Cause:

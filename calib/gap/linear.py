@@ -12,7 +12,7 @@ from calib.gap.effects.effect import Form
 from calib.gap.noise import Noise, whiten
 from calib.gap.path import Path, signature
 
-__all__ = ["CALIBRATION_SD", "Nuisance", "form_columns", "log_evidence", "project", "rows"]
+__all__ = ["CALIBRATION_SD", "Nuisance", "form_columns", "log_evidence", "project", "ridge_solve", "rows"]
 
 #: prior standard deviation of a plain recalibration: left, right radius, track, front radius (relative)
 CALIBRATION_SD: Final = np.array([0.03, 0.03, 0.1, 3e-4])
@@ -96,9 +96,33 @@ def log_evidence(gram: FloatArray, right: FloatArray, variance: FloatArray) -> F
     """
     root = np.sqrt(variance)
     inner = root[..., :, None] * gram * root[..., None, :] + np.eye(gram.shape[-1])
-    scaled = root * right
-    lower = np.linalg.cholesky(inner)
-    solved = np.linalg.solve(lower, scaled[..., None])[..., 0]
-    log_det = 2 * np.log(np.diagonal(lower, axis1=-2, axis2=-1)).sum(axis=-1)
+    # scaled to a unit diagonal: columns exactly alike stay factorable
+    size = np.sqrt(np.diagonal(inner, axis1=-2, axis2=-1))
+    lower = np.linalg.cholesky(inner / (size[..., :, None] * size[..., None, :]) + 1e-11 * np.eye(gram.shape[-1]))
+    solved = np.linalg.solve(lower, (root * right / size)[..., None])[..., 0]
+    log_det = 2 * (np.log(np.diagonal(lower, axis1=-2, axis2=-1)) + np.log(size)).sum(axis=-1)
     made: FloatArray = -0.5 * log_det + 0.5 * (solved**2).sum(axis=-1)
+    return made
+
+
+def ridge_solve(gram: FloatArray, right: FloatArray, ridge: float) -> FloatArray:
+    """Solve (G + ridge I) x = g, scaled to a unit diagonal so that columns exactly alike do no harm.
+
+    Parameters
+    ----------
+    gram : array of float, shape (..., p, p)
+        Scalar products of the columns.
+    right : array of float, shape (..., p)
+        Their scalar products with the residual.
+    ridge : float
+        Added to the diagonal.
+
+    Returns
+    -------
+    array of float, shape (..., p)
+    """
+    eye = np.eye(gram.shape[-1])
+    size = np.sqrt(np.diagonal(gram, axis1=-2, axis2=-1) + ridge)
+    scaled = (gram + ridge * eye) / (size[..., :, None] * size[..., None, :]) + 1e-10 * eye
+    made: FloatArray = np.linalg.solve(scaled, (right / size)[..., None])[..., 0] / size
     return made

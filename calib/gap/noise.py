@@ -361,6 +361,8 @@ def _nuisance(path: Path, gap: FloatArray) -> tuple[FloatArray, FloatArray]:
     s = path.s
     design = np.zeros((len(s), 6, 9))
     design[:, :, :3] = path.calibration[:, :, :3]
+    # on a straight the turn by the wheels is the noise itself
+    design[path.led_straight, :, 2] = 0.0
     design[:, np.arange(6), 3 + np.arange(6)] = 1.0
     design = np.where(s.usable[:, :, None], design, 0.0)
     size = np.maximum(np.sqrt((gap**2).mean(axis=0)), 1e-6)

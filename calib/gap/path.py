@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 
-from calib.campaign.model import FloatArray
+from calib.campaign.model import BoolArray, FloatArray
 from calib.gap.situation import Situation
 
 __all__ = ["Path", "Push", "predict", "signature"]
+
+#: a run whose wheels turn by less than this in all, to and fro, was led straight
+LED_STRAIGHT_RAD: Final = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,10 +164,23 @@ class Path:
         columns = [
             signature(self, Push(left=ones), by_steps=True),
             signature(self, Push(right=ones), by_steps=True),
-            signature(self, Push(track=ones), by_steps=True),
+            signature(self, Push(track=ones), by_steps=True) * (0.0 if self.led_straight.all() else 1.0),
             self._front_radius(),
         ]
         return np.stack(columns, axis=2)
+
+    @cached_property
+    def led_straight(self) -> BoolArray:
+        """Which units were led straight, shape (n_units,).
+
+        There the turn by the wheels is their noise, which is the gap itself: taken as a turn, it would pass for a track
+        that is off. Where all runs are straight the track cannot be asked for.
+        """
+        s = self.s
+        with np.errstate(invalid="ignore"):
+            bent = np.abs(s.measured[:, 3]) > LED_STRAIGHT_RAD
+        made: BoolArray = (s.total(np.abs(s.turn_rad)) < LED_STRAIGHT_RAD) & ~bent
+        return made
 
     def _front_radius(self) -> FloatArray:
         made = np.zeros((len(self.s), 6))

@@ -11,7 +11,7 @@ import numpy as np
 from calib.campaign.model import FloatArray, IntArray
 from calib.gap.effects.effect import Effect, Form
 from calib.gap.fit import Fitted, fit
-from calib.gap.linear import CALIBRATION_SD, Nuisance, form_columns, log_evidence, project, rows
+from calib.gap.linear import CALIBRATION_SD, Nuisance, form_columns, log_evidence, project, ridge_solve, rows
 from calib.gap.noise import Noise, interactions, surroundings
 from calib.gap.path import Path
 from calib.gap.residuals import residuals
@@ -334,7 +334,7 @@ def _screen(
         for form in made:
             columns = project(nuisance, bench.columns(form))
             gram, right = columns.T @ columns, columns.T @ gap
-            sizes = np.asarray(np.linalg.solve(gram + 1e-2 * np.eye(len(gram)), right), dtype=np.float64)
+            sizes = ridge_solve(gram, right, 1e-2)
             if wrong_sign(form, sizes):
                 continue
             scale = effect_scale(sizes, form)
@@ -415,7 +415,7 @@ def _blind_pairs(
     small = gram[index[:, :, None], index[:, None, :]] * (there[:, :, None] & there[:, None, :])
     small = small + np.eye(width) * np.where(there, 0.0, 1.0)[:, None, :]
     rhs = right[index] * there
-    sizes = np.linalg.solve(small + 1e-2 * np.eye(width), rhs[:, :, None])[:, :, 0]
+    sizes = ridge_solve(small, rhs, 1e-2)
     variance = np.where(there, np.clip(sizes**2, 0.01, 100.0), 1e-12)
     value = log_evidence(small, rhs, variance)
     order = np.argsort(-value)[: settings.pairs]

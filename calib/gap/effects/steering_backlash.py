@@ -13,8 +13,8 @@ from calib.gap.situation import Situation
 
 __all__ = ["SteeringBacklash"]
 
-#: path curvature from which on a step belongs to a turn
-_TURN_PER_M: Final = 0.1
+#: logged angle from which on a step belongs to a turn
+_TURN_RAD: Final = 0.02
 #: plays that are tried; the least stands for the side of the last move
 PLAYS_RAD: Final = (2e-3, 8e-3, 2e-2)
 
@@ -35,9 +35,8 @@ class SteeringBacklash(Effect):
         if not has_front(s).any() or not (np.abs(angle) > 0.02).any():
             return []
         parameter = Parameter("play", "rad", typical=8e-3, largest=4e-2)
-        # the side is that of the turn by the rear wheels: the sign of a logged angle near zero is the sign of its noise
-        turns = np.abs(s.curvature_per_m) > _TURN_PER_M
-        by_side = np.where(turns, np.sign(s.curvature_per_m), 0.0)
+        # only a clear turn has a side: the sign of an angle near zero is the sign of its sensor's noise
+        by_side = np.where(np.abs(angle) > _TURN_RAD, np.sign(angle), 0.0)
         tries = 1 + len(PLAYS_RAD)
         made = [
             error_form(
