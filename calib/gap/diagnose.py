@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -32,6 +32,9 @@ if TYPE_CHECKING:
     from calib.coefficients.sections import EffectSection
 
 __all__ = ["Diagnosis", "diagnose", "diagnose_in_full"]
+
+#: how often at most the floor is taken again once a large effect is known
+PASSES: Final = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -143,13 +146,14 @@ def diagnose_in_full(
     noise, base = _settle(nominal)
     found = search(nominal, noise, base, effects, settings)
     chosen = found.hypotheses[0]
-    if chosen.effects:
+    for _ in range(PASSES):
         # what a large effect leaves within conditions is no noise: take the floor again without it, and ask again
-        again = estimate_noise(chosen.fitted.path, chosen.fitted.left)
-        if _differ(noise, again):
-            noise, base = again, fit(nominal, again, start=base)
-            found = search(nominal, noise, base, effects, settings)
-            chosen = found.hypotheses[0]
+        again = estimate_noise(chosen.fitted.path, chosen.fitted.left) if chosen.effects else noise
+        if again is noise or not _differ(noise, again):
+            break
+        noise, base = again, fit(nominal, again, start=base)
+        found = search(nominal, noise, base, effects, settings)
+        chosen = found.hypotheses[0]
     shifts = {effect.id: effect.shifts for effect in effects}
     recalibration = judge_recalibration(chosen.fitted, nominal, noise, settings, shifts)
     rng = np.random.default_rng(seed)
