@@ -61,7 +61,13 @@ def held_out(s: Situation, *, sessions: bool = True) -> tuple[IntArray, str]:
 
 
 def measure_closure(
-    nominal: Path, noise: Noise, fitted: Fitted, rng: np.random.Generator, *, sessions: bool = True
+    nominal: Path,
+    noise: Noise,
+    fitted: Fitted,
+    rng: np.random.Generator,
+    *,
+    sessions: bool = True,
+    floor_factor: float = 1.0,
 ) -> Closure:
     """Fit on the other folds, predict the one left out, and compare with the model alone.
 
@@ -77,6 +83,8 @@ def measure_closure(
         For the bootstrap.
     sessions : bool
         Leave sessions out where there are three or more; else conditions.
+    floor_factor : float
+        By which the floor's variance is larger than `noise` says, where what the fit leaves is held to be noise.
 
     Returns
     -------
@@ -97,7 +105,7 @@ def measure_closure(
     white = rows(nominal, noise, np.stack([before, after], axis=2))
     unit = np.repeat(np.arange(len(s))[:, None], 6, axis=1)[usable]
     per_unit = np.stack([np.bincount(unit, white[:, k] ** 2, len(s)) for k in range(2)], axis=1)
-    dims = usable.sum(axis=1).astype(np.float64)
+    dims = floor_factor * usable.sum(axis=1).astype(np.float64)
     fraction = _fraction(per_unit.astype(np.float64), dims)
     ci95 = None
     if fraction is not None:
@@ -110,13 +118,14 @@ def measure_closure(
         gap = np.maximum(sums[:, 0] - total, 0.05 * np.maximum(total, 1.0))
         made = np.clip(1.0 - (sums[:, 1] - total) / gap, -1.0, 1.0)
         ci95 = (float(np.quantile(made, 0.025)), float(np.quantile(made, 0.975)))
+    floor = np.sqrt(floor_factor) * noise.floor
     by_channel: dict[str, float | None] = {}
     for number, name in enumerate(CHANNELS):
         on = usable[:, number]
         if on.any():
-            scaled = np.stack([before[on, number], after[on, number]], axis=1) / noise.floor[on, number, None]
+            scaled = np.stack([before[on, number], after[on, number]], axis=1) / floor[on, number, None]
             by_channel[name] = _fraction(scaled**2, np.ones(int(on.sum())))
-    return Closure(before, after, np.where(usable, noise.floor, 0.0), fraction, ci95, by_channel, kind)
+    return Closure(before, after, np.where(usable, floor, 0.0), fraction, ci95, by_channel, kind)
 
 
 def _fraction(squares: FloatArray, dims: FloatArray) -> float | None:

@@ -16,6 +16,7 @@ from calib.gap.effects.library import library
 from calib.gap.fit import Fitted, fit
 from calib.gap.gross import corrected, find_gross
 from calib.gap.judge import Judge
+from calib.gap.linear import FLOOR_DOF
 from calib.gap.noise import Noise, estimate_noise
 from calib.gap.observe import build_situation
 from calib.gap.path import Path, predict
@@ -157,7 +158,11 @@ def diagnose_in_full(
     shifts = {effect.id: effect.shifts for effect in effects}
     recalibration = judge_recalibration(chosen.fitted, nominal, noise, settings, shifts)
     rng = np.random.default_rng(seed)
-    closure = measure_closure(nominal, noise, chosen.fitted, rng, sessions="session_step" not in chosen.effects)
+    # where no cause is missing, what is left is noise, and its size the better estimate of the floor
+    n_rows = int(s.usable.sum())
+    factor = 1.0 if chosen.unknown else (FLOOR_DOF + chosen.fitted.chi_square) / (FLOOR_DOF + n_rows)
+    whole = "session_step" not in chosen.effects
+    closure = measure_closure(nominal, noise, chosen.fitted, rng, sessions=whole, floor_factor=factor)
     if fault is not None:
         closure = replace(closure, before=before)
     where = locate(s, nominal, noise, closure.before, rng=rng, campaign=campaign)

@@ -12,10 +12,25 @@ from calib.gap.effects.effect import Form
 from calib.gap.noise import Noise, whiten
 from calib.gap.path import Path, signature
 
-__all__ = ["CALIBRATION_SD", "Nuisance", "form_columns", "log_evidence", "project", "ridge_solve", "rows"]
+__all__ = [
+    "CALIBRATION_SD",
+    "FLOOR_DOF",
+    "Nuisance",
+    "form_columns",
+    "log_evidence",
+    "log_marginal",
+    "project",
+    "ridge_solve",
+    "rows",
+]
 
-#: prior standard deviation of a plain recalibration: left, right radius, track, front radius (relative)
-CALIBRATION_SD: Final = np.array([0.03, 0.03, 0.1, 3e-4])
+#: prior standard deviation of a plain recalibration: left, right radius, track, front radius (relative); the front
+#: radius is held, because a front wheel that disagrees with the rear ones is a gap to be named
+CALIBRATION_SD: Final = np.array([0.03, 0.03, 0.1, 1e-6])
+
+#: degrees of freedom by which the floor as a whole is known before the gap is looked at; the rest of what is known of
+#: it comes from the same runs
+FLOOR_DOF: Final = 20.0
 
 
 def rows(path: Path, noise: Noise, columns: FloatArray) -> FloatArray:
@@ -65,6 +80,25 @@ class Nuisance:
         a, b = self.factor @ (self.columns.T @ left), self.factor @ (self.columns.T @ right)
         made: FloatArray = left.T @ right - a.T @ b
         return made
+
+
+def log_marginal(square: float | FloatArray, log_det: float | FloatArray, n_rows: int) -> FloatArray:
+    """Return the log evidence of a Gaussian hypothesis whose floor is known up to a common factor.
+
+    The factor is integrated out, so that a floor too small by a quarter, or tails heavier than normal, do not pass for
+    a cause: Student's t in place of the normal density, without its constant.
+
+    Parameters
+    ----------
+    square : float or array of float
+        y^T C^-1 y of the hypothesis' covariance C in units of the floor.
+    log_det : float or array of float
+        log |C|, same shape.
+    n_rows : int
+        Length of y.
+    """
+    spread = -0.5 * (FLOOR_DOF + n_rows) * np.log1p(np.asarray(square) / FLOOR_DOF)
+    return np.asarray(spread - 0.5 * np.asarray(log_det))
 
 
 def project(nuisance: Nuisance, columns: FloatArray) -> FloatArray:

@@ -114,6 +114,7 @@ def kernels(path: Path) -> FloatArray:
     start[:, 2] = np.cos(path.frame) * path.end[:, 0] + np.sin(path.frame) * path.end[:, 1]
     start[:, 3] = 1.0
     zero = np.zeros((n, 6))
+    zero[:, 4] = -s.vehicle.wheelbase_m * path.end[:, 2]
     zero[:, 5] = s.total(path.ds_m) / s.vehicle.wheelbase_m
     for number, rows in ((5, both), (6, differ), (7, start), (10, calibration[:, :, 3]), (11, zero)):
         made[number] = np.einsum("ua,ub->uab", rows, rows)

@@ -185,8 +185,9 @@ class Path:
     def _front_radius(self) -> FloatArray:
         made = np.zeros((len(self.s), 6))
         front = np.nan_to_num(self.s.front_roll_rad) * self.s.vehicle.wheel_radius_m
-        made[:, 4] = -self.s.total(front)
-        made[:, 5] = -self.s.total(front * np.sin(np.nan_to_num(self.s.steer_rad))) / self.s.vehicle.wheelbase_m
+        steer = np.nan_to_num(self.s.steer_rad)
+        made[:, 4] = -self.s.total(front * np.cos(steer))
+        made[:, 5] = -self.s.total(front * np.sin(steer)) / self.s.vehicle.wheelbase_m
         return made
 
 
@@ -249,9 +250,10 @@ def predict(s: Situation, pushes: list[Push] | None = None) -> Path:
     if s.usable[:, 4:].any():
         wheelbase = s.vehicle.wheelbase_m
         front = np.nan_to_num(s.front_roll_rad) * s.vehicle.wheel_radius_m
-        # what the rear wheels say of the front wheel, less what the front wheel says (Eqs 12 to 14)
-        reading[:, 4] = s.total(np.sign(ds) * np.hypot(ds, wheelbase * turn) - front)
-        reading[:, 5] = s.total(turn - front * np.sin(np.nan_to_num(s.steer_rad)) / wheelbase)
+        # what the rear wheels say, less what the front wheel and its steering say of the same (Eqs 12 to 14)
+        steer = np.nan_to_num(s.steer_rad)
+        reading[:, 4] = s.total(ds - front * np.cos(steer))
+        reading[:, 5] = s.total(turn - front * np.sin(steer) / wheelbase)
     if push.reading is not None:
         reading += _in_start_frame(path, push.reading)
     return path
@@ -350,8 +352,6 @@ def _along_path(path: Path, wide: dict[str, FloatArray], push: Push) -> FloatArr
     line = s.total(ds * path.weave_cos) * np.sign(s.total(path.ds_m))
     made[:, 0] = np.where(s.axis == 1, x, np.where(s.axis == 2, chord, line))
     if s.usable[:, 4:].any():
-        wheelbase = s.vehicle.wheelbase_m
-        length = np.maximum(np.hypot(path.ds_m, wheelbase * path.turn_rad), 1e-12)
-        made[:, 4] = s.total(np.sign(path.ds_m) * (path.ds_m * ds + wheelbase**2 * path.turn_rad * turn) / length)
+        made[:, 4] = s.total(ds)
         made[:, 5] = made[:, 3]
     return made

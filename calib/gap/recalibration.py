@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.campaign.model import FloatArray
 from calib.gap.fit import Fitted
-from calib.gap.linear import CALIBRATION_SD, Nuisance
+from calib.gap.linear import CALIBRATION_SD, Nuisance, log_marginal
 from calib.gap.noise import Noise
 from calib.gap.path import Path
 from calib.gap.search import SCALE_COST, Settings, Workbench, effect_scale
@@ -122,7 +122,7 @@ def judge_recalibration(
                 )
             )
             square = nuisance.scalar(y[:, None], y[:, None])[0, 0]
-            value = -0.5 * (square + nuisance.log_det) - SCALE_COST * size
+            value = float(log_marginal(square, nuisance.log_det, len(y))) - SCALE_COST * size
             weights.append(settings.temper * value + size * np.log(PRIOR))
             subsets.append(tuple(NAMES[k] for k in chosen))
     order = np.argsort(-np.array(weights))

@@ -11,7 +11,7 @@ import numpy as np
 from calib.campaign.model import FloatArray, IntArray
 from calib.gap.effects.effect import Effect, Form
 from calib.gap.fit import Fitted, fit
-from calib.gap.linear import CALIBRATION_SD, Nuisance, form_columns, log_evidence, project, ridge_solve, rows
+from calib.gap.linear import CALIBRATION_SD, Nuisance, form_columns, log_evidence, log_marginal, project, ridge_solve, rows
 from calib.gap.noise import Noise, interactions, surroundings
 from calib.gap.path import Path
 from calib.gap.residuals import residuals
@@ -118,10 +118,10 @@ class Search:
 
 
 def _marginal(columns: FloatArray, y: FloatArray) -> float:
-    """Return log N(y | 0, I + X X^T) without its constant."""
+    """Return the log evidence of y under I + X X^T, both times a factor that is hardly known."""
     nuisance = Nuisance.of(columns)
     square = nuisance.scalar(y[:, None], y[:, None])[0, 0]
-    return float(-0.5 * (square + nuisance.log_det))
+    return float(log_marginal(square, nuisance.log_det, len(y)))
 
 
 class Workbench:
@@ -227,7 +227,7 @@ def _unknown_evidence(bench: Workbench, base: FloatArray, y: FloatArray) -> floa
     """Return the evidence with offsets by condition added, averaged over their kind and scale."""
     found = []
     nuisance = Nuisance.of(base)
-    start = -0.5 * (nuisance.scalar(y[:, None], y[:, None])[0, 0] + nuisance.log_det)
+    square = nuisance.scalar(y[:, None], y[:, None])[0, 0]
     for columns in bench.unknown_columns():
         gram = nuisance.scalar(columns, columns)
         right = nuisance.scalar(columns, y[:, None])[:, 0]
@@ -236,11 +236,8 @@ def _unknown_evidence(bench: Workbench, base: FloatArray, y: FloatArray) -> floa
         eigen = np.maximum(eigen, 0.0)
         for scale in UNKNOWN_SCALES:
             variance = scale**2
-            found.append(
-                start
-                - 0.5 * np.log1p(variance * eigen).sum()
-                + 0.5 * (turned * variance / (1.0 + variance * eigen)).sum()
-            )
+            left = square - (turned * variance / (1.0 + variance * eigen)).sum()
+            found.append(float(log_marginal(left, nuisance.log_det + np.log1p(variance * eigen).sum(), len(y))))
     top = max(found)
     return float(top + np.log(np.mean(np.exp(np.array(found) - top))))
 

@@ -18,6 +18,8 @@ __all__ = ["DriveSlip"]
 class DriveSlip(Effect):
     """The front wheel counts a share s = F_x / C more than it travels; only the front channels see it.
 
+    A constant share looks the same as a front radius that is off, and is named so.
+
     The driving force is mass times acceleration (when it speeds up, or also, reversed, when the front wheel brakes) and
     rolling resistance, which goes with the weight; the stiffness C is constant or goes with the front wheel's load.
     """
@@ -41,6 +43,7 @@ class DriveSlip(Effect):
         # a run from rest to rest gains and loses the same by acceleration and braking
         gains = bool((np.abs(s.total(front * speeding)) > 1e-4).any())
         unlike = bool(np.isfinite(over_front).all() and np.ptp(over_front / np.mean(over_front) / weight) > 0.02)
+        constant = [np.ones(len(s.unit))]
         forces: list[tuple[str, FloatArray]] = [("by the force", weight)]
         if unlike:
             forces.append(("by the force over the front load", over_front / float(np.mean(over_front))))
@@ -56,11 +59,14 @@ class DriveSlip(Effect):
                 found.append((f"{name}, speeding up, braking and rolling", both, (per_acceleration, rolling)))
             found.append((f"{name}, rolling", [wide], (rolling,)))
 
+        if float(np.ptp(weight)) > 1e-9:
+            found.append(("a constant share, or the front wheel's radius", constant, (rolling,)))
+
         def made(label: str, slips: list[FloatArray], parameters: tuple[Parameter, ...]) -> Form:
             pushes = []
             for slip in slips:
                 reading = np.zeros((len(s), 6))
-                reading[:, 4] = s.total(front * slip)
+                reading[:, 4] = s.total(front * slip * np.cos(steer_rad(s)))
                 reading[:, 5] = s.total(front * slip * np.sin(steer_rad(s))) / s.vehicle.wheelbase_m
                 pushes.append(Push(reading=reading))
             return Form(self.id, label, parameters, lambda _: pushes, tries=len(found))

@@ -41,8 +41,9 @@ def error_form(
 ) -> Form:
     """Return a form by which the logged steering angle is too large by `error_rad`, shape (n_steps,), per unit.
 
-    The heading by steering, sum of ds sin(delta) / L, is then too large by ds cos(delta) error / L. The channel is the
-    rear wheels' heading less that, so taking the error out of the steering's part adds the excess.
+    The heading by steering, sum of ds sin(delta) / L, is then too large by ds cos(delta) error / L, and the distance by
+    the front wheel, sum of ds cos(delta), too small by ds sin(delta) error. The channels are what the rear wheels say
+    less that, so taking the error out of the steering's part adds the excess.
 
     Parameters
     ----------
@@ -59,8 +60,9 @@ def error_form(
     settings : dict of str to float, optional
         Quantities of the form that are not fitted.
     """
-    excess = front_travel_m(s) * np.cos(steer_rad(s)) * error_rad / s.vehicle.wheelbase_m
+    front, angle = front_travel_m(s), steer_rad(s)
     reading = np.zeros((len(s), 6))
-    reading[:, 5] = s.total(excess)
+    reading[:, 4] = -s.total(front * np.sin(angle) * error_rad)
+    reading[:, 5] = s.total(front * np.cos(angle) * error_rad) / s.vehicle.wheelbase_m
     pushes: Sequence[Push] = [Push(reading=reading)]
     return Form(effect, label, (parameter,), lambda _: pushes, tries=tries, settings=settings or {})

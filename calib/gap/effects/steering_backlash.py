@@ -17,12 +17,17 @@ __all__ = ["SteeringBacklash"]
 _TURN_RAD: Final = 0.02
 #: plays that are tried; the least stands for the side of the last move
 PLAYS_RAD: Final = (2e-3, 8e-3, 2e-2)
+#: steps to either side over which the rear wheels' turn is taken
+_SMOOTH: Final = 2
+#: over less path the counters are too coarse to tell a curvature
+_TELLS_M: Final = 0.1
 
 
 class SteeringBacklash(Effect):
-    """The logged angle is ahead of the wheel by a share of half the play, on the side of the last moves or of the turn.
+    """Play lies between the wheel and the sensor of its angle.
 
-    Negative where the sensor sits beyond the play and lags the wheel.
+    Where the sensor sits at the motor, the logged angle is ahead of the wheel by half the play on the side of the last
+    moves. Where it sits beyond the play, it follows what the wheel does, which the rear wheels tell, and lags.
     """
 
     id: ClassVar[str] = "steering_backlash"
@@ -32,38 +37,70 @@ class SteeringBacklash(Effect):
     def forms(self, s: Situation) -> list[Form]:
         """Return forms that follow the moves through plays of several widths, and one by the side of the turn."""
         angle = steer_rad(s)
-        if not has_front(s).any() or not (np.abs(angle) > 0.02).any():
+        if not has_front(s).any() or not (np.abs(angle) > _TURN_RAD).any():
             return []
         parameter = Parameter("play", "rad", typical=8e-3, largest=4e-2)
         # only a clear turn has a side: the sign of an angle near zero is the sign of its sensor's noise
         by_side = np.where(np.abs(angle) > _TURN_RAD, np.sign(angle), 0.0)
-        tries = 1 + len(PLAYS_RAD)
-        made = [
-            error_form(
-                s,
-                self.id,
-                f"by the moves, through {1e3 * play:g} mrad",
-                parameter,
-                _lost_in_play(s, angle, play) / play,
-                tries=tries,
-                settings={"play_rad": play},
-            )
-            for play in PLAYS_RAD
+        noise = _noise_rad(s, angle)
+        # sensor noise, its zero and small corrections are no moves of the motor
+        moved = np.where(np.abs(angle) > max(_TURN_RAD, 6.0 * noise), angle, 0.0)
+        wheel = _wheel_rad(s, angle)
+        rough = _noise_rad(s, wheel)
+        tries = 1 + 2 * len(PLAYS_RAD)
+        made = []
+        for play in PLAYS_RAD:
+            settings = {"play_rad": play}
+            ahead = _lost_in_play(s, moved, play, 6.0 * noise) / play
+            made.append((f"by the moves of the motor, through {1e3 * play:g} mrad", ahead, settings))
+            behind = -_lost_in_play(s, wheel, play, 3.0 * rough) / play
+            made.append((f"by the moves of the wheel, through {1e3 * play:g} mrad", behind, settings))
+        made.append(("by the side of the turn", 0.5 * by_side, {}))
+        return [
+            error_form(s, self.id, label, parameter, error, tries=tries, settings=settings)
+            for label, error, settings in made
         ]
-        return [*made, error_form(s, self.id, "by the side of the turn", parameter, 0.5 * by_side, tries=tries)]
 
 
-def _lost_in_play(s: Situation, angle: FloatArray, play: float) -> FloatArray:
+def _noise_rad(s: Situation, angle: FloatArray) -> float:
+    """Return the standard deviation of one reading of an angle, from its second differences within runs."""
+    inside = np.flatnonzero(s.unit[2:] == s.unit[:-2])
+    bent = np.abs(angle[inside + 2] - 2.0 * angle[inside + 1] + angle[inside])
+    bent = bent[np.isfinite(bent)]
+    return float(1.4826 * np.median(bent) / np.sqrt(6.0)) if len(bent) else 0.0
+
+
+def _wheel_rad(s: Situation, angle: FloatArray) -> FloatArray:
+    """Return the steering angle that the rear wheels' turn tells, smoothed over a few steps, shape (n_steps,).
+
+    Its middle value on the straight is taken off: unequal radii are no steering. NaN where the vehicle hardly moves.
+    """
+    turn, path = np.cumsum(s.turn_rad), np.cumsum(np.abs(s.path_m))
+    index = np.arange(len(angle))
+    first = np.maximum(index - _SMOOTH, s.starts[s.unit])
+    last = np.minimum(index + _SMOOTH, s.starts[s.unit + 1] - 1)
+    length = path[last] - path[first]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        bend = np.where(length > _TELLS_M, (turn[last] - turn[first]) / length, np.nan)
+    made = np.arctan(s.vehicle.wheelbase_m * bend)
+    straight = (np.abs(angle) < _TURN_RAD) & (length > _TELLS_M)
+    return np.asarray(made - (np.median(made[straight]) if straight.any() else 0.0))
+
+
+def _lost_in_play(s: Situation, angle: FloatArray, play: float, least: float) -> FloatArray:
     """Return angle less what comes through the play, which starts in its middle, shape (n_steps,).
 
-    The output keeps still until the input has crossed the play: a recursion, taken step by step over all units.
+    The output keeps still until the input has crossed the play: a recursion, taken step by step over all units. A play
+    below `least` is taken up by the last move that stands out of the noise.
     """
+    wide = max(play, least)
     longest = int(s.lengths.max())
     index = np.minimum(s.starts[:-1] + np.arange(longest)[:, None], s.starts[1:] - 1)
     through = angle[index]
-    now = through[0]
+    now = np.zeros(through.shape[1])
     for row in through:
-        now = np.clip(now, row - 0.5 * play, row + 0.5 * play)
+        # a NaN moves nothing
+        now = np.fmin(np.fmax(now, row - 0.5 * wide), row + 0.5 * wide)
         row[:] = now
     step = np.arange(len(angle)) - s.starts[s.unit]
-    return np.asarray(angle - through[step, s.unit])
+    return np.nan_to_num((angle - through[step, s.unit]) * (play / wide))

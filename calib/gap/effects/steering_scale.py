@@ -27,15 +27,11 @@ class SteeringScale(Effect):
         if not has_front(s).any() or not (np.abs(angle) > 0.02).any():
             return []
         parameter = Parameter("relative", "1", typical=1e-2, largest=1e-1)
-        wheelbase = s.vehicle.wheelbase_m
-        by_steering = s.total(front_travel_m(s) * np.sin(angle)) / wheelbase
+        # the distance by the front wheel knows nothing of the wheelbase
+        reading = np.zeros((len(s), 6))
+        reading[:, 5] = s.total(front_travel_m(s) * np.sin(angle)) / s.vehicle.wheelbase_m
 
-        def longer(path: Path) -> list[Push]:
-            reading = np.zeros((len(s), 6))
-            swing = wheelbase * path.turn_rad
-            length = np.maximum(np.hypot(path.ds_m, swing), 1e-12)
-            reading[:, 4] = np.where(has_front(s), s.total(np.sign(path.ds_m) * swing**2 / length), 0.0)
-            reading[:, 5] = by_steering
+        def longer(_: Path) -> list[Push]:
             return [Push(reading=reading)]
 
         return [
