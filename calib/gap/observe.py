@@ -258,6 +258,7 @@ def _assemble(
     steer = np.concatenate(
         [np.full(len(u.left) - 1, np.nan) if u.steer is None else 0.5 * (u.steer[1:] + u.steer[:-1]) for u in units]
     )
+    turned = np.concatenate([np.full(len(u.left) - 1, np.nan) if u.steer is None else np.diff(u.steer) for u in units])
     measured = np.full((len(units), 6), np.nan)
     simulated = np.full((len(units), 6), np.nan)
     measured[:, :4] = [u.measured for u in units]
@@ -329,6 +330,7 @@ def _assemble(
         duration_s=duration,
         front_roll_rad=front,
         steer_rad=steer,
+        steer_change_rad=turned,
         from_log=logged,
         measured=measured,
         simulated=np.where(outside, simulated, np.nan),

@@ -185,9 +185,8 @@ class Path:
     def _front_radius(self) -> FloatArray:
         made = np.zeros((len(self.s), 6))
         front = np.nan_to_num(self.s.front_roll_rad) * self.s.vehicle.wheel_radius_m
-        steer = np.nan_to_num(self.s.steer_rad)
-        made[:, 4] = -self.s.total(front * np.cos(steer))
-        made[:, 5] = -self.s.total(front * np.sin(steer)) / self.s.vehicle.wheelbase_m
+        made[:, 4] = -self.s.total(front * self.s.steer_cos)
+        made[:, 5] = -self.s.total(front * self.s.steer_sin) / self.s.vehicle.wheelbase_m
         return made
 
 
@@ -251,9 +250,8 @@ def predict(s: Situation, pushes: list[Push] | None = None) -> Path:
         wheelbase = s.vehicle.wheelbase_m
         front = np.nan_to_num(s.front_roll_rad) * s.vehicle.wheel_radius_m
         # what the rear wheels say, less what the front wheel and its steering say of the same (Eqs 12 to 14)
-        steer = np.nan_to_num(s.steer_rad)
-        reading[:, 4] = s.total(ds - front * np.cos(steer))
-        reading[:, 5] = s.total(turn - front * np.sin(steer) / wheelbase)
+        reading[:, 4] = s.total(ds - front * s.steer_cos)
+        reading[:, 5] = s.total(turn - front * s.steer_sin / wheelbase)
     if push.reading is not None:
         reading += _in_start_frame(path, push.reading)
     return path

@@ -42,8 +42,8 @@ class Situation:
         Wheel angle at the end of each step, by the counter.
     time_s, duration_s : array of float, shape (n_steps,)
         Time since the run's start at the end of each step, and how long the step took.
-    front_roll_rad, steer_rad : array of float, shape (n_steps,)
-        Front wheel's rotation of each step and its steering angle; NaN where not logged.
+    front_roll_rad, steer_rad, steer_change_rad : array of float, shape (n_steps,)
+        Front wheel's rotation of each step, its mean steering angle and by how much that changed; NaN where not logged.
     from_log : array of bool, shape (n_units,)
         False where a unit's steps were made up from its totals.
     measured : array of float, shape (n_units, 6)
@@ -80,6 +80,7 @@ class Situation:
     duration_s: FloatArray
     front_roll_rad: FloatArray
     steer_rad: FloatArray
+    steer_change_rad: FloatArray
     from_log: BoolArray
     measured: FloatArray
     simulated: FloatArray
@@ -160,6 +161,21 @@ class Situation:
     def turn_rad(self) -> FloatArray:
         """Signed turn of each step by the model, shape (n_steps,)."""
         return (self.travel_right_m - self.travel_left_m) / self.model.track_m
+
+    @cached_property
+    def steer_cos(self) -> FloatArray:
+        """Mean cosine of the logged steering angle over each step, 1 where not logged, shape (n_steps,)."""
+        return np.asarray(np.cos(np.nan_to_num(self.steer_rad)) * self._ramp)
+
+    @cached_property
+    def steer_sin(self) -> FloatArray:
+        """Mean sine of the logged steering angle over each step, 0 where not logged, shape (n_steps,)."""
+        return np.asarray(np.sin(np.nan_to_num(self.steer_rad)) * self._ramp)
+
+    @cached_property
+    def _ramp(self) -> FloatArray:
+        """Return by what the mean of a sine over a step in which the angle changes evenly is less than its middle."""
+        return np.asarray(np.sinc(np.nan_to_num(self.steer_change_rad) / (2.0 * np.pi)))
 
     @cached_property
     def speed_mps(self) -> FloatArray:

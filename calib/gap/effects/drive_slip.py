@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.campaign.model import FloatArray
 from calib.gap.effects.effect import Effect, Form, Parameter
-from calib.gap.effects.steering import front_travel_m, has_front, steer_rad
+from calib.gap.effects.steering import front_travel_m, has_front
 from calib.gap.path import Push
 from calib.gap.situation import Situation
 
@@ -66,8 +66,8 @@ class DriveSlip(Effect):
             pushes = []
             for slip in slips:
                 reading = np.zeros((len(s), 6))
-                reading[:, 4] = s.total(front * slip * np.cos(steer_rad(s)))
-                reading[:, 5] = s.total(front * slip * np.sin(steer_rad(s))) / s.vehicle.wheelbase_m
+                reading[:, 4] = s.total(front * slip * s.steer_cos)
+                reading[:, 5] = s.total(front * slip * s.steer_sin) / s.vehicle.wheelbase_m
                 pushes.append(Push(reading=reading))
             return Form(self.id, label, parameters, lambda _: pushes, tries=len(found))
 

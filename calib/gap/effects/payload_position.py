@@ -33,9 +33,8 @@ class PayloadPosition(Effect):
         if not (weight_N > 0.0).any():
             return []
         wheelbase, track = s.vehicle.wheelbase_m, s.model.track_m
-        steer = np.nan_to_num(s.steer_rad)
-        front_m = np.where(s.usable[:, 4], np.nan_to_num(s.total(np.nan_to_num(s.front_roll_rad) * np.cos(steer))), 0.0)
-        by_steering = s.total(np.nan_to_num(s.front_roll_rad) * np.sin(steer)) / wheelbase
+        front_m = np.where(s.usable[:, 4], np.nan_to_num(s.total(np.nan_to_num(s.front_roll_rad) * s.steer_cos)), 0.0)
+        by_steering = s.total(np.nan_to_num(s.front_roll_rad) * s.steer_sin) / wheelbase
         by_steering = np.where(s.usable[:, 5], by_steering, 0.0)
 
         def slope(path: Path) -> float:

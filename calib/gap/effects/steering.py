@@ -60,9 +60,9 @@ def error_form(
     settings : dict of str to float, optional
         Quantities of the form that are not fitted.
     """
-    front, angle = front_travel_m(s), steer_rad(s)
+    front = front_travel_m(s)
     reading = np.zeros((len(s), 6))
-    reading[:, 4] = -s.total(front * np.sin(angle) * error_rad)
-    reading[:, 5] = s.total(front * np.cos(angle) * error_rad) / s.vehicle.wheelbase_m
+    reading[:, 4] = -s.total(front * s.steer_sin * error_rad)
+    reading[:, 5] = s.total(front * s.steer_cos * error_rad) / s.vehicle.wheelbase_m
     pushes: Sequence[Push] = [Push(reading=reading)]
     return Form(effect, label, (parameter,), lambda _: pushes, tries=tries, settings=settings or {})

@@ -75,15 +75,16 @@ def _wheel_rad(s: Situation, angle: FloatArray) -> FloatArray:
 
     Its middle value on the straight is taken off: unequal radii are no steering. NaN where the vehicle hardly moves.
     """
-    turn, path = np.cumsum(s.turn_rad), np.cumsum(np.abs(s.path_m))
+    turn, path = np.cumsum(s.turn_rad), np.cumsum(s.path_m)
     index = np.arange(len(angle))
     first = np.maximum(index - _SMOOTH, s.starts[s.unit])
     last = np.minimum(index + _SMOOTH, s.starts[s.unit + 1] - 1)
     length = path[last] - path[first]
+    told = np.abs(length) > _TELLS_M
     with np.errstate(divide="ignore", invalid="ignore"):
-        bend = np.where(length > _TELLS_M, (turn[last] - turn[first]) / length, np.nan)
+        bend = np.where(told, (turn[last] - turn[first]) / length, np.nan)
     made = np.arctan(s.vehicle.wheelbase_m * bend)
-    straight = (np.abs(angle) < _TURN_RAD) & (length > _TELLS_M)
+    straight = (np.abs(angle) < _TURN_RAD) & told
     return np.asarray(made - (np.median(made[straight]) if straight.any() else 0.0))
 
 

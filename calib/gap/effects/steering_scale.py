@@ -29,7 +29,7 @@ class SteeringScale(Effect):
         parameter = Parameter("relative", "1", typical=1e-2, largest=1e-1)
         # the distance by the front wheel knows nothing of the wheelbase
         reading = np.zeros((len(s), 6))
-        reading[:, 5] = s.total(front_travel_m(s) * np.sin(angle)) / s.vehicle.wheelbase_m
+        reading[:, 5] = s.total(front_travel_m(s) * s.steer_sin) / s.vehicle.wheelbase_m
 
         def longer(_: Path) -> list[Push]:
             return [Push(reading=reading)]

@@ -319,7 +319,11 @@ def _(run: Run, now: Motion) -> None:
     now.steer_error_rad = 1e-2 * now.steer_rad
 
 
-@case("steering_scale", "wheelbase", 1e-2, runs=LOGGED, within=2e-2)
+# on one arc each: an angle that jumps between two frames is logged by half
+ARCS = [Run([(4.0 + 0.5 * i, 0.1 * (i - 5.5))]) for i in range(12)]
+
+
+@case("steering_scale", "wheelbase", 1e-2, runs=ARCS, within=2e-2)
 def _(run: Run, now: Motion) -> None:
     now.steer_rad = np.arctan(1.01 * now.kappa)
 
@@ -329,7 +333,7 @@ def _(run: Run, now: Motion) -> None:
     now.steer_error_rad = 0.5e-2 * np.sign(now.steer_rad)
 
 
-@case("steering_backlash", "by the moves, through 2", 1e-2, runs=ROLLING, within=5e-2)
+@case("steering_backlash", "by the moves of the motor, through 2", 1e-2, runs=ROLLING, within=5e-2)
 def _(run: Run, now: Motion) -> None:
     error, side, before = [], 0.0, now.steer_rad[0]
     for angle in now.steer_rad:
@@ -340,14 +344,24 @@ def _(run: Run, now: Motion) -> None:
     now.steer_error_rad = np.array(error)
 
 
-TURN_IN = [Run([(5.0, 0.0), (3.0, 0.1 * (i - 4))], speed_mps=0.3 + 0.1 * (i % 4), steps=400) for i in range(12)]
+# the rear wheels' turn is taken over four steps, which blurs jumps of up to a radian into and out of a turn
+@case("steering_backlash", "by the moves of the wheel, through 20", 2e-2, runs=ROLLING, within=0.15)
+def _(run: Run, now: Motion) -> None:
+    shown, error = 0.0, []
+    for angle in now.steer_rad:
+        shown = min(max(shown, angle - 1e-2), angle + 1e-2)
+        error.append(shown - angle)
+    now.steer_error_rad = np.array(error)
 
 
-# the sine of an angle of 0.6 rad is taken as linear over the jump
-@case("steering_delay", "", 0.02, runs=TURN_IN, within=5e-2)
+TURN_IN = [Run([(5.0, 0.0), (3.0, 0.03 * (i - 4))], speed_mps=0.3 + 0.1 * (i % 4), steps=400) for i in range(12)]
+
+
+# a twentieth of a step: beyond, the cosine bends over the jump
+@case("steering_delay", "", 0.002, runs=TURN_IN, within=5e-2)
 def _(run: Run, now: Motion) -> None:
     middle = now.t_s - 0.5 * now.dt_s
-    now.steer_error_rad = np.interp(middle - 0.02, middle, now.steer_rad) - now.steer_rad
+    now.steer_error_rad = np.interp(middle - 0.002, middle, now.steer_rad) - now.steer_rad
 
 
 # counts that slipped already are multiplied by the slip again: slip squared
