@@ -40,6 +40,7 @@ __all__ = [
 CALIBRATION: Final = ("radius_scale", "unequal_radii", "track_width")
 CHANNELS: Final = ("distance", "x", "y", "theta", "front_distance", "front_theta")
 _SQUARED: Final = ("beam_misalignment", "path_weave")
+_ABSORBED = 1e-2  # share of its norm below which a change is taken up by the recalibration
 _LARGEST, _SMALLEST = 3.0, 0.05  # of the typical size
 
 
@@ -261,8 +262,7 @@ def strengths(
     plain = any(is_calibration(cause) for cause in causes)
     nothing = None if plain else absorbed
     alone = tuple(
-        strength(change[number], cov, None if is_calibration(causes[number]) else absorbed)
-        for number in range(n_causes)
+        _alone(change[number], cov, None if is_calibration(causes[number]) else absorbed) for number in range(n_causes)
     )
     beside = []
     for number in range(n_causes if weigh else 0):
@@ -272,6 +272,12 @@ def strengths(
         beside.append(strength(change[number], cov, extra) if extra is not None else alone[number])
     together = strength(change.sum(axis=0), cov, nothing) if n_causes else 0.0
     return Strength(alone, tuple(beside), together, change, cov, absorbed)
+
+
+def _alone(change: FloatArray, cov: FloatArray, absorbed: FloatArray | None) -> float:
+    """Return the signal of one cause; one that a recalibration takes up whole on this design counts as part of it."""
+    whole, left = strength(change, cov, None), strength(change, cov, absorbed)
+    return left if left > _ABSORBED * whole else whole
 
 
 def _cut(record: Record, n_runs: int) -> Record:

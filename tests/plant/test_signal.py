@@ -102,6 +102,17 @@ def test_a_cause_is_scaled_to_the_wanted_signal(effect: str) -> None:
     assert reached.alone[0] == pytest.approx(10.0, rel=0.06)
 
 
+def test_a_cause_that_a_recalibration_takes_up_whole_is_scaled_by_what_it_does_alone() -> None:
+    """Where nothing but a laser measures, a rangefinder's scale is one of the radii: no size of it would be left."""
+    rng = np.random.default_rng(4)
+    design = replace(good_design(rng, n_runs=24, needs=find("rangefinder_scale").needs), poses="none")
+    design = design.select(np.flatnonzero(design.corridor))
+    model = random_model(design, rng)
+    made, _, reached = to_signal(design, model, NORMAL, [Cause("rangefinder_scale", 1.5e-3)], [12.0])
+    assert reached.alone[0] == pytest.approx(12.0, rel=0.06)
+    assert abs(made[0].size) < 1e-2
+
+
 def test_rivals_know_the_exact_alias() -> None:
     """A misaligned beam is a rangefinder scale: its distance is zero, and no other effect comes near."""
     rng = np.random.default_rng(6)
