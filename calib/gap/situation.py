@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -164,18 +164,22 @@ class Situation:
 
     @cached_property
     def steer_cos(self) -> FloatArray:
-        """Mean cosine of the logged steering angle over each step, 1 where not logged, shape (n_steps,)."""
-        return np.asarray(np.cos(np.nan_to_num(self.steer_rad)) * self._ramp)
+        """What of the front wheel's way the rear wheels go, 1 where no angle is logged, shape (n_steps,).
+
+        One over the mean of 1 / cos at the ends of the step: over a whole turn the errors of this mean cancel, wherever
+        between two samples the angle begins and ends to change (Euler and Maclaurin).
+        """
+        return 1.0 / np.asarray(self._at_ends(lambda angle: 1.0 / np.cos(angle)))
 
     @cached_property
     def steer_sin(self) -> FloatArray:
-        """Mean sine of the logged steering angle over each step, 0 where not logged, shape (n_steps,)."""
-        return np.asarray(np.sin(np.nan_to_num(self.steer_rad)) * self._ramp)
+        """What of the front wheel's way, over the wheelbase, is turn; 0 where no angle is logged, shape (n_steps,)."""
+        return self.steer_cos * self._at_ends(np.tan)
 
-    @cached_property
-    def _ramp(self) -> FloatArray:
-        """Return by what the mean of a sine over a step in which the angle changes evenly is less than its middle."""
-        return np.asarray(np.sinc(np.nan_to_num(self.steer_change_rad) / (2.0 * np.pi)))
+    def _at_ends(self, what: Callable[[FloatArray], FloatArray]) -> FloatArray:
+        """Return the mean of a function of the steering angle over the ends of each step, shape (n_steps,)."""
+        angle, half = np.nan_to_num(self.steer_rad), 0.5 * np.nan_to_num(self.steer_change_rad)
+        return 0.5 * (what(angle - half) + what(angle + half))
 
     @cached_property
     def speed_mps(self) -> FloatArray:

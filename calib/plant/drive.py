@@ -146,7 +146,10 @@ def drive(world: World, noise: NoiseDraw, *, quantise: bool = True, step_s: floa
         kappa = tables.curvature_per_m[np.minimum(index + preview, last_index)]
         kappa = kappa - gain_offset * lateral - gain_heading * heading
         wanted = np.clip(np.arctan(wheelbase * kappa), -_STEER_MAX_RAD, _STEER_MAX_RAD)
-        steer += np.clip((wanted - steer) / _STEER_LAG_S, -_STEER_RATE_RADPS, _STEER_RATE_RADPS) * step_s
+        change = np.clip((wanted - steer) / _STEER_LAG_S, -_STEER_RATE_RADPS, _STEER_RATE_RADPS) * step_s
+        # the sensor is read at the end of a step, the wheel rolls at the middle angle
+        rolling = steer + 0.5 * change
+        steer = steer + change
 
         # speed: ramps up, down to the next stop, waits there
         remaining = target - progress
@@ -161,7 +164,7 @@ def drive(world: World, noise: NoiseDraw, *, quantise: bool = True, step_s: floa
         speed = speed + change
 
         # true motion and what the effects add to it
-        curvature = np.tan(steer) / wheelbase
+        curvature = np.tan(rolling) / wheelbase
         now.t_s, now.v_mps, now.acceleration_mps2, now.curvature_per_m = (
             number * step_s,
             speed,
@@ -198,7 +201,7 @@ def drive(world: World, noise: NoiseDraw, *, quantise: bool = True, step_s: floa
         # counters and the vehicle's own odometry
         angle[0] += left * (1.0 - now.lost_left)
         angle[1] += right * (1.0 - now.lost_right)
-        front = way_rolled / np.cos(steer) * (1.0 + now.drive)
+        front = way_rolled / np.cos(rolling) * (1.0 + now.drive)
         angle[2] += (front + rough * grain[place, 2] if texture else front) / radius_front
         seen = angle[:2]
         if quantise:
