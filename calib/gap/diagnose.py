@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Diagnosis", "diagnose", "diagnose_in_full"]
 
+#: by which factor at most what the fit leaves may enlarge the floor's variance
+MOST_FLOOR: Final = 1.5
 #: how often at most the floor is taken again once a large effect is known
 PASSES: Final = 3
 
@@ -160,13 +162,14 @@ def diagnose_in_full(
     rng = np.random.default_rng(seed)
     # where no cause is missing, what is left is noise, and its size the better estimate of the floor
     n_rows = int(s.usable.sum())
-    factor = 1.0 if chosen.unknown else (FLOOR_DOF + chosen.fitted.chi_square) / (FLOOR_DOF + n_rows)
+    factor = (FLOOR_DOF + chosen.fitted.chi_square) / (FLOOR_DOF + n_rows)
+    factor = 1.0 if chosen.unknown else min(factor, MOST_FLOOR)
     whole = "session_step" not in chosen.effects
     closure = measure_closure(nominal, noise, chosen.fitted, rng, sessions=whole, floor_factor=factor)
     if fault is not None:
         closure = replace(closure, before=before)
     where = locate(s, nominal, noise, closure.before, rng=rng, campaign=campaign)
-    judge = Judge(campaign, nominal, noise, effects, found, recalibration, closure, fault)
+    judge = Judge(campaign, nominal, noise, effects, found, recalibration, closure, fault, settings.prior_effect)
     blind = undetectable(Workbench(base.path, nominal, noise), effects)
     verdict = judge.verdict(where, blind, notes)
     verdict = replace(verdict, sentence=sentence(verdict))

@@ -16,7 +16,7 @@ from calib.gap.gross import GrossFault
 from calib.gap.linear import CALIBRATION_SD, Nuisance, rows
 from calib.gap.noise import Noise
 from calib.gap.path import Path
-from calib.gap.recalibration import DIRECTIONS, NAMES, Recalibration
+from calib.gap.recalibration import DIRECTIONS, NAMES, PRIOR, Recalibration
 from calib.gap.residuals import residuals
 from calib.gap.search import Hypothesis, Search, Workbench
 from calib.gap.verdict import Cause, Quantity, Verdict
@@ -31,6 +31,13 @@ UNKNOWN: Final = 0.97
 DOUBT: Final = 0.6
 #: closure on held-out runs below which a fix is not recommended, and an explanation not believed
 CLOSES: Final = 0.7
+#: closure from which on a gap counts as explained; below, a rest is left
+EXPLAINS: Final = 0.9
+#: probability of an unknown cause, at least, where the named ones leave such a rest
+REST: Final = 0.5
+#: how probable it is that what so many named causes (a calibration parameter counts half) explain together is one cause
+#: outside the library, which they imitate; from cases whose true effect was deleted from the library
+IMITATION: Final = ((0.0, 1.0, 2.0, 2.5), (0.0, 0.08, 0.12, 0.7))
 #: hypotheses whose weights differ by less (a factor of ten) are not told apart either
 LIKELY_NATS: Final = 2.3
 
@@ -56,6 +63,8 @@ class Judge:
         The gap before and after on held-out runs, for the best hypothesis.
     fault : GrossFault, optional
         A gross fault of the encoders, found and put right before the search.
+    prior_effect : float
+        Prior odds of any one effect being at work.
     """
 
     def __init__(
@@ -68,6 +77,7 @@ class Judge:
         recalibration: Recalibration,
         closure: Closure,
         fault: GrossFault | None,
+        prior_effect: float,
     ) -> None:
         self.campaign, self.s, self.nominal, self.noise = campaign, nominal.s, nominal, noise
         self.effects = {e.id: e for e in effects}
@@ -78,11 +88,14 @@ class Judge:
         #: a calibration parameter is off whose effect the library was denied: a cause outside the library
         self.denied = len(self.calibration) < len(recalibration.subsets[0])
         self.bench = Workbench(self.chosen.fitted.path, nominal, noise)
+        self.prior_effect = prior_effect
+        self.shares: dict[str, float] = {}
         self.per_unit = self.bench.calibration / CALIBRATION_SD
 
     def verdict(self, where: dict[str, Any], undetectable: dict[str, str], notes: tuple[str, ...]) -> Verdict:
         """Return the verdict; `where`, `undetectable` and `notes` are passed through."""
         groups = self._groups()
+        self.shares = self._shares(groups)
         said = self._said(groups)
         nothing = said in ("no_gap", "unknown")
         causes = [] if nothing and self.fault is None else self._causes()
@@ -100,7 +113,8 @@ class Judge:
             undetectable=undetectable,
             where=where,
             closure=self._closure_said(),
-            recommended=said in ("explained", "partly_explained")
+            # a fix is for a gap whose cause is known: where a rest is left, the rest may be what the fix imitates
+            recommended=said == "explained"
             and closure.fraction is not None
             and closure.fraction >= CLOSES
             and closure.ci95 is not None
@@ -127,9 +141,30 @@ class Judge:
             return "unknown"
         if closure.ci95 is not None and closure.ci95[1] < CLOSES:
             return "partly_explained" if closure.ci95[0] > 0.3 else "unknown"
-        if rest:
+        if rest or self.imitation() >= 0.5 or self._rest_left():
             return "partly_explained"
         return "ambiguous" if any(len(group) > 1 for group in groups) else "explained"
+
+    def imitation(self) -> float:
+        """Return the probability that the named causes together imitate one outside the library."""
+        return float(np.interp(len(self.chosen.effects) + 0.5 * len(self.calibration), *IMITATION))
+
+    def _rest_left(self) -> bool:
+        """Return whether the named causes leave more of the gap, on held-out runs, than an explanation may."""
+        return self.closure.fraction is not None and self.closure.fraction < EXPLAINS
+
+    def _shares(self, groups: list[list[str]]) -> dict[str, float]:
+        """Return what each calibration parameter keeps of its probability beside the effects that look like it.
+
+        Those effects were projected out of the search, so that only their prior odds speak for them.
+        """
+        made = {}
+        for group in groups:
+            ours = [name for name in group if name in NAMES and name in self.calibration]
+            if ours and group[0] in ours:
+                others = len(group) - len(ours)
+                made.update(dict.fromkeys(ours, PRIOR / (PRIOR + self.prior_effect * others)))
+        return made
 
     def gap_probability(self) -> float:
         """Return the probability that anything at all is off."""
@@ -147,9 +182,13 @@ class Judge:
                 made[name] = made.get(name, 0.0) + float(p)
         for name in NAMES:
             if name in self.effects:
-                made[name] = self.recalibration.probability(name)
-        doubt = 1.0 - DOUBT * made["unknown"]
-        made = {name: value if name == "unknown" else value * doubt for name, value in made.items()}
+                made[name] = self.recalibration.probability(name) * self.shares.get(name, 1.0)
+        unknown = made.pop("unknown")
+        if self.chosen.effects and self._rest_left():
+            unknown = max(unknown, REST)
+        sure = 1.0 - self.imitation()
+        made = {name: value * (1.0 - DOUBT * unknown) * sure for name, value in made.items()}
+        made["unknown"] = 1.0 - (1.0 - unknown) * sure
         if self.fault is not None:
             made["encoder_gross"] = 1.0
         return {k: v for k, v in sorted(made.items(), key=lambda item: -item[1]) if v > 1e-4 or k == "unknown"}

@@ -16,12 +16,13 @@ from calib.gap.noise import Noise
 from calib.gap.path import Path
 from calib.gap.search import SCALE_COST, Settings, Workbench, effect_scale
 
-__all__ = ["DIRECTIONS", "NAMES", "Recalibration", "judge_recalibration"]
+__all__ = ["DIRECTIONS", "NAMES", "PRIOR", "Recalibration", "judge_recalibration"]
 
 #: the calibration's own effects as changes of (left radius, right radius, track, front radius), per unit
 NAMES: Final = ("radius_scale", "unequal_radii", "track_width")
 DIRECTIONS: Final = np.array([[1.0, 1.0, 0.0, 0.0], [-0.5, 0.5, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]])
 TYPICAL: Final = np.array([3e-3, 2e-3, 1e-2])
+#: prior odds of each being off
 PRIOR: Final = 0.02
 
 
