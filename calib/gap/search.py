@@ -11,7 +11,16 @@ import numpy as np
 from calib.campaign.model import FloatArray, IntArray
 from calib.gap.effects.effect import Effect, Form
 from calib.gap.fit import Fitted, fit
-from calib.gap.linear import CALIBRATION_SD, Nuisance, form_columns, log_evidence, log_marginal, project, ridge_solve, rows
+from calib.gap.linear import (
+    CALIBRATION_SD,
+    Nuisance,
+    form_columns,
+    log_evidence,
+    log_marginal,
+    project,
+    ridge_solve,
+    rows,
+)
 from calib.gap.noise import Noise, interactions, surroundings
 from calib.gap.path import Path
 from calib.gap.residuals import residuals

@@ -17,10 +17,8 @@ __all__ = ["SteeringBacklash"]
 _TURN_RAD: Final = 0.02
 #: plays that are tried; the least stands for the side of the last move
 PLAYS_RAD: Final = (2e-3, 8e-3, 2e-2)
-#: steps to either side over which the rear wheels' turn is taken
-_SMOOTH: Final = 2
-#: over less path the counters are too coarse to tell a curvature
-_TELLS_M: Final = 0.1
+#: way to either side over which the rear wheels' turn is taken: over less the counters are too coarse to tell it
+_SMOOTH_M: Final = 0.12
 
 
 class SteeringBacklash(Effect):
@@ -71,16 +69,18 @@ def _noise_rad(s: Situation, angle: FloatArray) -> float:
 
 
 def _wheel_rad(s: Situation, angle: FloatArray) -> FloatArray:
-    """Return the steering angle that the rear wheels' turn tells, smoothed over a few steps, shape (n_steps,).
+    """Return the steering angle that the rear wheels' turn tells, smoothed over some way, shape (n_steps,).
 
     Its middle value on the straight is taken off: unequal radii are no steering. NaN where the vehicle hardly moves.
     """
-    turn, path = np.cumsum(s.turn_rad), np.cumsum(s.path_m)
+    turn, path, way = np.cumsum(s.turn_rad), np.cumsum(s.path_m), np.cumsum(np.abs(s.path_m))
     index = np.arange(len(angle))
-    first = np.maximum(index - _SMOOTH, s.starts[s.unit])
-    last = np.minimum(index + _SMOOTH, s.starts[s.unit + 1] - 1)
+    first = np.minimum(np.searchsorted(way, way - _SMOOTH_M), index - 1)
+    last = np.maximum(np.searchsorted(way, way + _SMOOTH_M, side="right") - 1, index + 1)
+    first = np.maximum(first, s.starts[s.unit])
+    last = np.minimum(last, s.starts[s.unit + 1] - 1)
     length = path[last] - path[first]
-    told = np.abs(length) > _TELLS_M
+    told = np.abs(length) > 0.5 * _SMOOTH_M
     with np.errstate(divide="ignore", invalid="ignore"):
         bend = np.where(told, (turn[last] - turn[first]) / length, np.nan)
     made = np.arctan(s.vehicle.wheelbase_m * bend)
@@ -104,4 +104,4 @@ def _lost_in_play(s: Situation, angle: FloatArray, play: float, least: float) ->
         now = np.fmin(np.fmax(now, row - 0.5 * wide), row + 0.5 * wide)
         row[:] = now
     step = np.arange(len(angle)) - s.starts[s.unit]
-    return np.nan_to_num((angle - through[step, s.unit]) * (play / wide))
+    return np.asarray(np.nan_to_num((angle - through[step, s.unit]) * (play / wide)))

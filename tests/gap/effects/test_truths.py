@@ -309,12 +309,23 @@ def _(run: Run, now: Motion) -> None:
     skid(run, now, 4e-3 * run.speed_mps**2)
 
 
-@case("steering_zero", "", 5e-3, runs=LOGGED, within=1e-2)
+# the cosine of the zero, 1e-5 of the way, is taken as 1
+@case("steering_zero", "", 5e-3, runs=LOGGED, within=2e-2)
 def _(run: Run, now: Motion) -> None:
     now.steer_error_rad = 5e-3
 
 
-@case("steering_scale", "scale of the angle", 1e-2, runs=LOGGED, within=2e-2)
+def winding(kappa: float, speed_mps: float) -> Run:
+    """A turn to one side and a lesser one to the other, the curvature rising and falling evenly."""
+    rise = [(0.03, 0.01 * k) for k in range(1, 100)]
+    side = [*rise, (3.0, 1.0), *reversed(rise)]
+    shape = [(3.0, 0.0), *side, (1.0, 0.0), *((length, -0.6 * k) for length, k in side), *rise]
+    return Run([(length, kappa * k) for length, k in shape], speed_mps=speed_mps, steps=830)
+
+
+WINDING = [winding(0.1 * (i - 5.5), 0.3 + 0.1 * (i % 4)) for i in range(12)]
+
+@case("steering_scale", "scale of the angle", 1e-2, runs=WINDING, within=2e-2)
 def _(run: Run, now: Motion) -> None:
     now.steer_error_rad = 1e-2 * now.steer_rad
 
@@ -344,8 +355,8 @@ def _(run: Run, now: Motion) -> None:
     now.steer_error_rad = np.array(error)
 
 
-# the rear wheels' turn is taken over four steps, which blurs jumps of up to a radian into and out of a turn
-@case("steering_backlash", "by the moves of the wheel, through 20", 2e-2, runs=ROLLING, within=0.15)
+# the rear wheels' turn is taken over a quarter of a metre, which blurs where the moves turn round
+@case("steering_backlash", "by the moves of the wheel, through 20", 2e-2, runs=WINDING, within=0.1)
 def _(run: Run, now: Motion) -> None:
     shown, error = 0.0, []
     for angle in now.steer_rad:
@@ -354,14 +365,10 @@ def _(run: Run, now: Motion) -> None:
     now.steer_error_rad = np.array(error)
 
 
-TURN_IN = [Run([(5.0, 0.0), (3.0, 0.03 * (i - 4))], speed_mps=0.3 + 0.1 * (i % 4), steps=400) for i in range(12)]
-
-
-# a twentieth of a step: beyond, the cosine bends over the jump
-@case("steering_delay", "", 0.002, runs=TURN_IN, within=5e-2)
+@case("steering_delay", "", 0.02, runs=WINDING, within=5e-2)
 def _(run: Run, now: Motion) -> None:
     middle = now.t_s - 0.5 * now.dt_s
-    now.steer_error_rad = np.interp(middle - 0.002, middle, now.steer_rad) - now.steer_rad
+    now.steer_error_rad = np.interp(middle - 0.02, middle, now.steer_rad) - now.steer_rad
 
 
 # counts that slipped already are multiplied by the slip again: slip squared
