@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from calib.campaign.settings import Encoder
 from calib.errors import BadInputError
-from calib.motion.odometry import IntArray
+from calib.motion.laid_flat import IntArray
 from calib.motion.poses import FloatArray
 from calib.radius.law import RadiusLaw
 

@@ -13,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.errors import BadFileError, BadInputError
-from calib.motion.odometry import integrate, sinc
+from calib.motion.chord import sinc
+from calib.motion.odometry import integrate
 from calib.motion.poses import Poses
 from calib.motion.trajectory import read_tum
 
