@@ -160,8 +160,12 @@ def _show(found: Any) -> None:
             ),
         )
     if found.headlines:
+        from calib.motion.headline import paper_headline
+
+        paper = paper_headline()
         table(
-            "Largest global e_x at the end without and with the correction (paper: 1.1 m, 0.06 m, about 17)",
+            "Largest global e_x at the end without and with the correction "
+            f"(paper: {paper['before_m']:g} m, {paper['after_m']:g} m, about {paper['ratio']:.0f})",
             ("wheel off", "without (m)", "with (m)", "times smaller"),
             (
                 (line.which, f"{line.without_m:.5f}", f"{line.corrected_m:.5f}", f"{line.ratio:.1f}")

@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from calib.errors import BadInputError
+from calib.motion.headline import Headline, headlines, paper_headline
 from calib.motion.law_study import BANDS, Journey, TableRow, band_along, law_journey, law_table
 from calib.motion.pose_covariance import Ellipses, ellipses
 from calib.motion.poses import FloatArray, Poses
@@ -32,26 +33,6 @@ TABLE_LOADS_N: Final = (200.0, 300.0, 400.0, 500.0, 600.0, 700.0, 800.0, 900.0, 
 
 #: which error a figure shows
 SHOWN: Final = {"fig12": "distance_m", "fig13": "lateral_m", "fig14": "global_x_m", "fig16": "global_x_m"}
-
-
-@dataclass(frozen=True, slots=True)
-class Headline:
-    """End error without and with the correction, each the largest case of its sweep, and their ratio.
-
-    Parameters
-    ----------
-    which : str
-        Wheel that is off.
-    without_m, corrected_m : float
-        Largest global e_x by absolute value.
-    ratio : float
-        How many times smaller the corrected one is.
-    """
-
-    which: str
-    without_m: float
-    corrected_m: float
-    ratio: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,6 +82,7 @@ class Simulation:
                 for name, sweep in self.sweeps.items()
             ],
             "headline": [asdict(line) for line in self.headlines],
+            "paper": paper_headline() if self.headlines else None,
             "law": None,
         }
         if self.law is not None:
@@ -173,22 +155,9 @@ def simulate(
         study=study,
         title=known.title if known else "Radii as given",
         sweeps=sweeps,
-        headlines=_headlines(sweeps, track_m) if study == "corrected" and not cases else (),
+        headlines=headlines(next(iter(sweeps.values())).route, track_m) if study == "corrected" and not cases else (),
         law=part,
     )
-
-
-def _headlines(sweeps: dict[str, Sweep], track_m: float) -> tuple[Headline, ...]:
-    """Set the study of corrected radii against that of uncorrected ones, on the same route, wheel by wheel."""
-    after = next(iter(sweeps.values()))
-    made = []
-    known = STUDIES["asymmetric"]
-    for which in known.which:
-        before = run_sweep(after.route, [Case.of(which, ratio) for ratio in known.ratios], track_m=track_m)
-        first = before.largest_m()
-        second = max(abs(float(row["error_global_x_m"])) for row in after.ends() if row["which"] == which)
-        made.append(Headline(which, first, second, first / second))
-    return tuple(made)
 
 
 def _law_part(

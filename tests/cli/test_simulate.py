@@ -47,6 +47,7 @@ def test_corrected_study_gives_fig_16_and_the_headline(tmp_path: Path, capsys: p
     found = document(capsys)
     right = next(line for line in found["headline"] if line["which"] == "right")
     assert (right["without_m"], right["corrected_m"]) == pytest.approx((1.24753, 0.07375), abs=0.5e-5)  # digits printed
+    assert found["paper"]["ratio"] == right["ratio"]  # the same study, by the same function
     names = {path.name for path in tmp_path.iterdir()}
     assert names == {"corrected.json", "fig16.png", "fig16.svg", "fig16.pdf", "fig16.csv"}
     assert json.loads((tmp_path / "corrected.json").read_text())["headline"] == found["headline"]
