@@ -12,7 +12,7 @@ import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.files import write_json, write_text
-from calib.motion.loaded import radii_under_load, travel_from_counts
+from calib.motion.loaded import loads_in_steps, radii_under_load, travel_from_counts
 from calib.motion.odometry import integrate
 from calib.motion.poses import Poses
 from calib.motion.replay import Replay
@@ -99,7 +99,10 @@ def replay_trajectories(campaign: Campaign, law: RadiusLaw, track_m: float, fold
         log = campaign.logs.of(run)
         if not {"t_s", "counts_left", "counts_right"} <= log.keys():
             continue
-        loads = runs.number("load_left_N")[run], runs.number("load_right_N")[run]
+        loads = (
+            loads_in_steps([runs.number(name)[run]], log.get(name), [0, len(log["t_s"])])
+            for name in ("load_left_N", "load_right_N")
+        )
         radii = radii_under_load(law, *loads)
         if not np.isfinite(radii).all():
             continue

@@ -80,9 +80,7 @@ def test_the_systematic_part_is_the_scatter_of_vehicles_whose_law_is_another() -
     means = [[one.radius_ref_m, one.slope_m_per_N] for one in (LAW.left, LAW.right)]
     spread = COVARIANCE + np.diag([2e-5**2, 0.0])
     for _ in range(20_000):
-        (a, b), (c, d) = (
-            rng.multivariate_normal([w.radius_ref_m, w.slope_m_per_N], spread) for w in (LAW.left, LAW.right)
-        )
+        (a, b), (c, d) = (rng.multivariate_normal(mean, spread) for mean in means)
         track = TRACK_M + 2e-3 * rng.standard_normal()
         pose = (0.0, 0.0, 0.0)
         for length, left_N, right_N in ((4.0, 300.0, 350.0), (6.0, 900.0, 400.0)):
