@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable
 from functools import cache
 from importlib.util import find_spec
+from threading import Lock
 from typing import Any, Final
 
 import numpy as np
@@ -29,6 +30,9 @@ _SMALL_RAD: Final = 0.125
 _SINE: Final = (-1 / 6, 1 / 120, -1 / 5040, 1 / 362_880, -1 / 39_916_800)
 _COSINE: Final = (-1 / 2, 1 / 24, -1 / 720, 1 / 40_320, -1 / 3_628_800)
 
+#: two threads that come first together do not both ask for machine code
+_ONE_AT_A_TIME: Final = Lock()
+
 
 @cache
 def is_installed() -> bool:
@@ -47,7 +51,10 @@ def compiled_fill(flat: Flat, x: FloatArray, y: FloatArray, theta: FloatArray) -
         Poses after each step, in m and rad.
     """
     per_m = flat.left[:0] if flat.per_m is None else flat.per_m
-    _machine_code()(flat.left, flat.right, per_m, flat.unit, flat.starts, flat.pose[:, flat.runs], x, y, theta)
+    pose = np.ascontiguousarray(flat.pose[:, flat.runs])
+    with _ONE_AT_A_TIME:
+        loop = _machine_code()
+    loop(flat.left, flat.right, per_m, flat.unit, flat.starts, pose, x, y, theta)
 
 
 @cache

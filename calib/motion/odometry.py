@@ -26,8 +26,8 @@ _BEHIND: Final = {"exact": 0.5, "mid_point": 0.5, "euler": 1.0, "end_point": 0.0
 #: ``end_point`` is Eq. 7 as printed: the heading at the end of the step
 SCHEMES: Final = tuple(_BEHIND)
 
-#: steps a block: the arrays in use stay in the second-level cache; with two threads as many for each, so that they
-#: seldom wait for each other between two array functions
+#: steps a block: the arrays in use stay in the second-level cache; two threads take twice as many at a time, so that
+#: they seldom wait for each other between two array functions
 BLOCK: Final = 32768
 
 #: steps from which on a second thread, and machine code, are worth their start

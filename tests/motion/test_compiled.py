@@ -68,6 +68,18 @@ def test_a_circle_closes() -> None:
     assert float(np.hypot(made.x_m[-1], made.y_m[-1])) < 1e-8  # the input's rounding: 1e-16 of 1e4 m over the track
 
 
+def test_input_that_may_not_be_written_to() -> None:
+    """As a memory-mapped log is."""
+    left, right = steps(1000, 1e-3)
+    whole = integrate(left, right, TRACK_M, compiled=True)
+    left.flags.writeable = right.flags.writeable = False
+    np.testing.assert_array_equal(integrate(left, right, TRACK_M, compiled=True).stacked(), whole.stacked())
+
+
+def test_no_steps() -> None:
+    assert integrate([], [], TRACK_M, compiled=True).shape == (0,)
+
+
 def test_a_reading_that_is_not_a_number_spoils_its_own_run_from_there_on() -> None:
     left, right = (part.reshape(4, 64) for part in steps(256, 1e-3))
     broken = left.copy()
