@@ -86,8 +86,9 @@ def law_path_figure(path: LawPath, *, title: str) -> Figure:
         plan, graph = figure.subplots(1, 2)
         found = ellipses(path.corrected.systematic + path.corrected.random)
         route = path.corrected.poses
-        # so much larger that the largest is about a metre
-        wanted = 1.0 / max(float(found.major_m.max()), 1e-9)
+        # so much larger that the largest axis is about an eighth of the plan
+        extent = max(float(np.ptp(path.reference.x_m)), float(np.ptp(path.reference.y_m)), 1.0)
+        wanted = 0.125 * extent / max(float(found.major_m.max()), 1e-9)
         scale = max([1.0, *(m * 10.0**e for e in range(9) for m in (1.0, 2.0, 5.0) if m * 10.0**e <= wanted)])
         for k in np.unique(np.linspace(0, len(route) - 1, 13).astype(int))[1:]:
             plan.add_patch(
@@ -101,16 +102,17 @@ def law_path_figure(path: LawPath, *, title: str) -> Figure:
                     alpha=0.6,
                 )
             )
-        plan.plot(path.reference.x_m, path.reference.y_m, color="black", linewidth=0.8, label="route")
         plan.plot(path.without.poses.x_m, path.without.poses.y_m, label="radii of the reference load, kept", **_WITHOUT)
-        plan.plot(route.x_m, route.y_m, label="radii that follow the load", **_WITH)
+        plan.plot(route.x_m, route.y_m, label="radii that follow the load", **(_WITH | {"linewidth": 2.6}))
+        plan.plot(path.reference.x_m, path.reference.y_m, color="black", linewidth=0.8, label="route")
         stops = np.searchsorted(path.distance_m, path.loading.from_m[1:] - 1e-9)
         if len(stops):
             plan.plot(route.x_m[stops], route.y_m[stops], "v", color=COLOURS[6], label="the load changes")
         plan.set_aspect("equal", adjustable="datalim")
         plan.set_xlabel("x (m)")
         plan.set_ylabel("y (m)")
-        plan.set_title(f"a) 95 % ellipses, drawn {scale:g} times as large", loc="left", fontsize=9)
+        drawn = f"drawn {scale:g} times as large" if scale > 1.0 else "true to scale"
+        plan.set_title(f"a) paths and 95 % ellipses, {drawn}", loc="left", fontsize=9)
         lateral = path.corrected.std["lateral_m"]
         for factor, colour, name in (
             (2.0, COLOURS[4], "2 standard uncertainties"),
