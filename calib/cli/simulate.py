@@ -263,7 +263,11 @@ def _show_path(path: Any, route: str) -> None:
         ("radii", "e_x along", "e_y left", "e_theta", "global x", "global y", "rms"),
         rows,
     )
-    say(f"Radii that follow the load make the end error {path.ratio:.1f} times smaller.")
+    low, high = path.ratio_ci95
+    say(
+        f"Radii that follow the load make the end error {path.ratio:.1f} times smaller "
+        f"(95 % interval {low:.1f} to {high:.1f})."
+    )
 
 
 def _replay(

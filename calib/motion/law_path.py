@@ -92,6 +92,8 @@ class Driven:
         The same by what is new with every metre: the floor, and the readings of the encoders.
     std : dict of str to array of float, shape (n,)
         Standard uncertainty of each of `COMPONENTS`, systematic and random together.
+    by_wheel_m2 : array of float, shape (2,)
+        What the law of the left and of the right wheel adds to the mean square of the distance at the end.
     """
 
     poses: Poses
@@ -99,6 +101,7 @@ class Driven:
     systematic: FloatArray
     random: FloatArray
     std: dict[str, FloatArray]
+    by_wheel_m2: FloatArray
 
     @property
     def rms_m(self) -> FloatArray:
@@ -129,6 +132,8 @@ class LawPath:
         The route, shape (n,).
     without, corrected : Driven
         With the radii of the reference loads, and with radii that follow the load.
+    ratio_ci95 : (float, float) or None
+        95 % interval of `ratio`: how well the fit's degrees of freedom know the scatter; None where nothing was drawn.
     """
 
     loading: Loading
@@ -137,6 +142,7 @@ class LawPath:
     reference: Poses
     without: Driven
     corrected: Driven
+    ratio_ci95: tuple[float, float] | None = None
 
     @property
     def ratio(self) -> float:
@@ -160,6 +166,7 @@ class LawPath:
             "without": self.without.end(),
             "corrected": self.corrected.end(),
             "ratio": self.ratio,
+            "ratio_ci95": self.ratio_ci95,
         }
 
     def error_rows(self) -> list[dict[str, float]]:
@@ -202,6 +209,8 @@ def law_path(
     walk: RandomWalk | None = None,
     single_run: bool = True,
     spacing_m: float = SPACING_M,
+    draws: int = 20_000,
+    rng: np.random.Generator | None = None,
 ) -> LawPath:
     """Drive a route under a law, closed on the odometry, with and without the correction.
 
@@ -223,6 +232,10 @@ def law_path(
         Whether the scatter of single runs about the law counts, beside the uncertainty of its mean.
     spacing_m : float
         Spacing of the points.
+    draws : int
+        Draws for the interval of the ratio.
+    rng : numpy.random.Generator, optional
+        Their source; None: no interval.
 
     Raises
     ------
@@ -259,8 +272,22 @@ def law_path(
         random = np.zeros_like(systematic) if walk is None else _from_start(walk.covariance(path))
         poses = Poses.of(_from_start(path.poses.stacked()))
         std = _std(systematic + random, reference)
-        made.append(Driven(poses, pose_errors(poses, reference), systematic, random, std))
-    return LawPath(loading, reference_N, distance, reference, made[0], made[1])
+        # x and y at the end by the coefficients of each wheel
+        last = [(slopes[-1, :2, part], spread[part, part]) for part in (slice(0, 2), slice(2, 4))]
+        by_wheel = np.array([np.trace(slope @ own @ slope.T) for slope, own in last])
+        made.append(Driven(poses, pose_errors(poses, reference), systematic, random, std, by_wheel))
+    interval = None if rng is None else _ratio_interval(made[0], made[1], (law.left.dof, law.right.dof), draws, rng)
+    return LawPath(loading, reference_N, distance, reference, made[0], made[1], interval)
+
+
+def _ratio_interval(
+    without: Driven, corrected: Driven, dof: tuple[float, float], draws: int, rng: np.random.Generator
+) -> tuple[float, float]:
+    """Return the 95 % interval of the ratio of the rms distances: variances that were estimated follow chi-square."""
+    more = np.stack([d / rng.chisquare(d, draws) for d in dof]) - 1.0
+    square = [float(one.rms_m[-1]) ** 2 + one.by_wheel_m2 @ more for one in (without, corrected)]
+    low, high = np.quantile(np.sqrt(square[0] / square[1]), [0.025, 0.975])
+    return float(low), float(high)
 
 
 def _std(covariance: FloatArray, reference: Poses) -> dict[str, FloatArray]:

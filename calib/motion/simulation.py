@@ -160,6 +160,8 @@ def simulate(
     if law is not None:
         carried = loading.pairs if loading is not None and study == CUSTOM else ()
         pairs = tuple(loads_N) or carried or LOADS_N.get(study, LOADS_N["corrected"])
+        if draws < 100:
+            raise BadInputError(f"draws: found {draws}; expected 100 or more; quantiles need them")
         path = law_path(
             law,
             find_route(names[-1]),
@@ -168,6 +170,8 @@ def simulate(
             track_m=track_m,
             track_std_m=track_std_m,
             walk=walk,
+            draws=draws,
+            rng=rng.spawn(1)[0],
         )
         part = _law_part(law, names[-1], pairs, path, track_m, draws, rng)
     return Simulation(

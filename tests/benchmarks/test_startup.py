@@ -19,7 +19,7 @@ NEEDED = (
 
 
 def _seconds(arguments: list[str], cwd: Path, bytecode: Path) -> float:
-    """Return a process's own seconds on the processor, its modules compiled beforehand as those of an installed tool."""
+    """Return a process's own seconds on the processor, its modules compiled before as those of an installed tool."""
     # one thread for both: idle threads of a linear algebra library fight over a busy machine
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     environment.pop("PYTHONDONTWRITEBYTECODE", None)

@@ -192,13 +192,14 @@ def test_impossible_requests_are_refused_in_one_line(
         ("-1,50,0.3,0", "below 0 m"),
         ("1,-5,0.3,0", "-5 kg"),
         ("1,50,0.3", "4 numbers"),
+        ("1,50,0.3,0 --draws 0", "100 or more"),
         ("1,100,5,0", "payload 100 kg at x 5 m"),
     ],
 )
 def test_impossible_loads_on_the_way_are_refused_in_one_line(
     change: str, words: str, coefficients: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run(["simulate", "custom", "--law", str(coefficients), "--payload-at", change]) != 0
+    assert run(["simulate", "custom", "--law", str(coefficients), "--payload-at", *change.split()]) != 0
     said = capsys.readouterr()
     assert words in said.err
     assert said.err.count("\n") == 1

@@ -99,7 +99,7 @@ def test_the_systematic_part_is_the_scatter_of_vehicles_whose_law_is_another() -
 
 def test_under_one_load_the_path_ends_in_the_scatter_of_the_journey() -> None:
     route = find_route("paper_route")
-    path = made(route, Loading.of([(0.0, 700.0, 700.0)]))
+    path = made(route, Loading.of([(0.0, 700.0, 700.0)]), rng=np.random.default_rng(1), draws=40_000)
     journey = law_journey(
         LAW,
         route,
@@ -107,9 +107,12 @@ def test_under_one_load_the_path_ends_in_the_scatter_of_the_journey() -> None:
         reference_N=(300.0, 300.0),
         track_m=TRACK_M,
         band="prediction",
-        draws=200,
+        draws=40_000,
         rng=np.random.default_rng(0),
     )
+    # quantiles of 40,000 draws at 58 degrees of freedom
+    assert path.ratio_ci95 == pytest.approx(journey.ratio_ci95, rel=0.01)
+    assert made(route).ratio_ci95 is None
     # the same first-order propagation, with the coefficients of the law instead of its radii
     assert path.corrected.rms_m[-1] == pytest.approx(journey.corrected_rms_m, rel=1e-9)
     assert path.without.rms_m[-1] == pytest.approx(journey.without_rms_m, rel=1e-9)
