@@ -66,8 +66,8 @@ def integrate(
     out : Poses, optional
         Contiguous arrays of the travel's shape to write to; new memory costs as much as the arithmetic.
     threads : {1, 2}, optional
-        Work on both halves of the steps at once; None: where there are two processors and a million steps. Where a
-        run is cut, its last digit depends on it.
+        Work on both halves of the steps at once; None: where there are two processors, a million steps, and two runs
+        to part. To cut a run costs one more pass, and its last digit depends on it.
     compiled : bool, optional
         Whether exact arcs are drawn by machine code (extra ``fast``), which gives the same poses to 1e-9 m; None: where
         it is installed and there are a million steps. Its first call in a process costs a second.
@@ -91,7 +91,8 @@ def integrate(
         raise BadInputError(f"out: found arrays of shape {out.shape}; expected contiguous ones of shape {flat.shape}")
     x, y, theta = out.x_m.reshape(n), out.y_m.reshape(n), out.theta_rad.reshape(n)
     if threads is None:
-        threads = 2 if n >= MANY_STEPS and (os.cpu_count() or 1) > 1 else 1
+        many = n >= MANY_STEPS and (os.cpu_count() or 1) > 1
+        threads = 2 if many and cut(flat, BLOCK) in flat.starts else 1
     if compiled is None:
         compiled = n >= MANY_STEPS and is_installed()
     fill = compiled_fill if compiled and scheme == "exact" else partial(_fill, scheme=scheme, size=threads * BLOCK)

@@ -94,8 +94,8 @@ def test_array_odometry_keeps_up_with_a_compiled_loop(
 ) -> None:
     """The exact arc over 10^7 samples: at least as fast as the plain C loop, memory given to both.
 
-    As called by default, which is with two threads where there are two processors, and in machine code where the extra
-    for it is installed; for the record also without machine code, with two threads and with one.
+    As called by default, which is with two threads where there are two processors and several runs, and in machine
+    code where the extra for it is installed; for the record also without machine code, and there with one thread.
     """
     if not benchmark.enabled:
         shape = (*shape[:-1], shape[-1] // 10)
