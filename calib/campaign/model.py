@@ -76,6 +76,8 @@ LOG_COLUMNS: Final = (
     "sim_x_m",
     "sim_y_m",
     "sim_theta_rad",
+    "load_left_N",
+    "load_right_N",
 )
 
 

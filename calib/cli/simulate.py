@@ -46,6 +46,12 @@ def register(application: typer.Typer, name: str) -> None:
         payload: list[str] = typer.Option(
             [], "--payload", metavar="KG,X,Y", help="The same from a payload and its place; again for more."
         ),
+        payload_at: list[str] = typer.Option(
+            [],
+            "--payload-at",
+            metavar="S,KG,X,Y",
+            help="Payload from S m along the route on, 0 kg to unload; again for more. Unladen before the first one.",
+        ),
         reference: str = typer.Option(
             "300,300", "--reference-load", metavar="L,R", help="Loads whose radii the uncorrected odometry uses, N."
         ),
@@ -72,6 +78,11 @@ def register(application: typer.Typer, name: str) -> None:
 
         rng = np.random.default_rng(seed)
         if replay is not None:
+            if payload_at:
+                raise BadInputError(
+                    "--payload-at: found beside --replay; expected the loads in the logs; give them the columns "
+                    "load_left_N and load_right_N"
+                )
             if study is not None:
                 raise BadInputError(f"--replay: found the study {study!r} beside it; expected one of the two")
             _replay(replay, law, scheme, output, tum, rng, json, force)
@@ -94,6 +105,7 @@ def register(application: typer.Typer, name: str) -> None:
             real=real,
             loads=load,
             payloads=payload,
+            payloads_at=payload_at,
             reference=reference,
         )
         found = run(
@@ -105,6 +117,9 @@ def register(application: typer.Typer, name: str) -> None:
             law=asked.law,
             loads_N=asked.loads_N,
             reference_N=asked.reference_N,
+            loading=asked.loading,
+            track_std_m=asked.track_std_m,
+            walk=asked.walk,
             draws=draws,
             rng=rng,
         )
@@ -160,8 +175,12 @@ def _show(found: Any) -> None:
             ),
         )
     if found.headlines:
+        from calib.motion.headline import paper_headline
+
+        paper = paper_headline()
         table(
-            "Largest global e_x at the end without and with the correction (paper: 1.1 m, 0.06 m, about 17)",
+            "Largest global e_x at the end without and with the correction "
+            f"(paper: {paper['before_m']:g} m, {paper['after_m']:g} m, about {paper['ratio']:.0f})",
             ("wheel off", "without (m)", "with (m)", "times smaller"),
             (
                 (line.which, f"{line.without_m:.5f}", f"{line.corrected_m:.5f}", f"{line.ratio:.1f}")
@@ -170,6 +189,8 @@ def _show(found: Any) -> None:
         )
     if found.law is not None:
         _show_law(found.law)
+        if len(found.law.path.loading.from_m) > 1:
+            _show_path(found.law.path, list(found.sweeps.values())[-1].route.name)
 
 
 def _show_law(part: Any) -> None:
@@ -225,6 +246,27 @@ def _show_law(part: Any) -> None:
             "ratio [95 %]",
         ),
         rows,
+    )
+
+
+def _show_path(path: Any, route: str) -> None:
+    factors = {"along_m": 1.0, "lateral_m": 1.0, "heading_rad": 1e3, "global_x_m": 1.0, "global_y_m": 1.0}
+    ends = {"of the reference load": path.without.end(), "that follow the load": path.corrected.end()}
+    rows = []
+    for title, end in ends.items():
+        errors = (f"{round(factor * end[f'error_{key}'], 4) + 0.0:+.4f}" for key, factor in factors.items())
+        rows.append((title, *errors, f"{end['rms_m']:.4f}"))
+        spread = (f"± {factor * end[f'std_{key}']:.4f}" for key, factor in factors.items())
+        rows.append(("", *spread, ""))
+    table(
+        f"{route}, {path.loading_text}: end error in m and mrad, with its standard uncertainty",
+        ("radii", "e_x along", "e_y left", "e_theta", "global x", "global y", "rms"),
+        rows,
+    )
+    low, high = path.ratio_ci95
+    say(
+        f"Radii that follow the load make the end error {path.ratio:.1f} times smaller "
+        f"(95 % interval {low:.1f} to {high:.1f})."
     )
 
 

@@ -5,12 +5,10 @@ from __future__ import annotations
 from typing import Any, Final
 
 from calib.gap.verdict import Verdict
+from calib.motion.headline import paper_headline
 
-__all__ = ["LOAD_EFFECTS", "PAPER_AFTER_M", "PAPER_BEFORE_M", "headline"]
+__all__ = ["LOAD_EFFECTS", "headline"]
 
-#: end error along the route without and with the load correction, as the paper states them (Sect. 7.3)
-PAPER_BEFORE_M: Final = 1.1
-PAPER_AFTER_M: Final = 0.06
 LOAD_EFFECTS: Final = frozenset({"load_radius", "load_radius_nonlinear"})
 
 
@@ -27,7 +25,8 @@ def headline(verdict: Verdict) -> dict[str, Any] | None:
     dict or None
         ``paper`` and ``campaign``, each with ``before_m``, ``after_m`` and ``ratio`` (before over after; None where it
         cannot be told); ``effect``, the cause; ``sole_candidate``, False where these runs cannot tell it from others;
-        ``sentence`` for people. The campaign's are root mean squares over runs left out of the fit.
+        ``sentence`` for people. The campaign's are root mean squares over runs left out of the fit; the paper's ratio
+        is that of its own study before what it prints was rounded.
     """
     cause = next((one.effect for one in verdict.causes if one.effect in LOAD_EFFECTS), None)
     before, after = (verdict.closure.get(f"{name}_rms_m") for name in ("before", "after"))
@@ -37,8 +36,11 @@ def headline(verdict: Verdict) -> dict[str, Any] | None:
     ratio = before / after if after > 0.0 else None
     here = f"this campaign: {_metres(before)} m to {_metres(after)} m"
     here += "" if ratio is None else f", {ratio:.3g} times smaller"
-    paper_ratio = PAPER_BEFORE_M / PAPER_AFTER_M
-    paper = f"{PAPER_BEFORE_M:g} m to {PAPER_AFTER_M:g} m, about {paper_ratio:.0f} times smaller"
+    printed = paper_headline()
+    paper = (
+        f"{printed['before_m']:g} m to {printed['after_m']:g} m as printed, about {printed['ratio']:.0f} times smaller "
+        "before rounding"
+    )
     caveat = "" if sole else ", if the load is the cause"
     said = (
         f"Correction for the load; the paper: {paper}; {here}{caveat}. The figures are end errors, each on its own "
@@ -47,7 +49,7 @@ def headline(verdict: Verdict) -> dict[str, Any] | None:
     return {
         "effect": cause,
         "sole_candidate": sole,
-        "paper": {"before_m": PAPER_BEFORE_M, "after_m": PAPER_AFTER_M, "ratio": paper_ratio},
+        "paper": printed,
         "campaign": {"before_m": float(before), "after_m": float(after), "ratio": ratio},
         "sentence": said,
     }

@@ -11,13 +11,10 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Ellipse
 
 from calib.errors import BadInputError
 from calib.files import write_bytes
 from calib.motion.load_sweep import LoadSweep
-from calib.motion.pose_covariance import Ellipses
-from calib.motion.poses import FloatArray, Poses
 from calib.motion.studies import Sweep
 
 if TYPE_CHECKING:
@@ -27,13 +24,17 @@ if TYPE_CHECKING:
     from calib.motion.replay import Replay
 
 __all__ = [
+    "COLOURS",
+    "DASHES",
     "FORMATS",
-    "band_figure",
+    "STYLE",
     "load_figure",
     "ratio_figure",
     "replay_figure",
     "save",
     "sweep_figure",
+    "sweep_keys",
+    "sweep_styles",
 ]
 
 FORMATS: Final = ("png", "svg", "pdf")
@@ -42,7 +43,8 @@ FORMATS: Final = ("png", "svg", "pdf")
 COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#5a5a5a")
 DASHES: Final[dict[str, Any]] = {"right": "-", "left": "--", "both": ":", "equal": "-", "given": "-"}
 
-_STYLE: Final[dict[Any, Any]] = {
+#: of all figures
+STYLE: Final[dict[Any, Any]] = {
     "font.size": 9.0,
     "axes.grid": True,
     "grid.alpha": 0.3,
@@ -92,7 +94,7 @@ def save(figure: Figure, folder: Path, stem: str, *, formats: Sequence[str] = FO
             "pdf": {"CreationDate": None, "ModDate": None, "Creator": None, "Producer": None},
         }[name]
         buffer = io.BytesIO()
-        with rc_context(_STYLE):
+        with rc_context(STYLE):
             figure.savefig(buffer, format=name, dpi=160, metadata=metadata)
         made.append(write_bytes(folder / f"{stem}.{name}", buffer.getvalue(), force=force))
     return made
@@ -100,7 +102,7 @@ def save(figure: Figure, folder: Path, stem: str, *, formats: Sequence[str] = FO
 
 def load_figure(sweep: LoadSweep) -> Figure:
     """Return the wheel loads over a sweep (Fig. 3)."""
-    with rc_context(_STYLE):
+    with rc_context(STYLE):
         figure = Figure(figsize=(5.2, 3.4), layout="constrained")
         axes = figure.add_subplot()
         along = getattr(sweep, sweep.swept or "payload_kg")
@@ -115,6 +117,26 @@ def load_figure(sweep: LoadSweep) -> Figure:
         axes.set_ylim(bottom=0.0)
         axes.legend()
         return figure
+
+
+def sweep_styles(sweep: Sweep) -> list[dict[str, Any]]:
+    """Return how each vehicle of a sweep is drawn: colour by ratio, dashes by the wheel that is off."""
+    shades = _shades(sweep)
+    return [{"color": shades[c.ratio], "linestyle": DASHES[c.which], "linewidth": 1.3} for c in sweep.cases]
+
+
+def sweep_keys(sweep: Sweep) -> list[Line2D]:
+    """Return the entries of the legend of a sweep."""
+    symbol = "E" if sweep.cases[0].which == "equal" else "$E_r$"
+    keys = [Line2D([], [], color=shade, label=f"{symbol} = {ratio:.6g}") for ratio, shade in _shades(sweep).items()]
+    wheels = {case.which: DASHES[case.which] for case in sweep.cases}
+    if set(wheels) - {"equal", "given"}:
+        keys += [Line2D([], [], color="#5a5a5a", linestyle=d, label=f"{w} off") for w, d in wheels.items()]
+    return [*keys, Line2D([], [], color="black", linewidth=0.8, label="route")]
+
+
+def _shades(sweep: Sweep) -> dict[float, str]:
+    return {ratio: COLOURS[k % len(COLOURS)] for k, ratio in enumerate(dict.fromkeys(c.ratio for c in sweep.cases))}
 
 
 def sweep_figure(sweep: Sweep, *, error: str, title: str) -> Figure:
@@ -134,15 +156,11 @@ def sweep_figure(sweep: Sweep, *, error: str, title: str) -> Figure:
         "global_x_m": r"$e_x$, global x (m)",
         "distance_m": "distance to the route's pose (m)",
     }
-    with rc_context(_STYLE):
+    with rc_context(STYLE):
         figure = Figure(figsize=(8.6, 3.9), layout="constrained")
         route, graph = figure.subplots(1, 2)
         values = getattr(sweep.errors, error)
-        shades = {
-            ratio: COLOURS[k % len(COLOURS)] for k, ratio in enumerate(dict.fromkeys(c.ratio for c in sweep.cases))
-        }
-        for number, case in enumerate(sweep.cases):
-            style = {"color": shades[case.ratio], "linestyle": DASHES[case.which], "linewidth": 1.3}
+        for number, style in enumerate(sweep_styles(sweep)):
             route.plot(sweep.poses.x_m[number], sweep.poses.y_m[number], **style)
             graph.plot(sweep.distance_m, values[number], **style)
         route.plot(sweep.reference.x_m, sweep.reference.y_m, color="black", linewidth=0.8)
@@ -155,12 +173,7 @@ def sweep_figure(sweep: Sweep, *, error: str, title: str) -> Figure:
         graph.set_xlabel("distance along the route (m)")
         graph.set_ylabel(labels[error])
         graph.set_title("b) error", loc="left", fontsize=9)
-        symbol = "E" if sweep.cases[0].which == "equal" else "$E_r$"
-        keys = [Line2D([], [], color=shade, label=f"{symbol} = {ratio:.6g}") for ratio, shade in shades.items()]
-        wheels = {case.which: DASHES[case.which] for case in sweep.cases}
-        if set(wheels) - {"equal", "given"}:
-            keys += [Line2D([], [], color="#5a5a5a", linestyle=d, label=f"{w} off") for w, d in wheels.items()]
-        keys.append(Line2D([], [], color="black", linewidth=0.8, label="route"))
+        keys = sweep_keys(sweep)
         figure.legend(handles=keys, loc="outside lower center", ncols=9)
         figure.suptitle(f"{title}; track {sweep.track_m:g} m", fontsize=10, x=0.01, ha="left")
         return figure
@@ -176,7 +189,7 @@ def ratio_figure(rows: Sequence[TableRow], *, measured: tuple[tuple[float, float
     measured : ((float, float), (float, float))
         Load ranges that the left and the right wheel were measured in.
     """
-    with rc_context(_STYLE):
+    with rc_context(STYLE):
         figure = Figure(figsize=(8.6, 3.6), layout="constrained")
         loads = np.array([row.load_N for row in rows])
         first: Axes | None = None
@@ -200,65 +213,9 @@ def ratio_figure(rows: Sequence[TableRow], *, measured: tuple[tuple[float, float
         return figure
 
 
-def band_figure(sweep: Sweep, route: Poses, covariance: FloatArray, found: Ellipses, *, title: str) -> Figure:
-    """Return what is left after the correction: the route with 95 % ellipses, and the band of the lateral error.
-
-    Parameters
-    ----------
-    sweep : Sweep
-        Gives the route; its vehicles are not drawn.
-    route : Poses
-        Where the covariance stands, shape (n,).
-    covariance : array of float, shape (n, 3, 3)
-        Of the pose.
-    found : Ellipses
-        Of the same poses.
-    title : str
-        What the figure shows.
-    """
-    with rc_context(_STYLE):
-        figure = Figure(figsize=(8.6, 3.9), layout="constrained")
-        plan, graph = figure.subplots(1, 2)
-        plan.plot(sweep.reference.x_m, sweep.reference.y_m, color="black", linewidth=0.8)
-        # so much larger that the largest is about a metre
-        wanted = 1.0 / max(float(found.major_m.max()), 1e-9)
-        scale = max([1.0, *(m * 10.0**e for e in range(9) for m in (1.0, 2.0, 5.0) if m * 10.0**e <= wanted)])
-        for k in np.unique(np.linspace(0, len(route) - 1, 13).astype(int))[1:]:
-            plan.add_patch(
-                Ellipse(
-                    (float(route.x_m[k]), float(route.y_m[k])),
-                    2 * scale * float(found.major_m[k]),
-                    2 * scale * float(found.minor_m[k]),
-                    angle=float(np.degrees(found.angle_rad[k])),
-                    facecolor=COLOURS[4],
-                    edgecolor=COLOURS[0],
-                    alpha=0.6,
-                )
-            )
-        plan.set_aspect("equal", adjustable="box")
-        plan.set_xlabel("x (m)")
-        plan.set_ylabel("y (m)")
-        plan.set_title(f"a) 95 % ellipses, drawn {scale:g} times as large", loc="left", fontsize=9)
-        across = np.stack([-np.sin(route.theta_rad), np.cos(route.theta_rad)], axis=1)
-        lateral = np.sqrt(np.einsum("ni,nij,nj->n", across, covariance[:, :2, :2], across))
-        along = sweep.distance_m[1:]
-        for factor, colour, name in (
-            (2.0, COLOURS[4], "2 standard uncertainties"),
-            (1.0, COLOURS[0], "1 standard uncertainty"),
-        ):
-            graph.fill_between(along, -factor * lateral, factor * lateral, color=colour, alpha=0.4, label=name)
-        graph.axhline(0.0, color="black", linewidth=0.8)
-        graph.set_xlabel("distance along the route (m)")
-        graph.set_ylabel(r"$e_y$, left of the route (m)")
-        graph.set_title("b) lateral error", loc="left", fontsize=9)
-        graph.legend(loc="upper left")
-        figure.suptitle(title, fontsize=10, x=0.01, ha="left")
-        return figure
-
-
 def replay_figure(replayed: Replay) -> Figure:
     """Return the end errors of the logged runs, by constant radii and by radii that follow the load."""
-    with rc_context(_STYLE):
+    with rc_context(STYLE):
         figure = Figure(figsize=(8.6, 3.6), layout="constrained")
         plan, graph = figure.subplots(1, 2)
         total = replayed.load_left_N + replayed.load_right_N

@@ -14,14 +14,15 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.errors import BadInputError
-from calib.motion.odometry import integrate, shorten
+from calib.motion.chord import shorten
+from calib.motion.odometry import integrate
 from calib.motion.poses import FloatArray, Poses
 from calib.motion.routes import Route
 
 __all__ = ["Axle", "end_of_route", "follow", "wheel_travel"]
 
-#: vehicles a block: the arrays in use stay in the first-level cache
-BLOCK: Final = 2048
+#: vehicles a block: the arrays in use stay in the second-level cache
+BLOCK: Final = 16384
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,11 +15,11 @@ import numpy as np
 from calib.errors import BadInputError
 from calib.motion.follow import Axle, end_of_route, wheel_travel
 from calib.motion.pose_covariance import jacobian, steps
-from calib.motion.poses import FloatArray, Poses, pose_errors
+from calib.motion.poses import FloatArray, pose_errors
 from calib.motion.routes import Route
 from calib.radius.law import RadiusLaw, WheelLaw
 
-__all__ = ["BANDS", "Interval", "Journey", "TableRow", "band_along", "law_journey", "law_table"]
+__all__ = ["BANDS", "Interval", "Journey", "TableRow", "law_journey", "law_table"]
 
 BANDS: Final = ("mean", "prediction")
 COMPONENTS: Final = ("along_m", "lateral_m", "heading_rad", "global_x_m", "global_y_m")
@@ -268,37 +268,3 @@ def _half_width(scales: FloatArray, dof: list[float]) -> float:
 
     widest = _student(dof[large]) + share * _student(dof[small])
     return float(scales[large] * brentq(beyond, 0.0, 2.0 * widest, xtol=1e-9))
-
-
-def band_along(
-    law: RadiusLaw, route: Route, *, loads_N: tuple[float, float], track_m: float, band: str
-) -> tuple[Poses, FloatArray]:
-    """Return the route and the covariance of the real pose about it with the correction on.
-
-    Parameters
-    ----------
-    law : RadiusLaw
-        The law by which the odometry corrects.
-    route : Route
-        Followed on that odometry.
-    loads_N : tuple of float
-        Wheel loads, left and right.
-    track_m : float
-        Track.
-    band : str
-        Which uncertainty is carried: ``mean`` of the law, or ``prediction`` of a single run.
-
-    Returns
-    -------
-    poses : Poses
-        Shape (n_segments,): at the end of each segment.
-    covariance : array of float, shape (n_segments, 3, 3)
-        Of x, y, theta, from the law alone.
-    """
-    radii = [float(w.radius_m(load)) for w, load in zip((law.left, law.right), loads_N, strict=True)]
-    axle = Axle(radii[0], radii[1], track_m)
-    left, right, track = wheel_travel(route, axle, axle)
-    path = steps(left[0], right[0], track[0], radius_left_m=radii[0], radius_right_m=radii[1])
-    slopes = jacobian(path)[..., [0, 2]]
-    variance = np.array([_std(w, load, band) ** 2 for w, load in zip((law.left, law.right), loads_N, strict=True)])
-    return path.poses, np.einsum("nip,p,njp->nij", slopes, variance, slopes)

@@ -9,11 +9,11 @@ import numpy.typing as npt
 
 from calib.campaign.settings import Encoder
 from calib.errors import BadInputError
-from calib.motion.odometry import IntArray
+from calib.motion.laid_flat import IntArray
 from calib.motion.poses import FloatArray
 from calib.radius.law import RadiusLaw
 
-__all__ = ["LoadHistory", "radii_under_load", "travel_from_counts", "unwrapped"]
+__all__ = ["LoadHistory", "loads_in_steps", "radii_under_load", "travel_from_counts", "unwrapped"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,6 +58,38 @@ class LoadHistory:
         """
         index = np.maximum(np.searchsorted(self.t_s, np.asarray(t_s, dtype=np.float64), side="left") - 1, 0)
         return self.left_N[index], self.right_N[index]
+
+
+def loads_in_steps(run_N: npt.ArrayLike, logged_N: npt.ArrayLike | None, offsets: npt.ArrayLike) -> FloatArray:
+    """Return the load of one wheel in the step that ends at each sample of runs laid end to end.
+
+    Parameters
+    ----------
+    run_N : array_like of float, shape (runs,)
+        Load of each run: it holds until its log says otherwise.
+    logged_N : array_like of float, shape (n,), or None
+        Load at each sample; NaN where the log does not say: the load before then stays.
+    offsets : array_like of int, shape (runs + 1,)
+        Samples of run i stand at ``offsets[i]:offsets[i + 1]``.
+
+    Returns
+    -------
+    array of float, shape (n,)
+        A load takes effect in the step after the sample that has it: the vehicle stands while it is loaded.
+    """
+    edges = np.asarray(offsets, dtype=np.int64)
+    made = np.repeat(np.asarray(run_N, dtype=np.float64), np.diff(edges))
+    if logged_N is None:
+        return made
+    logged = np.asarray(logged_N, dtype=np.float64)
+    own = np.arange(len(made))
+    first = np.repeat(edges[:-1], np.diff(edges))
+    # the last sample before this one, of the same run, that has a load
+    last = np.maximum.accumulate(np.where(np.isfinite(logged), own, -1))
+    last = np.where(own > first, np.concatenate(([-1], last[:-1])), -1)
+    known = last >= first
+    made[known] = logged[last[known]]
+    return made
 
 
 def radii_under_load(

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from calib.motion.odometry import sinc
+from calib.motion.chord import sinc
 from calib.motion.poses import FloatArray, Poses
 from calib.radius.law import RadiusLaw
 

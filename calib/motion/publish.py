@@ -12,7 +12,7 @@ import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.files import write_json, write_text
-from calib.motion.loaded import radii_under_load, travel_from_counts
+from calib.motion.loaded import loads_in_steps, radii_under_load, travel_from_counts
 from calib.motion.odometry import integrate
 from calib.motion.poses import Poses
 from calib.motion.replay import Replay
@@ -31,28 +31,27 @@ def publish_simulation(found: Simulation, folder: Path, *, force: bool) -> list[
     list of Path
         Files written.
     """
-    from calib.motion.figures import band_figure, ratio_figure, save, sweep_figure
+    from calib.motion.figures import ratio_figure, save, sweep_figure
+    from calib.motion.path_figures import law_errors_figure, law_path_figure, sweep_errors_figure
 
     made = [write_json(folder / f"{found.study}.json", found.document(), force=force)]
     for name, sweep in found.sweeps.items():
         figure = sweep_figure(sweep, error=SHOWN.get(name, "lateral_m"), title=found.title)
         made += save(figure, folder, name, force=force)
         made.append(_csv(folder / f"{name}.csv", sweep.ends(), force=force))
+        made += save(sweep_errors_figure(sweep, title=found.title), folder, f"{name}_errors", force=force)
+        made.append(_csv(folder / f"{name}_errors.csv", sweep.along(), force=force))
     if found.law is not None:
-        law = found.law.law
+        law, path = found.law.law, found.law.path
         measured = ((law.left.load_min_N, law.left.load_max_N), (law.right.load_min_N, law.right.load_max_N))
         made += save(ratio_figure(found.law.table, measured=measured), folder, "fig15", force=force)
         rows = [{field: getattr(row, field) for field in row.__slots__} for row in found.law.table]
         made.append(_csv(folder / "table1.csv", rows, force=force))
-        last = list(found.sweeps.values())[-1]
-        band = band_figure(
-            last,
-            found.law.band_route,
-            found.law.band_covariance,
-            found.law.band_ellipses,
-            title="What is left with radii that follow the load: scatter of single runs under the fitted law",
-        )
-        made += save(band, folder, "band", force=force)
+        title = f"Under the fitted law, {path.loading_text}: single runs, track, floor and encoders"
+        made += save(law_path_figure(path, title=title), folder, "band", force=force)
+        made.append(_csv(folder / "band.csv", path.covariance_rows(), force=force))
+        made += save(law_errors_figure(path, title=title), folder, "errors", force=force)
+        made.append(_csv(folder / "errors.csv", path.error_rows(), force=force))
     return made
 
 
@@ -100,7 +99,10 @@ def replay_trajectories(campaign: Campaign, law: RadiusLaw, track_m: float, fold
         log = campaign.logs.of(run)
         if not {"t_s", "counts_left", "counts_right"} <= log.keys():
             continue
-        loads = runs.number("load_left_N")[run], runs.number("load_right_N")[run]
+        loads = (
+            loads_in_steps([runs.number(name)[run]], log.get(name), [0, len(log["t_s"])])
+            for name in ("load_left_N", "load_right_N")
+        )
         radii = radii_under_load(law, *loads)
         if not np.isfinite(radii).all():
             continue

@@ -1,7 +1,8 @@
 """Logged runs replayed through odometry, against their reference poses: with and without the load correction.
 
 Three odometries are compared: with what the simulator believes, with the law's radii at the unladen load kept constant,
-and with the law's radii at the load of each run (Fig. 7). The vehicle's own runtime is fed the same logs.
+and with the law's radii at the load of each run (Fig. 7), or, where a log has its own loads, of each step. The
+vehicle's own runtime is fed the same logs.
 """
 
 from __future__ import annotations
@@ -14,38 +15,15 @@ import numpy as np
 from calib.campaign.model import BoolArray, Campaign, FloatArray, StrArray
 from calib.coefficients.file import CoefficientFile
 from calib.errors import RefusedError
-from calib.motion.loaded import radii_under_load, travel_from_counts
-from calib.motion.odometry import end_poses, integrate
+from calib.motion.loaded import loads_in_steps, radii_under_load, travel_from_counts
+from calib.motion.odometry import end_poses
 from calib.motion.poses import PoseErrors, Poses, pose_errors
+from calib.motion.runtime_check import RuntimeCheck, runtime_check
 from calib.radius.law import RadiusLaw
-from calib.runtime import Coefficients, Odometer, OdometerFault, Status
 
 __all__ = ["METHODS", "Replay", "RuntimeCheck", "replay", "runtime_check"]
 
 METHODS = ("model", "constant", "corrected")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RuntimeCheck:
-    """The vehicle's runtime against the array odometry on the same logs.
-
-    Parameters
-    ----------
-    runs : int
-        Runs fed.
-    samples : int
-        Samples fed.
-    largest_difference_m, largest_difference_rad : float
-        Over all samples of these runs; NaN where none was accepted.
-    faults : dict of str to int
-        Refused loads and samples by status.
-    """
-
-    runs: int
-    samples: int
-    largest_difference_m: float
-    largest_difference_rad: float
-    faults: dict[str, int]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,7 +35,7 @@ class Replay:
     run_id, kind : array of str, shape (n,)
         Runs with a log and a reference end pose.
     load_left_N, load_right_N : array of float, shape (n,)
-        Wheel loads.
+        Wheel loads of the runs, where their logs do not say otherwise.
     distance_m : array of float, shape (n,)
         Driven by the reference law.
     reference : Poses
@@ -67,7 +45,7 @@ class Replay:
     errors : dict of str to PoseErrors
         Odometry minus reference.
     in_range : array of bool, shape (n,)
-        Whether both loads lie within the range that the law was measured in.
+        Whether all loads lie within the range that the law was measured in.
     rms_m, rms_heading_rad : dict of str to float
         Root mean square of the position's and the heading's end error over the runs in range.
     ratio, ratio_ci95 : float, tuple of float
@@ -168,11 +146,14 @@ def replay(
     law, runs, logs = coefficients.law, chosen.runs, chosen.logs
     loads = runs.number("load_left_N"), runs.number("load_right_N")
     unladen = coefficients.geometry.unladen_load_N
-    corrected = radii_under_load(law, *loads)
+    carried = (
+        loads_in_steps(loads[0], logs.columns.get("load_left_N"), logs.offsets),
+        loads_in_steps(loads[1], logs.columns.get("load_right_N"), logs.offsets),
+    )
     radii = {
         "model": (np.full(len(runs), chosen.model.radius_left_m), np.full(len(runs), chosen.model.radius_right_m)),
         "constant": radii_under_load(law, np.full(len(runs), unladen), np.full(len(runs), unladen)),
-        "corrected": corrected,
+        "corrected": radii_under_load(law, *carried),
     }
     tracks = {"model": chosen.model.track_m, "constant": coefficients.geometry.track_m}
     counts = logs.columns["counts_left"], logs.columns["counts_right"]
@@ -185,7 +166,7 @@ def replay(
         errors[method] = pose_errors(ends[method], reference)
         if method == "corrected":
             travelled = np.add.reduceat(0.5 * np.abs(left + right), logs.offsets[:-1])
-    in_range = _in_range(law, *loads)
+    in_range = np.logical_and.reduceat(_in_range(law, *carried), logs.offsets[:-1])
     if not in_range.any():
         raise RefusedError(
             f"{campaign.name}: no run's wheel loads lie within the range that the law was measured in; "
@@ -217,48 +198,6 @@ def replay(
         runtime=runtime_check(chosen, coefficients, runs=runtime_runs),
         left_out=left_out,
     )
-
-
-def runtime_check(campaign: Campaign, coefficients: CoefficientFile, *, runs: int) -> RuntimeCheck:
-    """Feed the vehicle's runtime the logs of the first `runs` runs and compare it, sample by sample, with the arrays.
-
-    Refused samples are counted and left out of the comparison of that run.
-    """
-    odometer = Odometer(Coefficients.parse(coefficients.to_bytes().decode("utf-8")))
-    law, track = coefficients.law, coefficients.geometry.track_m
-    loads = campaign.runs.number("load_left_N"), campaign.runs.number("load_right_N")
-    faults: dict[str, int] = {}
-    samples = fed = 0
-    worst_m = worst_rad = float("nan")
-    for run in range(min(runs, len(campaign.runs))):
-        log = campaign.logs.of(run)
-        odometer.reset()
-        fed += 1
-        try:
-            odometer.set_wheel_loads(float(loads[0][run]), float(loads[1][run]))
-        except OdometerFault as fault:
-            faults[fault.status.name] = faults.get(fault.status.name, 0) + 1
-            continue
-        fine = True
-        made = []
-        times = log["t_s"].tolist()
-        for left, right, t in zip(log["counts_left"].tolist(), log["counts_right"].tolist(), times, strict=True):
-            status = odometer.feed(left, right, t)
-            samples += 1
-            if status is not Status.OK:
-                faults[status.name] = faults.get(status.name, 0) + 1
-                fine = False
-                break
-            pose = odometer.pose
-            made.append((pose.x_m, pose.y_m, pose.theta_rad))
-        if not fine or odometer.pose.clamped:
-            continue
-        radii = radii_under_load(law, loads[0][run], loads[1][run])
-        left_m, right_m = travel_from_counts(log["counts_left"], log["counts_right"], campaign.encoder, *radii)
-        gap = np.abs(integrate(left_m, right_m, track).stacked() - np.array(made)).max(axis=0)
-        worst_m = float(np.fmax(worst_m, max(gap[0], gap[1])))
-        worst_rad = float(np.fmax(worst_rad, gap[2]))
-    return RuntimeCheck(fed, samples, worst_m, worst_rad, faults)
 
 
 def _usable(campaign: Campaign) -> tuple[Campaign, dict[str, int]]:

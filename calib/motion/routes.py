@@ -13,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.errors import BadFileError, BadInputError
-from calib.motion.odometry import integrate, sinc
+from calib.motion.chord import sinc
+from calib.motion.odometry import integrate
 from calib.motion.poses import Poses
 from calib.motion.trajectory import read_tum
 
@@ -77,6 +78,18 @@ class Route:
         )
         count = np.maximum(pieces, 1).astype(np.int64)
         return Route(self.name, np.repeat(self.length_m / count, count), np.repeat(self.turn_rad / count, count))
+
+    def cut(self, at_m: npt.ArrayLike) -> Route:
+        """Return the same route with a border between two segments at each of these distances along it."""
+        wanted = np.unique(np.asarray(at_m, dtype=np.float64))
+        edges = self.distance_m()
+        made: list[Segment] = []
+        for k, (length, turn) in enumerate(zip(self.length_m.tolist(), self.turn_rad.tolist(), strict=True)):
+            first, last = edges[k], edges[k + 1]
+            inside = wanted[(wanted > first + 1e-9) & (wanted < last - 1e-9)]
+            shares = np.diff(np.concatenate(([first], inside, [last]))) / (last - first) if len(inside) else [1.0]
+            made += [(length * float(share), turn * float(share)) for share in shares]
+        return Route.of(self.name, *made)
 
     def mirrored(self) -> Route:
         """Return the route with left and right swapped."""

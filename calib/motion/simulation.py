@@ -9,9 +9,10 @@ from typing import Any, Final
 import numpy as np
 
 from calib.errors import BadInputError
-from calib.motion.law_study import BANDS, Journey, TableRow, band_along, law_journey, law_table
-from calib.motion.pose_covariance import Ellipses, ellipses
-from calib.motion.poses import FloatArray, Poses
+from calib.motion.headline import Headline, headlines, paper_headline
+from calib.motion.law_path import LawPath, Loading, law_path
+from calib.motion.law_study import BANDS, Journey, TableRow, law_journey, law_table
+from calib.motion.pose_covariance import RandomWalk
 from calib.motion.routes import find_route
 from calib.motion.studies import STUDIES, Case, Sweep, run_sweep
 from calib.radius.law import RadiusLaw
@@ -34,26 +35,6 @@ TABLE_LOADS_N: Final = (200.0, 300.0, 400.0, 500.0, 600.0, 700.0, 800.0, 900.0, 
 SHOWN: Final = {"fig12": "distance_m", "fig13": "lateral_m", "fig14": "global_x_m", "fig16": "global_x_m"}
 
 
-@dataclass(frozen=True, slots=True)
-class Headline:
-    """End error without and with the correction, each the largest case of its sweep, and their ratio.
-
-    Parameters
-    ----------
-    which : str
-        Wheel that is off.
-    without_m, corrected_m : float
-        Largest global e_x by absolute value.
-    ratio : float
-        How many times smaller the corrected one is.
-    """
-
-    which: str
-    without_m: float
-    corrected_m: float
-    ratio: float
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class LawPart:
     """What a fitted law says.
@@ -68,17 +49,16 @@ class LawPart:
         Journeys without and with correction, for each pair of loads and each band.
     notes : tuple of str
         What the reader should know.
-    band_route, band_covariance, band_ellipses
-        Pose, covariance of the single run, and 95 % ellipses along the first route with the correction on.
+    path : LawPath
+        The last route driven under the loads that change on the way, or else under the first pair of loads: errors and
+        covariance all along.
     """
 
     law: RadiusLaw
     table: tuple[TableRow, ...]
     journeys: tuple[Journey, ...]
     notes: tuple[str, ...]
-    band_route: Poses
-    band_covariance: FloatArray
-    band_ellipses: Ellipses
+    path: LawPath
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,12 +81,14 @@ class Simulation:
                 for name, sweep in self.sweeps.items()
             ],
             "headline": [asdict(line) for line in self.headlines],
+            "paper": paper_headline() if self.headlines else None,
             "law": None,
         }
         if self.law is not None:
             made["law"] = {
                 "table": [asdict(row) for row in self.law.table],
                 "journeys": [asdict(journey) for journey in self.law.journeys],
+                "path": self.law.path.document(),
                 "notes": list(self.law.notes),
             }
         return made
@@ -122,6 +104,9 @@ def simulate(
     law: RadiusLaw | None = None,
     loads_N: Sequence[tuple[float, float]] = (),
     reference_N: tuple[float, float] = (300.0, 300.0),
+    loading: Loading | None = None,
+    track_std_m: float = 0.0,
+    walk: RandomWalk | None = None,
     draws: int = 20_000,
     rng: np.random.Generator,
 ) -> Simulation:
@@ -141,6 +126,12 @@ def simulate(
         Loads (left, right) of those journeys, in place of the study's own.
     reference_N : (float, float)
         Loads whose radii the uncorrected odometry uses.
+    loading : Loading, optional
+        Loads that change on the way; None: the first of `loads_N` all along.
+    track_std_m : float
+        Standard uncertainty of the track, for the covariance along the path.
+    walk : RandomWalk, optional
+        Random part of that covariance.
     draws : int
         Draws of the Monte Carlo.
     rng : numpy.random.Generator
@@ -167,40 +158,41 @@ def simulate(
     }
     part = None
     if law is not None:
-        pairs = tuple(loads_N) or LOADS_N.get(study, LOADS_N["corrected"])
-        part = _law_part(law, names[-1], pairs, reference_N, track_m, draws, rng)
+        carried = loading.pairs if loading is not None and study == CUSTOM else ()
+        pairs = tuple(loads_N) or carried or LOADS_N.get(study, LOADS_N["corrected"])
+        if draws < 100:
+            raise BadInputError(f"draws: found {draws}; expected 100 or more; quantiles need them")
+        path = law_path(
+            law,
+            find_route(names[-1]),
+            loading=loading or Loading.of([(0.0, *pairs[0])]),
+            reference_N=reference_N,
+            track_m=track_m,
+            track_std_m=track_std_m,
+            walk=walk,
+            draws=draws,
+            rng=rng.spawn(1)[0],
+        )
+        part = _law_part(law, names[-1], pairs, path, track_m, draws, rng)
     return Simulation(
         study=study,
         title=known.title if known else "Radii as given",
         sweeps=sweeps,
-        headlines=_headlines(sweeps, track_m) if study == "corrected" and not cases else (),
+        headlines=headlines(next(iter(sweeps.values())).route, track_m) if study == "corrected" and not cases else (),
         law=part,
     )
-
-
-def _headlines(sweeps: dict[str, Sweep], track_m: float) -> tuple[Headline, ...]:
-    """Set the study of corrected radii against that of uncorrected ones, on the same route, wheel by wheel."""
-    after = next(iter(sweeps.values()))
-    made = []
-    known = STUDIES["asymmetric"]
-    for which in known.which:
-        before = run_sweep(after.route, [Case.of(which, ratio) for ratio in known.ratios], track_m=track_m)
-        first = before.largest_m()
-        second = max(abs(float(row["error_global_x_m"])) for row in after.ends() if row["which"] == which)
-        made.append(Headline(which, first, second, first / second))
-    return tuple(made)
 
 
 def _law_part(
     law: RadiusLaw,
     route_name: str,
     pairs: tuple[tuple[float, float], ...],
-    reference_N: tuple[float, float],
+    path: LawPath,
     track_m: float,
     draws: int,
     rng: np.random.Generator,
 ) -> LawPart:
-    route = find_route(route_name)
+    route, reference_N = find_route(route_name), path.reference_N
     journeys = tuple(
         law_journey(law, route, loads_N=pair, reference_N=reference_N, track_m=track_m, band=band, draws=draws, rng=rng)
         for pair in pairs
@@ -208,20 +200,18 @@ def _law_part(
     )
     notes = []
     for side, wheel, number in (("left", law.left, 0), ("right", law.right, 1)):
-        loads = sorted({pair[number] for pair in pairs} | {reference_N[number]})
+        carried = (path.loading.left_N, path.loading.right_N)[number].tolist()
+        loads = sorted({pair[number] for pair in pairs} | {reference_N[number], *carried})
         beyond = [load for load in loads if not wheel.load_min_N - 1.0 <= load <= wheel.load_max_N + 1.0]
         if beyond:
             notes.append(
                 f"{side} wheel: {', '.join(f'{load:g}' for load in beyond)} N lie outside the "
                 f"{wheel.load_min_N:g} to {wheel.load_max_N:g} N that were measured: the law extrapolates there"
             )
-    poses, covariance = band_along(law, route.divided(0.05), loads_N=pairs[0], track_m=track_m, band="prediction")
     return LawPart(
         law=law,
         table=law_table(law, np.array(TABLE_LOADS_N)),
         journeys=journeys,
         notes=tuple(notes),
-        band_route=poses,
-        band_covariance=covariance,
-        band_ellipses=ellipses(covariance),
+        path=path,
     )

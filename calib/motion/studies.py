@@ -185,6 +185,24 @@ class Sweep:
             )
         return rows
 
+    def along(self) -> list[dict[str, float | str]]:
+        """Return poses and errors along the route, one row a case and point."""
+        e, p = self.errors, self.poses
+        columns = {"x_m": p.x_m, "y_m": p.y_m, "theta_rad": p.theta_rad}
+        columns |= {
+            "error_along_m": e.along_m,
+            "error_lateral_m": e.lateral_m,
+            "error_heading_rad": e.heading_rad,
+            "error_global_x_m": e.global_x_m,
+            "error_global_y_m": e.global_y_m,
+        }
+        rows: list[dict[str, float | str]] = []
+        for number, case in enumerate(self.cases):
+            values = np.stack([self.distance_m, *(column[number] for column in columns.values())], axis=1).tolist()
+            named: dict[str, float | str] = {"which": case.which, "ratio": case.ratio}
+            rows += [named | dict(zip(("distance_m", *columns), row, strict=True)) for row in values]
+        return rows
+
     def largest_m(self, field: str = "error_global_x_m") -> float:
         """Return the largest end error of the sweep by absolute value."""
         return max(abs(float(row[field])) for row in self.ends())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from pathlib import Path
 
@@ -47,8 +48,11 @@ def test_corrected_study_gives_fig_16_and_the_headline(tmp_path: Path, capsys: p
     found = document(capsys)
     right = next(line for line in found["headline"] if line["which"] == "right")
     assert (right["without_m"], right["corrected_m"]) == pytest.approx((1.24753, 0.07375), abs=0.5e-5)  # digits printed
+    assert found["paper"]["ratio"] == right["ratio"]  # the same study, by the same function
     names = {path.name for path in tmp_path.iterdir()}
-    assert names == {"corrected.json", "fig16.png", "fig16.svg", "fig16.pdf", "fig16.csv"}
+    assert names == {"corrected.json"} | {
+        f"{stem}.{suffix}" for stem in ("fig16", "fig16_errors") for suffix in ("png", "svg", "pdf", "csv")
+    }
     assert json.loads((tmp_path / "corrected.json").read_text())["headline"] == found["headline"]
 
 
@@ -64,7 +68,8 @@ def test_table_1_and_fig_15_come_from_coefficients_or_campaign_alike(
     assert by_campaign["law"]["journeys"] == by_file["law"]["journeys"]
     assert [row["load_N"] for row in by_file["law"]["table"]] == [100.0 * k for k in range(2, 12)]
     made = {path.name for path in tmp_path.iterdir()}
-    assert {"table1.csv", "fig15.png", "fig15.svg", "fig15.pdf", "band.png", "fig13.pdf", "fig14.svg"} <= made
+    assert {"table1.csv", "fig15.png", "fig15.svg", "fig15.pdf", "fig13.pdf", "fig14.svg"} <= made
+    assert {"band.png", "band.csv", "errors.png", "errors.csv", "fig13_errors.csv", "fig14_errors.pdf"} <= made
 
 
 def test_a_study_of_ones_own(capsys: pytest.CaptureFixture[str]) -> None:
@@ -85,6 +90,26 @@ def test_payload_and_wheel_loads_say_the_same(coefficients: Path, capsys: pytest
     loads = f"{by_payload['load_left_N']!r},{by_payload['load_right_N']!r}"
     assert run([*common, "--load", loads]) == 0
     assert document(capsys)["law"]["journeys"][0] == by_payload
+
+
+def test_a_payload_put_on_the_way_and_taken_off_again(
+    coefficients: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    common = ["simulate", "custom", "--law", str(coefficients), "--draws", "200"]
+    changes = ["--payload-at", "10,0,0,0", "--payload-at", "5,100,0.5,0.1"]
+    assert run([*common, *changes, "--output", str(tmp_path), "--json", "-"]) == 0
+    path = document(capsys)["law"]["path"]
+    assert [row["from_m"] for row in path["loading"]] == [0.0, 5.0, 10.0]
+    unladen, laden, unloaded = ((row["load_left_N"], row["load_right_N"]) for row in path["loading"])
+    assert unladen == unloaded != laden
+    assert path["ratio"] == path["without"]["rms_m"] / path["corrected"]["rms_m"] > 1.0
+    assert path["corrected"]["error_lateral_m"] == pytest.approx(0.0, abs=1e-9)
+    rows = list(csv.DictReader((tmp_path / "errors.csv").open(encoding="utf-8")))
+    assert float(rows[-1]["without_error_lateral_m"]) == path["without"]["error_lateral_m"]
+    assert run([*common, *changes]) == 0
+    said = capsys.readouterr().out
+    assert "from 5 m" in said
+    assert "that follow the load" in said
 
 
 def test_trajectories_are_written_and_followed_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -141,6 +166,8 @@ def test_the_schemes_differ_in_replay_as_their_order_says(
         (["custom", "--real", "0.1,-0.1"], "radius of 0 or below"),
         (["symmetric", "--route", "spiral"], "figure8"),
         (["symmetric", "--load", "300,300"], "--law"),
+        (["symmetric", "--payload-at", "1,50,0,0"], "--law"),
+        (["--replay", "nowhere", "--payload-at", "1,50,0,0"], "load_left_N"),
         (["symmetric", "--track", "-1"], "track"),
         (["symmetric", "--speed", "0"], "--speed"),
         (["symmetric", "--law", "nowhere"], "nowhere"),
@@ -156,6 +183,26 @@ def test_impossible_requests_are_refused_in_one_line(
     assert words in said.err
     assert said.err.count("\n") == 1
     assert said.out == ""
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ("99,50,0.3,0", "before the end"),
+        ("-1,50,0.3,0", "below 0 m"),
+        ("1,-5,0.3,0", "-5 kg"),
+        ("1,50,0.3", "4 numbers"),
+        ("1,50,0.3,0 --draws 0", "100 or more"),
+        ("1,100,5,0", "payload 100 kg at x 5 m"),
+    ],
+)
+def test_impossible_loads_on_the_way_are_refused_in_one_line(
+    change: str, words: str, coefficients: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["simulate", "custom", "--law", str(coefficients), "--payload-at", *change.split()]) != 0
+    said = capsys.readouterr()
+    assert words in said.err
+    assert said.err.count("\n") == 1
 
 
 def test_the_same_seed_gives_the_same_text_and_another_one_other_draws(

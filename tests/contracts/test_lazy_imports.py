@@ -9,7 +9,19 @@ import pytest
 
 from calib.cli.main import COMMANDS
 
-HEAVY = ("numpy", "pandas", "scipy", "statsmodels", "matplotlib", "pydantic", "typst", "pyarrow", "openpyxl", "mujoco")
+HEAVY = (
+    "numpy",
+    "pandas",
+    "scipy",
+    "statsmodels",
+    "matplotlib",
+    "pydantic",
+    "typst",
+    "pyarrow",
+    "openpyxl",
+    "mujoco",
+    "numba",
+)
 MODULES = ("calib", "calib.cli.main", "calib.runtime", *(f"calib.cli.{name}" for name in COMMANDS.values()))
 
 

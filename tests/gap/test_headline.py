@@ -38,9 +38,12 @@ def test_a_load_effect_has_the_papers_figures_beside_it(effect: str) -> None:
     found = headline(_verdict(effect))
     assert found is not None
     assert (found["paper"]["before_m"], found["paper"]["after_m"]) == (1.1, 0.06)
+    # the paper's study at its track gives 1.24753 m and 0.07375 m; the quotient of what it prints, 18, is rounded
+    assert found["paper"]["ratio"] == pytest.approx(1.24753 / 0.07375, rel=1e-4)
+    assert "about 17 times smaller before rounding" in found["sentence"]
     assert found["campaign"]["ratio"] == pytest.approx(22.0, rel=1e-12)  # a quotient of two doubles
     assert found["sole_candidate"]
-    assert "1.1 m to 0.06 m" in found["sentence"] and "2.20 m to 0.1 m" in found["sentence"]
+    assert "1.1 m to 0.06 m as printed" in found["sentence"] and "2.20 m to 0.1 m" in found["sentence"]
 
 
 def test_a_cause_that_cannot_be_told_from_others_says_so() -> None:

@@ -7,8 +7,7 @@ import pytest
 from scipy.stats import t as student
 
 from calib.errors import BadInputError
-from calib.motion.law_study import band_along, law_journey, law_table
-from calib.motion.pose_covariance import ellipses
+from calib.motion.law_study import law_journey, law_table
 from calib.motion.routes import find_route
 from calib.motion.simulation import simulate
 from calib.radius.law import RadiusLaw, WheelLaw
@@ -129,26 +128,6 @@ def test_the_same_seed_gives_the_same_numbers_and_another_one_others() -> None:
         for seed in (1, 1, 2)
     ]
     assert runs[0] == runs[1] != runs[2]
-
-
-def test_the_band_along_the_route_ends_in_the_covariance_of_the_end() -> None:
-    given = law()
-    poses, covariance = band_along(
-        given, find_route("paper_route").divided(0.05), loads_N=(700.0, 700.0), track_m=0.7, band="prediction"
-    )
-    made = law_journey(
-        given,
-        find_route("paper_route"),
-        loads_N=(700.0, 700.0),
-        reference_N=(300.0, 300.0),
-        track_m=0.7,
-        band="prediction",
-        draws=200,
-        rng=np.random.default_rng(0),
-    )
-    assert np.sqrt(covariance[-1, 0, 0] + covariance[-1, 1, 1]) == pytest.approx(made.corrected_rms_m, rel=1e-9)
-    np.testing.assert_allclose(poses[-1].stacked(), [8.0, 8.0, np.pi / 2], rtol=0.0, atol=1e-12)
-    assert (np.diff(ellipses(covariance).major_m) > 0).all()
 
 
 def test_the_headline_is_about_seventeen_at_both_tracks() -> None:
