@@ -37,7 +37,7 @@ EXPLAINS: Final = 0.9
 REST: Final = 0.5
 #: how probable it is that what so many named causes (a calibration parameter counts half) explain together is one cause
 #: outside the library, which they imitate; from cases whose true effect was deleted from the library
-IMITATION: Final = ((0.0, 1.0, 2.0, 2.5), (0.0, 0.08, 0.12, 0.7))
+IMITATION: Final = ((0.0, 1.0, 2.0, 2.5), (0.0, 0.08, 0.12, 0.9))
 #: hypotheses whose weights differ by less (a factor of ten) are not told apart either
 LIKELY_NATS: Final = 2.3
 

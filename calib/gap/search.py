@@ -50,10 +50,10 @@ class Settings:
         Beside how many of the best hypotheses a rest of unknown cause is weighed.
     """
 
-    prior_effect: float = 0.01
+    prior_effect: float = 0.02
     prior_unknown: float = 0.04
     tolerance: float = 0.15
-    temper: float = 0.8
+    temper: float = 0.9
     singles: int = 8
     pairs: int = 8
     triples: int = 4
