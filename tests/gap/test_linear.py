@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.stats import multivariate_normal
+from scipy.stats import multivariate_normal, multivariate_t
 
-from calib.gap.linear import Nuisance, form_columns, log_evidence, project, rows
+from calib.gap.linear import FLOOR_DOF, Nuisance, form_columns, log_evidence, log_marginal, project, rows
 from calib.gap.noise import whiten
 from calib.gap.path import predict
 from calib.gap.plan_distance import noise_at
@@ -56,6 +56,28 @@ def test_the_evidence_beside_a_nuisance_is_that_of_both_together() -> None:
     found = float(log_evidence(beside.scalar(a, a), beside.scalar(a, y[:, None])[:, 0], np.array([4.0, 0.25])))
     together = np.concatenate([x, a * [2.0, 0.5]], axis=1)
     assert found == pytest.approx(density(y, together) - density(y, x), rel=RTOL)
+
+
+def test_a_floor_known_up_to_a_factor_gives_the_odds_of_students_t() -> None:
+    """Integrating the factor out of the normal density is Student's t of the same shape."""
+    rng = np.random.default_rng(11)
+    y = rng.normal(0, 1.7, 30)
+    made, expected = [], []
+    for columns in (rng.normal(0, 1, (30, 2)), np.zeros((30, 1))):
+        nuisance = Nuisance.of(columns)
+        made.append(log_marginal(nuisance.scalar(y[:, None], y[:, None])[0, 0], nuisance.log_det, len(y)))
+        expected.append(multivariate_t.logpdf(y, shape=np.eye(30) + columns @ columns.T, df=FLOOR_DOF))
+    assert made[0] - made[1] == pytest.approx(expected[0] - expected[1], rel=RTOL)
+
+
+def test_a_floor_too_small_gives_no_odds() -> None:
+    """Noise three times the floor favours columns that it does not follow by far less than a known floor would."""
+    rng = np.random.default_rng(12)
+    y, columns = 3.0 * rng.normal(0, 1, 300), 3.0 * rng.normal(0, 1, (300, 40))
+    nuisance = Nuisance.of(columns)
+    square = nuisance.scalar(y[:, None], y[:, None])[0, 0]
+    known = -0.5 * (square + nuisance.log_det) + 0.5 * y @ y
+    assert known > 0.0 > log_marginal(square, nuisance.log_det, 300) - log_marginal(y @ y, 0.0, 300)
 
 
 def test_many_evidences_at_once_are_those_one_by_one() -> None:

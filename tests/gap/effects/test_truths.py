@@ -325,6 +325,7 @@ def winding(kappa: float, speed_mps: float) -> Run:
 
 WINDING = [winding(0.1 * (i - 5.5), 0.3 + 0.1 * (i % 4)) for i in range(12)]
 
+
 @case("steering_scale", "scale of the angle", 1e-2, runs=WINDING, within=2e-2)
 def _(run: Run, now: Motion) -> None:
     now.steer_error_rad = 1e-2 * now.steer_rad
