@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
 
@@ -22,7 +23,7 @@ def test_nothing_named_imitates_nothing() -> None:
 @pytest.mark.parametrize("calibration", [0, 1, 2])
 def test_the_more_causes_are_named_the_likelier_is_one_outside_the_library(calibration: int) -> None:
     odds = [imitation(effects, calibration) for effects in range(5)]
-    assert all(before <= after for before, after in zip(odds[:-1], odds[1:], strict=True))
+    assert all(before <= after for before, after in pairwise(odds))
     assert odds[0] < odds[2]
     assert odds[-1] == IMITATION[1][-1]
 

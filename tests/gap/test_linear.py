@@ -73,7 +73,7 @@ def test_a_floor_known_up_to_a_factor_gives_the_odds_of_students_t() -> None:
 def test_a_floor_too_small_gives_no_odds() -> None:
     """Noise three times the floor favours columns that it does not follow by far less than a known floor would."""
     rng = np.random.default_rng(12)
-    y, columns = 3.0 * rng.normal(0, 1, 300), 3.0 * rng.normal(0, 1, (300, 40))
+    y, columns = 3.0 * rng.normal(0, 1, 300), 0.3 * rng.normal(0, 1, (300, 40))
     nuisance = Nuisance.of(columns)
     square = nuisance.scalar(y[:, None], y[:, None])[0, 0]
     known = -0.5 * (square + nuisance.log_det) + 0.5 * y @ y
