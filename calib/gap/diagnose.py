@@ -169,7 +169,7 @@ def diagnose_in_full(
     if fault is not None:
         closure = replace(closure, before=before)
     where = locate(s, nominal, noise, closure.before, rng=rng, campaign=campaign)
-    judge = Judge(campaign, nominal, noise, effects, found, recalibration, closure, fault, settings.prior_effect)
+    judge = Judge(campaign, nominal, noise, effects, found, recalibration, closure, fault, settings)
     blind = undetectable(Workbench(base.path, nominal, noise), effects)
     verdict = judge.verdict(where, blind, notes)
     verdict = replace(verdict, sentence=sentence(verdict))

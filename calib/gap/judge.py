@@ -18,7 +18,7 @@ from calib.gap.noise import Noise
 from calib.gap.path import Path
 from calib.gap.recalibration import DIRECTIONS, NAMES, PRIOR, Recalibration
 from calib.gap.residuals import residuals
-from calib.gap.search import Hypothesis, Search, Workbench
+from calib.gap.search import Hypothesis, Search, Settings, Workbench
 from calib.gap.verdict import Cause, Quantity, Verdict
 
 __all__ = ["Judge"]
@@ -63,8 +63,8 @@ class Judge:
         The gap before and after on held-out runs, for the best hypothesis.
     fault : GrossFault, optional
         A gross fault of the encoders, found and put right before the search.
-    prior_effect : float
-        Prior odds of any one effect being at work.
+    settings : Settings
+        What the search took for granted.
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class Judge:
         recalibration: Recalibration,
         closure: Closure,
         fault: GrossFault | None,
-        prior_effect: float,
+        settings: Settings,
     ) -> None:
         self.campaign, self.s, self.nominal, self.noise = campaign, nominal.s, nominal, noise
         self.effects = {e.id: e for e in effects}
@@ -88,7 +88,7 @@ class Judge:
         #: a calibration parameter is off whose effect the library was denied: a cause outside the library
         self.denied = len(self.calibration) < len(recalibration.subsets[0])
         self.bench = Workbench(self.chosen.fitted.path, nominal, noise)
-        self.prior_effect = prior_effect
+        self.settings = settings
         self.shares: dict[str, float] = {}
         self.per_unit = self.bench.calibration / CALIBRATION_SD
 
@@ -163,7 +163,7 @@ class Judge:
             ours = [name for name in group if name in NAMES and name in self.calibration]
             if ours and group[0] in ours:
                 others = len(group) - len(ours)
-                made.update(dict.fromkeys(ours, PRIOR / (PRIOR + self.prior_effect * others)))
+                made.update(dict.fromkeys(ours, PRIOR / (PRIOR + self.settings.prior_effect * others)))
         return made
 
     def gap_probability(self) -> float:
@@ -287,10 +287,8 @@ class Judge:
             )
 
         made = []
-        position = 4
-        for form, theta in zip(fitted.forms, fitted.theta, strict=True):
-            sd = np.sqrt(np.diag(fitted.covariance)[position : position + len(theta)])
-            position += len(theta)
+        spreads = self._spreads()
+        for form, theta, sd in zip(fitted.forms, fitted.theta, spreads, strict=True):
             way = self._contribution(form, theta)
             signal = float(np.sqrt(nuisance.scalar(way[:, None], way[:, None])[0, 0]))
             made.append(cause(form.effect, form, theta, sd, way, signal))
@@ -304,6 +302,26 @@ class Judge:
         total = max(sum(c.share for c in made), 1e-12)
         made = [replace(c, share=explained * c.share / total) for c in made]
         return sorted(made, key=lambda c: (-round(c.probability, 2), -c.signal))
+
+    def _spreads(self) -> list[FloatArray]:
+        """Return the standard uncertainty of each form's parameters, the noise and the form's own tolerance in it.
+
+        An effect that deviates from its assumed form by so much a condition is known on the whole no better than its
+        conditions average that out.
+        """
+        fitted, bench = self.chosen.fitted, self.bench
+        columns = [bench.columns(form) for form in fitted.forms]
+        loose = [bench.calibration]
+        for form, theta in zip(fitted.forms, fitted.theta, strict=True):
+            loose.append(self.settings.tolerance * bench.by_condition(self._contribution(form, theta)))
+        nuisance = Nuisance.of(np.concatenate(loose, axis=1))
+        whole = np.concatenate(columns, axis=1) if columns else np.zeros((len(bench.gap), 0))
+        gram = nuisance.scalar(whole, whole)
+        # the fit's own wide prior keeps parameters that these runs cannot tell finite
+        sd = np.sqrt(np.diag(np.linalg.inv(gram + np.eye(len(gram)) / 30.0**2)))
+        typical = [np.array([p.typical for p in form.parameters]) for form in fitted.forms]
+        cuts = np.cumsum([0, *(len(t) for t in typical)])
+        return [sd[a:b] * t for a, b, t in zip(cuts[:-1], cuts[1:], typical, strict=True)]
 
     def _gross_cause(self) -> Cause:
         fault = self.fault
