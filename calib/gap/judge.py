@@ -25,8 +25,8 @@ __all__ = ["Judge"]
 
 #: a gap is said to exist where the probability that anything is off reaches this
 DETECTION: Final = 0.9
-#: an unknown cause alone is called one where its probability reaches this; heavy tails look like one too
-UNKNOWN: Final = 0.97
+#: an unknown cause alone is called one where its probability reaches this
+UNKNOWN: Final = 0.85
 #: a cause named beside an unknown rest may be what the rest looks like: by so much its probability is cut
 DOUBT: Final = 0.6
 #: closure on held-out runs below which a fix is not recommended, and an explanation not believed

@@ -51,7 +51,7 @@ class Settings:
     """
 
     prior_effect: float = 0.02
-    prior_unknown: float = 0.04
+    prior_unknown: float = 0.08
     tolerance: float = 0.15
     temper: float = 0.9
     singles: int = 8
