@@ -10,7 +10,7 @@ import numpy as np
 from calib.campaign.model import FloatArray
 from calib.gap.effects.effect import Form
 from calib.gap.linear import Nuisance, project
-from calib.gap.search import Workbench
+from calib.gap.workbench import Workbench
 
 __all__ = ["NEAR", "aliases_of", "distance", "undetectable_size"]
 

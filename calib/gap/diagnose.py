@@ -23,11 +23,12 @@ from calib.gap.path import Path, predict
 from calib.gap.plan import next_runs, undetectable
 from calib.gap.recalibration import judge_recalibration
 from calib.gap.residuals import residuals
-from calib.gap.search import Search, Settings, Workbench, search
+from calib.gap.search import Search, Settings, search
 from calib.gap.sentence import sentence
 from calib.gap.situation import Situation
 from calib.gap.verdict import Verdict
 from calib.gap.where import locate
+from calib.gap.workbench import Workbench
 
 if TYPE_CHECKING:
     from calib.coefficients.sections import EffectSection

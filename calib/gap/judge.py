@@ -18,8 +18,9 @@ from calib.gap.noise import Noise
 from calib.gap.path import Path
 from calib.gap.recalibration import DIRECTIONS, NAMES, PRIOR, Recalibration
 from calib.gap.residuals import residuals
-from calib.gap.search import Hypothesis, Search, Settings, Workbench
+from calib.gap.search import Hypothesis, Search, Settings
 from calib.gap.verdict import Cause, Quantity, Verdict
+from calib.gap.workbench import Workbench
 
 __all__ = ["Judge"]
 
@@ -38,6 +39,12 @@ REST: Final = 0.5
 #: how probable it is that what so many named causes (a calibration parameter counts half) explain together is one cause
 #: outside the library, which they imitate; from cases whose true effect was deleted from the library
 IMITATION: Final = ((0.0, 1.0, 2.0, 2.5), (0.0, 0.08, 0.12, 0.9))
+#: every cause of a recommended fix is at least so probable
+SURE: Final = 0.6
+#: a cause that shows by less than this share of the strongest one may be that one's deviation from its assumed form
+WEAK: Final = 0.4
+#: by what its probability is cut
+WEAKENED: Final = 0.6
 #: hypotheses whose weights differ by less (a factor of ten) are not told apart either
 LIKELY_NATS: Final = 2.3
 
@@ -115,6 +122,7 @@ class Judge:
             closure=self._closure_said(),
             # a fix is for a gap whose cause is known: where a rest is left, the rest may be what the fix imitates
             recommended=said == "explained"
+            and all(cause.probability >= SURE for cause in causes)
             and closure.fraction is not None
             and closure.fraction >= CLOSES
             and closure.ci95 is not None
@@ -230,9 +238,13 @@ class Judge:
                 return [*groups, [*self.calibration, *sorted(near, key=lambda n: near[n])]]
         offered = forms | {n: e.forms(self.s) for n, e in self.effects.items() if e.calibration}
         for name in self.calibration:
-            others = [
-                (self.per_unit @ DIRECTIONS[NAMES.index(n)])[:, None] * 0.03 for n in self.calibration if n != name
-            ]
+            others = []
+            for other, direction in zip(NAMES, DIRECTIONS, strict=True):
+                if other != name:
+                    way = (self.per_unit @ direction)[:, None]
+                    # one that was not found to be off may be off by what would not have been found
+                    unseen = NEAR / max(float(np.sqrt((way**2).sum())), 1e-12)
+                    others.append(way * (0.03 if other in self.calibration else unseen))
             nuisance = Nuisance.of(np.concatenate([*beside, *others], axis=1))
             near = aliases_of(self.bench, nuisance, self._calibration_contribution([name]), offered, named)
             groups.append([name, *sorted(near, key=lambda n: near[n])])
@@ -298,6 +310,10 @@ class Judge:
             value, sd = self.recalibration.values[[i]], self.recalibration.sd[[i]]
             way = self._calibration_contribution([name])
             made.append(cause(name, form, value, sd, way, float(self.recalibration.signal[i])))
+        strongest = max((c.signal for c in made), default=0.0)
+        made = [
+            replace(c, probability=c.probability * (WEAKENED if c.signal < WEAK * strongest else 1.0)) for c in made
+        ]
         # what the named causes explain together is divided by their squares
         total = max(sum(c.share for c in made), 1e-12)
         made = [replace(c, share=explained * c.share / total) for c in made]

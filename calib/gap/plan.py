@@ -21,9 +21,9 @@ from calib.gap.observe import build_situation
 from calib.gap.path import predict
 from calib.gap.plan_distance import SEEN, Signatures, noise_at
 from calib.gap.plan_runs import DEFAULT_CORRIDOR_M, Measured, PlannedRun, default_candidates, drive, joined
-from calib.gap.search import Workbench
 from calib.gap.situation import Situation
 from calib.gap.verdict import Verdict
+from calib.gap.workbench import Workbench
 
 __all__ = ["Outlook", "next_runs", "outlook_of", "plan_after", "undetectable"]
 

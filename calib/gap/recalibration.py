@@ -14,7 +14,8 @@ from calib.gap.fit import Fitted
 from calib.gap.linear import CALIBRATION_SD, Nuisance, log_marginal
 from calib.gap.noise import Noise
 from calib.gap.path import Path
-from calib.gap.search import SCALE_COST, Settings, Workbench, effect_scale
+from calib.gap.search import SCALE_COST, Settings, effect_scale
+from calib.gap.workbench import Workbench
 
 __all__ = ["DIRECTIONS", "NAMES", "PRIOR", "Recalibration", "judge_recalibration"]
 

@@ -8,22 +8,20 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.model import FloatArray, IntArray
+from calib.campaign.model import FloatArray
 from calib.gap.effects.effect import Effect, Form
 from calib.gap.fit import Fitted, fit
 from calib.gap.linear import (
     CALIBRATION_SD,
     Nuisance,
-    form_columns,
     log_evidence,
     log_marginal,
     project,
     ridge_solve,
-    rows,
 )
-from calib.gap.noise import Noise, interactions, surroundings
+from calib.gap.noise import Noise
 from calib.gap.path import Path
-from calib.gap.residuals import residuals
+from calib.gap.workbench import Workbench
 
 __all__ = ["Hypothesis", "Search", "Settings", "search"]
 
@@ -133,61 +131,6 @@ def _marginal(columns: FloatArray, y: FloatArray) -> float:
     return float(log_marginal(square, nuisance.log_det, len(y)))
 
 
-class Workbench:
-    """The whitened system about one path: residual, recalibration and form columns, made once each."""
-
-    def __init__(self, path: Path, nominal: Path, noise: Noise) -> None:
-        self.path, self.nominal, self.noise = path, nominal, noise
-        self.gap = rows(path, noise, residuals(path, nominal)[:, :, None])[:, 0]
-        self.calibration = rows(path, noise, path.calibration * CALIBRATION_SD)
-        usable = path.s.usable
-        self.unit: IntArray = np.repeat(np.arange(len(path.s))[:, None], 6, axis=1)[usable]
-        self.channel: IntArray = np.repeat(np.arange(6)[None, :], len(path.s), axis=0)[usable]
-        self.condition: IntArray = path.s.condition[self.unit]
-        self._columns: dict[int, tuple[Form, FloatArray]] = {}
-
-    def columns(self, form: Form) -> FloatArray:
-        """Return the whitened signatures of a form in typical sizes, shape (n_rows, n_parameters)."""
-        found = self._columns.get(id(form))
-        if found is None:
-            # the form is kept with its columns, so that its id stays its own
-            found = (form, rows(self.path, self.noise, form_columns(self.path, form)))
-            self._columns[id(form)] = found
-        return found[1]
-
-    def by_condition(self, contribution: FloatArray) -> FloatArray:
-        """Split a whitened contribution (n_rows,) by condition, shape (n_rows, n_conditions)."""
-        labels, index = np.unique(self.condition, return_inverse=True)
-        made = np.zeros((len(contribution), len(labels)))
-        made[np.arange(len(contribution)), index] = contribution
-        return made
-
-    def unknown_columns(self) -> list[FloatArray]:
-        """Return columns of an unknown cause: offsets of the calibration by condition, and of channels by condition.
-
-        Each is scaled so that 1 is about the floor of one unit.
-        """
-        n = len(self.unit)
-        norm = np.sqrt((self.calibration[:, :3] ** 2).sum(axis=0) / max(len(self.path.s), 1))
-        present = np.flatnonzero(self.path.s.usable.any(axis=0))
-        wide = np.zeros((len(self.path.s), 6, len(present)))
-        for number, channel in enumerate(present):
-            wide[:, channel, number] = self.noise.floor[:, channel]
-        white = rows(self.path, self.noise, wide)
-        made = []
-        for cells in (self.path.s.condition, self.path.s.cell):
-            labels, index = np.unique(cells[self.unit], return_inverse=True)
-            for columns in (self.calibration[:, :3] / np.maximum(norm, 1e-12), white):
-                spread = np.zeros((n, len(labels), columns.shape[1]))
-                spread[np.arange(n), index] = columns
-                made.append(spread.reshape(n, -1))
-        for columns in (surroundings(self.path), *interactions(self.path)):
-            if columns.shape[2]:
-                trend = rows(self.path, self.noise, columns)
-                made.append(trend / np.maximum(np.sqrt((trend**2).mean(axis=0)), 1e-12))
-        return made
-
-
 UNKNOWN_SCALES: Final = (0.3, 0.7, 1.5, 3.0, 7.0, 15.0, 40.0, 120.0)
 
 
@@ -224,7 +167,8 @@ def evaluate(
         contribution = signature @ sizes
         y = y + contribution
         columns += [signature * effect_scale(sizes, form), settings.tolerance * bench.by_condition(contribution)]
-        cost += SCALE_COST
+        # half of the prior lies on the sign that a parameter cannot have
+        cost += SCALE_COST - np.log(2.0) * sum(p.sign != 0 for p in form.parameters)
     base = np.concatenate(columns, axis=1)
     plain = _marginal(base, y) - cost
     if not unknown:

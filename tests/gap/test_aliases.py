@@ -12,7 +12,7 @@ from calib.gap.fit import fit
 from calib.gap.linear import CALIBRATION_SD, Nuisance
 from calib.gap.path import predict
 from calib.gap.plan_distance import noise_at
-from calib.gap.search import Workbench
+from calib.gap.workbench import Workbench
 from tests.gap.effects.making import Run, rich_runs, situation
 
 # a nuisance that is broad, not free, and a prior of ten times the largest plausible size keep a thousandth at most

@@ -20,8 +20,8 @@ from calib.gap.plan_distance import noise_at
 from calib.gap.plan_file import read_plan
 from calib.gap.plan_runs import Measured, PlannedRun, default_candidates, drive, joined
 from calib.gap.residuals import residuals
-from calib.gap.search import Workbench
 from calib.gap.situation import Situation
+from calib.gap.workbench import Workbench
 from calib.plant.make import make_campaign
 from calib.plant.plans import poor_design
 
