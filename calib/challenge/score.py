@@ -178,6 +178,7 @@ def score_of(cases: list[Judged], *, purpose: str = "", truth_sha256: str = "") 
         "deleted effects left open or aliased": share([case.right for case in _of(cases, "deleted")]),
         "false unknowns at signal 25": share([case.verdict == "unknown" for case in right_unknown]),
         "both of a pair": share([case.right for case in _of(cases, "pair")]),
+        "both of a pair, or its group": share([case.in_group for case in _of(cases, "pair")]),
         "exact aliases named": share([case.right for case in _of(cases, "alias")]),
         "wrong fixes": share([case.wrong_fix for case in cases]),
         "fixes that made the fresh campaign worse": share([bool(case.harmful) for case in tried]),
