@@ -25,7 +25,7 @@ from calib.gap.workbench import Workbench
 __all__ = ["Judge"]
 
 #: a gap is said to exist where the probability that anything is off reaches this
-DETECTION: Final = 0.9
+DETECTION: Final = 0.7
 #: an unknown cause alone is called one where its probability reaches this
 UNKNOWN: Final = 0.85
 #: a cause named beside an unknown rest may be what the rest looks like: by so much its probability is cut
