@@ -191,6 +191,9 @@ def _unknown_evidence(bench: Workbench, base: FloatArray, y: FloatArray) -> floa
             variance = scale**2
             left = square - (turned * variance / (1.0 + variance * eigen)).sum()
             found.append(float(log_marginal(left, nuisance.log_det + np.log1p(variance * eigen).sum(), len(y))))
+    if not found:
+        # nothing was driven twice, nothing varied: an unknown cause could not be told from noise
+        return -np.inf
     top = max(found)
     return float(top + np.log(np.mean(np.exp(np.array(found) - top))))
 
