@@ -22,7 +22,7 @@ from pytest_benchmark.fixture import BenchmarkFixture
 from calib.campaign.model import Campaign, Logs
 from calib.campaign.write import write_campaign
 from calib.gap import diagnose as whole
-from calib.gap import linear, noise
+from calib.gap import linear, noise, workbench
 from calib.gap import search as searching
 from calib.plant.make import make_campaign
 from calib.plant.plans import good_design
@@ -79,7 +79,7 @@ def clocked() -> Iterator[Clock]:
     clock = Clock()
     places = [
         (linear, "form_columns", "signatures"),
-        (searching, "form_columns", "signatures"),
+        (workbench, "form_columns", "signatures"),
         (whole, "estimate_noise", "noise"),
         (whole, "search", "search"),
         (searching, "evaluate", "evidence"),
