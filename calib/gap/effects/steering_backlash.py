@@ -15,6 +15,8 @@ __all__ = ["SteeringBacklash"]
 
 #: logged angle from which on a step belongs to a turn
 _TURN_RAD: Final = 0.02
+#: logged angle below which nothing moves, however fine the sensor
+_STILL_RAD: Final = 2e-3
 #: plays that are tried; the least stands for the side of the last move
 PLAYS_RAD: Final = (2e-3, 8e-3, 2e-2)
 #: way to either side over which the rear wheels' turn is taken: over less the counters are too coarse to tell it
@@ -41,8 +43,9 @@ class SteeringBacklash(Effect):
         # only a clear turn has a side: the sign of an angle near zero is the sign of its sensor's noise
         by_side = np.where(np.abs(angle) > _TURN_RAD, np.sign(angle), 0.0)
         noise = _noise_rad(s, angle)
-        # sensor noise, its zero and small corrections are no moves of the motor
-        moved = np.where(np.abs(angle) > max(_TURN_RAD, 6.0 * noise), angle, 0.0)
+        # with a coarse sensor, noise, zero and small corrections are not told apart: a turn alone is a move of the motor
+        band = _STILL_RAD if 6.0 * noise < _STILL_RAD else max(_TURN_RAD, 6.0 * noise)
+        moved = np.where(np.abs(angle) > band, angle, 0.0)
         wheel = _wheel_rad(s, angle)
         rough = _noise_rad(s, wheel)
         tries = 1 + 2 * len(PLAYS_RAD)
