@@ -193,15 +193,10 @@ def _show_closure(document: Mapping[str, Any], target: str | None) -> None:
     say_wrapped(said + ".", target=target)
     if document["headline"] is not None:
         say_wrapped(document["headline"]["sentence"], target=target)
+    from calib.gap.sentence import advice
+
     if document["causes"]:
-        advice = (
-            "Recommended: the fix holds on runs it has not seen."
-            if document["recommended"]
-            else "Not recommended: other causes would explain these runs as well."
-            if document["indistinguishable"]
-            else "Not recommended: the fix is not shown to hold on runs that it has not seen."
-        )
-        say_wrapped(advice, target=target)
+        say_wrapped(advice(document), target=target)
     say("", target=target)
 
 

@@ -19,7 +19,7 @@ from calib.gap.path import Path
 from calib.gap.recalibration import DIRECTIONS, NAMES, PRIOR, Recalibration
 from calib.gap.residuals import residuals
 from calib.gap.search import Hypothesis, Search, Settings
-from calib.gap.verdict import Cause, Quantity, Verdict
+from calib.gap.verdict import SURE, Cause, Quantity, Verdict
 from calib.gap.workbench import Workbench
 
 __all__ = ["Judge"]
@@ -39,8 +39,6 @@ REST: Final = 0.5
 #: how probable it is that what so many named causes (a calibration parameter counts half) explain together is one cause
 #: outside the library, which they imitate; from cases whose true effect was deleted from the library
 IMITATION: Final = ((0.0, 1.0, 2.0, 2.5), (0.0, 0.08, 0.12, 0.9))
-#: every cause of a recommended fix is at least so probable
-SURE: Final = 0.6
 #: a cause that shows by less than this share of the strongest one may be that one's deviation from its assumed form
 WEAK: Final = 0.4
 #: by what its probability is cut

@@ -8,9 +8,9 @@ from typing import Any, Final
 
 from calib.gap.effects.covariate import PREFIX
 from calib.gap.effects.library import REGISTRY
-from calib.gap.verdict import Cause, Verdict
+from calib.gap.verdict import SURE, Cause, Verdict
 
-__all__ = ["sentence", "title_of"]
+__all__ = ["advice", "sentence", "title_of"]
 
 #: what a plain recalibration would change, by the calibration's own effects
 HIDES_IN: Final[Mapping[str, str]] = {
@@ -53,6 +53,24 @@ def sentence(verdict: Verdict) -> str:
     else:
         said = f"The gap is explained by {_listed(verdict.causes)}"
     return f"{said}{_shrinks(verdict)}.{_hidden(verdict)}{_implausible(verdict)}"
+
+
+def advice(document: Mapping[str, Any]) -> str:
+    """Return whether the fix is recommended, and if not why, from a verdict as plain values; empty without a cause."""
+    causes = document["causes"]
+    if not causes:
+        return ""
+    if document["recommended"]:
+        return "Recommended: the fix holds on runs it has not seen."
+    if document["indistinguishable"]:
+        return "Not recommended: other causes would explain these runs as well."
+    if document["verdict"] == "partly_explained":
+        return "Not recommended: a rest of the gap is left, and its cause may be what the named one imitates."
+    doubtful = [cause for cause in causes if cause["probability"] < SURE]
+    if doubtful:
+        names = " and ".join(f"{cause['effect']} ({cause['probability']:.2f})" for cause in doubtful)
+        return f"Not recommended: too little speaks for {names}."
+    return "Not recommended: the fix is not shown to hold on runs that it has not seen."
 
 
 def _listed(causes: Sequence[Cause]) -> str:

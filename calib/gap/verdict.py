@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
-__all__ = ["Cause", "Quantity", "Verdict"]
+__all__ = ["SURE", "Cause", "Quantity", "Verdict"]
+
+#: every cause of a recommended fix is at least so probable
+SURE: Final = 0.6
 
 
 @dataclass(frozen=True, slots=True)
