@@ -43,7 +43,7 @@ class SteeringBacklash(Effect):
         # only a clear turn has a side: the sign of an angle near zero is the sign of its sensor's noise
         by_side = np.where(np.abs(angle) > _TURN_RAD, np.sign(angle), 0.0)
         noise = _noise_rad(s, angle)
-        # with a coarse sensor, noise, zero and small corrections are not told apart: a turn alone is a move of the motor
+        # a coarse sensor does not tell noise, zero and small corrections apart: there a turn alone is a move
         band = _STILL_RAD if 6.0 * noise < _STILL_RAD else max(_TURN_RAD, 6.0 * noise)
         moved = np.where(np.abs(angle) > band, angle, 0.0)
         wheel = _wheel_rad(s, angle)
