@@ -70,7 +70,7 @@ def undetectable_size(bench: Workbench, nuisance: Nuisance, form: Form, signal: 
     """
     columns = project(nuisance, bench.columns(form))
     norm = np.sqrt((columns**2).sum(axis=0))
-    typical = np.array([p.typical for p in form.parameters])
+    typical = form.typical
     raw = np.sqrt((bench.columns(form) ** 2).sum(axis=0))
     with np.errstate(divide="ignore"):
         made: FloatArray = np.where(norm > 1e-4 * np.maximum(raw, 1e-12), signal / norm, np.inf) * typical

@@ -52,10 +52,7 @@ class Fitted:
     @property
     def parameters(self) -> FloatArray:
         """All theta end to end in units of their typical size, shape (n_parameters,)."""
-        parts = [
-            theta / np.array([p.typical for p in form.parameters])
-            for form, theta in zip(self.forms, self.theta, strict=True)
-        ]
+        parts = [theta / form.typical for form, theta in zip(self.forms, self.theta, strict=True)]
         return np.concatenate(parts) if parts else np.zeros(0)
 
 
@@ -134,7 +131,7 @@ def fit(
     if not s.usable[:, 4:].any():
         freedom[3] = False
     calibration = np.zeros(4) if start is None else np.where(freedom, start.calibration, 0.0)
-    typical = [np.array([p.typical for p in form.parameters]) for form in forms]
+    typical = [form.typical for form in forms]
     known = {} if start is None else {id(f): t for f, t in zip(start.forms, start.theta, strict=True)}
     theta = [known.get(id(form), np.zeros(len(t))).copy() for form, t in zip(forms, typical, strict=True)]
     path = nominal if start is None else hypothesis_path(s, calibration, forms, theta, nominal)

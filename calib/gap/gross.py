@@ -11,8 +11,9 @@ from calib.campaign.model import FloatArray
 from calib.gap.path import Path, predict
 from calib.gap.residuals import residuals
 from calib.gap.situation import Situation
+from calib.gap.verdict import Cause, Quantity
 
-__all__ = ["GrossFault", "corrected", "find_gross"]
+__all__ = ["GrossFault", "corrected", "find_gross", "gross_cause"]
 
 FACTORS: Final = {"2": 2.0, "4": 4.0, "pi": np.pi, "1/2": 0.5, "1/4": 0.25, "1/pi": 1 / np.pi, "10": 10.0, "1/10": 0.1}
 #: a fault is gross where runs are off by more than this share of their length (or of a radian) on average
@@ -88,3 +89,21 @@ def find_gross(s: Situation, nominal: Path) -> GrossFault | None:
     ]
     best, number = min(tried)
     return _candidates()[number] if best < CLOSES * now and best < GROSS else None
+
+
+def gross_cause(fault: GrossFault) -> Cause:
+    """Return a gross fault as the cause that a verdict names: its factors on the counts are plain numbers."""
+    quantities = {
+        "factor_left": Quantity(fault.left, (fault.left, fault.left), "1"),
+        "factor_right": Quantity(fault.right, (fault.right, fault.right), "1"),
+    }
+    return Cause(
+        effect="encoder_gross",
+        title="a gross fault of the encoders",
+        form=fault.label,
+        probability=1.0,
+        share=1.0,
+        signal=float("inf"),
+        parameters=quantities,
+        remark="put the counts right, then diagnose again",
+    )

@@ -12,13 +12,14 @@ from calib.campaign.model import Campaign, FloatArray
 from calib.gap.aliases import NEAR, aliases_of
 from calib.gap.closure import Closure
 from calib.gap.effects.effect import Effect, Form
-from calib.gap.gross import GrossFault
+from calib.gap.gross import GrossFault, gross_cause
 from calib.gap.linear import CALIBRATION_SD, Nuisance, rows
 from calib.gap.noise import Noise
 from calib.gap.path import Path
 from calib.gap.recalibration import DIRECTIONS, NAMES, PRIOR, Recalibration
 from calib.gap.residuals import residuals
 from calib.gap.search import Hypothesis, Search, Settings
+from calib.gap.spreads import size_spreads
 from calib.gap.verdict import SURE, Cause, Quantity, Verdict
 from calib.gap.workbench import Workbench
 
@@ -106,7 +107,7 @@ class Judge:
         causes = [] if nothing and self.fault is None else self._causes()
         if self.fault is not None:
             # where the rest is no gap or unknown, the fault alone is named
-            causes = [self._gross_cause(), *([] if nothing else causes)]
+            causes = [gross_cause(self.fault), *([] if nothing else causes)]
             said = {"no_gap": "explained", "unknown": "partly_explained"}.get(said, said)
         closure = self.closure
         return Verdict(
@@ -203,7 +204,7 @@ class Judge:
         return float(sum(p for h, p in zip(self.found.hypotheses, self.probabilities, strict=True) if what(h)))
 
     def _contribution(self, form: Form, theta: FloatArray) -> FloatArray:
-        made: FloatArray = self.bench.columns(form) @ (theta / np.array([p.typical for p in form.parameters]))
+        made: FloatArray = self.bench.columns(form) @ (theta / form.typical)
         return made
 
     def _calibration_contribution(self, names: Sequence[str]) -> FloatArray:
@@ -297,7 +298,7 @@ class Judge:
             )
 
         made = []
-        spreads = self._spreads()
+        spreads = size_spreads(self.bench, fitted, self.settings.tolerance)
         for form, theta, sd in zip(fitted.forms, fitted.theta, spreads, strict=True):
             way = self._contribution(form, theta)
             signal = float(np.sqrt(nuisance.scalar(way[:, None], way[:, None])[0, 0]))
@@ -316,44 +317,6 @@ class Judge:
         total = max(sum(c.share for c in made), 1e-12)
         made = [replace(c, share=explained * c.share / total) for c in made]
         return sorted(made, key=lambda c: (-round(c.probability, 2), -c.signal))
-
-    def _spreads(self) -> list[FloatArray]:
-        """Return the standard uncertainty of each form's parameters, the noise and the form's own tolerance in it.
-
-        An effect that deviates from its assumed form by so much a condition is known on the whole no better than its
-        conditions average that out.
-        """
-        fitted, bench = self.chosen.fitted, self.bench
-        columns = [bench.columns(form) for form in fitted.forms]
-        loose = [bench.calibration]
-        for form, theta in zip(fitted.forms, fitted.theta, strict=True):
-            loose.append(self.settings.tolerance * bench.by_condition(self._contribution(form, theta)))
-        nuisance = Nuisance.of(np.concatenate(loose, axis=1))
-        whole = np.concatenate(columns, axis=1) if columns else np.zeros((len(bench.gap), 0))
-        gram = nuisance.scalar(whole, whole)
-        # the fit's own wide prior keeps parameters that these runs cannot tell finite
-        sd = np.sqrt(np.diag(np.linalg.inv(gram + np.eye(len(gram)) / 30.0**2)))
-        typical = [np.array([p.typical for p in form.parameters]) for form in fitted.forms]
-        cuts = np.cumsum([0, *(len(t) for t in typical)])
-        return [sd[a:b] * t for a, b, t in zip(cuts[:-1], cuts[1:], typical, strict=True)]
-
-    def _gross_cause(self) -> Cause:
-        fault = self.fault
-        assert fault is not None
-        quantities = {
-            "factor_left": Quantity(fault.left, (fault.left, fault.left), "1"),
-            "factor_right": Quantity(fault.right, (fault.right, fault.right), "1"),
-        }
-        return Cause(
-            effect="encoder_gross",
-            title="a gross fault of the encoders",
-            form=fault.label,
-            probability=1.0,
-            share=1.0,
-            signal=float("inf"),
-            parameters=quantities,
-            remark="put the counts right, then diagnose again",
-        )
 
     def _credible_sets(self, groups: Sequence[Sequence[str]]) -> tuple[tuple[str, ...], ...]:
         """Return the most probable sets of causes that together hold 95 %, and what could stand in for the best."""

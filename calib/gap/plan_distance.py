@@ -85,7 +85,7 @@ class Signatures:
                     shown.append(columns @ np.resize(np.array(_DIRECTIONS), columns.shape[2]))
             if effect.id in given:
                 form, theta = given[effect.id]
-                shown.append(form_columns(path, form) @ (theta / np.array([p.typical for p in form.parameters])))
+                shown.append(form_columns(path, form) @ (theta / form.typical))
             # an effect is asked of in the form that shows best
             free = calibration[:, 3:] if effect.calibration else calibration
             left = project(Nuisance.of(free), rows(path, noise, np.stack(shown, axis=2)))

@@ -95,7 +95,7 @@ def judge_recalibration(
     fixed = [bench.calibration[:, 3:]]
     for form, theta in zip(fitted.forms, fitted.theta, strict=True):
         signature = bench.columns(form)
-        sizes = theta / np.array([p.typical for p in form.parameters])
+        sizes = theta / form.typical
         contribution = signature @ sizes
         y = y + contribution
         fixed += [

@@ -163,7 +163,7 @@ def evaluate(
     cost = 0.0
     for form, theta in zip(fitted.forms, fitted.theta, strict=True):
         signature = bench.columns(form)
-        sizes = theta / np.array([p.typical for p in form.parameters])
+        sizes = theta / form.typical
         contribution = signature @ sizes
         y = y + contribution
         columns += [signature * effect_scale(sizes, form), settings.tolerance * bench.by_condition(contribution)]
@@ -323,7 +323,7 @@ def _extend(
         columns = [bench.calibration]
         for form, theta in zip(begin.forms, begin.theta, strict=True):
             signature = bench.columns(form)
-            sizes = theta / np.array([p.typical for p in form.parameters])
+            sizes = theta / form.typical
             columns += [3.0 * signature, settings.tolerance * bench.by_condition(signature @ sizes)]
         nuisance = Nuisance.of(np.concatenate(columns, axis=1))
         ranking, _ = _screen(bench, nuisance, forms, tuple(f.effect for f in chosen))

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-import numpy as np
-
 from calib.gap.effects.effect import Effect, Form, Parameter
-from calib.gap.effects.shapes import distance_m
-from calib.gap.path import Path, Push
+from calib.gap.effects.shapes import laser_share
 from calib.gap.situation import Situation
 
 __all__ = ["BeamMisalignment"]
@@ -23,13 +20,5 @@ class BeamMisalignment(Effect):
 
     def forms(self, s: Situation) -> list[Form]:
         """Return the single form; none without a laser distance."""
-        if not s.usable[:, 0].any():
-            return []
-
-        def pushes(path: Path) -> list[Push]:
-            reading = np.zeros((len(s), 6))
-            reading[:, 0] = distance_m(path)
-            return [Push(reading=reading)]
-
         # 1.5e-4 at 1 degree, 1.4e-3 at 3 degrees, 3.8e-3 at 5 degrees
-        return [Form(self.id, "", (Parameter("excess", "1", typical=5e-4, largest=3.8e-3, sign=1),), pushes)]
+        return laser_share(s, self.id, Parameter("excess", "1", typical=5e-4, largest=3.8e-3, sign=1))

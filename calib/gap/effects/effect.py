@@ -66,6 +66,11 @@ class Form:
     settings: dict[str, float] = field(default_factory=dict)
     tries: int = 1
 
+    @property
+    def typical(self) -> FloatArray:
+        """Typical size of each parameter in its unit, shape (n_parameters,)."""
+        return np.array([p.typical for p in self.parameters])
+
 
 class Effect(ABC):
     """A candidate cause. A new effect is a subclass in a file of its own and one line in the registry.

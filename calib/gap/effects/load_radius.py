@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from calib.gap.effects.effect import Effect, Form, Parameter, varies
+from calib.gap.effects.effect import Effect, Form, varies
+from calib.gap.effects.load_slopes import slope_parameters
 from calib.gap.path import Push
 from calib.gap.situation import Situation
 
@@ -24,10 +25,6 @@ class LoadRadius(Effect):
         left, right = s.number("load_left_N"), s.number("load_right_N")
         if not (varies(left, 5.0) or varies(right, 5.0)):
             return []
-        radius = 0.5 * (s.model.radius_left_m + s.model.radius_right_m)
         reference = s.model.reference_load_N
-        # 0.1 to 1.5 % per kN on a wheel of 0.1 m is 1e-7 to 1.5e-6 m/N
-        scale = Parameter("", "m/N", typical=1e-5 * radius, largest=6e-5 * radius)
-        slopes = tuple(Parameter(name, "m/N", scale.typical, scale.largest) for name in ("slope_left", "slope_right"))
         per_left, per_right = (left - reference) / s.radius_left_m, (right - reference) / s.radius_right_m
-        return [Form(self.id, "", slopes, lambda _: [Push(left=per_left), Push(right=per_right)])]
+        return [Form(self.id, "", slope_parameters(s), lambda _: [Push(left=per_left), Push(right=per_right)])]

@@ -7,7 +7,8 @@ from typing import ClassVar, Final
 import numpy as np
 
 from calib.campaign.model import FloatArray
-from calib.gap.effects.effect import Effect, Form, Parameter, varies
+from calib.gap.effects.effect import Effect, Form, varies
+from calib.gap.effects.load_slopes import slope_parameters
 from calib.gap.path import Push
 from calib.gap.situation import Situation
 
@@ -32,11 +33,7 @@ class LoadRadiusNonlinear(Effect):
         reference = s.model.reference_load_N
         if reference <= 1.0:
             reference = max(1.0, float(np.mean(0.5 * (left + right))))
-        radius = 0.5 * (s.model.radius_left_m + s.model.radius_right_m)
-        slopes = tuple(
-            Parameter(name, "m/N", typical=1e-5 * radius, largest=6e-5 * radius)
-            for name in ("slope_left", "slope_right")
-        )
+        slopes = slope_parameters(s)
 
         def made(exponent: float) -> Form:
             def shape(load: FloatArray) -> FloatArray:

@@ -7,14 +7,25 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.model import BoolArray, FloatArray
+from calib.gap.effects.effect import Parameter
 from calib.gap.path import Path
 from calib.gap.situation import Situation
 from calib.vehicle import wheel_loads_N
 
-__all__ = ["NOMINAL_PER_N", "payload_load_N", "radius_slopes_m_per_N"]
+__all__ = ["NOMINAL_PER_N", "payload_load_N", "radius_slopes_m_per_N", "slope_parameters"]
 
 #: relative slope where neither the model nor the hypothesis has any
 NOMINAL_PER_N: Final = 1e-5
+
+
+def slope_parameters(s: Situation) -> tuple[Parameter, ...]:
+    """Return the slopes of the left and right radius against load in m/N, as an effect's parameters.
+
+    0.1 to 1.5 % per kN on a wheel of 0.1 m is 1e-7 to 1.5e-6 m/N.
+    """
+    radius = 0.5 * (s.model.radius_left_m + s.model.radius_right_m)
+    names = ("slope_left", "slope_right")
+    return tuple(Parameter(name, "m/N", typical=1e-5 * radius, largest=6e-5 * radius) for name in names)
 
 
 def radius_slopes_m_per_N(path: Path, use: BoolArray | None = None) -> tuple[float, float]:

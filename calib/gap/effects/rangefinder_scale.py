@@ -4,11 +4,8 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-import numpy as np
-
 from calib.gap.effects.effect import Effect, Form, Parameter
-from calib.gap.effects.shapes import distance_m
-from calib.gap.path import Path, Push
+from calib.gap.effects.shapes import laser_share
 from calib.gap.situation import Situation
 
 __all__ = ["RangefinderScale"]
@@ -23,12 +20,4 @@ class RangefinderScale(Effect):
 
     def forms(self, s: Situation) -> list[Form]:
         """Return the single form; none without a laser distance."""
-        if not s.usable[:, 0].any():
-            return []
-
-        def pushes(path: Path) -> list[Push]:
-            reading = np.zeros((len(s), 6))
-            reading[:, 0] = distance_m(path)
-            return [Push(reading=reading)]
-
-        return [Form(self.id, "", (Parameter("relative", "1", typical=1e-3, largest=1e-2),), pushes)]
+        return laser_share(s, self.id, Parameter("relative", "1", typical=1e-3, largest=1e-2))

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from calib.campaign.model import BoolArray, FloatArray
-from calib.gap.path import Path
+from calib.gap.effects.effect import Form, Parameter
+from calib.gap.path import Path, Push
 from calib.gap.situation import Situation
 
 __all__ = [
@@ -14,6 +15,7 @@ __all__ = [
     "distance_m",
     "driven_speed_mps",
     "end_motion",
+    "laser_share",
     "shows_curves",
     "start_to_end_frame",
 ]
@@ -99,3 +101,26 @@ def _carried_on(s: Situation, steps: FloatArray, back: FloatArray, late: BoolArr
     last = np.where(np.isfinite(rate[0]), rate[0], np.nan)
     carried = np.where(np.isfinite(carried), carried, last)
     return np.where(np.isnan(last) | (np.sign(carried) == np.sign(last)), carried, 0.0)
+
+
+def laser_share(s: Situation, effect: str, parameter: Parameter) -> list[Form]:
+    """Return the form by which the laser's distances are too large by a share; empty where no unit has one.
+
+    Parameters
+    ----------
+    s : Situation
+        Units and steps.
+    effect : str
+        Id of the effect.
+    parameter : Parameter
+        The share, a plain number.
+    """
+    if not s.usable[:, 0].any():
+        return []
+
+    def pushes(path: Path) -> list[Push]:
+        reading = np.zeros((len(s), 6))
+        reading[:, 0] = distance_m(path)
+        return [Push(reading=reading)]
+
+    return [Form(effect, "", (parameter,), pushes)]
