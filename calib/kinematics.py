@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from calib.arrays import FloatArray
+
 __all__ = [
     "axle_motion",
     "distance_m",
@@ -17,8 +19,6 @@ __all__ = [
     "track_error",
     "wheel_motion",
 ]
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def _array(value: npt.ArrayLike) -> FloatArray:

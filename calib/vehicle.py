@@ -7,12 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from calib.arrays import FloatArray
 from calib.errors import BadInputError, RefusedError
 from calib.units import GRAVITY_MPS2
 
 __all__ = ["Vehicle", "WeighedPayload", "check_wheel_loads", "payload_from_wheel_loads", "wheel_loads_N"]
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.arrays import BoolArray, FloatArray
 from calib.campaign.checks import CHECKS
-from calib.campaign.model import BoolArray, Campaign, FloatArray, Note
+from calib.campaign.model import Campaign, Note
 
 __all__ = ["CheckReport", "Found", "check_campaign", "summarise"]
 

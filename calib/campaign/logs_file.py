@@ -8,9 +8,10 @@ from typing import Final
 
 import numpy as np
 
+from calib.arrays import FloatArray, IntArray
 from calib.campaign.columns import Recognised, recognise
 from calib.campaign.faults import Border
-from calib.campaign.model import LOG_COLUMNS, FloatArray, IntArray, Logs
+from calib.campaign.model import LOG_COLUMNS, Logs
 from calib.campaign.readers import read_table
 from calib.campaign.settings import Encoder
 from calib.campaign.wraps import detect_wrap_bits, unwrap

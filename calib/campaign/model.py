@@ -13,6 +13,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from calib.arrays import BoolArray, FloatArray, IntArray, StrArray
 from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
 from calib.vehicle import Vehicle
 
@@ -20,20 +21,12 @@ __all__ = [
     "LABEL_COLUMNS",
     "LOG_COLUMNS",
     "NUMERIC_COLUMNS",
-    "BoolArray",
     "Campaign",
-    "FloatArray",
-    "IntArray",
     "Logs",
     "Note",
     "RunTable",
-    "StrArray",
 ]
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
-StrArray = npt.NDArray[np.str_]
 
 #: text columns of ``runs.csv``
 LABEL_COLUMNS: Final = ("run_id", "session", "kind", "direction", "log", "exclusion_reason")

@@ -9,9 +9,10 @@ from typing import Final
 
 import numpy as np
 
+from calib.arrays import BoolArray, FloatArray
 from calib.campaign.faults import Border
 from calib.campaign.logs_file import LogFile, read_logs
-from calib.campaign.model import BoolArray, Campaign, FloatArray, Logs, RunTable
+from calib.campaign.model import Campaign, Logs, RunTable
 from calib.campaign.readers import READERS, read_table
 from calib.campaign.runs_file import run_table
 from calib.campaign.settings_file import Settings, read_settings

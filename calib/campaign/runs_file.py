@@ -8,9 +8,10 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from calib.arrays import BoolArray, FloatArray, StrArray
 from calib.campaign.columns import Recognised, recognise
 from calib.campaign.faults import Border
-from calib.campaign.model import LABEL_COLUMNS, NUMERIC_COLUMNS, BoolArray, FloatArray, RunTable, StrArray
+from calib.campaign.model import LABEL_COLUMNS, NUMERIC_COLUMNS, RunTable
 from calib.campaign.readers.table import RawTable, comma_evidence, numbers
 from calib.errors import BadFileError
 

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.model import FloatArray, IntArray
+from calib.arrays import FloatArray, IntArray
 
 __all__ = ["detect_wrap_bits", "rewrap_total", "unwrap"]
 

@@ -13,7 +13,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from calib.campaign.model import LABEL_COLUMNS, LOG_COLUMNS, NUMERIC_COLUMNS, Campaign, FloatArray, RunTable
+from calib.arrays import FloatArray
+from calib.campaign.model import LABEL_COLUMNS, LOG_COLUMNS, NUMERIC_COLUMNS, Campaign, RunTable
 from calib.campaign.settings_file import FORMAT
 from calib.campaign.toml_text import to_toml
 from calib.errors import BadInputError, would_overwrite

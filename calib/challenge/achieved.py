@@ -6,12 +6,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from calib.campaign.model import Campaign, FloatArray
+from calib.arrays import FloatArray
+from calib.campaign.model import Campaign
 
 if TYPE_CHECKING:
+    from calib.gap.data.observations import Observations
     from calib.gap.diagnose import Diagnosis
     from calib.gap.effects.effect import Form
-    from calib.gap.situation import Situation
 
 __all__ = ["achieved"]
 
@@ -35,15 +36,15 @@ def achieved(diagnosis: Diagnosis, fresh: Campaign, exclude: tuple[str, ...] = (
         ``after_over_floor``, all channels against their noise; the closure ``fraction`` of whitened squares. None
         where the verdict names no cause, or a form of its causes cannot be had there.
     """
-    from calib.gap.fit import hypothesis_path
-    from calib.gap.linear import rows
-    from calib.gap.observe import build_situation
-    from calib.gap.path import predict
-    from calib.gap.residuals import residuals
+    from calib.gap.data.from_campaign import observations_of
+    from calib.gap.evidence.fit import hypothesis_path
+    from calib.gap.evidence.marginal import rows
+    from calib.gap.predict.path import predict
+    from calib.gap.predict.residuals import residuals
 
     if not diagnosis.verdict.causes:
         return None
-    there = build_situation(fresh)
+    there = observations_of(fresh)
     forms = _forms_there(diagnosis, there, fresh, exclude)
     if forms is None or len(there) != len(diagnosis.situation):
         return None
@@ -65,7 +66,7 @@ def achieved(diagnosis: Diagnosis, fresh: Campaign, exclude: tuple[str, ...] = (
 
 
 def _forms_there(
-    diagnosis: Diagnosis, there: Situation, fresh: Campaign, exclude: tuple[str, ...]
+    diagnosis: Diagnosis, there: Observations, fresh: Campaign, exclude: tuple[str, ...]
 ) -> tuple[Form, ...] | None:
     """Return the verdict's forms on another campaign, found again by effect, label and settings."""
     from calib.gap.effects.library import library
@@ -89,7 +90,7 @@ def _apart(one: dict[str, float], other: dict[str, float]) -> float:
     return sum(abs(one.get(key, np.inf) - value) for key, value in other.items())
 
 
-def _rms(there: Situation, values: FloatArray) -> float | None:
+def _rms(there: Observations, values: FloatArray) -> float | None:
     pose = there.usable[:, 1] & there.usable[:, 2]
     if pose.any():
         return float(np.sqrt(np.mean(values[pose, 1] ** 2 + values[pose, 2] ** 2)))

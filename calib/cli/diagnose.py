@@ -53,7 +53,7 @@ def register(application: typer.Typer, name: str) -> None:
         from calib.files import write_bytes, write_json
         from calib.gap.apply import applied_model, model_of
         from calib.gap.diagnose import diagnose_in_full
-        from calib.gap.headline import headline
+        from calib.gap.verdict.paper_headline import headline
 
         for target in (apply, None if into is None else into / RESULT_FILE):
             if target is not None and target.exists() and not force:
@@ -75,7 +75,7 @@ def register(application: typer.Typer, name: str) -> None:
             write_json(into / RESULT_FILE, document, force=force)
             say(f"wrote {into / RESULT_FILE}", target=json_target)
         if figures is not None:
-            from calib.report.gap_pictures import write_gap_pictures
+            from calib.report.figures.gap_files import write_gap_pictures
 
             written = write_gap_pictures(found, figures, force=force)
             say(f"wrote {len(written)} figure files to {figures}", target=json_target)
@@ -193,7 +193,7 @@ def _show_closure(document: Mapping[str, Any], target: str | None) -> None:
     say_wrapped(said + ".", target=target)
     if document["headline"] is not None:
         say_wrapped(document["headline"]["sentence"], target=target)
-    from calib.gap.sentence import advice
+    from calib.gap.verdict.sentence import advice
 
     if document["causes"]:
         say_wrapped(advice(document), target=target)

@@ -50,7 +50,7 @@ def register(application: typer.Typer, name: str) -> None:
         A payload under which a wheel would lift or carry more than is permitted is refused.
         """
         from calib.errors import BadInputError
-        from calib.motion.vehicle_source import vehicle_of
+        from calib.motion.studies.vehicle_source import vehicle_of
 
         found = vehicle_of(
             vehicle,
@@ -81,14 +81,14 @@ def _loads(
 ) -> None:
     from dataclasses import asdict
 
-    from calib.motion.load_sweep import sweep_loads
+    from calib.motion.studies.load_sweep import sweep_loads
 
     what, first, last, steps = sweep
     made = sweep_loads(vehicle, *payload, swept=COLUMNS[what] if what else "", span=(first, last), steps=steps)
     rows = made.rows()
     written: list[str] = []
     if figures is not None:
-        from calib.motion.figures import load_figure, save
+        from calib.report.figures.motion import load_figure, save
 
         stem = "fig3b" if what == "payload" else "fig3a" if what == "y" else "loads"
         written = [str(path) for path in save(load_figure(made), figures, stem, force=force)]
@@ -118,7 +118,7 @@ def _loads(
 def _weighed(vehicle: Any, text: str, sigma: float, json: str | None, force: bool) -> None:
     from dataclasses import asdict
 
-    from calib.motion.numbers import numbers
+    from calib.motion.studies.numbers import numbers
     from calib.vehicle import payload_from_wheel_loads
 
     front, left, right = numbers(text, 3, "--weighed")

@@ -12,7 +12,7 @@ from calib.cli.output import FORCE, JSON, emit_json, say, say_wrapped, table
 from calib.cli.threads import one_blas_thread
 
 if TYPE_CHECKING:
-    from calib.gap.plan import Outlook
+    from calib.gap.plan.next_runs import Outlook
 
 __all__ = ["register"]
 
@@ -69,8 +69,8 @@ def _next(
     campaign: Path, candidates: Path | None, most: int, seed: int, json_target: str | None, *, force: bool
 ) -> int:
     from calib.campaign.read import read_campaign
-    from calib.gap.plan import plan_after
-    from calib.gap.plan_file import read_candidates
+    from calib.gap.plan.next_runs import plan_after
+    from calib.gap.plan.plan_file import read_candidates
 
     read = read_campaign(campaign)
     offered = None if candidates is None else read_candidates(candidates)
@@ -108,8 +108,8 @@ def _row(number: int, run: Mapping[str, Any]) -> tuple[str, ...]:
 def _judge(source: Path, figures: Path | None, json_target: str | None, *, force: bool) -> int:
     from calib.errors import would_overwrite
     from calib.files import write_bytes
-    from calib.gap.plan import outlook_of
-    from calib.gap.plan_file import read_plan
+    from calib.gap.plan.next_runs import outlook_of
+    from calib.gap.plan.plan_file import read_plan
 
     targets = [] if figures is None else [figures / f"plan-matrix.{form}" for form in FORMS]
     for target in targets:
@@ -119,8 +119,8 @@ def _judge(source: Path, figures: Path | None, json_target: str | None, *, force
     outlook = outlook_of(planned)
     _show(planned.name, len(planned.runs), outlook, json_target)
     if figures is not None:
-        from calib.report.plan_figure import plan_matrix
-        from calib.report.style import render
+        from calib.report.figures.plan import plan_matrix
+        from calib.report.figures.style import render
 
         figure = plan_matrix(outlook)
         for target, form in zip(targets, FORMS, strict=True):

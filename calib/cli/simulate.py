@@ -93,8 +93,8 @@ def register(application: typer.Typer, name: str) -> None:
             )
         if not speed > 0.0:
             raise BadInputError(f"--speed: found {speed!r}; expected a speed above 0 m/s")
-        from calib.motion.request import request
-        from calib.motion.simulation import simulate as run
+        from calib.motion.studies.request import request
+        from calib.motion.studies.run import simulate as run
 
         asked = request(
             law=law,
@@ -125,7 +125,7 @@ def register(application: typer.Typer, name: str) -> None:
         )
         written = []
         if output is not None or tum is not None:
-            from calib.motion.publish import publish_simulation, simulation_trajectories
+            from calib.report.motion_files import publish_simulation, simulation_trajectories
 
             if output is not None:
                 written += publish_simulation(found, output, force=force)
@@ -175,7 +175,7 @@ def _show(found: Any) -> None:
             ),
         )
     if found.headlines:
-        from calib.motion.headline import paper_headline
+        from calib.motion.studies.paper_headline import paper_headline
 
         paper = paper_headline()
         table(
@@ -282,8 +282,8 @@ def _replay(
 ) -> None:
     from calib.campaign.read import read_campaign
     from calib.coefficients.source import coefficients_of, effects_left_out
-    from calib.motion.publish import publish_replay, replay_trajectories
-    from calib.motion.replay import replay
+    from calib.motion.studies.replay import replay
+    from calib.report.motion_files import publish_replay, replay_trajectories
 
     campaign = read_campaign(folder)
     source = coefficients_of(law if law is not None else folder)

@@ -17,10 +17,10 @@ __all__ = ["FORMATS", "export", "parse_loads", "place"]
 
 #: name of the format -> module whose ``render(file, loads)`` makes its files
 FORMATS: Final[dict[str, str]] = {
-    "json": "calib.coefficients.master",
-    "ros2": "calib.coefficients.ros2",
-    "c": "calib.coefficients.c_header",
-    "csv": "calib.coefficients.table",
+    "json": "calib.coefficients.formats.json_master",
+    "ros2": "calib.coefficients.formats.ros2",
+    "c": "calib.coefficients.formats.c_header",
+    "csv": "calib.coefficients.formats.csv_table",
 }
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, ValidationError, model_validator
 
+from calib.arrays import FloatArray
 from calib.coefficients.canonical import checksum
 from calib.coefficients.quantities import Section
 from calib.coefficients.sections import (
@@ -35,7 +36,6 @@ __all__ = ["FORMAT", "CoefficientFile", "Outside", "load_coefficients", "sealed"
 FORMAT: Final = "calib-coefficients/1"
 
 Outside = Literal["refuse", "clamp"]
-FloatArray = npt.NDArray[np.float64]
 
 FILE_LIMIT_BYTES: Final = 16 << 20
 

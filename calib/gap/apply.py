@@ -9,23 +9,24 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from calib.campaign.model import Campaign, FloatArray
+from calib.arrays import FloatArray
+from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
 from calib.coefficients.build import from_law, load_points
 from calib.coefficients.file import CoefficientFile, load_coefficients
 from calib.coefficients.quantities import Quantity
 from calib.coefficients.sections import EffectSection
 from calib.errors import RefusedError
+from calib.gap.data.from_campaign import observations_of
+from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Form
 from calib.gap.effects.library import library
 from calib.gap.effects.shapes import driven_speed_mps
-from calib.gap.fit import fit
-from calib.gap.gross import GrossFault, corrected
-from calib.gap.noise import estimate_noise
-from calib.gap.observe import build_situation
-from calib.gap.path import Path, Push, predict
-from calib.gap.residuals import residuals
-from calib.gap.situation import Situation
+from calib.gap.evidence.fit import fit
+from calib.gap.evidence.noise import estimate_noise
+from calib.gap.predict.count_faults import GrossFault, corrected
+from calib.gap.predict.path import Path, Push, predict
+from calib.gap.predict.residuals import residuals
 from calib.radius.law import RadiusLaw, WheelLaw
 
 if TYPE_CHECKING:
@@ -144,7 +145,7 @@ def _settled(campaign: Campaign, model: OdometryModel, sections: Sequence[Effect
 
     The floor was taken about a path that a large effect bent; without the gap it is finer, and weighs runs otherwise.
     """
-    s, _ = with_effects(build_situation(campaign, model), sections, campaign.extra.get("effects", ()))
+    s, _ = with_effects(observations_of(campaign, model), sections, campaign.extra.get("effects", ()))
     nominal = predict(s)
     base = fit(nominal, estimate_noise(nominal, residuals(nominal, nominal)))
     return np.asarray(1.0 + base.calibration[:3])
@@ -155,7 +156,7 @@ def _plain(cause: object) -> dict[str, Quantity]:
     return {name: Quantity(value=one.value, unit=one.unit) for name, one in parameters.items()}
 
 
-def _section(s: Situation, form: Form, theta: FloatArray) -> EffectSection:
+def _section(s: Observations, form: Form, theta: FloatArray) -> EffectSection:
     settings = {name: float(value) for name, value in form.settings.items()}
     values = _centred_values(form.effect, form.label, s)
     if values is not None:
@@ -168,7 +169,7 @@ def _section(s: Situation, form: Form, theta: FloatArray) -> EffectSection:
     return EffectSection(effect=form.effect, form=form.label, settings=settings, parameters=parameters)
 
 
-def _centred_values(effect: str, label: str, s: Situation) -> FloatArray | None:
+def _centred_values(effect: str, label: str, s: Observations) -> FloatArray | None:
     """Return the values of which a form takes the deviation from their mean, shape (n_units,); None where none."""
     if effect.startswith("covariate:"):
         return s.number(effect.partition(":")[2])
@@ -210,8 +211,8 @@ def model_of(path: FilePath | str, campaign: Campaign) -> tuple[OdometryModel, t
 
 
 def with_effects(
-    s: Situation, sections: Sequence[EffectSection], declared: object = ()
-) -> tuple[Situation, tuple[str, ...]]:
+    s: Observations, sections: Sequence[EffectSection], declared: object = ()
+) -> tuple[Observations, tuple[str, ...]]:
     """Return the situation as a simulator with the effects would predict it, and notes on what could not be applied.
 
     The prediction with the effects stands where an outside simulator's would, so the gap is measured minus that.
@@ -219,7 +220,7 @@ def with_effects(
 
     Parameters
     ----------
-    s : Situation
+    s : Observations
         With the file's model.
     sections : sequence of EffectSection
         From `model_of`.
@@ -242,7 +243,7 @@ def with_effects(
 
 
 def applied_pushes(
-    s: Situation, sections: Sequence[EffectSection], path: Path | None = None, declared: object = ()
+    s: Observations, sections: Sequence[EffectSection], path: Path | None = None, declared: object = ()
 ) -> tuple[list[Push], list[str]]:
     """Return what written-down effects do on a campaign, and notes on what could not be applied.
 
@@ -251,7 +252,7 @@ def applied_pushes(
 
     Parameters
     ----------
-    s : Situation
+    s : Observations
         The campaign.
     sections : sequence of EffectSection
         Effects with their parameters.
@@ -289,7 +290,7 @@ def applied_pushes(
     return _pushes(s, chosen, about), notes
 
 
-def _pushes(s: Situation, chosen: Sequence[tuple[EffectSection, Form]], path: Path) -> list[Push]:
+def _pushes(s: Observations, chosen: Sequence[tuple[EffectSection, Form]], path: Path) -> list[Push]:
     made = []
     for section, form in chosen:
         for parameter, push in zip(form.parameters, form.pushes(path), strict=True):
@@ -299,7 +300,7 @@ def _pushes(s: Situation, chosen: Sequence[tuple[EffectSection, Form]], path: Pa
     return made
 
 
-def _recentred(s: Situation, section: EffectSection, push: Push) -> Push:
+def _recentred(s: Observations, section: EffectSection, push: Push) -> Push:
     """Return a push whose covariate is counted from the file's mean in the file's standard deviations."""
     values = _centred_values(section.effect, section.form, s)
     if values is None or CENTRE not in section.settings:
@@ -330,7 +331,7 @@ def matching_form(forms: Sequence[Form], label: str, settings: Mapping[str, floa
     return min(same, key=off)
 
 
-def _without_fault(s: Situation, section: EffectSection) -> tuple[Situation, list[str]]:
+def _without_fault(s: Observations, section: EffectSection) -> tuple[Observations, list[str]]:
     """Return the situation with the counts put right as the file says."""
     factors = [section.parameters.get(f"factor_{side}") for side in ("left", "right")]
     if factors[0] is None or factors[1] is None or not all(factor and factor.value for factor in factors):

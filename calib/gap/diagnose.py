@@ -11,24 +11,24 @@ import numpy as np
 from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
 from calib.errors import RefusedError
-from calib.gap.closure import Closure, measure_closure
+from calib.gap.data.from_campaign import observations_of
+from calib.gap.data.observations import Observations
 from calib.gap.effects.library import library
-from calib.gap.fit import Fitted, fit
-from calib.gap.gross import corrected, find_gross
-from calib.gap.judge import Judge
-from calib.gap.linear import FLOOR_DOF
-from calib.gap.noise import Noise, estimate_noise
-from calib.gap.observe import build_situation
-from calib.gap.path import Path, predict
-from calib.gap.plan import next_runs, undetectable
-from calib.gap.recalibration import judge_recalibration
-from calib.gap.residuals import residuals
-from calib.gap.search import Search, Settings, search
-from calib.gap.sentence import sentence
-from calib.gap.situation import Situation
-from calib.gap.verdict import Verdict
-from calib.gap.where import locate
-from calib.gap.workbench import Workbench
+from calib.gap.evidence.fit import Fitted, fit
+from calib.gap.evidence.marginal import FLOOR_DOF
+from calib.gap.evidence.noise import Noise, estimate_noise
+from calib.gap.evidence.recalibration import judge_recalibration
+from calib.gap.evidence.search import Search, Settings, search
+from calib.gap.evidence.whitened import WhitenedSystem
+from calib.gap.plan.next_runs import next_runs, undetectable
+from calib.gap.predict.count_faults import corrected, find_gross
+from calib.gap.predict.path import Path, predict
+from calib.gap.predict.residuals import residuals
+from calib.gap.verdict.closure import Closure, measure_closure
+from calib.gap.verdict.decide import Judge
+from calib.gap.verdict.result import Verdict
+from calib.gap.verdict.sentence import sentence
+from calib.gap.where.covariates import locate
 
 if TYPE_CHECKING:
     from calib.coefficients.sections import EffectSection
@@ -49,7 +49,7 @@ class Diagnosis:
     ----------
     verdict : Verdict
         The answer.
-    situation : Situation
+    situation : Observations
         Units and steps.
     noise : Noise
         Covariance of each unit.
@@ -64,7 +64,7 @@ class Diagnosis:
     """
 
     verdict: Verdict
-    situation: Situation
+    situation: Observations
     noise: Noise
     nominal: Path
     fitted: Fitted
@@ -128,7 +128,7 @@ def diagnose_in_full(
     """
     settings = settings or Settings()
     declared = campaign.extra.get("effects", ())
-    s = build_situation(campaign, model)
+    s = observations_of(campaign, model)
     if not s.usable.any():
         raise RefusedError(
             f"{campaign.name}: no run has a channel that can be compared with the simulation; an end pose needs "
@@ -171,7 +171,7 @@ def diagnose_in_full(
         closure = replace(closure, before=before)
     where = locate(s, nominal, noise, closure.before, rng=rng, campaign=campaign)
     judge = Judge(campaign, nominal, noise, effects, found, recalibration, closure, fault, settings)
-    blind = undetectable(Workbench(base.path, nominal, noise), effects)
+    blind = undetectable(WhitenedSystem(base.path, nominal, noise), effects)
     verdict = judge.verdict(where, blind, notes)
     verdict = replace(verdict, sentence=sentence(verdict))
     if plan and verdict.indistinguishable:

@@ -13,8 +13,9 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from calib.motion.chord import sinc
-from calib.motion.poses import FloatArray, Poses
+from calib.arrays import FloatArray
+from calib.motion.odometry.arc import sinc
+from calib.motion.poses import Poses
 from calib.radius.law import RadiusLaw
 
 __all__ = ["PARAMETERS", "Ellipses", "PathSteps", "RandomWalk", "ellipses", "jacobian", "parameter_covariance", "steps"]

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["FloatArray", "PoseErrors", "Poses", "pose_errors", "wrapped"]
+from calib.arrays import FloatArray
 
-FloatArray = npt.NDArray[np.float64]
+__all__ = ["PoseErrors", "Poses", "pose_errors", "wrapped"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,15 +12,15 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from calib.arrays import FloatArray
 from calib.errors import BadFileError, BadInputError
-from calib.motion.chord import sinc
-from calib.motion.odometry import integrate
+from calib.motion.odometry.arc import sinc
+from calib.motion.odometry.integrate import integrate
 from calib.motion.poses import Poses
 from calib.motion.trajectory import read_tum
 
 __all__ = ["FORMAT", "NAMED", "Route", "arc", "driven_route", "find_route", "read_route", "straight"]
 
-FloatArray = npt.NDArray[np.float64]
 Segment = tuple[float, float]
 
 FORMAT: Final = "calib-route/1"

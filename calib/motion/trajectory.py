@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from calib.arrays import FloatArray
 from calib.errors import BadFileError, BadInputError
 from calib.files import write_text
-from calib.motion.poses import FloatArray, Poses
+from calib.motion.poses import Poses
 
 __all__ = ["read_tum", "write_tum"]
 

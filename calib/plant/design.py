@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from calib.campaign.model import BoolArray, FloatArray, IntArray, StrArray
+from calib.arrays import BoolArray, FloatArray, IntArray, StrArray
 from calib.plant.routes import SHORT
 from calib.vehicle import Vehicle
 

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.model import FloatArray, IntArray
+from calib.arrays import FloatArray, IntArray
 from calib.plant.noise import NoiseDraw
 from calib.plant.routes import PITCH_M, tabulate
 from calib.plant.world import Moment, World

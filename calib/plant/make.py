@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from calib.campaign.model import Campaign, FloatArray
+from calib.arrays import FloatArray
+from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
 from calib.plant.design import Design
 from calib.plant.drive import drive

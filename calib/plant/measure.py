@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.campaign.model import Campaign, FloatArray, IntArray, Logs, RunTable
+from calib.arrays import FloatArray, IntArray
+from calib.campaign.model import Campaign, Logs, RunTable
 from calib.campaign.settings import Encoder, Rangefinder, Reference
 from calib.plant.drive import Record
 from calib.plant.noise import Noise, NoiseDraw

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from calib.campaign.model import FloatArray
+from calib.arrays import FloatArray
 
 __all__ = ["Noise", "NoiseDraw", "draw_noise", "quiet", "random_noise"]
 

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.model import FloatArray
+from calib.arrays import FloatArray
 from calib.errors import BadInputError
 
 __all__ = ["PITCH_M", "SHORT", "RouteTables", "segments_of", "tabulate"]

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from calib.campaign.model import FloatArray
+from calib.arrays import FloatArray
 from calib.campaign.settings import OdometryModel
 from calib.plant.design import Design
 from calib.plant.drive import Record, drive

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from calib.campaign.model import FloatArray
+from calib.arrays import FloatArray
 from calib.campaign.settings import OdometryModel
 from calib.plant.design import Design
 from calib.units import GRAVITY_MPS2

@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.radius.checks import NOTE, OK, Check
 from calib.radius.regression import WheelFit, distinct_loads
-from calib.radius.strata import Groups
+from calib.radius.sessions import Groups
 
 __all__ = ["design_check", "range_check", "session_check", "session_influence_check"]
 

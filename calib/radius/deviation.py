@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from calib.campaign.model import FloatArray
+from calib.arrays import FloatArray
 
 __all__ = [
     "PathExcess",

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from calib.campaign.model import FloatArray
+from calib.arrays import FloatArray
 from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
 from calib.errors import BadInputError
 from calib.radius.checks import Check
 from calib.radius.effective import Component, EffectiveRadii
 from calib.radius.law import WheelLaw
 from calib.radius.regression import NaiveLine, WheelFit
-from calib.radius.strata import Estimate
+from calib.radius.sessions import Estimate
 from calib.radius.usable import LeftOut
 from calib.vehicle import Vehicle
 

@@ -7,8 +7,9 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.model import Campaign, FloatArray, StrArray
-from calib.radius.path import correct_paths
+from calib.arrays import FloatArray, StrArray
+from calib.campaign.model import Campaign
+from calib.radius.path_length import correct_paths
 from calib.radius.usable import LeftOut, usable_runs
 
 __all__ = ["Component", "EffectiveRadii", "LeftOut", "effective_radii"]

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["RadiusLaw", "WheelLaw"]
+from calib.arrays import FloatArray
 
-FloatArray = npt.NDArray[np.float64]
+__all__ = ["RadiusLaw", "WheelLaw"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,11 +8,11 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from calib.campaign.model import FloatArray
+from calib.arrays import FloatArray
 from calib.errors import RefusedError
 from calib.radius.checks import Check
 from calib.radius.law import WheelLaw
-from calib.radius.strata import (
+from calib.radius.sessions import (
     Estimate,
     Groups,
     groups_of,
@@ -66,7 +66,7 @@ class WheelFit:
     model : str
         ``line``, or ``constant`` where the loads do not carry a slope.
     design : str
-        ``crossed``, ``mixed``, ``confounded``, ``single`` or ``constant``; see `calib.radius.strata.Estimate`.
+        ``crossed``, ``mixed``, ``confounded``, ``single`` or ``constant``; see `calib.radius.sessions.Estimate`.
     estimate : Estimate
         Coefficients and covariance by stratum, for bands at any load.
     naive : NaiveLine or None

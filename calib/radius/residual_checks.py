@@ -7,11 +7,11 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.model import BoolArray, FloatArray, IntArray, StrArray
+from calib.arrays import BoolArray, FloatArray, IntArray, StrArray
 from calib.radius.checks import FAILED, NOTE, OK, Check
 from calib.radius.design_checks import design_check, range_check, session_check, session_influence_check
 from calib.radius.regression import SAME_LOAD, WheelFit
-from calib.radius.strata import Groups, breusch_pagan, groups_of
+from calib.radius.sessions import Groups, breusch_pagan, groups_of
 
 __all__ = ["checked"]
 

@@ -8,7 +8,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from calib.campaign.model import Campaign, FloatArray, StrArray
+from calib.arrays import FloatArray, StrArray
+from calib.campaign.model import Campaign
 from calib.errors import BadInputError
 from calib.radius.deviation import (
     allowed_amplitude_m,
@@ -20,7 +21,7 @@ from calib.radius.deviation import (
     weave_excess,
     whole_period_excess,
 )
-from calib.radius.path import correct_paths
+from calib.radius.path_length import correct_paths
 from calib.radius.usable import LeftOut, usable_runs
 from calib.vehicle import Vehicle
 
@@ -40,7 +41,7 @@ class RunDeviations:
     tolerance : float
         Largest relative error of a radius that is accepted.
     run_id, source, verdict : array of str
-        Run; where its path is known from (`calib.radius.path.RunPaths`); ``within``, ``beyond`` or ``unknown``.
+        Run; where its path is known from (`calib.radius.path_length.RunPaths`); ``within``, ``beyond`` or ``unknown``.
     distance_m, amplitude_m, wavelength_m : array of float
         Length and weave.
     excess_centre, excess_left, excess_right : array of float

@@ -7,7 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.model import Campaign, FloatArray
+from calib.arrays import FloatArray
+from calib.campaign.model import Campaign
 from calib.errors import RefusedError
 
 __all__ = ["LeftOut", "usable_runs"]

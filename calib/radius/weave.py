@@ -13,7 +13,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from calib.campaign.model import BoolArray, FloatArray, Logs
+from calib.arrays import BoolArray, FloatArray
+from calib.campaign.model import Logs
 
 __all__ = ["Weaves", "estimate_weaves", "fit_headings"]
 

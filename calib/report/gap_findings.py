@@ -6,13 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
+from calib.arrays import FloatArray, StrArray
 
 __all__ = ["GapFindings"]
-
-FloatArray = npt.NDArray[np.float64]
-StrArray = npt.NDArray[np.str_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

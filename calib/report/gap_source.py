@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from calib.campaign.model import Campaign
+from calib.gap.data.observations import CHANNELS
 from calib.gap.diagnose import Diagnosis, diagnose_in_full
-from calib.gap.headline import headline
-from calib.gap.residuals import residuals
-from calib.gap.situation import CHANNELS
-from calib.gap.where import covariate_values
+from calib.gap.predict.residuals import residuals
+from calib.gap.verdict.paper_headline import headline
+from calib.gap.where.covariates import covariate_values
 from calib.report.gap_findings import GapFindings
 from calib.report.source import Source
 

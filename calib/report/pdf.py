@@ -12,7 +12,7 @@ from typing import Final
 from calib.errors import BadInputError, CalibError, would_overwrite
 from calib.files import to_json, write_bytes
 from calib.report.content import Report
-from calib.report.style import render
+from calib.report.figures.style import render
 
 __all__ = ["FORMS", "figure_files", "to_pdf", "write_figures"]
 

@@ -22,8 +22,10 @@ from pytest_benchmark.fixture import BenchmarkFixture
 from calib.campaign.model import Campaign, Logs
 from calib.campaign.write import write_campaign
 from calib.gap import diagnose as whole
-from calib.gap import linear, noise, workbench
-from calib.gap import search as searching
+from calib.gap.evidence import marginal as linear
+from calib.gap.evidence import noise
+from calib.gap.evidence import search as searching
+from calib.gap.evidence import whitened as workbench
 from calib.plant.make import make_campaign
 from calib.plant.plans import good_design
 
@@ -135,11 +137,11 @@ def test_cost_grows_linearly_with_runs(benchmark: BenchmarkFixture, capsys: pyte
 
 
 def _gap_of(made: Campaign) -> tuple[Any, Any]:
-    from calib.gap.observe import build_situation
-    from calib.gap.path import predict
-    from calib.gap.residuals import residuals
+    from calib.gap.data.from_campaign import observations_of
+    from calib.gap.predict.path import predict
+    from calib.gap.predict.residuals import residuals
 
-    nominal = predict(build_situation(made))
+    nominal = predict(observations_of(made))
     return nominal, residuals(nominal, nominal)
 
 

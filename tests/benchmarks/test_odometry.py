@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from calib.motion.follow import Axle, end_of_route
-from calib.motion.odometry import end_poses, integrate
+from calib.motion.odometry.integrate import end_poses, integrate
 from calib.motion.poses import Poses
 from calib.motion.routes import Route, find_route
+from calib.motion.studies.follow import Axle, end_of_route
 
 TRACK_M = 0.7
 REPEATS = 15

@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calib.coefficients.c_header import fixed_point
 from calib.coefficients.export import export
 from calib.coefficients.file import CoefficientFile
+from calib.coefficients.formats.c_header import fixed_point
 from calib.coefficients.sections import EffectSection, WheelSection
 from calib.errors import RefusedError
 

@@ -47,7 +47,7 @@ def test_the_package_carries_what_it_needs_beside_code() -> None:
     for name in (
         "py.typed",
         "coefficients/coefficients.schema.json",
-        "coefficients/c_runtime.h",
+        "coefficients/formats/c_runtime.h",
         "report/page.typ",
         "challenge/seeds/scoring.toml",
     ):

@@ -13,10 +13,10 @@ from calib.coefficients.sections import EffectSection
 from calib.errors import RefusedError
 from calib.files import write_bytes
 from calib.gap.apply import applied_model, applied_pushes, model_of, with_effects
+from calib.gap.data.from_campaign import observations_of
 from calib.gap.diagnose import diagnose, diagnose_in_full
-from calib.gap.observe import build_situation
-from calib.gap.path import predict
-from calib.gap.residuals import residuals
+from calib.gap.predict.path import predict
+from calib.gap.predict.residuals import residuals
 from calib.plant.effects.registry import find
 from calib.plant.make import make_campaign
 from calib.plant.plans import good_design
@@ -45,7 +45,7 @@ def test_what_is_left_with_the_written_model_is_what_the_fit_left(tmp_path: Path
     found = diagnose_in_full(campaign)
     path = write_bytes(tmp_path / "model.json", applied_model(found, campaign).to_bytes())
     model, sections = model_of(path, campaign)
-    s, notes = with_effects(build_situation(campaign, model), sections)
+    s, notes = with_effects(observations_of(campaign, model), sections)
     nominal = predict(s)
     assert notes == ()
     moved = (residuals(nominal, nominal) - found.fitted.left) / found.noise.floor
@@ -69,7 +69,7 @@ def test_a_load_effect_goes_into_the_law_and_nowhere_else(tmp_path: Path) -> Non
 def test_a_covariate_is_counted_from_the_mean_that_the_file_says() -> None:
     """On other temperatures the radius is that of the same law: alpha (T - centre)."""
     campaign = campaign_with("temperature_radius")
-    s = build_situation(campaign)
+    s = observations_of(campaign)
     section = EffectSection(
         effect="temperature_radius",
         settings={"centre": 5.0, "spread": 1.0},
@@ -83,7 +83,7 @@ def test_a_covariate_is_counted_from_the_mean_that_the_file_says() -> None:
 
 
 def test_an_effect_that_has_nothing_to_act_on_is_said() -> None:
-    s = build_situation(campaign_with("track_width"))
+    s = observations_of(campaign_with("track_width"))
     section = EffectSection(effect="steering_zero", parameters={"zero": Quantity(value=0.01, unit="rad")})
     pushes, notes = applied_pushes(s, [section])
     assert pushes == []

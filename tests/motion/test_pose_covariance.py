@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
-from calib.motion.odometry import end_poses, integrate
+from calib.arrays import FloatArray
+from calib.motion.odometry.integrate import end_poses, integrate
 from calib.motion.pose_covariance import PARAMETERS, PathSteps, RandomWalk, ellipses, jacobian, steps
-
-FloatArray = npt.NDArray[np.float64]
 
 RADIUS_LEFT_M, RADIUS_RIGHT_M, TRACK_M = 0.099, 0.101, 0.7
 OFFSETS_N = (250.0, -120.0)

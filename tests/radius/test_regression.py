@@ -10,7 +10,7 @@ from statsmodels.stats.diagnostic import het_breuschpagan
 
 from calib.errors import RefusedError
 from calib.radius.regression import distinct_loads, fit_wheel, t_quantile
-from calib.radius.strata import breusch_pagan
+from calib.radius.sessions import breusch_pagan
 
 LOADS = np.array([300.0, 500.0, 700.0, 900.0, 1100.0])
 

@@ -14,12 +14,12 @@ from matplotlib.text import Text as Label
 
 from calib.radius.effective import EffectiveRadii
 from calib.radius.fit import fit_law
-from calib.report import gap_figures
 from calib.report.blocks import Picture
 from calib.report.content import Report, compose
-from calib.report.figures import path_deviation, regressions, residuals, runs_by_series
+from calib.report.figures import gap as gap_figures
+from calib.report.figures.radius import path_deviation, regressions, residuals, runs_by_series
+from calib.report.figures.style import render
 from calib.report.source import Source
-from calib.report.style import render
 from tests.report.making import CHANNELS, findings
 
 
@@ -113,7 +113,9 @@ def test_figures_of_a_small_campaign_hold_no_pixels(report: Report) -> None:
 
 
 def test_drawing_needs_no_display_and_no_pyplot() -> None:
-    code = "import sys, calib.report.figures, calib.report.gap_figures; print('matplotlib.pyplot' in sys.modules)"
+    code = (
+        "import sys, calib.report.figures.radius, calib.report.figures.gap; print('matplotlib.pyplot' in sys.modules)"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calib.coefficients.file import CoefficientFile
-from calib.motion.odometry import integrate
+from calib.motion.odometry.integrate import integrate
 from calib.runtime import Coefficients, Odometer
 
 STEPS = 100_000

@@ -6,7 +6,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from calib.campaign.model import Campaign, FloatArray, Note, StrArray
+from calib.arrays import FloatArray, StrArray
+from calib.campaign.model import Campaign, Note
 
 __all__ = ["SIDES", "Run", "listed", "load_label", "note", "raw_radius_ratio", "robust_spread"]
 

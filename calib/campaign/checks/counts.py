@@ -8,8 +8,9 @@ from typing import Final
 
 import numpy as np
 
+from calib.arrays import FloatArray
 from calib.campaign.checks.common import SIDES, listed, note, per_rev, raw_radius_ratio, robust_spread
-from calib.campaign.model import Campaign, FloatArray, Note
+from calib.campaign.model import Campaign, Note
 from calib.campaign.read import log_totals
 
 __all__ = ["count_scale", "counts_against_log", "reversed_wheels", "swapped_wheels", "turn_direction"]

@@ -6,8 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from calib.arrays import FloatArray
 from calib.campaign.checks.common import SIDES, note
-from calib.campaign.model import Campaign, FloatArray, Note
+from calib.campaign.model import Campaign, Note
 
 __all__ = ["clock", "count_jumps", "log_speed"]
 

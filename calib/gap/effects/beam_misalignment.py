@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.shapes import laser_share
-from calib.gap.situation import Situation
 
 __all__ = ["BeamMisalignment"]
 
@@ -18,7 +18,7 @@ class BeamMisalignment(Effect):
     title: ClassVar[str] = "a laser beam at an angle to the way"
     implausible: ClassVar[str] = "the rangefinder's scale (a beam 5 degrees off reads only 0.4 % too much)"
 
-    def forms(self, s: Situation) -> list[Form]:
+    def forms(self, s: Observations) -> list[Form]:
         """Return the single form; none without a laser distance."""
         # 1.5e-4 at 1 degree, 1.4e-3 at 3 degrees, 3.8e-3 at 5 degrees
         return laser_share(s, self.id, Parameter("excess", "1", typical=5e-4, largest=3.8e-3, sign=1))

@@ -6,11 +6,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from calib.campaign.model import BoolArray, FloatArray
+from calib.arrays import BoolArray, FloatArray
+from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter, varies
 from calib.gap.effects.shapes import MOVING_MPS, curvature_per_m, driven_speed_mps
-from calib.gap.path import Push
-from calib.gap.situation import Situation
+from calib.gap.predict.path import Push
 
 __all__ = ["BrakingSkid", "stops"]
 
@@ -26,7 +26,7 @@ class BrakingSkid(Effect):
     implausible: ClassVar[str] = "latency, or an offset of the reference"
     shifts: ClassVar[tuple[str, ...]] = ("radius_scale",)
 
-    def forms(self, s: Situation) -> list[Form]:
+    def forms(self, s: Observations) -> list[Form]:
         """Return a form with equal slides and, where speeds differ, one ~ v^2; none where no run stops."""
         steps = stops(s)
         if not steps.any():
@@ -48,7 +48,7 @@ class BrakingSkid(Effect):
         return [made(*one) for one in found]
 
 
-def stops(s: Situation) -> BoolArray:
+def stops(s: Observations) -> BoolArray:
     """Return the last moving step before each stop, shape (n_steps,).
 
     A log that ends at less than half the driven speed ends in a stop. A run without a log stops once, at its end.

@@ -6,10 +6,11 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.model import NUMERIC_COLUMNS, FloatArray
+from calib.arrays import FloatArray
+from calib.campaign.model import NUMERIC_COLUMNS
+from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter, varies
-from calib.gap.path import Push
-from calib.gap.situation import Situation
+from calib.gap.predict.path import Push
 
 __all__ = ["PREFIX", "Covariate", "covariate_columns", "covariate_effects"]
 
@@ -39,7 +40,7 @@ class Covariate(Effect):
         self.id = PREFIX + column
         self.title = f"an influence of the column {column}"
 
-    def forms(self, s: Situation) -> list[Form]:
+    def forms(self, s: Observations) -> list[Form]:
         """Return four forms; none where the column has gaps or does not vary."""
         values = s.number(self.column)
         if not varies(values):
@@ -64,11 +65,11 @@ class Covariate(Effect):
         ]
 
 
-def covariate_columns(s: Situation) -> tuple[str, ...]:
+def covariate_columns(s: Observations) -> tuple[str, ...]:
     """Return the further numeric columns of a campaign, in its own order."""
     return tuple(name for name in s.numbers if name not in _OWN)
 
 
-def covariate_effects(s: Situation) -> list[Effect]:
+def covariate_effects(s: Observations) -> list[Effect]:
     """Return an effect for each further numeric column."""
     return [Covariate(column) for column in covariate_columns(s)]

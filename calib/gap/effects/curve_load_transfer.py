@@ -6,10 +6,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.shapes import curvature_per_m, shows_curves
-from calib.gap.path import Push
-from calib.gap.situation import Situation
+from calib.gap.predict.path import Push
 from calib.units import GRAVITY_MPS2
 
 __all__ = ["CurveLoadTransfer"]
@@ -25,7 +25,7 @@ class CurveLoadTransfer(Effect):
     title: ClassVar[str] = "load that moves to the outer wheel in fast turns"
     implausible: ClassVar[str] = "a track other than believed, or side slip"
 
-    def forms(self, s: Situation) -> list[Form]:
+    def forms(self, s: Observations) -> list[Form]:
         """Return the single form; none where nothing turns or no speed is known."""
         if not shows_curves(s):
             return []

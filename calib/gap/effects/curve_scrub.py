@@ -6,10 +6,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.shapes import curvature_per_m, shows_curves
-from calib.gap.path import Push
-from calib.gap.situation import Situation
+from calib.gap.predict.path import Push
 
 __all__ = ["CurveScrub"]
 
@@ -22,7 +22,7 @@ class CurveScrub(Effect):
     implausible: ClassVar[str] = "a track other than believed, or load transfer in fast turns"
     shifts: ClassVar[tuple[str, ...]] = ("track_width",)
 
-    def forms(self, s: Situation) -> list[Form]:
+    def forms(self, s: Observations) -> list[Form]:
         """Return the single form; none where nothing turns."""
         if not shows_curves(s):
             return []

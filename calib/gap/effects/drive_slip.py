@@ -6,11 +6,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from calib.campaign.model import FloatArray
+from calib.arrays import FloatArray
+from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.steering import front_travel_m, has_front
-from calib.gap.path import Push
-from calib.gap.situation import Situation
+from calib.gap.predict.path import Push
 
 __all__ = ["DriveSlip"]
 
@@ -28,7 +28,7 @@ class DriveSlip(Effect):
     title: ClassVar[str] = "slip of the driven front wheel"
     implausible: ClassVar[str] = "the front wheel's radius"
 
-    def forms(self, s: Situation) -> list[Form]:
+    def forms(self, s: Observations) -> list[Form]:
         """Return forms by the force that slips; none without a front wheel in the log."""
         if not has_front(s).any():
             return []
@@ -74,7 +74,7 @@ class DriveSlip(Effect):
         return [made(*one) for one in found]
 
 
-def _acceleration_mps2(s: Situation) -> FloatArray:
+def _acceleration_mps2(s: Observations) -> FloatArray:
     """Return the acceleration in the sense of rolling in each step, over two steps each way, shape (n_steps,)."""
     speed = np.abs(s.speed_mps)
     index = np.arange(len(speed))

@@ -9,9 +9,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from calib.campaign.model import FloatArray
-from calib.gap.path import Path, Push
-from calib.gap.situation import Situation
+from calib.arrays import FloatArray
+from calib.gap.data.observations import Observations
+from calib.gap.predict.path import Path, Push
 
 __all__ = ["Effect", "Form", "Parameter", "centred", "varies"]
 
@@ -97,7 +97,7 @@ class Effect(ABC):
     shifts: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
-    def forms(self, s: Situation) -> list[Form]:
+    def forms(self, s: Observations) -> list[Form]:
         """Return the effect's forms on this campaign; empty where the campaign cannot show it at all."""
 
 

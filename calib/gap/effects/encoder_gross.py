@@ -6,10 +6,10 @@ from typing import ClassVar, Final
 
 import numpy as np
 
-from calib.campaign.model import BoolArray, FloatArray
+from calib.arrays import BoolArray, FloatArray
+from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
-from calib.gap.path import Path, Push, predict
-from calib.gap.situation import Situation
+from calib.gap.predict.path import Path, Push, predict
 
 __all__ = ["EncoderGross"]
 
@@ -31,7 +31,7 @@ class EncoderGross(Effect):
     title: ClassVar[str] = "a gross fault of the encoders"
     implausible: ClassVar[str] = "a reference that was read in other units or axes"
 
-    def forms(self, s: Situation) -> list[Form]:
+    def forms(self, s: Observations) -> list[Form]:
         """Return the faults that settle it, on the runs that contradict the model; none where no run does so grossly.
 
         Where none does, a free factor of the left wheel, the right wheel and both.
@@ -65,7 +65,7 @@ class EncoderGross(Effect):
         ]
 
 
-def _faults(s: Situation, acts: FloatArray) -> dict[str, Push]:
+def _faults(s: Observations, acts: FloatArray) -> dict[str, Push]:
     """Return what each fault in full does to the runs that `acts`, shape (n_units,), is 1 for."""
     made: dict[str, Push] = {}
     for name, factor in FACTORS.items():
@@ -86,7 +86,7 @@ def _faults(s: Situation, acts: FloatArray) -> dict[str, Push]:
     return made
 
 
-def _struck(s: Situation, path: Path) -> BoolArray:
+def _struck(s: Observations, path: Path) -> BoolArray:
     """Say which units contradict a path by more than a fifth in distance or heading, or its side, shape (n_units,)."""
     length = np.maximum(s.total(np.abs(path.ds_m)), 1e-3)
     # along the bent line, so that a straying heading does not pass for a wrong distance

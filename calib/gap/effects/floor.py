@@ -7,9 +7,9 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.model import FloatArray, IntArray
-from calib.gap.path import Path
-from calib.gap.situation import Situation
+from calib.arrays import FloatArray, IntArray
+from calib.gap.data.observations import Observations
+from calib.gap.predict.path import Path
 
 __all__ = ["far_end_m", "floor_place", "is_back", "lanes", "map_heading_rad"]
 
@@ -18,12 +18,12 @@ __all__ = ["far_end_m", "floor_place", "is_back", "lanes", "map_heading_rad"]
 _LANE: Final = re.compile(r"_([b-z]|\d+)$")
 
 
-def is_back(s: Situation) -> FloatArray:
+def is_back(s: Observations) -> FloatArray:
     """Return 1 for units driven back along the floor, 0 for others, shape (n_units,)."""
     return np.where(s.heading_sign < 0.0, 1.0, 0.0)
 
 
-def far_end_m(s: Situation) -> FloatArray:
+def far_end_m(s: Observations) -> FloatArray:
     """Return where on x each unit starts: 0, or for corridor runs back the corridor's length, shape (n_units,).
 
     The length is the median measured one of the runs out of the same kind (else of all of that kind).
@@ -39,7 +39,7 @@ def far_end_m(s: Situation) -> FloatArray:
     return start
 
 
-def lanes(s: Situation) -> IntArray:
+def lanes(s: Observations) -> IntArray:
     """Return the lane of each unit: 0, or a number for each ending of the kind of route such as ``_b`` or ``_2``."""
     ending = [_LANE.search(str(kind)) for kind in s.labels["kind"]]
     names = np.array([found.group(1) if found else "" for found in ending])

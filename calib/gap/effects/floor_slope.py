@@ -7,11 +7,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from calib.campaign.model import FloatArray
+from calib.arrays import FloatArray
+from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter, varies
 from calib.gap.effects.floor import map_heading_rad
-from calib.gap.path import Path, Push, predict
-from calib.gap.situation import Situation
+from calib.gap.predict.path import Path, Push, predict
 
 __all__ = ["FloorSlope"]
 
@@ -27,7 +27,7 @@ class FloorSlope(Effect):
     implausible: ClassVar[str] = "a difference between driving out and back of another cause"
     shifts: ClassVar[tuple[str, ...]] = ("radius_scale",)
 
-    def forms(self, s: Situation) -> list[Form]:
+    def forms(self, s: Observations) -> list[Form]:
         """Return forms by slope and pull; none where the floor is only driven one way, or for windows of a recording.
 
         The place of a window on the floor is not kept.

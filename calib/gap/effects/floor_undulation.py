@@ -6,10 +6,10 @@ from typing import ClassVar, Final
 
 import numpy as np
 
-from calib.campaign.model import BoolArray
+from calib.arrays import BoolArray
+from calib.gap.data.observations import STRAIGHT_RAD, Observations
 from calib.gap.effects.effect import Effect, Form, Parameter, varies
-from calib.gap.path import Push
-from calib.gap.situation import STRAIGHT_RAD, Situation
+from calib.gap.predict.path import Push
 
 __all__ = ["FloorUndulation"]
 
@@ -26,7 +26,7 @@ class FloorUndulation(Effect):
     implausible: ClassVar[str] = "both effective radii on that lane, or a path that weaves"
     shifts: ClassVar[tuple[str, ...]] = ("radius_scale",)
 
-    def forms(self, s: Situation) -> list[Form]:
+    def forms(self, s: Observations) -> list[Form]:
         """Return a form for each lane: the values of a column ``lane`` where there is one, else the kinds of route."""
         lane = s.number("lane")
         groups: list[tuple[str, BoolArray]]

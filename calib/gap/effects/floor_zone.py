@@ -7,11 +7,11 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from calib.campaign.model import FloatArray, IntArray
+from calib.arrays import FloatArray, IntArray
+from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.floor import floor_place, lanes, map_heading_rad
-from calib.gap.path import Path, Push, predict
-from calib.gap.situation import Situation
+from calib.gap.predict.path import Path, Push, predict
 
 __all__ = ["CELL_M", "MOST_FORMS", "FloorZone"]
 
@@ -31,7 +31,7 @@ class FloorZone(Effect):
     title: ClassVar[str] = "a zone of the floor that shortens the way or turns the vehicle"
     implausible: ClassVar[str] = "a step or joint that the vehicle should not be driven over"
 
-    def forms(self, s: Situation) -> list[Form]:
+    def forms(self, s: Observations) -> list[Form]:
         """Return a form for each strip and cell of about 2 m that some runs cross and others not, or cross otherwise.
 
         A strip lies across the whole floor, as a joint does. Only runs with a log have a place; what fewer than three
@@ -76,7 +76,7 @@ class FloorZone(Effect):
 
 
 def _cells(
-    s: Situation, lane: IntArray, x: FloatArray, y: FloatArray, cosine: FloatArray
+    s: Observations, lane: IntArray, x: FloatArray, y: FloatArray, cosine: FloatArray
 ) -> list[tuple[int, float, float, bool]]:
     """Return (lane, x, y, driven both ways) of the strips and cells worth asking about, by place."""
     flat, one_lane = np.zeros_like(y), np.full_like(lane, _STRIP)
@@ -96,7 +96,7 @@ def _cells(
 
 
 def _grid(
-    s: Situation, lane: IntArray, x: FloatArray, y: FloatArray, cosine: FloatArray, shift: float
+    s: Observations, lane: IntArray, x: FloatArray, y: FloatArray, cosine: FloatArray, shift: float
 ) -> list[tuple[float, tuple[int, float, float, bool]]]:
     """Return (how much the cell tells runs apart, cell) on the grid whose columns are shifted by `shift` cells."""
     way = np.where(s.from_log[s.unit], np.abs(s.path_m), 0.0)

@@ -6,10 +6,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.shapes import start_to_end_frame
-from calib.gap.path import Path, Push, predict
-from calib.gap.situation import Situation
+from calib.gap.predict.path import Path, Push, predict
 
 __all__ = ["IntegrationScheme"]
 
@@ -25,7 +25,7 @@ class IntegrationScheme(Effect):
     title: ClassVar[str] = "a simulator that integrates the heading coarsely"
     implausible: ClassVar[str] = "latency, or a start heading that differs"
 
-    def forms(self, s: Situation) -> list[Form]:
+    def forms(self, s: Observations) -> list[Form]:
         """Return the end-point and the Euler form; none without an outside simulator's poses on turning runs."""
         outside = s.from_log & np.isfinite(s.simulated[:, 1:3]).all(axis=1) & s.usable[:, 1]
         if not outside.any():

@@ -6,10 +6,10 @@ import importlib
 from collections.abc import Collection
 from typing import Final
 
+from calib.gap.data.observations import Observations
 from calib.gap.effects.covariate import covariate_effects
 from calib.gap.effects.effect import Effect
 from calib.gap.effects.user import declared_effects, entry_point_effects
-from calib.gap.situation import Situation
 
 __all__ = ["REGISTRY", "library"]
 
@@ -56,12 +56,12 @@ REGISTRY: Final[dict[str, tuple[str, str]]] = {
 }
 
 
-def library(s: Situation, *, exclude: Collection[str] = (), declared: object = ()) -> list[Effect]:
+def library(s: Observations, *, exclude: Collection[str] = (), declared: object = ()) -> list[Effect]:
     """Return the effects that a campaign is judged by.
 
     Parameters
     ----------
-    s : Situation
+    s : Observations
         The campaign; its further numeric columns become effects of their own.
     exclude : collection of str
         Ids to leave out.

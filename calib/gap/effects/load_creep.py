@@ -6,10 +6,10 @@ from typing import ClassVar, Final
 
 import numpy as np
 
-from calib.campaign.model import FloatArray
+from calib.arrays import FloatArray
+from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter, varies
-from calib.gap.path import Push
-from calib.gap.situation import Situation
+from calib.gap.predict.path import Push
 
 __all__ = ["LoadCreep"]
 
@@ -24,7 +24,7 @@ class LoadCreep(Effect):
     implausible: ClassVar[str] = "the load itself, or a temperature that rose meanwhile"
     shifts: ClassVar[tuple[str, ...]] = ("radius_scale", "unequal_radii")
 
-    def forms(self, s: Situation) -> list[Form]:
+    def forms(self, s: Observations) -> list[Form]:
         """Return forms by time constant and by the load that creeps; none where the times under load do not vary.
 
         The load that creeps is the whole wheel load, its part above the reference load, or (where the order of the

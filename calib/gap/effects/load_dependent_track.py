@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter, varies
 from calib.gap.effects.shapes import shows_curves
-from calib.gap.path import Push
-from calib.gap.situation import Situation
+from calib.gap.predict.path import Push
 
 __all__ = ["LoadDependentTrack"]
 
@@ -20,7 +20,7 @@ class LoadDependentTrack(Effect):
     implausible: ClassVar[str] = "load transfer in turns, or misreported payloads"
     shifts: ClassVar[tuple[str, ...]] = ("track_width",)
 
-    def forms(self, s: Situation) -> list[Form]:
+    def forms(self, s: Observations) -> list[Form]:
         """Return the single form; none where the loads do not vary or nothing turns."""
         axle = s.number("load_left_N") + s.number("load_right_N")
         if not varies(axle, 10.0) or not shows_curves(s):

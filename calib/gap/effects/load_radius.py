@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, varies
 from calib.gap.effects.load_slopes import slope_parameters
-from calib.gap.path import Push
-from calib.gap.situation import Situation
+from calib.gap.predict.path import Push
 
 __all__ = ["LoadRadius"]
 
@@ -20,7 +20,7 @@ class LoadRadius(Effect):
     implausible: ClassVar[str] = "misreported payloads, or a wheel that has come loose from its rim"
     shifts: ClassVar[tuple[str, ...]] = ("radius_scale", "unequal_radii")
 
-    def forms(self, s: Situation) -> list[Form]:
+    def forms(self, s: Observations) -> list[Form]:
         """Return the linear law, one slope a wheel; none where the loads do not vary."""
         left, right = s.number("load_left_N"), s.number("load_right_N")
         if not (varies(left, 5.0) or varies(right, 5.0)):

@@ -6,10 +6,10 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.model import BoolArray, FloatArray
+from calib.arrays import BoolArray, FloatArray
+from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Parameter
-from calib.gap.path import Path
-from calib.gap.situation import Situation
+from calib.gap.predict.path import Path
 from calib.vehicle import wheel_loads_N
 
 __all__ = ["NOMINAL_PER_N", "payload_load_N", "radius_slopes_m_per_N", "slope_parameters"]
@@ -18,7 +18,7 @@ __all__ = ["NOMINAL_PER_N", "payload_load_N", "radius_slopes_m_per_N", "slope_pa
 NOMINAL_PER_N: Final = 1e-5
 
 
-def slope_parameters(s: Situation) -> tuple[Parameter, ...]:
+def slope_parameters(s: Observations) -> tuple[Parameter, ...]:
     """Return the slopes of the left and right radius against load in m/N, as an effect's parameters.
 
     0.1 to 1.5 % per kN on a wheel of 0.1 m is 1e-7 to 1.5e-6 m/N.
@@ -57,7 +57,7 @@ def radius_slopes_m_per_N(path: Path, use: BoolArray | None = None) -> tuple[flo
     return found[0], found[1]
 
 
-def payload_load_N(s: Situation) -> tuple[FloatArray, FloatArray]:
+def payload_load_N(s: Observations) -> tuple[FloatArray, FloatArray]:
     """Return what the reported payload adds to the left and right wheel, each shape (n_units,) (Eqs 1 and 2)."""
     payload = np.nan_to_num(s.number("payload_kg"))
     x, y = s.number("payload_x_m"), s.number("payload_y_m")

@@ -6,11 +6,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from calib.campaign.model import FloatArray
+from calib.arrays import FloatArray
+from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter, varies
 from calib.gap.effects.shapes import driven_speed_mps
-from calib.gap.path import Push
-from calib.gap.situation import Situation
+from calib.gap.predict.path import Push
 
 __all__ = ["LostCounts"]
 
@@ -26,7 +26,7 @@ class LostCounts(Effect):
     implausible: ClassVar[str] = "the radius of that wheel, or a wrong count per revolution"
     shifts: ClassVar[tuple[str, ...]] = ("radius_scale", "unequal_radii")
 
-    def forms(self, s: Situation) -> list[Form]:
+    def forms(self, s: Observations) -> list[Form]:
         """Return, for each wheel, a constant share and, where speeds differ, two shares that grow with speed."""
         ones = np.ones(len(s))
         constant = Parameter("share", "1", typical=2e-3, largest=2e-2, sign=1)

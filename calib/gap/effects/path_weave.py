@@ -6,11 +6,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from calib.campaign.model import FloatArray
+from calib.arrays import FloatArray
+from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.shapes import distance_m, start_to_end_frame
-from calib.gap.path import Path, Push, predict
-from calib.gap.situation import Situation
+from calib.gap.predict.path import Path, Push, predict
 
 __all__ = ["PathWeave", "sine_excess"]
 
@@ -26,7 +26,7 @@ class PathWeave(Effect):
     title: ClassVar[str] = "a path that weaves about its line"
     implausible: ClassVar[str] = "both effective radii, or a weave other than noted"
 
-    def forms(self, s: Situation) -> list[Form]:
+    def forms(self, s: Observations) -> list[Form]:
         """Return a form by the noted amplitude and wavelength and one by the logs of outside simulations."""
         amplitude, wavelength = s.number("amplitude_m"), s.number("wavelength_m")
         noted = np.zeros(len(s))
@@ -69,7 +69,7 @@ def sine_excess(amplitude_m: FloatArray, wavelength_m: FloatArray) -> FloatArray
     return np.asarray(2.0 / np.pi * np.sqrt(1.0 + u) * ellipe(u / (1.0 + u)) - 1.0, dtype=np.float64)
 
 
-def _weave_of_logs(s: Situation) -> FloatArray:
+def _weave_of_logs(s: Observations) -> FloatArray:
     """Return by which share the logged path is longer than its line, 0 on routes that turn, shape (n_units,)."""
     path = predict(s)
     way = s.total(np.abs(path.ds_m))

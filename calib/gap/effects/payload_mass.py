@@ -6,10 +6,10 @@ from typing import ClassVar, Final
 
 import numpy as np
 
+from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.load_slopes import payload_load_N, radius_slopes_m_per_N
-from calib.gap.path import Path, Push
-from calib.gap.situation import Situation
+from calib.gap.predict.path import Path, Push
 
 __all__ = ["PayloadMass"]
 
@@ -28,7 +28,7 @@ class PayloadMass(Effect):
     implausible: ClassVar[str] = "radii that follow the load by a curved law"
     shifts: ClassVar[tuple[str, ...]] = ("radius_scale", "unequal_radii")
 
-    def forms(self, s: Situation) -> list[Form]:
+    def forms(self, s: Observations) -> list[Form]:
         """Return a form for each of the (at most six) payloads driven most; none without payloads."""
         payload = np.nan_to_num(s.number("payload_kg"))
         values, counts = np.unique(np.round(payload, 3), return_counts=True)

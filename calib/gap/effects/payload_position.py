@@ -6,10 +6,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.load_slopes import radius_slopes_m_per_N
-from calib.gap.path import Path, Push
-from calib.gap.situation import Situation
+from calib.gap.predict.path import Path, Push
 from calib.units import GRAVITY_MPS2
 
 __all__ = ["PayloadPosition"]
@@ -27,7 +27,7 @@ class PayloadPosition(Effect):
     implausible: ClassVar[str] = "rear wheels of unequal radius, or loads that were misread"
     shifts: ClassVar[tuple[str, ...]] = ("radius_scale", "unequal_radii")
 
-    def forms(self, s: Situation) -> list[Form]:
+    def forms(self, s: Observations) -> list[Form]:
         """Return a form sideways and one lengthways; none without payloads."""
         weight_N = GRAVITY_MPS2 * np.nan_to_num(s.number("payload_kg"))
         if not (weight_N > 0.0).any():

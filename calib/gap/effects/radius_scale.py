@@ -6,9 +6,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
-from calib.gap.path import Push
-from calib.gap.situation import Situation
+from calib.gap.predict.path import Push
 
 __all__ = ["RadiusScale"]
 
@@ -21,7 +21,7 @@ class RadiusScale(Effect):
     implausible: ClassVar[str] = "the encoder's counts per revolution, or a gear ratio"
     calibration: ClassVar[bool] = True
 
-    def forms(self, s: Situation) -> list[Form]:
+    def forms(self, s: Observations) -> list[Form]:
         """Return the single form; it applies to any campaign."""
         ones = np.ones(len(s))
         parameter = Parameter("relative", "1", typical=3e-3, largest=3e-2)

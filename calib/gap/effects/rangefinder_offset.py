@@ -6,9 +6,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
-from calib.gap.path import Push
-from calib.gap.situation import Situation
+from calib.gap.predict.path import Push
 
 __all__ = ["RangefinderOffset"]
 
@@ -20,7 +20,7 @@ class RangefinderOffset(Effect):
     title: ClassVar[str] = "a constant offset of the rangefinder"
     implausible: ClassVar[str] = "a start mark or target that moved"
 
-    def forms(self, s: Situation) -> list[Form]:
+    def forms(self, s: Observations) -> list[Form]:
         """Return the single form; none without a laser distance."""
         if not s.usable[:, 0].any():
             return []

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.shapes import laser_share
-from calib.gap.situation import Situation
 
 __all__ = ["RangefinderScale"]
 
@@ -18,6 +18,6 @@ class RangefinderScale(Effect):
     title: ClassVar[str] = "a rangefinder of wrong scale"
     implausible: ClassVar[str] = "both effective radii, or a target that moved"
 
-    def forms(self, s: Situation) -> list[Form]:
+    def forms(self, s: Observations) -> list[Form]:
         """Return the single form; none without a laser distance."""
         return laser_share(s, self.id, Parameter("relative", "1", typical=1e-3, largest=1e-2))

@@ -6,10 +6,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from calib.campaign.model import FloatArray
+from calib.arrays import FloatArray
+from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter, varies
-from calib.gap.path import Push
-from calib.gap.situation import Situation
+from calib.gap.predict.path import Push
 
 __all__ = ["RearDrag"]
 
@@ -25,7 +25,7 @@ class RearDrag(Effect):
     implausible: ClassVar[str] = "unequal radii, or a brake that does not release"
     shifts: ClassVar[tuple[str, ...]] = ("radius_scale", "unequal_radii")
 
-    def forms(self, s: Situation) -> list[Form]:
+    def forms(self, s: Observations) -> list[Form]:
         """Return a form for the left and one for the right wheel; none where everything rolls and goes one way."""
         backward = s.total(np.where(s.path_m < 0.0, -s.path_m, 0.0))
         if (backward > 0.5).any():

@@ -6,10 +6,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.shapes import end_motion
-from calib.gap.path import Push
-from calib.gap.situation import Situation
+from calib.gap.predict.path import Push
 
 __all__ = ["ReferenceLatency"]
 
@@ -21,7 +21,7 @@ class ReferenceLatency(Effect):
     title: ClassVar[str] = "a reference that reads late"
     implausible: ClassVar[str] = "an offset, or radii that follow the speed"
 
-    def forms(self, s: Situation) -> list[Form]:
+    def forms(self, s: Observations) -> list[Form]:
         """Return forms by instrument (end pose, laser, both); none where every run stands still when it is read."""
         speed, rate = end_motion(s)
         rolls = np.abs(speed) > 0.01

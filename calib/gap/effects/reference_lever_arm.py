@@ -6,11 +6,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from calib.campaign.model import FloatArray
+from calib.arrays import FloatArray
+from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.shapes import start_to_end_frame
-from calib.gap.path import Path, Push, predict
-from calib.gap.situation import Situation
+from calib.gap.predict.path import Path, Push, predict
 
 __all__ = ["ReferenceLeverArm"]
 
@@ -22,7 +22,7 @@ class ReferenceLeverArm(Effect):
     title: ClassVar[str] = "a reference point off the middle of the rear axle"
     implausible: ClassVar[str] = "heading errors in turns"
 
-    def forms(self, s: Situation) -> list[Form]:
+    def forms(self, s: Observations) -> list[Form]:
         """Return the single form; none without end positions or where no run ends turned against its start."""
         heading = predict(s).frame
         if not (s.usable[:, 1] & (np.abs(np.exp(1j * heading) - 1.0) > 0.02)).any():

@@ -6,9 +6,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
-from calib.gap.path import Path, Push
-from calib.gap.situation import Situation
+from calib.gap.predict.path import Path, Push
 
 __all__ = ["ReferenceYaw"]
 
@@ -20,7 +20,7 @@ class ReferenceYaw(Effect):
     title: ClassVar[str] = "reference axes turned against the start heading"
     implausible: ClassVar[str] = "unequal radii, or a badly placed start"
 
-    def forms(self, s: Situation) -> list[Form]:
+    def forms(self, s: Observations) -> list[Form]:
         """Return two forms: the position alone is turned, or position and heading; none without end poses."""
         if not s.usable[:, 2].any():
             return []

@@ -6,9 +6,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
-from calib.gap.path import Push
-from calib.gap.situation import Situation
+from calib.gap.predict.path import Push
 
 __all__ = ["SessionStep"]
 
@@ -21,7 +21,7 @@ class SessionStep(Effect):
     implausible: ClassVar[str] = "wheels, encoders or set-up changed between sessions"
     shifts: ClassVar[tuple[str, ...]] = ("radius_scale", "unequal_radii")
 
-    def forms(self, s: Situation) -> list[Form]:
+    def forms(self, s: Observations) -> list[Form]:
         """Return the single form, a left and a right step a session but the first; none with one session."""
         session = s.labels["session"]
         names, first = np.unique(session, return_index=True)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.campaign.model import BoolArray, FloatArray
+from calib.arrays import BoolArray, FloatArray
+from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Form, Parameter
-from calib.gap.path import Path, Push
-from calib.gap.situation import Situation
+from calib.gap.predict.path import Path, Push
 
 __all__ = [
     "MOVING_MPS",
@@ -28,7 +28,7 @@ _END_S = 0.3
 _STANDS_MPS = 0.05
 
 
-def driven_speed_mps(s: Situation) -> FloatArray:
+def driven_speed_mps(s: Observations) -> FloatArray:
     """Return the speed of each unit as a mean over its path, shape (n_units,); NaN where it is not known.
 
     A mean over the path, not over time: it is what an effect on the radii that is linear in speed sums up to.
@@ -41,13 +41,13 @@ def driven_speed_mps(s: Situation) -> FloatArray:
     return np.where(s.from_log & np.isfinite(logged), logged, np.abs(s.number("speed_mps")))
 
 
-def curvature_per_m(s: Situation) -> FloatArray:
+def curvature_per_m(s: Observations) -> FloatArray:
     """Return the curvature of each step, no tighter than a turn about one rear wheel, shape (n_steps,)."""
     tightest = 2.0 / s.model.track_m
     return np.clip(s.curvature_per_m, -tightest, tightest)
 
 
-def shows_curves(s: Situation) -> bool:
+def shows_curves(s: Observations) -> bool:
     """Return whether any unit turns by more than a tenth of a radian in all."""
     return bool((s.total(np.abs(curvature_per_m(s) * s.path_m)) > 0.1).any())
 
@@ -66,7 +66,7 @@ def start_to_end_frame(path: Path, x_m: FloatArray, y_m: FloatArray) -> tuple[Fl
     return c * x_m + sn * y_m, c * y_m - sn * x_m
 
 
-def end_motion(s: Situation) -> tuple[FloatArray, FloatArray]:
+def end_motion(s: Observations) -> tuple[FloatArray, FloatArray]:
     """Return signed speed (m/s) and turn rate (rad/s) at the end of each unit, each shape (n_units,).
 
     By the log's last two stretches of three tenths of a second, carried on to the very end: a vehicle that brakes to a
@@ -87,7 +87,7 @@ def end_motion(s: Situation) -> tuple[FloatArray, FloatArray]:
     return speed, np.where(known, np.where(stands, 0.0, turn), np.abs(set_speed) * last_curvature)
 
 
-def _carried_on(s: Situation, steps: FloatArray, back: FloatArray, late: BoolArray, early: BoolArray) -> FloatArray:
+def _carried_on(s: Observations, steps: FloatArray, back: FloatArray, late: BoolArray, early: BoolArray) -> FloatArray:
     """Return the rate of a step quantity carried on to the end; never past zero, shape (n_units,)."""
     rate, age = [], []
     for part in (late, early):
@@ -103,12 +103,12 @@ def _carried_on(s: Situation, steps: FloatArray, back: FloatArray, late: BoolArr
     return np.where(np.isnan(last) | (np.sign(carried) == np.sign(last)), carried, 0.0)
 
 
-def laser_share(s: Situation, effect: str, parameter: Parameter) -> list[Form]:
+def laser_share(s: Observations, effect: str, parameter: Parameter) -> list[Form]:
     """Return the form by which the laser's distances are too large by a share; empty where no unit has one.
 
     Parameters
     ----------
-    s : Situation
+    s : Observations
         Units and steps.
     effect : str
         Id of the effect.

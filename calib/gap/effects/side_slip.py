@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.shapes import curvature_per_m, shows_curves
-from calib.gap.path import Push
-from calib.gap.situation import Situation
+from calib.gap.predict.path import Push
 
 __all__ = ["SideSlip"]
 
@@ -19,7 +19,7 @@ class SideSlip(Effect):
     title: ClassVar[str] = "side slip of the rear axle in fast turns"
     implausible: ClassVar[str] = "load transfer, or a reference point off the rear axle"
 
-    def forms(self, s: Situation) -> list[Form]:
+    def forms(self, s: Observations) -> list[Form]:
         """Return the single form; none where nothing turns, no speed is known or no position was measured."""
         if not shows_curves(s) or not s.usable[:, 1:3].any():
             return []

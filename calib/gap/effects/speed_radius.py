@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter, centred, varies
 from calib.gap.effects.shapes import driven_speed_mps
-from calib.gap.path import Push
-from calib.gap.situation import Situation
+from calib.gap.predict.path import Push
 
 __all__ = ["SpeedRadius"]
 
@@ -22,7 +22,7 @@ class SpeedRadius(Effect):
         "latency or lost counts (the centrifugal growth of a solid wheel is only about 6e-5 at 1 m/s)"
     )
 
-    def forms(self, s: Situation) -> list[Form]:
+    def forms(self, s: Observations) -> list[Form]:
         """Return the single form; none where all runs were driven alike."""
         speed = driven_speed_mps(s)
         if not varies(speed, 0.02):

@@ -6,31 +6,31 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calib.campaign.model import BoolArray, FloatArray
+from calib.arrays import BoolArray, FloatArray
+from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Form, Parameter
-from calib.gap.path import Push
-from calib.gap.situation import Situation
+from calib.gap.predict.path import Push
 
 __all__ = ["error_form", "front_travel_m", "has_front", "steer_rad"]
 
 
-def has_front(s: Situation) -> BoolArray:
+def has_front(s: Observations) -> BoolArray:
     """Return which units have the front wheel's counts and steering angle, shape (n_units,)."""
     return s.usable[:, 5]
 
 
-def front_travel_m(s: Situation) -> FloatArray:
+def front_travel_m(s: Observations) -> FloatArray:
     """Return the front wheel's travel of each step, 0 where it was not logged, shape (n_steps,)."""
     return np.where(has_front(s)[s.unit], np.nan_to_num(s.front_roll_rad), 0.0) * s.vehicle.wheel_radius_m
 
 
-def steer_rad(s: Situation) -> FloatArray:
+def steer_rad(s: Observations) -> FloatArray:
     """Return the logged steering angle of each step, 0 where it was not logged, shape (n_steps,)."""
     return np.nan_to_num(s.steer_rad)
 
 
 def error_form(
-    s: Situation,
+    s: Observations,
     effect: str,
     label: str,
     parameter: Parameter,
@@ -47,7 +47,7 @@ def error_form(
 
     Parameters
     ----------
-    s : Situation
+    s : Observations
         Units and steps.
     effect, label : str
         Id of the effect, and which of its forms this is.

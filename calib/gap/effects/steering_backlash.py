@@ -6,10 +6,10 @@ from typing import ClassVar, Final
 
 import numpy as np
 
-from calib.campaign.model import FloatArray
+from calib.arrays import FloatArray
+from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.steering import error_form, has_front, steer_rad
-from calib.gap.situation import Situation
 
 __all__ = ["SteeringBacklash"]
 
@@ -34,7 +34,7 @@ class SteeringBacklash(Effect):
     title: ClassVar[str] = "backlash in the steering"
     implausible: ClassVar[str] = "a steering angle whose zero is off"
 
-    def forms(self, s: Situation) -> list[Form]:
+    def forms(self, s: Observations) -> list[Form]:
         """Return forms that follow the moves through plays of several widths, and one by the side of the turn."""
         angle = steer_rad(s)
         if not has_front(s).any() or not (np.abs(angle) > _TURN_RAD).any():
@@ -63,7 +63,7 @@ class SteeringBacklash(Effect):
         ]
 
 
-def _noise_rad(s: Situation, angle: FloatArray) -> float:
+def _noise_rad(s: Observations, angle: FloatArray) -> float:
     """Return the standard deviation of one reading of an angle, from its second differences within runs."""
     inside = np.flatnonzero(s.unit[2:] == s.unit[:-2])
     bent = np.abs(angle[inside + 2] - 2.0 * angle[inside + 1] + angle[inside])
@@ -71,7 +71,7 @@ def _noise_rad(s: Situation, angle: FloatArray) -> float:
     return float(1.4826 * np.median(bent) / np.sqrt(6.0)) if len(bent) else 0.0
 
 
-def _wheel_rad(s: Situation, angle: FloatArray) -> FloatArray:
+def _wheel_rad(s: Observations, angle: FloatArray) -> FloatArray:
     """Return the steering angle that the rear wheels' turn tells, smoothed over some way, shape (n_steps,).
 
     Its middle value on the straight is taken off: unequal radii are no steering. NaN where the vehicle hardly moves.
@@ -91,7 +91,7 @@ def _wheel_rad(s: Situation, angle: FloatArray) -> FloatArray:
     return np.asarray(made - (np.median(made[straight]) if straight.any() else 0.0))
 
 
-def _lost_in_play(s: Situation, angle: FloatArray, play: float, least: float) -> FloatArray:
+def _lost_in_play(s: Observations, angle: FloatArray, play: float, least: float) -> FloatArray:
     """Return angle less what comes through the play, which starts in its middle, shape (n_steps,).
 
     The output keeps still until the input has crossed the play: a recursion, taken step by step over all units. A play

@@ -6,10 +6,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from calib.campaign.model import FloatArray
+from calib.arrays import FloatArray
+from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.steering import error_form, has_front, steer_rad
-from calib.gap.situation import Situation
 
 __all__ = ["SteeringDelay"]
 
@@ -24,7 +24,7 @@ class SteeringDelay(Effect):
     title: ClassVar[str] = "a steering angle that is logged late"
     implausible: ClassVar[str] = "a steering angle of wrong scale"
 
-    def forms(self, s: Situation) -> list[Form]:
+    def forms(self, s: Observations) -> list[Form]:
         """Return the single form; none where the steering does not move or the log has no times."""
         rate = _rate(s, steer_rad(s))
         if not has_front(s).any() or not (np.abs(rate) > 1e-3).any():
@@ -33,7 +33,7 @@ class SteeringDelay(Effect):
         return [error_form(s, self.id, "", parameter, -rate)]
 
 
-def _rate(s: Situation, angle: FloatArray) -> FloatArray:
+def _rate(s: Observations, angle: FloatArray) -> FloatArray:
     """Return the rate of the steering angle in each step, one-sided at the ends of a unit, shape (n_steps,)."""
     index = np.arange(len(angle))
     before = np.maximum(index - 1, s.starts[s.unit])

@@ -6,10 +6,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.steering import error_form, front_travel_m, has_front, steer_rad
-from calib.gap.path import Path, Push
-from calib.gap.situation import Situation
+from calib.gap.predict.path import Path, Push
 
 __all__ = ["SteeringScale"]
 
@@ -21,7 +21,7 @@ class SteeringScale(Effect):
     title: ClassVar[str] = "a steering angle of wrong scale, or a wrong wheelbase"
     implausible: ClassVar[str] = "slip of the front wheel"
 
-    def forms(self, s: Situation) -> list[Form]:
+    def forms(self, s: Observations) -> list[Form]:
         """Return a form for the angle and one for the wheelbase; none where the front wheel is never turned."""
         angle = steer_rad(s)
         if not has_front(s).any() or not (np.abs(angle) > 0.02).any():

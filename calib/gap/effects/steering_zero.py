@@ -6,9 +6,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.steering import error_form, has_front
-from calib.gap.situation import Situation
 
 __all__ = ["SteeringZero"]
 
@@ -20,7 +20,7 @@ class SteeringZero(Effect):
     title: ClassVar[str] = "a steering angle whose zero is off"
     implausible: ClassVar[str] = "backlash, or rear wheels of unequal radius"
 
-    def forms(self, s: Situation) -> list[Form]:
+    def forms(self, s: Observations) -> list[Form]:
         """Return the single form; none without a front wheel in the log."""
         if not has_front(s).any():
             return []

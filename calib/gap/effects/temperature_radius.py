@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter, centred, varies
-from calib.gap.path import Push
-from calib.gap.situation import Situation
+from calib.gap.predict.path import Push
 
 __all__ = ["TemperatureRadius"]
 
@@ -19,7 +19,7 @@ class TemperatureRadius(Effect):
     implausible: ClassVar[str] = "wear, or something else that changed with the session"
     shifts: ClassVar[tuple[str, ...]] = ("radius_scale",)
 
-    def forms(self, s: Situation) -> list[Form]:
+    def forms(self, s: Observations) -> list[Form]:
         """Return the single form; none where the temperature is not known or does not vary."""
         temperature = s.number("temperature_C")
         if not varies(temperature, 0.5):

@@ -6,9 +6,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
-from calib.gap.path import Push
-from calib.gap.situation import Situation
+from calib.gap.predict.path import Push
 
 __all__ = ["TrackWidth"]
 
@@ -21,7 +21,7 @@ class TrackWidth(Effect):
     implausible: ClassVar[str] = "the reference's scale, or scrubbing in tight turns"
     calibration: ClassVar[bool] = True
 
-    def forms(self, s: Situation) -> list[Form]:
+    def forms(self, s: Observations) -> list[Form]:
         """Return the single form; it applies to any campaign."""
         ones = np.ones(len(s))
         parameter = Parameter("relative", "1", typical=1e-2, largest=1e-1)

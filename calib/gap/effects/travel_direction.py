@@ -6,10 +6,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from calib.campaign.model import FloatArray
+from calib.arrays import FloatArray
+from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter, varies
-from calib.gap.path import Push
-from calib.gap.situation import Situation
+from calib.gap.predict.path import Push
 
 __all__ = ["TravelDirection"]
 
@@ -22,7 +22,7 @@ class TravelDirection(Effect):
     implausible: ClassVar[str] = "a sloping floor, or a start mark that differs"
     shifts: ClassVar[tuple[str, ...]] = ("radius_scale",)
 
-    def forms(self, s: Situation) -> list[Form]:
+    def forms(self, s: Observations) -> list[Form]:
         """Return two forms, unlike in runs of neither direction; none where all runs go one way."""
         sigma = s.heading_sign
         if not varies(sigma):

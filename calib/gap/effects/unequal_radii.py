@@ -6,9 +6,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
-from calib.gap.path import Push
-from calib.gap.situation import Situation
+from calib.gap.predict.path import Push
 
 __all__ = ["UnequalRadii"]
 
@@ -21,7 +21,7 @@ class UnequalRadii(Effect):
     implausible: ClassVar[str] = "swapped or different encoders"
     calibration: ClassVar[bool] = True
 
-    def forms(self, s: Situation) -> list[Form]:
+    def forms(self, s: Observations) -> list[Form]:
         """Return the single form; it applies to any campaign."""
         half = np.full(len(s), 0.5)
         parameter = Parameter("relative", "1", typical=2e-3, largest=2e-2)

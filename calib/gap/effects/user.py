@@ -10,9 +10,9 @@ from typing import Any, Final
 import numpy as np
 
 from calib.errors import BadFileError, BadInputError
+from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter, centred, varies
-from calib.gap.path import Push
-from calib.gap.situation import Situation
+from calib.gap.predict.path import Push
 
 __all__ = ["ACTS_ON", "GROUP", "Declared", "declared_effects", "entry_point_effects"]
 
@@ -59,7 +59,7 @@ class Declared(Effect):
         self.column, self.acts_on = column, acts_on
         self.typical, self.largest = typical, largest
 
-    def forms(self, s: Situation) -> list[Form]:
+    def forms(self, s: Observations) -> list[Form]:
         """Return the single form; none where the column has gaps or does not vary."""
         values = s.number(self.column)
         if not varies(values):
@@ -103,14 +103,14 @@ def _size(entry: Mapping[str, Any], number: int, key: str) -> float:
     return float(value)  # type: ignore[arg-type]
 
 
-def declared_effects(declared: object, s: Situation, taken: Collection[str]) -> list[Effect]:
+def declared_effects(declared: object, s: Observations, taken: Collection[str]) -> list[Effect]:
     """Return the effects of the ``[[effects]]`` tables.
 
     Parameters
     ----------
     declared : object
         The section as read; a sequence of tables with the keys id, title, column, acts_on, typical and largest.
-    s : Situation
+    s : Observations
         The campaign, for the names of its columns.
     taken : collection of str
         Ids that are in use.

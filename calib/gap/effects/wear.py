@@ -6,10 +6,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from calib.campaign.model import FloatArray
+from calib.arrays import FloatArray
+from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter, centred, varies
-from calib.gap.path import Push
-from calib.gap.situation import Situation
+from calib.gap.predict.path import Push
 
 __all__ = ["Wear"]
 
@@ -22,7 +22,7 @@ class Wear(Effect):
     implausible: ClassVar[str] = "temperature, or something else that drifted over the campaign"
     shifts: ClassVar[tuple[str, ...]] = ("radius_scale", "unequal_radii")
 
-    def forms(self, s: Situation) -> list[Form]:
+    def forms(self, s: Observations) -> list[Form]:
         """Return a form per km and, with two sessions and more, one per session."""
         found: list[tuple[str, str, FloatArray, float, float]] = []
         km = s.number("travelled_km")

@@ -6,10 +6,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from calib.campaign.model import FloatArray
+from calib.arrays import FloatArray
+from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
-from calib.gap.path import Push
-from calib.gap.situation import Situation
+from calib.gap.predict.path import Push
 
 __all__ = ["WheelEccentricity"]
 
@@ -25,7 +25,7 @@ class WheelEccentricity(Effect):
     title: ClassVar[str] = "an eccentric wheel"
     implausible: ClassVar[str] = "a slipping encoder coupling"
 
-    def forms(self, s: Situation) -> list[Form]:
+    def forms(self, s: Observations) -> list[Form]:
         """Return forms for the left wheel, the right wheel and both; none without logs."""
         if not s.from_log.any():
             return []

@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from calib.arrays import FloatArray
 from calib.campaign.settings import OdometryModel
 from calib.plant.contact.driver import Belief
 from calib.plant.contact.machine import Machine, Payload
@@ -18,7 +18,6 @@ from calib.plant.contact.ride import Ride, Track, drive
 
 __all__ = ["Baseline", "baseline", "belief_of", "dead_reckoning", "rolling_radii_m"]
 
-FloatArray = npt.NDArray[np.float64]
 
 _PAYLOADS = (
     Payload(),

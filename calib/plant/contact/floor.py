@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from calib.arrays import FloatArray
 from calib.plant.contact.baseline import (
     Baseline,
     baseline,
@@ -28,7 +28,6 @@ from calib.plant.contact.ride import COUNTS_PER_REV, Ride, Track, drive, wheel_l
 
 __all__ = ["KINDS", "NoiseFloor", "RunFloor", "noise_floor"]
 
-FloatArray = npt.NDArray[np.float64]
 
 #: routes of the full measurement
 KINDS: Final = ("corridor", "square_ccw", "square_cw", "route_left")

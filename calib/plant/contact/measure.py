@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from calib.arrays import FloatArray
 from calib.campaign.model import Campaign, Logs, RunTable
 from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
 from calib.plant.contact.machine import Payload
@@ -15,7 +15,6 @@ from calib.plant.contact.variants import sound_machine
 
 __all__ = ["measured"]
 
-FloatArray = npt.NDArray[np.float64]
 
 #: the plant's 50 samples a second against a log's 10
 _LOG_EVERY = 5

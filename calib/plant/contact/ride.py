@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from calib.arrays import FloatArray
 from calib.errors import CalibError
 from calib.plant.contact.driver import Belief, Driver
 from calib.plant.contact.engine import engine
@@ -17,7 +17,6 @@ from calib.plant.contact.routes import route
 
 __all__ = ["COUNTS_PER_REV", "Ride", "Track", "drive", "wheel_loads_N"]
 
-FloatArray = npt.NDArray[np.float64]
 
 COUNTS_PER_REV = 4096.0
 _CONTROL_HZ = 50

@@ -6,13 +6,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from calib.arrays import FloatArray
 from calib.errors import BadInputError
 
 __all__ = ["KINDS", "Route", "route", "speed_profile"]
 
-FloatArray = npt.NDArray[np.float64]
 
 _SPACING_M = 0.01
 #: kinds that `route` knows

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.model import FloatArray
+from calib.arrays import FloatArray
 from calib.plant.design import Design
 from calib.plant.world import World
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.campaign.model import FloatArray
+from calib.arrays import FloatArray
 from calib.plant.design import Design
 from calib.plant.effects.form import Form, Knobs
 from calib.plant.world import REFERENCE_LOAD_N, Moment, World

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.campaign.model import FloatArray
+from calib.arrays import FloatArray
 from calib.plant.design import Design, conditions
 from calib.plant.effects.floor import map_x_m, map_y_m
 from calib.plant.effects.form import Form, Knobs

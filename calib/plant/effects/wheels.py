@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from calib.campaign.model import FloatArray
+from calib.arrays import FloatArray
 from calib.plant.design import Design
 from calib.plant.effects.form import Form, Knobs
 from calib.plant.world import REFERENCE_LOAD_N, Moment, World

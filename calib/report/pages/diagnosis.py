@@ -8,8 +8,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from calib.report import gap_figures
 from calib.report.blocks import Block, Column, Items, Notice, Picture, Section, Table, Text
+from calib.report.figures import gap as gap_figures
 from calib.report.gap_causes import MOST, apart_blocks, cause_blocks, effect_name, finite, percent
 from calib.report.gap_findings import GapFindings
 from calib.report.gap_lines import place_line, run_line

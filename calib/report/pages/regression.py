@@ -7,8 +7,8 @@ from functools import partial
 import numpy as np
 
 from calib.radius.regression import WheelFit
-from calib.report import figures
 from calib.report.blocks import Block, Column, Picture, Section, Table, Text
+from calib.report.figures import radius as figures
 from calib.report.numbers import aligned, fixed, places, two_digits
 from calib.report.source import Source
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from functools import partial
 
 from calib.radius.checks import Check
-from calib.report import figures
 from calib.report.blocks import Block, Column, Picture, Section, Table, Text
+from calib.report.figures import radius as figures
 from calib.report.numbers import left, probability, prose
 from calib.report.source import Source
 

@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from calib.report import figures
 from calib.report.blocks import Block, Column, Picture, Section, Table, Text
+from calib.report.figures import radius as figures
 from calib.report.numbers import fixed, left, plural
 from calib.report.source import Source
 

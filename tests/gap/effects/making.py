@@ -9,9 +9,9 @@ import numpy as np
 
 from calib.campaign.model import Campaign, Logs, RunTable
 from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
-from calib.gap.observe import build_situation
-from calib.gap.path import Push, predict
-from calib.gap.situation import Situation
+from calib.gap.data.from_campaign import observations_of
+from calib.gap.data.observations import Observations
+from calib.gap.predict.path import Push, predict
 from calib.vehicle import Vehicle
 
 TRACK_M, RADIUS_M, WHEELBASE_M = 0.7, 0.1, 1.0
@@ -212,12 +212,12 @@ def campaign(
     )
 
 
-def situation(runs: list[Run], **settings: object) -> Situation:
+def situation(runs: list[Run], **settings: object) -> Observations:
     """The campaign as the diagnosis sees it."""
-    return build_situation(campaign(runs, **settings))  # type: ignore[arg-type]
+    return observations_of(campaign(runs, **settings))  # type: ignore[arg-type]
 
 
-def gap(s: Situation, pushes: list[Push] | None = None) -> np.ndarray:
+def gap(s: Observations, pushes: list[Push] | None = None) -> np.ndarray:
     """Measured less predicted under a hypothesis, shape (n_units, 6); 0 where a channel was not measured."""
     return np.where(s.usable, s.measured - predict(s, pushes).reading, 0.0)
 

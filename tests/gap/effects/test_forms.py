@@ -7,18 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.gap.data.from_campaign import observations_of
+from calib.gap.data.observations import Observations
 from calib.gap.effects.braking_skid import stops
 from calib.gap.effects.floor_zone import CELL_M, MOST_FORMS
 from calib.gap.effects.library import library
 from calib.gap.effects.path_weave import sine_excess
 from calib.gap.effects.shapes import driven_speed_mps, end_motion
-from calib.gap.observe import build_situation
-from calib.gap.path import predict
-from calib.gap.situation import Situation
+from calib.gap.predict.path import predict
 from tests.gap.effects.making import ROUTE, SQUARE, STRAIGHT, Motion, Run, campaign, motion_of, situation
 
 
-def offered(s: Situation, effect: str) -> list[str]:
+def offered(s: Observations, effect: str) -> list[str]:
     return [form.label for e in library(s) if e.id == effect for form in e.forms(s)]
 
 
@@ -32,7 +32,7 @@ def test_stops_are_counted_in_the_log_one_without_a_log_none_when_read_rolling()
     columns = {name: np.insert(column, first, column[first - 1]) for name, column in made.logs.columns.items()}
     columns["t_s"][first : made.logs.offsets[1] + 1] += 2.0
     offsets = made.logs.offsets + (np.arange(len(made.logs.offsets)) > 0)
-    s = build_situation(replace(made, logs=replace(made.logs, offsets=offsets, columns=columns)))
+    s = observations_of(replace(made, logs=replace(made.logs, offsets=offsets, columns=columns)))
     np.testing.assert_array_equal(s.total(stops(s))[:4], [2, 0, 1, 1])
 
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import calib.gap.effects as package
+from calib.gap.data.from_campaign import observations_of
+from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form
 from calib.gap.effects.library import REGISTRY, library
-from calib.gap.observe import build_situation
-from calib.gap.path import predict, signature
-from calib.gap.situation import Situation
+from calib.gap.predict.path import predict, signature
 from tests.gap.effects.making import campaign, rich_runs, situation, with_outside_simulator
 
 #: the effects that the diagnosis promises, without the covariates
@@ -61,17 +61,17 @@ IDS = {
 
 
 @pytest.fixture(scope="module")
-def rich() -> Situation:
+def rich() -> Observations:
     # every other straight run goes along a second lane
     runs = [replace(run, kind="corridor_b") if number % 6 == 3 else run for number, run in enumerate(rich_runs())]
-    return build_situation(with_outside_simulator(campaign(runs)))
+    return observations_of(with_outside_simulator(campaign(runs)))
 
 
 def test_the_registry_holds_every_promised_effect_and_no_other() -> None:
     assert set(REGISTRY) == IDS
 
 
-def test_an_effect_bears_the_id_under_which_it_is_registered(rich: Situation) -> None:
+def test_an_effect_bears_the_id_under_which_it_is_registered(rich: Observations) -> None:
     assert [e.id for e in library(rich)] == [*REGISTRY, "covariate:humidity"]
 
 
@@ -88,21 +88,21 @@ def test_every_file_holds_one_effect_or_none() -> None:
             assert kinds == [REGISTRY[path.stem][1]], path.name
 
 
-def test_excluded_effects_are_left_out_covariates_as_well(rich: Situation) -> None:
+def test_excluded_effects_are_left_out_covariates_as_well(rich: Observations) -> None:
     left = {e.id for e in library(rich, exclude=("wear", "covariate:humidity"))}
     assert left == IDS - {"wear"}
 
 
-def every_form(s: Situation) -> list[Form]:
+def every_form(s: Observations) -> list[Form]:
     return [form for effect in library(s) for form in effect.forms(s)]
 
 
-def test_every_effect_but_a_gross_fault_shows_in_a_campaign_that_varies_everything(rich: Situation) -> None:
+def test_every_effect_but_a_gross_fault_shows_in_a_campaign_that_varies_everything(rich: Observations) -> None:
     silent = {effect.id for effect in library(rich) if not effect.forms(rich)}
     assert silent == {"encoder_gross"}
 
 
-def test_parameters_have_names_units_and_sizes(rich: Situation) -> None:
+def test_parameters_have_names_units_and_sizes(rich: Observations) -> None:
     for form in every_form(rich):
         assert form.parameters
         names = [p.name for p in form.parameters]
@@ -114,7 +114,7 @@ def test_parameters_have_names_units_and_sizes(rich: Situation) -> None:
         assert form.tries >= 1
 
 
-def test_forms_of_an_effect_have_labels_that_differ_and_pay_for_each_other(rich: Situation) -> None:
+def test_forms_of_an_effect_have_labels_that_differ_and_pay_for_each_other(rich: Observations) -> None:
     for effect in library(rich):
         forms = effect.forms(rich)
         labels = [form.label for form in forms]
@@ -123,7 +123,7 @@ def test_forms_of_an_effect_have_labels_that_differ_and_pay_for_each_other(rich:
         assert all(form.tries == len(forms) for form in forms), effect.id
 
 
-def test_titles_and_suspicions_are_clauses(rich: Situation) -> None:
+def test_titles_and_suspicions_are_clauses(rich: Observations) -> None:
     for effect in library(rich):
         assert effect.title and not effect.title.endswith("."), effect.id
         assert effect.implausible and not effect.implausible.endswith("."), effect.id
@@ -138,7 +138,7 @@ def rotated(path_frame: np.ndarray, change: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", [*sorted(IDS - {"encoder_gross"}), "covariate:humidity"])
-def test_a_signature_is_the_derivative_of_the_prediction(rich: Situation, name: str) -> None:
+def test_a_signature_is_the_derivative_of_the_prediction(rich: Observations, name: str) -> None:
     path = predict(rich)
     for form in next(e for e in library(rich) if e.id == name).forms(rich):
         pushes = form.pushes(path)
@@ -198,12 +198,12 @@ def test_a_missing_column_silences_effects_and_never_breaks_them(missing: str) -
     numbers = {name: column for name, column in made.runs.numbers.items() if name != missing}
     from dataclasses import replace
 
-    s = build_situation(replace(made, runs=replace(made.runs, numbers=numbers)))
+    s = observations_of(replace(made, runs=replace(made.runs, numbers=numbers)))
     path = predict(s)
     for form in every_form(s):
         for push in form.pushes(path):
             assert np.isfinite(signature(path, push)).all(), form.effect
 
 
-def test_an_effect_is_a_subclass_of_the_one_base(rich: Situation) -> None:
+def test_an_effect_is_a_subclass_of_the_one_base(rich: Observations) -> None:
     assert all(isinstance(effect, Effect) for effect in library(rich))

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 from calib.campaign.settings import OdometryModel
+from calib.gap.data.from_campaign import observations_of
+from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Form
 from calib.gap.effects.library import library
-from calib.gap.observe import build_situation
-from calib.gap.path import Push, predict
-from calib.gap.situation import Situation
+from calib.gap.predict.path import Push, predict
 from tests.gap.effects.making import (
     MODEL,
     RADIUS_M,
@@ -44,7 +44,7 @@ ROLLING = [replace(run, log=True, stops=False) for run in RUNS]
 SLOPED = OdometryModel(RADIUS_M, RADIUS_M, TRACK_M, 300.0, 1.2e-6, 1.2e-6)
 
 
-def form_of(s: Situation, effect: str, label: str = "") -> Form:
+def form_of(s: Observations, effect: str, label: str = "") -> Form:
     """The form of an effect whose label starts so."""
     found = [f for e in library(s) if e.id == effect for f in e.forms(s) if f.label.startswith(label)]
     assert found, f"{effect} has no form {label!r}"
@@ -569,7 +569,7 @@ def test_integration_scheme_is_the_difference_of_the_coarse_simulation(label: st
         poses.append([np.sum(now.ds_m * np.cos(taken)), np.sum(now.ds_m * np.sin(taken)), heading[-1]])
     for j, name in enumerate(("sim_x_m", "sim_y_m", "sim_theta_rad")):
         numbers[name] = np.array([pose[j] for pose in poses])
-    s = build_situation(replace(made, runs=replace(made.runs, numbers=numbers)))
+    s = observations_of(replace(made, runs=replace(made.runs, numbers=numbers)))
     path = predict(s)
     (push,) = form_of(s, "integration_scheme", label).pushes(path)
     true_gap = s.measured[:, 1:3] - s.simulated[:, 1:3]

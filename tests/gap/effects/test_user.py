@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from calib.errors import BadFileError, BadInputError, CalibError
+from calib.gap.data.from_campaign import observations_of
+from calib.gap.data.observations import Observations
 from calib.gap.effects.covariate import covariate_columns
 from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.library import library
 from calib.gap.effects.user import entry_point_effects
-from calib.gap.observe import build_situation
-from calib.gap.path import Push, predict, signature
-from calib.gap.situation import Situation
+from calib.gap.predict.path import Push, predict, signature
 from tests.gap.effects.making import STRAIGHT, Run, campaign, situation
 
 RUNS = [Run(STRAIGHT, numbers={"tyre_bar": 2.0 + 0.1 * (i % 4), "temperature_C": 20.0 + i}) for i in range(12)]
@@ -37,7 +37,7 @@ class Foreign(Effect):
     id: ClassVar[str] = "foreign"
     title: ClassVar[str] = "an effect of another package"
 
-    def forms(self, s: Situation) -> list[Form]:
+    def forms(self, s: Observations) -> list[Form]:
         push = Push(left=np.ones(len(s)))
         return [Form(self.id, "", (Parameter("size", "1", 1e-3, 1e-2),), lambda _: [push])]
 
@@ -47,13 +47,13 @@ class NeedsArguments(Foreign):
         self.size = size
 
 
-def declared(s: Situation, **changes: object) -> Effect:
+def declared(s: Observations, **changes: object) -> Effect:
     entry = {key: value for key, value in {**SOUND, **changes}.items() if value is not None}
     return next(e for e in library(s, declared=[entry]) if e.id == entry["id"])
 
 
 @pytest.fixture(scope="module")
-def s() -> Situation:
+def s() -> Observations:
     return situation(RUNS)
 
 
@@ -68,7 +68,9 @@ def s() -> Situation:
         ("distance", 0, BAR - BAR.mean()),
     ],
 )
-def test_a_declared_effect_acts_where_it_says(s: Situation, acts_on: str, channel: int, expected: np.ndarray) -> None:
+def test_a_declared_effect_acts_where_it_says(
+    s: Observations, acts_on: str, channel: int, expected: np.ndarray
+) -> None:
     (form,) = declared(s, acts_on=acts_on).forms(s)
     path = predict(s)
     (push,) = form.pushes(path)
@@ -104,7 +106,7 @@ def test_a_declared_effect_on_the_track_acts_in_turns() -> None:
         ({"formula": "2 * tyre_bar"}, "effects[0]"),
     ],
 )
-def test_a_bad_declaration_is_refused_by_file_and_key(s: Situation, changes: dict[str, object], key: str) -> None:
+def test_a_bad_declaration_is_refused_by_file_and_key(s: Observations, changes: dict[str, object], key: str) -> None:
     entry = {name: value for name, value in {**SOUND, **changes}.items() if value is not None}
     with pytest.raises(BadFileError) as caught:
         library(s, declared=[entry])
@@ -114,17 +116,17 @@ def test_a_bad_declaration_is_refused_by_file_and_key(s: Situation, changes: dic
 
 
 @pytest.mark.parametrize("section", ["text", {"id": "tyre"}, 3, ["tyre"]])
-def test_a_section_that_is_no_list_of_tables_is_refused(s: Situation, section: object) -> None:
+def test_a_section_that_is_no_list_of_tables_is_refused(s: Observations, section: object) -> None:
     with pytest.raises(CalibError, match=r"campaign\.toml, column effects"):
         library(s, declared=section)
 
 
-def test_two_declarations_of_one_id_are_refused(s: Situation) -> None:
+def test_two_declarations_of_one_id_are_refused(s: Observations) -> None:
     with pytest.raises(BadFileError, match=r"effects\[1\]\.id"):
         library(s, declared=[SOUND, SOUND])
 
 
-def test_a_title_may_be_left_out(s: Situation) -> None:
+def test_a_title_may_be_left_out(s: Observations) -> None:
     assert "tyre_bar" in declared(s, title=None).title
 
 
@@ -137,7 +139,7 @@ def test_an_entry_point_adds_its_class() -> None:
     assert effect.id == "foreign"
 
 
-def test_an_installed_package_is_found_by_the_library(s: Situation, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_installed_package_is_found_by_the_library(s: Observations, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         "calib.gap.effects.user.entry_points", lambda group: [point("Foreign")] * (group == "calib.effects")
     )
@@ -155,11 +157,11 @@ def test_an_entry_point_may_not_take_an_id_that_is_in_use() -> None:
         entry_point_effects(("foreign",), [point("Foreign")])
 
 
-def test_only_further_columns_are_covariates(s: Situation) -> None:
+def test_only_further_columns_are_covariates(s: Observations) -> None:
     assert covariate_columns(s) == ("tyre_bar",)
 
 
-def test_a_covariate_is_standardised(s: Situation) -> None:
+def test_a_covariate_is_standardised(s: Observations) -> None:
     effect = next(e for e in library(s) if e.id == "covariate:tyre_bar")
     form = next(f for f in effect.forms(s) if f.label == "both radii")
     (push,) = form.pushes(predict(s))
@@ -174,5 +176,5 @@ def test_a_covariate_is_standardised(s: Situation) -> None:
 def test_a_column_that_is_constant_or_has_gaps_is_no_candidate(column: np.ndarray) -> None:
     made = campaign(RUNS)
     numbers = {**made.runs.numbers, "tyre_bar": column}
-    s = build_situation(replace(made, runs=replace(made.runs, numbers=numbers)))
+    s = observations_of(replace(made, runs=replace(made.runs, numbers=numbers)))
     assert next(e for e in library(s) if e.id == "covariate:tyre_bar").forms(s) == []

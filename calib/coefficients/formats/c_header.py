@@ -1,0 +1,211 @@
+"""The coefficients as one self-contained C99 header: radius functions, integer form, odometry."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from importlib.resources import files
+from typing import Final
+
+from calib.coefficients.file import CoefficientFile
+from calib.coefficients.loads import Artifact, LoadPair, ascii_line
+from calib.coefficients.sections import WheelSection
+from calib.errors import RefusedError
+
+__all__ = ["BODY_NAME", "FixedPoint", "fixed_point", "render"]
+
+BODY_NAME: Final = "c_runtime.h"
+INT32_MAX: Final = 2**31 - 1
+#: bound of every intermediate of the integer form; half the range of int64_t, so that rounding cannot overflow it
+INT64_ROOM: Final = 2**62
+MAX_SHIFT: Final = 40
+LAST_BITS_MN: Final = Fraction(1, 10**6)
+
+
+@dataclass(frozen=True, slots=True)
+class FixedPoint:
+    """Integer form of a wheel's law: ``(base + slope (load - load_min) + 2^(shift-1)) / 2^shift``, mN to nm.
+
+    `max_error_nm` bounds the difference to the law in real numbers at every whole millinewton of the valid range.
+    """
+
+    base: int
+    slope: int
+    shift: int
+    load_min_mN: int
+    load_max_mN: int
+    max_error_nm: Fraction
+
+    def radius_nm(self, load_mN: int) -> int:
+        """Return the radius in nm at a load in mN within the valid range, as the C form computes it."""
+        total = self.base + self.slope * (load_mN - self.load_min_mN) + (1 << (self.shift - 1))
+        return total >> self.shift
+
+
+def fixed_point(wheel: WheelSection, side: str) -> FixedPoint:
+    """Return the integer form of the law of a wheel.
+
+    Raises
+    ------
+    RefusedError
+        Where radius or load do not fit 32 bits of nanometres and millinewtons.
+    """
+    # inwards to whole millinewtons, but for the last bits of a decimal that a double cannot hold
+    low = math.ceil(Fraction(wheel.valid_load.min.value) * 1000 - LAST_BITS_MN)
+    high = math.floor(Fraction(wheel.valid_load.max.value) * 1000 + LAST_BITS_MN)
+    slope_nm_per_mN = Fraction(wheel.slope.value) * 10**6
+    offset_N = Fraction(low, 1000) - Fraction(wheel.reference_load.value)
+    base_nm = (Fraction(wheel.radius_ref.value) + Fraction(wheel.slope.value) * offset_N) * 10**9
+    span = high - low
+    largest = max(base_nm, base_nm + slope_nm_per_mN * span)
+    if span < 0 or high > INT32_MAX or largest > INT32_MAX:
+        raise RefusedError(
+            f"wheels.{side}: found a radius of {float(largest) * 1e-9:.3g} m or a load of {high * 1e-3:.3g} N; "
+            "expected what 32 bits of nanometres and millinewtons hold; the integer form cannot be made"
+        )
+    shift = MAX_SHIFT
+    while shift > 1 and (base_nm + abs(slope_nm_per_mN) * span + 2) * 2**shift >= INT64_ROOM:
+        shift -= 1
+    base, slope = round(base_nm * 2**shift), round(slope_nm_per_mN * 2**shift)
+    # rounding to whole nanometres, plus what the rounded base and slope miss at the ends (linear: worst at an end)
+    missed = [abs(base + slope * at - (base_nm + slope_nm_per_mN * at) * 2**shift) / 2**shift for at in (0, span)]
+    return FixedPoint(base, slope, shift, low, high, Fraction(1, 2) + max(missed))
+
+
+def render(file: CoefficientFile, loads: Sequence[LoadPair]) -> tuple[Artifact, ...]:
+    """Return the header of a coefficient file; it holds the whole law, so `loads` change nothing."""
+    del loads
+    body = files("calib.coefficients.formats").joinpath(BODY_NAME).read_text(encoding="utf-8")
+    return (Artifact("calib_coefficients.h", (_head(file) + body).encode("utf-8")),)
+
+
+def _head(file: CoefficientFile) -> str:
+    vehicle, encoder, noise, limits = file.vehicle, file.encoder, file.noise, file.limits
+    lines = [
+        "/* Wheel coefficients and odometry, C99, no memory allocation, one header to include.",
+        f" * campaign: {ascii_line(file.name)}" + (" -- SIMULATED DATA" if file.simulated else ""),
+        f" * created: {file.created or 'no date given'}, calib {ascii_line(file.calib_version)}",
+        f" * coefficient file: {file.checksum}",
+        " * load outside the valid range: "
+        + ("clamped to its end" if file.outside == "clamp" else "refused, CALIB_LOAD_OUT_OF_RANGE"),
+    ]
+    lines += [
+        f" * NOT in this header: effect {ascii_line(effect.effect)} of the simulator's model" for effect in file.effects
+    ]
+    lines += [
+        " *",
+        " * calib_odometer o; calib_pose p;",
+        " * calib_init(&o);",
+        " * calib_set_payload(&o, 120.0, 0.45, 0.02);      or calib_set_wheel_loads, calib_set_load_point",
+        " * if (calib_feed_at(&o, counts_left, counts_right, t_s) != CALIB_OK) { stop and look }",
+        " * calib_get_pose(&o, &p);",
+        " */",
+        "#ifndef CALIB_COEFFICIENTS_H",
+        "#define CALIB_COEFFICIENTS_H",
+        "",
+        "#include <math.h>",
+        "#include <stdint.h>",
+        "",
+        "#ifdef __cplusplus",
+        'extern "C" {',
+        "#endif",
+        "",
+        f'#define CALIB_CHECKSUM "{file.checksum}"',
+        f"#define CALIB_SIMULATED {int(file.simulated)}",
+        f"#define CALIB_OUTSIDE_CLAMP {int(file.outside == 'clamp')}",
+        "",
+        "/* 1: the covariance of the pose also holds the scatter of single runs about the law */",
+        "#ifndef CALIB_PREDICTION_BAND",
+        "#define CALIB_PREDICTION_BAND 0",
+        "#endif",
+        "",
+    ]
+    lines += _wheel(file.wheels.left, "left") + _wheel(file.wheels.right, "right")
+    numbers = {
+        "TRACK_M": vehicle.track.value,
+        "TRACK_STD_M": vehicle.track_std.value,
+        "WHEELBASE_M": vehicle.wheelbase.value,
+        "MASS_KG": vehicle.mass.value,
+        "COG_X_M": vehicle.cog_x.value,
+        "COG_Y_M": vehicle.cog_y.value,
+        "MAX_WHEEL_LOAD_N": vehicle.max_wheel_load.value,
+        "GRAVITY_MPS2": vehicle.gravity.value,
+        "COUNTS_PER_REV_LEFT": encoder.counts_per_rev_left.value,
+        "COUNTS_PER_REV_RIGHT": encoder.counts_per_rev_right.value,
+        "COUNT_STD": noise.count_std.value,
+        "ALONG_M_PER_SQRT_M": noise.along.value,
+        "HEADING_RAD_PER_SQRT_M": noise.heading.value,
+        "MAX_STEP_M": limits.max_step.value,
+        "MAX_GAP_S": limits.max_gap.value,
+    }
+    lines += ["/* vehicle, encoders, noise, limits */"]
+    lines += [f"#define CALIB_{name} {_c(value)}" for name, value in numbers.items()]
+    bits = int(encoder.wrap_bits.value) if encoder.wrap_bits is not None else 0
+    lines += [f"#define CALIB_WRAP_BITS {bits} /* 0: the counters do not wrap */", ""]
+    return "\n".join([*lines, *_table(file), "", ""])
+
+
+def _wheel(wheel: WheelSection, side: str) -> list[str]:
+    name, integer = f"CALIB_{side.upper()}", fixed_point(wheel, side)
+    return [
+        f"/* {side} wheel: radius = radius_ref + slope (load - reference_load) */",
+        f"#define {name}_RADIUS_REF_M {_c(wheel.radius_ref.value)}",
+        f"#define {name}_SLOPE_M_PER_N {_c(wheel.slope.value)}",
+        f"#define {name}_REFERENCE_LOAD_N {_c(wheel.reference_load.value)}",
+        f"#define {name}_LOAD_MIN_N {_c(wheel.valid_load.min.value)}",
+        f"#define {name}_LOAD_MAX_N {_c(wheel.valid_load.max.value)}",
+        f"#define {name}_VAR_RADIUS_REF_M2 {_c(wheel.variance_radius_ref.value)}",
+        f"#define {name}_COV_M2_PER_N {_c(wheel.covariance_radius_ref_slope.value)}",
+        f"#define {name}_VAR_SLOPE_M2_PER_N2 {_c(wheel.variance_slope.value)}",
+        f"#define {name}_RESIDUAL_STD_M {_c(wheel.residual_std.value)}",
+        "/* integer form, nm from mN; error against the law at most: */",
+        f"#define {name}_MAX_ERROR_NM {_c(_up(integer.max_error_nm))}",
+        f"#define {name}_LOAD_MIN_MN INT32_C({integer.load_min_mN})",
+        f"#define {name}_LOAD_MAX_MN INT32_C({integer.load_max_mN})",
+        f"#define {name}_SHIFT {integer.shift}",
+        f"#define {name}_BASE_Q INT64_C({integer.base})",
+        f"#define {name}_SLOPE_Q {_i64(integer.slope)}",
+        "",
+    ]
+
+
+def _table(file: CoefficientFile) -> list[str]:
+    cases = [
+        f"    case {index}: /* {point.name} */\n"
+        f"        *left_N = {_c(point.load_left.value)};\n"
+        f"        *right_N = {_c(point.load_right.value)};\n"
+        f"        return 1;"
+        for index, point in enumerate(file.load_table)
+    ]
+    return [
+        f"#define CALIB_LOAD_POINTS {len(file.load_table)}",
+        "",
+        "/* Wheel loads of a line of the load table; 0 where there is no such line. */",
+        "static inline int calib_load_point(unsigned index, double *left_N, double *right_N)",
+        "{",
+        "    switch (index) {",
+        *cases,
+        "    default:",
+        *([] if cases else ["        (void)left_N;", "        (void)right_N;"]),
+        "        return 0;",
+        "    }",
+        "}",
+    ]
+
+
+def _c(value: float) -> str:
+    """Return a double literal that reads back as the same double; negative ones in brackets."""
+    text = repr(float(value))
+    text = text if any(mark in text for mark in ".e") else f"{text}.0"
+    return f"({text})" if text.startswith("-") else text
+
+
+def _i64(value: int) -> str:
+    return f"(-INT64_C({-value}))" if value < 0 else f"INT64_C({value})"
+
+
+def _up(bound: Fraction) -> float:
+    """Return `bound` rounded up to six decimals, so that the stated error is never below the true one."""
+    return float(-((-bound * 10**6) // 1)) / 1e6

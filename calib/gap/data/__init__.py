@@ -1,0 +1,1 @@
+"""What was driven and measured, as arrays over runs and samples."""

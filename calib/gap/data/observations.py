@@ -1,0 +1,220 @@
+"""What was driven, as the diagnosis sees it: units (runs, or windows of a recording) and their steps, as arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from calib.arrays import BoolArray, FloatArray, IntArray, StrArray
+from calib.campaign.settings import OdometryModel
+from calib.units import GRAVITY_MPS2
+from calib.vehicle import Vehicle
+
+__all__ = ["CHANNELS", "STRAIGHT_RAD", "Observations"]
+
+#: channels of a residual: distance by laser; along, left of and heading of the end pose; front wheel against rear
+CHANNELS: Final = ("distance", "along", "lateral", "heading", "front", "steering")
+
+#: a run without a log whose heading changes by less than this is taken as one arc
+STRAIGHT_RAD: Final = 0.35
+
+
+@dataclass(frozen=True, eq=False)
+class Observations:
+    """Units and steps of a campaign.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        Geometry and mass.
+    model : OdometryModel
+        What the simulator believes.
+    starts : array of int, shape (n_units + 1,)
+        Steps of unit u stand at ``starts[u]:starts[u + 1]``; every unit has one or more.
+    roll_left_rad, roll_right_rad : array of float, shape (n_steps,)
+        Wheel rotation of each step.
+    phase_left_rad, phase_right_rad : array of float, shape (n_steps,)
+        Wheel angle at the end of each step, by the counter.
+    time_s, duration_s : array of float, shape (n_steps,)
+        Time since the run's start at the end of each step, and how long the step took.
+    front_roll_rad, steer_rad, steer_change_rad : array of float, shape (n_steps,)
+        Front wheel's rotation of each step, its mean steering angle and by how much that changed; NaN where not logged.
+    from_log : array of bool, shape (n_units,)
+        False where a unit's steps were made up from its totals.
+    measured : array of float, shape (n_units, 6)
+        Measured distance, x, y and heading in the unit's own frame; NaN where not measured. The last two columns, of
+        the front wheel, are filled by the prediction itself (they compare two of the vehicle's own measurements).
+    simulated : array of float, shape (n_units, 6)
+        An outside simulator's prediction of the same; NaN where there is none.
+    usable : array of bool, shape (n_units, 6)
+        Channels that a unit has.
+    numbers : mapping of str to array, shape (n_units,)
+        Covariates of each unit.
+    labels : mapping of str to array of str, shape (n_units,)
+        ``run_id``, ``session``, ``kind``, ``direction``.
+    condition : array of int, shape (n_units,)
+        Units driven alike (same route, direction, loads, speed) share a number.
+    cell : array of int, shape (n_units,)
+        Units of one condition that were also driven in the same session, warmth, dwell and further columns.
+    kind : array of int, shape (n_units,)
+        Units of the same route and direction.
+    axis : array of float, shape (n_units,)
+        1 where the laser's distance is the projection on the start heading, 0 where it is the length of the line.
+    notes : tuple of str
+        What had to be left out or assumed, in sentences.
+    """
+
+    vehicle: Vehicle
+    model: OdometryModel
+    starts: IntArray
+    roll_left_rad: FloatArray
+    roll_right_rad: FloatArray
+    phase_left_rad: FloatArray
+    phase_right_rad: FloatArray
+    time_s: FloatArray
+    duration_s: FloatArray
+    front_roll_rad: FloatArray
+    steer_rad: FloatArray
+    steer_change_rad: FloatArray
+    from_log: BoolArray
+    measured: FloatArray
+    simulated: FloatArray
+    usable: BoolArray
+    numbers: Mapping[str, FloatArray]
+    labels: Mapping[str, StrArray]
+    condition: IntArray
+    cell: IntArray
+    kind: IntArray
+    axis: FloatArray
+    sigma_distance_m: float
+    sigma_xy_m: float
+    sigma_theta_rad: float
+    count_rad: tuple[float, float]
+    windowed: bool
+    notes: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.starts) - 1
+
+    @cached_property
+    def unit(self) -> IntArray:
+        """Unit of each step, shape (n_steps,)."""
+        return np.repeat(np.arange(len(self)), np.diff(self.starts))
+
+    @cached_property
+    def lengths(self) -> IntArray:
+        """Steps of each unit, shape (n_units,)."""
+        return np.diff(self.starts)
+
+    def total(self, steps: npt.ArrayLike) -> FloatArray:
+        """Sum a step array (n_steps,) over each unit, shape (n_units,)."""
+        summed: FloatArray = np.add.reduceat(np.asarray(steps, dtype=np.float64), self.starts[:-1])
+        return summed
+
+    def cumulative(self, steps: FloatArray) -> FloatArray:
+        """Return the running sum of a step array (n_steps,) within each unit, the step included, shape (n_steps,)."""
+        running = np.cumsum(steps)
+        before = np.concatenate(([0.0], running))[self.starts[:-1]]
+        within: FloatArray = running - np.repeat(before, self.lengths)
+        return within
+
+    def number(self, name: str) -> FloatArray:
+        """Return a covariate, shape (n_units,); NaN where the campaign has none."""
+        found = self.numbers.get(name)
+        return found if found is not None else np.full(len(self), np.nan)
+
+    @cached_property
+    def radius_left_m(self) -> FloatArray:
+        """Radius that the model believes of the left wheel in each unit, shape (n_units,)."""
+        model = self.model
+        load = self.number("load_left_N") - model.reference_load_N
+        return model.radius_left_m + model.slope_left_m_per_N * np.nan_to_num(load)
+
+    @cached_property
+    def radius_right_m(self) -> FloatArray:
+        """Radius that the model believes of the right wheel in each unit, shape (n_units,)."""
+        model = self.model
+        load = self.number("load_right_N") - model.reference_load_N
+        return model.radius_right_m + model.slope_right_m_per_N * np.nan_to_num(load)
+
+    @cached_property
+    def travel_left_m(self) -> FloatArray:
+        """Left wheel's travel of each step by the model, shape (n_steps,)."""
+        return self.roll_left_rad * self.radius_left_m[self.unit]
+
+    @cached_property
+    def travel_right_m(self) -> FloatArray:
+        """Right wheel's travel of each step by the model, shape (n_steps,)."""
+        return self.roll_right_rad * self.radius_right_m[self.unit]
+
+    @cached_property
+    def path_m(self) -> FloatArray:
+        """Signed path of each step by the model, shape (n_steps,)."""
+        return 0.5 * (self.travel_left_m + self.travel_right_m)
+
+    @cached_property
+    def turn_rad(self) -> FloatArray:
+        """Signed turn of each step by the model, shape (n_steps,)."""
+        return (self.travel_right_m - self.travel_left_m) / self.model.track_m
+
+    @cached_property
+    def steer_cos(self) -> FloatArray:
+        """What of the front wheel's way the rear wheels go, 1 where no angle is logged, shape (n_steps,).
+
+        One over the mean of 1 / cos at the ends of the step: over a whole turn the errors of this mean cancel, wherever
+        between two samples the angle begins and ends to change (Euler and Maclaurin).
+        """
+        return 1.0 / np.asarray(self._at_ends(lambda angle: 1.0 / np.cos(angle)))
+
+    @cached_property
+    def steer_sin(self) -> FloatArray:
+        """What of the front wheel's way, over the wheelbase, is turn; 0 where no angle is logged, shape (n_steps,)."""
+        return self.steer_cos * self._at_ends(np.tan)
+
+    def _at_ends(self, what: Callable[[FloatArray], FloatArray]) -> FloatArray:
+        """Return the mean of a function of the steering angle over the ends of each step, shape (n_steps,)."""
+        angle, half = np.nan_to_num(self.steer_rad), 0.5 * np.nan_to_num(self.steer_change_rad)
+        return 0.5 * (what(angle - half) + what(angle + half))
+
+    @cached_property
+    def speed_mps(self) -> FloatArray:
+        """Speed of each step by the log, else the set speed, shape (n_steps,); 0 where neither is known."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            logged = self.path_m / self.duration_s
+        known = self.number("speed_mps")[self.unit]
+        return np.nan_to_num(np.where(self.from_log[self.unit] & np.isfinite(logged), logged, known))
+
+    @cached_property
+    def curvature_per_m(self) -> FloatArray:
+        """Curvature of each step, smoothed over about half a metre, shape (n_steps,)."""
+        turn, path = self._smooth(self.turn_rad), self._smooth(np.abs(self.path_m))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(path > 1e-6, turn / path, 0.0)
+
+    def _smooth(self, steps: FloatArray, half: int = 2) -> FloatArray:
+        """Return a running mean within each unit, shape (n_steps,)."""
+        running = np.concatenate(([0.0], np.cumsum(steps)))
+        index = np.arange(len(steps))
+        first = np.maximum(index - half, self.starts[self.unit])
+        last = np.minimum(index + half + 1, self.starts[self.unit + 1])
+        return np.asarray((running[last] - running[first]) / (last - first))
+
+    @cached_property
+    def length_m(self) -> FloatArray:
+        """Unsigned path of each unit, shape (n_units,)."""
+        return self.total(np.abs(self.path_m))
+
+    @cached_property
+    def heading_sign(self) -> FloatArray:
+        """+1 out (or no label), -1 back along the same floor, shape (n_units,)."""
+        return np.where(self.labels["direction"] == "back", -1.0, 1.0)
+
+    @cached_property
+    def weight_N(self) -> FloatArray:
+        """Weight of vehicle and payload, shape (n_units,)."""
+        return GRAVITY_MPS2 * (self.vehicle.mass_kg + np.nan_to_num(self.number("payload_kg")))

@@ -1,0 +1,1 @@
+"""How strongly the runs speak for each hypothesis."""

@@ -1,0 +1,376 @@
+"""Which runs to drive next, and what a plan of runs could show: before anything is driven, or beside what was."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from calib.arrays import BoolArray, FloatArray
+from calib.campaign.model import Campaign
+from calib.campaign.settings import OdometryModel
+from calib.gap.apply import matching_form
+from calib.gap.data.from_campaign import observations_of
+from calib.gap.data.observations import Observations
+from calib.gap.effects.effect import Effect, Form
+from calib.gap.effects.library import library
+from calib.gap.evidence.fit import Fitted
+from calib.gap.evidence.marginal import Nuisance, project
+from calib.gap.evidence.noise import Noise
+from calib.gap.evidence.whitened import WhitenedSystem
+from calib.gap.plan.planned_runs import DEFAULT_CORRIDOR_M, Measured, PlannedRun, default_candidates, drive, joined
+from calib.gap.plan.separability import SEEN, Signatures, noise_at
+from calib.gap.predict.path import predict
+from calib.gap.verdict.alternatives import NEAR
+from calib.gap.verdict.result import Verdict
+
+__all__ = ["Outlook", "next_runs", "outlook_of", "plan_after", "undetectable"]
+
+#: an effect of which a recalibration leaves less than this share is hidden in it for good
+HIDDEN: Final = 1e-3
+MOST_RUNS: Final = 5
+#: pairs named in one line
+NAMED: Final = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outlook:
+    """What a set of runs can show.
+
+    Parameters
+    ----------
+    effects : tuple of str
+        Effects that the runs vary anything for, shape (n,).
+    absent : tuple of str
+        Effects that have nothing to act on in these runs.
+    signal : array of float, shape (n,)
+        Whitened norm of each at its typical size, beside a free recalibration.
+    distance : array of float, shape (n, n)
+        Row's effect at its typical size against all that the column's could do, in standard deviations; infinite on
+        the diagonal.
+    smallest : mapping of str to str
+        Smallest size of each effect that would be seen, in words.
+    """
+
+    effects: tuple[str, ...]
+    absent: tuple[str, ...]
+    signal: FloatArray
+    distance: FloatArray
+    smallest: dict[str, str]
+
+    @property
+    def told_apart(self) -> BoolArray:
+        """Which effects, at typical size, are seen and stand apart from every other, shape (n,)."""
+        return np.asarray((self.signal >= NEAR) & (self.distance.min(axis=1) >= NEAR))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain JSON values; the diagonal is null."""
+        told = self.told_apart
+        return {
+            "effects": list(self.effects),
+            "absent": list(self.absent),
+            "signal": [float(value) for value in self.signal],
+            "distance": [[float(d) if np.isfinite(d) else None for d in row] for row in self.distance],
+            "smallest": self.smallest,
+            "not_seen": [name for name, value in zip(self.effects, self.signal, strict=True) if value < NEAR],
+            "told_apart": [name for name, yes in zip(self.effects, told, strict=True) if yes],
+            "confused": {
+                name: [self.effects[k] for k in np.flatnonzero(self.distance[number] < NEAR)]
+                for number, name in enumerate(self.effects)
+                if self.signal[number] >= NEAR and not told[number]
+            },
+        }
+
+
+def outlook_of(campaign: Campaign, scales: Mapping[str, float] | None = None) -> Outlook:
+    """Return what the runs of a campaign, driven or not, can show of the whole library.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        The runs; of `calib.gap.plan.planned_runs.drive` where they are only planned.
+    scales : mapping of str to float, optional
+        Scales of the noise; prior medians where missing.
+    """
+    s = observations_of(campaign)
+    path = predict(s)
+    noise = noise_at(path, scales or {})
+    effects = library(s, exclude=("encoder_gross",), declared=campaign.extra.get("effects", ()))
+    made = Signatures(path, noise, effects)
+    signal, distance = made.distances(made.gram(np.ones(len(s), dtype=bool)))
+    forms = {effect.id: effect.forms(s) for effect in effects}
+    bench = WhitenedSystem(path, path, noise)
+    return Outlook(
+        effects=tuple(made.names),
+        absent=tuple(name for name, found in forms.items() if not found),
+        signal=signal,
+        distance=distance,
+        smallest=_smallest(bench, effects, only_blind=False),
+    )
+
+
+def undetectable(bench: WhitenedSystem, effects: Sequence[Effect]) -> dict[str, str]:
+    """Return the effects that these runs could not have shown at their typical size, with the smallest that they could.
+
+    Parameters
+    ----------
+    bench : WhitenedSystem
+        The whitened system of the runs.
+    effects : sequence of Effect
+        The library.
+
+    Returns
+    -------
+    dict of str to str
+        ``never: ...`` where nothing in the runs varies what the effect acts through, or a recalibration hides it
+        wholly.
+    """
+    return _smallest(bench, effects, only_blind=True)
+
+
+def _smallest(bench: WhitenedSystem, effects: Sequence[Effect], *, only_blind: bool) -> dict[str, str]:
+    s = bench.path.s
+    made: dict[str, str] = {}
+    for effect in effects:
+        forms = effect.forms(s)
+        if not forms:
+            made[effect.id] = "never: nothing that it acts through is measured, or varies, in these runs"
+            continue
+        calibration = bench.calibration[:, 3:] if effect.calibration else bench.calibration
+        best: tuple[float, Form, int] | None = None
+        raw_norm = 0.0
+        for form in forms:
+            columns = bench.columns(form)
+            # a single direction of the form is asked at a time, the recalibration free beside it
+            left = np.sqrt((project(Nuisance.of(calibration), columns) ** 2).sum(axis=0))
+            raw = np.sqrt((columns**2).sum(axis=0))
+            raw_norm = max(raw_norm, float(raw.max(initial=0.0)))
+            for number, value in enumerate(left):
+                if value > HIDDEN * max(float(raw[number]), 1e-12) and value > 0.0:
+                    times = SEEN / float(value)
+                    if best is None or times < best[0]:
+                        best = (times, form, number)
+        if best is None:
+            hidden = "never: hidden in the calibration" if raw_norm > 0.0 else "never: it moves nothing measured here"
+            made[effect.id] = hidden
+            continue
+        times, form, number = best
+        if only_blind and times <= 1.0:
+            continue
+        parameter = form.parameters[number]
+        unit = "" if parameter.unit == "1" else f" {parameter.unit}"
+        words = [parameter.name.replace("_", " ")] if parameter.name else []
+        words += ["more than is plausible"] if times * parameter.typical > parameter.largest else []
+        made[effect.id] = f"{times * parameter.typical:.2g}{unit}" + (f" ({', '.join(words)})" if words else "")
+    return made
+
+
+def next_runs(
+    campaign: Campaign,
+    effects: Sequence[Effect],
+    noise: Noise,
+    ties: Sequence[Sequence[str]] = (),
+    fitted: Fitted | None = None,
+    *,
+    model: OdometryModel | None = None,
+    candidates: Sequence[PlannedRun] | None = None,
+    most: int = MOST_RUNS,
+) -> list[dict[str, Any]]:
+    """Return the runs to drive next, best first, with what each would tell apart.
+
+    The next runs are taken to be driven in one session that begins with a repeat of an unladen corridor run. Each step
+    takes the run after which the nearest two effects of the tie lie furthest apart; without a tie, the run after which
+    most effects of the library are seen and stand apart.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        What was driven.
+    effects : sequence of Effect
+        The library.
+    noise : Noise
+        Of the campaign; its scales are taken for the next runs too.
+    ties : sequence of sequence of str
+        Groups of effects that the campaign cannot tell apart, the named one first.
+    fitted : Fitted, optional
+        Gives the sizes of the effects that were fitted; others are taken at their typical size.
+    model : OdometryModel, optional
+        What the simulator believes; the campaign's own by default.
+    candidates : sequence of PlannedRun, optional
+        Runs to choose from; `default_candidates` without.
+    most : int
+        How many runs to name.
+
+    Returns
+    -------
+    list of dict
+        ``kind`` and the other fields of the run, and ``why``; empty where no candidate helps.
+    """
+    from dataclasses import replace
+
+    driven = campaign.included()
+    if model is not None:
+        driven = replace(driven, model=model)
+    offered = list(candidates) if candidates is not None else default_candidates(driven)
+    if not offered:
+        return []
+    corridor_m = _corridor_m(driven)
+    measured = _measured(driven)
+    reference = PlannedRun("corridor", "out", temperature_C=_usual(driven))
+    planned = drive(driven, [reference, *offered], measured, corridor_m)
+    whole = joined(driven, planned)
+    s = observations_of(whole)
+    path = predict(s)
+    future = np.array([str(name).startswith("next") for name in s.labels["run_id"]])
+    number_of = {str(name): unit for unit, name in enumerate(s.labels["run_id"])}
+    of_run = [number_of.get(f"next{number:03d}") for number in range(len(offered) + 1)]
+    sizes = _sizes(s, effects, fitted)
+    made = Signatures(path, noise_at(path, noise.scales), effects, sizes)
+    base = made.gram(~future) + (_one(made, of_run[0]) if of_run[0] is not None else 0.0)
+    grams = {number: _one(made, unit) for number, unit in enumerate(of_run[1:]) if unit is not None}
+    task = _Task(made, ties)
+    chosen: list[dict[str, Any]] = []
+    for _ in range(most):
+        before = task.distances(base)
+        if task.done(before) or not grams:
+            break
+        scored = {number: task.score(task.distances(base + gram)) for number, gram in grams.items()}
+        best = max(scored, key=lambda number: (scored[number], -number))
+        after = task.distances(base + grams[best])
+        if not task.score(after) > task.score(before):
+            break
+        base = base + grams.pop(best)
+        said: dict[str, Any] = {**offered[best].to_dict(), "why": task.why(before, after)}
+        if task.pairs:
+            said["distance"] = float(after.min())
+        chosen.append(said)
+    return chosen
+
+
+def _one(made: Signatures, unit: int | None) -> FloatArray:
+    columns = made.columns[made.unit == unit]
+    return np.asarray(columns.T @ columns)
+
+
+class _Task:
+    """What the next runs are to tell apart."""
+
+    def __init__(self, made: Signatures, ties: Sequence[Sequence[str]]) -> None:
+        self.made = made
+        number = {name: index for index, name in enumerate(made.names)}
+        self.pairs = [
+            (number[group[0]], number[other])
+            for group in ties
+            for other in group[1:]
+            if group[0] in number and other in number
+        ]
+        self.truths = sorted({a for a, _ in self.pairs}) if self.pairs else list(range(len(made.names)))
+
+    def distances(self, gram: FloatArray) -> FloatArray:
+        """Return the distance of each tied pair, or how well each effect stands apart where there is no tie."""
+        signal, distance = self.made.distances(gram, self.truths)
+        if self.pairs:
+            row = {truth: index for index, truth in enumerate(self.truths)}
+            return np.array([distance[row[a], b] for a, b in self.pairs])
+        return np.asarray(np.minimum(signal, distance.min(axis=1, initial=np.inf)))
+
+    def done(self, found: FloatArray) -> bool:
+        """Return whether all is told apart with something to spare."""
+        return bool((found >= 2 * NEAR).all())
+
+    def score(self, found: FloatArray) -> tuple[float, float]:
+        """Return what is to be made large: the smallest distance, then all of them; numbers told apart first."""
+        if self.pairs:
+            return (round(float(np.min(np.minimum(found, 4 * NEAR))), 6), float(np.minimum(found, 4 * NEAR).sum()))
+        return (float(np.minimum(found / NEAR, 1.0).sum()), float(np.minimum(found, 4 * NEAR).sum()))
+
+    def why(self, before: FloatArray, after: FloatArray) -> str:
+        """Say what a run tells apart, most gained first."""
+        names = self.made.names
+        order = np.argsort(-(np.minimum(after, 4 * NEAR) - np.minimum(before, 4 * NEAR)))[:NAMED]
+        order = np.array([k for k in order if after[k] > before[k] + 0.05], dtype=np.int64)
+        if self.pairs:
+            said = []
+            for k in order:
+                a, b = self.pairs[int(k)]
+                word = "tells" if after[k] >= NEAR else "begins to tell"
+                said.append(f"{word} {names[a]} from {names[b]}")
+            return ", ".join(said) or "repeats what is least sure"
+        clear = [names[self.truths[int(k)]] for k in order if after[k] >= NEAR]
+        return f"shows {', '.join(clear or [names[self.truths[int(k)]] for k in order])}" + ("" if clear else " better")
+
+
+def _sizes(s: Observations, effects: Sequence[Effect], fitted: Fitted | None) -> dict[str, tuple[Form, FloatArray]]:
+    """Return form and size, on the joint runs, of the effects that were fitted."""
+    made: dict[str, tuple[Form, FloatArray]] = {}
+    if fitted is None:
+        return made
+    by_id = {effect.id: effect for effect in effects}
+    for form, theta in zip(fitted.forms, fitted.theta, strict=True):
+        if form.effect not in by_id:
+            continue
+        here = matching_form(by_id[form.effect].forms(s), form.label, form.settings)
+        if here is None:
+            continue
+        known = {parameter.name: float(value) for parameter, value in zip(form.parameters, theta, strict=True)}
+        made[form.effect] = (here, np.array([known.get(parameter.name, 0.0) for parameter in here.parameters]))
+    left, right, track = (float(value) for value in fitted.calibration[:3])
+    for name, size in (
+        ("radius_scale", 0.5 * (left + right)),
+        ("unequal_radii", right - left),
+        ("track_width", track),
+    ):
+        forms = by_id[name].forms(s) if name in by_id else []
+        if forms and abs(size) > 1e-12:
+            made[name] = (forms[0], np.full(len(forms[0].parameters), size))
+    return made
+
+
+def _measured(campaign: Campaign) -> Measured:
+    runs, logs = campaign.runs, campaign.logs
+    front = logs.columns.get("counts_front")
+    return Measured(
+        distance=bool(np.isfinite(runs.number("distance_m")).any() or "range_m" in logs.columns),
+        poses=bool(np.isfinite(runs.number("ref_theta_rad")).any() or "ref_theta_rad" in logs.columns),
+        front=front is not None and bool(np.isfinite(front).any()),
+        log=bool(logs.present.any()),
+    )
+
+
+def _corridor_m(campaign: Campaign) -> float:
+    distance = campaign.runs.number("distance_m")
+    corridor = (campaign.runs.label("kind") == "corridor") & np.isfinite(distance)
+    found = float(np.median(distance[corridor])) if corridor.any() else DEFAULT_CORRIDOR_M
+    return found if 2.0 <= found <= 500.0 else DEFAULT_CORRIDOR_M
+
+
+def _usual(campaign: Campaign) -> float:
+    warm = campaign.runs.number("temperature_C")
+    return float(np.nanmedian(warm)) if np.isfinite(warm).any() else float("nan")
+
+
+def plan_after(
+    campaign: Campaign, candidates: Sequence[PlannedRun] | None = None, *, most: int = MOST_RUNS, seed: int = 0
+) -> tuple[Verdict, list[dict[str, Any]]]:
+    """Diagnose a campaign and return its verdict with the runs to drive next; see `next_runs`.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        What was driven.
+    candidates : sequence of PlannedRun, optional
+        Runs to choose from.
+    most : int
+        How many runs to name.
+    seed : int
+        Of the diagnosis.
+    """
+    from calib.gap.diagnose import diagnose_in_full
+
+    found = diagnose_in_full(campaign, seed=seed)
+    effects = library(found.situation, exclude=("encoder_gross",), declared=campaign.extra.get("effects", ()))
+    ties = found.verdict.indistinguishable
+    runs = next_runs(campaign, effects, found.noise, ties, found.fitted, candidates=candidates, most=most)
+    return found.verdict, runs

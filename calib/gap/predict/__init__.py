@@ -1,0 +1,1 @@
+"""What the model says of the same runs, and what small changes do to it."""

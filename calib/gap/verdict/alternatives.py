@@ -1,0 +1,81 @@
+"""What these runs cannot tell apart: effects whose signatures at the fitted size lie nearer than the noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from calib.arrays import FloatArray
+from calib.gap.effects.effect import Form
+from calib.gap.evidence.marginal import Nuisance, project
+from calib.gap.evidence.whitened import WhitenedSystem
+
+__all__ = ["NEAR", "aliases_of", "distance", "undetectable_size"]
+
+#: signatures nearer than this (in standard deviations) count as alike
+NEAR: Final = 3.0
+#: an alternative may not need a size beyond this many times its largest plausible one
+STRETCH: Final = 2.0
+
+
+def distance(bench: WhitenedSystem, nuisance: Nuisance, contribution: FloatArray, form: Form) -> float:
+    """Return how far a contribution (n_rows,) lies from what a form could do, in standard deviations.
+
+    The form's parameters are free within what is physically plausible.
+    """
+    target = project(nuisance, contribution[:, None])[:, 0]
+    columns = project(nuisance, bench.columns(form))
+    bound = np.array([p.largest / p.typical for p in form.parameters]) * STRETCH
+    gram = columns.T @ columns
+    sizes = np.linalg.solve(gram + np.diag(1e-9 + 1.0 / (10 * bound) ** 2), columns.T @ target)
+    sizes = np.clip(sizes, -bound, bound)
+    left = target - columns @ sizes
+    return float(np.sqrt(left @ left))
+
+
+def aliases_of(
+    bench: WhitenedSystem,
+    nuisance: Nuisance,
+    contribution: FloatArray,
+    forms: dict[str, list[Form]],
+    held: Sequence[str],
+) -> dict[str, float]:
+    """Return the effects that could stand in for a contribution, with their distance in standard deviations.
+
+    Parameters
+    ----------
+    bench : WhitenedSystem
+        The whitened system.
+    nuisance : Nuisance
+        What is free beside the effect.
+    contribution : array of float, shape (n_rows,)
+        What the fitted effect does, whitened.
+    forms : mapping of str to list of Form
+        The library on this campaign.
+    held : sequence of str
+        Effects of the hypothesis itself, not to be offered.
+    """
+    found: dict[str, float] = {}
+    for name, made in forms.items():
+        if name in held:
+            continue
+        near = min((distance(bench, nuisance, contribution, form) for form in made), default=np.inf)
+        if near < NEAR:
+            found[name] = near
+    return found
+
+
+def undetectable_size(bench: WhitenedSystem, nuisance: Nuisance, form: Form, signal: float = 5.0) -> FloatArray:
+    """Return the size of each parameter at which an effect would reach a signal, shape (n_parameters,).
+
+    Infinite where a recalibration absorbs the effect wholly.
+    """
+    columns = project(nuisance, bench.columns(form))
+    norm = np.sqrt((columns**2).sum(axis=0))
+    typical = form.typical
+    raw = np.sqrt((bench.columns(form) ** 2).sum(axis=0))
+    with np.errstate(divide="ignore"):
+        made: FloatArray = np.where(norm > 1e-4 * np.maximum(raw, 1e-12), signal / norm, np.inf) * typical
+    return made

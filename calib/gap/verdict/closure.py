@@ -1,0 +1,137 @@
+"""How far the gap shrinks on runs that the fit has not seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from calib.arrays import FloatArray, IntArray
+from calib.gap.data.observations import CHANNELS, Observations
+from calib.gap.evidence.fit import Fitted, fit
+from calib.gap.evidence.marginal import rows
+from calib.gap.evidence.noise import Noise
+from calib.gap.predict.path import Path
+from calib.gap.predict.residuals import residuals
+
+__all__ = ["Closure", "held_out", "measure_closure"]
+
+BOOTSTRAPS: Final = 400
+MAX_FOLDS: Final = 6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Closure:
+    """The gap before and after, on held-out runs.
+
+    Parameters
+    ----------
+    before, after : array of float, shape (n_units, 6)
+        Residuals of the model alone, and of the model with the effect fitted on the other runs.
+    floor : array of float, shape (n_units, 6)
+        Standard deviation that repeats give each channel.
+    fraction : float or None
+        1 - (mean square after - floor) / (mean square before - floor), in units of the noise; None where the gap is
+        below half the floor.
+    ci95 : tuple of float or None
+        Its bootstrap interval over conditions.
+    by_channel : mapping of str to float or None
+        The same for each channel.
+    held_out : str
+        What was left out in turn: ``session`` or ``condition``.
+    """
+
+    before: FloatArray
+    after: FloatArray
+    floor: FloatArray
+    fraction: float | None
+    ci95: tuple[float, float] | None
+    by_channel: dict[str, float | None]
+    held_out: str
+
+
+def held_out(s: Observations, *, sessions: bool = True) -> tuple[IntArray, str]:
+    """Return the number of the fold that each unit is left out in, shape (n_units,), and what the folds are."""
+    labels, session = np.unique(s.labels["session"], return_inverse=True)
+    if sessions and len(labels) >= 3:
+        return np.asarray(session % 8), "session"
+    names, condition = np.unique(s.condition, return_inverse=True)
+    return np.asarray(condition % min(MAX_FOLDS, len(names))), "condition"
+
+
+def measure_closure(
+    nominal: Path,
+    noise: Noise,
+    fitted: Fitted,
+    rng: np.random.Generator,
+    *,
+    sessions: bool = True,
+    floor_factor: float = 1.0,
+) -> Closure:
+    """Fit on the other folds, predict the one left out, and compare with the model alone.
+
+    Parameters
+    ----------
+    nominal : Path
+        The model alone.
+    noise : Noise
+        Covariance of each unit.
+    fitted : Fitted
+        The hypothesis, fitted on all runs.
+    rng : numpy.random.Generator
+        For the bootstrap.
+    sessions : bool
+        Leave sessions out where there are three or more; else conditions.
+    floor_factor : float
+        By which the floor's variance is larger than `noise` says, where what the fit leaves is held to be noise.
+
+    Returns
+    -------
+    Closure
+    """
+    s = nominal.s
+    fold, kind = held_out(s, sessions=sessions)
+    before = residuals(nominal, nominal)
+    after = np.zeros_like(before)
+    for number in np.unique(fold):
+        out = fold == number
+        if out.all():
+            after[out] = fitted.left[out]
+            continue
+        trained = fit(nominal, noise, fitted.forms, use=~out, start=fitted, steps=2)
+        after[out] = trained.left[out]
+    usable = s.usable
+    white = rows(nominal, noise, np.stack([before, after], axis=2))
+    unit = np.repeat(np.arange(len(s))[:, None], 6, axis=1)[usable]
+    per_unit = np.stack([np.bincount(unit, white[:, k] ** 2, len(s)) for k in range(2)], axis=1)
+    dims = floor_factor * usable.sum(axis=1).astype(np.float64)
+    fraction = _fraction(per_unit.astype(np.float64), dims)
+    ci95 = None
+    if fraction is not None:
+        _, condition = np.unique(s.condition, return_inverse=True)
+        n = int(condition.max()) + 1
+        by_condition = np.stack([np.bincount(condition, per_unit[:, k], n) for k in range(2)], axis=1)
+        dims_condition = np.bincount(condition, dims, n)
+        pick = rng.integers(0, n, (BOOTSTRAPS, n))
+        sums, total = by_condition[pick].sum(axis=1), dims_condition[pick].sum(axis=1)
+        gap = np.maximum(sums[:, 0] - total, 0.05 * np.maximum(total, 1.0))
+        made = np.clip(1.0 - (sums[:, 1] - total) / gap, -1.0, 1.0)
+        ci95 = (float(np.quantile(made, 0.025)), float(np.quantile(made, 0.975)))
+    floor = np.sqrt(floor_factor) * noise.floor
+    by_channel: dict[str, float | None] = {}
+    for number, name in enumerate(CHANNELS):
+        on = usable[:, number]
+        if on.any():
+            scaled = np.stack([before[on, number], after[on, number]], axis=1) / floor[on, number, None]
+            by_channel[name] = _fraction(scaled**2, np.ones(int(on.sum())))
+    return Closure(before, after, np.where(usable, floor, 0.0), fraction, ci95, by_channel, kind)
+
+
+def _fraction(squares: FloatArray, dims: FloatArray) -> float | None:
+    """Return the closure of whitened squares (n, 2) whose floor is `dims`; None where the gap is below half of it."""
+    gap = squares[:, 0].sum() - dims.sum()
+    if gap < 0.5 * dims.sum():
+        return None
+    rest = squares[:, 1].sum() - dims.sum()
+    return float(np.clip(1.0 - max(rest, 0.0) / gap, -1.0, 1.0))

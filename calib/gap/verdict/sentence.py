@@ -1,0 +1,166 @@
+"""The verdict in a sentence or two of plain words."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+from calib.gap.effects.covariate import PREFIX
+from calib.gap.effects.library import REGISTRY
+from calib.gap.verdict.result import SURE, Cause, Verdict
+
+__all__ = ["advice", "sentence", "title_of"]
+
+#: what a plain recalibration would change, by the calibration's own effects
+HIDES_IN: Final[Mapping[str, str]] = {
+    "radius_scale": "the wheel radii",
+    "unequal_radii": "the ratio of the wheel radii",
+    "track_width": "the track width",
+}
+
+
+def title_of(effect: str) -> str:
+    """Return what an effect is, for people, by its id; the id itself where the effect is the user's own."""
+    if effect in REGISTRY:
+        module, kind = REGISTRY[effect]
+        title: str = getattr(importlib.import_module(f"calib.gap.effects.{module}"), kind).title
+        return title
+    if effect.startswith(PREFIX):
+        return f"an influence of the column {effect.removeprefix(PREFIX)}"
+    return effect.replace("_", " ")
+
+
+def sentence(verdict: Verdict) -> str:
+    """Return the verdict in words.
+
+    Says what causes the gap or that this cannot be said, which causes cannot be told apart, how far the gap shrinks on
+    runs left out, and whether a plain recalibration would do or would hide the cause.
+    """
+    titles = {cause.effect: cause.title for cause in verdict.causes}
+    if verdict.verdict == "no_gap":
+        return "No gap: measured and simulated motion differ by no more than repeats of the same run do."
+    if verdict.verdict == "unknown":
+        return f"There is a gap, but no effect of the library explains it{_depends(verdict.where)}."
+    if verdict.verdict == "partly_explained":
+        said = f"The gap is partly explained by {_listed(verdict.causes)}"
+        return (
+            f"{said}{_alternatives(verdict, titles)}; a rest of unknown cause remains"
+            f"{_depends(_rest(verdict.where))}{_shrinks(verdict)}."
+        )
+    if verdict.verdict == "ambiguous":
+        said = _ambiguous(verdict, titles)
+    else:
+        said = f"The gap is explained by {_listed(verdict.causes)}"
+    return f"{said}{_shrinks(verdict)}.{_hidden(verdict)}{_implausible(verdict)}"
+
+
+def advice(document: Mapping[str, Any]) -> str:
+    """Return whether the fix is recommended, and if not why, from a verdict as plain values; empty without a cause."""
+    causes = document["causes"]
+    if not causes:
+        return ""
+    if document["recommended"]:
+        return "Recommended: the fix holds on runs it has not seen."
+    if document["indistinguishable"]:
+        return "Not recommended: other causes would explain these runs as well."
+    if document["verdict"] == "partly_explained":
+        return "Not recommended: a rest of the gap is left, and its cause may be what the named one imitates."
+    doubtful = [cause for cause in causes if cause["probability"] < SURE]
+    if doubtful:
+        names = " and ".join(f"{cause['effect']} ({cause['probability']:.2f})" for cause in doubtful)
+        return f"Not recommended: too little speaks for {names}."
+    return "Not recommended: the fix is not shown to hold on runs that it has not seen."
+
+
+def _listed(causes: Sequence[Cause]) -> str:
+    return _joined([f"{cause.title} ({cause.effect})" for cause in causes], "and")
+
+
+def _joined(parts: Sequence[str], word: str) -> str:
+    if len(parts) < 2:
+        return "".join(parts)
+    return f"{', '.join(parts[:-1])} {word} {parts[-1]}"
+
+
+def _named(effect: str, titles: Mapping[str, str]) -> str:
+    return f"{titles.get(effect) or title_of(effect)} ({effect})"
+
+
+def _ambiguous(verdict: Verdict, titles: Mapping[str, str]) -> str:
+    """Return ``by A and by B or C, which these runs cannot tell apart``."""
+    in_groups = {effect for group in verdict.indistinguishable for effect in group}
+    sure = [cause for cause in verdict.causes if cause.effect not in in_groups]
+    groups = [_joined([_named(effect, titles) for effect in group], "or") for group in verdict.indistinguishable]
+    parts = ([_listed(sure)] if sure else []) + [
+        f"either {group}" if sure or len(groups) > 1 else group for group in groups
+    ]
+    said = f"The gap is explained by {_joined(parts, 'and by')}"
+    return f"{said}: these runs cannot tell {'which' if len(groups) == 1 else 'which of each'}"
+
+
+def _alternatives(verdict: Verdict, titles: Mapping[str, str]) -> str:
+    named = {cause.effect for cause in verdict.causes}
+    others = [
+        _joined([_named(effect, titles) for effect in group if effect not in named], "or")
+        for group in verdict.indistinguishable
+    ]
+    others = [other for other in others if other]
+    return f", which these runs cannot tell from {_joined(others, 'and')}" if others else ""
+
+
+def _depends(where: Mapping[str, Any]) -> str:
+    """Return what a gap depends on and where it lies, as the end of a sentence."""
+    covariates = [line for line in where.get("covariates", ()) if line.get("significant")]
+    places = list(where.get("places", ()))
+    parts = []
+    if covariates:
+        names = _joined([str(line["name"]).replace("_", " ") for line in covariates[:2]], "and")
+        channel = str(covariates[0]["channel"])
+        parts.append(f"it goes with {names}" + (f", most in {channel}" if channel != "all" else ""))
+    if places:
+        parts.append(f"it opens {_place(places[0])}")
+    return "; " + ", and ".join(parts) if parts else ""
+
+
+def _place(place: Mapping[str, Any]) -> str:
+    if "place" not in place:
+        return {"turns": "in the turns", "stops": "at the stops"}.get(str(place.get("where")), "on the way")
+    low, high = place["place"]
+    return f"between {low:.1f} and {high:.1f} m ({place.get('coordinate', 'on the way')}, {place.get('route', '')})"
+
+
+def _rest(where: Mapping[str, Any]) -> Mapping[str, Any]:
+    rest = where.get("rest")
+    return rest if isinstance(rest, Mapping) else {}
+
+
+def _shrinks(verdict: Verdict) -> str:
+    closure = verdict.closure
+    before, after, floor = (closure.get(name) for name in ("before_rms_m", "after_rms_m", "floor_rms_m"))
+    if before is None or after is None or closure.get("fraction") is None:
+        return ""
+    end = f" (noise floor {_length(floor)})" if floor is not None else ""
+    return f"; on runs left out it shrinks from {_length(before)} to {_length(after)}{end}"
+
+
+def _length(value_m: float) -> str:
+    return f"{value_m:.3g} m" if abs(value_m) >= 0.9995 else f"{1e3 * value_m:.3g} mm"
+
+
+def _hidden(verdict: Verdict) -> str:
+    """Return that a recalibration alone would do, or that part of the cause hides in the calibration."""
+    own = [cause.effect for cause in verdict.causes if cause.effect in HIDES_IN]
+    others = [cause for cause in verdict.causes if cause.effect not in HIDES_IN]
+    if own and not others and verdict.verdict == "explained":
+        return f" A plain recalibration of {_joined([HIDES_IN[name] for name in own], 'and')} closes it."
+    alike = {effect for group in verdict.indistinguishable for effect in group} & HIDES_IN.keys()
+    hidden = sorted(alike - set(own)) if others else []
+    if hidden:
+        return f" This hides in {_joined([HIDES_IN[name] for name in hidden], 'and')}."
+    return ""
+
+
+def _implausible(verdict: Verdict) -> str:
+    doubtful = [cause for cause in verdict.causes if not cause.plausible and cause.remark]
+    return "".join(f" The size of {cause.effect} is doubtful: {cause.remark}." for cause in doubtful)

@@ -1,0 +1,1 @@
+"""Where the gap lies: by channel, covariate, run and place."""

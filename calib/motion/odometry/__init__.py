@@ -1,0 +1,1 @@
+"""Odometry of logged counts over whole logs as arrays."""

@@ -1,0 +1,158 @@
+"""Odometry of logged counts, with constant radii or radii that follow the load during the run (Fig. 7)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from calib.arrays import FloatArray, IntArray
+from calib.campaign.settings import Encoder
+from calib.errors import BadInputError
+from calib.radius.law import RadiusLaw
+
+__all__ = ["LoadHistory", "loads_in_steps", "radii_under_load", "travel_from_counts", "unwrapped"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoadHistory:
+    """Wheel loads during a run: each holds from its time until the next one.
+
+    Parameters
+    ----------
+    t_s : array of float, shape (n_changes,)
+        Times from which the loads hold, rising; the first holds before it, too.
+    left_N, right_N : array of float, shape (n_changes,)
+        Wheel loads.
+    """
+
+    t_s: FloatArray
+    left_N: FloatArray
+    right_N: FloatArray
+
+    @staticmethod
+    def of(changes: npt.ArrayLike) -> LoadHistory:
+        """Return the history of rows (time in s, left load in N, right load in N).
+
+        Raises
+        ------
+        BadInputError
+            Where there is no row, one is not finite, or the times do not rise.
+        """
+        rows = np.asarray(changes, dtype=np.float64)
+        if rows.ndim != 2 or rows.shape[1] != 3 or not len(rows) or not np.isfinite(rows).all():
+            raise BadInputError(
+                f"load history: found an array of shape {rows.shape}; expected rows (time, left load, right load) of "
+                "finite numbers; give one a change"
+            )
+        if (np.diff(rows[:, 0]) <= 0.0).any():
+            raise BadInputError("load history: found times that do not rise; expected each change after the one before")
+        return LoadHistory(rows[:, 0].copy(), rows[:, 1].copy(), rows[:, 2].copy())
+
+    def at(self, t_s: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Return the left and right load of the step that ends at each time, shape of `t_s`.
+
+        A change takes effect in the first step that ends after it: the vehicle stands while it is loaded.
+        """
+        index = np.maximum(np.searchsorted(self.t_s, np.asarray(t_s, dtype=np.float64), side="left") - 1, 0)
+        return self.left_N[index], self.right_N[index]
+
+
+def loads_in_steps(run_N: npt.ArrayLike, logged_N: npt.ArrayLike | None, offsets: npt.ArrayLike) -> FloatArray:
+    """Return the load of one wheel in the step that ends at each sample of runs laid end to end.
+
+    Parameters
+    ----------
+    run_N : array_like of float, shape (runs,)
+        Load of each run: it holds until its log says otherwise.
+    logged_N : array_like of float, shape (n,), or None
+        Load at each sample; NaN where the log does not say: the load before then stays.
+    offsets : array_like of int, shape (runs + 1,)
+        Samples of run i stand at ``offsets[i]:offsets[i + 1]``.
+
+    Returns
+    -------
+    array of float, shape (n,)
+        A load takes effect in the step after the sample that has it: the vehicle stands while it is loaded.
+    """
+    edges = np.asarray(offsets, dtype=np.int64)
+    made = np.repeat(np.asarray(run_N, dtype=np.float64), np.diff(edges))
+    if logged_N is None:
+        return made
+    logged = np.asarray(logged_N, dtype=np.float64)
+    own = np.arange(len(made))
+    first = np.repeat(edges[:-1], np.diff(edges))
+    # the last sample before this one, of the same run, that has a load
+    last = np.maximum.accumulate(np.where(np.isfinite(logged), own, -1))
+    last = np.where(own > first, np.concatenate(([-1], last[:-1])), -1)
+    known = last >= first
+    made[known] = logged[last[known]]
+    return made
+
+
+def radii_under_load(
+    law: RadiusLaw, load_left_N: npt.ArrayLike, load_right_N: npt.ArrayLike
+) -> tuple[FloatArray, FloatArray]:
+    """Return the effective radii of both wheels for loads of any shape, in m: the block that Fig. 7 adds."""
+    return law.left.radius_m(load_left_N), law.right.radius_m(load_right_N)
+
+
+def travel_from_counts(
+    counts_left: npt.ArrayLike,
+    counts_right: npt.ArrayLike,
+    encoder: Encoder,
+    radius_left_m: npt.ArrayLike,
+    radius_right_m: npt.ArrayLike,
+    *,
+    offsets: npt.ArrayLike | None = None,
+) -> tuple[FloatArray, FloatArray]:
+    """Return the travel of each wheel in the step that ends at each sample (Eqs 10 and 11).
+
+    Parameters
+    ----------
+    counts_left, counts_right : array_like of float, shape (n,)
+        Unwrapped counter readings of one run, or of runs laid end to end.
+    encoder : Encoder
+        Counts a revolution.
+    radius_left_m, radius_right_m : array_like of float
+        Radii: a number, one a run (with `offsets`), or one a sample.
+    offsets : array_like of int, shape (runs + 1,), optional
+        Samples of run i stand at ``offsets[i]:offsets[i + 1]``.
+
+    Returns
+    -------
+    left_m, right_m : array of float, shape (n,)
+        0 at the first sample of each run.
+    """
+    edges = np.asarray([0, len(np.atleast_1d(counts_left))] if offsets is None else offsets, dtype=np.int64)
+    made = []
+    for counts, per_rev, radius in (
+        (counts_left, encoder.counts_per_rev_left, radius_left_m),
+        (counts_right, encoder.counts_per_rev_right, radius_right_m),
+    ):
+        values = np.asarray(counts, dtype=np.float64)
+        travel = np.diff(values, prepend=values[:1])
+        firsts = edges[:-1][np.diff(edges) > 0]
+        travel[firsts] = 0.0
+        wide = _wide(np.asarray(radius, dtype=np.float64), edges, len(values))
+        travel *= (2 * np.pi / per_rev) * wide
+        made.append(travel)
+    return made[0], made[1]
+
+
+def _wide(radius: FloatArray, edges: IntArray, n: int) -> FloatArray:
+    """Spread radii over samples."""
+    if radius.ndim == 0 or len(radius) == n:
+        return radius
+    if len(radius) == len(edges) - 1:
+        return np.repeat(radius, np.diff(edges))
+    raise BadInputError(
+        f"radii: found {len(radius)} values; expected one, one a run ({len(edges) - 1}) or one a sample ({n})"
+    )
+
+
+def unwrapped(counts: npt.ArrayLike, wrap_bits: int | None) -> FloatArray:
+    """Return counter readings with the wraps of a `wrap_bits` wide counter undone, shape (n,)."""
+    values = np.asarray(counts, dtype=np.float64)
+    return values if wrap_bits is None else np.unwrap(values, period=float(1 << wrap_bits))

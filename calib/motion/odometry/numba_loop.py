@@ -1,0 +1,140 @@
+"""The exact arc step by step in machine code, where numba is installed (extra `fast`).
+
+A few steps at a time: their headings one after the other, then all their motions at once, then the sums. Headings are
+counted from the first of these steps, so that a short series gives their sine and cosine.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import cache
+from importlib.util import find_spec
+from threading import Lock
+from typing import Any, Final
+
+import numpy as np
+
+from calib.arrays import FloatArray
+from calib.motion.odometry.steps import Flat
+
+__all__ = ["compiled_fill", "is_installed"]
+
+#: steps at a time
+_COUNT: Final = 64
+
+#: the series do where the half turns of these steps add up to no more than this: headings within 0.25 rad
+_SMALL_RAD: Final = 0.125
+
+#: coefficients of sin(u)/u and cos(u) by the square of u, after the first
+_SINE: Final = (-1 / 6, 1 / 120, -1 / 5040, 1 / 362_880, -1 / 39_916_800)
+_COSINE: Final = (-1 / 2, 1 / 24, -1 / 720, 1 / 40_320, -1 / 3_628_800)
+
+#: two threads that come first together do not both ask for machine code
+_ONE_AT_A_TIME: Final = Lock()
+
+
+@cache
+def is_installed() -> bool:
+    """Return whether numba is there; it is not imported."""
+    return find_spec("numba") is not None
+
+
+def compiled_fill(flat: Flat, x: FloatArray, y: FloatArray, theta: FloatArray) -> None:
+    """Write the poses of steps laid flat, each an exact arc; other threads go on meanwhile.
+
+    Parameters
+    ----------
+    flat : Flat
+        The steps.
+    x, y, theta : array of float, shape (n,)
+        Poses after each step, in m and rad.
+    """
+    per_m = flat.left[:0] if flat.per_m is None else flat.per_m
+    pose = np.ascontiguousarray(flat.pose[:, flat.runs])
+    with _ONE_AT_A_TIME:
+        loop = _machine_code()
+    loop(flat.left, flat.right, per_m, flat.unit, flat.starts, pose, x, y, theta)
+
+
+@cache
+def _machine_code() -> Callable[..., None]:
+    """Return the loop in machine code, kept on disk where a folder can be written to."""
+    import numba
+
+    try:
+        made: Any = numba.njit(nogil=True, cache=True, error_model="numpy")(_loop)
+    except RuntimeError:
+        # nowhere to keep it
+        made = numba.njit(nogil=True, error_model="numpy")(_loop)
+    return made  # type: ignore[no-any-return]
+
+
+def _loop(
+    left: FloatArray,
+    right: FloatArray,
+    per_m: FloatArray,
+    unit: float,
+    starts: Any,
+    pose: FloatArray,
+    x: FloatArray,
+    y: FloatArray,
+    theta: FloatArray,
+) -> None:
+    """Write the poses; what numba compiles."""
+    n = len(left)
+    wide = len(per_m) > 0
+    halves, middle, dx, dy = np.empty(_COUNT), np.empty(_COUNT), np.empty(_COUNT), np.empty(_COUNT)
+    so_far, rest, gone = np.empty(3), np.empty(3), np.empty(3)
+    for run in range(len(starts)):
+        stop = starts[run + 1] if run + 1 < len(starts) else n
+        for j in range(3):
+            so_far[j], rest[j] = pose[j, run], 0.0
+        for first in range(starts[run], stop, _COUNT):
+            count = min(_COUNT, stop - first)
+            at_x, at_y, at_theta = so_far[0] + rest[0], so_far[1] + rest[1], so_far[2] + rest[2]
+            turned = largest = 0.0
+            for k in range(count):
+                half = 0.5 * unit * (right[first + k] - left[first + k])
+                if wide:
+                    half *= per_m[first + k]
+                halves[k] = half
+                middle[k] = turned + half
+                turned += 2.0 * half
+                theta[first + k] = at_theta + turned
+                largest = max(largest, abs(half))
+            cos, sin = math.cos(at_theta), math.sin(at_theta)
+            if largest * _COUNT <= _SMALL_RAD:
+                for k in range(count):
+                    u = halves[k] * halves[k]
+                    chord = 0.5 * (left[first + k] + right[first + k]) * (1.0 + u * (_SINE[0] + u * _SINE[1]))
+                    u = middle[k] * middle[k]
+                    s = _SINE[2] + u * (_SINE[3] + u * _SINE[4])
+                    s = middle[k] * (1.0 + u * (_SINE[0] + u * (_SINE[1] + u * s)))
+                    c = _COSINE[2] + u * (_COSINE[3] + u * _COSINE[4])
+                    c = 1.0 + u * (_COSINE[0] + u * (_COSINE[1] + u * c))
+                    dx[k] = chord * (cos * c - sin * s)
+                    dy[k] = chord * (sin * c + cos * s)
+            else:
+                for k in range(count):
+                    half = halves[k]
+                    chord = 0.5 * (left[first + k] + right[first + k])
+                    if half != 0.0:
+                        chord *= math.sin(half) / half
+                    dx[k] = chord * math.cos(at_theta + middle[k])
+                    dy[k] = chord * math.sin(at_theta + middle[k])
+            gone_x = gone_y = 0.0
+            for k in range(count):
+                gone_x += dx[k]
+                gone_y += dy[k]
+                x[first + k] = at_x + gone_x
+                y[first + k] = at_y + gone_y
+            gone[0], gone[1], gone[2] = gone_x, gone_y, turned
+            for j in range(3):
+                # summed with its rounding (Neumaier), so that equal steps do not add up a bias
+                made = so_far[j] + gone[j]
+                if abs(so_far[j]) >= abs(gone[j]):
+                    rest[j] += (so_far[j] - made) + gone[j]
+                else:
+                    rest[j] += (gone[j] - made) + so_far[j]
+                so_far[j] = made

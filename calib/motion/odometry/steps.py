@@ -1,0 +1,156 @@
+"""The steps of runs laid end to end, checked, and cut in two for two threads."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from calib.arrays import FloatArray, IntArray
+from calib.errors import BadInputError
+
+__all__ = ["Flat", "after", "before", "cut", "lay_flat"]
+
+
+@dataclass(slots=True, eq=False)
+class Flat:
+    """Steps of runs laid end to end, and how far the sums over them have come.
+
+    Parameters
+    ----------
+    left, right : array of float, shape (n,)
+        Travel of the wheels in m.
+    per_m : array of float, shape (n,), or None
+        One over the track; None where it is `unit` throughout.
+    unit : float
+        What the difference of the wheels' travel (times `per_m`) is multiplied by to give the turn.
+    starts, runs : array of int, shape (filled,)
+        First step and number of each run that has steps.
+    pose : array of float, shape (3, n_runs)
+        Start poses.
+    shape : tuple of int
+        Shape that the travel came in.
+    carried, rest : list of float
+        Where x, y and theta stand before the next step, and what rounding left out of that.
+    """
+
+    left: FloatArray
+    right: FloatArray
+    per_m: FloatArray | None
+    unit: float
+    starts: IntArray
+    runs: IntArray
+    pose: FloatArray
+    shape: tuple[int, ...]
+    carried: list[float] = field(default_factory=lambda: [0.0] * 3)
+    rest: list[float] = field(default_factory=lambda: [0.0] * 3)
+
+
+def lay_flat(
+    travel_left_m: npt.ArrayLike,
+    travel_right_m: npt.ArrayLike,
+    track_m: npt.ArrayLike,
+    offsets: npt.ArrayLike | None,
+    start: npt.ArrayLike,
+) -> Flat:
+    """Check the input and lay it flat.
+
+    Parameters
+    ----------
+    travel_left_m, travel_right_m : array_like of float, shape (n,) or (runs, n)
+        Travel of each wheel in each step.
+    track_m : array_like of float
+        Track; anything that broadcasts to the travel's shape.
+    offsets : array_like of int, shape (runs + 1,), or None
+        Where runs of unlike length begin and end.
+    start : array_like of float, shape (3,) or (runs, 3)
+        Start poses.
+
+    Raises
+    ------
+    BadInputError
+        Where shapes do not fit.
+    """
+    left = np.ascontiguousarray(travel_left_m, dtype=np.float64)
+    right = np.ascontiguousarray(travel_right_m, dtype=np.float64)
+    shape = left.shape
+    if right.shape != shape or left.ndim not in (1, 2):
+        raise BadInputError(
+            f"travel: found shapes {shape} (left) and {right.shape} (right); expected the same, of one or two axes; "
+            "give one value a step for each wheel"
+        )
+    track = np.asarray(track_m, dtype=np.float64)
+    if offsets is not None:
+        edges = np.asarray(offsets, dtype=np.int64)
+        if left.ndim != 1 or len(edges) < 1 or edges[0] != 0 or edges[-1] != len(left) or (np.diff(edges) < 0).any():
+            raise BadInputError(
+                f"offsets: found {len(edges)} values for travel of shape {shape}; expected rising values from 0 to the "
+                "number of steps of a flat array; lay the runs end to end"
+            )
+    elif left.ndim == 2:
+        edges = np.arange(shape[0] + 1, dtype=np.int64) * shape[1]
+    else:
+        edges = np.array([0, len(left)], dtype=np.int64)
+    n_runs = len(edges) - 1
+    pose = np.asarray(start, dtype=np.float64)
+    if pose.shape not in {(3,), (n_runs, 3)}:
+        raise BadInputError(f"start: found shape {pose.shape}; expected (3,) or ({n_runs}, 3); give x, y, theta")
+    try:
+        wide = None if track.size == 1 else np.ascontiguousarray(np.broadcast_to(track, shape)).reshape(-1)
+    except ValueError:
+        raise BadInputError(f"track: found shape {track.shape}; expected one that broadcasts to {shape}") from None
+    runs = np.flatnonzero(np.diff(edges) > 0)
+    return Flat(
+        left=left.reshape(-1),
+        right=right.reshape(-1),
+        per_m=None if wide is None else 1.0 / wide,
+        unit=1.0 / float(track.reshape(-1)[0]) if wide is None else 1.0,
+        starts=edges[:-1][runs],
+        runs=runs,
+        pose=np.ascontiguousarray(np.broadcast_to(pose, (n_runs, 3)).T),
+        shape=shape,
+    )
+
+
+def cut(flat: Flat, block: int) -> int:
+    """Return where to cut the steps in two: between two runs where that halves the work fairly, else in the middle."""
+    n = len(flat.left)
+    middle = n // 2 // block * block or n // 2
+    near = int(flat.starts[int(np.argmin(np.abs(flat.starts - middle)))])
+    return near if near > 0 and abs(near - middle) < n // 16 else middle
+
+
+def before(flat: Flat, step: int) -> Flat:
+    """Return the steps before `step`."""
+    keep = flat.starts < step
+    return _piece(flat, slice(0, step), flat.starts[keep], flat.runs[keep], flat.pose)
+
+
+def after(flat: Flat, step: int) -> Flat:
+    """Return the steps from `step` on; a run that is cut goes on from the origin, with its heading."""
+    run = int(np.searchsorted(flat.starts, step, side="right")) - 1
+    pose = flat.pose
+    if flat.starts[run] != step:
+        head = slice(int(flat.starts[run]), step)
+        if flat.per_m is None:
+            turned = float(flat.right[head].sum() - flat.left[head].sum())
+        else:
+            turned = float((flat.right[head] - flat.left[head]) @ flat.per_m[head])
+        pose = pose.copy()
+        pose[:, flat.runs[run]] = 0.0, 0.0, pose[2, flat.runs[run]] + turned * flat.unit
+    return _piece(flat, slice(step, len(flat.left)), np.maximum(flat.starts[run:] - step, 0), flat.runs[run:], pose)
+
+
+def _piece(flat: Flat, part: slice, starts: IntArray, runs: IntArray, pose: FloatArray) -> Flat:
+    return replace(
+        flat,
+        left=flat.left[part],
+        right=flat.right[part],
+        per_m=None if flat.per_m is None else flat.per_m[part],
+        starts=starts,
+        runs=runs,
+        pose=pose,
+        carried=[0.0] * 3,
+        rest=[0.0] * 3,
+    )

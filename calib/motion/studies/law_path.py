@@ -1,0 +1,315 @@
+"""A journey under a law all along its path: poses, errors and covariance, with radii that follow the load or not.
+
+The load may change on the way, where the vehicle stands to be loaded. The real radii are those of the law at the load
+carried. The odometry computes with the radii of one load all along (without the correction), or with those of the load
+carried (with it, the scheme of Fig. 7).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from calib.arrays import FloatArray
+from calib.errors import BadInputError
+from calib.motion.odometry.loaded import radii_under_load
+from calib.motion.pose_covariance import RandomWalk, ellipses, jacobian, parameter_covariance, steps
+from calib.motion.poses import PoseErrors, Poses, pose_errors
+from calib.motion.routes import Route
+from calib.motion.studies.sweeps import SPACING_M
+from calib.radius.law import RadiusLaw
+
+__all__ = ["COMPONENTS", "Driven", "LawPath", "Loading", "law_path"]
+
+#: components of an error: along and left of the path, of the heading, and in the global frame
+COMPONENTS: Final = ("along_m", "lateral_m", "heading_rad", "global_x_m", "global_y_m")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Loading:
+    """Wheel loads along a route: each pair holds from its distance on until the next one.
+
+    Parameters
+    ----------
+    from_m : array of float, shape (n,)
+        Distances along the route, rising from 0.
+    left_N, right_N : array of float, shape (n,)
+        Wheel loads.
+    """
+
+    from_m: FloatArray
+    left_N: FloatArray
+    right_N: FloatArray
+
+    @staticmethod
+    def of(rows: Sequence[tuple[float, float, float]]) -> Loading:
+        """Return the loading of rows (distance in m, left load in N, right load in N) in any order.
+
+        Raises
+        ------
+        BadInputError
+            Where no row stands at 0 m, two stand at one place, or a number is not possible.
+        """
+        made = np.array(sorted(rows), dtype=np.float64).reshape(-1, 3)
+        if not len(made) or made[0, 0] != 0.0 or (np.diff(made[:, 0]) <= 0.0).any():
+            raise BadInputError(
+                f"loads along the path: found changes at {', '.join(f'{s:g}' for s in made[:, 0])} m; expected the "
+                "first at 0 m and each at a place of its own; give each place once"
+            )
+        if not np.isfinite(made).all() or (made[:, 1:] <= 0.0).any():
+            raise BadInputError(
+                "loads along the path: found one of 0 N or below, or no number; expected loads above 0 N"
+            )
+        return Loading(made[:, 0], made[:, 1], made[:, 2])
+
+    @property
+    def pairs(self) -> tuple[tuple[float, float], ...]:
+        """Pairs of loads (left, right), each once."""
+        return tuple(dict.fromkeys(zip(self.left_N.tolist(), self.right_N.tolist(), strict=True)))
+
+    def at(self, distance_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the loads (left, right) of pieces that begin at these distances, shape of `distance_m`."""
+        index = np.maximum(np.searchsorted(self.from_m, distance_m + 1e-9, side="right") - 1, 0)
+        return self.left_N[index], self.right_N[index]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Driven:
+    """What one odometry makes of the journey, at the start and after each piece of the route.
+
+    Parameters
+    ----------
+    poses : Poses
+        Real poses for the law's mean radii, shape (n,).
+    errors : PoseErrors
+        Real minus route, shape (n,).
+    systematic : array of float, shape (n, 3, 3)
+        Covariance of the real pose (x in m, y in m, theta in rad) by what is the same all along a journey: the law, the
+        scatter of single runs about it, the track.
+    random : array of float, shape (n, 3, 3)
+        The same by what is new with every metre: the floor, and the readings of the encoders.
+    std : dict of str to array of float, shape (n,)
+        Standard uncertainty of each of `COMPONENTS`, systematic and random together.
+    by_wheel_m2 : array of float, shape (2,)
+        What the law of the left and of the right wheel adds to the mean square of the distance at the end.
+    """
+
+    poses: Poses
+    errors: PoseErrors
+    systematic: FloatArray
+    random: FloatArray
+    std: dict[str, FloatArray]
+    by_wheel_m2: FloatArray
+
+    @property
+    def rms_m(self) -> FloatArray:
+        """Root mean square of the distance to the route's pose, to first order, shape (n,)."""
+        spread = self.std["global_x_m"] ** 2 + self.std["global_y_m"] ** 2
+        return np.asarray(np.sqrt(self.errors.distance_m**2 + spread))
+
+    def end(self) -> dict[str, float]:
+        """Return the errors at the end of the route, with their standard uncertainties and the rms distance."""
+        made = {f"error_{name}": float(getattr(self.errors, name)[-1]) for name in COMPONENTS}
+        made |= {f"std_{name}": float(self.std[name][-1]) for name in COMPONENTS}
+        return made | {"rms_m": float(self.rms_m[-1])}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LawPath:
+    """A journey under a law, with and without the correction.
+
+    Parameters
+    ----------
+    loading : Loading
+        Loads carried.
+    reference_N : (float, float)
+        Loads whose radii the uncorrected odometry uses all along.
+    distance_m : array of float, shape (n,)
+        Distance along the route.
+    reference : Poses
+        The route, shape (n,).
+    without, corrected : Driven
+        With the radii of the reference loads, and with radii that follow the load.
+    ratio_ci95 : (float, float) or None
+        95 % interval of `ratio`: how well the fit's degrees of freedom know the scatter; None where nothing was drawn.
+    """
+
+    loading: Loading
+    reference_N: tuple[float, float]
+    distance_m: FloatArray
+    reference: Poses
+    without: Driven
+    corrected: Driven
+    ratio_ci95: tuple[float, float] | None = None
+
+    @property
+    def ratio(self) -> float:
+        """How many times smaller the correction makes the rms distance at the end."""
+        return float(self.without.rms_m[-1] / self.corrected.rms_m[-1])
+
+    @property
+    def loading_text(self) -> str:
+        """Loads for people: left and right wheel, and from where on."""
+        rows = zip(self.loading.from_m.tolist(), self.loading.left_N, self.loading.right_N, strict=True)
+        return ", ".join(f"{left:.0f} / {right:.0f} N" + (f" from {s:g} m" if s else "") for s, left, right in rows)
+
+    def document(self) -> dict[str, Any]:
+        """Return loads and end errors, ready for JSON."""
+        rows = zip(
+            self.loading.from_m.tolist(), self.loading.left_N.tolist(), self.loading.right_N.tolist(), strict=True
+        )
+        return {
+            "loading": [{"from_m": s, "load_left_N": left, "load_right_N": right} for s, left, right in rows],
+            "reference_load_N": list(self.reference_N),
+            "without": self.without.end(),
+            "corrected": self.corrected.end(),
+            "ratio": self.ratio,
+            "ratio_ci95": self.ratio_ci95,
+        }
+
+    def error_rows(self) -> list[dict[str, float]]:
+        """Return poses, errors and standard uncertainties along the path, one row a point."""
+        columns = {"distance_m": self.distance_m} | self._loads()
+        for name, driven in (("without", self.without), ("corrected", self.corrected)):
+            columns |= {f"{name}_{key}": getattr(driven.poses, key) for key in ("x_m", "y_m", "theta_rad")}
+            columns |= {f"{name}_error_{key}": getattr(driven.errors, key) for key in COMPONENTS}
+            columns |= {f"{name}_std_{key}": driven.std[key] for key in COMPONENTS}
+        return _rows(columns)
+
+    def covariance_rows(self) -> list[dict[str, float]]:
+        """Return pose and covariance along the path with the correction on, one row a point."""
+        poses, units = self.corrected.poses, ("m", "m", "rad")
+        columns = {"distance_m": self.distance_m} | self._loads()
+        columns |= {"x_m": poses.x_m, "y_m": poses.y_m, "theta_rad": poses.theta_rad}
+        for part in ("systematic", "random"):
+            matrix = getattr(self.corrected, part)
+            for i, first in enumerate(("x", "y", "theta")):
+                for j, second in enumerate(("x", "y", "theta")[i:], start=i):
+                    unit = f"{units[i]}2" if units[i] == units[j] else f"{units[i]}_{units[j]}"
+                    columns[f"{part}_{first}_{second}_{unit}"] = matrix[:, i, j]
+        found = ellipses(self.corrected.systematic + self.corrected.random)
+        columns |= {"ellipse95_major_m": found.major_m, "ellipse95_minor_m": found.minor_m}
+        return _rows(columns | {"ellipse95_angle_rad": found.angle_rad})
+
+    def _loads(self) -> dict[str, FloatArray]:
+        left, right = self.loading.at(self.distance_m)
+        return {"load_left_N": left, "load_right_N": right}
+
+
+def law_path(
+    law: RadiusLaw,
+    route: Route,
+    *,
+    loading: Loading,
+    reference_N: tuple[float, float],
+    track_m: float,
+    track_std_m: float = 0.0,
+    walk: RandomWalk | None = None,
+    single_run: bool = True,
+    spacing_m: float = SPACING_M,
+    draws: int = 20_000,
+    rng: np.random.Generator | None = None,
+) -> LawPath:
+    """Drive a route under a law, closed on the odometry, with and without the correction.
+
+    Parameters
+    ----------
+    law : RadiusLaw
+        Both wheels.
+    route : Route
+        What the believed pose follows.
+    loading : Loading
+        Loads carried along it.
+    reference_N : (float, float)
+        Loads (left, right) whose radii the uncorrected odometry uses all along.
+    track_m, track_std_m : float
+        Track, believed and real, and its standard uncertainty.
+    walk : RandomWalk, optional
+        Random part of the error; None: none.
+    single_run : bool
+        Whether the scatter of single runs about the law counts, beside the uncertainty of its mean.
+    spacing_m : float
+        Spacing of the points.
+    draws : int
+        Draws for the interval of the ratio.
+    rng : numpy.random.Generator, optional
+        Their source; None: no interval.
+
+    Raises
+    ------
+    BadInputError
+        Where the load changes beyond the end of the route.
+    """
+    if loading.from_m[-1] >= route.total_m:
+        raise BadInputError(
+            f"loads along the path: found a change at {loading.from_m[-1]:g} m; expected one before the end of "
+            f"{route.name} at {route.total_m:g} m; correct the distance"
+        )
+    fine = route.cut(loading.from_m).divided(spacing_m)
+    distance, reference = fine.distance_m(), fine.poses()
+    loads = loading.at(distance[:-1])
+    real = radii_under_load(law, *loads)
+    kept = radii_under_load(law, *reference_N)
+    spread = parameter_covariance(law, track_std_m=track_std_m, single_run=single_run)
+    half = 0.5 * track_m * fine.turn_rad
+    made = []
+    for believed in (kept, real):
+        path = steps(
+            real[0] / believed[0] * (fine.length_m - half),
+            real[1] / believed[1] * (fine.length_m + half),
+            track_m,
+            radius_left_m=real[0],
+            radius_right_m=real[1],
+        )
+        slopes = jacobian(
+            path,
+            load_offset_left_N=loads[0] - law.left.reference_load_N,
+            load_offset_right_N=loads[1] - law.right.reference_load_N,
+        )
+        systematic = _from_start(slopes @ spread @ np.swapaxes(slopes, -1, -2))
+        random = np.zeros_like(systematic) if walk is None else _from_start(walk.covariance(path))
+        poses = Poses.of(_from_start(path.poses.stacked()))
+        std = _std(systematic + random, reference)
+        # x and y at the end by the coefficients of each wheel
+        last = [(slopes[-1, :2, part], spread[part, part]) for part in (slice(0, 2), slice(2, 4))]
+        by_wheel = np.array([np.trace(slope @ own @ slope.T) for slope, own in last])
+        made.append(Driven(poses, pose_errors(poses, reference), systematic, random, std, by_wheel))
+    interval = None if rng is None else _ratio_interval(made[0], made[1], (law.left.dof, law.right.dof), draws, rng)
+    return LawPath(loading, reference_N, distance, reference, made[0], made[1], interval)
+
+
+def _ratio_interval(
+    without: Driven, corrected: Driven, dof: tuple[float, float], draws: int, rng: np.random.Generator
+) -> tuple[float, float]:
+    """Return the 95 % interval of the ratio of the rms distances: variances that were estimated follow chi-square."""
+    more = np.stack([d / rng.chisquare(d, draws) for d in dof]) - 1.0
+    square = [float(one.rms_m[-1]) ** 2 + one.by_wheel_m2 @ more for one in (without, corrected)]
+    low, high = np.quantile(np.sqrt(square[0] / square[1]), [0.025, 0.975])
+    return float(low), float(high)
+
+
+def _std(covariance: FloatArray, reference: Poses) -> dict[str, FloatArray]:
+    """Return the standard uncertainty of each component of the error."""
+    c, s = np.cos(reference.theta_rad), np.sin(reference.theta_rad)
+    xx, xy, yy = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
+    squares = (
+        c * c * xx + 2 * c * s * xy + s * s * yy,
+        s * s * xx - 2 * c * s * xy + c * c * yy,
+        covariance[:, 2, 2],
+        xx,
+        yy,
+    )
+    return {name: np.sqrt(np.maximum(part, 0.0)) for name, part in zip(COMPONENTS, squares, strict=True)}
+
+
+def _from_start(values: FloatArray) -> FloatArray:
+    """Put zeros, the start, before the first point."""
+    return np.concatenate((np.zeros_like(values[:1]), values))
+
+
+def _rows(columns: dict[str, FloatArray]) -> list[dict[str, float]]:
+    table = np.stack(list(columns.values()), axis=1).tolist()
+    return [dict(zip(columns, row, strict=True)) for row in table]

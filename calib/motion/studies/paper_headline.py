@@ -1,0 +1,74 @@
+"""The paper's headline: what the load correction is worth at the end of its route, computed from its own equations.
+
+The paper prints 1.1 m and 0.06 m. Both are rounded, so that their quotient, 18, is good to one digit only; the same
+study computed without rounding gives about 17 at any track.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, Final
+
+from calib.motion.routes import Route, find_route
+from calib.motion.studies.sweeps import STUDIES, Case, run_sweep
+
+__all__ = ["PAPER_AFTER_M", "PAPER_BEFORE_M", "Headline", "headlines", "paper_headline"]
+
+#: end error along the route without and with the load correction, as the paper prints them (Sect. 7.3)
+PAPER_BEFORE_M: Final = 1.1
+PAPER_AFTER_M: Final = 0.06
+
+#: the vehicle's track as the paper states it
+PAPER_TRACK_M: Final = 0.7
+
+
+@dataclass(frozen=True, slots=True)
+class Headline:
+    """End error without and with the correction, each the largest case of its sweep, and their ratio.
+
+    Parameters
+    ----------
+    which : str
+        Wheel that is off.
+    without_m, corrected_m : float
+        Largest global e_x by absolute value.
+    ratio : float
+        How many times smaller the corrected one is.
+    """
+
+    which: str
+    without_m: float
+    corrected_m: float
+    ratio: float
+
+
+def headlines(route: Route, track_m: float) -> tuple[Headline, ...]:
+    """Set the study of corrected radii against that of uncorrected ones, on the same route, wheel by wheel.
+
+    Parameters
+    ----------
+    route : Route
+        Driven closed on the odometry.
+    track_m : float
+        Track, believed and real.
+    """
+    before, after = STUDIES["asymmetric"], STUDIES["corrected"]
+    made = []
+    for which in before.which:
+        first, second = (
+            run_sweep(route, [Case.of(which, ratio) for ratio in study.ratios], track_m=track_m).largest_m()
+            for study in (before, after)
+        )
+        made.append(Headline(which, first, second, first / second))
+    return tuple(made)
+
+
+@cache
+def _paper_ratio() -> float:
+    return max(headlines(find_route("paper_route"), PAPER_TRACK_M), key=lambda line: line.without_m).ratio
+
+
+def paper_headline() -> dict[str, Any]:
+    """Return the paper's end errors as printed, ``before_m`` and ``after_m``, and their ``ratio`` before rounding."""
+    return {"before_m": PAPER_BEFORE_M, "after_m": PAPER_AFTER_M, "ratio": _paper_ratio()}

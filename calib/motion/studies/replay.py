@@ -1,0 +1,232 @@
+"""Logged runs replayed through odometry, against their reference poses: with and without the load correction.
+
+Three odometries are compared: with what the simulator believes, with the law's radii at the unladen load kept constant,
+and with the law's radii at the load of each run (Fig. 7), or, where a log has its own loads, of each step. The
+vehicle's own runtime is fed the same logs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from calib.arrays import BoolArray, FloatArray, StrArray
+from calib.campaign.model import Campaign
+from calib.coefficients.file import CoefficientFile
+from calib.errors import RefusedError
+from calib.motion.odometry.integrate import end_poses
+from calib.motion.odometry.loaded import loads_in_steps, radii_under_load, travel_from_counts
+from calib.motion.poses import PoseErrors, Poses, pose_errors
+from calib.motion.studies.runtime_check import RuntimeCheck, runtime_check
+from calib.radius.law import RadiusLaw
+
+__all__ = ["METHODS", "Replay", "RuntimeCheck", "replay", "runtime_check"]
+
+METHODS = ("model", "constant", "corrected")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Replay:
+    """End poses of logged runs by each odometry, against the reference.
+
+    Parameters
+    ----------
+    run_id, kind : array of str, shape (n,)
+        Runs with a log and a reference end pose.
+    load_left_N, load_right_N : array of float, shape (n,)
+        Wheel loads of the runs, where their logs do not say otherwise.
+    distance_m : array of float, shape (n,)
+        Driven by the reference law.
+    reference : Poses
+        Reference end poses, shape (n,).
+    ends : dict of str to Poses
+        End poses by each of `METHODS`.
+    errors : dict of str to PoseErrors
+        Odometry minus reference.
+    in_range : array of bool, shape (n,)
+        Whether all loads lie within the range that the law was measured in.
+    rms_m, rms_heading_rad : dict of str to float
+        Root mean square of the position's and the heading's end error over the runs in range.
+    ratio, ratio_ci95 : float, tuple of float
+        RMS of the constant radii over that of the corrected ones, with a bootstrap interval over runs.
+    runtime : RuntimeCheck
+        The vehicle's own code on the same logs.
+    left_out : dict of str to int
+        Runs that could not be compared, by reason.
+    """
+
+    run_id: StrArray
+    kind: StrArray
+    load_left_N: FloatArray
+    load_right_N: FloatArray
+    distance_m: FloatArray
+    reference: Poses
+    ends: dict[str, Poses]
+    errors: dict[str, PoseErrors]
+    in_range: BoolArray
+    rms_m: dict[str, float]
+    rms_heading_rad: dict[str, float]
+    ratio: float
+    ratio_ci95: tuple[float, float]
+    runtime: RuntimeCheck
+    left_out: dict[str, int]
+
+    def document(self) -> dict[str, Any]:
+        """Return everything, ready for JSON; the runtime's differences are null where no sample could be compared."""
+        runtime = asdict(self.runtime)
+        for key in ("largest_difference_m", "largest_difference_rad"):
+            runtime[key] = runtime[key] if np.isfinite(runtime[key]) else None
+        runs = []
+        for k in range(len(self.run_id)):
+            row: dict[str, Any] = {
+                "run_id": str(self.run_id[k]),
+                "kind": str(self.kind[k]),
+                "load_left_N": float(self.load_left_N[k]),
+                "load_right_N": float(self.load_right_N[k]),
+                "in_range": bool(self.in_range[k]),
+                "distance_m": float(self.distance_m[k]),
+            }
+            for method in METHODS:
+                e = self.errors[method]
+                row[f"{method}_along_m"] = float(e.along_m[k])
+                row[f"{method}_lateral_m"] = float(e.lateral_m[k])
+                row[f"{method}_heading_rad"] = float(e.heading_rad[k])
+                row[f"{method}_distance_m"] = float(e.distance_m[k])
+            runs.append(row)
+        return {
+            "rms_m": self.rms_m,
+            "rms_heading_rad": self.rms_heading_rad,
+            "ratio": self.ratio,
+            "ratio_ci95": list(self.ratio_ci95),
+            "runtime": runtime,
+            "left_out": self.left_out,
+            "runs": runs,
+        }
+
+
+def replay(
+    campaign: Campaign,
+    coefficients: CoefficientFile,
+    *,
+    rng: np.random.Generator,
+    scheme: str = "exact",
+    runtime_runs: int = 20,
+    resamples: int = 2000,
+) -> Replay:
+    """Replay the logged runs of a campaign.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        Runs with logs and reference end poses.
+    coefficients : CoefficientFile
+        Law, track and vehicle.
+    rng : numpy.random.Generator
+        For the bootstrap.
+    scheme : str
+        Integration scheme; see `calib.motion.odometry.integrate.SCHEMES`.
+    runtime_runs : int
+        How many runs the runtime is fed.
+    resamples : int
+        Resamples of the bootstrap.
+
+    Raises
+    ------
+    RefusedError
+        Where no run has a log, a reference end pose and wheel loads within the valid range.
+    """
+    chosen, left_out = _usable(campaign)
+    if not len(chosen.runs):
+        reasons = ", ".join(f"{count} {reason}" for reason, count in left_out.items() if count) or "no runs"
+        raise RefusedError(
+            f"{campaign.name}: no run can be replayed ({reasons}); expected runs with a log, a reference end pose and "
+            "wheel loads; log counts and measure ref_x_m, ref_y_m, ref_theta_rad"
+        )
+    law, runs, logs = coefficients.law, chosen.runs, chosen.logs
+    loads = runs.number("load_left_N"), runs.number("load_right_N")
+    unladen = coefficients.geometry.unladen_load_N
+    carried = (
+        loads_in_steps(loads[0], logs.columns.get("load_left_N"), logs.offsets),
+        loads_in_steps(loads[1], logs.columns.get("load_right_N"), logs.offsets),
+    )
+    radii = {
+        "model": (np.full(len(runs), chosen.model.radius_left_m), np.full(len(runs), chosen.model.radius_right_m)),
+        "constant": radii_under_load(law, np.full(len(runs), unladen), np.full(len(runs), unladen)),
+        "corrected": radii_under_load(law, *carried),
+    }
+    tracks = {"model": chosen.model.track_m, "constant": coefficients.geometry.track_m}
+    counts = logs.columns["counts_left"], logs.columns["counts_right"]
+    reference = Poses(runs.number("ref_x_m"), runs.number("ref_y_m"), runs.number("ref_theta_rad"))
+    ends, errors, travelled = {}, {}, np.zeros(len(runs))
+    for method in METHODS:
+        left, right = travel_from_counts(*counts, chosen.encoder, *radii[method], offsets=logs.offsets)
+        track = tracks.get(method, coefficients.geometry.track_m)
+        ends[method] = end_poses(left, right, track, offsets=logs.offsets, scheme=scheme)
+        errors[method] = pose_errors(ends[method], reference)
+        if method == "corrected":
+            travelled = np.add.reduceat(0.5 * np.abs(left + right), logs.offsets[:-1])
+    in_range = np.logical_and.reduceat(_in_range(law, *carried), logs.offsets[:-1])
+    if not in_range.any():
+        raise RefusedError(
+            f"{campaign.name}: no run's wheel loads lie within the range that the law was measured in; "
+            "give coefficients that were measured under these loads"
+        )
+    square = {method: errors[method].distance_m[in_range] ** 2 for method in METHODS}
+    picks = rng.integers(0, in_range.sum(), size=(resamples, int(in_range.sum())))
+    drawn = np.sqrt(
+        square["constant"][picks].mean(axis=1) / np.maximum(square["corrected"][picks].mean(axis=1), 1e-300)
+    )
+    low, high = np.quantile(drawn, [0.025, 0.975])
+    rms = {method: float(np.sqrt(part.mean())) for method, part in square.items()}
+    return Replay(
+        run_id=runs.run_id,
+        kind=runs.label("kind"),
+        load_left_N=loads[0],
+        load_right_N=loads[1],
+        distance_m=travelled,
+        reference=reference,
+        ends=ends,
+        errors=errors,
+        in_range=in_range,
+        rms_m=rms,
+        rms_heading_rad={
+            method: float(np.sqrt(np.mean(errors[method].heading_rad[in_range] ** 2))) for method in METHODS
+        },
+        ratio=rms["constant"] / rms["corrected"],
+        ratio_ci95=(float(low), float(high)),
+        runtime=runtime_check(chosen, coefficients, runs=runtime_runs),
+        left_out=left_out,
+    )
+
+
+def _usable(campaign: Campaign) -> tuple[Campaign, dict[str, int]]:
+    """Return the runs with log, reference end pose and loads, and how many were left out and why."""
+    runs, logs = campaign.runs, campaign.logs
+    posed = np.isfinite(np.stack([runs.number(c) for c in ("ref_x_m", "ref_y_m", "ref_theta_rad")])).all(axis=0)
+    loaded = np.isfinite(runs.number("load_left_N")) & np.isfinite(runs.number("load_right_N"))
+    counted = logs.present.copy()
+    for name in ("counts_left", "counts_right", "t_s"):
+        column = logs.columns.get(name)
+        if column is None:
+            counted[:] = False
+            continue
+        gaps = np.concatenate(([0], np.cumsum(~np.isfinite(column))))
+        counted &= gaps[logs.offsets[1:]] == gaps[logs.offsets[:-1]]
+    excluded = runs.excluded
+    left_out = {
+        "excluded": int(excluded.sum()),
+        "without a complete log": int((~excluded & ~counted).sum()),
+        "without a reference end pose": int((~excluded & counted & ~posed).sum()),
+        "without wheel loads": int((~excluded & counted & posed & ~loaded).sum()),
+    }
+    return campaign.select(~excluded & counted & posed & loaded), left_out
+
+
+def _in_range(law: RadiusLaw, load_left_N: FloatArray, load_right_N: FloatArray) -> BoolArray:
+    """Return whether both loads were measured; a newton beyond the range counts as inside."""
+    inside = np.ones(len(load_left_N), dtype=np.bool_)
+    for wheel, load in ((law.left, load_left_N), (law.right, load_right_N)):
+        inside &= (load >= wheel.load_min_N - 1.0) & (load <= wheel.load_max_N + 1.0)
+    return inside

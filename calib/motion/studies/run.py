@@ -1,0 +1,217 @@
+"""One simulation as the user asked for it: sweeps of radii, a law's journeys, the headline, and their document."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from calib.errors import BadInputError
+from calib.motion.pose_covariance import RandomWalk
+from calib.motion.routes import find_route
+from calib.motion.studies.law_journey import BANDS, Journey, TableRow, law_journey, law_table
+from calib.motion.studies.law_path import LawPath, Loading, law_path
+from calib.motion.studies.paper_headline import Headline, headlines, paper_headline
+from calib.motion.studies.sweeps import STUDIES, Case, Sweep, run_sweep
+from calib.radius.law import RadiusLaw
+
+__all__ = ["CUSTOM", "LOADS_N", "TABLE_LOADS_N", "Headline", "LawPart", "Simulation", "simulate"]
+
+CUSTOM: Final = "custom"
+
+#: wheel loads (left, right) of the studies' journeys: the extremes of Fig. 3
+LOADS_N: Final = {
+    "symmetric": ((1100.0, 1100.0),),
+    "asymmetric": ((200.0, 900.0), (900.0, 200.0)),
+    "corrected": ((200.0, 900.0), (900.0, 200.0), (1100.0, 1100.0)),
+}
+
+#: loads of Table 1
+TABLE_LOADS_N: Final = (200.0, 300.0, 400.0, 500.0, 600.0, 700.0, 800.0, 900.0, 1000.0, 1100.0)
+
+#: which error a figure shows
+SHOWN: Final = {"fig12": "distance_m", "fig13": "lateral_m", "fig14": "global_x_m", "fig16": "global_x_m"}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LawPart:
+    """What a fitted law says.
+
+    Parameters
+    ----------
+    law : RadiusLaw
+        The law.
+    table : tuple of TableRow
+        Table 1 and the bands of Fig. 15.
+    journeys : tuple of Journey
+        Journeys without and with correction, for each pair of loads and each band.
+    notes : tuple of str
+        What the reader should know.
+    path : LawPath
+        The last route driven under the loads that change on the way, or else under the first pair of loads: errors and
+        covariance all along.
+    """
+
+    law: RadiusLaw
+    table: tuple[TableRow, ...]
+    journeys: tuple[Journey, ...]
+    notes: tuple[str, ...]
+    path: LawPath
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Simulation:
+    """A simulation: `sweeps` by the name of their figure, `headlines` by wheel, the law's part where one is given."""
+
+    study: str
+    title: str
+    sweeps: dict[str, Sweep]
+    headlines: tuple[Headline, ...]
+    law: LawPart | None
+
+    def document(self) -> dict[str, Any]:
+        """Return everything but the points along the routes, ready for JSON."""
+        made: dict[str, Any] = {
+            "study": self.study,
+            "title": self.title,
+            "sweeps": [
+                {"figure": name, "route": sweep.route.name, "track_m": sweep.track_m, "cases": sweep.ends()}
+                for name, sweep in self.sweeps.items()
+            ],
+            "headline": [asdict(line) for line in self.headlines],
+            "paper": paper_headline() if self.headlines else None,
+            "law": None,
+        }
+        if self.law is not None:
+            made["law"] = {
+                "table": [asdict(row) for row in self.law.table],
+                "journeys": [asdict(journey) for journey in self.law.journeys],
+                "path": self.law.path.document(),
+                "notes": list(self.law.notes),
+            }
+        return made
+
+
+def simulate(
+    study: str,
+    *,
+    routes: Sequence[str] = (),
+    cases: Sequence[Case] = (),
+    track_m: float,
+    real_track_m: float | None = None,
+    law: RadiusLaw | None = None,
+    loads_N: Sequence[tuple[float, float]] = (),
+    reference_N: tuple[float, float] = (300.0, 300.0),
+    loading: Loading | None = None,
+    track_std_m: float = 0.0,
+    walk: RandomWalk | None = None,
+    draws: int = 20_000,
+    rng: np.random.Generator,
+) -> Simulation:
+    """Run a study by name, or ``custom`` with routes and cases of one's own.
+
+    Parameters
+    ----------
+    study : str
+        A name of `STUDIES`, or ``custom``.
+    routes, cases : sequence
+        In place of the study's own.
+    track_m, real_track_m : float
+        Track that the odometry believes, and the real one (None: the same).
+    law : RadiusLaw, optional
+        Adds Table 1, Fig. 15 and journeys under this law.
+    loads_N : sequence of (float, float)
+        Loads (left, right) of those journeys, in place of the study's own.
+    reference_N : (float, float)
+        Loads whose radii the uncorrected odometry uses.
+    loading : Loading, optional
+        Loads that change on the way; None: the first of `loads_N` all along.
+    track_std_m : float
+        Standard uncertainty of the track, for the covariance along the path.
+    walk : RandomWalk, optional
+        Random part of that covariance.
+    draws : int
+        Draws of the Monte Carlo.
+    rng : numpy.random.Generator
+        Source of chance.
+
+    Raises
+    ------
+    BadInputError
+        Where the study, a route or a case cannot be used.
+    """
+    known = STUDIES.get(study)
+    if known is None and study != CUSTOM:
+        raise BadInputError(f"study: found {study!r}; expected {', '.join(STUDIES)} or {CUSTOM}; choose one of them")
+    names = tuple(routes) or (known.routes if known else ("paper_route",))
+    chosen = tuple(cases) or (
+        tuple(Case.of(which, ratio) for which in known.which for ratio in known.ratios) if known else ()
+    )
+    if not chosen and law is None:
+        raise BadInputError("custom study: found no radii; expected --real, --ratio or --law; give one of them")
+    figures = known.figures if known and not routes else tuple(f"route{k + 1}" for k in range(len(names)))
+    sweeps = {
+        figure: run_sweep(name, chosen or (Case.given(1.0, 1.0),), track_m=track_m, real_track_m=real_track_m)
+        for figure, name in zip(figures, names, strict=True)
+    }
+    part = None
+    if law is not None:
+        carried = loading.pairs if loading is not None and study == CUSTOM else ()
+        pairs = tuple(loads_N) or carried or LOADS_N.get(study, LOADS_N["corrected"])
+        if draws < 100:
+            raise BadInputError(f"draws: found {draws}; expected 100 or more; quantiles need them")
+        path = law_path(
+            law,
+            find_route(names[-1]),
+            loading=loading or Loading.of([(0.0, *pairs[0])]),
+            reference_N=reference_N,
+            track_m=track_m,
+            track_std_m=track_std_m,
+            walk=walk,
+            draws=draws,
+            rng=rng.spawn(1)[0],
+        )
+        part = _law_part(law, names[-1], pairs, path, track_m, draws, rng)
+    return Simulation(
+        study=study,
+        title=known.title if known else "Radii as given",
+        sweeps=sweeps,
+        headlines=headlines(next(iter(sweeps.values())).route, track_m) if study == "corrected" and not cases else (),
+        law=part,
+    )
+
+
+def _law_part(
+    law: RadiusLaw,
+    route_name: str,
+    pairs: tuple[tuple[float, float], ...],
+    path: LawPath,
+    track_m: float,
+    draws: int,
+    rng: np.random.Generator,
+) -> LawPart:
+    route, reference_N = find_route(route_name), path.reference_N
+    journeys = tuple(
+        law_journey(law, route, loads_N=pair, reference_N=reference_N, track_m=track_m, band=band, draws=draws, rng=rng)
+        for pair in pairs
+        for band in BANDS
+    )
+    notes = []
+    for side, wheel, number in (("left", law.left, 0), ("right", law.right, 1)):
+        carried = (path.loading.left_N, path.loading.right_N)[number].tolist()
+        loads = sorted({pair[number] for pair in pairs} | {reference_N[number], *carried})
+        beyond = [load for load in loads if not wheel.load_min_N - 1.0 <= load <= wheel.load_max_N + 1.0]
+        if beyond:
+            notes.append(
+                f"{side} wheel: {', '.join(f'{load:g}' for load in beyond)} N lie outside the "
+                f"{wheel.load_min_N:g} to {wheel.load_max_N:g} N that were measured: the law extrapolates there"
+            )
+    return LawPart(
+        law=law,
+        table=law_table(law, np.array(TABLE_LOADS_N)),
+        journeys=journeys,
+        notes=tuple(notes),
+        path=path,
+    )

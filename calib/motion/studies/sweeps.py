@@ -1,0 +1,252 @@
+"""The simulations of Section 7: what wrong radii do to a vehicle that follows a route on its own odometry."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from calib.arrays import FloatArray
+from calib.errors import BadInputError
+from calib.motion.poses import PoseErrors, Poses, pose_errors
+from calib.motion.routes import Route, find_route
+from calib.motion.studies.follow import Axle, follow
+
+__all__ = ["STUDIES", "WHICH", "Case", "Study", "Sweep", "ratios", "run_sweep"]
+
+#: spacing of the points that figures and trajectories show
+SPACING_M: Final = 0.05
+
+#: which wheel is off -> (left, right) radius over the believed one, for E_r = right / left (Eq. 15)
+WHICH: Final = ("right", "left", "both", "equal")
+
+
+@dataclass(frozen=True, slots=True)
+class Study:
+    """A study by name.
+
+    Parameters
+    ----------
+    title : str
+        What it shows.
+    routes : tuple of str
+        Routes driven.
+    ratios : tuple of float
+        Ratios of radii.
+    which : tuple of str
+        Which wheels are off, of `WHICH`.
+    figures : tuple of str
+        Figures of the paper that it corresponds to, one a route.
+    """
+
+    title: str
+    routes: tuple[str, ...]
+    ratios: tuple[float, ...]
+    which: tuple[str, ...]
+    figures: tuple[str, ...]
+
+
+STUDIES: Final[Mapping[str, Study]] = {
+    "symmetric": Study(
+        "Both wheels roll at E times the radius that the odometry believes",
+        ("paper_route",),
+        (0.98, 0.98825, 0.98971, 0.99, 1.0),
+        ("equal",),
+        ("fig12",),
+    ),
+    "asymmetric": Study(
+        "The radii differ by E_r = r_R / r_L, and the odometry believes that they do not",
+        ("straight15", "paper_route"),
+        (0.99, 0.995, 1.0, 1.005, 1.01),
+        ("right", "left", "both"),
+        ("fig13", "fig14"),
+    ),
+    "corrected": Study(
+        "The radii follow the load; what is left is the 95 % band of the regression",
+        ("paper_route",),
+        (0.9994, 0.9997, 1.0, 1.0003, 1.0006),
+        ("right", "left", "both"),
+        ("fig16",),
+    ),
+}
+
+
+def ratios(which: str, ratio: float) -> tuple[float, float]:
+    """Return the left and right radius over the believed one.
+
+    Parameters
+    ----------
+    which : {"right", "left", "both", "equal"}
+        Which wheel is off; ``both`` shares it about the mean, ``equal`` scales both wheels alike.
+    ratio : float
+        E_r = r_R / r_L, or the common scale for ``equal``.
+    """
+    if not (math.isfinite(ratio) and ratio > 0.0):
+        raise BadInputError(f"ratio of radii: found {ratio!r}; expected a number above 0, near 1")
+    if which == "right":
+        return 1.0, ratio
+    if which == "left":
+        return 1.0 / ratio, 1.0
+    if which == "both":
+        return 2.0 / (1.0 + ratio), 2.0 * ratio / (1.0 + ratio)
+    if which == "equal":
+        return ratio, ratio
+    raise BadInputError(f"which wheel: found {which!r}; expected one of {', '.join(WHICH)}; choose one of them")
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One vehicle of a sweep: which wheel is off, by how much, and the radii over the believed one."""
+
+    which: str
+    ratio: float
+    left: float
+    right: float
+
+    @property
+    def label(self) -> str:
+        """Short name for tables and legends."""
+        if self.which == "given":
+            return f"given radii, E_r = {self.ratio:.6g}"
+        if self.which == "equal":
+            return f"both alike, E = {self.ratio:g}"
+        return f"{self.which} off, E_r = {self.ratio:g}"
+
+    @staticmethod
+    def of(which: str, ratio: float) -> Case:
+        """Return the case of a wheel that is off by a ratio; see `ratios`."""
+        return Case(which, ratio, *ratios(which, ratio))
+
+    @staticmethod
+    def given(left: float, right: float) -> Case:
+        """Return the case of radii (left, right) over the believed ones."""
+        return Case("given", right / left, left, right)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sweep:
+    """Vehicles with different radii on one route.
+
+    Parameters
+    ----------
+    route : Route
+        The route, undivided.
+    track_m : float
+        Track.
+    cases : tuple of Case
+        Vehicles.
+    distance_m : array of float, shape (n_points,)
+        Distance along the route at each point.
+    reference : Poses
+        Route at the points, shape (n_points,).
+    poses : Poses
+        Real poses, shape (n_cases, n_points).
+    errors : PoseErrors
+        Real minus route, shape (n_cases, n_points).
+    corners : Poses
+        Real poses at the ends of the undivided segments, shape (n_cases, n_segments + 1).
+    """
+
+    route: Route
+    track_m: float
+    cases: tuple[Case, ...]
+    distance_m: FloatArray
+    reference: Poses
+    poses: Poses
+    errors: PoseErrors
+    corners: Poses
+
+    def ends(self) -> list[dict[str, float | str]]:
+        """Return the numbers at the end of the route, one row a case."""
+        rows: list[dict[str, float | str]] = []
+        for number, case in enumerate(self.cases):
+            last = self.poses[number, -1]
+            e = self.errors
+            rows.append(
+                {
+                    "case": case.label,
+                    "which": case.which,
+                    "ratio": case.ratio,
+                    "first_segment_m": float(
+                        math.hypot(float(self.corners.x_m[number, 1]), float(self.corners.y_m[number, 1]))
+                    ),
+                    "end_x_m": float(last.x_m),
+                    "end_y_m": float(last.y_m),
+                    "end_theta_rad": float(last.theta_rad),
+                    "error_along_m": float(e.along_m[number, -1]),
+                    "error_lateral_m": float(e.lateral_m[number, -1]),
+                    "error_heading_rad": float(e.heading_rad[number, -1]),
+                    "error_global_x_m": float(e.global_x_m[number, -1]),
+                    "error_global_y_m": float(e.global_y_m[number, -1]),
+                    "error_distance_m": float(e.distance_m[number, -1]),
+                }
+            )
+        return rows
+
+    def along(self) -> list[dict[str, float | str]]:
+        """Return poses and errors along the route, one row a case and point."""
+        e, p = self.errors, self.poses
+        columns = {"x_m": p.x_m, "y_m": p.y_m, "theta_rad": p.theta_rad}
+        columns |= {
+            "error_along_m": e.along_m,
+            "error_lateral_m": e.lateral_m,
+            "error_heading_rad": e.heading_rad,
+            "error_global_x_m": e.global_x_m,
+            "error_global_y_m": e.global_y_m,
+        }
+        rows: list[dict[str, float | str]] = []
+        for number, case in enumerate(self.cases):
+            values = np.stack([self.distance_m, *(column[number] for column in columns.values())], axis=1).tolist()
+            named: dict[str, float | str] = {"which": case.which, "ratio": case.ratio}
+            rows += [named | dict(zip(("distance_m", *columns), row, strict=True)) for row in values]
+        return rows
+
+    def largest_m(self, field: str = "error_global_x_m") -> float:
+        """Return the largest end error of the sweep by absolute value."""
+        return max(abs(float(row[field])) for row in self.ends())
+
+
+def run_sweep(
+    route: Route | str,
+    cases: Sequence[Case],
+    *,
+    track_m: float = 0.7,
+    real_track_m: float | None = None,
+    spacing_m: float = SPACING_M,
+) -> Sweep:
+    """Drive vehicles with different radii over a route.
+
+    Parameters
+    ----------
+    route : Route or str
+        Route, or the name of one.
+    cases : sequence of Case
+        Vehicles; only the ratios of real to believed radii matter.
+    track_m, real_track_m : float
+        Track that the odometry believes, and the real one (None: the same).
+    spacing_m : float
+        Spacing of the points.
+    """
+    way = find_route(route) if isinstance(route, str) else route
+    made = tuple(cases)
+    believed = Axle(1.0, 1.0, track_m)
+    real = Axle(
+        np.array([case.left for case in made]),
+        np.array([case.right for case in made]),
+        track_m if real_track_m is None else real_track_m,
+    )
+    fine = way.divided(spacing_m)
+    reference, poses = fine.poses(), follow(fine, believed, real)
+    return Sweep(
+        route=way,
+        track_m=track_m,
+        cases=made,
+        distance_m=fine.distance_m(),
+        reference=reference,
+        poses=poses,
+        errors=pose_errors(poses, reference),
+        corners=follow(way, believed, real),
+    )

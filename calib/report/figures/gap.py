@@ -1,0 +1,275 @@
+"""Figures of a gap: map on the floor plan, gap by covariate, before and after by channel. From plain arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.figure import Figure
+
+from calib.arrays import FloatArray, StrArray
+from calib.report.figures.style import (
+    BLUE,
+    GREY,
+    INK,
+    ORANGE,
+    WIDTH_CM,
+    axes_grid,
+    canvas,
+    colour,
+    shared_legend,
+    styled,
+)
+from calib.report.numbers import readable
+
+__all__ = ["before_after", "gap_by_covariate", "gap_map"]
+
+#: groups that still get a legend entry each
+LEGEND_LIMIT: Final = 8
+MANY: Final = 2000
+#: longest arrow of the map over the larger side of the floor plan
+ARROW_SHARE: Final = 0.12
+TALLEST_CM: Final = 11.5
+
+
+@styled
+def gap_map(paths_m: Sequence[FloatArray], offset_m: FloatArray, group: StrArray | None = None) -> Figure:
+    """Draw the floor plan with every unit's path, and its gap as an arrow from simulated to measured end.
+
+    Parameters
+    ----------
+    paths_m : sequence of array of float, shape (n_samples, 2)
+        Path of each unit, x and y; an end position alone is a path of one sample.
+    offset_m : array of float, shape (n_units, 2)
+        Measured minus simulated end position; NaN where unknown.
+    group : array of str, shape (n_units,), optional
+        Route or kind of each unit, for colours.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Arrows are magnified by a round factor that the title says.
+    """
+    ends = np.array([path[-1] for path in paths_m], dtype=np.float64)
+    offset = np.asarray(offset_m, dtype=np.float64)
+    known = np.asarray(np.isfinite(np.hstack((offset, ends))).all(axis=1))
+    points = np.concatenate([np.asarray(path, dtype=np.float64) for path in paths_m])
+    points = points[np.flatnonzero(np.isfinite(points).all(axis=1))]
+    low, high = points.min(axis=0), points.max(axis=0)
+    size = float(max(np.max(high - low), 1e-3))
+    length = np.hypot(*offset[known].T) if known.any() else np.zeros(0)
+    typical = float(np.quantile(length, 0.9)) if len(length) else 0.0
+    factor = _round_down(ARROW_SHARE * size / typical) if typical > 0 else 1.0
+    tips = np.add(ends, factor * np.where(known.reshape(-1, 1), offset, 0.0))
+    low, high = np.minimum(low, tips.min(axis=0)), np.maximum(high, tips.max(axis=0))
+    margin = 0.04 * float(max(np.max(high - low), 1e-3))
+    # a long corridor is a flat figure: the height follows the plan, within reason
+    aspect = float((high[1] - low[1] + 2 * margin) / (high[0] - low[0] + 2 * margin))
+    stretched = aspect < 0.12
+    figure = canvas(float(np.clip(2.6 + 0.86 * WIDTH_CM * aspect, 6.0, TALLEST_CM)))
+    axis = axes_grid(figure, 1, 1)[0, 0]
+    names, number = _groups(group, len(paths_m))
+    seen: set[int] = set()
+    for path in paths_m:
+        axis.plot(path[:, 0], path[:, 1], color="#C4C9CE", lw=0.7, solid_capstyle="round")
+    for k in np.flatnonzero(known):
+        label = names[number[k]] if number[k] not in seen else None
+        seen.add(int(number[k]))
+        axis.plot(*ends[k], "o", ms=2.2, color=colour(int(number[k])), label=label)
+        axis.annotate(
+            "",
+            xy=tuple(tips[k]),
+            xytext=tuple(ends[k]),
+            arrowprops={"arrowstyle": "-|>", "color": colour(int(number[k])), "lw": 0.9, "mutation_scale": 6,
+                        "shrinkA": 0, "shrinkB": 0},
+        )  # fmt: skip
+    axis.set_xlim(low[0] - margin, high[0] + margin)
+    axis.set_ylim(low[1] - margin, high[1] + margin)
+    if not stretched:
+        axis.set_aspect("equal", adjustable="box")
+    axis.set_xlabel("x (m)")
+    axis.set_ylabel("y (m)")
+    scale = ""
+    if len(length):
+        unit_factor, unit = readable("m", float(length.max()))
+        scale = f"largest {unit_factor * float(length.max()):.3g} {unit}; "
+    magnified = "to scale" if factor == 1 else f"{factor:g} times"
+    note = ", y stretched" if stretched else ""
+    axis.set_title(f"Gap at the end of each run ({scale}arrows {magnified}{note})")
+    if 1 < len(names) <= LEGEND_LIMIT:
+        handles, labels = axis.get_legend_handles_labels()
+        shared_legend(figure, handles, labels, below=True)
+    return figure
+
+
+@styled
+def gap_by_covariate(
+    residual: FloatArray,
+    channel: str,
+    unit: str,
+    covariates: Mapping[str, FloatArray],
+    *,
+    floor: float | None = None,
+    group: StrArray | None = None,
+) -> Figure:
+    """Draw one channel's gap against each covariate, with the mean of up to eight classes and its standard error.
+
+    Parameters
+    ----------
+    residual : array of float, shape (n_units,)
+        Measured minus simulated; NaN where a unit lacks the channel.
+    channel, unit : str
+        Name of the channel; ``m`` or ``rad``.
+    covariates : mapping of str to array of float, shape (n_units,)
+        By name with unit suffix; at most six are drawn.
+    floor : float, optional
+        Standard deviation that repeats give, as a band about zero.
+    group : array of str, shape (n_units,), optional
+        Route or kind of each unit, for colours.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        One panel a covariate.
+    """
+    shown = list(covariates.items())[:6]
+    factor, name = readable(unit, _largest(residual))
+    columns = 2 if len(shown) in {2, 4} else min(3, max(len(shown), 1))
+    rows = max(-(-len(shown) // columns), 1)
+    figure = canvas(1.6 + 4.4 * rows)
+    axes = axes_grid(figure, rows, columns, sharey=True)
+    names, number = _groups(group, len(residual))
+    gap = factor * np.asarray(residual, dtype=np.float64)
+    for k, axis in enumerate(axes.flat):
+        if k >= len(shown):
+            axis.set_visible(False)
+            continue
+        title, values = shown[k]
+        good = np.isfinite(gap) & np.isfinite(values)
+        if floor is not None:
+            axis.axhspan(-factor * floor, factor * floor, color=GREY, alpha=0.18, lw=0)
+        axis.axhline(0.0, color=GREY, lw=0.6)
+        for index in range(len(names)):
+            on = good & (number == index)
+            label = names[index] if k == 0 else None
+            axis.plot(values[on], gap[on], "o", ms=2.2, color=colour(index), alpha=0.6, mew=0, label=label,
+                      rasterized=len(gap) > MANY)  # fmt: skip
+        if good.sum() >= 3:
+            centre, mean, error = _classes(values[good], gap[good])
+            axis.errorbar(centre, mean, yerr=error, fmt="-", color=INK, lw=0.9, elinewidth=0.8, marker="s", ms=2.6)
+        axis.set_xlabel(_with_unit(title))
+        axis.margins(x=0.06, y=0.08)
+    for row in axes:
+        row[0].set_ylabel(f"{channel} ({name})")
+    if 1 < len(names) <= LEGEND_LIMIT:
+        handles, labels = axes[0, 0].get_legend_handles_labels()
+        shared_legend(figure, handles, labels)
+    return figure
+
+
+@styled
+def before_after(
+    channels: Sequence[tuple[str, str]], before: FloatArray, after: FloatArray, floor: FloatArray
+) -> Figure:
+    """Draw the gap of every unit before and after the fix, channel by channel, with the floor.
+
+    Parameters
+    ----------
+    channels : sequence of (str, str)
+        Name and unit (``m`` or ``rad``) of each channel.
+    before, after : array of float, shape (n_units, n_channels)
+        Measured minus simulated without and with the named cause, on held-out units; NaN where there is none.
+    floor : array of float, shape (n_units, n_channels)
+        Standard deviation that repeats give.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        One panel a channel that any unit has; the dots are units, the thick bars root mean squares.
+    """
+    used = [k for k in range(len(channels)) if np.isfinite(before[:, k]).any()]
+    columns = 2 if len(used) in {2, 4} else min(3, max(len(used), 1))
+    rows = max(-(-len(used) // columns), 1)
+    figure = canvas(1.2 + 4.8 * rows)
+    axes = axes_grid(figure, rows, columns)
+    # dots beside each other, spread evenly, not by chance
+    for panel, axis in enumerate(axes.flat):
+        if panel >= len(used):
+            axis.set_visible(False)
+            continue
+        k = used[panel]
+        title, unit = channels[k]
+        factor, name = readable(unit, _largest(before[:, k]))
+        level = factor * _rms(floor[:, k])
+        if np.isfinite(level):
+            axis.axhspan(-level, level, color=GREY, alpha=0.22, lw=0)
+        axis.axhline(0.0, color=GREY, lw=0.6)
+        for place, (values, tint) in enumerate(((before[:, k], ORANGE), (after[:, k], BLUE))):
+            found = factor * values[np.isfinite(values)]
+            spread = 0.26 * (2 * ((np.arange(len(found)) * 0.6180339887498949) % 1.0) - 1)
+            axis.plot(place + spread, found, "o", ms=2.2, mew=0, color=tint, alpha=0.55, rasterized=len(found) > MANY)
+            rms = _rms(found)
+            for sign in (-1.0, 1.0):
+                axis.plot([place - 0.3, place + 0.3], [sign * rms, sign * rms], color=tint, lw=1.8)
+        said = [f"{text}\n{factor * _rms(values):.3g} {name}" for text, values in
+                (("before", before[:, k]), ("after", after[:, k]))]  # fmt: skip
+        axis.set_xticks([0, 1], said)
+        axis.set_xlim(-0.5, 1.5)
+        axis.grid(visible=False, axis="x")
+        axis.set_title(f"{title} (floor {level:.3g} {name})" if np.isfinite(level) else title)
+        axis.set_ylabel(f"gap ({name})")
+        axis.margins(y=0.08)
+    return figure
+
+
+def _largest(values: FloatArray) -> float:
+    found = np.abs(values[np.isfinite(values)])
+    return float(found.max()) if len(found) else 0.0
+
+
+def _rms(values: FloatArray) -> float:
+    found = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(found**2))) if len(found) else float("nan")
+
+
+def _round_down(value: float) -> float:
+    """Return the largest of 1, 2, 5 times a power of ten that is not above `value`, 1 at least."""
+    power = 10.0 ** np.floor(np.log10(max(value, 1.0)))
+    return float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= max(value, 1.0)))
+
+
+def _groups(group: StrArray | None, n: int) -> tuple[list[str], npt.NDArray[np.int64]]:
+    """Return names in order of first appearance, and the number of each unit's."""
+    if group is None:
+        return [""], np.zeros(n, dtype=np.int64)
+    names = list(dict.fromkeys(str(text) for text in group))
+    index = {text: k for k, text in enumerate(names)}
+    number = np.array([index[str(text)] for text in group], dtype=np.int64)
+    return [(text or "(none)").replace("_", " ").strip() or "(none)" for text in names], number
+
+
+def _classes(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return mean x, mean y and its standard error of classes: the values themselves where few, else equal counts."""
+    distinct = np.unique(x)
+    if len(distinct) <= 8:
+        index = np.searchsorted(distinct, x)
+    else:
+        edges = np.quantile(x, np.linspace(0, 1, 9)[1:-1])
+        index = np.searchsorted(edges, x, side="right")
+    rows: list[tuple[float, float, float]] = []
+    for k in np.unique(index):
+        on = index == k
+        error = float(np.std(y[on], ddof=1) / np.sqrt(on.sum())) if on.sum() > 1 else 0.0
+        rows.append((float(x[on].mean()), float(y[on].mean()), error))
+    made = np.array(rows)
+    return made[:, 0], made[:, 1], made[:, 2]
+
+
+def _with_unit(name: str) -> str:
+    """Return ``speed_mps`` as ``speed (m/s)``; a name without a known suffix as it is."""
+    units: dict[str, Any] = {"mps": "m/s", "C": "°C", "kg": "kg", "N": "N", "rad": "rad", "m": "m", "s": "s"}
+    stem, _, suffix = name.rpartition("_")
+    text = f"{stem} ({units[suffix]})" if stem and suffix in units else name
+    return text.replace("_", " ")

@@ -1,0 +1,89 @@
+"""The pictures of a diagnosis as files: map of the gap, gap by covariate channel by channel, before and after."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from calib.arrays import FloatArray
+from calib.errors import would_overwrite
+from calib.files import write_bytes
+from calib.gap.diagnose import Diagnosis
+from calib.gap.where.covariates import covariate_values
+from calib.report.figures.gap import before_after, gap_by_covariate, gap_map
+from calib.report.figures.style import render
+from calib.report.gap_source import findings_of
+
+__all__ = ["gap_pictures", "write_gap_pictures"]
+
+FORMS: Final = ("png", "svg", "pdf")
+MOST_PANELS: Final = 6
+
+
+def gap_pictures(diagnosis: Diagnosis) -> dict[str, Figure]:
+    """Return the figures of a diagnosis by name; those whose data are missing are left out."""
+    gap = findings_of(diagnosis)
+    made: dict[str, Figure] = {}
+    if gap.offset_m is not None and gap.paths_m:
+        made["gap-map"] = gap_map(gap.paths_m, gap.offset_m, gap.group)
+    numeric = {
+        name: np.asarray(values, dtype=np.float64)
+        for name, values in covariate_values(diagnosis.situation).items()
+        if values.dtype.kind == "f"
+    }
+    for number, (channel, unit) in enumerate(gap.channels):
+        if gap.before is None or not np.isfinite(gap.before[:, number]).any():
+            continue
+        shown = {name: numeric[name] for name in _telling(diagnosis, channel, numeric)}
+        floor = None if gap.floor is None else float(np.sqrt(np.nanmean(gap.floor[:, number] ** 2)))
+        if shown:
+            made[f"gap-by-covariate-{channel}"] = gap_by_covariate(
+                gap.before[:, number], channel, unit, shown, floor=floor, group=gap.group
+            )
+    if gap.before is not None and gap.after is not None and gap.floor is not None:
+        made["before-after"] = before_after(gap.channels, gap.before, gap.after, gap.floor)
+    return made
+
+
+def _telling(diagnosis: Diagnosis, channel: str, numeric: dict[str, FloatArray]) -> list[str]:
+    """Return the covariates to draw: those of the table first, those that show most in the channel before others."""
+    lines = diagnosis.verdict.where.get("covariates", ())
+    ranked = [str(line["name"]) for line in sorted(lines, key=lambda one: one["channel"] != channel)]
+    return [name for name in [*ranked, *(name for name in numeric if name not in ranked)] if name in numeric][
+        :MOST_PANELS
+    ]
+
+
+def write_gap_pictures(diagnosis: Diagnosis, folder: Path, *, force: bool = False) -> list[Path]:
+    """Write every figure of a diagnosis as PNG, SVG and PDF.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+        From `calib.gap.diagnose.diagnose_in_full`.
+    folder : Path
+        Made where it is missing.
+    force : bool
+        Replace existing files.
+
+    Returns
+    -------
+    list of Path
+        The files written.
+
+    Raises
+    ------
+    BadInputError
+        Where a file exists and `force` is False; nothing is then written.
+    """
+    figures = gap_pictures(diagnosis)
+    targets = {folder / f"{name}.{form}": (figure, form) for name, figure in figures.items() for form in FORMS}
+    for target in targets:
+        if target.exists() and not force:
+            raise would_overwrite(target)
+    for target, (figure, form) in targets.items():
+        write_bytes(target, render(figure, form), force=force)
+    return list(targets)

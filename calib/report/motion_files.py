@@ -1,0 +1,124 @@
+"""Writing what a simulation or a replay found: figures, tables, trajectories."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calib.campaign.model import Campaign
+from calib.files import write_json, write_text
+from calib.motion.odometry.integrate import integrate
+from calib.motion.odometry.loaded import loads_in_steps, radii_under_load, travel_from_counts
+from calib.motion.poses import Poses
+from calib.motion.studies.replay import Replay
+from calib.motion.studies.run import SHOWN, Simulation
+from calib.motion.trajectory import write_tum
+from calib.radius.law import RadiusLaw
+
+__all__ = ["publish_replay", "publish_simulation", "replay_trajectories", "simulation_trajectories"]
+
+
+def publish_simulation(found: Simulation, folder: Path, *, force: bool) -> list[Path]:
+    """Write the figures of a simulation with their numbers as CSV beside them, and everything as JSON.
+
+    Returns
+    -------
+    list of Path
+        Files written.
+    """
+    from calib.report.figures.motion import ratio_figure, save, sweep_figure
+    from calib.report.figures.motion_path import law_errors_figure, law_path_figure, sweep_errors_figure
+
+    made = [write_json(folder / f"{found.study}.json", found.document(), force=force)]
+    for name, sweep in found.sweeps.items():
+        figure = sweep_figure(sweep, error=SHOWN.get(name, "lateral_m"), title=found.title)
+        made += save(figure, folder, name, force=force)
+        made.append(_csv(folder / f"{name}.csv", sweep.ends(), force=force))
+        made += save(sweep_errors_figure(sweep, title=found.title), folder, f"{name}_errors", force=force)
+        made.append(_csv(folder / f"{name}_errors.csv", sweep.along(), force=force))
+    if found.law is not None:
+        law, path = found.law.law, found.law.path
+        measured = ((law.left.load_min_N, law.left.load_max_N), (law.right.load_min_N, law.right.load_max_N))
+        made += save(ratio_figure(found.law.table, measured=measured), folder, "fig15", force=force)
+        rows = [{field: getattr(row, field) for field in row.__slots__} for row in found.law.table]
+        made.append(_csv(folder / "table1.csv", rows, force=force))
+        title = f"Under the fitted law, {path.loading_text}: single runs, track, floor and encoders"
+        made += save(law_path_figure(path, title=title), folder, "band", force=force)
+        made.append(_csv(folder / "band.csv", path.covariance_rows(), force=force))
+        made += save(law_errors_figure(path, title=title), folder, "errors", force=force)
+        made.append(_csv(folder / "errors.csv", path.error_rows(), force=force))
+    return made
+
+
+def simulation_trajectories(found: Simulation, folder: Path, *, speed_mps: float, force: bool) -> list[Path]:
+    """Write each vehicle's path and the route as TUM files, timed by a constant speed along the route."""
+    made = []
+    for name, sweep in found.sweeps.items():
+        t = sweep.distance_m / speed_mps
+        made.append(write_tum(folder / f"{name}_route.tum", t, sweep.reference, force=force))
+        for number, case in enumerate(sweep.cases):
+            stem = f"{name}_{case.which}_{case.ratio:g}.tum"
+            made.append(write_tum(folder / stem, t, sweep.poses[number], force=force))
+    return made
+
+
+def publish_replay(found: Replay, folder: Path, document: Mapping[str, Any], *, force: bool) -> list[Path]:
+    """Write the figure of a replay, its table as CSV and everything as JSON."""
+    from calib.report.figures.motion import replay_figure, save
+
+    made = [write_json(folder / "replay.json", document, force=force)]
+    made += save(replay_figure(found), folder, "replay", force=force)
+    made.append(_csv(folder / "replay.csv", document["runs"], force=force))
+    return made
+
+
+def replay_trajectories(campaign: Campaign, law: RadiusLaw, track_m: float, folder: Path, *, force: bool) -> list[Path]:
+    """Write the odometry of each logged run with its radii under load, and its reference where logged, as TUM files.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        The runs and logs.
+    law : RadiusLaw
+        Radii under load.
+    track_m : float
+        Track.
+    folder : Path
+        Where to.
+    force : bool
+        Whether existing files are replaced.
+    """
+    made = []
+    runs = campaign.runs
+    for run in np.flatnonzero(campaign.logs.present).tolist():
+        log = campaign.logs.of(run)
+        if not {"t_s", "counts_left", "counts_right"} <= log.keys():
+            continue
+        loads = (
+            loads_in_steps([runs.number(name)[run]], log.get(name), [0, len(log["t_s"])])
+            for name in ("load_left_N", "load_right_N")
+        )
+        radii = radii_under_load(law, *loads)
+        if not np.isfinite(radii).all():
+            continue
+        left, right = travel_from_counts(log["counts_left"], log["counts_right"], campaign.encoder, *radii)
+        stem = "".join(c if c.isalnum() or c in "-_" else "_" for c in str(runs.run_id[run]))
+        made.append(write_tum(folder / f"{stem}.tum", log["t_s"], integrate(left, right, track_m), force=force))
+        if {"ref_x_m", "ref_y_m", "ref_theta_rad"} <= log.keys():
+            poses = Poses(log["ref_x_m"], log["ref_y_m"], log["ref_theta_rad"])
+            fine = np.isfinite(poses.stacked()).all(axis=1)
+            made.append(write_tum(folder / f"{stem}_ref.tum", log["t_s"][fine], poses[fine], force=force))
+    return made
+
+
+def _csv(path: Path, rows: Sequence[Mapping[str, Any]], *, force: bool) -> Path:
+    text = io.StringIO()
+    writer = csv.DictWriter(text, fieldnames=list(rows[0]) if rows else [], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return write_text(path, text.getvalue(), force=force)

@@ -1,0 +1,151 @@
+"""The whitened linear picture against dense multivariate normals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import multivariate_normal, multivariate_t
+
+from calib.gap.evidence.marginal import FLOOR_DOF, Nuisance, form_columns, log_evidence, log_marginal, project, rows
+from calib.gap.evidence.noise import whiten
+from calib.gap.plan.separability import noise_at
+from calib.gap.predict.path import predict
+from tests.gap.effects.making import rich_runs, situation
+
+# dense algebra on some forty rows keeps eight digits of logarithms of order 100
+RTOL = 1e-8
+
+
+def density(y: np.ndarray, columns: np.ndarray) -> float:
+    """Log N(y | 0, I + X X^T), by scipy."""
+    return float(multivariate_normal.logpdf(y, cov=np.eye(len(y)) + columns @ columns.T))
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 10_000), n=st.integers(2, 40), k=st.integers(0, 6), size=st.sampled_from([1e-3, 1.0, 30.0]))
+def test_a_nuisance_is_the_dense_normal_of_its_columns(seed: int, n: int, k: int, size: float) -> None:
+    """Square and determinant of I + X X^T give the density that scipy gives of the dense covariance."""
+    rng = np.random.default_rng(seed)
+    x, y = rng.normal(0, size, (n, k)), rng.normal(0, 1, (n, 2))
+    made = Nuisance.of(x)
+    inverse = np.linalg.inv(np.eye(n) + x @ x.T)
+    # the broadest columns cancel a factor of a thousand in the scalar product
+    np.testing.assert_allclose(made.scalar(y, y), y.T @ inverse @ y, rtol=1e-6, atol=1e-8)
+    value = -0.5 * (made.scalar(y[:, :1], y[:, :1])[0, 0] + made.log_det + n * np.log(2 * np.pi))
+    assert value == pytest.approx(density(y[:, 0], x), rel=1e-6)
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 10_000), p=st.integers(1, 5))
+def test_the_evidence_of_columns_is_a_difference_of_dense_normals(seed: int, p: int) -> None:
+    """Log N(y | 0, I + A S A^T) - log N(y | 0, I), each by scipy, is what the small matrices give."""
+    rng = np.random.default_rng(seed)
+    a, y = rng.normal(0, 1, (30, p)), rng.normal(0, 2, 30)
+    variance = rng.uniform(0.01, 9, p)
+    found = float(log_evidence(a.T @ a, a.T @ y, variance))
+    assert found == pytest.approx(density(y, a * np.sqrt(variance)) - density(y, a[:, :0]), rel=RTOL, abs=1e-8)
+
+
+def test_the_evidence_beside_a_nuisance_is_that_of_both_together() -> None:
+    """With the nuisance's scalar products in the place of plain ones, the difference is between X with A and X."""
+    rng = np.random.default_rng(5)
+    x, a, y = rng.normal(0, 3, (40, 4)), rng.normal(0, 1, (40, 2)), rng.normal(0, 2, 40)
+    beside = Nuisance.of(x)
+    found = float(log_evidence(beside.scalar(a, a), beside.scalar(a, y[:, None])[:, 0], np.array([4.0, 0.25])))
+    together = np.concatenate([x, a * [2.0, 0.5]], axis=1)
+    assert found == pytest.approx(density(y, together) - density(y, x), rel=RTOL)
+
+
+def test_a_floor_known_up_to_a_factor_gives_the_odds_of_students_t() -> None:
+    """Integrating the factor out of the normal density is Student's t of the same shape."""
+    rng = np.random.default_rng(11)
+    y = rng.normal(0, 1.7, 30)
+    made, expected = [], []
+    for columns in (rng.normal(0, 1, (30, 2)), np.zeros((30, 1))):
+        nuisance = Nuisance.of(columns)
+        made.append(log_marginal(nuisance.scalar(y[:, None], y[:, None])[0, 0], nuisance.log_det, len(y)))
+        expected.append(multivariate_t.logpdf(y, shape=np.eye(30) + columns @ columns.T, df=FLOOR_DOF))
+    assert made[0] - made[1] == pytest.approx(expected[0] - expected[1], rel=RTOL)
+
+
+def test_a_floor_too_small_gives_no_odds() -> None:
+    """Noise three times the floor favours columns that it does not follow by far less than a known floor would."""
+    rng = np.random.default_rng(12)
+    y, columns = 3.0 * rng.normal(0, 1, 300), 0.3 * rng.normal(0, 1, (300, 40))
+    nuisance = Nuisance.of(columns)
+    square = nuisance.scalar(y[:, None], y[:, None])[0, 0]
+    known = -0.5 * (square + nuisance.log_det) + 0.5 * y @ y
+    assert known > 0.0 > log_marginal(square, nuisance.log_det, 300) - log_marginal(y @ y, 0.0, 300)
+
+
+def test_many_evidences_at_once_are_those_one_by_one() -> None:
+    rng = np.random.default_rng(6)
+    a, y, variance = rng.normal(0, 1, (5, 20, 3)), rng.normal(0, 1, (5, 20)), rng.uniform(0.1, 2, (5, 3))
+    gram, right = a.transpose(0, 2, 1) @ a, (a.transpose(0, 2, 1) @ y[:, :, None])[:, :, 0]
+    one = [log_evidence(g, r, v) for g, r, v in zip(gram, right, variance, strict=True)]
+    np.testing.assert_allclose(log_evidence(gram, right, variance), one, rtol=RTOL)
+
+
+def test_columns_exactly_alike_and_of_very_different_size_stay_factorable() -> None:
+    """Twice the same column is one of twice the variance; sizes twelve orders apart do not matter."""
+    rng = np.random.default_rng(7)
+    x, y = rng.normal(0, 1, (30, 1)), rng.normal(0, 1, (30, 1))
+    twice = Nuisance.of(np.concatenate([1e3 * x, 1e3 * x, 1e-9 * rng.normal(0, 1, (30, 1))], axis=1))
+    once = Nuisance.of(np.sqrt(2) * 1e3 * x)
+    # the unit diagonal is lifted by 1e-11; columns of 6e7 times the noise's variance make 3e-4 of it in the logarithm
+    np.testing.assert_allclose(twice.scalar(y, y), once.scalar(y, y), rtol=1e-3)
+    assert twice.log_det == pytest.approx(once.log_det, abs=1e-3)
+
+
+def test_a_broad_nuisance_leaves_what_least_squares_leave() -> None:
+    """`project` on broad columns is the residual of ordinary least squares, and its products are `scalar`'s."""
+    rng = np.random.default_rng(8)
+    x, a = rng.normal(0, 1, (30, 3)), rng.normal(0, 1, (30, 2))
+    broad = Nuisance.of(1e3 * x)
+    left = project(broad, a)
+    residual = a - x @ np.linalg.lstsq(x, a, rcond=None)[0]
+    # columns a thousand times the noise take all but a millionth
+    np.testing.assert_allclose(left, residual, atol=1e-5)
+    np.testing.assert_allclose(left.T @ left, broad.scalar(a, a), rtol=1e-5, atol=1e-5)
+
+
+def test_rows_hold_the_usable_channels_whitened() -> None:
+    """The sum of squares of a unit's rows is g^T C^-1 g over the channels that it has."""
+    s = situation(rich_runs())
+    path = predict(s)
+    noise = noise_at(path, {})
+    rng = np.random.default_rng(9)
+    gap = rng.normal(0, 1, (len(s), 6, 1)) * noise.floor[:, :, None]
+    made = rows(path, noise, gap)
+    assert made.shape == (int(s.usable.sum()), 1)
+    expected = 0.0
+    for unit in range(len(s)):
+        on = s.usable[unit]
+        g = gap[unit, on, 0]
+        expected += g @ np.linalg.inv(noise.covariance[unit][np.ix_(on, on)]) @ g
+    # the inverse of covariances whose correlations come near to one
+    assert float((made**2).sum()) == pytest.approx(expected, rel=1e-5)
+    whole = whiten(noise.covariance, np.where(s.usable[:, :, None], gap, 0.0))
+    assert float((whole**2).sum()) == pytest.approx(float((made**2).sum()), rel=RTOL)
+
+
+def test_form_columns_are_derivatives_in_typical_sizes() -> None:
+    """Re-simulating with a thousandth of a typical size moves the readings by a thousandth of the column."""
+    from calib.gap.effects.load_radius import LoadRadius
+    from calib.gap.evidence.fit import hypothesis_path
+    from calib.gap.predict.residuals import residuals
+
+    s = situation(rich_runs())
+    nominal = predict(s)
+    form = LoadRadius().forms(s)[0]
+    made = form_columns(nominal, form)
+    before = residuals(nominal, nominal)
+    for k, parameter in enumerate(form.parameters):
+        theta = np.zeros(len(form.parameters))
+        theta[k] = 1e-3 * parameter.typical
+        moved = before - residuals(hypothesis_path(s, np.zeros(4), [form], [theta], nominal), nominal)
+        scale = np.abs(made[:, :, k]).max()
+        # the second order of a thousandth of a typical size
+        np.testing.assert_allclose(moved * 1e3, np.where(s.usable, made[:, :, k], 0.0), atol=2e-3 * scale)

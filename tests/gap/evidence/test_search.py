@@ -1,0 +1,117 @@
+"""The search: the truth comes first where evidence is plenty; impossible signs and excluded effects do not come."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.gap.effects.library import library
+from calib.gap.evidence.fit import fit
+from calib.gap.evidence.search import Search, search, wrong_sign
+from calib.gap.plan.separability import noise_at
+from calib.gap.predict.path import predict
+from tests.gap.effects.making import MODEL, RADIUS_M, Motion, Run, rich_runs, situation
+
+Truth = Callable[[Run, Motion], None]
+
+
+def searched(truth: Truth, exclude: tuple[str, ...] = ()) -> Search:
+    """The search on rich runs with instruments that scatter as stated."""
+    rng = np.random.default_rng(2)
+
+    def shaken(run: Run, now: Motion) -> None:
+        truth(run, now)
+        now.laser_m += rng.normal(0, 0.0015)
+        now.end_x_m, now.end_y_m = rng.normal(0, [0.002, 0.002])
+        now.end_rad = rng.normal(0, 0.0008)
+
+    runs = [replace(run, front=False) for run in rich_runs()]
+    for run in runs[::6]:
+        # another length: an offset of the laser is no scale of it
+        run.pieces = [(5.0, 0.0)]
+    s = situation(runs, truth=shaken)
+    nominal = predict(s)
+    noise = noise_at(nominal, {})
+    return search(nominal, noise, fit(nominal, noise), library(s, exclude=(*exclude, "encoder_gross")))
+
+
+def load_radius(run: Run, now: Motion) -> None:
+    now.left = 1.2e-6 / RADIUS_M * (run.load_left_N - MODEL.reference_load_N)
+    now.right = 0.7e-6 / RADIUS_M * (run.load_right_N - MODEL.reference_load_N)
+
+
+def temperature_radius(run: Run, now: Motion) -> None:
+    now.left = now.right = 3e-4 * (run.numbers["temperature_C"] - 20.0)
+
+
+def rangefinder_offset(run: Run, now: Motion) -> None:
+    now.laser_m = 0.05
+
+
+def humidity(run: Run, now: Motion) -> None:
+    now.right = 0.02 * (run.numbers["humidity"] - 0.5)
+
+
+def two(run: Run, now: Motion) -> None:
+    temperature_radius(run, now)
+    rangefinder_offset(run, now)
+
+
+@pytest.mark.parametrize(
+    ("truth", "expected"),
+    [
+        (load_radius, ("load_radius",)),
+        (temperature_radius, ("temperature_radius",)),
+        (rangefinder_offset, ("rangefinder_offset",)),
+        (humidity, ("covariate:humidity",)),
+        (two, ("rangefinder_offset", "temperature_radius")),
+    ],
+)
+def test_with_plenty_of_evidence_the_truth_comes_first(truth: Truth, expected: tuple[str, ...]) -> None:
+    """Effects many floors large, alone or two at once, on runs that vary everything."""
+    found = searched(truth)
+    best = found.hypotheses[0]
+    assert best.effects == expected
+    assert not best.unknown
+    probability = found.probabilities()
+    assert probability[0] == probability.max() > 0.5
+    assert probability.sum() == pytest.approx(1.0)
+    weights = [h.log_weight for h in found.hypotheses]
+    assert weights == sorted(weights, reverse=True)
+
+
+def test_without_a_gap_nothing_comes_first() -> None:
+    best = searched(lambda run, now: None).hypotheses[0]
+    assert best.effects == ()
+    assert not best.unknown
+
+
+def gained(run: Run, now: Motion) -> None:
+    now.left = -2e-2 * (run.speed_mps - 0.3)
+
+
+def test_a_sign_that_cannot_be_is_left_out() -> None:
+    """Counts are lost, never gained: a left wheel that loses with speed is found, one that gains is something else."""
+
+    def lost(run: Run, now: Motion) -> None:
+        now.left = 2e-2 * (run.speed_mps - 0.3)
+
+    assert any("lost_counts" in h.effects for h in searched(lost).hypotheses[:3])
+    for h in searched(gained).hypotheses:
+        for form, theta in zip(h.fitted.forms, h.fitted.theta, strict=True):
+            assert not wrong_sign(form, theta)
+            assert all(p.sign * size >= 0 for p, size in zip(form.parameters, theta, strict=True))
+        if h.effects == ("lost_counts",):
+            assert "left wheel, share" not in h.fitted.forms[0].label
+
+
+def test_an_excluded_effect_is_in_no_hypothesis_and_leaves_an_unknown_behind() -> None:
+    """Without its cause in the library, a gap of the temperature is not called nothing."""
+    found = searched(temperature_radius, exclude=("temperature_radius",))
+    assert all("temperature_radius" not in h.effects for h in found.hypotheses)
+    assert "temperature_radius" not in found.forms
+    best = found.hypotheses[0]
+    assert best.unknown or best.effects

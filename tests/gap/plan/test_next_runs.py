@@ -1,0 +1,197 @@
+"""Planned runs: they tell apart what they say, and a plan that varies nothing is told so."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.campaign.model import Campaign
+from calib.errors import BadFileError
+from calib.gap.data.from_campaign import observations_of
+from calib.gap.data.observations import Observations
+from calib.gap.effects.library import library
+from calib.gap.evidence.fit import fit
+from calib.gap.evidence.noise import Noise
+from calib.gap.evidence.whitened import WhitenedSystem
+from calib.gap.plan.next_runs import next_runs, outlook_of, undetectable
+from calib.gap.plan.plan_file import read_plan
+from calib.gap.plan.planned_runs import Measured, PlannedRun, default_candidates, drive, joined
+from calib.gap.plan.separability import noise_at
+from calib.gap.predict.path import predict
+from calib.gap.predict.residuals import residuals
+from calib.plant.make import make_campaign
+from calib.plant.plans import poor_design
+
+
+def base(seed: int = 1, name: str = "load_a_session") -> Campaign:
+    rng = np.random.default_rng(seed)
+    return make_campaign(poor_design(name, rng), {}, rng)
+
+
+def noise_of(campaign: Campaign) -> tuple[Observations, Noise]:
+    s = observations_of(campaign)
+    return s, noise_at(predict(s), {})
+
+
+def test_a_run_driven_as_the_model_says_has_no_gap() -> None:
+    """Counts, laser and reference of a planned run agree with the odometry of the model."""
+    campaign = base()
+    runs = [PlannedRun("corridor", "out", stops=2), PlannedRun("figure8", payload_kg=100, payload_x_m=0.3)]
+    runs += [PlannedRun("square_cw", speed_mps=0.3), PlannedRun("route_left", read_rolling=True)]
+    s = observations_of(drive(campaign, runs, Measured(front=True)))
+    nominal = predict(s)
+    gap = residuals(nominal, nominal)
+    # a log of 0.1 s cuts corners by fractions of a millimetre
+    np.testing.assert_allclose(gap[:, :4], 0.0, atol=1e-3)
+    # the front wheel of the straight run; where a route's curvature jumps no steered wheel could follow exactly
+    np.testing.assert_allclose(gap[0, 4:], 0.0, atol=1e-9)
+
+
+def test_planned_speeds_and_stops_are_driven() -> None:
+    """Kinematics: 20 m at 0.5 m/s with ramps of 0.5 m/s^2 and the closing pause take 20 / 0.5 + 0.5 / 0.5 + 0.5 s."""
+    campaign = drive(base(), [PlannedRun("corridor", "out", speed_mps=0.5)], Measured())
+    assert campaign.logs.of(0)["t_s"][-1] == pytest.approx(20 / 0.5 + 0.5 / 0.5 + 0.5, rel=1e-9)
+
+
+def test_load_and_session_are_split_by_a_laden_run_beside_an_unladen_one() -> None:
+    """One load a session cannot tell them; two loads in one session do, which the first run must bring."""
+    campaign = base()
+    _, noise = noise_of(campaign)
+    s, _ = noise_of(campaign)
+    runs = next_runs(campaign, library(s), noise, [("load_radius", "session_step")])
+    assert runs
+    assert runs[0]["payload_kg"] > 0
+    assert "load_radius from session_step" in runs[0]["why"]
+
+
+def test_track_and_scrub_are_split_by_another_curvature() -> None:
+    """Squares of one corner radius cannot tell a wrong track from scrub; no straight run can either."""
+    campaign = base(2, "squares_one_load")
+    s, noise = noise_of(campaign)
+    tie = [("track_width", "curve_scrub")]
+    runs = next_runs(campaign, library(s), noise, tie)
+    assert runs
+    assert runs[0]["kind"] not in {"corridor", "corridor_short", "corridor_b"}
+    straight = [PlannedRun("corridor", way, speed_mps=v) for way in ("out", "back") for v in (0.3, 0.7)]
+    assert next_runs(campaign, library(s), noise, tie, candidates=straight) == []
+
+
+def test_without_candidates_nothing_is_named() -> None:
+    campaign = base()
+    s, noise = noise_of(campaign)
+    assert next_runs(campaign, library(s), noise, [("load_radius", "session_step")], candidates=[]) == []
+
+
+def test_the_smallest_size_is_that_of_a_signal_of_five() -> None:
+    """Independent: the whitened norm of the effect, its best-fitting recalibration subtracted by least squares."""
+    campaign = base(3, "corridor_only")
+    s = observations_of(campaign)
+    path = predict(s)
+    noise = noise_at(path, {})
+    bench = WhitenedSystem(path, path, noise)
+    form = next(e for e in library(s) if e.id == "travel_direction").forms(s)[0]
+    columns, calibration = bench.columns(form), bench.calibration
+    left = columns - calibration @ np.linalg.lstsq(calibration, columns, rcond=1e-9)[0]
+    expected = 5.0 / np.linalg.norm(left) * form.parameters[0].typical
+    said = outlook_of(campaign).smallest["travel_direction"]
+    # two digits are printed; the prior of the recalibration is wide
+    assert float(said.split()[0]) == pytest.approx(expected, rel=0.06)
+
+
+def test_what_a_recalibration_hides_is_said_to_be_never_seen() -> None:
+    """Squares at one speed and one load: nothing varies that speed, load or session could act through."""
+    campaign = base(2, "squares_one_load")
+    s = observations_of(campaign)
+    path = predict(s)
+    found = undetectable(WhitenedSystem(path, path, noise_at(path, {})), library(s))
+    assert found["load_radius"].startswith("never")
+    assert found["speed_radius"].startswith("never")
+
+
+def test_joined_campaigns_hold_all_runs_in_order() -> None:
+    campaign = base()
+    more = drive(campaign, [PlannedRun("corridor", "out", columns={"humidity": 40.0})], Measured())
+    whole = joined(campaign, more)
+    assert len(whole.runs) == len(campaign.runs) + 1
+    np.testing.assert_array_equal(whole.logs.of(len(campaign.runs))["t_s"], more.logs.of(0)["t_s"])
+    assert np.isnan(whole.runs.number("humidity")[:-1]).all()
+    assert fit(predict(observations_of(campaign)), noise_of(campaign)[1]).chi_square > 0
+
+
+def isolable(runs: list[PlannedRun]) -> set[str]:
+    outlook = outlook_of(drive(base(), runs, Measured(front=True)))
+    return {name for name, yes in zip(outlook.effects, outlook.told_apart, strict=True) if yes}
+
+
+def test_mixed_runs_tell_more_apart_than_straight_ones_and_these_more_than_squares_at_one_load() -> None:
+    """The order that trials found: squares at one load hide most, straight runs less, mixtures least."""
+    loads = [0.0, 100.0, 200.0]
+    squares = [PlannedRun(kind, payload_kg=100, payload_x_m=0.3) for kind in ("square_cw", "square_ccw")] * 10
+    straight = [
+        PlannedRun("corridor", way, payload_kg=m, payload_x_m=0.3, payload_y_m=y)
+        for way in ("out", "back")
+        for m in loads
+        for y in (-0.15, 0.15)
+    ] * 2
+    mixed = [
+        PlannedRun(kind, way, payload_kg=m, payload_x_m=0.3, speed_mps=v, temperature_C=t)
+        for kind, way in (("corridor", "out"), ("corridor", "back"), ("square_cw", ""), ("figure8", ""))
+        for m, v, t in ((0.0, 0.3, 10.0), (100.0, 0.8, 20.0), (200.0, 0.5, 30.0))
+    ] * 2
+    found = [len(isolable(runs)) for runs in (squares, straight, mixed)]
+    assert found == sorted(found)
+    assert found[2] >= found[0] + 5
+
+
+@pytest.mark.parametrize(
+    ("text", "column"),
+    [
+        ("", "runs"),
+        ("[[runs]]\ndirection = 'out'", "kind"),
+        ("[[runs]]\nkind = 'moon'", "kind"),
+        ("[[runs]]\nkind = 'corridor'\ncount = 0", "count"),
+        ("[[runs]]\nkind = 'corridor'\nspeed_mps = -1", "speed_mps"),
+        ("[[runs]]\nkind = 'corridor'\ndirection = 'up'", "direction"),
+        ("[measured]\nposes = 3\n[[runs]]\nkind = 'corridor'", "measured.poses"),
+        ("[measured]\nposes = false\ndistance = false\n[[runs]]\nkind = 'corridor'", "measured"),
+        ("format = 'calib-campaign/1'\n[[runs]]\nkind = 'corridor'", "format"),
+    ],
+)
+def test_a_plan_that_cannot_be_used_names_the_place(tmp_path: Path, text: str, column: str) -> None:
+    path = tmp_path / "PLAN.toml"
+    path.write_text(text)
+    with pytest.raises(BadFileError, match=column):
+        read_plan(path)
+
+
+def test_three_chosen_runs_tell_more_apart_than_four_at_random() -> None:
+    """From 20 straight runs under varied load; in earlier trials 7 effects of 20 became 17 with 3 runs, 13 with 4."""
+    campaign = base()
+    loads = [(0.0, 0.0), (50.0, 0.15), (100.0, -0.15), (150.0, 0.0), (200.0, 0.1)]
+    straight = [
+        PlannedRun("corridor", ("out", "back")[k % 2], "s1", mass, 0.3, y, temperature_C=20.0, minutes_under_load=10.0)
+        for mass, y in loads
+        for k in range(4)
+    ]
+    driven = drive(campaign, straight, Measured(front=True))
+    names = np.array([f"driven{k}" for k in range(len(straight))])
+    driven = replace(driven, runs=replace(driven.runs, labels={**driven.runs.labels, "run_id": names}))
+    offered = default_candidates(driven)
+    s = observations_of(driven)
+    chosen = next_runs(driven, library(s), noise_at(predict(s), {}), candidates=offered, most=3)
+    by_content = {repr(run.to_dict()): run for run in offered}
+    said = [{key: value for key, value in run.items() if key not in {"why", "distance"}} for run in chosen]
+    first = PlannedRun("corridor", "out", temperature_C=20.0)
+
+    def count(extra: list[PlannedRun]) -> int:
+        whole = joined(driven, drive(driven, [first, *extra], Measured(front=True))) if extra else driven
+        return int(outlook_of(whole).told_apart.sum())
+
+    rng = np.random.default_rng(0)
+    at_random = [count([offered[k] for k in rng.choice(len(offered), 4, replace=False)]) for _ in range(5)]
+    before, after = count([]), count([by_content[repr(run)] for run in said])
+    assert after > np.median(at_random)
+    assert after >= 2 * before
