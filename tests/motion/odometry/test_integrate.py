@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from calib.arrays import FloatArray
 from calib.errors import BadInputError
-from calib.motion.odometry.integrate import SCHEMES, end_poses, integrate
 from calib.motion.odometry import integrate as odometry
+from calib.motion.odometry.integrate import SCHEMES, end_poses, integrate
 from calib.motion.poses import Poses
 
 ROUNDING_M = 1e-11  # a few hundred additions of numbers of the order of 10 m, in double precision
