@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -11,12 +12,25 @@ from calib.arrays import FloatArray
 from calib.errors import BadInputError, RefusedError
 from calib.units import GRAVITY_MPS2
 
-__all__ = ["Vehicle", "WeighedPayload", "check_wheel_loads", "payload_from_wheel_loads", "wheel_loads_N"]
+__all__ = [
+    "DRIVES",
+    "Drive",
+    "Vehicle",
+    "WeighedPayload",
+    "check_wheel_loads",
+    "payload_from_wheel_loads",
+    "wheel_loads_N",
+]
+
+Drive = Literal["tricycle", "differential", "mecanum"]
+
+#: drives that are known
+DRIVES: Final[tuple[str, ...]] = get_args(Drive)
 
 
 @dataclass(frozen=True, slots=True)
 class Vehicle:
-    """Geometry and mass of a vehicle with a driven, steered front wheel and two free rear wheels.
+    """Geometry and mass of a vehicle; by default a driven, steered front wheel and two free rear wheels.
 
     The origin is the middle of the rear axle, x forward, y left, yaw counter-clockwise (REP-103).
 
@@ -36,6 +50,12 @@ class Vehicle:
         Height of the centre of mass above the floor.
     max_wheel_load_N : float
         Permissible wheel load.
+    drive : {"tricycle", "differential", "mecanum"}
+        Front wheel driven and steered; the two rear wheels driven; four wheels with rollers at 45 degrees.
+    front_wheel_radius_m : float or None
+        Radius of the front wheel; None where the rear wheels' holds for it too.
+    half_length_plus_half_width_m : float or None
+        Half the wheelbase plus half the track of a mecanum vehicle; None where nobody says.
     """
 
     track_m: float = 0.700
@@ -46,6 +66,14 @@ class Vehicle:
     cog_y_m: float = 0.0
     cog_z_m: float = 0.4
     max_wheel_load_N: float = 5000.0
+    drive: Drive = "tricycle"
+    front_wheel_radius_m: float | None = None
+    half_length_plus_half_width_m: float | None = None
+
+    @property
+    def front_radius_m(self) -> float:
+        """Radius of the front wheel, the rear wheels' where it has none of its own."""
+        return self.wheel_radius_m if self.front_wheel_radius_m is None else self.front_wheel_radius_m
 
     @property
     def unladen_load_N(self) -> float:

@@ -6,7 +6,7 @@ Arrays over all runs, and logs of all runs laid end to end, so that later stages
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.arrays import BoolArray, FloatArray, IntArray, StrArray
-from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
+from calib.campaign.settings import Encoder, Odometry, OdometryModel, Rangefinder, Reference
 from calib.vehicle import Vehicle
 
 __all__ = [
@@ -226,6 +226,8 @@ class Campaign:
         SHA-256 of every file read, by path relative to the folder.
     extra : mapping
         Sections of ``campaign.toml`` that the contract does not name, as read (``effects`` for one).
+    odometry : Odometry
+        What the vehicle's own odometry runs on.
     """
 
     root: Path | None
@@ -241,24 +243,11 @@ class Campaign:
     notes: tuple[Note, ...] = ()
     hashes: Mapping[str, str] = field(default_factory=dict)
     extra: Mapping[str, Any] = field(default_factory=dict)
+    odometry: Odometry = field(default_factory=Odometry)
 
     def select(self, keep: npt.ArrayLike) -> Campaign:
         """Return the campaign with the runs that `keep` (bool mask or indices) picks."""
-        return Campaign(
-            root=self.root,
-            name=self.name,
-            simulated=self.simulated,
-            vehicle=self.vehicle,
-            encoder=self.encoder,
-            model=self.model,
-            rangefinder=self.rangefinder,
-            reference=self.reference,
-            runs=self.runs.select(keep),
-            logs=self.logs.select(keep),
-            notes=self.notes,
-            hashes=self.hashes,
-            extra=self.extra,
-        )
+        return replace(self, runs=self.runs.select(keep), logs=self.logs.select(keep))
 
     def included(self) -> Campaign:
         """Return the campaign without the rows flagged as excluded."""

@@ -1,19 +1,44 @@
-"""What `campaign.toml` says: encoder, rangefinder, reference, and the model that the simulator believes."""
+"""What `campaign.toml` says: encoder, rangefinder, reference, odometry, and the model that the simulator believes."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final, Literal, get_args
 
-__all__ = ["Encoder", "OdometryModel", "Rangefinder", "Reference"]
+__all__ = ["FRAMES", "ODOMETRY_SOURCES", "Encoder", "Odometry", "OdometryModel", "Rangefinder", "Reference"]
+
+Frame = Literal["start", "map"]
+OdometrySource = Literal["rear", "front", "wheels"]
+
+#: frames that the reference's poses may stand in
+FRAMES: Final[tuple[str, ...]] = get_args(Frame)
+#: sensors that may drive the vehicle's own odometry
+ODOMETRY_SOURCES: Final[tuple[str, ...]] = get_args(OdometrySource)
 
 
 @dataclass(frozen=True, slots=True)
 class Encoder:
-    """Rear-wheel encoders: counts per wheel revolution, and the counter's width where it wraps."""
+    """Encoders: counts per wheel revolution, and the counter's width where it wraps.
+
+    Parameters
+    ----------
+    counts_per_rev_left, counts_per_rev_right : float
+        Counts a revolution of the rear wheels.
+    wrap_bits : int or None
+        Width of the counter; None where it does not wrap or nobody says.
+    counts_per_rev_front : float or None
+        Counts a revolution of the front wheel; None where the left wheel's value holds for it too.
+    """
 
     counts_per_rev_left: float = 4096.0
     counts_per_rev_right: float = 4096.0
     wrap_bits: int | None = None
+    counts_per_rev_front: float | None = None
+
+    @property
+    def front(self) -> float:
+        """Counts a revolution of the front wheel, the left wheel's where it has none of its own."""
+        return self.counts_per_rev_left if self.counts_per_rev_front is None else self.counts_per_rev_front
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +64,36 @@ class Rangefinder:
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """Pose reference: standard uncertainties of position (each axis) and heading."""
+    """Pose reference: its uncertainties, where its frame sits on the vehicle, and the frame its poses stand in.
+
+    Parameters
+    ----------
+    sigma_xy_m, sigma_theta_rad : float
+        Standard uncertainties of position (each axis) and heading.
+    sensor_x_m, sensor_y_m, sensor_yaw_rad : float
+        Place of the reference's frame on the vehicle: ahead of the rear axle's middle, left of it, and turned
+        counter-clockwise against the vehicle's heading.
+    frame : {"start", "map"} or None
+        Poses in each run's own start frame, or in one frame common to all runs; None where nobody says.
+    """
 
     sigma_xy_m: float = 0.002
     sigma_theta_rad: float = 0.0008
+    sensor_x_m: float = 0.0
+    sensor_y_m: float = 0.0
+    sensor_yaw_rad: float = 0.0
+    frame: Frame | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Odometry:
+    """What the vehicle's own odometry runs on.
+
+    Parameters
+    ----------
+    source : {"rear", "front", "wheels"} or None
+        The two rear wheels' encoders; the front wheel's encoder and steering angle; all wheels (mecanum). The key in
+        the file is ``from``. None where nobody says.
+    """
+
+    source: OdometrySource | None = None

@@ -2,47 +2,34 @@
 
 from __future__ import annotations
 
-import math
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Final
 
-from calib.campaign.columns import recognise
 from calib.campaign.model import Campaign, Logs, Note, RunTable
-from calib.campaign.readers.table import LARGEST
-from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
+from calib.campaign.settings import (
+    FRAMES,
+    ODOMETRY_SOURCES,
+    Encoder,
+    Odometry,
+    OdometryModel,
+    Rangefinder,
+    Reference,
+)
+from calib.campaign.settings_section import Sections, typed
 from calib.errors import BadFileError
-from calib.vehicle import Vehicle
+from calib.vehicle import DRIVES, Vehicle
 
 __all__ = ["FORMAT", "Settings", "load_toml", "parse_settings", "read_settings"]
 
 FORMAT: Final = "calib-campaign/1"
 
-_VEHICLE: Final = tuple(field.name for field in fields(Vehicle))
+_VEHICLE: Final = tuple(field.name for field in fields(Vehicle) if field.name != "drive")
+_REFERENCE: Final = tuple(field.name for field in fields(Reference) if field.name != "frame")
 _MODEL: Final = tuple(field.name for field in fields(OdometryModel))
-_ENCODER: Final = ("counts_per_rev", "counts_per_rev_left", "counts_per_rev_right", "wrap_bits")
-_POSITIVE: Final = frozenset(
-    {
-        "track_m",
-        "wheelbase_m",
-        "wheel_radius_m",
-        "mass_kg",
-        "max_wheel_load_N",
-        "counts_per_rev",
-        "counts_per_rev_left",
-        "counts_per_rev_right",
-        "radius_left_m",
-        "radius_right_m",
-        "sigma_m",
-        "sigma_xy_m",
-        "sigma_theta_rad",
-    }
-)
-_SMALLEST: Final = 1e-12
-#: keys that scale every result: a default for them is said as suspicious
-_WEIGHTY: Final = {"vehicle": ("track_m", "wheel_radius_m")}
+_ENCODER: Final = ("counts_per_rev", "counts_per_rev_left", "counts_per_rev_right", "counts_per_rev_front", "wrap_bits")
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +43,7 @@ class Settings:
     model: OdometryModel
     rangefinder: Rangefinder
     reference: Reference
+    odometry: Odometry
     extra: Mapping[str, Any]
     notes: tuple[Note, ...]
 
@@ -71,6 +59,7 @@ class Settings:
             runs=runs,
             logs=logs,
             extra=self.extra,
+            odometry=self.odometry,
             **{"root": None, "simulated": self.simulated, **further},
         )
 
@@ -112,11 +101,13 @@ def parse_settings(document: dict[str, Any], shown: str, default_name: str) -> S
             expected=f'"{FORMAT}"',
             remedy="convert the campaign, or correct the key if it is one of this format",
         )
-    name = _typed(document.pop("name", default_name), str, shown, "name", "a text")
-    simulated = _typed(document.pop("simulated", False), bool, shown, "simulated", "true or false")
+    name = typed(document.pop("name", default_name), str, shown, "name", "a text")
+    simulated = typed(document.pop("simulated", False), bool, shown, "simulated", "true or false")
     extra: dict[str, Any] = {}
-    section = _Sections(document, shown, notes, extra)
-    vehicle = Vehicle(**section.numbers("vehicle", _VEHICLE))
+    section = Sections(document, shown, notes, extra)
+    drive = section.choice("vehicle", "drive", DRIVES)
+    geometry: dict[str, Any] = section.numbers("vehicle", _VEHICLE) | ({} if drive is None else {"drive": drive})
+    vehicle = Vehicle(**geometry)
     encoder = _encoder(section, notes, shown)
     believed = section.numbers("model", _MODEL)
     nominal = {
@@ -127,7 +118,11 @@ def parse_settings(document: dict[str, Any], shown: str, default_name: str) -> S
     }
     model = OdometryModel(**(nominal | believed))
     rangefinder = Rangefinder(**section.numbers("rangefinder", ("sigma_m", "min_m", "max_m")))
-    reference = Reference(**section.numbers("reference", ("sigma_xy_m", "sigma_theta_rad")))
+    frame = section.choice("reference", "frame", FRAMES)
+    reference = Reference(**section.numbers("reference", _REFERENCE), frame=frame)
+    odometry = Odometry(section.choice("odometry", "from", ODOMETRY_SOURCES))
+    section.numbers("odometry", ())
+    _check_source(odometry, vehicle, shown)
     if not 0.0 <= vehicle.cog_x_m <= vehicle.wheelbase_m:
         raise BadFileError(
             shown,
@@ -137,7 +132,7 @@ def parse_settings(document: dict[str, Any], shown: str, default_name: str) -> S
             remedy="give the centre of mass ahead of the rear axle, in metres",
         )
     extra = {key: value for key, value in document.items() if key not in section.read} | extra
-    return Settings(name, simulated, vehicle, encoder, model, rangefinder, reference, extra, tuple(notes))
+    return Settings(name, simulated, vehicle, encoder, model, rangefinder, reference, odometry, extra, tuple(notes))
 
 
 def load_toml(path: Path, shown: str) -> dict[str, Any]:
@@ -172,76 +167,20 @@ def load_toml(path: Path, shown: str) -> dict[str, Any]:
         ) from error
 
 
-def _typed(value: Any, kind: type, shown: str, key: str, expected: str) -> Any:
-    if not isinstance(value, kind):
-        raise BadFileError(shown, column=key, found=repr(value)[:60], expected=expected, remedy="correct the value")
-    return value
+def _check_source(odometry: Odometry, vehicle: Vehicle, shown: str) -> None:
+    """Refuse an odometry that the vehicle's drive cannot have."""
+    expected = {"front": ("tricycle",), "wheels": ("mecanum",)}.get(odometry.source or "rear")
+    if expected is not None and vehicle.drive not in expected:
+        raise BadFileError(
+            shown,
+            column="odometry.from",
+            found=f'"{odometry.source}" with [vehicle] drive = "{vehicle.drive}"',
+            expected=f'"{odometry.source}" with drive = "{expected[0]}" only',
+            remedy="correct the one that is wrong",
+        )
 
 
-class _Sections:
-    """Numbers of the known sections, each key recognised, converted and checked."""
-
-    def __init__(self, document: Mapping[str, Any], shown: str, notes: list[Note], extra: dict[str, Any]) -> None:
-        self.document, self.shown, self.notes, self.extra = document, shown, notes, extra
-        self.read: set[str] = set()
-
-    def numbers(self, section: str, known: Sequence[str]) -> dict[str, float]:
-        """Return the section's known keys in SI units; unknown ones go to `extra` and are said."""
-        self.read.add(section)
-        found = _typed(self.document.get(section, {}), dict, self.shown, section, f"a section [{section}]")
-        values: dict[str, float] = {}
-        for key, value in found.items():
-            column = f"{section}.{key}"
-            match = recognise(key, known, further=False)
-            if match.name not in known:
-                self.extra.setdefault(section, {})[key] = value
-                hint = f"; did you mean {match.unitless}? A key names its unit" if match.unitless else ""
-                self.notes.append(
-                    Note("suspicious", f"{self.shown}, {column}", f"the key is not known and not used{hint}", "key")
-                )
-                continue
-            if isinstance(value, bool) or not isinstance(value, int | float) or not abs(_float(value)) <= LARGEST:
-                raise BadFileError(
-                    self.shown,
-                    column=column,
-                    found=repr(value)[:60],
-                    expected="a finite number below 1e30",
-                    remedy="correct it",
-                )
-            if match.name in values:
-                raise BadFileError(
-                    self.shown, column=column, found="the key in two units", expected="one", remedy="remove one"
-                )
-            number = match.factor * value + match.offset
-            if match.name in _POSITIVE and number < _SMALLEST:
-                raise BadFileError(
-                    self.shown, column=column, found=f"{value:g}", expected="more than 0", remedy="correct the value"
-                )
-            if match.said:
-                self.notes.append(Note("info", f"{self.shown}, {column}", match.said, "unit"))
-            values[match.name] = number
-        missing = [key for key in _WEIGHTY.get(section, ()) if key not in values]
-        if missing:
-            self.notes.append(
-                Note(
-                    "suspicious",
-                    f"{self.shown}, {section}",
-                    f"{', '.join(missing)} not given; the defaults of a 0.7 m track, 0.1 m wheel vehicle are used; "
-                    "give the vehicle's own",
-                    "default_vehicle",
-                )
-            )
-        return values
-
-
-def _float(value: Any) -> float:
-    try:
-        return float(value)
-    except OverflowError:
-        return math.inf
-
-
-def _encoder(section: _Sections, notes: list[Note], shown: str) -> Encoder:
+def _encoder(section: Sections, notes: list[Note], shown: str) -> Encoder:
     values = section.numbers("encoder", _ENCODER)
     both = values.get("counts_per_rev")
     left, right = values.get("counts_per_rev_left", both), values.get("counts_per_rev_right", both)
@@ -267,4 +206,5 @@ def _encoder(section: _Sections, notes: list[Note], shown: str) -> Encoder:
         counts_per_rev_left=4096.0 if left is None else left,
         counts_per_rev_right=4096.0 if right is None else right,
         wrap_bits=None if bits is None else int(bits),
+        counts_per_rev_front=values.get("counts_per_rev_front"),
     )

@@ -8,6 +8,7 @@ import re
 import shutil
 import tempfile
 from collections.abc import Mapping
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,6 +24,8 @@ __all__ = ["write_campaign"]
 
 _OURS: Final = ("campaign.toml", "runs.csv", "logs")
 _INTEGER: Final = 2.0**53
+#: keys that are written only where they differ from their default, so that a plain campaign stays plain
+_WHERE_GIVEN: Final = frozenset({"drive", "sensor_x_m", "sensor_y_m", "sensor_yaw_rad"})
 
 
 def write_campaign(
@@ -100,6 +103,8 @@ def _settings(campaign: Campaign) -> dict[str, Any]:
         encoder |= {"counts_per_rev_left": _short(left), "counts_per_rev_right": _short(right)}
     if campaign.encoder.wrap_bits is not None:
         encoder["wrap_bits"] = campaign.encoder.wrap_bits
+    if campaign.encoder.counts_per_rev_front is not None:
+        encoder["counts_per_rev_front"] = _short(campaign.encoder.counts_per_rev_front)
     document: dict[str, Any] = {
         "format": FORMAT,
         "name": campaign.name,
@@ -110,6 +115,8 @@ def _settings(campaign: Campaign) -> dict[str, Any]:
         "rangefinder": _plain(campaign.rangefinder),
         "reference": _plain(campaign.reference),
     }
+    if campaign.odometry.source is not None:
+        document["odometry"] = {"from": campaign.odometry.source}
     for key, value in campaign.extra.items():
         if isinstance(value, Mapping) and isinstance(document.get(key), dict):
             document[key] = {**value, **document[key]}
@@ -118,8 +125,14 @@ def _settings(campaign: Campaign) -> dict[str, Any]:
     return document
 
 
-def _plain(section: Any) -> dict[str, float]:
-    return {name: float(getattr(section, name)) for name in section.__dataclass_fields__}
+def _plain(section: Any) -> dict[str, float | str]:
+    """Return the keys of a section that have a value; those that were added with a default only where they differ."""
+    found = {field.name: (getattr(section, field.name), field.default) for field in fields(section)}
+    return {
+        name: value if isinstance(value, str) else float(value)
+        for name, (value, default) in found.items()
+        if value is not None and (name not in _WHERE_GIVEN or value != default)
+    }
 
 
 def _short(value: float) -> int | float:

@@ -12,9 +12,10 @@ from hypothesis.extra.numpy import arrays
 
 from calib.campaign.model import NUMERIC_COLUMNS, Campaign, Logs, RunTable
 from calib.campaign.read import read_campaign
-from calib.campaign.settings import Encoder
+from calib.campaign.settings import Encoder, Odometry, Reference
 from calib.campaign.write import write_campaign
 from calib.errors import BadInputError
+from calib.vehicle import Vehicle
 from tests.campaign.making import campaign
 
 TEXT = st.text(st.characters(blacklist_categories=("C", "Z")), min_size=1, max_size=12)
@@ -50,7 +51,21 @@ def campaigns(draw: st.DrawFn) -> Campaign:
     return replace(
         made,
         name=draw(st.text(max_size=20).filter(lambda t: t.isprintable())),
-        encoder=Encoder(draw(st.floats(1, 1e6)), draw(st.floats(1, 1e6))),
+        encoder=Encoder(
+            draw(st.floats(1, 1e6)), draw(st.floats(1, 1e6)), counts_per_rev_front=draw(st.none() | st.floats(1, 1e6))
+        ),
+        vehicle=replace(
+            draw(st.sampled_from([Vehicle(), Vehicle(drive="differential"), Vehicle(drive="mecanum")])),
+            front_wheel_radius_m=draw(st.none() | st.floats(0.01, 1.0)),
+            half_length_plus_half_width_m=draw(st.none() | st.floats(0.01, 9.0)),
+        ),
+        reference=Reference(
+            sensor_x_m=draw(st.floats(-9, 9)),
+            sensor_y_m=draw(st.sampled_from([0.0, -0.3])),
+            sensor_yaw_rad=draw(st.floats(-6, 6)),
+            frame=draw(st.sampled_from([None, "start", "map"])),
+        ),
+        odometry=Odometry(draw(st.sampled_from([None, "rear"]))),
         runs=RunTable(
             labels={
                 "run_id": np.asarray(ids),
@@ -72,7 +87,7 @@ def test_what_is_written_reads_back(made: Campaign) -> None:
     """Reading what was written gives the same settings, labels, numbers, flags and logs."""
     with tempfile.TemporaryDirectory() as folder:
         again = read_campaign(write_campaign(made, Path(folder) / "c"))
-    for name in ("name", "simulated", "vehicle", "encoder", "model", "rangefinder", "reference", "extra"):
+    for name in ("name", "simulated", "vehicle", "encoder", "model", "rangefinder", "reference", "odometry", "extra"):
         assert getattr(again, name) == getattr(made, name), name
     for name, column in made.runs.labels.items():
         assert again.runs.labels[name].tolist() == column.tolist()

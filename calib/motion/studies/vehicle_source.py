@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from calib.errors import BadInputError
 from calib.vehicle import Vehicle
@@ -37,7 +38,7 @@ def vehicle_of(source: Path | None, **changes: float | None) -> Vehicle:
             from calib.coefficients.file import load_coefficients
 
             vehicle = load_coefficients(source).geometry
-    given = {name: value for name, value in changes.items() if value is not None}
+    given: dict[str, Any] = {name: value for name, value in changes.items() if value is not None}
     for name, value in given.items():
         if not math.isfinite(value) or (not name.startswith("cog") and value <= 0.0):
             raise BadInputError(f"{name}: found {value!r}; expected a finite number above 0; correct it")
