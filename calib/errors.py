@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-__all__ = ["BadFileError", "BadInputError", "CalibError", "RefusedError", "would_overwrite"]
+__all__ = ["BadFileError", "BadInputError", "CalibError", "MissingExtraError", "RefusedError", "would_overwrite"]
 
 
 class CalibError(Exception):
@@ -55,6 +55,24 @@ class BadFileError(BadInputError):
 
 class RefusedError(CalibError):
     """The question cannot be answered from these data; the text says why and what would answer it."""
+
+
+class MissingExtraError(CalibError):
+    """Something that an optional part of the installation does.
+
+    Parameters
+    ----------
+    what : str
+        What was asked for.
+    package : str
+        The package that is missing.
+    extra : str
+        The extra of calib that installs it.
+    """
+
+    def __init__(self, what: str, package: str, extra: str) -> None:
+        super().__init__(f"{what}: found no package {package}; expected it installed; pip install 'calib[{extra}]'")
+        self.extra = extra
 
 
 def would_overwrite(path: Path | str) -> BadInputError:
