@@ -7,8 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from html import escape
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +17,9 @@ import numpy.typing as npt
 from calib.arrays import BoolArray, FloatArray, IntArray, StrArray
 from calib.campaign.settings import Encoder, Odometry, OdometryModel, Rangefinder, Reference
 from calib.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 __all__ = [
     "LABEL_COLUMNS",
@@ -99,7 +103,7 @@ class Note:
     run_id: str = ""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class RunTable:
     """The run table as arrays over runs, in the order driven.
 
@@ -130,18 +134,30 @@ class RunTable:
 
     def label(self, name: str) -> StrArray:
         """Return a text column, shape (n_runs,); empty texts where the table lacks it."""
-        found = self.labels.get(name)
-        return found if found is not None else np.full(len(self), "", dtype=np.str_)
+        column = self.labels.get(name)
+        return column if column is not None else np.full(len(self), "", dtype=np.str_)
 
     def number(self, name: str) -> FloatArray:
         """Return a numeric column, shape (n_runs,); NaN where the table lacks it."""
-        found = self.numbers.get(name)
-        return found if found is not None else np.full(len(self), np.nan)
+        column = self.numbers.get(name)
+        return column if column is not None else np.full(len(self), np.nan)
 
     @property
     def covariates(self) -> tuple[str, ...]:
         """Names of the further numeric columns, candidates of ``covariate:<column>``."""
         return tuple(name for name in self.numbers if name not in NUMERIC_COLUMNS)
+
+    def frame(self) -> DataFrame:
+        """Return a pandas table, a row a run in the order driven; SI units, NaN where unknown."""
+        from pandas import DataFrame
+
+        return DataFrame({**self.labels, **self.numbers, "excluded": self.excluded})
+
+    def __repr__(self) -> str:
+        return f"{len(self)} runs; columns: {', '.join((*self.labels, *self.numbers))}"
+
+    def _repr_html_(self) -> str:
+        return str(self.frame().to_html(max_rows=12))
 
     def select(self, keep: npt.ArrayLike) -> RunTable:
         """Return the rows that `keep` (bool mask or indices) picks."""
@@ -178,8 +194,8 @@ class Logs:
     @property
     def present(self) -> BoolArray:
         """Whether a run has a log of two samples or more, shape (n_runs,)."""
-        found: BoolArray = self.lengths >= 2
-        return found
+        enough: BoolArray = self.lengths >= 2
+        return enough
 
     def of(self, run: int) -> dict[str, FloatArray]:
         """Return the columns of run number `run`, each of shape (n_samples_of_run,); columns it lacks are left out."""
@@ -202,7 +218,7 @@ class Logs:
         return Logs(offsets=np.zeros(n_runs + 1, dtype=np.int64), columns={})
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Campaign:
     """A campaign: vehicle, instruments, what the simulator believes, runs and logs.
 
@@ -252,3 +268,31 @@ class Campaign:
     def included(self) -> Campaign:
         """Return the campaign without the rows flagged as excluded."""
         return self if not self.runs.excluded.any() else self.select(~self.runs.excluded)
+
+    def frame(self) -> DataFrame:
+        """Return the run table as a pandas table; see `RunTable.frame`."""
+        return self.runs.frame()
+
+    def summary(self) -> str:
+        """Return what was driven, as lines of text."""
+        runs, logs = self.runs, self.logs
+        kinds, counts = np.unique(runs.label("kind"), return_counts=True)
+        driven = ", ".join(f"{count} {kind or 'of no kind'}" for kind, count in zip(kinds, counts, strict=True))
+        sessions = len(np.unique(runs.label("session")))
+        excluded = f", {int(runs.excluded.sum())} excluded" if runs.excluded.any() else ""
+        lines = [
+            f"Campaign {self.name}{' (simulated)' if self.simulated else ''}: {len(runs)} runs{excluded}",
+            f"  kinds    {driven or 'none'}",
+            f"  sessions {sessions}",
+            f"  logs     {int(logs.present.sum())} runs, {int(logs.offsets[-1])} samples",
+        ]
+        for level in ("wrong", "suspicious"):
+            told = sum(note.level == level for note in self.notes)
+            lines += [f"  notes    {told} {level}; see 'calib check'"] if told else []
+        return "\n".join(lines)
+
+    def __repr__(self) -> str:
+        return self.summary()
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{escape(self.summary())}</pre>"

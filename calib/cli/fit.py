@@ -12,7 +12,7 @@ from calib.cli.output import FORCE, JSON, emit_json, say, say_wrapped, table, wa
 
 if TYPE_CHECKING:
     from calib.radius.comparison import Difference, ModelComparison
-    from calib.radius.fit import Fit
+    from calib.radius.fitted import Fit
     from calib.radius.regression import WheelFit
 
 __all__ = ["register"]

@@ -19,7 +19,7 @@ from calib.vehicle import Vehicle
 
 if TYPE_CHECKING:
     from calib.campaign.settings import Encoder
-    from calib.radius.fit import Fit
+    from calib.radius.fitted import Fit
 
 __all__ = ["from_fit", "from_law", "load_points"]
 

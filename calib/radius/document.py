@@ -1,42 +1,28 @@
-"""A fit as plain values and back: the keys of ``calib fit --json`` and of ``fit.json`` in a result folder."""
+"""A wheel's fit and the runs behind it as plain values and back: the keys of ``calib fit --json``."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, fields
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from typing import Any, Final
 
 import numpy as np
 
 from calib.arrays import FloatArray
-from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
-from calib.errors import BadInputError
 from calib.radius.checks import Check
 from calib.radius.effective import Component, EffectiveRadii
 from calib.radius.law import WheelLaw
 from calib.radius.regression import NaiveLine, WheelFit
 from calib.radius.sessions import Estimate
 from calib.radius.usable import LeftOut
-from calib.vehicle import Vehicle
 
-if TYPE_CHECKING:
-    from calib.radius.fit import Fit, Setup
+__all__ = ["pair", "radii_from_rows", "rows_of", "wheel_from_dict", "wheel_to_dict"]
 
-__all__ = ["fit_from_dict", "fit_to_dict", "wheel_from_dict", "wheel_to_dict"]
-
-_TEXTS = ("run_id", "session", "direction", "path_source")
-_SECTIONS: dict[str, type] = {
-    "vehicle": Vehicle,
-    "encoder": Encoder,
-    "model": OdometryModel,
-    "rangefinder": Rangefinder,
-    "reference": Reference,
-}
-_ESTIMATE = ("dof_within", "dof_between", "run_variance", "session_variance")
-
-
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
+_TEXTS: Final = ("run_id", "session", "direction", "path_source")
+_RUN_COLUMNS: Final = tuple(
+    column.name for column in fields(EffectiveRadii) if column.name not in {"budget", "left_out", "notes"}
+)
+_ESTIMATE: Final = ("dof_within", "dof_between", "run_variance", "session_variance")
 
 
 def _numbers(values: FloatArray) -> list[float | None]:
@@ -136,8 +122,8 @@ def wheel_from_dict(wheel: str, value: Mapping[str, Any]) -> WheelFit:
             slope_m_per_N=float(naive["slope_m_per_N"]),
             covariance=np.array(naive["covariance"], dtype=np.float64),
             dof=float(naive["dof"]),
-            radius_ref_ci95_m=_pair(naive["radius_ref_ci95_m"]),
-            slope_ci95_m_per_N=_pair(naive["slope_ci95_m_per_N"]),
+            radius_ref_ci95_m=pair(naive["radius_ref_ci95_m"]),
+            slope_ci95_m_per_N=pair(naive["slope_ci95_m_per_N"]),
         ),
         intercept_m=float(value["intercept_m"]),
         r_squared=float(value["r_squared"]),
@@ -146,8 +132,8 @@ def wheel_from_dict(wheel: str, value: Mapping[str, Any]) -> WheelFit:
         session_std_m=float(value["session_std_m"]),
         dof_radius_ref=float(value["dof_radius_ref"]),
         dof_slope=float(value["dof_slope"]) if line else 0.0,
-        radius_ref_ci95_m=_pair(value["radius_ref_ci95_m"]),
-        slope_ci95_m_per_N=_pair(value["slope_ci95_m_per_N"]) if line else None,
+        radius_ref_ci95_m=pair(value["radius_ref_ci95_m"]),
+        slope_ci95_m_per_N=pair(value["slope_ci95_m_per_N"]) if line else None,
         load_N=_array(value["load_N"]),
         radius_m=_array(value["radius_m"]),
         residual_m=_array(value["residual_m"]),
@@ -157,93 +143,33 @@ def wheel_from_dict(wheel: str, value: Mapping[str, Any]) -> WheelFit:
     )
 
 
-def fit_to_dict(fit: Fit) -> dict[str, Any]:
-    """Return a fit as plain values: what ``calib fit --json`` prints."""
-    radii = fit.radii
-    columns = {
-        one.name: getattr(radii, one.name) for one in fields(radii) if isinstance(getattr(radii, one.name), np.ndarray)
-    }
-    plain = {
+def rows_of(radii: EffectiveRadii, wheels: Mapping[str, WheelFit]) -> list[dict[str, Any]]:
+    """Return the runs used, one mapping each: every array of `radii`, and the residual of each wheel."""
+    arrays = {name: getattr(radii, name) for name in _RUN_COLUMNS}
+    columns: dict[str, list[Any]] = {
         name: [str(value) for value in column] if name in _TEXTS else _numbers(column)
-        for name, column in columns.items()
+        for name, column in arrays.items()
     }
-    residuals = {"residual_left_m": _numbers(fit.left.residual_m), "residual_right_m": _numbers(fit.right.residual_m)}
-    rows = [
-        dict(zip((*plain, *residuals), row, strict=True))
-        for row in zip(*plain.values(), *residuals.values(), strict=True)
-    ]
-    from calib.radius.fit import FORMAT
-
-    return {
-        "format": FORMAT,
-        "campaign": fit.name,
-        "simulated": fit.simulated,
-        "wheels": {name: wheel_to_dict(wheel) for name, wheel in fit.wheels.items()},
-        "runs": rows,
-        "static": {name: wheel_to_dict(wheel) for name, wheel in fit.static.items()},
-        "budget": [asdict(component) for component in radii.budget],
-        "left_out": [asdict(run) for run in radii.left_out],
-        "notes": list(fit.notes),
-        "setup": None if fit.setup is None else _setup_to_dict(fit.setup),
-        "provenance": dict(fit.provenance),
-        "passed": fit.passed,
-    }
+    columns |= {f"residual_{name}_m": _numbers(wheel.residual_m) for name, wheel in wheels.items()}
+    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 
-def _setup_to_dict(setup: Setup) -> dict[str, Any]:
-    sections = {name: asdict(getattr(setup, name)) for name in _SECTIONS}
-    return {**sections, "conditions": {name: list(span) for name, span in setup.conditions.items()}}
+def radii_from_rows(
+    rows: Sequence[Mapping[str, Any]],
+    *,
+    budget: tuple[Component, ...],
+    left_out: tuple[LeftOut, ...],
+    notes: tuple[str, ...],
+) -> EffectiveRadii:
+    """Return the effective radii that `rows_of` wrote."""
+    columns: dict[str, Any] = {}
+    for name in _RUN_COLUMNS:
+        cells = [row[name] for row in rows]
+        columns[name] = np.array(cells, dtype=np.str_) if name in _TEXTS else _array(cells)
+    return EffectiveRadii(**columns, budget=budget, left_out=left_out, notes=notes)
 
 
-def _setup_from_dict(value: Mapping[str, Any]) -> Setup:
-    from calib.radius.fit import Setup
-
-    sections: dict[str, Any] = {name: kind(**value[name]) for name, kind in _SECTIONS.items()}
-    return Setup(**sections, conditions={name: _pair(span) for name, span in value["conditions"].items()})
-
-
-def fit_from_dict(value: Mapping[str, Any]) -> Fit:
-    """Return the fit that `fit_to_dict` wrote.
-
-    Raises
-    ------
-    BadInputError
-        Where a key is missing or of the wrong kind.
-    """
-    from calib.radius.fit import FORMAT, Fit
-
-    if value.get("format") != FORMAT:
-        raise BadInputError(f"found format {value.get('format')!r}; expected {FORMAT!r}; make it anew with 'calib fit'")
-    try:
-        rows = value["runs"]
-        columns: dict[str, Any] = {}
-        for one in fields(EffectiveRadii):
-            if one.name in {"budget", "left_out", "notes"}:
-                continue
-            cells = [row[one.name] for row in rows]
-            columns[one.name] = np.array(cells, dtype=np.str_) if one.name in _TEXTS else _array(cells)
-        return Fit(
-            name=str(value["campaign"]),
-            simulated=bool(value["simulated"]),
-            left=wheel_from_dict("left", value["wheels"]["left"]),
-            right=wheel_from_dict("right", value["wheels"]["right"]),
-            radii=EffectiveRadii(
-                **columns,
-                budget=tuple(Component(**component) for component in value["budget"]),
-                left_out=tuple(LeftOut(**run) for run in value["left_out"]),
-                notes=tuple(value["notes"]),
-            ),
-            static={name: wheel_from_dict(name, wheel) for name, wheel in value["static"].items()},
-            notes=tuple(value["notes"]),
-            provenance=dict(value["provenance"]),
-            setup=None if value.get("setup") is None else _setup_from_dict(value["setup"]),
-        )
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
-        raise BadInputError(
-            f"the fit is damaged ({type(error).__name__}: {error}); expected what 'calib fit' wrote; make it anew"
-        ) from error
-
-
-def _pair(value: Any) -> tuple[float, float]:
+def pair(value: Any) -> tuple[float, float]:
+    """Return two plain values as floats."""
     low, high = value
     return float(low), float(high)

@@ -1,25 +1,20 @@
-"""The fit of a campaign: both wheels' laws, the runs behind them, and how to write and read all of it."""
+"""From a campaign to the laws of both wheels: effective radii, regression, checks, static radii, budget."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from typing import Any, Final
+from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
 from calib.campaign.model import Campaign
-from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
 from calib.errors import BadInputError, RefusedError
 from calib.radius.effective import Component, EffectiveRadii, effective_radii
-from calib.radius.law import RadiusLaw
+from calib.radius.fitted import Fit, Setup
 from calib.radius.regression import WheelFit, fit_wheel
-from calib.vehicle import Vehicle
+from calib.radius.residual_checks import checked
 
-__all__ = ["FORMAT", "Fit", "Setup", "fit_campaign", "fit_law"]
-
-FORMAT: Final = "calib-fit/1"
-
+__all__ = ["fit_campaign", "fit_law"]
 
 #: columns whose span tells the conditions of a campaign
 CONDITIONS: Final = (
@@ -33,89 +28,6 @@ CONDITIONS: Final = (
     "load_left_N",
     "load_right_N",
 )
-
-
-@dataclass(frozen=True, slots=True)
-class Setup:
-    """What the runs were measured with and under, so that a report needs no campaign.
-
-    Parameters
-    ----------
-    vehicle, encoder, model, rangefinder, reference
-        Sections of ``campaign.toml``.
-    conditions : mapping of str to (float, float)
-        Smallest and largest value over the runs used, by column of the run table.
-    """
-
-    vehicle: Vehicle
-    encoder: Encoder
-    model: OdometryModel
-    rangefinder: Rangefinder
-    reference: Reference
-    conditions: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Fit:
-    """What `calib fit` finds, and all that report and export need.
-
-    Parameters
-    ----------
-    name : str
-        Name of the campaign.
-    simulated : bool
-        True where a program made the data.
-    left, right : WheelFit
-        The moving wheels.
-    radii : EffectiveRadii
-        The runs behind them.
-    static : mapping of str to WheelFit
-        Static radius against load by wheel, where the run table has it.
-    notes : tuple of str
-        What the user should know, in sentences.
-    provenance : mapping
-        ``version`` of calib, ``inputs`` (path -> sha256), ``arguments``; filled by the command line.
-    setup : Setup or None
-        Vehicle, instruments and conditions; None where the radii came from elsewhere than a campaign.
-    """
-
-    name: str
-    simulated: bool
-    left: WheelFit
-    right: WheelFit
-    radii: EffectiveRadii
-    static: Mapping[str, WheelFit] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-    provenance: Mapping[str, Any] = field(default_factory=dict)
-    setup: Setup | None = None
-
-    @property
-    def law(self) -> RadiusLaw:
-        """The law of both wheels."""
-        return RadiusLaw(left=self.left.law, right=self.right.law)
-
-    @property
-    def wheels(self) -> dict[str, WheelFit]:
-        """The moving wheels by name."""
-        return {"left": self.left, "right": self.right}
-
-    @property
-    def passed(self) -> bool:
-        """Whether every check lets the law be used."""
-        return all(check.passed for wheel in (self.left, self.right) for check in wheel.checks)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the fit as plain values: the keys of ``calib fit --json`` and everything `from_dict` needs."""
-        from calib.radius.document import fit_to_dict
-
-        return fit_to_dict(self)
-
-    @staticmethod
-    def from_dict(value: Mapping[str, Any]) -> Fit:
-        """Return the fit that `to_dict` wrote."""
-        from calib.radius.document import fit_from_dict
-
-        return fit_from_dict(value)
 
 
 def fit_law(radii: EffectiveRadii, *, reference_load_N: float, name: str = "", simulated: bool = False) -> Fit:
@@ -140,15 +52,13 @@ def fit_law(radii: EffectiveRadii, *, reference_load_N: float, name: str = "", s
     RefusedError
         With fewer than three runs.
     """
-    from calib.radius.residual_checks import checked
-
     wheels = {}
     for wheel, load, radius in (
         ("left", radii.load_left_N, radii.radius_left_m),
         ("right", radii.load_right_N, radii.radius_right_m),
     ):
-        found = fit_wheel(wheel, load, radius, radii.session, reference_load_N=reference_load_N)
-        wheels[wheel] = checked(found, radii.session, radii.direction, radii.run_id)
+        unchecked = fit_wheel(wheel, load, radius, radii.session, reference_load_N=reference_load_N)
+        wheels[wheel] = checked(unchecked, radii.session, radii.direction, radii.run_id)
     radii = replace(radii, budget=(*radii.budget, *_observed(radii, wheels["left"], wheels["right"])))
     return Fit(
         name=name, simulated=simulated, left=wheels["left"], right=wheels["right"], radii=radii, notes=radii.notes
@@ -177,9 +87,7 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -
     """
     reference = campaign.model.reference_load_N if reference_load_N is None else reference_load_N
     if not np.isfinite(reference) or reference < 0:
-        raise BadInputError(
-            f"reference load: found {reference:g} N; expected a load of zero or more; see --reference-load"
-        )
+        raise BadInputError(f"reference load: found {reference:g} N; expected a load of zero or more; correct it")
     radii = effective_radii(campaign)
     fit = fit_law(
         radii,
@@ -211,8 +119,6 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -
 
 def _static(campaign: Campaign, reference_load_N: float) -> tuple[dict[str, WheelFit], tuple[str, ...]]:
     """Return the fits of the static radius against load, and notes on those that could not be made."""
-    from calib.radius.residual_checks import checked
-
     runs = campaign.included().runs
     fits, notes = {}, []
     for wheel in ("left", "right"):
@@ -222,11 +128,11 @@ def _static(campaign: Campaign, reference_load_N: float) -> tuple[dict[str, Whee
             continue
         session = runs.label("session")[good]
         try:
-            found = fit_wheel(wheel, load[good], radius[good], session, reference_load_N=reference_load_N)
+            unchecked = fit_wheel(wheel, load[good], radius[good], session, reference_load_N=reference_load_N)
         except RefusedError as error:
             notes.append(f"Static radius not fitted: {error}.")
             continue
-        fits[wheel] = checked(found, session, runs.label("direction")[good], runs.run_id[good])
+        fits[wheel] = checked(unchecked, session, runs.label("direction")[good], runs.run_id[good])
     return fits, tuple(notes)
 
 

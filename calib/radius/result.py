@@ -12,7 +12,7 @@ from typing import Any, Final
 from calib.campaign.model import Campaign
 from calib.errors import BadFileError, CalibError, would_overwrite
 from calib.files import sha256_file, write_json, write_text
-from calib.radius.fit import Fit
+from calib.radius.fitted import Fit
 
 __all__ = ["FIT_FILE", "RUNS_FILE", "is_result", "provenance", "read_result", "write_result"]
 

@@ -15,13 +15,14 @@ from calib.coefficients.build import from_fit
 from calib.coefficients.file import CoefficientFile
 from calib.errors import BadFileError, BadInputError, RefusedError
 from calib.files import to_json
-from calib.radius.fit import Fit, fit_campaign
+from calib.radius.fit import fit_campaign
+from calib.radius.fitted import Fit
 from calib.radius.result import is_result, provenance, read_result
 
 if TYPE_CHECKING:
     from calib.report.gap_findings import GapFindings
 
-__all__ = ["STATED", "Source", "from_campaign", "issue_date", "source_of", "stated_of"]
+__all__ = ["STATED", "Source", "from_campaign", "issue_date", "source_of", "source_of_fit", "stated_of"]
 
 #: a PDF cannot carry an earlier date of creation
 FIRST_YEAR: Final = 1970
@@ -149,18 +150,22 @@ def source_of(path: Path | str, *, issued: str) -> tuple[Source, Campaign | None
             remedy="give the path of one",
         )
     if is_result(path):
-        fit = read_result(path)
-        if fit.setup is None:
-            raise RefusedError(
-                f"{path}: found a fit without its setup; expected vehicle, instruments and conditions; make it anew "
-                "with 'calib fit CAMPAIGN --into FOLDER'"
-            )
-        made = from_fit(fit, created=issued)
-        return Source(fit, made, issued, _stated(fit.provenance.get("report"), path)), None
+        return source_of_fit(read_result(path), issued=issued, where=path), None
     from calib.campaign.read import read_campaign
 
     campaign = read_campaign(path)
     return from_campaign(campaign, issued=issued), campaign
+
+
+def source_of_fit(fit: Fit, *, issued: str, where: Path | str = "fit") -> Source:
+    """Return what a report on a fit is made from; see `source_of`."""
+    if fit.setup is None:
+        raise RefusedError(
+            f"{where}: found a fit without its setup; expected vehicle, instruments and conditions; make it anew "
+            "with 'calib fit CAMPAIGN --into FOLDER'"
+        )
+    stated = _stated(fit.provenance.get("report"), where)
+    return Source(fit, from_fit(fit, created=issued), issued, stated)
 
 
 def from_campaign(campaign: Campaign, *, issued: str) -> Source:

@@ -53,3 +53,9 @@ def test_fit_takes_at_most_1_25_times_the_imports_it_needs(project_root: Path, t
     ours, needed = ["-m", "calib", "fit", "sample_runs/corridor"], ["-c", NEEDED]
     ratio = _ratio(ours, needed, project_root, tmp_path, 1.25)
     assert ratio <= 1.25, f"calib fit takes {ratio:.2f} times as long as the imports it needs"
+
+
+def test_import_takes_at_most_1_2_times_bare_python_and_typing(project_root: Path, tmp_path: Path) -> None:
+    """The way in from Python is lazy: its functions import what they compute with when they are called."""
+    ratio = _ratio(["-c", "import calib"], ["-c", "import typing"], project_root, tmp_path, 1.2)
+    assert ratio <= 1.2, f"import calib takes {ratio:.2f} times as long as import typing"

@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from calib.errors import CalibError
-from calib.radius.fit import Fit, fit_campaign
+from calib.radius.fit import fit_campaign
+from calib.radius.fitted import Fit
 from tests.radius.making import COUNTS_PER_REV, campaign_of
 
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from calib.errors import BadInputError
-from calib.radius.fit import Fit, fit_campaign
+from calib.radius.fit import fit_campaign
+from calib.radius.fitted import Fit
 from calib.radius.result import is_result, read_result, write_result
 from tests.radius.coverage import DESIGNS, campaign_of
 from tests.radius.making import straight

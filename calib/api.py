@@ -1,0 +1,312 @@
+"""The way in from Python: one function a stage, each returning a result with `summary`, `to_dict` and `plot`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from calib.campaign.model import Campaign
+from calib.errors import BadInputError
+from calib.radius import fitted as radius_fitted
+from calib.results import Diagnosis, Fit, Plan, Replay, Simulation, extended
+
+__all__ = [
+    "Campaign",
+    "Diagnosis",
+    "Fit",
+    "Plan",
+    "Replay",
+    "Simulation",
+    "diagnose",
+    "export",
+    "fit",
+    "plan",
+    "read",
+    "replay",
+    "report",
+    "simulate",
+]
+
+
+def read(folder: Path | str) -> Campaign:
+    """Read a campaign.
+
+    Parameters
+    ----------
+    folder : Path or str
+        Holds ``campaign.toml``, ``runs.csv`` and the logs.
+
+    Returns
+    -------
+    Campaign
+        Its runs as a pandas table: ``campaign.frame()``.
+
+    Raises
+    ------
+    BadFileError
+        Where a file cannot be used; says where, what was found and what to do.
+    """
+    from calib.campaign.read import read_campaign
+
+    return read_campaign(Path(folder))
+
+
+def fit(campaign: Campaign, *, reference_load_N: float | None = None) -> Fit:
+    """Fit the effective radius of each wheel against its load.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        From `read`.
+    reference_load_N : float, optional
+        Load on which the coefficients are centred; without it the one of the campaign's model.
+
+    Returns
+    -------
+    Fit
+        The laws with intervals, checks and budget; ``fit.table`` has the runs.
+
+    Raises
+    ------
+    RefusedError
+        Where fewer than three runs can be used.
+    """
+    from calib import __version__
+    from calib.radius.fit import fit_campaign
+    from calib.radius.result import provenance
+
+    arguments = {} if reference_load_N is None else {"reference_load_N": reference_load_N}
+    fitted = fit_campaign(campaign, reference_load_N=reference_load_N)
+    return extended(Fit, fitted, provenance=provenance(campaign, version=__version__, arguments=arguments))
+
+
+def diagnose(
+    campaign: Campaign, *, model: Path | str | None = None, exclude: Sequence[str] = (), seed: int = 0
+) -> Diagnosis:
+    """Find out where simulated and measured motion differ, and which unmodelled effect causes it.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        From `read`.
+    model : Path or str, optional
+        Coefficient file that the simulator believes; the campaign's own model without.
+    exclude : sequence of str
+        Effects to leave out of the library.
+    seed : int
+        Seed of the bootstraps.
+
+    Returns
+    -------
+    Diagnosis
+        ``diagnosis.verdict`` has everything that was found.
+
+    Raises
+    ------
+    RefusedError
+        Where no run has both counts and something measured.
+    """
+    from calib.gap.apply import model_of
+    from calib.gap.diagnose import diagnose_in_full
+
+    believed, effects = (None, ()) if model is None else model_of(Path(model), campaign)
+    full = diagnose_in_full(campaign, seed=seed, exclude=tuple(exclude), model=believed, applied=effects)
+    return extended(Diagnosis, full)
+
+
+def plan(campaign: Campaign, *, most: int = 5, seed: int = 0) -> Plan:
+    """Say which runs to drive next, best first, and what each would tell apart.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        What was driven so far.
+    most : int
+        How many runs to name.
+    seed : int
+        Seed of the diagnosis behind it.
+
+    Returns
+    -------
+    Plan
+        The runs with the reason for each.
+    """
+    from calib.gap.plan.next_runs import plan_after
+
+    verdict, runs = plan_after(campaign, None, most=most, seed=seed)
+    return Plan(campaign=campaign, verdict=verdict, runs=tuple(runs))
+
+
+def simulate(
+    study: str = "corrected",
+    *,
+    law: radius_fitted.Fit | None = None,
+    routes: Sequence[str] = (),
+    loads_N: Sequence[tuple[float, float]] = (),
+    seed: int = 0,
+) -> Simulation:
+    """Simulate a vehicle that follows a route on its own odometry, with wrong and with corrected radii.
+
+    Parameters
+    ----------
+    study : {"symmetric", "asymmetric", "corrected", "custom"}
+        The paper's studies, or ``custom`` for the law alone.
+    law : Fit, optional
+        Drive the same journeys under this law, its 95 % band carried to the end pose.
+    routes : sequence of str
+        Names of routes or route files in place of the study's own.
+    loads_N : sequence of (float, float)
+        Wheel loads (left, right) of the journeys under the law, in N.
+    seed : int
+        Seed of the Monte Carlo.
+
+    Returns
+    -------
+    Simulation
+        ``simulation.table`` has the end of every drive.
+
+    Raises
+    ------
+    BadInputError
+        Where the study or a route is not known.
+    """
+    from numpy.random import default_rng
+
+    from calib.motion.studies.run import simulate as run
+    from calib.vehicle import Vehicle
+
+    vehicle = Vehicle() if law is None or law.setup is None else law.setup.vehicle
+    simulation = run(
+        study,
+        routes=routes,
+        track_m=vehicle.track_m,
+        law=None if law is None else law.law,
+        loads_N=loads_N,
+        rng=default_rng(seed),
+    )
+    return extended(Simulation, simulation)
+
+
+def replay(campaign: Campaign, law: radius_fitted.Fit, *, scheme: str = "exact", seed: int = 0) -> Replay:
+    """Replay the logged runs of a campaign through odometry, with and without the load correction.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        Runs with logs, wheel loads and reference end poses.
+    law : Fit
+        The law that corrects; best of a campaign other than this one.
+    scheme : {"exact", "mid_point", "euler", "end_point"}
+        How a step is drawn.
+    seed : int
+        Seed of the bootstrap.
+
+    Returns
+    -------
+    Replay
+        End errors by run and odometry.
+
+    Raises
+    ------
+    RefusedError
+        Where no run can be replayed.
+    """
+    from numpy.random import default_rng
+
+    from calib.coefficients.build import from_fit
+    from calib.motion.studies.replay import replay as run
+
+    return extended(Replay, run(campaign, from_fit(law), rng=default_rng(seed), scheme=scheme))
+
+
+def report(
+    source: Campaign | radius_fitted.Fit,
+    target: Path | str,
+    *,
+    date: str | None = None,
+    diagnosis: bool = False,
+    force: bool = False,
+) -> Path:
+    """Write the report on a campaign or on its fit as PDF.
+
+    Parameters
+    ----------
+    source : Campaign or Fit
+        A campaign is fitted first.
+    target : Path or str
+        The PDF, or a folder for it.
+    date : str, optional
+        Date of issue as YYYY-MM-DD, which fixes the bytes of the PDF; without it today.
+    diagnosis : bool
+        Add the diagnosis of the gap; needs the campaign.
+    force : bool
+        Replace an existing file.
+
+    Returns
+    -------
+    Path
+        The file written.
+
+    Raises
+    ------
+    BadInputError
+        Where the file exists and `force` is False.
+    RefusedError
+        Where the runs allow no law.
+    """
+    from calib.files import write_bytes
+    from calib.report.content import compose
+    from calib.report.gap_source import with_diagnosis
+    from calib.report.pdf import to_pdf
+    from calib.report.place import place_of
+    from calib.report.source import from_campaign, issue_date, source_of_fit
+
+    issued = issue_date(date)
+    if isinstance(source, Campaign):
+        content = from_campaign(source, issued=issued)
+        content = with_diagnosis(content, source) if diagnosis else content
+    elif diagnosis:
+        raise BadInputError("report: found a fit; expected a campaign, which a diagnosis needs; give the campaign")
+    else:
+        content = source_of_fit(source, issued=issued)
+    path = place_of(content.fit.name, Path(target), force=force)
+    return write_bytes(path, to_pdf(compose(content)), force=force)
+
+
+def export(
+    source: Campaign | radius_fitted.Fit,
+    to: str = "json",
+    target: Path | str | None = None,
+    *,
+    loads: Sequence[str] = (),
+    force: bool = False,
+) -> Mapping[str, str]:
+    """Return the coefficients as the vehicle needs them, and write them where a target is given.
+
+    Parameters
+    ----------
+    source : Campaign or Fit
+        A campaign is fitted first.
+    to : {"json", "ros2", "c", "csv"}
+        The form; ``json`` is the master that `calib.runtime` reads.
+    target : Path or str, optional
+        File, or folder where there are several files.
+    loads : sequence of str
+        Load points in N for ``ros2`` and ``csv``: ``"600"`` for both wheels or ``"500,700"``.
+    force : bool
+        Replace existing files.
+
+    Returns
+    -------
+    mapping of str to str
+        Text of each file by its name.
+    """
+    from calib.coefficients.build import from_fit
+    from calib.coefficients.export import export as rendered
+    from calib.coefficients.export import parse_loads, place
+
+    law = fit(source) if isinstance(source, Campaign) else source
+    artifacts = rendered(from_fit(law), to, parse_loads(loads))
+    if target is not None:
+        place(artifacts, Path(target), force=force)
+    return {artifact.name: artifact.data.decode("utf-8") for artifact in artifacts}

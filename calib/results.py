@@ -1,0 +1,298 @@
+"""What the functions of `calib.api` return: the results of each stage, which can also draw and sum up themselves.
+
+A stage cannot draw, since figures stand above it; each class here adds ``plot`` to the stage's own result.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from html import escape
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from calib.campaign.model import Campaign
+from calib.errors import BadInputError
+from calib.gap import diagnose as gap_diagnose
+from calib.gap.verdict.result import Verdict
+from calib.motion.studies import replay as motion_replay
+from calib.motion.studies import run as motion_run
+from calib.radius import fitted as radius_fitted
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from pandas import DataFrame
+
+__all__ = ["Diagnosis", "Fit", "Plan", "Replay", "Simulation", "extended"]
+
+Result = TypeVar("Result")
+
+
+def extended(kind: type[Result], result: Any, **changes: Any) -> Result:
+    """Return `result`, with `changes` to its fields, as `kind`, a class that adds methods and no fields."""
+    return kind(**({part.name: getattr(result, part.name) for part in fields(result)} | changes))
+
+
+class _Shown:
+    """Shows the summary in the interpreter and in a notebook."""
+
+    __slots__ = ()
+
+    def summary(self) -> str:
+        """Return the result as lines of text."""
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        return self.summary()
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{escape(self.summary())}</pre>"
+
+
+def _chosen(figures: Mapping[str, Any], kind: str | None) -> Any:
+    """Return the figure of that name, or the first one."""
+    kind = next(iter(figures), "") if kind is None else kind
+    if kind not in figures:
+        raise BadInputError(
+            f"plot: found the kind {kind!r}; expected one of {', '.join(figures) or 'none: there is nothing to draw'}"
+        )
+    return figures[kind]
+
+
+class Fit(radius_fitted.Fit):
+    """The fit of a campaign; see `calib.radius.fitted.Fit`."""
+
+    __slots__ = ()
+
+    def plot(self, kind: str = "regressions") -> Figure:
+        """Draw the fit.
+
+        Parameters
+        ----------
+        kind : {"regressions", "runs", "path_deviation", "residuals"}
+            Which figure.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+        """
+        from calib.report.figures import radius as drawn
+
+        session = self.radii.session
+        draw = {
+            "regressions": lambda: drawn.regressions(self.left, self.right, session),
+            "runs": lambda: drawn.runs_by_series(self.radii),
+            "path_deviation": lambda: drawn.path_deviation(self.radii),
+            "residuals": lambda: drawn.residuals(self.left, self.right, session),
+        }
+        figure: Figure = _chosen(draw, kind)()
+        return figure
+
+
+class Diagnosis(_Shown, gap_diagnose.Diagnosis):
+    """The diagnosis of a campaign; see `calib.gap.diagnose.Diagnosis`."""
+
+    __slots__ = ()
+
+    def summary(self) -> str:
+        """Return the verdict, its causes and the gap before and after, as lines of text."""
+        return verdict_text(self.verdict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the verdict as plain values: what ``calib diagnose --json`` prints."""
+        return self.verdict.to_dict()
+
+    @property
+    def table(self) -> DataFrame:
+        """The causes as a table, a row a parameter; SI units, 95 % intervals."""
+        from pandas import DataFrame
+
+        rows = [
+            {
+                "effect": cause["effect"],
+                "form": cause["form"],
+                "probability": cause["probability"],
+                "share": cause["share"],
+                "parameter": name,
+                "value": quantity["value"],
+                "low_95": quantity["ci95"][0],
+                "high_95": quantity["ci95"][1],
+                "unit": quantity["unit"],
+            }
+            for cause in self.to_dict()["causes"]
+            for name, quantity in cause["parameters"].items()
+        ]
+        return DataFrame(rows)
+
+    def plot(self, kind: str | None = None) -> Figure:
+        """Draw the diagnosis.
+
+        Parameters
+        ----------
+        kind : str, optional
+            ``before-after`` (the default), ``gap-map`` or ``gap-by-covariate-<channel>``, where the data allow it.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+        """
+        from calib.report.figures.gap_files import gap_pictures
+
+        figures = gap_pictures(self)
+        figure: Figure = _chosen(figures, "before-after" if kind is None and "before-after" in figures else kind)
+        return figure
+
+
+def verdict_text(verdict: Verdict) -> str:
+    """Return a verdict as lines of text."""
+    document = verdict.to_dict()
+    simulated = " (simulated)" if document["simulated"] else ""
+    lines = [f"{document['campaign']}{simulated}: {document['verdict']}", f"  {document['sentence']}"]
+    for cause in document["causes"]:
+        form = f" ({cause['form']})" if cause["form"] else ""
+        lines.append(f"  {cause['effect']}{form}, probability {cause['probability']:.2f}")
+        for name, quantity in cause["parameters"].items():
+            low, high = quantity["ci95"]
+            half = "unknown" if low is None or high is None else f"{0.5 * (high - low):.3g}"
+            lines.append(f"    {name}  {quantity['value']:.4g} +- {half} {quantity['unit']}")
+    if any(cause["parameters"] for cause in document["causes"]):
+        lines.append("  +- is half the 95 % interval")
+    return "\n".join(lines)
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Plan(_Shown):
+    """The runs to drive next.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        What was driven.
+    verdict : Verdict
+        What it says so far.
+    runs : tuple of mapping
+        Best first: ``kind``, load, speed and the other columns of a run, and ``why``.
+    """
+
+    campaign: Campaign
+    verdict: Verdict
+    runs: tuple[Mapping[str, Any], ...]
+
+    @property
+    def table(self) -> DataFrame:
+        """The runs as a table, best first."""
+        from pandas import DataFrame
+
+        return DataFrame([dict(run) for run in self.runs])
+
+    def summary(self) -> str:
+        """Return the verdict so far and the runs, as lines of text."""
+        lines = [f"{self.campaign.name}: {self.verdict.sentence}"]
+        lines += [f"  {number}. {run['kind']}: {run['why']}" for number, run in enumerate(self.runs, start=1)]
+        return "\n".join(lines if self.runs else [*lines, "  No further run would tell more apart."])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the plan as plain values: what ``calib plan --json`` prints."""
+        document = self.verdict.to_dict()
+        return {
+            "verdict": document["verdict"],
+            "indistinguishable": document["indistinguishable"],
+            "next_runs": [dict(run) for run in self.runs],
+        }
+
+    def plot(self) -> Figure:
+        """Draw which effects the runs driven so far tell apart.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+        """
+        from calib.gap.plan.next_runs import outlook_of
+        from calib.report.figures.plan import plan_matrix
+
+        return plan_matrix(outlook_of(self.campaign))
+
+
+class Simulation(_Shown, motion_run.Simulation):
+    """A simulation; see `calib.motion.studies.run.Simulation`."""
+
+    __slots__ = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the simulation as plain values: what ``calib simulate --json`` prints."""
+        return self.document()
+
+    @property
+    def table(self) -> DataFrame:
+        """The end of every vehicle's drive as a table; SI units."""
+        from pandas import DataFrame
+
+        rows = [{"figure": name, **row} for name, sweep in self.sweeps.items() for row in sweep.ends()]
+        return DataFrame(rows)
+
+    def summary(self) -> str:
+        """Return the end errors, as lines of text."""
+        lines = [f"{self.title}; end of the route, true minus intended"]
+        for name, sweep in self.sweeps.items():
+            lines += [
+                f"  {name}, {sweep.route.name}: {row['case']}: {row['error_distance_m']:.4f} m" for row in sweep.ends()
+            ]
+        return "\n".join(lines)
+
+    def plot(self, kind: str | None = None) -> Figure:
+        """Draw the paths and errors of one of `sweeps`.
+
+        Parameters
+        ----------
+        kind : str, optional
+            Its name; the first one without.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+        """
+        from calib.motion.studies.run import SHOWN
+        from calib.report.figures.motion import sweep_figure
+
+        name = _chosen({name: name for name in self.sweeps}, kind)
+        return sweep_figure(self.sweeps[name], error=SHOWN.get(name, "lateral_m"), title=self.title)
+
+
+class Replay(_Shown, motion_replay.Replay):
+    """Logged runs replayed; see `calib.motion.studies.replay.Replay`."""
+
+    __slots__ = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the replay as plain values: what ``calib simulate --replay --json`` prints."""
+        return self.document()
+
+    @property
+    def table(self) -> DataFrame:
+        """The runs as a table: end errors by each odometry; SI units."""
+        from pandas import DataFrame
+
+        return DataFrame(self.document()["runs"])
+
+    def summary(self) -> str:
+        """Return the end errors of each odometry, as lines of text."""
+        lines = [f"End error of {int(self.in_range.sum())} runs, root mean square:"]
+        lines += [
+            f"  {method:<10} {self.rms_m[method]:.4f} m  {1e3 * self.rms_heading_rad[method]:.2f} mrad"
+            for method in self.rms_m
+        ]
+        low, high = self.ratio_ci95
+        lines.append(
+            f"  the correction makes it {self.ratio:.1f} times smaller (95 % interval {low:.1f} to {high:.1f})"
+        )
+        return "\n".join(lines)
+
+    def plot(self) -> Figure:
+        """Draw the end errors of each odometry.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+        """
+        from calib.report.figures.motion import replay_figure
+
+        return replay_figure(self)

@@ -1,0 +1,152 @@
+"""The way in from Python gives what the commands give, lazily and by name."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import calib
+from calib import api
+from calib.cli.main import run
+from calib.errors import BadInputError
+from calib.radius.fitted import Fit
+
+
+@pytest.fixture(scope="module")
+def campaign(project_root: Path) -> calib.Campaign:
+    folder = project_root / "sample_runs" / "corridor_crossed"
+    if not folder.is_dir():
+        pytest.skip("the sample campaign is not here: sample_runs/corridor_crossed")
+    return calib.read(folder)
+
+
+@pytest.fixture(scope="module")
+def fit(campaign: calib.Campaign) -> calib.Fit:
+    return calib.fit(campaign)
+
+
+@pytest.fixture(scope="module")
+def diagnosis(campaign: calib.Campaign) -> calib.Diagnosis:
+    return calib.diagnose(campaign)
+
+
+def commanded(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, object]:
+    run([*arguments, "--json", "-"])
+    document: dict[str, object] = json.loads(capsys.readouterr().out)
+    return document
+
+
+def test_every_name_is_there_and_listed() -> None:
+    """Editors list the same names as exist, and others are refused as Python refuses them."""
+    assert set(calib.__all__) == set(dir(calib)) == set(api.__all__) | {"__version__"}
+    assert all(getattr(calib, name) is not None for name in calib.__all__)
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        calib.nothing  # noqa: B018
+
+
+@pytest.mark.parametrize("before", ["", "import calib.report.pdf; ", "from calib.report import content; "])
+def test_a_function_that_bears_a_folders_name_can_be_called_whatever_was_imported_before(before: str) -> None:
+    """Importing a folder binds it in the package under its name; it can then still be called."""
+    program = before + (
+        "import calib, inspect; from calib import report; "
+        "print(callable(report), callable(calib.report), list(inspect.signature(calib.report).parameters)[:2]); "
+        "import calib.report.place as place; print(place.file_name('a'))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines() == ["True True ['source', 'target']", "a.pdf"]
+
+
+def test_importing_it_imports_nothing_of_the_scientific_stack() -> None:
+    program = "import sys, calib; print(*{'numpy', 'pandas', 'scipy', 'matplotlib'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == []
+
+
+def test_runs_are_a_table(campaign: calib.Campaign) -> None:
+    """Every column of the run table stands in the pandas table, unchanged."""
+    frame = campaign.frame()
+    assert len(frame) == len(campaign.runs)
+    np.testing.assert_array_equal(frame["distance_m"], campaign.runs.number("distance_m"))
+    assert list(frame["run_id"]) == campaign.runs.run_id.tolist()
+    assert len(repr(campaign).splitlines()) <= 8 and "runs" in repr(campaign.runs)
+    assert "<table" in campaign.runs._repr_html_() and campaign.name in campaign._repr_html_()
+
+
+def test_a_fit_is_that_of_the_command(
+    campaign: calib.Campaign, fit: calib.Fit, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`calib.fit` computes what `calib fit --json` prints, and survives its own plain values."""
+    printed = commanded(capsys, "fit", str(campaign.root))
+    assert isinstance(fit, Fit)
+    document = json.loads(json.dumps(fit.to_dict()))
+    assert document["wheels"] == printed["wheels"] and document["runs"] == printed["runs"]
+    assert Fit.from_dict(document).to_dict()["wheels"] == document["wheels"]
+    assert len(fit.table) == fit.left.law.n_runs
+    np.testing.assert_allclose(fit.table["residual_left_m"], fit.left.residual_m, rtol=0.0, atol=0.0)
+
+
+def test_a_summary_states_each_value_with_half_its_interval(fit: calib.Fit) -> None:
+    low, high = fit.left.radius_ref_ci95_m
+    assert f"{1e3 * fit.left.law.radius_ref_m:.4f} +- {500 * (high - low):.4f} mm" in fit.summary()
+    assert "half the 95 % interval" in fit.summary()
+    assert len(repr(fit).splitlines()) <= 6 and "<table>" in fit._repr_html_()
+
+
+@pytest.mark.parametrize("kind", ["regressions", "runs", "path_deviation", "residuals"])
+def test_a_fit_draws_itself(fit: calib.Fit, kind: str) -> None:
+    assert len(fit.plot(kind).axes) >= 2
+
+
+def test_a_figure_that_there_is_not_is_refused_by_the_names_of_those_there_are(fit: calib.Fit) -> None:
+    with pytest.raises(BadInputError, match="residuals"):
+        fit.plot("pie")
+
+
+def test_a_diagnosis_is_that_of_the_command(
+    campaign: calib.Campaign, diagnosis: calib.Diagnosis, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`calib.diagnose` finds what `calib diagnose --json` prints, and shows it."""
+    printed = commanded(capsys, "diagnose", str(campaign.root))
+    document = json.loads(json.dumps(diagnosis.to_dict()))
+    assert all(printed[key] == document[key] for key in document if key not in {"headline"})
+    assert str(document["sentence"]) in diagnosis.summary()
+    assert diagnosis.plot().axes and "<pre>" in diagnosis._repr_html_()
+    parameters = [name for cause in document["causes"] for name in cause["parameters"]]
+    assert list(diagnosis.table.get("parameter", [])) == parameters
+
+
+def test_a_plan_names_runs_with_their_reasons(campaign: calib.Campaign) -> None:
+    plan = calib.plan(campaign, most=2)
+    assert len(plan.runs) <= 2 and all(run["why"] for run in plan.runs)
+    assert len(plan.table) == len(plan.runs) == len(plan.to_dict()["next_runs"])
+    assert plan.verdict.to_dict()["verdict"] in plan.to_dict()["verdict"]
+
+
+def test_a_simulation_under_a_fit_has_its_law(fit: calib.Fit) -> None:
+    simulation = calib.simulate("corrected", law=fit, seed=1)
+    assert simulation.law is not None and simulation.law.law.left.radius_ref_m == fit.left.law.radius_ref_m
+    assert len(simulation.table) == sum(len(sweep.ends()) for sweep in simulation.sweeps.values())
+    assert simulation.plot().axes and simulation.title in simulation.summary()
+
+
+def test_an_export_is_what_the_vehicle_loads(fit: calib.Fit, tmp_path: Path) -> None:
+    """The master read back has the fit's law."""
+    from calib.coefficients.file import load_coefficients
+
+    texts = calib.export(fit, "json", tmp_path / "vehicle.json")
+    assert (tmp_path / "vehicle.json").read_text(encoding="utf-8") == next(iter(texts.values()))
+    assert load_coefficients(tmp_path / "vehicle.json").law.left.radius_ref_m == fit.left.law.radius_ref_m
+
+
+def test_a_report_of_a_fit_is_that_of_its_campaign(campaign: calib.Campaign, fit: calib.Fit, tmp_path: Path) -> None:
+    """With the same date of issue the bytes are the same."""
+    first = calib.report(campaign, tmp_path / "a.pdf", date="2025-03-31")
+    second = calib.report(fit, tmp_path / "b.pdf", date="2025-03-31")
+    assert first.read_bytes()[:5] == b"%PDF-" and first.read_bytes() == second.read_bytes()
+    with pytest.raises(BadInputError, match="needs"):
+        calib.report(fit, tmp_path / "c.pdf", diagnosis=True)
