@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.model import Note
+from calib.campaign.readers.layout import LOOKED_AT, Layout, find_delimiter, find_header, with_units
 from calib.campaign.readers.table import LARGEST, RawTable, Wanted, made_numeric, refuse_duplicates
 from calib.errors import BadFileError
 
@@ -19,9 +20,11 @@ __all__ = ["read"]
 
 _NAMES: Final = {",": "commas", ";": "semicolons", "\t": "tabs"}
 _MAX_BYTES: Final = 4 << 30
+#: bytes in which the header is looked for
+_HEAD: Final = 1 << 16
 
 
-def read(path: Path, shown: str, wanted: Wanted | None) -> RawTable:
+def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTable:
     """Read a delimited text file; see `calib.campaign.readers.read_table`."""
     size = path.stat().st_size
     if size > _MAX_BYTES:
@@ -29,8 +32,10 @@ def read(path: Path, shown: str, wanted: Wanted | None) -> RawTable:
             shown, found=f"{size} bytes", expected="at most 4 GiB", remedy="split the file or store it as parquet"
         )
     data, notes = _utf8(path.read_bytes(), shown)
-    head = data[: data.find(b"\n")] if b"\n" in data else data
-    header = head.decode("utf-8").strip("\r")
+    delimiter, skipped = _begin(data, layout, shown)
+    start = _after_lines(data, skipped)
+    end = data.find(b"\n", start)
+    header = (data[start:end] if end >= 0 else data[start:]).decode("utf-8").strip("\r")
     if not header.strip():
         raise BadFileError(
             shown,
@@ -38,19 +43,62 @@ def read(path: Path, shown: str, wanted: Wanted | None) -> RawTable:
             expected="a header line with column names",
             remedy="export the table again",
         )
-    delimiter = ";" if ";" in header else "\t" if "\t" in header else ","
     if delimiter != ",":
         notes.append(Note("info", shown, f"columns are separated by {_NAMES[delimiter]}", "delimiter"))
-    if wanted is not None and b'"' not in data:
+    if skipped:
+        notes.append(Note("info", shown, f"the header was found in row {skipped + 1}", "preamble"))
+    if wanted is not None and data.find(b'"', start) < 0:
         names = [name.strip() for name in header.split(delimiter)]
-        refuse_duplicates(names, shown)
-        fast = _fast(data, len(head) + 1, names, delimiter, wanted)
+        refuse_duplicates(names, shown, skipped + 1)
+        fast = _fast(data, (end if end >= 0 else len(data)) + 1, names, delimiter, wanted)
         if fast is not None:
             columns, rows, comma = fast
             if comma:
                 notes.append(Note("info", shown, "decimal commas were read as decimal points", "decimal_comma"))
-            return RawTable(columns, np.arange(2, rows + 2, dtype=np.int64), tuple(notes))
-    return _careful(data.decode("utf-8"), shown, delimiter, wanted, notes)
+            line = np.arange(skipped + 2, rows + skipped + 2, dtype=np.int64)
+            return RawTable(columns, line, tuple(notes))
+    return _careful(data[start:].decode("utf-8"), shown, delimiter, wanted, notes, skipped)
+
+
+def _begin(data: bytes, layout: Layout, shown: str) -> tuple[str, int]:
+    """Return the separator and how many rows stand before the header."""
+    lines = data[:_HEAD].decode("utf-8", errors="ignore").splitlines()[: LOOKED_AT + (layout.header_row or 0)]
+    first = lines[0] if lines else ""
+    usual = ";" if ";" in first else "\t" if "\t" in first else ","
+    if layout.header_row is not None:
+        if layout.header_row > len(lines):
+            raise BadFileError(
+                shown,
+                found=f"{len(lines)} rows",
+                expected=f"the header in row {layout.header_row}",
+                remedy="correct header_row of the mapping",
+            )
+        return find_delimiter(lines[layout.header_row - 1 :]), layout.header_row - 1
+    delimiter = find_delimiter(lines)
+    for candidate in (usual, delimiter):
+        rows = _split(lines, candidate)
+        found = find_header(rows)
+        if found == 0 and candidate == usual:
+            return usual, 0
+        if found and candidate == delimiter:
+            return delimiter, found
+    return usual, 0
+
+
+def _split(lines: list[str], delimiter: str) -> list[list[str]]:
+    try:
+        rows = list(csv.reader(lines, delimiter=delimiter, strict=True))
+    except csv.Error:
+        rows = []
+    # a cell over several lines would shift the numbers of the rows
+    return rows if len(rows) == len(lines) else [line.split(delimiter) for line in lines]
+
+
+def _after_lines(data: bytes, lines: int) -> int:
+    at = 0
+    for _ in range(lines):
+        at = data.find(b"\n", at) + 1
+    return at
 
 
 def _utf8(data: bytes, shown: str) -> tuple[bytes, list[Note]]:
@@ -132,7 +180,7 @@ def _fast(
     return (columns, rows, comma) if len(frame) == rows else None
 
 
-def _careful(text: str, shown: str, delimiter: str, wanted: Wanted | None, notes: list[Note]) -> RawTable:
+def _careful(text: str, shown: str, delimiter: str, wanted: Wanted | None, notes: list[Note], skipped: int) -> RawTable:
     """Read cell by cell, so that a fault is named by its row and column."""
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
     rows: list[list[str]] = []
@@ -142,7 +190,11 @@ def _careful(text: str, shown: str, delimiter: str, wanted: Wanted | None, notes
         for cells in reader:
             if not names:
                 names = [name.strip() for name in cells]
-                refuse_duplicates(names, shown)
+                refuse_duplicates(names, shown, skipped + 1)
+                continue
+            if not rows and (named := with_units(names, cells)):
+                names = named
+                notes.append(Note("info", shown, "the row beneath the header names units", "unit_row"))
                 continue
             if not any(cell.strip() for cell in cells):
                 continue
@@ -151,17 +203,17 @@ def _careful(text: str, shown: str, delimiter: str, wanted: Wanted | None, notes
             if len(cells) != len(names):
                 raise BadFileError(
                     shown,
-                    row=reader.line_num,
+                    row=reader.line_num + skipped,
                     found=f"{len(cells)} cells",
-                    expected=f"{len(names)}, as the header has",
-                    remedy="complete or remove the row; the file may have been cut, or a decimal comma splits a cell",
+                    expected=f"{len(names)}, as the header in row {skipped + 1} has",
+                    remedy=_remedy(cells, names, delimiter),
                 )
             rows.append(cells)
-            lines.append(reader.line_num)
+            lines.append(reader.line_num + skipped)
     except csv.Error as error:
         raise BadFileError(
             shown,
-            row=reader.line_num,
+            row=reader.line_num + skipped,
             found=f"text that is no table ({error})",
             expected="rows of separated cells",
             remedy="export the file again",
@@ -173,6 +225,15 @@ def _careful(text: str, shown: str, delimiter: str, wanted: Wanted | None, notes
     columns: dict[str, np.ndarray] = {
         name: cells_by_row[:, index] for index, name in enumerate(names) if name and (wanted is None or wanted(name))
     }
+    epochs: dict[str, int] = {}
     if wanted is not None:
-        notes += made_numeric(columns, shown, line)
-    return RawTable(columns, line, tuple(notes))
+        said, epochs = made_numeric(columns, shown, line)
+        notes += said
+    return RawTable(columns, line, tuple(notes), epochs)
+
+
+def _remedy(cells: list[str], names: list[str], delimiter: str) -> str:
+    """Return what to do about a row of another width than the header."""
+    if delimiter == "," and len(cells) > len(names):
+        return "export with semicolons where commas are decimal, or quote the cell; name header_row if it stands lower"
+    return "complete or remove the row; the file may have been cut"

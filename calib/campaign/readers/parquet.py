@@ -7,6 +7,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from calib.campaign.readers.layout import Layout
+from calib.campaign.readers.recording import NS_PER_S
 from calib.campaign.readers.table import RawTable, Wanted, numbers, refuse_duplicates
 from calib.errors import BadFileError
 
@@ -15,7 +17,7 @@ __all__ = ["read"]
 _MAX_ROWS: Final = 200_000_000
 
 
-def read(path: Path, shown: str, wanted: Wanted | None) -> RawTable:
+def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTable:  # noqa: ARG001 - a reader's form
     """Read a parquet file; see `calib.campaign.readers.read_table`."""
     try:
         import pyarrow as pa
@@ -47,10 +49,16 @@ def read(path: Path, shown: str, wanted: Wanted | None) -> RawTable:
         ) from error
     line = np.arange(1, table.num_rows + 1, dtype=np.int64)
     columns: dict[str, np.ndarray[Any, Any]] = {}
+    epochs: dict[str, int] = {}
     for name in kept:
         column = table.column(name)
         if pa.types.is_integer(column.type) or pa.types.is_floating(column.type):
             cells = column.to_numpy().astype(np.float64)
+        elif pa.types.is_timestamp(column.type):
+            # exact: nanoseconds as recorded, told from other integers by the note of their epoch
+            moments = column.cast(pa.timestamp("ns")).to_numpy().astype(np.int64)
+            epochs[name] = int(moments[0]) if len(moments) else 0
+            cells = (moments - epochs[name]) / NS_PER_S
         else:
             cells = np.empty(table.num_rows, dtype=object)
             cells[:] = [
@@ -60,4 +68,4 @@ def read(path: Path, shown: str, wanted: Wanted | None) -> RawTable:
         if wanted is not None:
             cells, _ = numbers(cells, shown=shown, column=name, line=line)
         columns[name] = cells
-    return RawTable(columns, line)
+    return RawTable(columns, line, (), epochs)

@@ -1,4 +1,4 @@
-"""Excel workbooks (``.xlsx``): the first sheet that holds cells."""
+"""Excel workbooks (``.xlsx``): the first sheet that holds a table, or the one asked for."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from calib.campaign.model import Note
+from calib.campaign.readers.layout import LOOKED_AT, Layout, find_header, with_units
 from calib.campaign.readers.table import RawTable, Wanted, made_numeric, refuse_duplicates
 from calib.errors import BadFileError
 
@@ -19,8 +20,8 @@ _MAX_ROWS: Final = 1_048_576
 _MAX_UNPACKED: Final = 1 << 30
 
 
-def read(path: Path, shown: str, wanted: Wanted | None) -> RawTable:
-    """Read a workbook's first sheet with cells; see `calib.campaign.readers.read_table`."""
+def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTable:
+    """Read a sheet of a workbook; see `calib.campaign.readers.read_table`."""
     import openpyxl
 
     _weigh(path, shown)
@@ -28,20 +29,10 @@ def read(path: Path, shown: str, wanted: Wanted | None) -> RawTable:
     try:
         book = openpyxl.load_workbook(path, read_only=True, data_only=True)
         try:
-            header: list[str] = []
-            rows: list[list[Any]] = []
-            lines: list[int] = []
-            sheet_name = ""
-            for sheet in book.worksheets:
-                sheet_name = str(sheet.title)
-                sheet.reset_dimensions()
-                header, rows, lines = _cells(sheet, shown)
-                if header:
-                    break
+            sheet_name, header, rows, lines = _sheet(book, shown, layout)
             if len(book.sheetnames) > 1 and header:
-                notes.append(
-                    Note("info", shown, f"the workbook has {len(book.sheetnames)} sheets; {sheet_name!r} was read")
-                )
+                text = f"the workbook has {len(book.sheetnames)} sheets; {sheet_name!r} was read"
+                notes.append(Note("info", shown, text, "sheet"))
         finally:
             book.close()
     except BadFileError:
@@ -59,6 +50,11 @@ def read(path: Path, shown: str, wanted: Wanted | None) -> RawTable:
     if not header:
         raise BadFileError(shown, found="no cells", expected="a header line and rows", remedy="export the table again")
     refuse_duplicates(header, shown, row=lines[0] if lines else 1)
+    if lines[0] > 1:
+        notes.append(Note("info", shown, f"the header was found in row {lines[0]}", "preamble"))
+    if rows and (named := with_units(header, rows[0])):
+        header, rows, lines = named, rows[1:], [lines[0], *lines[2:]]
+        notes.append(Note("info", shown, "the row beneath the header names units", "unit_row"))
     line = np.asarray(lines[1:], dtype=np.int64)
     columns: dict[str, Any] = {}
     for index, name in enumerate(header):
@@ -66,9 +62,11 @@ def read(path: Path, shown: str, wanted: Wanted | None) -> RawTable:
             cells = np.empty(len(rows), dtype=object)
             cells[:] = [row[index] if index < len(row) else None for row in rows]
             columns[name] = cells
+    epochs: dict[str, int] = {}
     if wanted is not None:
-        notes += made_numeric(columns, shown, line)
-    return RawTable(columns, line, tuple(notes))
+        said, epochs = made_numeric(columns, shown, line)
+        notes += said
+    return RawTable(columns, line, tuple(notes), epochs)
 
 
 def _weigh(path: Path, shown: str) -> None:
@@ -88,30 +86,76 @@ def _weigh(path: Path, shown: str) -> None:
         )
 
 
-def _cells(sheet: Any, shown: str) -> tuple[list[str], list[list[Any]], list[int]]:
-    header: list[str] = []
-    rows: list[list[Any]] = []
-    lines: list[int] = []
+def _sheet(book: Any, shown: str, layout: Layout) -> tuple[str, list[str], list[list[Any]], list[int]]:
+    """Return name, header, rows and line numbers of the sheet asked for, or of the first that holds a table."""
+    if layout.sheet is not None and layout.sheet not in book.sheetnames:
+        raise BadFileError(
+            shown,
+            found=f"the sheets {', '.join(map(str, book.sheetnames))[:200]}",
+            expected=f"a sheet {layout.sheet!r}",
+            remedy="correct sheet of the mapping",
+        )
+    first: tuple[str, list[str], list[list[Any]], list[int]] = ("", [], [], [])
+    for sheet in book.worksheets:
+        if layout.sheet is not None and sheet.title != layout.sheet:
+            continue
+        sheet.reset_dimensions()
+        filled = _filled(sheet, shown)
+        header_at = _header_at(filled, layout, shown)
+        if header_at is None and (first[1] or not filled):
+            continue
+        table = (str(sheet.title), *_cells(filled, header_at or 0, shown))
+        if header_at is not None:
+            return table
+        first = table
+    return first
+
+
+def _filled(sheet: Any, shown: str) -> list[tuple[int, list[Any]]]:
+    """Return the rows that hold cells, with their numbers."""
+    filled = []
     for number, values in enumerate(sheet.iter_rows(values_only=True), start=1):
         if number > _MAX_ROWS:
             raise BadFileError(
                 shown, found="more rows than the format allows", expected=f"{_MAX_ROWS}", remedy="export it as CSV"
             )
         cells = [_cell(value) for value in values]
-        if all(cell is None for cell in cells):
-            continue
-        if not header:
-            header = ["" if cell is None else str(cell).strip() for cell in cells]
-            lines.append(number)
-            continue
+        if any(cell is not None for cell in cells):
+            filled.append((number, cells))
+    return filled
+
+
+def _header_at(filled: list[tuple[int, list[Any]]], layout: Layout, shown: str) -> int | None:
+    if layout.header_row is None:
+        return find_header([cells for _, cells in filled[:LOOKED_AT]])
+    at = next((index for index, (number, _) in enumerate(filled) if number == layout.header_row), None)
+    if at is None:
+        raise BadFileError(
+            shown,
+            row=layout.header_row,
+            found="no cells",
+            expected="the header, as the mapping says",
+            remedy="correct header_row of the mapping",
+        )
+    return at
+
+
+def _cells(filled: list[tuple[int, list[Any]]], at: int, shown: str) -> tuple[list[str], list[list[Any]], list[int]]:
+    number, cells = filled[at]
+    header = ["" if cell is None else str(cell).strip() for cell in cells]
+    while header and not header[-1]:
+        header.pop()
+    rows: list[list[Any]] = []
+    lines = [number]
+    for number, cells in filled[at + 1 :]:
         extra = [cell for cell in cells[len(header) :] if cell is not None]
         if extra:
             raise BadFileError(
                 shown,
                 row=number,
                 found=f"{str(extra[0])[:40]!r} beside the table",
-                expected=f"at most {len(header)} cells, as the header has",
-                remedy="name the column or remove the cell",
+                expected=f"at most {len(header)} cells, as the header in row {lines[0]} has",
+                remedy="name the column, remove the cell, or name the header's row (header_row)",
             )
         rows.append(cells)
         lines.append(number)

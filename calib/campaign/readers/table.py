@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from calib.campaign.model import Note
+from calib.campaign.readers.times import TIME_FORMATS, moments_ns, time_format
 from calib.errors import BadFileError
 
 __all__ = ["LARGEST", "RawTable", "Wanted", "comma_evidence", "made_numeric", "numbers", "refuse_duplicates"]
@@ -40,11 +41,15 @@ class RawTable:
         Line of each row in the file, counted from 1, header included.
     notes : tuple of Note
         What was recognised (encoding, delimiter, decimal comma).
+    epochs : mapping of str to int
+        For a column that was written as times of the clock and holds seconds since its first cell: that first time, in
+        nanoseconds since 1970 (or since midnight).
     """
 
     columns: Mapping[str, npt.NDArray[Any]]
     line: npt.NDArray[np.int64]
     notes: tuple[Note, ...] = ()
+    epochs: Mapping[str, int] = field(default_factory=dict)
 
 
 def refuse_duplicates(names: Sequence[str], shown: str, row: int = 1) -> None:
@@ -176,8 +181,10 @@ def _ambiguous(shown: str, column: str, row: int, text: str) -> BadFileError:
     )
 
 
-def made_numeric(columns: dict[str, npt.NDArray[Any]], shown: str, line: npt.NDArray[np.int64]) -> list[Note]:
-    """Turn columns of cells into numbers, in place, and say so where commas were read as points.
+def made_numeric(
+    columns: dict[str, npt.NDArray[Any]], shown: str, line: npt.NDArray[np.int64]
+) -> tuple[list[Note], dict[str, int]]:
+    """Turn columns of cells into numbers, in place; times of the clock become seconds since the first.
 
     Parameters
     ----------
@@ -188,6 +195,13 @@ def made_numeric(columns: dict[str, npt.NDArray[Any]], shown: str, line: npt.NDA
     line : array of int, shape (n_rows,)
         Line of each row in the file.
 
+    Returns
+    -------
+    notes : list of Note
+        Where commas were read as points, and in which format times were read.
+    epochs : dict of str to int
+        See `RawTable`.
+
     Raises
     ------
     BadFileError
@@ -195,7 +209,39 @@ def made_numeric(columns: dict[str, npt.NDArray[Any]], shown: str, line: npt.NDA
     """
     evidence = comma_evidence(list(columns.values()))
     used = False
+    notes: list[Note] = []
+    epochs: dict[str, int] = {}
     for name, cells in columns.items():
+        timed = _moments(cells, name, shown, line)
+        if timed is not None:
+            columns[name], epochs[name], form = timed
+            text = f"times were read as {TIME_FORMATS[form]}"
+            notes.append(Note("info", f"{shown}, column {name}", text, "time_format"))
+            continue
         columns[name], comma = numbers(cells, shown=shown, column=name, line=line, decimal_comma=evidence)
         used = used or comma
-    return [Note("info", shown, "decimal commas were read as decimal points", "decimal_comma")] if used else []
+    if used:
+        notes.append(Note("info", shown, "decimal commas were read as decimal points", "decimal_comma"))
+    return notes, epochs
+
+
+def _moments(
+    cells: npt.NDArray[Any], column: str, shown: str, line: npt.NDArray[np.int64]
+) -> tuple[npt.NDArray[np.float64], int, str] | None:
+    """Return seconds since the first cell, that first time and its format; None where the first cell is no time."""
+    first = next((cell for cell in cells if cell is not None and str(cell).strip()), None)
+    form = time_format(first) if isinstance(first, str) else None
+    if form is None:
+        return None
+    time_ns, bad = moments_ns(cells)
+    if bad is not None:
+        raise BadFileError(
+            shown,
+            row=int(line[bad]),
+            column=column,
+            found=repr(str(cells[bad])[:40]) if cells[bad] is not None else "an empty cell",
+            expected=f"a time as {TIME_FORMATS[form]}",
+            remedy="correct the cell, or remove the row",
+        )
+    start = int(time_ns[0])
+    return (time_ns - start) / 1e9, start, form

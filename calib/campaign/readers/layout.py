@@ -1,0 +1,112 @@
+"""Where the table stands in a file: sheet, separator, header row; looked for where nobody says."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+from calib.campaign.readers.times import time_format
+from calib.units import SUFFIXES
+
+__all__ = ["Layout", "find_delimiter", "find_header", "with_units"]
+
+#: rows looked at in search of the header
+LOOKED_AT: Final = 60
+_NUMBER: Final = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?", re.ASCII)
+_UNIT_WORDS: Final = frozenset(SUFFIXES) | {"m/s", "km/h", "°", "°C", "µm", "1", "-", "rpm", "rad/s", "counts", "ticks"}
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Sheet and header row of a table; None where they are to be found."""
+
+    sheet: str | None = None
+    header_row: int | None = None
+
+
+def _is_number(cell: Any) -> bool:
+    if isinstance(cell, int | float):
+        return True
+    text = str(cell).strip().replace("−", "-")
+    return bool(_NUMBER.fullmatch(text)) or time_format(text) is not None
+
+
+def _filled(row: Sequence[Any]) -> list[Any]:
+    return [cell for cell in row if cell is not None and str(cell).strip()]
+
+
+def find_header(rows: Sequence[Sequence[Any]]) -> int | None:
+    """Return the index of the row that names the columns, or None where no row does so better than the first.
+
+    The header is the first row of texts that is about as wide as the rows below it, with a number beneath it soon.
+
+    Parameters
+    ----------
+    rows : sequence of sequence
+        The first rows of the file, cells as read.
+    """
+    widths = [len(_filled(row)) for row in rows]
+    for index, row in enumerate(rows):
+        cells = _filled(row)
+        below = sorted(width for width in widths[index + 1 :] if width)
+        if len(cells) < 2 or not below:
+            continue
+        usual = below[len(below) // 2]
+        texts = sum(not _is_number(cell) for cell in cells)
+        if len(cells) < 0.6 * usual or texts < 0.6 * len(cells):
+            continue
+        following = [one for one in rows[index + 1 : index + 4] if _filled(one)]
+        if not any(any(_is_number(cell) for cell in _filled(one)) for one in following):
+            continue
+        if following and len(_filled(following[0])) > len(row) and widths[index] < usual:
+            continue
+        return index
+    return None
+
+
+def with_units(header: Sequence[str], below: Sequence[Any]) -> list[str] | None:
+    """Return the header with the units of a row beneath it in brackets, or None where that row holds no units."""
+    cells = ["" if cell is None else str(cell).strip() for cell in below]
+    bare = [cell.strip("[]()") for cell in cells]
+    filled = [cell for cell in bare if cell]
+    if not filled or not all(cell in _UNIT_WORDS for cell in filled) or all(_is_number(cell) for cell in filled):
+        return None
+    units = [*bare, *[""] * (len(header) - len(bare))]
+    return [
+        f"{name} [{unit}]" if name and unit and "[" not in name else name
+        for name, unit in zip(header, units, strict=False)
+    ]
+
+
+def find_delimiter(lines: Sequence[str]) -> str:
+    """Return the separator that splits the longest stretch of lines into one number of cells, more than one.
+
+    Parameters
+    ----------
+    lines : sequence of str
+        The first lines of the file.
+    """
+    filled = [line for line in lines if line.strip()][:LOOKED_AT]
+    # first come wins a tie: commas of equal regularity are decimal
+    stretches = {one: _stretch([len(row) for row in _split(filled, one)]) for one in (";", "\t", ",")}
+    best = max(stretches, key=lambda one: stretches[one])
+    return best if stretches[best] else ","
+
+
+def _stretch(counts: Sequence[int]) -> int:
+    """Return the length of the longest stretch of equal counts above one."""
+    longest = current = 0
+    for index, count in enumerate(counts):
+        current = 0 if count < 2 else current + 1 if index and counts[index - 1] == count else 1
+        longest = max(longest, current)
+    return longest
+
+
+def _split(lines: Sequence[str], delimiter: str) -> list[list[str]]:
+    try:
+        return list(csv.reader(lines, delimiter=delimiter))
+    except csv.Error:
+        return [line.split(delimiter) for line in lines]

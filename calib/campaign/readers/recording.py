@@ -1,0 +1,260 @@
+"""What a reader of recordings returns: streams with clocks of their own, in integer nanoseconds, and what they say."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from calib.arrays import FloatArray, IntArray
+from calib.campaign.model import Note
+from calib.campaign.readers.table import RawTable
+
+__all__ = [
+    "GAP_STEPS",
+    "NS_PER_S",
+    "ClockReport",
+    "Recording",
+    "Stream",
+    "WantedColumns",
+    "in_order",
+    "interpolated",
+    "joined_table",
+    "matrix_columns",
+]
+
+NS_PER_S: Final = 1_000_000_000
+#: a step is a gap where it exceeds so many usual steps
+GAP_STEPS: Final = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class ClockReport:
+    """What a stream's clock shows.
+
+    Parameters
+    ----------
+    n_samples : int
+        Samples.
+    start_ns, end_ns : int
+        First and last time, nanoseconds as recorded.
+    period_s : float
+        Median step.
+    n_gaps : int
+        Steps longer than five usual ones.
+    longest_gap_s : float
+        The longest of them, 0 where there is none.
+    n_backward : int
+        Steps backward in time.
+    """
+
+    n_samples: int
+    start_ns: int
+    end_ns: int
+    period_s: float
+    n_gaps: int
+    longest_gap_s: float
+    n_backward: int
+
+    @property
+    def span_s(self) -> float:
+        """Time from the first to the last sample."""
+        return (self.end_ns - self.start_ns) / NS_PER_S
+
+    @property
+    def rate_Hz(self) -> float:
+        """Samples a second, from the median step; 0 where there is none."""
+        return 1.0 / self.period_s if self.period_s > 0 else 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stream:
+    """One stream of a recording: a topic, a group of channels, the variables of a file.
+
+    Parameters
+    ----------
+    name : str
+        Topic or group.
+    kind : str
+        Message type, or ``channels``, ``variables``, ``poses``.
+    columns : mapping of str to array, shape (n_samples,)
+        Under names that are unique in the recording (``/odom:x``).
+    time_ns : array of int, shape (n_samples,), or None
+        Nanoseconds as recorded, exact; None where the stream has no clock of its own.
+    clock : str
+        Where the times come from, in words.
+    units : mapping of str to str
+        Units that the file names, by column.
+    behind_arrival_s : float or None
+        Median of arrival minus stamp where messages carry stamps; it differs between streams whose clocks differ.
+    """
+
+    name: str
+    kind: str
+    columns: Mapping[str, FloatArray]
+    time_ns: IntArray | None
+    clock: str
+    units: Mapping[str, str] = field(default_factory=dict)
+    behind_arrival_s: float | None = None
+
+    def __len__(self) -> int:
+        return len(next(iter(self.columns.values()))) if self.columns else 0
+
+    def report(self) -> ClockReport | None:
+        """Return span, rate and gaps; None without a clock or samples."""
+        if self.time_ns is None or not len(self.time_ns):
+            return None
+        steps = np.diff(self.time_ns)
+        usual = float(np.median(steps)) / NS_PER_S if len(steps) else 0.0
+        gaps = steps[steps > GAP_STEPS * usual * NS_PER_S] if usual > 0 else steps[:0]
+        return ClockReport(
+            n_samples=len(self.time_ns),
+            start_ns=int(self.time_ns.min()),
+            end_ns=int(self.time_ns.max()),
+            period_s=usual,
+            n_gaps=len(gaps),
+            longest_gap_s=float(gaps.max()) / NS_PER_S if len(gaps) else 0.0,
+            n_backward=int((steps < 0).sum()),
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """A recording as read.
+
+    Parameters
+    ----------
+    streams : tuple of Stream
+        Those that hold a wanted column.
+    notes : tuple of Note
+        What was recognised or left out.
+    properties : mapping of str to str
+        What the file says of itself, by place (``/``, ``group``, ``group/channel``).
+    """
+
+    streams: tuple[Stream, ...]
+    notes: tuple[Note, ...] = ()
+    properties: Mapping[str, str] = field(default_factory=dict)
+
+    def stream_of(self, column: str) -> Stream | None:
+        """Return the stream that holds `column`."""
+        return next((stream for stream in self.streams if column in stream.columns), None)
+
+    @property
+    def column_names(self) -> tuple[str, ...]:
+        """Names of all columns."""
+        return tuple(name for stream in self.streams for name in stream.columns)
+
+
+@dataclass(frozen=True, slots=True)
+class WantedColumns:
+    """Names of the columns to keep, so that a reader can pass over whole topics unread."""
+
+    names: frozenset[str]
+
+    def __call__(self, name: str) -> bool:
+        """Return whether the column is to be kept."""
+        return name in self.names
+
+    def of_topic(self, topic: str) -> bool:
+        """Return whether a column of the topic may be wanted; names of frames and joints follow the topic's."""
+        return any(name.startswith((f"{topic}:", f"{topic}[", f"{topic}#")) for name in self.names)
+
+
+def interpolated(stream: Stream, column: str, at_ns: IntArray, *, shift_ns: int = 0) -> FloatArray:
+    """Return a column at other times, linearly between samples and empty across gaps.
+
+    Parameters
+    ----------
+    stream : Stream
+        With a clock that does not run backward.
+    column : str
+        Its column.
+    at_ns : array of int, shape (n_times,)
+        Where it is wanted, on the clock of the recording.
+    shift_ns : int
+        Taken off the stream's times first: the time that the stream lags behind.
+
+    Returns
+    -------
+    array of float, shape (n_times,)
+        NaN outside the stream's span and within its gaps.
+    """
+    if stream.time_ns is None or not len(stream.time_ns):
+        return np.full(len(at_ns), np.nan)
+    values = stream.columns[column]
+    known = ~np.isnan(values)
+    times = stream.time_ns[known] - shift_ns
+    values = values[known]
+    if not len(times):
+        return np.full(len(at_ns), np.nan)
+    # differences of integers first: nanoseconds since 1970 are no longer exact as float
+    origin = int(times[0])
+    since, wanted = (times - origin).astype(np.float64), (at_ns - origin).astype(np.float64)
+    out: FloatArray = np.interp(wanted, since, values, left=np.nan, right=np.nan)
+    steps = np.diff(since)
+    if len(steps):
+        usual = float(np.median(steps))
+        after = np.searchsorted(since, wanted)
+        within = (after > 0) & (after < len(since))
+        long = np.zeros(len(out), dtype=np.bool_)
+        exact = np.isin(wanted, since)
+        long[within] = steps[after[within] - 1] > max(GAP_STEPS * usual, 1.0)
+        out = np.where(long & ~exact, np.nan, out)
+    return out
+
+
+def joined_table(recording: Recording, base: Stream | None = None) -> RawTable:
+    """Return the recording as one table on the times of one stream, the others interpolated.
+
+    Parameters
+    ----------
+    recording : Recording
+        Its streams.
+    base : Stream, optional
+        Whose times to take; by default those of the stream with most samples.
+
+    Returns
+    -------
+    RawTable
+        The columns under their names and, where there is a clock, ``t_s`` from the first sample.
+    """
+    if not recording.streams:
+        return RawTable({}, np.zeros(0, dtype=np.int64), recording.notes)
+    base = base or max(recording.streams, key=len)
+    columns: dict[str, npt.NDArray[Any]] = {}
+    time = base.time_ns
+    if time is not None and len(time) and "t_s" not in recording.column_names:
+        columns["t_s"] = (time - time[0]) / NS_PER_S
+    for stream in recording.streams:
+        for name, values in stream.columns.items():
+            if stream is base or (len(values) == len(base) and stream.time_ns is None):
+                columns[name] = values
+            elif time is not None and stream.time_ns is not None:
+                columns[name] = interpolated(stream, name, time)
+    return RawTable(columns, np.arange(1, len(base) + 1, dtype=np.int64), recording.notes)
+
+
+def matrix_columns(name: str, values: npt.NDArray[Any]) -> dict[str, FloatArray]:
+    """Return an array of one or two dimensions as columns, ``name`` or ``name[0]``, ``name[1]``, ..."""
+    flat = np.asarray(values)
+    if flat.ndim == 1:
+        return {name: flat.astype(np.float64)}
+    if flat.ndim == 2 and 1 in flat.shape:
+        return {name: flat.ravel().astype(np.float64)}
+    if flat.ndim == 2:
+        wide = flat.T if flat.shape[0] < flat.shape[1] else flat
+        return {f"{name}[{index}]": column.astype(np.float64) for index, column in enumerate(wide.T)}
+    return {}
+
+
+def in_order(time_ns: IntArray, columns: Sequence[FloatArray]) -> tuple[IntArray, list[FloatArray], int]:
+    """Return times and columns sorted by time, and how many samples stood out of order."""
+    backward = int((np.diff(time_ns) < 0).sum()) if len(time_ns) > 1 else 0
+    if not backward:
+        return time_ns, list(columns), 0
+    order = np.argsort(time_ns, kind="stable")
+    return time_ns[order], [column[order] for column in columns], backward

@@ -1,0 +1,132 @@
+"""TDMS files of DAQ programs, with the ``tdms`` extra: groups, channels, properties at three levels, waveform times."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from calib.arrays import FloatArray, IntArray
+from calib.campaign.model import Note
+from calib.campaign.readers.recording import Recording, Stream
+from calib.errors import BadFileError
+
+__all__ = ["record"]
+
+_NS: Final = 1_000_000_000
+_FROM_1904_S: Final = 2_082_844_800
+#: samples read at a time, so that a channel is never held twice
+_CHUNK: Final = 1 << 20
+
+
+def record(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> Recording:
+    """Read a TDMS file; columns are called ``group/channel``; see `calib.campaign.readers.read_recording`."""
+    try:
+        from nptdms import TdmsFile
+    except ImportError as error:
+        raise BadFileError(
+            shown,
+            found="a TDMS file, and no reader for it",
+            expected="npTDMS",
+            remedy="install it with: pip install 'calib[tdms]'",
+        ) from error
+    notes: list[Note] = []
+    try:
+        with _quiet(), TdmsFile.open(path, raw_timestamps=True) as source:
+            if not source.groups() or source.file_status.incomplete_final_segment:
+                raise ValueError("the last segment is not complete")
+            properties = _properties("/", source.properties)
+            streams: list[Stream] = []
+            for group in source.groups():
+                properties |= _properties(group.name, group.properties)
+                channels = {}
+                for channel in group.channels():
+                    name = f"{group.name}/{channel.name}"
+                    properties |= _properties(name, channel.properties)
+                    if not len(channel) or np.dtype(channel.dtype).kind not in "iufbMV":
+                        notes.append(Note("info", f"{shown}, {name}", "holds no numbers and was left out", "skipped"))
+                    elif wanted is None or wanted(name):
+                        channels[name] = channel
+                streams += _streams(group.name, channels)
+    except OSError:
+        raise
+    except MemoryError:
+        raise
+    except Exception as error:
+        # the library answers damage with errors of many kinds (struct, keys, values, its own)
+        raise BadFileError(
+            shown,
+            found=f"a TDMS file that is cut or damaged ({' '.join(str(error).split())[:100] or type(error).__name__})",
+            expected="a whole one",
+            remedy="copy it again from the DAQ computer, or export it as CSV",
+        ) from error
+    return Recording(tuple(streams), tuple(notes), properties)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep the library from writing warnings of its own to standard error; what they say is raised here."""
+    log = logging.getLogger("nptdms.reader")
+    level = log.level
+    log.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        log.setLevel(level)
+
+
+def _moments_ns(stamps: Any) -> IntArray:
+    """Return nanoseconds since 1970 of time stamps kept as seconds since 1904 and 2^-64 of a second, rounded."""
+    seconds = np.asarray(stamps.seconds, dtype=np.int64) - _FROM_1904_S
+    fractions = np.rint(np.asarray(stamps.second_fractions, dtype=np.float64) * (_NS / 2.0**64)).astype(np.int64)
+    return np.asarray(seconds * _NS + fractions, dtype=np.int64)
+
+
+def _properties(place: str, found: Mapping[str, Any]) -> dict[str, str]:
+    return {f"{place}: {key}": str(value)[:200] for key, value in found.items()}
+
+
+def _streams(group: str, channels: Mapping[str, Any]) -> list[Stream]:
+    """Gather channels of one group that share length and time track."""
+    together: dict[tuple[Any, ...], dict[str, Any]] = {}
+    for name, channel in channels.items():
+        track = tuple(str(channel.properties.get(key)) for key in ("wf_start_time", "wf_increment", "wf_start_offset"))
+        together.setdefault((len(channel), *track), {})[name] = channel
+    streams = []
+    for number, members in enumerate(together.values(), start=1):
+        time, clock, columns, units = _time(next(iter(members.values()))), "waveform properties", {}, {}
+        for name, channel in members.items():
+            if channel[0:1].dtype.names:
+                # a channel of time stamps is the clock of the channels beside it
+                time, clock = _moments_ns(channel[:]), f"time stamps of {name}"
+                continue
+            columns[name] = _values(channel)
+            if unit := channel.properties.get("unit_string"):
+                units[name] = str(unit)
+        if columns:
+            name = group if number == 1 else f"{group}#{number}"
+            streams.append(Stream(name, "channels", columns, time, clock if time is not None else "none", units))
+    return streams
+
+
+def _values(channel: Any) -> FloatArray:
+    values: FloatArray = np.empty(len(channel))
+    for start in range(0, len(channel), _CHUNK):
+        values[start : start + _CHUNK] = channel[start : min(start + _CHUNK, len(channel))]
+    return values
+
+
+def _time(channel: Any) -> IntArray | None:
+    """Return the times of a waveform channel: start, offset and increment, rounded to the nanosecond once."""
+    step = channel.properties.get("wf_increment")
+    if not isinstance(step, int | float) or not step > 0:
+        return None
+    offset = channel.properties.get("wf_start_offset", 0.0)
+    origin = channel.properties.get("wf_start_time")
+    start = int(_moments_ns(origin)) if hasattr(origin, "second_fractions") else 0
+    index: FloatArray = np.arange(len(channel), dtype=np.float64)
+    return start + np.rint((float(offset) + index * float(step)) * _NS).astype(np.int64)
