@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from calib.cli.output import FORCE, JSON, emit_json, say, say_wrapped, table
 from calib.cli.threads import one_blas_thread
+
+if TYPE_CHECKING:
+    from calib.campaign.model import Campaign
 
 __all__ = ["register"]
 
@@ -51,15 +54,17 @@ def register(application: typer.Typer, name: str) -> None:
         from calib.campaign.read import read_campaign
         from calib.errors import would_overwrite
         from calib.files import write_bytes, write_json
-        from calib.gap.apply import applied_model, model_of
+        from calib.gap.apply import applied_model
         from calib.gap.diagnose import diagnose_in_full
+        from calib.gap.effects.applied import model_of
         from calib.gap.verdict.paper_headline import headline
 
         for target in (apply, None if into is None else into / RESULT_FILE):
             if target is not None and target.exists() and not force:
                 raise would_overwrite(target)
         read = read_campaign(campaign)
-        _known(exclude)
+        if exclude:
+            _check_excluded(exclude, read)
         believed, effects = (None, ()) if model is None else model_of(model, read)
         found = diagnose_in_full(read, seed=seed, exclude=tuple(exclude), model=believed, applied=effects)
         document = found.verdict.to_dict() | {"headline": headline(found.verdict)}
@@ -83,15 +88,16 @@ def register(application: typer.Typer, name: str) -> None:
         return 0 if found.verdict.verdict in {"no_gap", "explained"} else 1
 
 
-def _known(exclude: list[str]) -> None:
-    """Refuse effects that are not in the library; columns' and users' own are let through by their colon or dot."""
+def _check_excluded(exclude: list[str], campaign: Campaign) -> None:
+    """Refuse what is no effect of the campaign's library, its columns' and the user's own included."""
     from calib.errors import BadInputError
-    from calib.gap.effects.library import REGISTRY
+    from calib.gap.data.from_campaign import observations_of
+    from calib.gap.effects.library import check_excluded
 
-    for one in exclude:
-        if one not in REGISTRY and not one.startswith("covariate:") and not one.startswith("user:"):
-            near = ", ".join(name for name in REGISTRY if name[:4] == one[:4]) or ", ".join(REGISTRY)
-            raise BadInputError(f"--exclude: found {one!r}; expected an effect of the library; choose of: {near}")
+    try:
+        check_excluded(exclude, observations_of(campaign), campaign.extra.get("effects", ()))
+    except BadInputError as error:
+        raise BadInputError(f"--{error}") from error
 
 
 def _show(document: Mapping[str, Any], target: str | None) -> None:

@@ -69,12 +69,23 @@ def _next(
     campaign: Path, candidates: Path | None, most: int, seed: int, json_target: str | None, *, force: bool
 ) -> int:
     from calib.campaign.read import read_campaign
-    from calib.gap.plan.next_runs import plan_after
+    from calib.gap.diagnose import diagnose_in_full
+    from calib.gap.plan.next_runs import next_runs
     from calib.gap.plan.plan_file import read_candidates
 
     read = read_campaign(campaign)
     offered = None if candidates is None else read_candidates(candidates)
-    verdict, runs = plan_after(read, offered, most=most, seed=seed)
+    diagnosis = diagnose_in_full(read, seed=seed, plan=False)
+    verdict = diagnosis.verdict
+    runs = next_runs(
+        read,
+        diagnosis.effects,
+        diagnosis.noise,
+        verdict.indistinguishable,
+        diagnosis.fitted,
+        candidates=offered,
+        most=most,
+    )
     say_wrapped(f"{verdict.campaign}: {verdict.sentence}", target=json_target)
     say("", target=json_target)
     if runs:

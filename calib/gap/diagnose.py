@@ -13,7 +13,10 @@ from calib.campaign.settings import OdometryModel
 from calib.errors import RefusedError
 from calib.gap.data.from_campaign import observations_of
 from calib.gap.data.observations import Observations
-from calib.gap.effects.library import library
+from calib.gap.effects.applied import with_effects
+from calib.gap.effects.effect import Effect
+from calib.gap.effects.encoder_gross import corrected
+from calib.gap.effects.library import fault_before_search, library
 from calib.gap.evidence.fit import Fitted, fit
 from calib.gap.evidence.marginal import FLOOR_DOF
 from calib.gap.evidence.noise import Noise, estimate_noise
@@ -21,7 +24,6 @@ from calib.gap.evidence.recalibration import judge_recalibration
 from calib.gap.evidence.search import Search, Settings, search
 from calib.gap.evidence.whitened import WhitenedSystem
 from calib.gap.plan.next_runs import next_runs, undetectable
-from calib.gap.predict.count_faults import corrected, find_gross
 from calib.gap.predict.path import Path, predict
 from calib.gap.predict.residuals import residuals
 from calib.gap.verdict.closure import Closure, measure_closure
@@ -61,6 +63,8 @@ class Diagnosis:
         The gap before and after on held-out runs.
     found : Search
         All hypotheses tried, and the forms of the library on this campaign.
+    effects : tuple of Effect
+        The library that it was judged by.
     """
 
     verdict: Verdict
@@ -70,6 +74,7 @@ class Diagnosis:
     fitted: Fitted
     closure: Closure
     found: Search
+    effects: tuple[Effect, ...]
 
 
 def diagnose(
@@ -136,17 +141,14 @@ def diagnose_in_full(
         )
     notes: tuple[str, ...] = ()
     if applied:
-        from calib.gap.apply import with_effects
-
         s, notes = with_effects(s, applied, declared=declared)
     nominal = predict(s)
     before = residuals(nominal, nominal)
-    fault = find_gross(s, nominal) if "encoder_gross" not in exclude else None
+    fault = fault_before_search(s, nominal, exclude)
     if fault is not None:
         s = corrected(s, fault)
         nominal = predict(s)
-    # a gross fault is looked for above, by re-simulation; the linear search is no place for it
-    effects = library(s, exclude=(*exclude, "encoder_gross"), declared=declared)
+    effects = library(s, exclude=exclude, declared=declared)
     noise, base = _settle(nominal)
     found = search(nominal, noise, base, effects, settings)
     chosen = found.hypotheses[0]
@@ -165,7 +167,7 @@ def diagnose_in_full(
     n_rows = int(s.usable.sum())
     factor = (FLOOR_DOF + chosen.fitted.chi_square) / (FLOOR_DOF + n_rows)
     factor = 1.0 if chosen.unknown else min(factor, MOST_FLOOR)
-    whole = "session_step" not in chosen.effects
+    whole = not any(effect.per_session for effect in effects if effect.id in chosen.effects)
     closure = measure_closure(nominal, noise, chosen.fitted, rng, sessions=whole, floor_factor=factor)
     if fault is not None:
         closure = replace(closure, before=before)
@@ -178,7 +180,7 @@ def diagnose_in_full(
         ties = verdict.indistinguishable
         wanted = next_runs(campaign, effects, noise, ties, chosen.fitted, model=model)
         verdict = replace(verdict, next_runs=tuple(wanted))
-    return Diagnosis(verdict, s, noise, nominal, chosen.fitted, closure, found)
+    return Diagnosis(verdict, s, noise, nominal, chosen.fitted, closure, found, tuple(effects))
 
 
 def _differ(before: Noise, after: Noise) -> bool:

@@ -20,7 +20,7 @@ NEVER: Final = "never: "
 
 def effect_name(effect: Any) -> str:
     """Return an effect's id as people read it."""
-    return str(effect).replace("_", " ").replace("covariate:", "covariate ")
+    return str(effect).replace("_", " ").replace(":", " ")
 
 
 def finite(value: Any) -> float | None:

@@ -12,9 +12,10 @@ from calib.coefficients.quantities import Quantity
 from calib.coefficients.sections import EffectSection
 from calib.errors import RefusedError
 from calib.files import write_bytes
-from calib.gap.apply import applied_model, applied_pushes, model_of, with_effects
+from calib.gap.apply import applied_model
 from calib.gap.data.from_campaign import observations_of
 from calib.gap.diagnose import diagnose, diagnose_in_full
+from calib.gap.effects.applied import applied_pushes, model_of, with_effects
 from calib.gap.predict.path import predict
 from calib.gap.predict.residuals import residuals
 from calib.plant.effects.registry import find

@@ -6,6 +6,7 @@ from typing import ClassVar
 
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
+from calib.gap.effects.family import Family
 from calib.gap.effects.shapes import laser_share
 
 __all__ = ["BeamMisalignment"]
@@ -17,6 +18,9 @@ class BeamMisalignment(Effect):
     id: ClassVar[str] = "beam_misalignment"
     title: ClassVar[str] = "a laser beam at an angle to the way"
     implausible: ClassVar[str] = "the rangefinder's scale (a beam 5 degrees off reads only 0.4 % too much)"
+    family: ClassVar[Family] = Family.INSTRUMENT
+    needs: ClassVar[str] = "distances by the instrument"
+    separates: ClassVar[str] = "the beam aimed anew; a scale of the instrument looks exactly alike"
 
     def forms(self, s: Observations) -> list[Form]:
         """Return the single form; none without a laser distance."""

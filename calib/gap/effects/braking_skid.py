@@ -9,8 +9,9 @@ import numpy as np
 from calib.arrays import BoolArray, FloatArray
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter, varies
+from calib.gap.effects.family import Family
 from calib.gap.effects.shapes import MOVING_MPS, curvature_per_m, driven_speed_mps
-from calib.gap.predict.path import Push
+from calib.gap.predict.push import Push
 
 __all__ = ["BrakingSkid", "stops"]
 
@@ -24,6 +25,9 @@ class BrakingSkid(Effect):
     id: ClassVar[str] = "braking_skid"
     title: ClassVar[str] = "skidding when it stops"
     implausible: ClassVar[str] = "latency, or an offset of the reference"
+    family: ClassVar[Family] = Family.SPEED
+    needs: ClassVar[str] = "stops"
+    separates: ClassVar[str] = "runs of one length with more and fewer stops"
     shifts: ClassVar[tuple[str, ...]] = ("radius_scale",)
 
     def forms(self, s: Observations) -> list[Form]:

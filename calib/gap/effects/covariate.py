@@ -6,15 +6,16 @@ from typing import Final
 
 import numpy as np
 
-from calib.arrays import FloatArray
 from calib.campaign.model import NUMERIC_COLUMNS
 from calib.gap.data.observations import Observations
-from calib.gap.effects.effect import Effect, Form, Parameter, varies
-from calib.gap.predict.path import Push
+from calib.gap.effects.effect import Centre, Effect, Form, Parameter, varies
+from calib.gap.effects.family import Family
+from calib.gap.predict.push import Push
 
-__all__ = ["PREFIX", "Covariate", "covariate_columns", "covariate_effects"]
+__all__ = ["ACTS_ON", "Covariate", "column_of", "covariate_columns", "covariate_effects"]
 
 PREFIX: Final = "covariate:"
+ACTS_ON: Final = ("both radii", "left radius", "right radius", "yaw per metre")
 _OWN: Final = frozenset({*NUMERIC_COLUMNS, "travelled_km"})
 
 
@@ -33,6 +34,9 @@ class Covariate(Effect):
     id: str  # type: ignore[misc]
     title: str  # type: ignore[misc]
     implausible = "something else that changed with this column"
+    family = Family.COVARIATE
+    needs = "a column of numbers in the run table that varies"
+    separates = "runs that vary this column alone"
     shifts = ("radius_scale", "unequal_radii")
 
     def __init__(self, column: str) -> None:
@@ -48,21 +52,28 @@ class Covariate(Effect):
         spread = float(np.std(values))
         if spread <= 1e-12 * float(np.max(np.abs(values))):
             return []
-        standard = (values - float(np.mean(values))) / spread
-        radius = Parameter("relative_per_sd", "1", typical=1e-3, largest=2e-2)
-        yaw = Parameter("yaw_per_sd", "rad/m", typical=1e-3, largest=2e-2)
-        along: FloatArray = standard[s.unit] * s.path_m
-        made = [
-            ("both radii", radius, Push(left=standard, right=standard)),
-            ("left radius", radius, Push(left=standard)),
-            ("right radius", radius, Push(right=standard)),
-            ("yaw per metre", yaw, Push(heading_rad=along)),
-        ]
-        settings = {"mean": float(np.mean(values)), "standard_deviation": spread}
-        return [
-            Form(self.id, label, (parameter,), lambda _, push=push: [push], settings=dict(settings), tries=len(made))  # type: ignore[misc]
-            for label, parameter, push in made
-        ]
+        centre = Centre(float(np.mean(values)), spread)
+        return [self._form(s, centre, label) for label in ACTS_ON]
+
+    def _form(self, s: Observations, centre: Centre, label: str) -> Form:
+        standard = centre.deviations(s.number(self.column))
+        if label == "yaw per metre":
+            parameter = Parameter("yaw_per_sd", "rad/m", typical=1e-3, largest=2e-2)
+            push = Push(heading_rad=standard[s.unit] * s.path_m)
+        else:
+            parameter = Parameter("relative_per_sd", "1", typical=1e-3, largest=2e-2)
+            left, right = label != "right radius", label != "left radius"
+            push = Push(left=standard if left else None, right=standard if right else None)
+        return Form(
+            self.id,
+            label,
+            (parameter,),
+            lambda _: [push],
+            settings={"mean": centre.mean, "standard_deviation": centre.spread},
+            tries=len(ACTS_ON),
+            centre=centre,
+            about=lambda elsewhere: self._form(s, elsewhere, label),
+        )
 
 
 def covariate_columns(s: Observations) -> tuple[str, ...]:
@@ -70,6 +81,11 @@ def covariate_columns(s: Observations) -> tuple[str, ...]:
     return tuple(name for name in s.numbers if name not in _OWN)
 
 
-def covariate_effects(s: Observations) -> list[Effect]:
+def column_of(effect: str) -> str | None:
+    """Return the column of a covariate's id, None for any other id."""
+    return effect.removeprefix(PREFIX) if effect.startswith(PREFIX) else None
+
+
+def covariate_effects(s: Observations) -> list[Covariate]:
     """Return an effect for each further numeric column."""
     return [Covariate(column) for column in covariate_columns(s)]

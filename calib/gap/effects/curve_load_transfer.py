@@ -8,8 +8,9 @@ import numpy as np
 
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
+from calib.gap.effects.family import Family
 from calib.gap.effects.shapes import curvature_per_m, shows_curves
-from calib.gap.predict.path import Push
+from calib.gap.predict.push import Push
 from calib.units import GRAVITY_MPS2
 
 __all__ = ["CurveLoadTransfer"]
@@ -24,6 +25,9 @@ class CurveLoadTransfer(Effect):
     id: ClassVar[str] = "curve_load_transfer"
     title: ClassVar[str] = "load that moves to the outer wheel in fast turns"
     implausible: ClassVar[str] = "a track other than believed, or side slip"
+    family: ClassVar[Family] = Family.TURNING
+    needs: ClassVar[str] = "turns at known speeds"
+    separates: ClassVar[str] = "the same turn at two speeds and two loads"
 
     def forms(self, s: Observations) -> list[Form]:
         """Return the single form; none where nothing turns or no speed is known."""

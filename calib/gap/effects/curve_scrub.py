@@ -8,8 +8,9 @@ import numpy as np
 
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
+from calib.gap.effects.family import Family
 from calib.gap.effects.shapes import curvature_per_m, shows_curves
-from calib.gap.predict.path import Push
+from calib.gap.predict.push import Push
 
 __all__ = ["CurveScrub"]
 
@@ -20,6 +21,9 @@ class CurveScrub(Effect):
     id: ClassVar[str] = "curve_scrub"
     title: ClassVar[str] = "scrubbing in turns that widens the track"
     implausible: ClassVar[str] = "a track other than believed, or load transfer in fast turns"
+    family: ClassVar[Family] = Family.TURNING
+    needs: ClassVar[str] = "turns of several curvatures"
+    separates: ClassVar[str] = "turns of several radii at one speed"
     shifts: ClassVar[tuple[str, ...]] = ("track_width",)
 
     def forms(self, s: Observations) -> list[Form]:

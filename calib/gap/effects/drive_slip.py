@@ -9,8 +9,9 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
+from calib.gap.effects.family import Family
 from calib.gap.effects.steering import front_travel_m, has_front
-from calib.gap.predict.path import Push
+from calib.gap.predict.push import Push
 
 __all__ = ["DriveSlip"]
 
@@ -27,6 +28,9 @@ class DriveSlip(Effect):
     id: ClassVar[str] = "drive_slip"
     title: ClassVar[str] = "slip of the driven front wheel"
     implausible: ClassVar[str] = "the front wheel's radius"
+    family: ClassVar[Family] = Family.STEERING
+    needs: ClassVar[str] = "the front wheel in the log"
+    separates: ClassVar[str] = "several accelerations"
 
     def forms(self, s: Observations) -> list[Form]:
         """Return forms by the force that slips; none without a front wheel in the log."""

@@ -11,9 +11,11 @@ import numpy as np
 
 from calib.arrays import FloatArray
 from calib.gap.data.observations import Observations
-from calib.gap.predict.path import Path, Push
+from calib.gap.effects.family import Family
+from calib.gap.predict.path import Path
+from calib.gap.predict.push import Push
 
-__all__ = ["Effect", "Form", "Parameter", "centred", "varies"]
+__all__ = ["Centre", "Effect", "Form", "Parameter", "varies"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +41,31 @@ class Parameter:
     sign: int = 0
 
 
+@dataclass(frozen=True, slots=True)
+class Centre:
+    """Where a covariate's effect is nought, and by what its deviation from there is divided.
+
+    Parameters
+    ----------
+    mean : float
+        In the covariate's unit.
+    spread : float
+        What counts as one unit of the deviation: 1, or a standard deviation.
+    """
+
+    mean: float
+    spread: float = 1.0
+
+    @classmethod
+    def of(cls, values: FloatArray) -> Centre:
+        """Return the centre at the mean of the known values (n_units,), 0 where none is known."""
+        return cls(float(np.nanmean(values)) if np.isfinite(values).any() else 0.0)
+
+    def deviations(self, values: FloatArray) -> FloatArray:
+        """Return how far values lie from the centre, NaN as 0, same shape."""
+        return np.asarray(np.nan_to_num((values - self.mean) / self.spread))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Form:
     """One form of an effect on one campaign: its parameters and how each of them pushes.
@@ -57,6 +84,10 @@ class Form:
         Quantities of the form that are not fitted linearly (an exponent, a time constant, a place).
     tries : int
         How many forms were searched over; the evidence pays for the search.
+    centre : Centre, optional
+        Where the effect is nought, for a form that takes the deviation of a covariate from its mean on the campaign.
+    about : callable, optional
+        Centre -> the same form with the effect nought there; each form with a centre has it.
     """
 
     effect: str
@@ -65,6 +96,12 @@ class Form:
     pushes: Callable[[Path], Sequence[Push]]
     settings: dict[str, float] = field(default_factory=dict)
     tries: int = 1
+    centre: Centre | None = None
+    about: Callable[[Centre], Form] | None = None
+
+    def centred_at(self, centre: Centre | None) -> Form:
+        """Return the form with the effect nought at a centre, itself where it has none or none is given."""
+        return self if self.about is None or centre is None or centre == self.centre else self.about(centre)
 
     @property
     def typical(self) -> FloatArray:
@@ -83,8 +120,24 @@ class Effect(ABC):
         What it is, for people, in a few words that fit into "the gap is explained by ...".
     implausible : str
         What to suspect where the fitted size is beyond what is plausible; a clause.
-    calibration : bool
-        True for the three that a plain recalibration absorbs.
+    family : Family
+        Effects that act through the same thing.
+    needs : str
+        What a campaign has to hold for the effect to show; a phrase.
+    separates : str
+        The runs that tell it from what looks alike; a phrase.
+    hides_in : str
+        What a plain recalibration would change in its place; empty for all but the calibration's own.
+    calibration_direction : tuple of float, optional
+        For the calibration's own: the change of (left radius, right radius, track, front radius) per unit.
+    is_load_law : bool
+        Whether it makes the radii a function of the load, as the paper's correction does.
+    carries_law_slope : bool
+        Whether its parameters ``slope_left`` and ``slope_right`` are the slopes of the radius law.
+    per_session : bool
+        Whether it has parameters for each session, so that it says nothing of a session left out.
+    found_before_search : bool
+        Whether it is so large that it is found by trial before the search; it offers no forms.
     shifts : tuple of str
         Calibration effects that a zero point of this effect other than assumed looks like (a temperature counted from
         20 degrees instead of the mean shifts the radii); a shift no larger than the effect counts as part of it.
@@ -93,8 +146,21 @@ class Effect(ABC):
     id: ClassVar[str]
     title: ClassVar[str]
     implausible: ClassVar[str] = "another cause that looks alike"
-    calibration: ClassVar[bool] = False
     shifts: ClassVar[tuple[str, ...]] = ()
+    family: ClassVar[Family] = Family.OWN
+    needs: ClassVar[str] = ""
+    separates: ClassVar[str] = ""
+    hides_in: ClassVar[str] = ""
+    calibration_direction: ClassVar[tuple[float, ...] | None] = None
+    is_load_law: ClassVar[bool] = False
+    carries_law_slope: ClassVar[bool] = False
+    per_session: ClassVar[bool] = False
+    found_before_search: ClassVar[bool] = False
+
+    @property
+    def calibration(self) -> bool:
+        """Whether a plain recalibration absorbs it."""
+        return self.calibration_direction is not None
 
     @abstractmethod
     def forms(self, s: Observations) -> list[Form]:
@@ -104,9 +170,3 @@ class Effect(ABC):
 def varies(values: FloatArray, by: float = 0.0) -> bool:
     """Return whether a covariate is known everywhere and takes more than one value (further apart than `by`)."""
     return bool(np.isfinite(values).all() and np.ptp(values) > by)
-
-
-def centred(values: FloatArray) -> FloatArray:
-    """Return the values less their mean, NaN as 0, same shape."""
-    mean = np.nanmean(values) if np.isfinite(values).any() else 0.0
-    return np.asarray(np.nan_to_num(values - mean))

@@ -10,8 +10,10 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter, varies
+from calib.gap.effects.family import Family
 from calib.gap.effects.floor import map_heading_rad
-from calib.gap.predict.path import Path, Push, predict
+from calib.gap.predict.path import Path, predict
+from calib.gap.predict.push import Push
 
 __all__ = ["FloorSlope"]
 
@@ -25,6 +27,9 @@ class FloorSlope(Effect):
     id: ClassVar[str] = "floor_slope"
     title: ClassVar[str] = "a sloping floor"
     implausible: ClassVar[str] = "a difference between driving out and back of another cause"
+    family: ClassVar[Family] = Family.DIRECTION
+    needs: ClassVar[str] = "runs in two headings, the poses in one frame"
+    separates: ClassVar[str] = "the vehicle turned by 180 degrees on the same lane"
     shifts: ClassVar[tuple[str, ...]] = ("radius_scale",)
 
     def forms(self, s: Observations) -> list[Form]:

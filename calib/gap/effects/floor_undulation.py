@@ -9,7 +9,8 @@ import numpy as np
 from calib.arrays import BoolArray
 from calib.gap.data.observations import STRAIGHT_RAD, Observations
 from calib.gap.effects.effect import Effect, Form, Parameter, varies
-from calib.gap.predict.path import Push
+from calib.gap.effects.family import Family
+from calib.gap.predict.push import Push
 
 __all__ = ["FloorUndulation"]
 
@@ -24,6 +25,9 @@ class FloorUndulation(Effect):
     id: ClassVar[str] = "floor_undulation"
     title: ClassVar[str] = "an uneven floor on one lane"
     implausible: ClassVar[str] = "both effective radii on that lane, or a path that weaves"
+    family: ClassVar[Family] = Family.FLOOR
+    needs: ClassVar[str] = "two lanes"
+    separates: ClassVar[str] = "the same runs on another lane"
     shifts: ClassVar[tuple[str, ...]] = ("radius_scale",)
 
     def forms(self, s: Observations) -> list[Form]:

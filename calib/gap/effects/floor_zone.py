@@ -10,8 +10,10 @@ import numpy as np
 from calib.arrays import FloatArray, IntArray
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
+from calib.gap.effects.family import Family
 from calib.gap.effects.floor import floor_place, lanes, map_heading_rad
-from calib.gap.predict.path import Path, Push, predict
+from calib.gap.predict.path import Path, predict
+from calib.gap.predict.push import Push
 
 __all__ = ["CELL_M", "MOST_FORMS", "FloorZone"]
 
@@ -30,6 +32,9 @@ class FloorZone(Effect):
     id: ClassVar[str] = "floor_zone"
     title: ClassVar[str] = "a zone of the floor that shortens the way or turns the vehicle"
     implausible: ClassVar[str] = "a step or joint that the vehicle should not be driven over"
+    family: ClassVar[Family] = Family.FLOOR
+    needs: ClassVar[str] = "logs, the poses in one frame"
+    separates: ClassVar[str] = "runs that cross the place beside runs that do not"
 
     def forms(self, s: Observations) -> list[Form]:
         """Return a form for each strip and cell of about 2 m that some runs cross and others not, or cross otherwise.

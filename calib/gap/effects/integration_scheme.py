@@ -8,8 +8,10 @@ import numpy as np
 
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
+from calib.gap.effects.family import Family
 from calib.gap.effects.shapes import start_to_end_frame
-from calib.gap.predict.path import Path, Push, predict
+from calib.gap.predict.path import Path, predict
+from calib.gap.predict.push import Push
 
 __all__ = ["IntegrationScheme"]
 
@@ -24,6 +26,9 @@ class IntegrationScheme(Effect):
     id: ClassVar[str] = "integration_scheme"
     title: ClassVar[str] = "a simulator that integrates the heading coarsely"
     implausible: ClassVar[str] = "latency, or a start heading that differs"
+    family: ClassVar[Family] = Family.PATH
+    needs: ClassVar[str] = "poses of an outside simulator on runs that turn"
+    separates: ClassVar[str] = "none: it is computed from the logs"
 
     def forms(self, s: Observations) -> list[Form]:
         """Return the end-point and the Euler form; none without an outside simulator's poses on turning runs."""

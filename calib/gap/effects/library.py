@@ -6,58 +6,90 @@ import importlib
 from collections.abc import Collection
 from typing import Final
 
+from calib.errors import BadInputError
 from calib.gap.data.observations import Observations
-from calib.gap.effects.covariate import covariate_effects
+from calib.gap.effects.covariate import Covariate, column_of, covariate_effects
 from calib.gap.effects.effect import Effect
-from calib.gap.effects.user import declared_effects, entry_point_effects
+from calib.gap.effects.encoder_gross import GrossFault, find_gross
+from calib.gap.effects.user import Declared, declared_effects, entry_point_effects
+from calib.gap.predict.path import Path
 
-__all__ = ["REGISTRY", "library"]
+__all__ = [
+    "REGISTRY",
+    "check_excluded",
+    "effect_class",
+    "every_effect",
+    "fault_before_search",
+    "library",
+    "title_of",
+]
 
-#: id -> (module, class); the order is the order of listings
-REGISTRY: Final[dict[str, tuple[str, str]]] = {
-    "radius_scale": ("radius_scale", "RadiusScale"),
-    "unequal_radii": ("unequal_radii", "UnequalRadii"),
-    "track_width": ("track_width", "TrackWidth"),
-    "load_radius": ("load_radius", "LoadRadius"),
-    "load_radius_nonlinear": ("load_radius_nonlinear", "LoadRadiusNonlinear"),
-    "load_creep": ("load_creep", "LoadCreep"),
-    "wheel_eccentricity": ("wheel_eccentricity", "WheelEccentricity"),
-    "curve_load_transfer": ("curve_load_transfer", "CurveLoadTransfer"),
-    "load_dependent_track": ("load_dependent_track", "LoadDependentTrack"),
-    "braking_skid": ("braking_skid", "BrakingSkid"),
-    "speed_radius": ("speed_radius", "SpeedRadius"),
-    "temperature_radius": ("temperature_radius", "TemperatureRadius"),
-    "wear": ("wear", "Wear"),
-    "session_step": ("session_step", "SessionStep"),
-    "lost_counts": ("lost_counts", "LostCounts"),
-    "encoder_gross": ("encoder_gross", "EncoderGross"),
-    "rangefinder_scale": ("rangefinder_scale", "RangefinderScale"),
-    "rangefinder_offset": ("rangefinder_offset", "RangefinderOffset"),
-    "beam_misalignment": ("beam_misalignment", "BeamMisalignment"),
-    "reference_lever_arm": ("reference_lever_arm", "ReferenceLeverArm"),
-    "reference_yaw": ("reference_yaw", "ReferenceYaw"),
-    "reference_latency": ("reference_latency", "ReferenceLatency"),
-    "rear_drag": ("rear_drag", "RearDrag"),
-    "travel_direction": ("travel_direction", "TravelDirection"),
-    "side_slip": ("side_slip", "SideSlip"),
-    "curve_scrub": ("curve_scrub", "CurveScrub"),
-    "steering_zero": ("steering_zero", "SteeringZero"),
-    "steering_scale": ("steering_scale", "SteeringScale"),
-    "steering_backlash": ("steering_backlash", "SteeringBacklash"),
-    "steering_delay": ("steering_delay", "SteeringDelay"),
-    "drive_slip": ("drive_slip", "DriveSlip"),
-    "payload_mass": ("payload_mass", "PayloadMass"),
-    "payload_position": ("payload_position", "PayloadPosition"),
-    "floor_slope": ("floor_slope", "FloorSlope"),
-    "floor_zone": ("floor_zone", "FloorZone"),
-    "floor_undulation": ("floor_undulation", "FloorUndulation"),
-    "path_weave": ("path_weave", "PathWeave"),
-    "integration_scheme": ("integration_scheme", "IntegrationScheme"),
+#: id -> class; the order is the order of listings
+REGISTRY: Final[dict[str, str]] = {
+    "radius_scale": "calib.gap.effects.radius_scale.RadiusScale",
+    "unequal_radii": "calib.gap.effects.unequal_radii.UnequalRadii",
+    "track_width": "calib.gap.effects.track_width.TrackWidth",
+    "load_radius": "calib.gap.effects.load_radius.LoadRadius",
+    "load_radius_nonlinear": "calib.gap.effects.load_radius_nonlinear.LoadRadiusNonlinear",
+    "load_creep": "calib.gap.effects.load_creep.LoadCreep",
+    "wheel_eccentricity": "calib.gap.effects.wheel_eccentricity.WheelEccentricity",
+    "curve_load_transfer": "calib.gap.effects.curve_load_transfer.CurveLoadTransfer",
+    "load_dependent_track": "calib.gap.effects.load_dependent_track.LoadDependentTrack",
+    "braking_skid": "calib.gap.effects.braking_skid.BrakingSkid",
+    "speed_radius": "calib.gap.effects.speed_radius.SpeedRadius",
+    "temperature_radius": "calib.gap.effects.temperature_radius.TemperatureRadius",
+    "wear": "calib.gap.effects.wear.Wear",
+    "session_step": "calib.gap.effects.session_step.SessionStep",
+    "lost_counts": "calib.gap.effects.lost_counts.LostCounts",
+    "encoder_gross": "calib.gap.effects.encoder_gross.EncoderGross",
+    "rangefinder_scale": "calib.gap.effects.rangefinder_scale.RangefinderScale",
+    "rangefinder_offset": "calib.gap.effects.rangefinder_offset.RangefinderOffset",
+    "beam_misalignment": "calib.gap.effects.beam_misalignment.BeamMisalignment",
+    "reference_lever_arm": "calib.gap.effects.reference_lever_arm.ReferenceLeverArm",
+    "reference_yaw": "calib.gap.effects.reference_yaw.ReferenceYaw",
+    "reference_latency": "calib.gap.effects.reference_latency.ReferenceLatency",
+    "rear_drag": "calib.gap.effects.rear_drag.RearDrag",
+    "travel_direction": "calib.gap.effects.travel_direction.TravelDirection",
+    "side_slip": "calib.gap.effects.side_slip.SideSlip",
+    "curve_scrub": "calib.gap.effects.curve_scrub.CurveScrub",
+    "steering_zero": "calib.gap.effects.steering_zero.SteeringZero",
+    "steering_scale": "calib.gap.effects.steering_scale.SteeringScale",
+    "steering_backlash": "calib.gap.effects.steering_backlash.SteeringBacklash",
+    "steering_delay": "calib.gap.effects.steering_delay.SteeringDelay",
+    "drive_slip": "calib.gap.effects.drive_slip.DriveSlip",
+    "payload_mass": "calib.gap.effects.payload_mass.PayloadMass",
+    "payload_position": "calib.gap.effects.payload_position.PayloadPosition",
+    "floor_slope": "calib.gap.effects.floor_slope.FloorSlope",
+    "floor_zone": "calib.gap.effects.floor_zone.FloorZone",
+    "floor_undulation": "calib.gap.effects.floor_undulation.FloorUndulation",
+    "path_weave": "calib.gap.effects.path_weave.PathWeave",
+    "integration_scheme": "calib.gap.effects.integration_scheme.IntegrationScheme",
 }
+
+
+def effect_class(name: str) -> type[Effect] | None:
+    """Return the class of a registered effect, None for any other id."""
+    if name not in REGISTRY:
+        return None
+    module, kind = REGISTRY[name].rsplit(".", 1)
+    found: type[Effect] = getattr(importlib.import_module(module), kind)
+    return found
+
+
+def title_of(name: str) -> str:
+    """Return what an effect is, for people, by its id; the id in plain words where the effect is the user's own."""
+    registered = effect_class(name)
+    if registered is not None:
+        return registered.title
+    column = column_of(name)
+    return name.replace("_", " ") if column is None else Covariate(column).title
 
 
 def library(s: Observations, *, exclude: Collection[str] = (), declared: object = ()) -> list[Effect]:
     """Return the effects that a campaign is judged by.
+
+    Effects that are found before the search (`fault_before_search`) are no part of it. A column that a declared effect
+    acts through is no candidate of its own beside it.
 
     Parameters
     ----------
@@ -78,10 +110,54 @@ def library(s: Observations, *, exclude: Collection[str] = (), declared: object 
     CalibError
         Where a declaration or an entry point cannot be used.
     """
-    made: list[Effect] = []
-    for module, kind in REGISTRY.values():
-        made.append(getattr(importlib.import_module(f"calib.gap.effects.{module}"), kind)())
-    made += covariate_effects(s)
-    made += declared_effects(declared, s, [effect.id for effect in made])
-    made += entry_point_effects([effect.id for effect in made])
-    return [effect for effect in made if effect.id not in exclude]
+    registered, covariates, own = _all(s, declared)
+    spoken_for = {effect.column for effect in own if isinstance(effect, Declared) and effect.id not in exclude}
+    covariates = [effect for effect in covariates if effect.column not in spoken_for]
+    searched = [effect for effect in registered if not effect.found_before_search]
+    return [effect for effect in (*searched, *covariates, *own) if effect.id not in exclude]
+
+
+def every_effect(s: Observations, *, declared: object = ()) -> dict[str, Effect]:
+    """Return all effects that can be named on a campaign, by id: what a file of effects, or an exclusion, may name."""
+    registered, covariates, own = _all(s, declared)
+    return {effect.id: effect for effect in (*registered, *covariates, *own)}
+
+
+def check_excluded(exclude: Collection[str], s: Observations, declared: object = ()) -> None:
+    """Refuse to leave out what is no effect of the campaign's library.
+
+    Raises
+    ------
+    BadInputError
+        Names the id, and those that begin alike.
+    """
+    known = every_effect(s, declared=declared)
+    for name in exclude:
+        if name not in known:
+            near = ", ".join(other for other in known if other[:4] == name[:4]) or ", ".join(known)
+            raise BadInputError(f"exclude: found {name!r}; expected an effect of the library; choose of: {near}")
+
+
+def fault_before_search(s: Observations, nominal: Path, exclude: Collection[str] = ()) -> GrossFault | None:
+    """Return the fault that is so gross that it is found, and put right, before the search; None where there is none.
+
+    Parameters
+    ----------
+    s : Observations
+        The campaign.
+    nominal : Path
+        The model alone.
+    exclude : collection of str
+        Ids of effects to leave out.
+    """
+    return None if GrossFault.effect.id in exclude else find_gross(s, nominal)
+
+
+def _all(s: Observations, declared: object) -> tuple[list[Effect], list[Covariate], list[Effect]]:
+    """Return the registered effects, the columns' and the user's own."""
+    registered = [kind() for kind in map(effect_class, REGISTRY) if kind is not None]
+    covariates = covariate_effects(s)
+    taken = [effect.id for effect in (*registered, *covariates)]
+    own = declared_effects(declared, s, taken)
+    own += entry_point_effects([*taken, *(effect.id for effect in own)])
+    return registered, covariates, own

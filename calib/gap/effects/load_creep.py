@@ -9,7 +9,8 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter, varies
-from calib.gap.predict.path import Push
+from calib.gap.effects.family import Family
+from calib.gap.predict.push import Push
 
 __all__ = ["LoadCreep"]
 
@@ -22,6 +23,9 @@ class LoadCreep(Effect):
     id: ClassVar[str] = "load_creep"
     title: ClassVar[str] = "wheel bands that creep under the load"
     implausible: ClassVar[str] = "the load itself, or a temperature that rose meanwhile"
+    family: ClassVar[Family] = Family.LOAD
+    needs: ClassVar[str] = "minutes_under_load that vary"
+    separates: ClassVar[str] = "the same load after 0, 10 and 60 minutes, put on and taken off"
     shifts: ClassVar[tuple[str, ...]] = ("radius_scale", "unequal_radii")
 
     def forms(self, s: Observations) -> list[Form]:

@@ -6,8 +6,9 @@ from typing import ClassVar
 
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter, varies
+from calib.gap.effects.family import Family
 from calib.gap.effects.shapes import shows_curves
-from calib.gap.predict.path import Push
+from calib.gap.predict.push import Push
 
 __all__ = ["LoadDependentTrack"]
 
@@ -18,6 +19,9 @@ class LoadDependentTrack(Effect):
     id: ClassVar[str] = "load_dependent_track"
     title: ClassVar[str] = "a track that follows the load"
     implausible: ClassVar[str] = "load transfer in turns, or misreported payloads"
+    family: ClassVar[Family] = Family.TURNING
+    needs: ClassVar[str] = "turns under two loads"
+    separates: ClassVar[str] = "the same slow turn under two loads"
     shifts: ClassVar[tuple[str, ...]] = ("track_width",)
 
     def forms(self, s: Observations) -> list[Form]:

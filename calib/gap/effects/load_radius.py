@@ -6,8 +6,9 @@ from typing import ClassVar
 
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, varies
+from calib.gap.effects.family import Family
 from calib.gap.effects.load_slopes import slope_parameters
-from calib.gap.predict.path import Push
+from calib.gap.predict.push import Push
 
 __all__ = ["LoadRadius"]
 
@@ -18,6 +19,11 @@ class LoadRadius(Effect):
     id: ClassVar[str] = "load_radius"
     title: ClassVar[str] = "wheel radii that follow the load"
     implausible: ClassVar[str] = "misreported payloads, or a wheel that has come loose from its rim"
+    family: ClassVar[Family] = Family.LOAD
+    needs: ClassVar[str] = "two payloads or places of it, with distances or end poses"
+    separates: ClassVar[str] = "two loads and more, some of them off the middle"
+    is_load_law: ClassVar[bool] = True
+    carries_law_slope: ClassVar[bool] = True
     shifts: ClassVar[tuple[str, ...]] = ("radius_scale", "unequal_radii")
 
     def forms(self, s: Observations) -> list[Form]:

@@ -8,9 +8,10 @@ import numpy as np
 
 from calib.arrays import FloatArray
 from calib.gap.data.observations import Observations
-from calib.gap.effects.effect import Effect, Form, varies
+from calib.gap.effects.effect import Centre, Effect, Form, varies
+from calib.gap.effects.family import Family
 from calib.gap.effects.load_slopes import slope_parameters
-from calib.gap.predict.path import Push
+from calib.gap.predict.push import Push
 
 __all__ = ["LoadRadiusNonlinear"]
 
@@ -23,6 +24,10 @@ class LoadRadiusNonlinear(Effect):
     id: ClassVar[str] = "load_radius_nonlinear"
     title: ClassVar[str] = "wheel radii that follow the load by a curved law"
     implausible: ClassVar[str] = "misreported payloads, or a wheel that has come loose from its rim"
+    family: ClassVar[Family] = Family.LOAD
+    needs: ClassVar[str] = "three payloads, with distances or end poses"
+    separates: ClassVar[str] = "three loads and more, far apart"
+    is_load_law: ClassVar[bool] = True
     shifts: ClassVar[tuple[str, ...]] = ("radius_scale", "unequal_radii")
 
     def forms(self, s: Observations) -> list[Form]:
@@ -35,7 +40,9 @@ class LoadRadiusNonlinear(Effect):
             reference = max(1.0, float(np.mean(0.5 * (left + right))))
         slopes = slope_parameters(s)
 
-        def made(exponent: float) -> Form:
+        def made(exponent: float, centre: Centre) -> Form:
+            reference = centre.mean
+
             def shape(load: FloatArray) -> FloatArray:
                 ratio = np.maximum(load, 0.0) / reference
                 return np.asarray(reference * (ratio**exponent - 1.0) / exponent)
@@ -49,6 +56,8 @@ class LoadRadiusNonlinear(Effect):
                 lambda _: [Push(left=per_left), Push(right=per_right)],
                 settings={"exponent": exponent},
                 tries=len(EXPONENTS),
+                centre=centre,
+                about=lambda elsewhere: made(exponent, elsewhere),
             )
 
-        return [made(exponent) for exponent in EXPONENTS]
+        return [made(exponent, Centre(reference)) for exponent in EXPONENTS]

@@ -9,8 +9,9 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter, varies
+from calib.gap.effects.family import Family
 from calib.gap.effects.shapes import driven_speed_mps
-from calib.gap.predict.path import Push
+from calib.gap.predict.push import Push
 
 __all__ = ["LostCounts"]
 
@@ -24,6 +25,9 @@ class LostCounts(Effect):
     id: ClassVar[str] = "lost_counts"
     title: ClassVar[str] = "counts lost by one encoder"
     implausible: ClassVar[str] = "the radius of that wheel, or a wrong count per revolution"
+    family: ClassVar[Family] = Family.COUNTS
+    needs: ClassVar[str] = "headings or distances; two speeds for a share that grows"
+    separates: ClassVar[str] = "the front wheel as a second counter, at several speeds"
     shifts: ClassVar[tuple[str, ...]] = ("radius_scale", "unequal_radii")
 
     def forms(self, s: Observations) -> list[Form]:

@@ -9,8 +9,10 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
+from calib.gap.effects.family import Family
 from calib.gap.effects.shapes import distance_m, start_to_end_frame
-from calib.gap.predict.path import Path, Push, predict
+from calib.gap.predict.path import Path, predict
+from calib.gap.predict.push import Push
 
 __all__ = ["PathWeave", "sine_excess"]
 
@@ -25,6 +27,9 @@ class PathWeave(Effect):
     id: ClassVar[str] = "path_weave"
     title: ClassVar[str] = "a path that weaves about its line"
     implausible: ClassVar[str] = "both effective radii, or a weave other than noted"
+    family: ClassVar[Family] = Family.PATH
+    needs: ClassVar[str] = "amplitude_m and wavelength_m, or logs beside an outside simulation"
+    separates: ClassVar[str] = "the log within a run"
 
     def forms(self, s: Observations) -> list[Form]:
         """Return a form by the noted amplitude and wavelength and one by the logs of outside simulations."""

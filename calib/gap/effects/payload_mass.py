@@ -8,8 +8,10 @@ import numpy as np
 
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
+from calib.gap.effects.family import Family
 from calib.gap.effects.load_slopes import payload_load_N, radius_slopes_m_per_N
-from calib.gap.predict.path import Path, Push
+from calib.gap.predict.path import Path
+from calib.gap.predict.push import Push
 
 __all__ = ["PayloadMass"]
 
@@ -26,6 +28,9 @@ class PayloadMass(Effect):
     id: ClassVar[str] = "payload_mass"
     title: ClassVar[str] = "a misreported payload mass"
     implausible: ClassVar[str] = "radii that follow the load by a curved law"
+    family: ClassVar[Family] = Family.LOAD
+    needs: ClassVar[str] = "payloads, with distances or end poses"
+    separates: ClassVar[str] = "a third payload, weighed"
     shifts: ClassVar[tuple[str, ...]] = ("radius_scale", "unequal_radii")
 
     def forms(self, s: Observations) -> list[Form]:

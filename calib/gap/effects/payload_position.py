@@ -8,8 +8,10 @@ import numpy as np
 
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
+from calib.gap.effects.family import Family
 from calib.gap.effects.load_slopes import radius_slopes_m_per_N
-from calib.gap.predict.path import Path, Push
+from calib.gap.predict.path import Path
+from calib.gap.predict.push import Push
 from calib.units import GRAVITY_MPS2
 
 __all__ = ["PayloadPosition"]
@@ -25,6 +27,9 @@ class PayloadPosition(Effect):
     id: ClassVar[str] = "payload_position"
     title: ClassVar[str] = "a misreported payload position"
     implausible: ClassVar[str] = "rear wheels of unequal radius, or loads that were misread"
+    family: ClassVar[Family] = Family.LOAD
+    needs: ClassVar[str] = "payloads, with headings or the front wheel"
+    separates: ClassVar[str] = "unladen runs beside laden ones"
     shifts: ClassVar[tuple[str, ...]] = ("radius_scale", "unequal_radii")
 
     def forms(self, s: Observations) -> list[Form]:

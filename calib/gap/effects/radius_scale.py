@@ -8,7 +8,8 @@ import numpy as np
 
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
-from calib.gap.predict.path import Push
+from calib.gap.effects.family import Family
+from calib.gap.predict.push import Push
 
 __all__ = ["RadiusScale"]
 
@@ -19,10 +20,15 @@ class RadiusScale(Effect):
     id: ClassVar[str] = "radius_scale"
     title: ClassVar[str] = "both effective radii off by the same share"
     implausible: ClassVar[str] = "the encoder's counts per revolution, or a gear ratio"
-    calibration: ClassVar[bool] = True
+    family: ClassVar[Family] = Family.CALIBRATION
+    needs: ClassVar[str] = "distances or end positions"
+    separates: ClassVar[str] = "a distance taped on the floor, against the counts and the instrument"
+    hides_in: ClassVar[str] = "the wheel radii"
+    calibration_direction: ClassVar[tuple[float, ...] | None] = (1.0, 1.0, 0.0, 0.0)
+    typical: ClassVar[float] = 3e-3
 
     def forms(self, s: Observations) -> list[Form]:
         """Return the single form; it applies to any campaign."""
         ones = np.ones(len(s))
-        parameter = Parameter("relative", "1", typical=3e-3, largest=3e-2)
+        parameter = Parameter("relative", "1", typical=self.typical, largest=3e-2)
         return [Form(self.id, "", (parameter,), lambda _: [Push(left=ones, right=ones)])]

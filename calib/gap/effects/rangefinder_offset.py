@@ -8,7 +8,8 @@ import numpy as np
 
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
-from calib.gap.predict.path import Push
+from calib.gap.effects.family import Family
+from calib.gap.predict.push import Push
 
 __all__ = ["RangefinderOffset"]
 
@@ -19,6 +20,9 @@ class RangefinderOffset(Effect):
     id: ClassVar[str] = "rangefinder_offset"
     title: ClassVar[str] = "a constant offset of the rangefinder"
     implausible: ClassVar[str] = "a start mark or target that moved"
+    family: ClassVar[Family] = Family.INSTRUMENT
+    needs: ClassVar[str] = "distances by the instrument"
+    separates: ClassVar[str] = "several distances, read at rest"
 
     def forms(self, s: Observations) -> list[Form]:
         """Return the single form; none without a laser distance."""

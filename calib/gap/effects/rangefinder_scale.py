@@ -6,6 +6,7 @@ from typing import ClassVar
 
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
+from calib.gap.effects.family import Family
 from calib.gap.effects.shapes import laser_share
 
 __all__ = ["RangefinderScale"]
@@ -17,6 +18,9 @@ class RangefinderScale(Effect):
     id: ClassVar[str] = "rangefinder_scale"
     title: ClassVar[str] = "a rangefinder of wrong scale"
     implausible: ClassVar[str] = "both effective radii, or a target that moved"
+    family: ClassVar[Family] = Family.INSTRUMENT
+    needs: ClassVar[str] = "distances by the instrument"
+    separates: ClassVar[str] = "a length measured by other means"
 
     def forms(self, s: Observations) -> list[Form]:
         """Return the single form; none without a laser distance."""

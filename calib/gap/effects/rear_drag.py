@@ -9,7 +9,8 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter, varies
-from calib.gap.predict.path import Push
+from calib.gap.effects.family import Family
+from calib.gap.predict.push import Push
 
 __all__ = ["RearDrag"]
 
@@ -23,6 +24,9 @@ class RearDrag(Effect):
     id: ClassVar[str] = "rear_drag"
     title: ClassVar[str] = "a rear wheel that drags one way"
     implausible: ClassVar[str] = "unequal radii, or a brake that does not release"
+    family: ClassVar[Family] = Family.DIRECTION
+    needs: ClassVar[str] = "runs forward and backward"
+    separates: ClassVar[str] = "the same way forward and backward"
     shifts: ClassVar[tuple[str, ...]] = ("radius_scale", "unequal_radii")
 
     def forms(self, s: Observations) -> list[Form]:

@@ -8,8 +8,9 @@ import numpy as np
 
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
+from calib.gap.effects.family import Family
 from calib.gap.effects.shapes import end_motion
-from calib.gap.predict.path import Push
+from calib.gap.predict.push import Push
 
 __all__ = ["ReferenceLatency"]
 
@@ -20,6 +21,9 @@ class ReferenceLatency(Effect):
     id: ClassVar[str] = "reference_latency"
     title: ClassVar[str] = "a reference that reads late"
     implausible: ClassVar[str] = "an offset, or radii that follow the speed"
+    family: ClassVar[Family] = Family.REFERENCE
+    needs: ClassVar[str] = "readings taken while it rolls"
+    separates: ClassVar[str] = "readings after the stop beside readings on the move"
 
     def forms(self, s: Observations) -> list[Form]:
         """Return forms by instrument (end pose, laser, both); none where every run stands still when it is read."""

@@ -9,8 +9,10 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
+from calib.gap.effects.family import Family
 from calib.gap.effects.shapes import start_to_end_frame
-from calib.gap.predict.path import Path, Push, predict
+from calib.gap.predict.path import Path, predict
+from calib.gap.predict.push import Push
 
 __all__ = ["ReferenceLeverArm"]
 
@@ -21,6 +23,9 @@ class ReferenceLeverArm(Effect):
     id: ClassVar[str] = "reference_lever_arm"
     title: ClassVar[str] = "a reference point off the middle of the rear axle"
     implausible: ClassVar[str] = "heading errors in turns"
+    family: ClassVar[Family] = Family.REFERENCE
+    needs: ClassVar[str] = "end positions of runs that turn"
+    separates: ClassVar[str] = "turns on the spot"
 
     def forms(self, s: Observations) -> list[Form]:
         """Return the single form; none without end positions or where no run ends turned against its start."""

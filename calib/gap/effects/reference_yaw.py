@@ -8,7 +8,9 @@ import numpy as np
 
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
-from calib.gap.predict.path import Path, Push
+from calib.gap.effects.family import Family
+from calib.gap.predict.path import Path
+from calib.gap.predict.push import Push
 
 __all__ = ["ReferenceYaw"]
 
@@ -19,6 +21,9 @@ class ReferenceYaw(Effect):
     id: ClassVar[str] = "reference_yaw"
     title: ClassVar[str] = "reference axes turned against the start heading"
     implausible: ClassVar[str] = "unequal radii, or a badly placed start"
+    family: ClassVar[Family] = Family.REFERENCE
+    needs: ClassVar[str] = "end positions"
+    separates: ClassVar[str] = "straight runs of several lengths"
 
     def forms(self, s: Observations) -> list[Form]:
         """Return two forms: the position alone is turned, or position and heading; none without end poses."""

@@ -8,7 +8,8 @@ import numpy as np
 
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
-from calib.gap.predict.path import Push
+from calib.gap.effects.family import Family
+from calib.gap.predict.push import Push
 
 __all__ = ["SessionStep"]
 
@@ -19,6 +20,10 @@ class SessionStep(Effect):
     id: ClassVar[str] = "session_step"
     title: ClassVar[str] = "wheel radii that step from session to session"
     implausible: ClassVar[str] = "wheels, encoders or set-up changed between sessions"
+    family: ClassVar[Family] = Family.DRIFT
+    needs: ClassVar[str] = "two sessions"
+    separates: ClassVar[str] = "one run repeated at the beginning of each session"
+    per_session: ClassVar[bool] = True
     shifts: ClassVar[tuple[str, ...]] = ("radius_scale", "unequal_radii")
 
     def forms(self, s: Observations) -> list[Form]:

@@ -7,7 +7,8 @@ import numpy as np
 from calib.arrays import BoolArray, FloatArray
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Form, Parameter
-from calib.gap.predict.path import Path, Push
+from calib.gap.predict.path import Path
+from calib.gap.predict.push import Push
 
 __all__ = [
     "MOVING_MPS",

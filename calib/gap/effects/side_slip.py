@@ -6,8 +6,9 @@ from typing import ClassVar
 
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
+from calib.gap.effects.family import Family
 from calib.gap.effects.shapes import curvature_per_m, shows_curves
-from calib.gap.predict.path import Push
+from calib.gap.predict.push import Push
 
 __all__ = ["SideSlip"]
 
@@ -18,6 +19,9 @@ class SideSlip(Effect):
     id: ClassVar[str] = "side_slip"
     title: ClassVar[str] = "side slip of the rear axle in fast turns"
     implausible: ClassVar[str] = "load transfer, or a reference point off the rear axle"
+    family: ClassVar[Family] = Family.TURNING
+    needs: ClassVar[str] = "turns at known speeds, with end positions"
+    separates: ClassVar[str] = "turns at two speeds, the lateral position measured"
 
     def forms(self, s: Observations) -> list[Form]:
         """Return the single form; none where nothing turns, no speed is known or no position was measured."""

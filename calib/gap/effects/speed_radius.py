@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import ClassVar
 
 from calib.gap.data.observations import Observations
-from calib.gap.effects.effect import Effect, Form, Parameter, centred, varies
+from calib.gap.effects.effect import Centre, Effect, Form, Parameter, varies
+from calib.gap.effects.family import Family
 from calib.gap.effects.shapes import driven_speed_mps
-from calib.gap.predict.path import Push
+from calib.gap.predict.push import Push
 
 __all__ = ["SpeedRadius"]
 
@@ -21,12 +22,19 @@ class SpeedRadius(Effect):
     implausible: ClassVar[str] = (
         "latency or lost counts (the centrifugal growth of a solid wheel is only about 6e-5 at 1 m/s)"
     )
+    family: ClassVar[Family] = Family.SPEED
+    needs: ClassVar[str] = "two speeds"
+    separates: ClassVar[str] = "one route at several speeds, read after the stop"
 
     def forms(self, s: Observations) -> list[Form]:
         """Return the single form; none where all runs were driven alike."""
         speed = driven_speed_mps(s)
         if not varies(speed, 0.02):
             return []
-        over = centred(speed)
         parameter = Parameter("per_mps", "s/m", typical=3e-4, largest=3e-4)
-        return [Form(self.id, "", (parameter,), lambda _: [Push(left=over, right=over)])]
+
+        def made(centre: Centre) -> Form:
+            over = centre.deviations(speed)
+            return Form(self.id, "", (parameter,), lambda _: [Push(left=over, right=over)], centre=centre, about=made)
+
+        return [made(Centre.of(speed))]

@@ -9,7 +9,7 @@ import numpy as np
 from calib.arrays import BoolArray, FloatArray
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Form, Parameter
-from calib.gap.predict.path import Push
+from calib.gap.predict.push import Push
 
 __all__ = ["error_form", "front_travel_m", "has_front", "steer_rad"]
 

@@ -9,6 +9,7 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
+from calib.gap.effects.family import Family
 from calib.gap.effects.steering import error_form, has_front, steer_rad
 
 __all__ = ["SteeringBacklash"]
@@ -33,6 +34,9 @@ class SteeringBacklash(Effect):
     id: ClassVar[str] = "steering_backlash"
     title: ClassVar[str] = "backlash in the steering"
     implausible: ClassVar[str] = "a steering angle whose zero is off"
+    family: ClassVar[Family] = Family.STEERING
+    needs: ClassVar[str] = "the front wheel in the log, turned both ways"
+    separates: ClassVar[str] = "one angle approached from the left and from the right"
 
     def forms(self, s: Observations) -> list[Form]:
         """Return forms that follow the moves through plays of several widths, and one by the side of the turn."""

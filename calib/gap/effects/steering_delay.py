@@ -9,6 +9,7 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
+from calib.gap.effects.family import Family
 from calib.gap.effects.steering import error_form, has_front, steer_rad
 
 __all__ = ["SteeringDelay"]
@@ -23,6 +24,9 @@ class SteeringDelay(Effect):
     id: ClassVar[str] = "steering_delay"
     title: ClassVar[str] = "a steering angle that is logged late"
     implausible: ClassVar[str] = "a steering angle of wrong scale"
+    family: ClassVar[Family] = Family.STEERING
+    needs: ClassVar[str] = "the front wheel in a log with times"
+    separates: ClassVar[str] = "runs that end in a turn"
 
     def forms(self, s: Observations) -> list[Form]:
         """Return the single form; none where the steering does not move or the log has no times."""

@@ -8,8 +8,10 @@ import numpy as np
 
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
+from calib.gap.effects.family import Family
 from calib.gap.effects.steering import error_form, front_travel_m, has_front, steer_rad
-from calib.gap.predict.path import Path, Push
+from calib.gap.predict.path import Path
+from calib.gap.predict.push import Push
 
 __all__ = ["SteeringScale"]
 
@@ -20,6 +22,9 @@ class SteeringScale(Effect):
     id: ClassVar[str] = "steering_scale"
     title: ClassVar[str] = "a steering angle of wrong scale, or a wrong wheelbase"
     implausible: ClassVar[str] = "slip of the front wheel"
+    family: ClassVar[Family] = Family.STEERING
+    needs: ClassVar[str] = "the front wheel in the log, turned"
+    separates: ClassVar[str] = "several steering angles"
 
     def forms(self, s: Observations) -> list[Form]:
         """Return a form for the angle and one for the wheelbase; none where the front wheel is never turned."""

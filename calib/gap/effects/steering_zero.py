@@ -8,6 +8,7 @@ import numpy as np
 
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
+from calib.gap.effects.family import Family
 from calib.gap.effects.steering import error_form, has_front
 
 __all__ = ["SteeringZero"]
@@ -19,6 +20,9 @@ class SteeringZero(Effect):
     id: ClassVar[str] = "steering_zero"
     title: ClassVar[str] = "a steering angle whose zero is off"
     implausible: ClassVar[str] = "backlash, or rear wheels of unequal radius"
+    family: ClassVar[Family] = Family.STEERING
+    needs: ClassVar[str] = "the front wheel in the log"
+    separates: ClassVar[str] = "forward and back"
 
     def forms(self, s: Observations) -> list[Form]:
         """Return the single form; none without a front wheel in the log."""

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import ClassVar
 
 from calib.gap.data.observations import Observations
-from calib.gap.effects.effect import Effect, Form, Parameter, centred, varies
-from calib.gap.predict.path import Push
+from calib.gap.effects.effect import Centre, Effect, Form, Parameter, varies
+from calib.gap.effects.family import Family
+from calib.gap.predict.push import Push
 
 __all__ = ["TemperatureRadius"]
 
@@ -17,6 +18,9 @@ class TemperatureRadius(Effect):
     id: ClassVar[str] = "temperature_radius"
     title: ClassVar[str] = "wheel radii that follow the temperature"
     implausible: ClassVar[str] = "wear, or something else that changed with the session"
+    family: ClassVar[Family] = Family.DRIFT
+    needs: ClassVar[str] = "temperature_C that varies"
+    separates: ClassVar[str] = "cold and warm runs within one session"
     shifts: ClassVar[tuple[str, ...]] = ("radius_scale",)
 
     def forms(self, s: Observations) -> list[Form]:
@@ -24,7 +28,11 @@ class TemperatureRadius(Effect):
         temperature = s.number("temperature_C")
         if not varies(temperature, 0.5):
             return []
-        over = centred(temperature)
         # 0.05 to 0.2 % per 20 K
         parameter = Parameter("alpha", "1/K", typical=5e-5, largest=3e-4)
-        return [Form(self.id, "", (parameter,), lambda _: [Push(left=over, right=over)])]
+
+        def made(centre: Centre) -> Form:
+            over = centre.deviations(temperature)
+            return Form(self.id, "", (parameter,), lambda _: [Push(left=over, right=over)], centre=centre, about=made)
+
+        return [made(Centre.of(temperature))]

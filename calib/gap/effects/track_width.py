@@ -8,7 +8,8 @@ import numpy as np
 
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
-from calib.gap.predict.path import Push
+from calib.gap.effects.family import Family
+from calib.gap.predict.push import Push
 
 __all__ = ["TrackWidth"]
 
@@ -19,10 +20,15 @@ class TrackWidth(Effect):
     id: ClassVar[str] = "track_width"
     title: ClassVar[str] = "a track other than believed"
     implausible: ClassVar[str] = "the reference's scale, or scrubbing in tight turns"
-    calibration: ClassVar[bool] = True
+    family: ClassVar[Family] = Family.CALIBRATION
+    needs: ClassVar[str] = "headings after turns"
+    separates: ClassVar[str] = "turns of several curvatures at several speeds"
+    hides_in: ClassVar[str] = "the track width"
+    calibration_direction: ClassVar[tuple[float, ...] | None] = (0.0, 0.0, 1.0, 0.0)
+    typical: ClassVar[float] = 1e-2
 
     def forms(self, s: Observations) -> list[Form]:
         """Return the single form; it applies to any campaign."""
         ones = np.ones(len(s))
-        parameter = Parameter("relative", "1", typical=1e-2, largest=1e-1)
+        parameter = Parameter("relative", "1", typical=self.typical, largest=1e-1)
         return [Form(self.id, "", (parameter,), lambda _: [Push(track=ones)])]

@@ -9,7 +9,8 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter, varies
-from calib.gap.predict.path import Push
+from calib.gap.effects.family import Family
+from calib.gap.predict.push import Push
 
 __all__ = ["TravelDirection"]
 
@@ -20,6 +21,9 @@ class TravelDirection(Effect):
     id: ClassVar[str] = "travel_direction"
     title: ClassVar[str] = "a difference between driving out and back"
     implausible: ClassVar[str] = "a sloping floor, or a start mark that differs"
+    family: ClassVar[Family] = Family.DIRECTION
+    needs: ClassVar[str] = "runs out and back"
+    separates: ClassVar[str] = "the vehicle turned by 180 degrees on the same lane"
     shifts: ClassVar[tuple[str, ...]] = ("radius_scale",)
 
     def forms(self, s: Observations) -> list[Form]:

@@ -11,8 +11,9 @@ import numpy as np
 
 from calib.errors import BadFileError, BadInputError
 from calib.gap.data.observations import Observations
-from calib.gap.effects.effect import Effect, Form, Parameter, centred, varies
-from calib.gap.predict.path import Push
+from calib.gap.effects.effect import Centre, Effect, Form, Parameter, varies
+from calib.gap.effects.family import Family
+from calib.gap.predict.push import Push
 
 __all__ = ["ACTS_ON", "GROUP", "Declared", "declared_effects", "entry_point_effects"]
 
@@ -27,6 +28,15 @@ ACTS_ON: Final[dict[str, str]] = {
     "track": "1",
     "yaw": "rad/m",
     "distance": "m",
+}
+#: what a declared effect acts on -> calibration that a shift of the column's zero looks like
+_SHIFTS: Final[dict[str, tuple[str, ...]]] = {
+    "left": ("radius_scale", "unequal_radii"),
+    "right": ("radius_scale", "unequal_radii"),
+    "both": ("radius_scale",),
+    "track": ("track_width",),
+    "yaw": ("unequal_radii",),
+    "distance": (),
 }
 _FILE: Final = "campaign.toml"
 _KEYS: Final = ("id", "title", "column", "acts_on", "typical", "largest")
@@ -53,18 +63,26 @@ class Declared(Effect):
     id: str  # type: ignore[misc]
     title: str  # type: ignore[misc]
     implausible = "something else that changed with this column"
+    family = Family.COVARIATE
+    needs = "its column to vary"
+    separates = "runs that vary this column alone"
 
     def __init__(self, *, id: str, title: str, column: str, acts_on: str, typical: float, largest: float) -> None:  # noqa: A002
         self.id, self.title = id, title
         self.column, self.acts_on = column, acts_on
         self.typical, self.largest = typical, largest
+        # counted from another zero than the campaign's mean, the effect looks like these beside it
+        self.shifts = _SHIFTS[acts_on]  # type: ignore[misc]
 
     def forms(self, s: Observations) -> list[Form]:
         """Return the single form; none where the column has gaps or does not vary."""
         values = s.number(self.column)
         if not varies(values):
             return []
-        over = centred(values)
+        return [self._form(s, Centre(float(np.mean(values))))]
+
+    def _form(self, s: Observations, centre: Centre) -> Form:
+        over = centre.deviations(s.number(self.column))
         if self.acts_on == "distance":
             reading = np.zeros((len(s), 6))
             reading[:, 0] = over
@@ -79,8 +97,15 @@ class Declared(Effect):
                 right=over if self.acts_on in {"right", "both"} else None,
             )
         unit = f"{ACTS_ON[self.acts_on]} per {self.column}"
-        parameter = Parameter("size", unit, self.typical, self.largest)
-        return [Form(self.id, "", (parameter,), lambda _: [push], settings={"mean": float(np.mean(values))})]
+        return Form(
+            self.id,
+            "",
+            (Parameter("size", unit, self.typical, self.largest),),
+            lambda _: [push],
+            settings={"mean": centre.mean},
+            centre=centre,
+            about=lambda elsewhere: self._form(s, elsewhere),
+        )
 
 
 def _wrong(key: str, found: object, expected: str, remedy: str) -> BadFileError:

@@ -8,8 +8,9 @@ import numpy as np
 
 from calib.arrays import FloatArray
 from calib.gap.data.observations import Observations
-from calib.gap.effects.effect import Effect, Form, Parameter, centred, varies
-from calib.gap.predict.path import Push
+from calib.gap.effects.effect import Centre, Effect, Form, Parameter, varies
+from calib.gap.effects.family import Family
+from calib.gap.predict.push import Push
 
 __all__ = ["Wear"]
 
@@ -20,6 +21,9 @@ class Wear(Effect):
     id: ClassVar[str] = "wear"
     title: ClassVar[str] = "wheels that wear"
     implausible: ClassVar[str] = "temperature, or something else that drifted over the campaign"
+    family: ClassVar[Family] = Family.DRIFT
+    needs: ClassVar[str] = "travelled_km, or two sessions"
+    separates: ClassVar[str] = "a reference run repeated over many kilometres"
     shifts: ClassVar[tuple[str, ...]] = ("radius_scale", "unequal_radii")
 
     def forms(self, s: Observations) -> list[Form]:
@@ -27,15 +31,27 @@ class Wear(Effect):
         found: list[tuple[str, str, FloatArray, float, float]] = []
         km = s.number("travelled_km")
         if varies(km, 1e-3):
-            found.append(("per km", "1/km", centred(km), 1e-5, 1e-4))
+            found.append(("per km", "1/km", km, 1e-5, 1e-4))
         session = s.labels["session"]
         names, first, of = np.unique(session, return_index=True, return_inverse=True)
         if len(names) > 1:
             rank = np.argsort(np.argsort(first))
-            found.append(("per session", "1/session", centred(rank[of].astype(np.float64)), 1e-4, 1e-3))
+            found.append(("per session", "1/session", rank[of].astype(np.float64), 1e-4, 1e-3))
 
-        def made(label: str, unit: str, grows: FloatArray, typical: float, largest: float) -> Form:
+        def made(
+            label: str, unit: str, driven: FloatArray, typical: float, largest: float, centre: Centre | None = None
+        ) -> Form:
             parameters = tuple(Parameter(f"rate_{side}", unit, typical, largest) for side in ("left", "right"))
-            return Form(self.id, label, parameters, lambda _: [Push(left=grows), Push(right=grows)], tries=len(found))
+            centre = centre or Centre.of(driven)
+            grows = centre.deviations(driven)
+            return Form(
+                self.id,
+                label,
+                parameters,
+                lambda _: [Push(left=grows), Push(right=grows)],
+                tries=len(found),
+                centre=centre,
+                about=lambda elsewhere: made(label, unit, driven, typical, largest, elsewhere),
+            )
 
         return [made(*one) for one in found]

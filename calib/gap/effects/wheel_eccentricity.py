@@ -9,7 +9,8 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
-from calib.gap.predict.path import Push
+from calib.gap.effects.family import Family
+from calib.gap.predict.push import Push
 
 __all__ = ["WheelEccentricity"]
 
@@ -24,6 +25,9 @@ class WheelEccentricity(Effect):
     id: ClassVar[str] = "wheel_eccentricity"
     title: ClassVar[str] = "an eccentric wheel"
     implausible: ClassVar[str] = "a slipping encoder coupling"
+    family: ClassVar[Family] = Family.COUNTS
+    needs: ClassVar[str] = "logs"
+    separates: ClassVar[str] = "the log within a run"
 
     def forms(self, s: Observations) -> list[Form]:
         """Return forms for the left wheel, the right wheel and both; none without logs."""

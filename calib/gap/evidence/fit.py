@@ -13,7 +13,8 @@ from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Form
 from calib.gap.evidence.marginal import CALIBRATION_SD, form_columns, rows
 from calib.gap.evidence.noise import Noise
-from calib.gap.predict.path import Path, Push, predict
+from calib.gap.predict.path import Path, predict
+from calib.gap.predict.push import Push
 from calib.gap.predict.residuals import residuals
 
 __all__ = ["Fitted", "calibration_pushes", "fit", "hypothesis_path"]

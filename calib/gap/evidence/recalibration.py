@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from calib.arrays import FloatArray
+from calib.gap.effects.calibration import DIRECTIONS, NAMES, TYPICAL
 from calib.gap.evidence.fit import Fitted
 from calib.gap.evidence.marginal import CALIBRATION_SD, Nuisance, log_marginal
 from calib.gap.evidence.noise import Noise
@@ -17,12 +18,8 @@ from calib.gap.evidence.search import SCALE_COST, Settings, effect_scale
 from calib.gap.evidence.whitened import WhitenedSystem
 from calib.gap.predict.path import Path
 
-__all__ = ["DIRECTIONS", "NAMES", "PRIOR", "Recalibration", "judge_recalibration"]
+__all__ = ["PRIOR", "Recalibration", "judge_recalibration"]
 
-#: the calibration's own effects as changes of (left radius, right radius, track, front radius), per unit
-NAMES: Final = ("radius_scale", "unequal_radii", "track_width")
-DIRECTIONS: Final = np.array([[1.0, 1.0, 0.0, 0.0], [-0.5, 0.5, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]])
-TYPICAL: Final = np.array([3e-3, 2e-3, 1e-2])
 #: prior odds of each being off
 PRIOR: Final = 0.02
 

@@ -11,9 +11,10 @@ import numpy as np
 from calib.arrays import BoolArray, FloatArray
 from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
-from calib.gap.apply import matching_form
 from calib.gap.data.from_campaign import observations_of
 from calib.gap.data.observations import Observations
+from calib.gap.effects.applied import matching_form
+from calib.gap.effects.calibration import DIRECTIONS, NAMES
 from calib.gap.effects.effect import Effect, Form
 from calib.gap.effects.library import library
 from calib.gap.evidence.fit import Fitted
@@ -24,9 +25,8 @@ from calib.gap.plan.planned_runs import DEFAULT_CORRIDOR_M, Measured, PlannedRun
 from calib.gap.plan.separability import SEEN, Signatures, noise_at
 from calib.gap.predict.path import predict
 from calib.gap.verdict.alternatives import NEAR
-from calib.gap.verdict.result import Verdict
 
-__all__ = ["Outlook", "next_runs", "outlook_of", "plan_after", "undetectable"]
+__all__ = ["Outlook", "next_runs", "outlook_of", "undetectable"]
 
 #: an effect of which a recalibration leaves less than this share is hidden in it for good
 HIDDEN: Final = 1e-3
@@ -97,7 +97,7 @@ def outlook_of(campaign: Campaign, scales: Mapping[str, float] | None = None) ->
     s = observations_of(campaign)
     path = predict(s)
     noise = noise_at(path, scales or {})
-    effects = library(s, exclude=("encoder_gross",), declared=campaign.extra.get("effects", ()))
+    effects = library(s, declared=campaign.extra.get("effects", ()))
     made = Signatures(path, noise, effects)
     signal, distance = made.distances(made.gram(np.ones(len(s), dtype=bool)))
     forms = {effect.id: effect.forms(s) for effect in effects}
@@ -316,15 +316,11 @@ def _sizes(s: Observations, effects: Sequence[Effect], fitted: Fitted | None) ->
             continue
         known = {parameter.name: float(value) for parameter, value in zip(form.parameters, theta, strict=True)}
         made[form.effect] = (here, np.array([known.get(parameter.name, 0.0) for parameter in here.parameters]))
-    left, right, track = (float(value) for value in fitted.calibration[:3])
-    for name, size in (
-        ("radius_scale", 0.5 * (left + right)),
-        ("unequal_radii", right - left),
-        ("track_width", track),
-    ):
+    calibration = np.linalg.solve(DIRECTIONS[:, :3].T, fitted.calibration[:3])
+    for name, size in zip(NAMES, calibration, strict=True):
         forms = by_id[name].forms(s) if name in by_id else []
         if forms and abs(size) > 1e-12:
-            made[name] = (forms[0], np.full(len(forms[0].parameters), size))
+            made[name] = (forms[0], np.full(len(forms[0].parameters), float(size)))
     return made
 
 
@@ -349,28 +345,3 @@ def _corridor_m(campaign: Campaign) -> float:
 def _usual(campaign: Campaign) -> float:
     warm = campaign.runs.number("temperature_C")
     return float(np.nanmedian(warm)) if np.isfinite(warm).any() else float("nan")
-
-
-def plan_after(
-    campaign: Campaign, candidates: Sequence[PlannedRun] | None = None, *, most: int = MOST_RUNS, seed: int = 0
-) -> tuple[Verdict, list[dict[str, Any]]]:
-    """Diagnose a campaign and return its verdict with the runs to drive next; see `next_runs`.
-
-    Parameters
-    ----------
-    campaign : Campaign
-        What was driven.
-    candidates : sequence of PlannedRun, optional
-        Runs to choose from.
-    most : int
-        How many runs to name.
-    seed : int
-        Of the diagnosis.
-    """
-    from calib.gap.diagnose import diagnose_in_full
-
-    found = diagnose_in_full(campaign, seed=seed)
-    effects = library(found.situation, exclude=("encoder_gross",), declared=campaign.extra.get("effects", ()))
-    ties = found.verdict.indistinguishable
-    runs = next_runs(campaign, effects, found.noise, ties, found.fitted, candidates=candidates, most=most)
-    return found.verdict, runs

@@ -12,7 +12,7 @@ from calib.gap.effects.effect import Form
 from calib.gap.evidence.marginal import Nuisance, project
 from calib.gap.evidence.whitened import WhitenedSystem
 
-__all__ = ["NEAR", "aliases_of", "distance", "undetectable_size"]
+__all__ = ["NEAR", "aliases_of", "distance"]
 
 #: signatures nearer than this (in standard deviations) count as alike
 NEAR: Final = 3.0
@@ -65,17 +65,3 @@ def aliases_of(
         if near < NEAR:
             found[name] = near
     return found
-
-
-def undetectable_size(bench: WhitenedSystem, nuisance: Nuisance, form: Form, signal: float = 5.0) -> FloatArray:
-    """Return the size of each parameter at which an effect would reach a signal, shape (n_parameters,).
-
-    Infinite where a recalibration absorbs the effect wholly.
-    """
-    columns = project(nuisance, bench.columns(form))
-    norm = np.sqrt((columns**2).sum(axis=0))
-    typical = form.typical
-    raw = np.sqrt((bench.columns(form) ** 2).sum(axis=0))
-    with np.errstate(divide="ignore"):
-        made: FloatArray = np.where(norm > 1e-4 * np.maximum(raw, 1e-12), signal / norm, np.inf) * typical
-    return made

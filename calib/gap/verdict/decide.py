@@ -10,18 +10,20 @@ import numpy as np
 
 from calib.arrays import FloatArray
 from calib.campaign.model import Campaign
+from calib.gap.effects.calibration import DIRECTIONS, NAMES
 from calib.gap.effects.effect import Effect, Form
+from calib.gap.effects.encoder_gross import GrossFault
 from calib.gap.evidence.marginal import CALIBRATION_SD, Nuisance, rows
 from calib.gap.evidence.noise import Noise
-from calib.gap.evidence.recalibration import DIRECTIONS, NAMES, PRIOR, Recalibration
+from calib.gap.evidence.recalibration import PRIOR, Recalibration
 from calib.gap.evidence.search import Hypothesis, Search, Settings
 from calib.gap.evidence.sizes import size_spreads
 from calib.gap.evidence.whitened import WhitenedSystem
-from calib.gap.predict.count_faults import GrossFault, gross_cause
 from calib.gap.predict.path import Path
 from calib.gap.predict.residuals import residuals
 from calib.gap.verdict.alternatives import NEAR, aliases_of
 from calib.gap.verdict.closure import Closure
+from calib.gap.verdict.gross import gross_cause
 from calib.gap.verdict.result import SURE, Cause, Quantity, Verdict
 
 __all__ = ["Judge"]
@@ -198,7 +200,7 @@ class Judge:
         made = {name: value * (1.0 - DOUBT * unknown) * sure for name, value in made.items()}
         made["unknown"] = 1.0 - (1.0 - unknown) * sure
         if self.fault is not None:
-            made["encoder_gross"] = 1.0
+            made[self.fault.effect.id] = 1.0
         return {k: v for k, v in sorted(made.items(), key=lambda item: -item[1]) if v > 1e-4 or k == "unknown"}
 
     def _probability(self, what: Callable[[Hypothesis], bool]) -> float:
@@ -322,7 +324,7 @@ class Judge:
     def _credible_sets(self, groups: Sequence[Sequence[str]]) -> tuple[tuple[str, ...], ...]:
         """Return the most probable sets of causes that together hold 95 %, and what could stand in for the best."""
         weights: dict[tuple[str, ...], float] = {}
-        gross = () if self.fault is None else ("encoder_gross",)
+        gross = () if self.fault is None else (self.fault.effect.id,)
         for h, p in zip(self.found.hypotheses, self.probabilities, strict=True):
             for subset, q in zip(self.recalibration.subsets, self.recalibration.probabilities, strict=True):
                 known = tuple(name for name in subset if name in self.effects)

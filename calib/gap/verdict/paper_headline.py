@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any
 
+from calib.gap.effects.library import effect_class
 from calib.gap.verdict.result import Verdict
 from calib.motion.studies.paper_headline import paper_headline
 
-__all__ = ["LOAD_EFFECTS", "headline"]
-
-LOAD_EFFECTS: Final = frozenset({"load_radius", "load_radius_nonlinear"})
+__all__ = ["headline"]
 
 
 def headline(verdict: Verdict) -> dict[str, Any] | None:
@@ -28,7 +27,7 @@ def headline(verdict: Verdict) -> dict[str, Any] | None:
         ``sentence`` for people. The campaign's are root mean squares over runs left out of the fit; the paper's ratio
         is that of its own study before what it prints was rounded.
     """
-    cause = next((one.effect for one in verdict.causes if one.effect in LOAD_EFFECTS), None)
+    cause = next((one.effect for one in verdict.causes if _is_load_law(one.effect)), None)
     before, after = (verdict.closure.get(f"{name}_rms_m") for name in ("before", "after"))
     if cause is None or before is None or after is None:
         return None
@@ -53,6 +52,11 @@ def headline(verdict: Verdict) -> dict[str, Any] | None:
         "campaign": {"before_m": float(before), "after_m": float(after), "ratio": ratio},
         "sentence": said,
     }
+
+
+def _is_load_law(effect: str) -> bool:
+    kind = effect_class(effect)
+    return kind is not None and kind.is_load_law
 
 
 def _metres(value: float) -> str:

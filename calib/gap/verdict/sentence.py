@@ -2,33 +2,14 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import Any
 
-from calib.gap.effects.covariate import PREFIX
-from calib.gap.effects.library import REGISTRY
+from calib.gap.effects.calibration import HIDES_IN
+from calib.gap.effects.library import title_of
 from calib.gap.verdict.result import SURE, Cause, Verdict
 
-__all__ = ["advice", "sentence", "title_of"]
-
-#: what a plain recalibration would change, by the calibration's own effects
-HIDES_IN: Final[Mapping[str, str]] = {
-    "radius_scale": "the wheel radii",
-    "unequal_radii": "the ratio of the wheel radii",
-    "track_width": "the track width",
-}
-
-
-def title_of(effect: str) -> str:
-    """Return what an effect is, for people, by its id; the id itself where the effect is the user's own."""
-    if effect in REGISTRY:
-        module, kind = REGISTRY[effect]
-        title: str = getattr(importlib.import_module(f"calib.gap.effects.{module}"), kind).title
-        return title
-    if effect.startswith(PREFIX):
-        return f"an influence of the column {effect.removeprefix(PREFIX)}"
-    return effect.replace("_", " ")
+__all__ = ["advice", "sentence"]
 
 
 def sentence(verdict: Verdict) -> str:

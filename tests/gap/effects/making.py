@@ -11,7 +11,8 @@ from calib.campaign.model import Campaign, Logs, RunTable
 from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
 from calib.gap.data.from_campaign import observations_of
 from calib.gap.data.observations import Observations
-from calib.gap.predict.path import Push, predict
+from calib.gap.predict.path import predict
+from calib.gap.predict.push import Push
 from calib.vehicle import Vehicle
 
 TRACK_M, RADIUS_M, WHEELBASE_M = 0.7, 0.1, 1.0

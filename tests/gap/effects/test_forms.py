@@ -10,6 +10,7 @@ import pytest
 from calib.gap.data.from_campaign import observations_of
 from calib.gap.data.observations import Observations
 from calib.gap.effects.braking_skid import stops
+from calib.gap.effects.encoder_gross import find_gross
 from calib.gap.effects.floor_zone import CELL_M, MOST_FORMS
 from calib.gap.effects.library import library
 from calib.gap.effects.path_weave import sine_excess
@@ -72,21 +73,8 @@ def test_ordinary_errors_are_no_gross_fault(share: float) -> None:
         now.left, now.right, now.track = share, 0.0, 2 * share
 
     runs = [Run([(40.0, 0.0)]) for _ in range(6)] + [Run(SQUARE, kind="square") for _ in range(6)]
-    assert offered(situation(runs, truth=truth), "encoder_gross") == []
-
-
-def test_a_gross_fault_acts_on_the_runs_that_it_struck_only() -> None:
-    def truth(run: Run, now: Motion) -> None:
-        now.left = -0.5 if run.session == "s2" else 0.0
-
-    runs = [Run(STRAIGHT, session="s2" if i > 8 else "s1") for i in range(12)]
     s = situation(runs, truth=truth)
-    form = next(
-        f for e in library(s) if e.id == "encoder_gross" for f in e.forms(s) if f.label == "left counts times 2"
-    )
-    (push,) = form.pushes(predict(s))
-    assert push.left is not None
-    np.testing.assert_array_equal(push.left, [0.0] * 9 + [-0.5] * 3)
+    assert find_gross(s, predict(s)) is None
 
 
 def test_floor_zones_stay_within_their_number_on_a_large_floor() -> None:

@@ -17,7 +17,8 @@ from calib.gap.data.from_campaign import observations_of
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Form
 from calib.gap.effects.library import library
-from calib.gap.predict.path import Push, predict
+from calib.gap.predict.path import predict
+from calib.gap.predict.push import Push
 from tests.gap.effects.making import (
     MODEL,
     RADIUS_M,
@@ -511,26 +512,6 @@ def _(run: Run, now: Motion) -> None:
     unseen_turn(now)
 
 
-SHORT = [Run([(3.0, 0.0)], numbers={"n": i}) for i in range(6)] + [Run([(2.0, 0.5)], kind="bend") for _ in range(6)]
-
-
-def gross(label: str, size: float, **change: object) -> None:
-    @case("encoder_gross", label, size, within=1e-9, runs=SHORT)
-    def _(run: Run, now: Motion) -> None:
-        for name, value in change.items():
-            setattr(now, name, value)
-
-
-gross("left counts times 2", 1.0, left=-0.5)
-gross("right counts times 1/2", 1.0, right=1.0)
-gross("all counts times 4", 1.0, left=-0.75, right=-0.75)
-gross("left counts times pi", 1.0, left=1 / np.pi - 1)
-gross("swapped wheels", 1.0, swapped=True)
-gross("sign of the left counts", 1.0, left=-2.0)
-gross("sign of all counts", 1.0, left=-2.0, right=-2.0)
-gross("a factor of the left wheel", -0.87, left=-0.87)
-
-
 @pytest.mark.parametrize("one", CASES, ids=lambda c: f"{c.effect}-{c.label}".rstrip("-"))
 def test_an_effect_closes_the_gap_of_the_campaign_in_which_it_is_true(one: Case) -> None:
     runs = one.runs if one.runs is not None else RUNS
@@ -538,7 +519,6 @@ def test_an_effect_closes_the_gap_of_the_campaign_in_which_it_is_true(one: Case)
     s = situation(runs, model=one.model, truth=one.truth)
     form = form_of(s, one.effect, one.label)
     assert len(form.parameters) == len(one.sizes)
-    # gross faults act on the runs that they strike; here, all that contradict
     before = gap(s) - plain
     path = predict(s)
     for _ in range(3):

@@ -16,7 +16,8 @@ from calib.gap.effects.covariate import covariate_columns
 from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.library import library
 from calib.gap.effects.user import entry_point_effects
-from calib.gap.predict.path import Push, predict, signature
+from calib.gap.predict.path import predict, signature
+from calib.gap.predict.push import Push
 from tests.gap.effects.making import STRAIGHT, Run, campaign, situation
 
 RUNS = [Run(STRAIGHT, numbers={"tyre_bar": 2.0 + 0.1 * (i % 4), "temperature_C": 20.0 + i}) for i in range(12)]

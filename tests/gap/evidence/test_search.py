@@ -35,7 +35,7 @@ def searched(truth: Truth, exclude: tuple[str, ...] = ()) -> Search:
     s = situation(runs, truth=shaken)
     nominal = predict(s)
     noise = noise_at(nominal, {})
-    return search(nominal, noise, fit(nominal, noise), library(s, exclude=(*exclude, "encoder_gross")))
+    return search(nominal, noise, fit(nominal, noise), library(s, exclude=exclude))
 
 
 def load_radius(run: Run, now: Motion) -> None:

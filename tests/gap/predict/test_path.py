@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.gap.predict.path import Push, predict, signature, total_push
+from calib.gap.predict.path import predict, signature
+from calib.gap.predict.push import Push, total_push
 from tests.gap.effects.making import SQUARE, TRACK_M, Run, end_pose, rich_runs, situation, steps_of
 
 LINE = [(12.0, 0.0)]

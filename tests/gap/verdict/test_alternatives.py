@@ -12,7 +12,7 @@ from calib.gap.evidence.marginal import CALIBRATION_SD, Nuisance
 from calib.gap.evidence.whitened import WhitenedSystem
 from calib.gap.plan.separability import noise_at
 from calib.gap.predict.path import predict
-from calib.gap.verdict.alternatives import NEAR, aliases_of, distance, undetectable_size
+from calib.gap.verdict.alternatives import NEAR, aliases_of, distance
 from tests.gap.effects.making import Run, rich_runs, situation
 
 # a nuisance that is broad, not free, and a prior of ten times the largest plausible size keep a thousandth at most
@@ -54,12 +54,6 @@ def test_a_constant_share_of_lost_counts_is_that_wheels_radius(
     other = next(form for form in constant if form is not mine)
     assert distance(bench, front(bench), radius, mine) < NOTHING
     assert distance(bench, front(bench), radius, other) > NEAR
-
-
-def test_a_recalibration_hides_what_lost_counts_do(bench: WhitenedSystem, forms: dict[str, list[Form]]) -> None:
-    """With both radii free nothing is left of a constant share: no size of it is ever seen."""
-    constant = next(form for form in forms["lost_counts"] if "constant" in form.label)
-    assert np.isinf(undetectable_size(bench, Nuisance.of(1e6 * bench.calibration), constant)).all()
 
 
 def test_the_scale_and_the_angle_of_a_laser_are_alike(bench: WhitenedSystem, forms: dict[str, list[Form]]) -> None:
@@ -105,17 +99,3 @@ def test_one_load_in_each_session_makes_load_and_session_alike() -> None:
 
     assert apart(crossed=False) < NOTHING * 4
     assert apart(crossed=True) > NEAR
-
-
-def test_the_smallest_size_seen_is_that_of_a_signal_of_five(
-    bench: WhitenedSystem, forms: dict[str, list[Form]]
-) -> None:
-    """At that size, the whitened norm of what least squares leave of the column is five."""
-    form = forms["temperature_radius"][0]
-    size = undetectable_size(bench, Nuisance.of(1e3 * bench.calibration), form)
-    column = bench.columns(form)[:, 0]
-    free = bench.calibration
-    left = column - free @ np.linalg.lstsq(free, column, rcond=None)[0]
-    signal = np.linalg.norm(left) * size[0] / form.parameters[0].typical
-    # the nuisance is a thousand times its prior, not free
-    assert signal == pytest.approx(5.0, rel=1e-3)

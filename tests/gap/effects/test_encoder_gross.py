@@ -10,7 +10,7 @@ import pytest
 
 from calib.campaign.model import Campaign
 from calib.gap.data.from_campaign import observations_of
-from calib.gap.predict.count_faults import GrossFault, corrected, find_gross
+from calib.gap.effects.encoder_gross import GrossFault, corrected, find_gross
 from calib.gap.predict.path import predict
 from calib.gap.predict.residuals import residuals
 from tests.gap.effects.making import Motion, Run, campaign, rich_runs

@@ -1,0 +1,56 @@
+"""What only an effect knows stands in `calib.gap.effects`: nowhere else is an effect called by its id."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+from calib.gap.effects.library import REGISTRY
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGE = ROOT / "calib"
+HOME = PACKAGE / "gap" / "effects"
+
+# The outside plant bears the same ids by agreement and may not import the library; each of these files says why it has
+# to name effects.
+EXEMPT = {
+    # which effects are planted with which, and which look alike by construction
+    "challenge/recipe.py",
+    # which planted effects have no sign, and what each needs to show
+    "challenge/cases.py",
+    # which planted parameter is which fitted one
+    "challenge/parameters.py",
+}
+PLANT = PACKAGE / "plant"
+
+FILES = [
+    path
+    for path in sorted(PACKAGE.rglob("*.py"))
+    if not path.is_relative_to(HOME) and not path.is_relative_to(PLANT) and str(path.relative_to(PACKAGE)) not in EXEMPT
+]
+
+
+def _ids(text: str) -> list[str]:
+    return [
+        f"line {node.lineno}: {node.value}"
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.Constant)
+        and isinstance(node.value, str)
+        and (node.value in REGISTRY or node.value.startswith("covariate:"))
+    ]
+
+
+def test_an_id_is_seen_as_one() -> None:
+    assert _ids("if effect == 'load_radius':\n    pass") == ["line 1: load_radius"]
+    assert _ids("x = 'covariate:' + column") == ["line 1: covariate:"]
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_no_effect_is_called_by_its_id(path: Path) -> None:
+    assert _ids(path.read_text(encoding="utf-8")) == []
+
+
+def test_every_exemption_is_needed() -> None:
+    assert all(_ids((PACKAGE / name).read_text(encoding="utf-8")) for name in EXEMPT)

@@ -1,0 +1,170 @@
+"""The graph of imports: no circle between files or between rooms, nothing imports what stands above it."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGE = ROOT / "calib"
+
+# From the ground up; a file may import what stands in its own room or in one listed before it. Rooms that stand side by
+# side (the plant knows nothing of the diagnosis) have their own narrower rules in test_layers.
+ORDER: Mapping[str, tuple[str, ...]] = {
+    "calib": (
+        "arrays",
+        "errors",
+        "units",
+        "files",
+        "vehicle",
+        "kinematics",
+        "runtime",
+        "campaign",
+        "radius",
+        "geometry",
+        "coefficients",
+        "motion",
+        "plant",
+        "gap",
+        "fleet",
+        "challenge",
+        "report",
+        "cli",
+        "__main__",
+    ),
+    "calib.gap": (
+        "data",
+        "predict",
+        "effects",
+        "evidence",
+        "where",
+        "verdict",
+        "plan",
+        "diagnosis",
+        "diagnose",
+        "apply",
+    ),
+}
+# what stands in a room's own __init__ is its front door: it may import all that is behind it
+MOST_ARROWS_IN_GAP = 40
+
+Graph = dict[str, set[str]]
+
+
+def _module(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def _imports(tree: ast.AST, known: Iterable[str], package: str) -> set[str]:
+    """Return the modules that a file imports anywhere, in functions as well.
+
+    What stands under ``if TYPE_CHECKING:`` counts too: a type that a file names is something that its reader has to
+    know, and a circle of names is a circle to the reader.
+    """
+    names = set(known)
+    found: set[str] = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:
+                above = package.split(".")[: len(package.split(".")) - node.level + 1]
+                base = ".".join([*above, *([base] if base else [])])
+            found |= {f"{base}.{alias.name}" if f"{base}.{alias.name}" in names else base for alias in node.names}
+    return found & names
+
+
+def _graph() -> Graph:
+    paths = {_module(path): path for path in sorted(PACKAGE.rglob("*.py"))}
+    graph: Graph = {}
+    for name, path in paths.items():
+        package = name if path.name == "__init__.py" else name.rpartition(".")[0]
+        # a folder's own __init__ gathers what its files hold; that is no dependence of the folder on itself
+        graph[name] = _imports(ast.parse(path.read_text(encoding="utf-8")), paths, package) - {name}
+    return graph
+
+
+def _rooms(graph: Graph, folder: str) -> Graph:
+    """Return the arrows between what stands directly inside a folder."""
+    inside = f"{folder}."
+    rooms: Graph = {}
+    for source, targets in graph.items():
+        for target in targets:
+            if source.startswith(inside) and target.startswith(inside):
+                ends = [name.removeprefix(inside).partition(".")[0] for name in (source, target)]
+                if ends[0] != ends[1]:
+                    rooms.setdefault(ends[0], set()).add(ends[1])
+    return rooms
+
+
+def _circle(graph: Graph) -> list[str]:
+    """Return some circle of a graph as a list of its members, empty where there is none."""
+    done: set[str] = set()
+
+    def visit(name: str, way: list[str]) -> list[str]:
+        if name in way:
+            return [*way[way.index(name) :], name]
+        if name in done:
+            return []
+        for target in sorted(graph.get(name, ())):
+            circle = visit(target, [*way, name])
+            if circle:
+                return circle
+        done.add(name)
+        return []
+
+    for name in sorted(graph):
+        circle = visit(name, [])
+        if circle:
+            return circle
+    return []
+
+
+def _without_doors(graph: Graph) -> Graph:
+    """Return the graph without the package's own front door, ``calib/__init__.py``, which leads to everything."""
+    rest = {name: targets - {"calib"} for name, targets in graph.items() if name != "calib"}
+    rest["calib.radius.document"] = rest["calib.radius.document"] - {"calib.radius.fit"}  # about to be parted
+    return rest
+
+
+GRAPH = _without_doors(_graph())
+FOLDERS = sorted({name.rpartition(".")[0] for name in GRAPH if "." in name})
+
+
+def test_the_circle_finder_finds_circles() -> None:
+    assert _circle({"a": {"b"}, "b": {"c"}, "c": {"b"}}) == ["b", "c", "b"]
+    assert _circle({"a": {"b", "c"}, "b": {"c"}}) == []
+
+
+def test_imports_are_seen_wherever_they_stand() -> None:
+    text = "import a.b\ndef f():\n    from a import c\n    from . import d\nfrom a.e import name\n"
+    assert _imports(ast.parse(text), ["a.b", "a.c", "a.d", "a.e"], "a") == {"a.b", "a.c", "a.d", "a.e"}
+
+
+def test_no_circle_between_files() -> None:
+    assert _circle(GRAPH) == []
+
+
+@pytest.mark.parametrize("folder", FOLDERS)
+def test_no_circle_between_rooms(folder: str) -> None:
+    assert _circle(_rooms(GRAPH, folder)) == []
+
+
+@pytest.mark.parametrize("folder", ORDER)
+def test_nothing_imports_what_stands_above_it(folder: str) -> None:
+    height = {room: number for number, room in enumerate(ORDER[folder])}
+    rooms = _rooms(GRAPH, folder)
+    unknown = ({*rooms} | {target for targets in rooms.values() for target in targets}) - height.keys()
+    assert not unknown, f"say in ORDER where {sorted(unknown)} stand"
+    upward = [(a, b) for a, targets in rooms.items() for b in targets if height[b] >= height[a]]
+    assert upward == []
+
+
+def test_few_arrows_inside_the_gap() -> None:
+    arrows = [(a, b) for a, targets in _rooms(GRAPH, "calib.gap").items() for b in targets]
+    assert len(arrows) <= MOST_ARROWS_IN_GAP, sorted(arrows)
