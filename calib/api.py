@@ -106,8 +106,8 @@ def diagnose(
     RefusedError
         Where no run has both counts and something measured.
     """
-    from calib.gap.apply import model_of
     from calib.gap.diagnose import diagnose_in_full
+    from calib.gap.effects.applied import model_of
 
     believed, effects = (None, ()) if model is None else model_of(Path(model), campaign)
     full = diagnose_in_full(campaign, seed=seed, exclude=tuple(exclude), model=believed, applied=effects)
@@ -131,10 +131,13 @@ def plan(campaign: Campaign, *, most: int = 5, seed: int = 0) -> Plan:
     Plan
         The runs with the reason for each.
     """
-    from calib.gap.plan.next_runs import plan_after
+    from calib.gap.diagnose import diagnose_in_full
+    from calib.gap.plan.next_runs import next_runs
 
-    verdict, runs = plan_after(campaign, None, most=most, seed=seed)
-    return Plan(campaign=campaign, verdict=verdict, runs=tuple(runs))
+    full = diagnose_in_full(campaign, seed=seed, plan=False)
+    ties = full.verdict.indistinguishable
+    runs = next_runs(campaign, full.effects, full.noise, ties, full.fitted, most=most)
+    return Plan(campaign=campaign, verdict=full.verdict, runs=tuple(runs))
 
 
 def simulate(
