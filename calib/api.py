@@ -135,7 +135,7 @@ def plan(campaign: Campaign, *, most: int = 5, seed: int = 0) -> Plan:
     from calib.gap.plan.next_runs import next_runs
 
     full = diagnose_in_full(campaign, seed=seed, plan=False)
-    ties = full.verdict.indistinguishable
+    ties = [group.effects for group in full.verdict.groups]
     runs = next_runs(campaign, full.effects, full.noise, ties, full.fitted, most=most)
     return Plan(campaign=campaign, verdict=full.verdict, runs=tuple(runs))
 

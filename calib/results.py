@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from calib.campaign.model import Campaign
 from calib.errors import BadInputError
-from calib.gap import diagnose as gap_diagnose
-from calib.gap.verdict.result import Verdict
+from calib.gap import diagnosis as gap_diagnosis
+from calib.gap.verdict.result import PlannedRunAdvice, Verdict
 from calib.motion.studies import replay as motion_replay
 from calib.motion.studies import run as motion_run
 from calib.radius import fitted as radius_fitted
@@ -88,18 +88,14 @@ class Fit(radius_fitted.Fit):
         return figure
 
 
-class Diagnosis(_Shown, gap_diagnose.Diagnosis):
-    """The diagnosis of a campaign; see `calib.gap.diagnose.Diagnosis`."""
+class Diagnosis(_Shown, gap_diagnosis.Diagnosis):
+    """The diagnosis of a campaign; see `calib.gap.diagnosis.Diagnosis`."""
 
     __slots__ = ()
 
     def summary(self) -> str:
-        """Return the verdict, its causes and the gap before and after, as lines of text."""
-        return verdict_text(self.verdict)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the verdict as plain values: what ``calib diagnose --json`` prints."""
-        return self.verdict.to_dict()
+        """Return the verdict, its causes with their sizes, and the advice on the fix, as lines of text."""
+        return gap_diagnosis.Diagnosis.summary(self)
 
     @property
     def table(self) -> DataFrame:
@@ -142,23 +138,6 @@ class Diagnosis(_Shown, gap_diagnose.Diagnosis):
         return figure
 
 
-def verdict_text(verdict: Verdict) -> str:
-    """Return a verdict as lines of text."""
-    document = verdict.to_dict()
-    simulated = " (simulated)" if document["simulated"] else ""
-    lines = [f"{document['campaign']}{simulated}: {document['verdict']}", f"  {document['sentence']}"]
-    for cause in document["causes"]:
-        form = f" ({cause['form']})" if cause["form"] else ""
-        lines.append(f"  {cause['effect']}{form}, probability {cause['probability']:.2f}")
-        for name, quantity in cause["parameters"].items():
-            low, high = quantity["ci95"]
-            half = "unknown" if low is None or high is None else f"{0.5 * (high - low):.3g}"
-            lines.append(f"    {name}  {quantity['value']:.4g} +- {half} {quantity['unit']}")
-    if any(cause["parameters"] for cause in document["causes"]):
-        lines.append("  +- is half the 95 % interval")
-    return "\n".join(lines)
-
-
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Plan(_Shown):
     """The runs to drive next.
@@ -169,25 +148,25 @@ class Plan(_Shown):
         What was driven.
     verdict : Verdict
         What it says so far.
-    runs : tuple of mapping
-        Best first: ``kind``, load, speed and the other columns of a run, and ``why``.
+    runs : tuple of PlannedRunAdvice
+        Best first.
     """
 
     campaign: Campaign
     verdict: Verdict
-    runs: tuple[Mapping[str, Any], ...]
+    runs: tuple[PlannedRunAdvice, ...]
 
     @property
     def table(self) -> DataFrame:
         """The runs as a table, best first."""
         from pandas import DataFrame
 
-        return DataFrame([dict(run) for run in self.runs])
+        return DataFrame([run.to_dict() for run in self.runs])
 
     def summary(self) -> str:
         """Return the verdict so far and the runs, as lines of text."""
         lines = [f"{self.campaign.name}: {self.verdict.sentence}"]
-        lines += [f"  {number}. {run['kind']}: {run['why']}" for number, run in enumerate(self.runs, start=1)]
+        lines += [f"  {number}. {run.kind}: {run.why}" for number, run in enumerate(self.runs, start=1)]
         return "\n".join(lines if self.runs else [*lines, "  No further run would tell more apart."])
 
     def to_dict(self) -> dict[str, Any]:
@@ -196,7 +175,7 @@ class Plan(_Shown):
         return {
             "verdict": document["verdict"],
             "indistinguishable": document["indistinguishable"],
-            "next_runs": [dict(run) for run in self.runs],
+            "next_runs": [run.to_dict() for run in self.runs],
         }
 
     def plot(self) -> Figure:

@@ -11,7 +11,7 @@ from calib.campaign.model import Campaign
 
 if TYPE_CHECKING:
     from calib.gap.data.observations import Observations
-    from calib.gap.diagnose import Diagnosis
+    from calib.gap.diagnosis import Diagnosis
     from calib.gap.effects.effect import Form
 
 __all__ = ["achieved"]
@@ -46,7 +46,7 @@ def achieved(diagnosis: Diagnosis, fresh: Campaign, exclude: tuple[str, ...] = (
         return None
     there = observations_of(fresh)
     forms = _forms_there(diagnosis, there, fresh, exclude)
-    if forms is None or len(there) != len(diagnosis.situation):
+    if forms is None or len(there) != len(diagnosis.observations):
         return None
     nominal = predict(there)
     fixed = hypothesis_path(there, diagnosis.fitted.calibration, forms, diagnosis.fitted.theta, nominal)

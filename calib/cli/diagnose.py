@@ -13,6 +13,7 @@ from calib.cli.threads import one_blas_thread
 
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign
+    from calib.gap.verdict.result import Verdict
 
 __all__ = ["register"]
 
@@ -58,6 +59,7 @@ def register(application: typer.Typer, name: str) -> None:
         from calib.gap.diagnose import diagnose_in_full
         from calib.gap.effects.applied import model_of
         from calib.gap.verdict.paper_headline import headline
+        from calib.gap.verdict.result import VerdictKind
 
         for target in (apply, None if into is None else into / RESULT_FILE):
             if target is not None and target.exists() and not force:
@@ -66,9 +68,16 @@ def register(application: typer.Typer, name: str) -> None:
         if exclude:
             _check_excluded(exclude, read)
         believed, effects = (None, ()) if model is None else model_of(model, read)
-        found = diagnose_in_full(read, seed=seed, exclude=tuple(exclude), model=believed, applied=effects)
+        found = diagnose_in_full(
+            read,
+            seed=seed,
+            exclude=tuple(exclude),
+            model=believed,
+            applied=effects,
+            model_name="" if model is None else model.name,
+        )
         document = found.verdict.to_dict() | {"headline": headline(found.verdict)}
-        _show(document, json_target)
+        _show(found.verdict, document, json_target)
         if apply is not None:
             write_bytes(apply, applied_model(found, read, effects).to_bytes(), force=force)
             say(f"wrote {apply}", target=json_target)
@@ -85,7 +94,7 @@ def register(application: typer.Typer, name: str) -> None:
             written = write_gap_pictures(found, figures, force=force)
             say(f"wrote {len(written)} figure files to {figures}", target=json_target)
         emit_json(document, json_target, force=force)
-        return 0 if found.verdict.verdict in {"no_gap", "explained"} else 1
+        return 0 if found.verdict.kind in {VerdictKind.NO_GAP, VerdictKind.EXPLAINED} else 1
 
 
 def _check_excluded(exclude: list[str], campaign: Campaign) -> None:
@@ -100,15 +109,15 @@ def _check_excluded(exclude: list[str], campaign: Campaign) -> None:
         raise BadInputError(f"--{error}") from error
 
 
-def _show(document: Mapping[str, Any], target: str | None) -> None:
+def _show(verdict: Verdict, document: Mapping[str, Any], target: str | None) -> None:
     say(document["campaign"] + (" - SIMULATED DATA" if document["simulated"] else ""), target=target)
     say("", target=target)
     say_wrapped(f"Verdict ({document['verdict']}): {document['sentence']}", target=target)
     say("", target=target)
     _show_where(document["where"], target)
     _show_causes(document, target)
-    _show_closure(document, target)
-    _show_limits(document, target)
+    _show_closure(verdict, document, target)
+    _show_limits(verdict, target)
     _show_next(document, target)
     for note in document["notes"]:
         say_wrapped(str(note), target=target, lead="  note  ")
@@ -182,7 +191,7 @@ def _show_causes(document: Mapping[str, Any], target: str | None) -> None:
         say_wrapped(f"these runs cannot tell apart: {', '.join(group)}", target=target, lead="  ")
 
 
-def _show_closure(document: Mapping[str, Any], target: str | None) -> None:
+def _show_closure(verdict: Verdict, document: Mapping[str, Any], target: str | None) -> None:
     closure = document["closure"]
     if closure.get("before_rms_m") is None:
         return
@@ -201,17 +210,14 @@ def _show_closure(document: Mapping[str, Any], target: str | None) -> None:
         say_wrapped(document["headline"]["sentence"], target=target)
     from calib.gap.verdict.sentence import advice
 
-    if document["causes"]:
-        say_wrapped(advice(document), target=target)
+    if verdict.causes:
+        say_wrapped(advice(verdict), target=target)
     say("", target=target)
 
 
-def _show_limits(document: Mapping[str, Any], target: str | None) -> None:
-    blind = document["undetectable"]
-    if not blind:
-        return
-    never = [name for name, said in blind.items() if str(said).startswith("never")]
-    rows = [(name, str(said)) for name, said in blind.items() if name not in never]
+def _show_limits(verdict: Verdict, target: str | None) -> None:
+    never = [limit.effect for limit in verdict.undetectable if limit.never]
+    rows = [(limit.effect, limit.smallest) for limit in verdict.undetectable if not limit.never]
     if rows:
         table("What these runs could have shown", ["effect", "smallest size"], rows, target=target)
     if never:

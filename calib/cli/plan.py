@@ -81,7 +81,7 @@ def _next(
         read,
         diagnosis.effects,
         diagnosis.noise,
-        verdict.indistinguishable,
+        [group.effects for group in verdict.groups],
         diagnosis.fitted,
         candidates=offered,
         most=most,
@@ -92,14 +92,18 @@ def _next(
         table(
             "Next runs, best first; in one session that begins with a repeat of an unladen corridor run",
             ["run", "kg", "at x, y m", "m/s", "degC", "loaded min", "why"],
-            [_row(number, run) for number, run in enumerate(runs, start=1)],
+            [_row(number, run.to_dict()) for number, run in enumerate(runs, start=1)],
             texts=["why"],
             target=json_target,
         )
     else:
         say("No run of the list would tell apart more than what was driven.", target=json_target)
-    groups = [list(group) for group in verdict.indistinguishable]
-    emit_json({"verdict": verdict.verdict, "indistinguishable": groups, "next_runs": runs}, json_target, force=force)
+    document = {
+        "verdict": verdict.kind.value,
+        "indistinguishable": [list(group.effects) for group in verdict.groups],
+        "next_runs": [run.to_dict() for run in runs],
+    }
+    emit_json(document, json_target, force=force)
     return 0
 
 
@@ -150,7 +154,7 @@ def _show(name: str, n_runs: int, outlook: Outlook, target: str | None) -> None:
         said = "yes" if effect in told else ("not seen at its typical size" if not others else ", ".join(others[:4]))
         if len(others) > 4:
             said += f" and {len(others) - 4} more"
-        rows.append((effect, f"{outlook.signal[number]:.1f}", outlook.smallest[effect], said))
+        rows.append((effect, f"{outlook.signal[number]:.1f}", outlook.smallest[effect].sentence, said))
     table(
         f"{name}, {n_runs} runs: {len(told)} of {len(outlook.effects) + len(outlook.absent)} effects told apart",
         ["effect", "signal at typical size", "smallest size seen", "told apart, or confused with"],
@@ -158,4 +162,4 @@ def _show(name: str, n_runs: int, outlook: Outlook, target: str | None) -> None:
         target=target,
     )
     for effect in outlook.absent:
-        say(f"  {effect}: {outlook.smallest[effect]}", target=target)
+        say(f"  {effect}: {outlook.smallest[effect].sentence}", target=target)

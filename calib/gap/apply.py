@@ -23,10 +23,11 @@ from calib.gap.evidence.fit import Fitted, fit
 from calib.gap.evidence.noise import estimate_noise
 from calib.gap.predict.path import predict
 from calib.gap.predict.residuals import residuals
+from calib.gap.verdict.result import VerdictKind
 from calib.radius.law import RadiusLaw, WheelLaw
 
 if TYPE_CHECKING:
-    from calib.gap.diagnose import Diagnosis
+    from calib.gap.diagnosis import Diagnosis
     from calib.gap.verdict.result import Cause, Verdict
 
 __all__ = ["applied_model"]
@@ -66,7 +67,7 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[Effe
     """
     verdict, fitted = diagnosis.verdict, diagnosis.fitted
     _refuse_without_cause(verdict)
-    observations = diagnosis.situation
+    observations = diagnosis.observations
     model = observations.model
     line, sections = _line_and_sections(model, fitted, verdict.causes)
     sections = [*given, *sections]
@@ -114,7 +115,7 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[Effe
 def _refuse_without_cause(verdict: Verdict) -> None:
     if verdict.causes:
         return
-    why = "there is no gap" if verdict.verdict == "no_gap" else f"the verdict is {verdict.verdict}"
+    why = "there is no gap" if verdict.kind is VerdictKind.NO_GAP else f"the verdict is {verdict.kind.value}"
     raise RefusedError(
         f"{verdict.campaign}: {why}, so there is no effect to add to the model; "
         "drive the runs that 'calib plan' names, or leave the model as it is"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -13,6 +13,7 @@ from calib.campaign.settings import OdometryModel
 from calib.errors import RefusedError
 from calib.gap.data.from_campaign import observations_of
 from calib.gap.data.observations import Observations
+from calib.gap.diagnosis import Diagnosis
 from calib.gap.effects.applied import with_effects
 from calib.gap.effects.effect import Effect
 from calib.gap.effects.encoder_gross import corrected
@@ -21,60 +22,26 @@ from calib.gap.evidence.fit import Fitted, fit
 from calib.gap.evidence.marginal import FLOOR_DOF
 from calib.gap.evidence.noise import Noise, estimate_noise
 from calib.gap.evidence.recalibration import judge_recalibration
-from calib.gap.evidence.search import Search, Settings, search
+from calib.gap.evidence.search import Hypothesis, Search, Settings, search
 from calib.gap.evidence.whitened import WhitenedSystem
 from calib.gap.plan.next_runs import next_runs, undetectable
 from calib.gap.predict.path import Path, predict
 from calib.gap.predict.residuals import residuals
-from calib.gap.verdict.closure import Closure, measure_closure
-from calib.gap.verdict.decide import Judge
-from calib.gap.verdict.result import Verdict
-from calib.gap.verdict.sentence import sentence
+from calib.gap.verdict.closure import HeldOut, measure_closure
+from calib.gap.verdict.decide import decide
+from calib.gap.verdict.evidence import Evidence
+from calib.gap.verdict.result import BY_MODEL, BY_SIMULATOR, Verdict
 from calib.gap.where.covariates import locate
 
 if TYPE_CHECKING:
     from calib.coefficients.sections import EffectSection
 
-__all__ = ["Diagnosis", "diagnose", "diagnose_in_full"]
+__all__ = ["diagnose", "diagnose_in_full"]
 
 #: by which factor at most what the fit leaves may enlarge the floor's variance
 MOST_FLOOR: Final = 1.5
 #: how often at most the floor is taken again once a large effect is known
 PASSES: Final = 3
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Diagnosis:
-    """A verdict with the arrays behind it, for figures.
-
-    Parameters
-    ----------
-    verdict : Verdict
-        The answer.
-    situation : Observations
-        Units and steps.
-    noise : Noise
-        Covariance of each unit.
-    nominal : Path
-        The model alone.
-    fitted : Fitted
-        The hypothesis that the verdict names, the recalibration free.
-    closure : Closure
-        The gap before and after on held-out runs.
-    found : Search
-        All hypotheses tried, and the forms of the library on this campaign.
-    effects : tuple of Effect
-        The library that it was judged by.
-    """
-
-    verdict: Verdict
-    situation: Observations
-    noise: Noise
-    nominal: Path
-    fitted: Fitted
-    closure: Closure
-    found: Search
-    effects: tuple[Effect, ...]
 
 
 def diagnose(
@@ -102,6 +69,7 @@ def diagnose_in_full(
     applied: Sequence[EffectSection] = (),
     settings: Settings | None = None,
     plan: bool = True,
+    model_name: str = "",
 ) -> Diagnosis:
     """Diagnose the gap of a campaign.
 
@@ -121,6 +89,8 @@ def diagnose_in_full(
         What the search takes for granted.
     plan : bool
         Look for the runs that would tell tied causes apart, where there are any.
+    model_name : str
+        Name of the file that `model` is from, for the verdict to say what it judged against.
 
     Returns
     -------
@@ -132,55 +102,87 @@ def diagnose_in_full(
         Where no run has both counts and something measured.
     """
     settings = settings or Settings()
+    rng = np.random.default_rng(seed)
     declared = campaign.extra.get("effects", ())
-    s = observations_of(campaign, model)
-    if not s.usable.any():
+    observations, notes = _observed(campaign, model, applied)
+    judged_against = BY_SIMULATOR if np.isfinite(observations.simulated).any() else (model_name or BY_MODEL)
+    nominal = predict(observations)
+    before = residuals(nominal, nominal)
+    fault = fault_before_search(observations, nominal, exclude)
+    if fault is not None:
+        observations = corrected(observations, fault)
+        nominal = predict(observations)
+    effects = library(observations, exclude=exclude, declared=declared)
+    noise, base, searched = _searched(nominal, effects, settings)
+    best = searched.hypotheses[0]
+    shifts = {effect.id: effect.shifts for effect in effects}
+    held_out = _held_out(nominal, noise, best, effects, rng)
+    if fault is not None:
+        held_out = replace(held_out, before=before)
+    evidence = Evidence(
+        campaign=campaign.name,
+        simulated=campaign.simulated,
+        nominal=nominal,
+        noise=noise,
+        effects={effect.id: effect for effect in effects},
+        search=searched,
+        recalibration=judge_recalibration(best.fitted, nominal, noise, settings, shifts),
+        held_out=held_out,
+        where=locate(observations, nominal, noise, held_out.before, rng=rng, campaign=campaign),
+        undetectable=undetectable(WhitenedSystem(base.path, nominal, noise), effects),
+        fault=fault,
+        settings=settings,
+        notes=notes,
+        judged_against=judged_against,
+    )
+    verdict = decide(evidence)
+    if plan and verdict.groups:
+        ties = [group.effects for group in verdict.groups]
+        advised = next_runs(campaign, effects, noise, ties, best.fitted, model=model)
+        verdict = replace(verdict, next_runs=tuple(advised))
+    return Diagnosis(verdict, observations, noise, nominal, best.fitted, held_out, searched, tuple(effects))
+
+
+def _observed(
+    campaign: Campaign, model: OdometryModel | None, applied: Sequence[EffectSection]
+) -> tuple[Observations, tuple[str, ...]]:
+    """Return what was driven, as a simulator that has some effects already predicts it, and what had to be assumed."""
+    observations = observations_of(campaign, model)
+    if not observations.usable.any():
         raise RefusedError(
             f"{campaign.name}: no run has a channel that can be compared with the simulation; an end pose needs "
             "ref_x_m and ref_y_m together and a log where the path bends, or give distance_m or ref_theta_rad"
         )
-    notes: tuple[str, ...] = ()
-    if applied:
-        s, notes = with_effects(s, applied, declared=declared)
-    nominal = predict(s)
-    before = residuals(nominal, nominal)
-    fault = fault_before_search(s, nominal, exclude)
-    if fault is not None:
-        s = corrected(s, fault)
-        nominal = predict(s)
-    effects = library(s, exclude=exclude, declared=declared)
+    if not applied:
+        return observations, ()
+    return with_effects(observations, applied, declared=campaign.extra.get("effects", ()))
+
+
+def _searched(nominal: Path, effects: Sequence[Effect], settings: Settings) -> tuple[Noise, Fitted, Search]:
+    """Return the floor, the recalibration alone, and the hypotheses tried; the floor is that of the best of them."""
     noise, base = _settle(nominal)
-    found = search(nominal, noise, base, effects, settings)
-    chosen = found.hypotheses[0]
+    searched = search(nominal, noise, base, effects, settings)
     for _ in range(PASSES):
+        best = searched.hypotheses[0]
         # what a large effect leaves within conditions is no noise: take the floor again without it, and ask again
-        again = estimate_noise(chosen.fitted.path, chosen.fitted.left) if chosen.effects else noise
+        again = estimate_noise(best.fitted.path, best.fitted.left) if best.effects else noise
         if again is noise or not _differ(noise, again):
             break
         noise, base = again, fit(nominal, again, start=base)
-        found = search(nominal, noise, base, effects, settings)
-        chosen = found.hypotheses[0]
-    shifts = {effect.id: effect.shifts for effect in effects}
-    recalibration = judge_recalibration(chosen.fitted, nominal, noise, settings, shifts)
-    rng = np.random.default_rng(seed)
+        searched = search(nominal, noise, base, effects, settings)
+    return noise, base, searched
+
+
+def _held_out(
+    nominal: Path, noise: Noise, best: Hypothesis, effects: Sequence[Effect], rng: np.random.Generator
+) -> HeldOut:
+    """Return the gap before and after on runs left out: whole sessions, unless the cause is a step between them."""
     # where no cause is missing, what is left is noise, and its size the better estimate of the floor
-    n_rows = int(s.usable.sum())
-    factor = (FLOOR_DOF + chosen.fitted.chi_square) / (FLOOR_DOF + n_rows)
-    factor = 1.0 if chosen.unknown else min(factor, MOST_FLOOR)
-    whole = not any(effect.per_session for effect in effects if effect.id in chosen.effects)
-    closure = measure_closure(nominal, noise, chosen.fitted, rng, sessions=whole, floor_factor=factor)
-    if fault is not None:
-        closure = replace(closure, before=before)
-    where = locate(s, nominal, noise, closure.before, rng=rng, campaign=campaign)
-    judge = Judge(campaign, nominal, noise, effects, found, recalibration, closure, fault, settings)
-    blind = undetectable(WhitenedSystem(base.path, nominal, noise), effects)
-    verdict = judge.verdict(where, blind, notes)
-    verdict = replace(verdict, sentence=sentence(verdict))
-    if plan and verdict.indistinguishable:
-        ties = verdict.indistinguishable
-        wanted = next_runs(campaign, effects, noise, ties, chosen.fitted, model=model)
-        verdict = replace(verdict, next_runs=tuple(wanted))
-    return Diagnosis(verdict, s, noise, nominal, chosen.fitted, closure, found, tuple(effects))
+    n_rows = int(nominal.s.usable.sum())
+    factor = (FLOOR_DOF + best.fitted.chi_square) / (FLOOR_DOF + n_rows)
+    factor = 1.0 if best.unknown else min(factor, MOST_FLOOR)
+    sessions = not any(effect.per_session for effect in effects if effect.id in best.effects)
+    return measure_closure(nominal, noise, best.fitted, rng, sessions=sessions, floor_factor=factor)
 
 
 def _differ(before: Noise, after: Noise) -> bool:

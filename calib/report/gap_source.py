@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from calib.campaign.model import Campaign
-from calib.gap.data.observations import CHANNELS
-from calib.gap.diagnose import Diagnosis, diagnose_in_full
+from calib.gap.data.channels import Channel
+from calib.gap.diagnose import diagnose_in_full
+from calib.gap.diagnosis import Diagnosis
 from calib.gap.predict.residuals import residuals
 from calib.gap.verdict.paper_headline import headline
 from calib.gap.where.covariates import covariate_values
@@ -16,8 +17,6 @@ from calib.report.gap_findings import GapFindings
 from calib.report.source import Source
 
 __all__ = ["findings_of", "with_diagnosis"]
-
-_ANGLES = {"heading", "steering"}
 
 
 def with_diagnosis(source: Source, campaign: Campaign, *, seed: int = 0) -> Source:
@@ -53,7 +52,7 @@ def findings_of(diagnosis: Diagnosis) -> GapFindings:
     GapFindings
         Residuals of channels that a unit lacks are NaN; paths are those of the model alone, each from its own start.
     """
-    s, nominal, closure = diagnosis.situation, diagnosis.nominal, diagnosis.closure
+    s, nominal, held_out = diagnosis.observations, diagnosis.nominal, diagnosis.held_out
     plain = np.where(s.usable, residuals(nominal, nominal), np.nan)
     c, sn = np.cos(nominal.frame), np.sin(nominal.frame)
     along, lateral = plain[:, 1], plain[:, 2]
@@ -75,10 +74,10 @@ def findings_of(diagnosis: Diagnosis) -> GapFindings:
     }
     return GapFindings(
         verdict=diagnosis.verdict.to_dict() | {"headline": headline(diagnosis.verdict)},
-        channels=tuple((name, "rad" if name in _ANGLES else "m") for name in CHANNELS),
-        before=plain if closure is None else np.where(s.usable, closure.before, np.nan),
-        after=None if closure is None else np.where(s.usable, closure.after, np.nan),
-        floor=None if closure is None else np.where(s.usable, closure.floor, np.nan),
+        channels=tuple((channel.label, channel.unit) for channel in Channel),
+        before=np.where(s.usable, held_out.before, np.nan),
+        after=np.where(s.usable, held_out.after, np.nan),
+        floor=np.where(s.usable, held_out.floor, np.nan),
         group=s.labels["kind"],
         covariates=covariates,
         paths_m=paths if np.isfinite(offset).any() else (),

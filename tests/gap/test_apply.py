@@ -18,6 +18,7 @@ from calib.gap.diagnose import diagnose, diagnose_in_full
 from calib.gap.effects.applied import applied_pushes, model_of, with_effects
 from calib.gap.predict.path import predict
 from calib.gap.predict.residuals import residuals
+from calib.gap.verdict.result import VerdictKind
 from calib.plant.effects.registry import find
 from calib.plant.make import make_campaign
 from calib.plant.plans import good_design
@@ -37,7 +38,7 @@ def test_with_the_effect_added_there_is_no_gap_on_the_same_runs(effect: str, tmp
     path = write_bytes(tmp_path / "model.json", applied_model(found, campaign).to_bytes())
     model, sections = model_of(path, campaign)
     again = diagnose(campaign, model=model, applied=sections)
-    assert again.verdict == "no_gap"
+    assert again.kind is VerdictKind.NO_GAP
 
 
 def test_what_is_left_with_the_written_model_is_what_the_fit_left(tmp_path: Path) -> None:
@@ -94,6 +95,6 @@ def test_an_effect_that_has_nothing_to_act_on_is_said() -> None:
 def test_without_a_cause_there_is_nothing_to_write() -> None:
     campaign = campaign_with("track_width", 0.0, n_runs=40)
     found = diagnose_in_full(campaign)
-    assert found.verdict.verdict == "no_gap"
+    assert found.verdict.kind is VerdictKind.NO_GAP
     with pytest.raises(RefusedError, match="no effect to add"):
         applied_model(found, campaign)

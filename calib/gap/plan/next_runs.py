@@ -25,6 +25,7 @@ from calib.gap.plan.planned_runs import DEFAULT_CORRIDOR_M, Measured, PlannedRun
 from calib.gap.plan.separability import SEEN, Signatures, noise_at
 from calib.gap.predict.path import predict
 from calib.gap.verdict.alternatives import NEAR
+from calib.gap.verdict.result import Detectable, PlannedRunAdvice
 
 __all__ = ["Outlook", "next_runs", "outlook_of", "undetectable"]
 
@@ -50,15 +51,15 @@ class Outlook:
     distance : array of float, shape (n, n)
         Row's effect at its typical size against all that the column's could do, in standard deviations; infinite on
         the diagonal.
-    smallest : mapping of str to str
-        Smallest size of each effect that would be seen, in words.
+    smallest : mapping of str to Detectable
+        Smallest size of each effect that would be seen.
     """
 
     effects: tuple[str, ...]
     absent: tuple[str, ...]
     signal: FloatArray
     distance: FloatArray
-    smallest: dict[str, str]
+    smallest: dict[str, Detectable]
 
     @property
     def told_apart(self) -> BoolArray:
@@ -73,7 +74,7 @@ class Outlook:
             "absent": list(self.absent),
             "signal": [float(value) for value in self.signal],
             "distance": [[float(d) if np.isfinite(d) else None for d in row] for row in self.distance],
-            "smallest": self.smallest,
+            "smallest": {name: limit.sentence for name, limit in self.smallest.items()},
             "not_seen": [name for name, value in zip(self.effects, self.signal, strict=True) if value < NEAR],
             "told_apart": [name for name, yes in zip(self.effects, told, strict=True) if yes],
             "confused": {
@@ -111,7 +112,7 @@ def outlook_of(campaign: Campaign, scales: Mapping[str, float] | None = None) ->
     )
 
 
-def undetectable(bench: WhitenedSystem, effects: Sequence[Effect]) -> dict[str, str]:
+def undetectable(bench: WhitenedSystem, effects: Sequence[Effect]) -> tuple[Detectable, ...]:
     """Return the effects that these runs could not have shown at their typical size, with the smallest that they could.
 
     Parameters
@@ -123,20 +124,20 @@ def undetectable(bench: WhitenedSystem, effects: Sequence[Effect]) -> dict[str, 
 
     Returns
     -------
-    dict of str to str
-        ``never: ...`` where nothing in the runs varies what the effect acts through, or a recalibration hides it
-        wholly.
+    tuple of Detectable
+        `never` where nothing in the runs varies what the effect acts through, or a recalibration hides it wholly.
     """
-    return _smallest(bench, effects, only_blind=True)
+    return tuple(_smallest(bench, effects, only_blind=True).values())
 
 
-def _smallest(bench: WhitenedSystem, effects: Sequence[Effect], *, only_blind: bool) -> dict[str, str]:
+def _smallest(bench: WhitenedSystem, effects: Sequence[Effect], *, only_blind: bool) -> dict[str, Detectable]:
     s = bench.path.s
-    made: dict[str, str] = {}
+    limits: dict[str, Detectable] = {}
     for effect in effects:
         forms = effect.forms(s)
         if not forms:
-            made[effect.id] = "never: nothing that it acts through is measured, or varies, in these runs"
+            why = "nothing that it acts through is measured, or varies, in these runs"
+            limits[effect.id] = Detectable(effect.id, why, never=True)
             continue
         calibration = bench.calibration[:, 3:] if effect.calibration else bench.calibration
         best: tuple[float, Form, int] | None = None
@@ -153,8 +154,8 @@ def _smallest(bench: WhitenedSystem, effects: Sequence[Effect], *, only_blind: b
                     if best is None or times < best[0]:
                         best = (times, form, number)
         if best is None:
-            hidden = "never: hidden in the calibration" if raw_norm > 0.0 else "never: it moves nothing measured here"
-            made[effect.id] = hidden
+            why = "hidden in the calibration" if raw_norm > 0.0 else "it moves nothing measured here"
+            limits[effect.id] = Detectable(effect.id, why, never=True)
             continue
         times, form, number = best
         if only_blind and times <= 1.0:
@@ -163,8 +164,9 @@ def _smallest(bench: WhitenedSystem, effects: Sequence[Effect], *, only_blind: b
         unit = "" if parameter.unit == "1" else f" {parameter.unit}"
         words = [parameter.name.replace("_", " ")] if parameter.name else []
         words += ["more than is plausible"] if times * parameter.typical > parameter.largest else []
-        made[effect.id] = f"{times * parameter.typical:.2g}{unit}" + (f" ({', '.join(words)})" if words else "")
-    return made
+        size = f"{times * parameter.typical:.2g}{unit}" + (f" ({', '.join(words)})" if words else "")
+        limits[effect.id] = Detectable(effect.id, size)
+    return limits
 
 
 def next_runs(
@@ -177,7 +179,7 @@ def next_runs(
     model: OdometryModel | None = None,
     candidates: Sequence[PlannedRun] | None = None,
     most: int = MOST_RUNS,
-) -> list[dict[str, Any]]:
+) -> list[PlannedRunAdvice]:
     """Return the runs to drive next, best first, with what each would tell apart.
 
     The next runs are taken to be driven in one session that begins with a repeat of an unladen corridor run. Each step
@@ -205,8 +207,8 @@ def next_runs(
 
     Returns
     -------
-    list of dict
-        ``kind`` and the other fields of the run, and ``why``; empty where no candidate helps.
+    list of PlannedRunAdvice
+        Empty where no candidate helps.
     """
     from dataclasses import replace
 
@@ -231,7 +233,7 @@ def next_runs(
     base = made.gram(~future) + (_one(made, of_run[0]) if of_run[0] is not None else 0.0)
     grams = {number: _one(made, unit) for number, unit in enumerate(of_run[1:]) if unit is not None}
     task = _Task(made, ties)
-    chosen: list[dict[str, Any]] = []
+    chosen: list[PlannedRunAdvice] = []
     for _ in range(most):
         before = task.distances(base)
         if task.done(before) or not grams:
@@ -242,10 +244,8 @@ def next_runs(
         if not task.score(after) > task.score(before):
             break
         base = base + grams.pop(best)
-        said: dict[str, Any] = {**offered[best].to_dict(), "why": task.why(before, after)}
-        if task.pairs:
-            said["distance"] = float(after.min())
-        chosen.append(said)
+        distance = float(after.min()) if task.pairs else None
+        chosen.append(offered[best].advice(task.why(before, after), distance))
     return chosen
 
 

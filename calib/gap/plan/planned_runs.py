@@ -12,6 +12,7 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.campaign.model import LABEL_COLUMNS, Campaign, Logs, RunTable
 from calib.errors import BadInputError
+from calib.gap.verdict.result import PlannedRunAdvice
 from calib.motion.routes import NAMED, Route, arc, straight
 from calib.vehicle import wheel_loads_N
 
@@ -84,6 +85,28 @@ class PlannedRun:
         if self.read_rolling:
             made["read_rolling"] = True
         return made | dict(self.columns)
+
+    def advice(self, why: str, distance: float | None = None) -> PlannedRunAdvice:
+        """Return the run as advice to drive it, with what it tells."""
+
+        def known(value: float) -> float | None:
+            return float(value) if np.isfinite(value) else None
+
+        return PlannedRunAdvice(
+            kind=self.kind,
+            why=why,
+            direction=self.direction,
+            payload_kg=known(self.payload_kg),
+            payload_x_m=known(self.payload_x_m) or None,
+            payload_y_m=known(self.payload_y_m) or None,
+            speed_mps=known(self.speed_mps),
+            temperature_C=known(self.temperature_C),
+            minutes_under_load=known(self.minutes_under_load),
+            stops=self.stops,
+            read_rolling=self.read_rolling,
+            columns=dict(self.columns),
+            distance=distance,
+        )
 
 
 def route_of(kind: str, corridor_m: float = DEFAULT_CORRIDOR_M) -> Route:

@@ -8,37 +8,39 @@ from typing import Final
 import numpy as np
 
 from calib.arrays import FloatArray, IntArray
-from calib.gap.data.observations import CHANNELS, Observations
+from calib.gap.data.channels import N_CHANNELS, POSE, Channel
+from calib.gap.data.observations import Observations
 from calib.gap.evidence.fit import Fitted, fit
 from calib.gap.evidence.marginal import rows
 from calib.gap.evidence.noise import Noise
 from calib.gap.predict.path import Path
 from calib.gap.predict.residuals import residuals
+from calib.gap.verdict.result import Closure
 
-__all__ = ["Closure", "held_out", "measure_closure"]
+__all__ = ["HeldOut", "closure_of", "folds", "measure_closure"]
 
 BOOTSTRAPS: Final = 400
 MAX_FOLDS: Final = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Closure:
-    """The gap before and after, on held-out runs.
+class HeldOut:
+    """Residuals before and after, on runs that the fit has not seen.
 
     Parameters
     ----------
-    before, after : array of float, shape (n_units, 6)
+    before, after : array of float, shape (n_units, n_channels)
         Residuals of the model alone, and of the model with the effect fitted on the other runs.
-    floor : array of float, shape (n_units, 6)
+    floor : array of float, shape (n_units, n_channels)
         Standard deviation that repeats give each channel.
     fraction : float or None
         1 - (mean square after - floor) / (mean square before - floor), in units of the noise; None where the gap is
         below half the floor.
     ci95 : tuple of float or None
         Its bootstrap interval over conditions.
-    by_channel : mapping of str to float or None
+    by_channel : mapping of Channel to float or None
         The same for each channel.
-    held_out : str
+    left_out : str
         What was left out in turn: ``session`` or ``condition``.
     """
 
@@ -47,16 +49,16 @@ class Closure:
     floor: FloatArray
     fraction: float | None
     ci95: tuple[float, float] | None
-    by_channel: dict[str, float | None]
-    held_out: str
+    by_channel: dict[Channel, float | None]
+    left_out: str
 
 
-def held_out(s: Observations, *, sessions: bool = True) -> tuple[IntArray, str]:
+def folds(observations: Observations, *, sessions: bool = True) -> tuple[IntArray, str]:
     """Return the number of the fold that each unit is left out in, shape (n_units,), and what the folds are."""
-    labels, session = np.unique(s.labels["session"], return_inverse=True)
+    labels, session = np.unique(observations.labels["session"], return_inverse=True)
     if sessions and len(labels) >= 3:
         return np.asarray(session % 8), "session"
-    names, condition = np.unique(s.condition, return_inverse=True)
+    names, condition = np.unique(observations.condition, return_inverse=True)
     return np.asarray(condition % min(MAX_FOLDS, len(names))), "condition"
 
 
@@ -68,7 +70,7 @@ def measure_closure(
     *,
     sessions: bool = True,
     floor_factor: float = 1.0,
-) -> Closure:
+) -> HeldOut:
     """Fit on the other folds, predict the one left out, and compare with the model alone.
 
     Parameters
@@ -88,10 +90,10 @@ def measure_closure(
 
     Returns
     -------
-    Closure
+    HeldOut
     """
-    s = nominal.s
-    fold, kind = held_out(s, sessions=sessions)
+    observations = nominal.s
+    fold, left_out = folds(observations, sessions=sessions)
     before = residuals(nominal, nominal)
     after = np.zeros_like(before)
     for number in np.unique(fold):
@@ -101,31 +103,31 @@ def measure_closure(
             continue
         trained = fit(nominal, noise, fitted.forms, use=~out, start=fitted, steps=2)
         after[out] = trained.left[out]
-    usable = s.usable
+    usable = observations.usable
     white = rows(nominal, noise, np.stack([before, after], axis=2))
-    unit = np.repeat(np.arange(len(s))[:, None], 6, axis=1)[usable]
-    per_unit = np.stack([np.bincount(unit, white[:, k] ** 2, len(s)) for k in range(2)], axis=1)
+    unit = np.repeat(np.arange(len(observations))[:, None], N_CHANNELS, axis=1)[usable]
+    per_unit = np.stack([np.bincount(unit, white[:, k] ** 2, len(observations)) for k in range(2)], axis=1)
     dims = floor_factor * usable.sum(axis=1).astype(np.float64)
     fraction = _fraction(per_unit.astype(np.float64), dims)
     ci95 = None
     if fraction is not None:
-        _, condition = np.unique(s.condition, return_inverse=True)
+        _, condition = np.unique(observations.condition, return_inverse=True)
         n = int(condition.max()) + 1
         by_condition = np.stack([np.bincount(condition, per_unit[:, k], n) for k in range(2)], axis=1)
         dims_condition = np.bincount(condition, dims, n)
         pick = rng.integers(0, n, (BOOTSTRAPS, n))
         sums, total = by_condition[pick].sum(axis=1), dims_condition[pick].sum(axis=1)
         gap = np.maximum(sums[:, 0] - total, 0.05 * np.maximum(total, 1.0))
-        made = np.clip(1.0 - (sums[:, 1] - total) / gap, -1.0, 1.0)
-        ci95 = (float(np.quantile(made, 0.025)), float(np.quantile(made, 0.975)))
+        fractions = np.clip(1.0 - (sums[:, 1] - total) / gap, -1.0, 1.0)
+        ci95 = (float(np.quantile(fractions, 0.025)), float(np.quantile(fractions, 0.975)))
     floor = np.sqrt(floor_factor) * noise.floor
-    by_channel: dict[str, float | None] = {}
-    for number, name in enumerate(CHANNELS):
-        on = usable[:, number]
+    by_channel: dict[Channel, float | None] = {}
+    for channel in Channel:
+        on = usable[:, channel]
         if on.any():
-            scaled = np.stack([before[on, number], after[on, number]], axis=1) / floor[on, number, None]
-            by_channel[name] = _fraction(scaled**2, np.ones(int(on.sum())))
-    return Closure(before, after, np.where(usable, floor, 0.0), fraction, ci95, by_channel, kind)
+            scaled = np.stack([before[on, channel], after[on, channel]], axis=1) / floor[on, channel, None]
+            by_channel[channel] = _fraction(scaled**2, np.ones(int(on.sum())))
+    return HeldOut(before, after, np.where(usable, floor, 0.0), fraction, ci95, by_channel, left_out)
 
 
 def _fraction(squares: FloatArray, dims: FloatArray) -> float | None:
@@ -135,3 +137,34 @@ def _fraction(squares: FloatArray, dims: FloatArray) -> float | None:
         return None
     rest = squares[:, 1].sum() - dims.sum()
     return float(np.clip(1.0 - max(rest, 0.0) / gap, -1.0, 1.0))
+
+
+def closure_of(held_out: HeldOut, observations: Observations) -> Closure:
+    """Return the closure in figures: root mean squares of the end positions, else of the distance.
+
+    Parameters
+    ----------
+    held_out : HeldOut
+        Residuals before and after.
+    observations : Observations
+        The same units.
+    """
+    on = observations.usable
+    pose = on[:, POSE].all(axis=1)
+
+    def rms(values: FloatArray) -> float | None:
+        if pose.any():
+            return float(np.sqrt(np.mean((values[pose][:, POSE] ** 2).sum(axis=1))))
+        if on[:, Channel.DISTANCE].any():
+            return float(np.sqrt(np.mean(values[on[:, Channel.DISTANCE], Channel.DISTANCE] ** 2)))
+        return None
+
+    return Closure(
+        before_rms_m=rms(held_out.before),
+        after_rms_m=rms(held_out.after),
+        floor_rms_m=rms(held_out.floor),
+        fraction=held_out.fraction,
+        ci95=held_out.ci95,
+        held_out=held_out.left_out,
+        by_channel=dict(held_out.by_channel),
+    )

@@ -19,4 +19,5 @@ def gross_cause(fault: GrossFault) -> Cause:
         signal=float("inf"),
         parameters={name: Quantity(factor, (factor, factor), "1") for name, factor in fault.factors.items()},
         remark=fault.remark,
+        family=fault.effect.family.value,
     )

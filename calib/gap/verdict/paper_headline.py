@@ -27,11 +27,11 @@ def headline(verdict: Verdict) -> dict[str, Any] | None:
         ``sentence`` for people. The campaign's are root mean squares over runs left out of the fit; the paper's ratio
         is that of its own study before what it prints was rounded.
     """
-    cause = next((one.effect for one in verdict.causes if _is_load_law(one.effect)), None)
-    before, after = (verdict.closure.get(f"{name}_rms_m") for name in ("before", "after"))
-    if cause is None or before is None or after is None:
+    effect = next((cause.effect for cause in verdict.causes if _is_load_law(cause.effect)), None)
+    before, after = verdict.closure.before_rms_m, verdict.closure.after_rms_m
+    if effect is None or before is None or after is None:
         return None
-    sole = not any(cause in group for group in verdict.indistinguishable)
+    sole = not any(effect in group.effects for group in verdict.groups)
     ratio = before / after if after > 0.0 else None
     here = f"this campaign: {_metres(before)} m to {_metres(after)} m"
     here += "" if ratio is None else f", {ratio:.3g} times smaller"
@@ -41,16 +41,16 @@ def headline(verdict: Verdict) -> dict[str, Any] | None:
         "before rounding"
     )
     caveat = "" if sole else ", if the load is the cause"
-    said = (
+    sentence = (
         f"Correction for the load; the paper: {paper}; {here}{caveat}. The figures are end errors, each on its own "
         "route and loads."
     )
     return {
-        "effect": cause,
+        "effect": effect,
         "sole_candidate": sole,
         "paper": printed,
         "campaign": {"before_m": float(before), "after_m": float(after), "ratio": ratio},
-        "sentence": said,
+        "sentence": sentence,
     }
 
 

@@ -1,16 +1,61 @@
-"""The answer: a small dataclass that the report and the command line show."""
+"""The answer: a verdict with its causes, what cannot be told apart, and what the fix is worth."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import Any, Final
 
-import numpy as np
+from calib.gap.verdict.outcome import (
+    Closure,
+    Detectable,
+    Fix,
+    Group,
+    NoiseSummary,
+    PlannedRunAdvice,
+    Rest,
+    Transfer,
+    json_number,
+)
+from calib.gap.where.result import Where
 
-__all__ = ["SURE", "Cause", "Quantity", "Verdict"]
+__all__ = [
+    "BY_MODEL",
+    "BY_SIMULATOR",
+    "FORMAT",
+    "SURE",
+    "Cause",
+    "Closure",
+    "Detectable",
+    "Fix",
+    "Group",
+    "NoiseSummary",
+    "PlannedRunAdvice",
+    "Quantity",
+    "Rest",
+    "Transfer",
+    "Verdict",
+    "VerdictKind",
+]
 
+FORMAT: Final = "calib-diagnosis/1"
 #: every cause of a recommended fix is at least so probable
 SURE: Final = 0.6
+#: what the gap was judged against, where no file was given: the campaign's own model, or an outside simulator
+BY_MODEL: Final = "model"
+BY_SIMULATOR: Final = "sim columns of runs.csv"
+
+
+class VerdictKind(StrEnum):
+    """Which verdict it is."""
+
+    NO_GAP = "no_gap"
+    EXPLAINED = "explained"
+    PARTLY_EXPLAINED = "partly_explained"
+    AMBIGUOUS = "ambiguous"
+    UNKNOWN = "unknown"
+    UNDECIDED = "undecided"
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +68,7 @@ class Quantity:
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON values."""
-        return {"value": _number(self.value), "ci95": [_number(v) for v in self.ci95], "unit": self.unit}
+        return {"value": json_number(self.value), "ci95": [json_number(end) for end in self.ci95], "unit": self.unit}
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +95,14 @@ class Cause:
         Whether its size is physically plausible.
     remark : str
         A sentence on its size where that is called for.
+    settings : mapping of str to float
+        Quantities of the form that are not fitted linearly.
+    share_ci95 : tuple of float or None
+        Interval of the share; None where it was not determined.
+    family : str
+        Which family of effects it belongs to (``load``, ``drift``, ``instrument``, ...); empty where unknown.
+    forms_open : tuple of str
+        Effects of its family, itself aside, whose form would do as well.
     """
 
     effect: str
@@ -58,10 +111,13 @@ class Cause:
     probability: float
     share: float
     signal: float
-    parameters: dict[str, Quantity]
+    parameters: Mapping[str, Quantity]
     plausible: bool = True
     remark: str = ""
-    settings: dict[str, float] = field(default_factory=dict)
+    settings: Mapping[str, float] = field(default_factory=dict)
+    share_ci95: tuple[float, float] | None = None
+    family: str = ""
+    forms_open: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON values."""
@@ -69,58 +125,104 @@ class Cause:
             "effect": self.effect,
             "title": self.title,
             "form": self.form,
-            "settings": {k: _number(v) for k, v in self.settings.items()},
-            "probability": _number(self.probability),
-            "share": _number(self.share),
-            "signal": _number(self.signal),
+            "settings": {name: json_number(value) for name, value in self.settings.items()},
+            "probability": json_number(self.probability),
+            "share": json_number(self.share),
+            "share_ci95": None if self.share_ci95 is None else [json_number(end) for end in self.share_ci95],
+            "signal": json_number(self.signal),
             "parameters": {name: quantity.to_dict() for name, quantity in self.parameters.items()},
             "plausible": self.plausible,
             "remark": self.remark,
+            "family": self.family,
+            "forms_open": list(self.forms_open),
         }
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """The verdict on a campaign's gap; the fields are those of the contract, in `to_dict`'s order."""
+    """The verdict on a campaign's gap.
 
-    verdict: str
+    Parameters
+    ----------
+    kind : VerdictKind
+        Which verdict.
+    sentence : str
+        The verdict in words.
+    causes : tuple of Cause
+        What it names, most probable first.
+    credible_sets : tuple of tuple of str
+        The sets of causes that together hold 95 %, most probable first, and what could stand in for the first.
+    groups : tuple of Group
+        Effects that these runs cannot tell apart.
+    undetectable : tuple of Detectable
+        Effects that these runs could not have shown at their typical size.
+    where : Where
+        Channels, covariates, runs and places.
+    closure : Closure
+        How far the gap shrinks on runs left out.
+    rest : Rest or None
+        What no named cause explains; None where nothing is left.
+    fix : Fix
+        Whether the correction is recommended, and what it did where it was tried.
+    next_runs : tuple of PlannedRunAdvice
+        Runs to drive next, best first.
+    notes : tuple of str
+        What had to be left out or assumed.
+    noise : NoiseSummary
+        The floor.
+    probabilities : mapping of str to float
+        Of each effect, and of ``unknown``, being at work, largest first.
+    judged_against : str
+        ``model``, ``sim columns of runs.csv``, or the name of a coefficient file.
+    campaign : str
+        Its name.
+    simulated : bool
+        Whether its data were made by a program.
+    """
+
+    kind: VerdictKind
     sentence: str
-    causes: tuple[Cause, ...]
-    credible_sets: tuple[tuple[str, ...], ...]
-    indistinguishable: tuple[tuple[str, ...], ...]
-    undetectable: dict[str, str]
-    where: dict[str, Any]
-    closure: dict[str, Any]
-    recommended: bool
-    next_runs: tuple[dict[str, Any], ...]
-    notes: tuple[str, ...]
-    noise: dict[str, Any]
-    probabilities: dict[str, float]
-    campaign: str
-    simulated: bool
+    causes: tuple[Cause, ...] = ()
+    credible_sets: tuple[tuple[str, ...], ...] = ()
+    groups: tuple[Group, ...] = ()
+    undetectable: tuple[Detectable, ...] = ()
+    where: Where = field(default_factory=Where)
+    closure: Closure = field(default_factory=Closure)
+    rest: Rest | None = None
+    fix: Fix = field(default_factory=Fix)
+    next_runs: tuple[PlannedRunAdvice, ...] = ()
+    notes: tuple[str, ...] = ()
+    noise: NoiseSummary = field(default_factory=NoiseSummary)
+    probabilities: Mapping[str, float] = field(default_factory=dict)
+    judged_against: str = BY_MODEL
+    campaign: str = ""
+    simulated: bool = False
+
+    @property
+    def recommended(self) -> bool:
+        """Whether the fix is recommended."""
+        return self.fix.recommended
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the verdict as plain JSON values, in the shape of the contract and more."""
+        """Return the verdict as plain JSON values, in the shape of ``calib diagnose --json``."""
         return {
-            "format": "calib-diagnosis/1",
+            "format": FORMAT,
             "campaign": self.campaign,
             "simulated": self.simulated,
-            "verdict": self.verdict,
+            "verdict": self.kind.value,
             "sentence": self.sentence,
+            "judged_against": self.judged_against,
             "causes": [cause.to_dict() for cause in self.causes],
-            "credible_sets": [list(group) for group in self.credible_sets],
-            "indistinguishable": [list(group) for group in self.indistinguishable],
-            "undetectable": dict(self.undetectable),
-            "where": self.where,
-            "closure": self.closure,
+            "credible_sets": [list(names) for names in self.credible_sets],
+            "indistinguishable": [list(group.effects) for group in self.groups],
+            "undetectable": {limit.effect: limit.sentence for limit in self.undetectable},
+            "where": self.where.to_dict(),
+            "closure": self.closure.to_dict(),
+            "rest": None if self.rest is None else self.rest.to_dict(),
+            "fix": self.fix.to_dict(),
             "recommended": self.recommended,
-            "next_runs": [dict(run) for run in self.next_runs],
-            "probabilities": {name: _number(value) for name, value in self.probabilities.items()},
-            "noise": self.noise,
+            "next_runs": [run.to_dict() for run in self.next_runs],
+            "probabilities": {name: json_number(value) for name, value in self.probabilities.items()},
+            "noise": self.noise.to_dict(),
             "notes": list(self.notes),
         }
-
-
-def _number(value: float) -> float | None:
-    """Return a float that JSON can say, None where it is not finite."""
-    return float(value) if np.isfinite(value) else None

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from calib.gap.effects.calibration import HIDES_IN
 from calib.gap.effects.library import title_of
-from calib.gap.verdict.result import SURE, Cause, Verdict
+from calib.gap.verdict.result import SURE, Cause, Verdict, VerdictKind
+from calib.gap.where.result import PlaceLine, Where
 
 __all__ = ["advice", "sentence"]
 
@@ -18,38 +18,38 @@ def sentence(verdict: Verdict) -> str:
     Says what causes the gap or that this cannot be said, which causes cannot be told apart, how far the gap shrinks on
     runs left out, and whether a plain recalibration would do or would hide the cause.
     """
-    titles = {cause.effect: cause.title for cause in verdict.causes}
-    if verdict.verdict == "no_gap":
+    if verdict.kind is VerdictKind.NO_GAP:
         return "No gap: measured and simulated motion differ by no more than repeats of the same run do."
-    if verdict.verdict == "unknown":
+    if verdict.kind is VerdictKind.UNDECIDED:
+        return "These runs cannot show whether there is a gap: nothing in them supports a noise floor."
+    if verdict.kind is VerdictKind.UNKNOWN:
         return f"There is a gap, but no effect of the library explains it{_depends(verdict.where)}."
-    if verdict.verdict == "partly_explained":
-        said = f"The gap is partly explained by {_listed(verdict.causes)}"
+    titles = {cause.effect: cause.title for cause in verdict.causes}
+    if verdict.kind is VerdictKind.PARTLY_EXPLAINED:
         return (
-            f"{said}{_alternatives(verdict, titles)}; a rest of unknown cause remains"
-            f"{_depends(_rest(verdict.where))}{_shrinks(verdict)}."
+            f"The gap is partly explained by {_listed(verdict.causes)}{_alternatives(verdict, titles)}; a rest of "
+            f"unknown cause remains{_depends(verdict.where.rest)}{_shrinks(verdict)}."
         )
-    if verdict.verdict == "ambiguous":
-        said = _ambiguous(verdict, titles)
+    if verdict.kind is VerdictKind.AMBIGUOUS:
+        words = _ambiguous(verdict, titles)
     else:
-        said = f"The gap is explained by {_listed(verdict.causes)}"
-    return f"{said}{_shrinks(verdict)}.{_hidden(verdict)}{_implausible(verdict)}"
+        words = f"The gap is explained by {_listed(verdict.causes)}"
+    return f"{words}{_shrinks(verdict)}.{_hidden(verdict)}{_implausible(verdict)}"
 
 
-def advice(document: Mapping[str, Any]) -> str:
-    """Return whether the fix is recommended, and if not why, from a verdict as plain values; empty without a cause."""
-    causes = document["causes"]
-    if not causes:
+def advice(verdict: Verdict) -> str:
+    """Return whether the fix is recommended, and if not why; empty without a cause."""
+    if not verdict.causes:
         return ""
-    if document["recommended"]:
+    if verdict.recommended:
         return "Recommended: the fix holds on runs it has not seen."
-    if document["indistinguishable"]:
+    if verdict.groups:
         return "Not recommended: other causes would explain these runs as well."
-    if document["verdict"] == "partly_explained":
+    if verdict.kind is VerdictKind.PARTLY_EXPLAINED:
         return "Not recommended: a rest of the gap is left, and its cause may be what the named one imitates."
-    doubtful = [cause for cause in causes if cause["probability"] < SURE]
+    doubtful = [cause for cause in verdict.causes if cause.probability < SURE]
     if doubtful:
-        names = " and ".join(f"{cause['effect']} ({cause['probability']:.2f})" for cause in doubtful)
+        names = " and ".join(f"{cause.effect} ({cause.probability:.2f})" for cause in doubtful)
         return f"Not recommended: too little speaks for {names}."
     return "Not recommended: the fix is not shown to hold on runs that it has not seen."
 
@@ -70,56 +70,51 @@ def _named(effect: str, titles: Mapping[str, str]) -> str:
 
 def _ambiguous(verdict: Verdict, titles: Mapping[str, str]) -> str:
     """Return ``by A and by B or C, which these runs cannot tell apart``."""
-    in_groups = {effect for group in verdict.indistinguishable for effect in group}
+    in_groups = {effect for group in verdict.groups for effect in group.effects}
     sure = [cause for cause in verdict.causes if cause.effect not in in_groups]
-    groups = [_joined([_named(effect, titles) for effect in group], "or") for group in verdict.indistinguishable]
+    groups = [_joined([_named(effect, titles) for effect in group.effects], "or") for group in verdict.groups]
     parts = ([_listed(sure)] if sure else []) + [
         f"either {group}" if sure or len(groups) > 1 else group for group in groups
     ]
-    said = f"The gap is explained by {_joined(parts, 'and by')}"
-    return f"{said}: these runs cannot tell {'which' if len(groups) == 1 else 'which of each'}"
+    which = "which" if len(groups) == 1 else "which of each"
+    return f"The gap is explained by {_joined(parts, 'and by')}: these runs cannot tell {which}"
 
 
 def _alternatives(verdict: Verdict, titles: Mapping[str, str]) -> str:
     named = {cause.effect for cause in verdict.causes}
     others = [
-        _joined([_named(effect, titles) for effect in group if effect not in named], "or")
-        for group in verdict.indistinguishable
+        _joined([_named(effect, titles) for effect in group.effects if effect not in named], "or")
+        for group in verdict.groups
     ]
     others = [other for other in others if other]
     return f", which these runs cannot tell from {_joined(others, 'and')}" if others else ""
 
 
-def _depends(where: Mapping[str, Any]) -> str:
+def _depends(where: Where | None) -> str:
     """Return what a gap depends on and where it lies, as the end of a sentence."""
-    covariates = [line for line in where.get("covariates", ()) if line.get("significant")]
-    places = list(where.get("places", ()))
-    parts = []
-    if covariates:
-        names = _joined([str(line["name"]).replace("_", " ") for line in covariates[:2]], "and")
-        channel = str(covariates[0]["channel"])
-        parts.append(f"it goes with {names}" + (f", most in {channel}" if channel != "all" else ""))
-    if places:
-        parts.append(f"it opens {_place(places[0])}")
+    if where is None:
+        return ""
+    lines, parts = where.significant, []
+    if lines:
+        names = _joined([line.name.replace("_", " ") for line in lines[:2]], "and")
+        most = "" if lines[0].channel is None else f", most in {lines[0].channel.label}"
+        parts.append(f"it goes with {names}{most}")
+    if where.places:
+        parts.append(f"it opens {_place(where.places[0])}")
     return "; " + ", and ".join(parts) if parts else ""
 
 
-def _place(place: Mapping[str, Any]) -> str:
-    if "place" not in place:
-        return {"turns": "in the turns", "stops": "at the stops"}.get(str(place.get("where")), "on the way")
-    low, high = place["place"]
-    return f"between {low:.1f} and {high:.1f} m ({place.get('coordinate', 'on the way')}, {place.get('route', '')})"
-
-
-def _rest(where: Mapping[str, Any]) -> Mapping[str, Any]:
-    rest = where.get("rest")
-    return rest if isinstance(rest, Mapping) else {}
+def _place(line: PlaceLine) -> str:
+    if line.place is None:
+        return {"turns": "in the turns", "stops": "at the stops"}.get(line.where, "on the way")
+    low, high = line.place
+    return f"between {low:.1f} and {high:.1f} m ({line.coordinate}, {line.route})"
 
 
 def _shrinks(verdict: Verdict) -> str:
     closure = verdict.closure
-    before, after, floor = (closure.get(name) for name in ("before_rms_m", "after_rms_m", "floor_rms_m"))
-    if before is None or after is None or closure.get("fraction") is None:
+    before, after, floor = closure.before_rms_m, closure.after_rms_m, closure.floor_rms_m
+    if before is None or after is None or closure.fraction is None:
         return ""
     end = f" (noise floor {_length(floor)})" if floor is not None else ""
     return f"; on runs left out it shrinks from {_length(before)} to {_length(after)}{end}"
@@ -133,9 +128,9 @@ def _hidden(verdict: Verdict) -> str:
     """Return that a recalibration alone would do, or that part of the cause hides in the calibration."""
     own = [cause.effect for cause in verdict.causes if cause.effect in HIDES_IN]
     others = [cause for cause in verdict.causes if cause.effect not in HIDES_IN]
-    if own and not others and verdict.verdict == "explained":
+    if own and not others and verdict.kind is VerdictKind.EXPLAINED:
         return f" A plain recalibration of {_joined([HIDES_IN[name] for name in own], 'and')} closes it."
-    alike = {effect for group in verdict.indistinguishable for effect in group} & HIDES_IN.keys()
+    alike = {effect for group in verdict.groups for effect in group.effects} & HIDES_IN.keys()
     hidden = sorted(alike - set(own)) if others else []
     if hidden:
         return f" This hides in {_joined([HIDES_IN[name] for name in hidden], 'and')}."

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Final
+from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
 from calib.arrays import FloatArray, IntArray, StrArray
 from calib.campaign.model import Campaign
+from calib.gap.data.channels import Channel
 from calib.gap.data.observations import Observations
 from calib.gap.effects.shapes import MOVING_MPS
+from calib.gap.where.result import PlaceLine
 
 __all__ = ["find_places"]
 
@@ -25,7 +27,7 @@ FEWEST_WINDOWS: Final = 20
 WINDOW_M: Final = 1.0
 TURNING_PER_M: Final = 0.1
 LEAST_TURN_RAD: Final = 0.3
-_CHANNELS: Final = (("along", "m"), ("heading", "rad"))
+CHANNELS: Final = (Channel.ALONG, Channel.HEADING)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,8 +59,8 @@ class _Trace:
 
 
 def find_places(
-    campaign: Campaign, s: Observations, rng: np.random.Generator
-) -> tuple[list[dict[str, Any]], list[str]]:
+    campaign: Campaign, observations: Observations, rng: np.random.Generator
+) -> tuple[tuple[PlaceLine, ...], tuple[str, ...]]:
     """Say where inside the runs the gap opens.
 
     A run's calibration, that is an offset and a slope of the gap along the way, is left out first. The rest is searched
@@ -70,56 +72,51 @@ def find_places(
     ----------
     campaign : Campaign
         Runs with logs.
-    s : Observations
+    observations : Observations
         The same runs; its model drives the odometry.
     rng : numpy.random.Generator
         For the bootstrap.
 
     Returns
     -------
-    places : list of dict
-        Each with ``where`` (``zone``, ``joint``, ``turns``, ``stops``), ``channel``, ``size`` with ``unit`` and
-        ``ci95``, ``p_value``, ``n_runs`` and, for a stretch, ``route``, ``coordinate``, ``place`` [m, m],
-        ``place_ci95`` [m, m] (of either end) and ``floor`` [[x, y], [x, y]].
-    notes : list of str
+    places : tuple of PlaceLine
+        Those that stand, smallest p first.
+    notes : tuple of str
         What cannot be asked of these runs.
     """
-    traces = _traces(campaign.included(), s)
+    traces = _traces(campaign.included(), observations)
     if not traces:
-        return [], ["no log has a continuous reference or range_m: where inside a run the gap opens cannot be said"]
+        return (), ("no log has a continuous reference or range_m: where inside a run the gap opens cannot be said",)
     notes: list[str] = []
-    made: list[dict[str, Any]] = []
     groups: dict[str, list[_Trace]] = {}
     for trace in traces:
         groups.setdefault(trace.kind, []).append(trace)
-    tests = 0
-    scanned = []
+    n_tests = 0
+    candidates: list[PlaceLine] = []
     for kind, group in groups.items():
         if len(group) < FEWEST_RUNS:
             notes.append(
                 f"{kind or 'a route'}: fewer than {FEWEST_RUNS} runs with a trace; no place along it is sought"
             )
             continue
-        for channel, unit in _CHANNELS:
-            for signed in (False, True) if _both_ways(group) and channel == "heading" else (False,):
-                scan = _scan(kind, group, channel, unit, rng, signed=signed)
-                if scan is not None:
-                    tests += int(scan.pop("tests"))
-                    scanned.append(scan)
-    windows = _windows(traces)
-    compared = _compare(windows)
-    tests += len(compared)
-    for found in [*scanned, *compared]:
-        found["p_value"] = float(min(1.0, found["p_value"] * max(tests, 1)))
-        if found["p_value"] <= FALSE_FINDING:
-            made.append(found)
-    made.sort(key=lambda one: one["p_value"])
-    return made, notes
+        for channel in CHANNELS:
+            for signed in (False, True) if _both_ways(group) and channel is Channel.HEADING else (False,):
+                stretch = _scan(kind, group, channel, rng, signed=signed)
+                if stretch is not None:
+                    candidates.append(stretch[0])
+                    n_tests += stretch[1]
+    compared = _compare(_windows(traces))
+    n_tests += len(compared)
+    corrected = [
+        replace(place, p_value=float(min(1.0, place.p_value * max(n_tests, 1)))) for place in (*candidates, *compared)
+    ]
+    places = sorted((place for place in corrected if place.p_value <= FALSE_FINDING), key=lambda place: place.p_value)
+    return tuple(places), tuple(notes)
 
 
-def _traces(campaign: Campaign, s: Observations) -> list[_Trace]:
+def _traces(campaign: Campaign, observations: Observations) -> list[_Trace]:
     """Return the gap along every run that has a continuous reference or a logged range."""
-    first = {str(name): unit for unit, name in reversed(list(enumerate(s.labels["run_id"])))}
+    first = {str(name): unit for unit, name in reversed(list(enumerate(observations.labels["run_id"])))}
     encoder, runs = campaign.encoder, campaign.runs
     kinds, directions = runs.label("kind"), runs.label("direction")
     made = []
@@ -137,10 +134,12 @@ def _traces(campaign: Campaign, s: Observations) -> list[_Trace]:
         good = np.all([np.isfinite(log[column]) for column in needed], axis=0)
         if good.sum() < 10:
             continue
-        left = log["counts_left"][good] * (2 * np.pi / encoder.counts_per_rev_left) * s.radius_left_m[unit]
-        right = log["counts_right"][good] * (2 * np.pi / encoder.counts_per_rev_right) * s.radius_right_m[unit]
+        left = log["counts_left"][good] * (2 * np.pi / encoder.counts_per_rev_left) * observations.radius_left_m[unit]
+        right = (
+            log["counts_right"][good] * (2 * np.pi / encoder.counts_per_rev_right) * observations.radius_right_m[unit]
+        )
         ds = 0.5 * (np.diff(left) + np.diff(right))
-        turn = (np.diff(right) - np.diff(left)) / s.model.track_m
+        turn = (np.diff(right) - np.diff(left)) / observations.model.track_m
         heading = np.concatenate(([0.0], np.cumsum(turn)))
         middle = heading[:-1] + 0.5 * turn
         chord = ds * np.sinc(0.5 * turn / np.pi)
@@ -194,19 +193,22 @@ def _both_ways(group: list[_Trace]) -> bool:
 
 
 def _scan(
-    kind: str, group: list[_Trace], channel: str, unit: str, rng: np.random.Generator, *, signed: bool
-) -> dict[str, Any] | None:
-    """Search a route for the stretch over which a channel's gap grows; its p is that of the best stretch alone."""
+    kind: str, group: list[_Trace], channel: Channel, rng: np.random.Generator, *, signed: bool
+) -> tuple[PlaceLine, int] | None:
+    """Search a route for the stretch over which a channel's gap grows, and count the stretches searched.
+
+    Its p is that of the best stretch alone.
+    """
     from scipy.special import stdtr
 
-    values = [trace.along_m if channel == "along" else trace.heading_rad for trace in group]
+    values = [trace.along_m if channel is Channel.ALONG else trace.heading_rad for trace in group]
     group = [trace for trace, value in zip(group, values, strict=True) if np.isfinite(value).all()]
     values = [value for value in values if np.isfinite(value).all()]
     if len(group) < FEWEST_RUNS:
         return None
     way = [float(trace.way_m[-1]) for trace in group]
     length = float(np.median(way))
-    keep = [number for number, one in enumerate(way) if one > 0.95 * length]
+    keep = [number for number, own_way in enumerate(way) if own_way > 0.95 * length]
     if len(keep) < FEWEST_RUNS or length < 8 * GRID_M:
         return None
     spacing = max(GRID_M, length / MOST_BINS)
@@ -244,30 +246,30 @@ def _scan(
     draws = rng.multinomial(n, np.full(n, 1.0 / n), BOOTSTRAPS) / n
     picked = np.argmax((draws @ sizes) ** 2 * norm, axis=1)
     half = 0.5 * spacing
-    place = [float(grid[starts[best]]), float(grid[ends[best]])]
+    place = (float(grid[starts[best]]), float(grid[ends[best]]))
     ends_ci = [
-        [float(np.quantile(grid[index[picked]], 0.025) - half), float(np.quantile(grid[index[picked]], 0.975) + half)]
+        (float(np.quantile(grid[index[picked]], 0.025) - half), float(np.quantile(grid[index[picked]], 0.975) + half))
         for index in (starts, ends)
     ]
     spread = float(np.quantile((draws @ own), 0.975) - np.quantile((draws @ own), 0.025)) / 2
     example = group[keep[0]]
-    floor = [_floor_of(example, one, length, on_floor) for one in place]
-    return {
-        "where": "joint" if place[1] - place[0] <= 2 * spacing else "zone",
-        "channel": channel,
-        "route": kind,
-        "coordinate": "x on the floor" if on_floor else "way from the start",
-        "place": place,
-        "place_ci95": [ends_ci[0], ends_ci[1]],
-        "by_direction": signed,
-        "floor": floor,
-        "size": float(own.mean()),
-        "ci95": [float(own.mean()) - spread, float(own.mean()) + spread],
-        "unit": unit,
-        "p_value": float(2.0 * stdtr(n - 1.0, -t)),
-        "n_runs": n,
-        "tests": len(starts),
-    }
+    floor = [_floor_of(example, end, length, on_floor) for end in place]
+    line = PlaceLine(
+        where="joint" if place[1] - place[0] <= 2 * spacing else "zone",
+        channel=channel,
+        route=kind,
+        coordinate="x on the floor" if on_floor else "way from the start",
+        place=place,
+        place_ci95=(ends_ci[0], ends_ci[1]),
+        by_direction=signed,
+        floor=(floor[0], floor[1]),
+        size=float(own.mean()),
+        ci95=(float(own.mean()) - spread, float(own.mean()) + spread),
+        unit=channel.unit,
+        p_value=float(2.0 * stdtr(n - 1.0, -t)),
+        n_runs=n,
+    )
+    return line, len(starts)
 
 
 def _on_grid(trace: _Trace, value: FloatArray, grid: FloatArray, length: float, on_floor: bool) -> FloatArray:
@@ -290,10 +292,10 @@ def _stretches(n: int) -> tuple[IntArray, IntArray]:
     return starts[ok], ends[ok]
 
 
-def _floor_of(trace: _Trace, way: float, length: float, on_floor: bool) -> list[float]:
+def _floor_of(trace: _Trace, way: float, length: float, on_floor: bool) -> tuple[float, float]:
     at = length - way if on_floor and trace.back else way
     x, y = float(np.interp(at, trace.way_m, trace.x_m)), float(np.interp(at, trace.way_m, trace.y_m))
-    return [length - x, -y] if trace.back else [x, y]
+    return (length - x, -y) if trace.back else (x, y)
 
 
 def _windows(traces: list[_Trace]) -> dict[str, FloatArray | StrArray]:
@@ -319,16 +321,16 @@ def _windows(traces: list[_Trace]) -> dict[str, FloatArray | StrArray]:
     return made
 
 
-def _compare(windows: dict[str, FloatArray | StrArray]) -> list[dict[str, Any]]:
+def _compare(windows: dict[str, FloatArray | StrArray]) -> list[PlaceLine]:
     """Ask whether the gap opens in turns, or at stops; errors are clustered by run where there are enough runs."""
     from scipy.special import stdtr
 
-    made = []
+    lines = []
     runs, cluster = np.unique(windows["run_id"], return_inverse=True)
     way, bend = np.asarray(windows["way"], np.float64), np.asarray(windows["bend"], np.float64)
     turn, stops = np.asarray(windows["turn"], np.float64), np.asarray(windows["stops"], np.float64)
-    for channel, unit in _CHANNELS:
-        gap = np.asarray(windows[channel], np.float64)
+    for channel in CHANNELS:
+        gap = np.asarray(windows[channel.label], np.float64)
         on = np.isfinite(gap) & (way > 1e-6)
         turning = on & (bend > TURNING_PER_M * way)
         straight = on & ~turning
@@ -354,16 +356,16 @@ def _compare(windows: dict[str, FloatArray | StrArray]) -> list[dict[str, Any]]:
                 middle = design.T @ design * float(left @ left) / dof
             error = float(np.sqrt((gram @ middle @ gram)[1, 1]))
             t = abs(float(beta[1])) / max(error, 1e-15)
-            made.append(
-                {
-                    "where": where,
-                    "channel": channel,
-                    "what": what,
-                    "size": float(beta[1]),
-                    "ci95": [float(beta[1] - 2 * error), float(beta[1] + 2 * error)],
-                    "unit": f"{unit}/rad" if where == "turns" else unit,
-                    "p_value": float(2.0 * stdtr(dof, -t)),
-                    "n_runs": len(np.unique(cluster[on])),
-                }
+            lines.append(
+                PlaceLine(
+                    where=where,
+                    channel=channel,
+                    what=what,
+                    size=float(beta[1]),
+                    ci95=(float(beta[1] - 2 * error), float(beta[1] + 2 * error)),
+                    unit=f"{channel.unit}/rad" if where == "turns" else channel.unit,
+                    p_value=float(2.0 * stdtr(dof, -t)),
+                    n_runs=len(np.unique(cluster[on])),
+                )
             )
-    return made
+    return lines

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Final
+from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from calib.arrays import FloatArray, IntArray, StrArray
 from calib.campaign.model import Campaign
-from calib.gap.data.observations import CHANNELS, Observations
+from calib.gap.data.channels import N_CHANNELS, Channel
+from calib.gap.data.observations import Observations
 from calib.gap.effects.covariate import covariate_columns
 from calib.gap.effects.shapes import driven_speed_mps
 from calib.gap.evidence.marginal import CALIBRATION_SD, rows
 from calib.gap.evidence.noise import Noise
 from calib.gap.predict.path import Path
 from calib.gap.where.along_run import find_places
+from calib.gap.where.result import ChannelGap, CovariateLine, PlaceLine, RunLine, Where
 
 __all__ = ["FALSE_FINDING", "covariate_values", "locate"]
 
@@ -30,27 +32,15 @@ LEAST_TURN_RAD: Final = 0.3
 LEAST_LENGTH: Final = 0.05
 
 
-@dataclass(frozen=True, slots=True)
-class _Finding:
-    """What one covariate showed in its main channel."""
-
-    name: str
-    channel: str
-    share: float
-    ci95: tuple[float, float] | None
-    p_value: float
-    n_units: int
-
-
 def locate(
-    s: Observations,
+    observations: Observations,
     nominal: Path,
     noise: Noise,
     gap: FloatArray,
     *,
     rng: np.random.Generator,
     campaign: Campaign | None = None,
-) -> dict[str, Any]:
+) -> Where:
     """Say where the gap lies.
 
     Every covariate is tested in every channel by an F test of the gap over its floor; the smallest p of a covariate is
@@ -59,13 +49,13 @@ def locate(
 
     Parameters
     ----------
-    s : Observations
+    observations : Observations
         What was driven.
     nominal : Path
         The model alone.
     noise : Noise
         Covariance of each unit.
-    gap : array of float, shape (n_units, 6)
+    gap : array of float, shape (n_units, n_channels)
         Measured minus simulated; 0 where a unit lacks the channel.
     rng : numpy.random.Generator
         For the bootstrap.
@@ -74,61 +64,64 @@ def locate(
 
     Returns
     -------
-    dict
-        ``channels``, ``covariates``, ``runs``, ``places`` and ``notes`` as plain JSON values.
+    Where
     """
-    findings = _by_wheel(s, nominal, noise, gap, rng)
-    weights = rng.multinomial(len(s), np.full(len(s), 1.0 / len(s)), BOOTSTRAPS).astype(np.float64)
-    scaled = np.where(s.usable, gap / noise.floor, np.nan)
-    for name, values in covariate_values(s).items():
-        found = _tested(name, values, scaled, weights, max(noise.dof, 3.0))
-        if found is not None:
-            findings.append(found)
-    places: list[dict[str, Any]] = []
-    notes = ["no logs were given: nothing can be said of places inside the runs"]
+    lines = _by_wheel(observations, nominal, noise, gap, rng)
+    weights = rng.multinomial(
+        len(observations), np.full(len(observations), 1.0 / len(observations)), BOOTSTRAPS
+    ).astype(np.float64)
+    scaled = np.where(observations.usable, gap / noise.floor, np.nan)
+    for name, values in covariate_values(observations).items():
+        line = _tested(name, values, scaled, weights, max(noise.dof, 3.0))
+        if line is not None:
+            lines.append(line)
+    places: tuple[PlaceLine, ...] = ()
+    notes: tuple[str, ...] = ("no logs were given: nothing can be said of places inside the runs",)
     if campaign is not None:
-        places, notes = find_places(campaign, s, rng)
-    return {
-        "channels": _by_channel(s, noise, gap),
-        "covariates": _holm(findings),
-        "runs": _by_run(s, noise, gap),
-        "places": places,
-        "notes": notes,
-    }
+        places, notes = find_places(campaign, observations, rng)
+    return Where(
+        channels=_by_channel(observations, noise, gap),
+        covariates=_held_to_one_error(lines),
+        runs=_by_run(observations, noise, gap),
+        places=places,
+        notes=notes,
+    )
 
 
-def covariate_values(s: Observations) -> dict[str, FloatArray | StrArray]:
+def covariate_values(observations: Observations) -> dict[str, FloatArray | StrArray]:
     """Return what the gap may depend on, by name, each shape (n_units,): numbers, or labels as text.
 
     Missing numbers are NaN, missing labels empty. Only what varies is listed.
     """
-    load_left, load_right = s.number("load_left_N"), s.number("load_right_N")
-    by_wheels = s.total(s.turn_rad)
+    load_left, load_right = observations.number("load_left_N"), observations.number("load_right_N")
+    by_wheels = observations.total(observations.turn_rad)
     # by the reference where there is one: the wheels' own turn shares the gap's errors
-    turn = np.where(s.usable[:, 3], s.measured[:, 3], by_wheels)
-    speed = s.number("speed_mps")
-    made: dict[str, FloatArray | StrArray] = {
-        "route": s.labels["kind"],
-        "session": s.labels["session"],
-        "direction": s.labels["direction"],
-        "payload_kg": s.number("payload_kg"),
+    turn = np.where(observations.usable[:, Channel.HEADING], observations.measured[:, Channel.HEADING], by_wheels)
+    speed = observations.number("speed_mps")
+    values: dict[str, FloatArray | StrArray] = {
+        "route": observations.labels["kind"],
+        "session": observations.labels["session"],
+        "direction": observations.labels["direction"],
+        "payload_kg": observations.number("payload_kg"),
         "load_left_N": load_left,
         "load_right_N": load_right,
         "load_sum_N": load_left + load_right,
         "load_difference_N": load_right - load_left,
-        "speed_mps": speed if np.isfinite(speed).any() else driven_speed_mps(s),
-        "temperature_C": s.number("temperature_C"),
-        "minutes_under_load": s.number("minutes_under_load"),
-        "travelled_km": s.number("travelled_km"),
+        "speed_mps": speed if np.isfinite(speed).any() else driven_speed_mps(observations),
+        "temperature_C": observations.number("temperature_C"),
+        "minutes_under_load": observations.number("minutes_under_load"),
+        "travelled_km": observations.number("travelled_km"),
     }
     if np.ptp(turn) > LEAST_TURN_RAD:
-        made["turn"] = turn
-        made["turn_absolute"] = np.maximum(s.total(np.abs(s.turn_rad)) - np.abs(by_wheels - turn), 0.0)
-    if np.ptp(s.length_m) > LEAST_LENGTH * float(np.max(s.length_m)):
-        made["length_m"] = s.length_m
-    for name in ("amplitude_m", "wavelength_m", *covariate_columns(s)):
-        made[name] = s.number(name)
-    return {name: values for name, values in made.items() if _varied(values)}
+        values["turn"] = turn
+        values["turn_absolute"] = np.maximum(
+            observations.total(np.abs(observations.turn_rad)) - np.abs(by_wheels - turn), 0.0
+        )
+    if np.ptp(observations.length_m) > LEAST_LENGTH * float(np.max(observations.length_m)):
+        values["length_m"] = observations.length_m
+    for name in ("amplitude_m", "wavelength_m", *covariate_columns(observations)):
+        values[name] = observations.number(name)
+    return {name: column for name, column in values.items() if _varied(column)}
 
 
 def _varied(values: FloatArray | StrArray) -> bool:
@@ -138,69 +131,60 @@ def _varied(values: FloatArray | StrArray) -> bool:
     return len(np.unique(values[values != ""])) > 1
 
 
-def _by_channel(s: Observations, noise: Noise, gap: FloatArray) -> dict[str, dict[str, Any]]:
-    made = {}
-    for number, name in enumerate(CHANNELS):
-        on = s.usable[:, number]
+def _by_channel(observations: Observations, noise: Noise, gap: FloatArray) -> tuple[ChannelGap, ...]:
+    gaps = []
+    for channel in Channel:
+        on = observations.usable[:, channel]
         if on.any():
-            made[name] = {
-                "rms": float(np.sqrt(np.mean(gap[on, number] ** 2))),
-                "floor": float(np.sqrt(np.mean(noise.floor[on, number] ** 2))),
-                "mean": float(np.mean(gap[on, number])),
-                "unit": "m" if number in {0, 1, 2, 4} else "rad",
-                "n_units": int(on.sum()),
-            }
-    return made
+            gaps.append(
+                ChannelGap(
+                    channel=channel,
+                    rms=float(np.sqrt(np.mean(gap[on, channel] ** 2))),
+                    floor=float(np.sqrt(np.mean(noise.floor[on, channel] ** 2))),
+                    mean=float(np.mean(gap[on, channel])),
+                    n_units=int(on.sum()),
+                )
+            )
+    return tuple(gaps)
 
 
-def _by_run(s: Observations, noise: Noise, gap: FloatArray) -> list[dict[str, Any]]:
+def _by_run(observations: Observations, noise: Noise, gap: FloatArray) -> tuple[RunLine, ...]:
     """Return the units that deviate most, each in the channel where it does."""
-    z = np.where(s.usable, gap / noise.floor, 0.0)
+    z = np.where(observations.usable, gap / noise.floor, 0.0)
     worst = np.abs(z).argmax(axis=1)
-    size = np.abs(z)[np.arange(len(s)), worst]
-    made = []
-    for unit in np.argsort(-size, kind="stable")[:MOST_RUNS]:
-        channel = int(worst[unit])
-        made.append(
-            {
-                "run_id": str(s.labels["run_id"][unit]),
-                "channel": CHANNELS[channel],
-                "value": float(gap[unit, channel]),
-                "floor": float(noise.floor[unit, channel]),
-                "z": float(z[unit, channel]),
-            }
+    size = np.abs(z)[np.arange(len(observations)), worst]
+    return tuple(
+        RunLine(
+            run_id=str(observations.labels["run_id"][unit]),
+            channel=Channel(int(worst[unit])),
+            value=float(gap[unit, worst[unit]]),
+            floor=float(noise.floor[unit, worst[unit]]),
+            z=float(z[unit, worst[unit]]),
         )
-    return made
+        for unit in np.argsort(-size, kind="stable")[:MOST_RUNS]
+    )
 
 
-def _holm(findings: list[_Finding]) -> list[dict[str, Any]]:
-    """Return the table, smallest p first, with Holm's verdict on each line."""
-    ordered = sorted(findings, key=lambda one: (one.p_value, -one.share))
-    made: list[dict[str, Any]] = []
-    holding = True
-    for number, one in enumerate(ordered):
-        holding = holding and one.p_value * (len(ordered) - number) <= FALSE_FINDING
-        made.append(
-            {
-                "name": one.name,
-                "share": one.share,
-                "ci95": None if one.ci95 is None else list(one.ci95),
-                "p_value": one.p_value,
-                "significant": holding,
-                "channel": one.channel,
-                "n_units": one.n_units,
-            }
-        )
-    return made
+def _held_to_one_error(lines: list[CovariateLine]) -> tuple[CovariateLine, ...]:
+    """Return the table, smallest p first, each line held to the table's chance of any false one by Holm's steps.
+
+    By hand: statsmodels has the same steps, but its import takes longer than all that is done here.
+    """
+    ordered = sorted(lines, key=lambda line: (line.p_value, -line.share))
+    stepped = [line.p_value * (len(ordered) - number) for number, line in enumerate(ordered)]
+    stands = np.maximum.accumulate(stepped) <= FALSE_FINDING
+    return tuple(
+        replace(line, significant=bool(significant)) for line, significant in zip(ordered, stands, strict=True)
+    )
 
 
 def _tested(
     name: str, values: FloatArray | StrArray, scaled: FloatArray, weights: FloatArray, most_dof: float
-) -> _Finding | None:
+) -> CovariateLine | None:
     """Test a covariate in every channel; None where no channel allows it."""
-    best: tuple[float, int, _Fit] | None = None
+    best: tuple[float, Channel, _Fit] | None = None
     tried = 0
-    for channel in range(scaled.shape[1]):
+    for channel in Channel:
         fit = _Fit.of(values, scaled[:, channel])
         if fit is None:
             continue
@@ -212,13 +196,14 @@ def _tested(
         return None
     p, channel, fit = best
     shares = fit.shares(weights[:, fit.on])
-    return _Finding(
-        name,
-        CHANNELS[channel],
-        fit.share(),
-        _interval(shares),
-        float(min(1.0, p * tried)),
-        int(fit.on.sum()),
+    return CovariateLine(
+        name=name,
+        channel=channel,
+        share=fit.share(),
+        ci95=_interval(shares),
+        p_value=float(min(1.0, p * tried)),
+        significant=False,
+        n_units=int(fit.on.sum()),
     )
 
 
@@ -289,8 +274,8 @@ class _Fit:
         with np.errstate(divide="ignore", invalid="ignore"):
             residual = np.maximum((total - explained) / np.maximum(n - self.df - 1.0, 1.0), 1.0)
             beyond = total - (n - 1.0)
-            made = np.where(beyond > 0, (explained - self.df * residual) / beyond, 0.0)
-        return np.asarray(np.clip(made, 0.0, 1.0))
+            share = np.where(beyond > 0, (explained - self.df * residual) / beyond, 0.0)
+        return np.asarray(np.clip(share, 0.0, 1.0))
 
     def share(self) -> float:
         """Return the share itself."""
@@ -298,25 +283,27 @@ class _Fit:
 
 
 def _by_wheel(
-    s: Observations, nominal: Path, noise: Noise, gap: FloatArray, rng: np.random.Generator
-) -> list[_Finding]:
+    observations: Observations, nominal: Path, noise: Noise, gap: FloatArray, rng: np.random.Generator
+) -> list[CovariateLine]:
     """Return what the left wheel's and the right wheel's travel explain, each beside the other."""
     from scipy.special import fdtrc
 
     columns = np.concatenate([nominal.calibration[:, :, :2] * CALIBRATION_SD[:2], gap[:, :, None]], axis=2)
     white = rows(nominal, noise, columns)
-    unit = np.repeat(np.arange(len(s))[:, None], 6, axis=1)[s.usable]
+    unit = np.repeat(np.arange(len(observations))[:, None], N_CHANNELS, axis=1)[observations.usable]
     if len(white) < FEWEST_UNITS:
         return []
-    products = np.zeros((len(s), 3, 3))
+    products = np.zeros((len(observations), 3, 3))
     np.add.at(products, unit, white[:, :, None] * white[:, None, :])
     whole = products.sum(axis=0)
     norm = np.sqrt(np.diag(whole)[:2])
     if not (norm > 0).all() or abs(whole[0, 1]) > 0.9999 * norm[0] * norm[1]:
         return []
-    sizes = s.usable.sum(axis=1).astype(np.float64)
-    draws = rng.multinomial(len(s), np.full(len(s), 1.0 / len(s)), BOOTSTRAPS).astype(np.float64)
-    made = []
+    sizes = observations.usable.sum(axis=1).astype(np.float64)
+    draws = rng.multinomial(len(observations), np.full(len(observations), 1.0 / len(observations)), BOOTSTRAPS).astype(
+        np.float64
+    )
+    lines = []
     for wheel, name in enumerate(("left wheel", "right wheel")):
         explained, rest = _beside(whole[None], wheel)
         n = float(sizes.sum())
@@ -332,8 +319,9 @@ def _by_wheel(
                 return np.clip(np.where(beyond > 0, (explained - variance) / beyond, 0.0), 0.0, 1.0)
 
         ci95 = _interval(share(np.tensordot(draws, products, axes=1), draws @ sizes))
-        made.append(_Finding(name, "all", float(share(whole[None], np.array([n]))[0]), ci95, p, len(s)))
-    return made
+        share_of_all = float(share(whole[None], np.array([n]))[0])
+        lines.append(CovariateLine(name, None, share_of_all, ci95, p, significant=False, n_units=len(observations)))
+    return lines
 
 
 def _beside(moments: FloatArray, wheel: int) -> tuple[FloatArray, FloatArray]:

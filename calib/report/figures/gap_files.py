@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from calib.arrays import FloatArray
 from calib.errors import would_overwrite
 from calib.files import write_bytes
-from calib.gap.diagnose import Diagnosis
+from calib.gap.diagnosis import Diagnosis
 from calib.gap.where.covariates import covariate_values
 from calib.report.figures.gap import before_after, gap_by_covariate, gap_map
 from calib.report.figures.style import render
@@ -31,7 +31,7 @@ def gap_pictures(diagnosis: Diagnosis) -> dict[str, Figure]:
         made["gap-map"] = gap_map(gap.paths_m, gap.offset_m, gap.group)
     numeric = {
         name: np.asarray(values, dtype=np.float64)
-        for name, values in covariate_values(diagnosis.situation).items()
+        for name, values in covariate_values(diagnosis.observations).items()
         if values.dtype.kind == "f"
     }
     for number, (channel, unit) in enumerate(gap.channels):
@@ -50,8 +50,8 @@ def gap_pictures(diagnosis: Diagnosis) -> dict[str, Figure]:
 
 def _telling(diagnosis: Diagnosis, channel: str, numeric: dict[str, FloatArray]) -> list[str]:
     """Return the covariates to draw: those of the table first, those that show most in the channel before others."""
-    lines = diagnosis.verdict.where.get("covariates", ())
-    ranked = [str(line["name"]) for line in sorted(lines, key=lambda one: one["channel"] != channel)]
+    lines = diagnosis.verdict.where.covariates
+    ranked = [line.name for line in sorted(lines, key=lambda line: line.channel_label != channel)]
     return [name for name in [*ranked, *(name for name in numeric if name not in ranked)] if name in numeric][
         :MOST_PANELS
     ]

@@ -2,33 +2,32 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import pytest
 
+from calib.gap.verdict.result import Cause, Fix, Group, Verdict, VerdictKind
 from calib.gap.verdict.sentence import advice
 
 
-def document(verdict: str, *causes: tuple[str, float], recommended: bool = False, tied: bool = False) -> dict[str, Any]:
-    named = [{"effect": effect, "probability": probability} for effect, probability in causes]
-    groups = [[effect for effect, _ in causes] + ["wear"]] if tied else []
-    return {"verdict": verdict, "causes": named, "recommended": recommended, "indistinguishable": groups}
+def verdict(kind: str, *causes: tuple[str, float], recommended: bool = False, tied: bool = False) -> Verdict:
+    named = tuple(Cause(effect, effect, "", probability, 1.0, 10.0, {}) for effect, probability in causes)
+    groups = (Group((*(effect for effect, _ in causes), "wear")),) if tied else ()
+    return Verdict(VerdictKind(kind), "", causes=named, groups=groups, fix=Fix(recommended=recommended))
 
 
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        (document("explained", ("load_radius", 0.9), recommended=True), "Recommended: the fix holds"),
-        (document("ambiguous", ("load_radius", 0.5), tied=True), "other causes would explain"),
-        (document("partly_explained", ("load_radius", 0.5)), "a rest of the gap is left"),
-        (document("explained", ("load_radius", 0.9), ("wear", 0.4)), "too little speaks for wear (0.40)"),
-        (document("explained", ("load_radius", 0.9)), "not shown to hold"),
+        (verdict("explained", ("load_radius", 0.9), recommended=True), "Recommended: the fix holds"),
+        (verdict("ambiguous", ("load_radius", 0.5), tied=True), "other causes would explain"),
+        (verdict("partly_explained", ("load_radius", 0.5)), "a rest of the gap is left"),
+        (verdict("explained", ("load_radius", 0.9), ("wear", 0.4)), "too little speaks for wear (0.40)"),
+        (verdict("explained", ("load_radius", 0.9)), "not shown to hold"),
     ],
 )
-def test_the_reason_fits_the_verdict(given: dict[str, Any], words: str) -> None:
+def test_the_reason_fits_the_verdict(given: Verdict, words: str) -> None:
     assert words in advice(given)
-    assert advice(given).startswith("Recommended") == given["recommended"]
+    assert advice(given).startswith("Recommended") == given.recommended
 
 
 def test_without_a_cause_there_is_nothing_to_recommend() -> None:
-    assert advice(document("no_gap")) == ""
+    assert advice(verdict("no_gap")) == ""

@@ -8,12 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.gap.data.channels import Channel
 from calib.gap.data.observations import Observations
 from calib.gap.effects.temperature_radius import TemperatureRadius
 from calib.gap.evidence.fit import fit
 from calib.gap.plan.separability import noise_at
 from calib.gap.predict.path import predict
-from calib.gap.verdict.closure import Closure, held_out, measure_closure
+from calib.gap.verdict.closure import HeldOut, folds, measure_closure
 from tests.gap.effects.making import Motion, Run, rich_runs, situation
 
 
@@ -33,7 +34,7 @@ def shaken(truth: Callable[[Run, Motion], None], seed: int = 1) -> Observations:
     return situation(runs, truth=with_noise)
 
 
-def closed(s: Observations, *, temperature: bool = False, sessions: bool = True) -> Closure:
+def closed(s: Observations, *, temperature: bool = False, sessions: bool = True) -> HeldOut:
     nominal = predict(s)
     noise = noise_at(nominal, {})
     fitted = fit(nominal, noise, TemperatureRadius().forms(s) if temperature else [])
@@ -47,12 +48,12 @@ def warm(run: Run, now: Motion) -> None:
 def test_a_full_fix_closes_the_gap() -> None:
     """The very law that is at work, fitted on other sessions, leaves the noise alone."""
     made = closed(shaken(warm), temperature=True)
-    assert made.held_out == "session"
+    assert made.left_out == "session"
     assert made.fraction == pytest.approx(1.0, abs=0.02)
     assert made.ci95 is not None
     assert made.ci95[0] > 0.9
     assert made.ci95[0] <= made.fraction <= made.ci95[1]
-    distance = made.by_channel["distance"]
+    distance = made.by_channel[Channel.DISTANCE]
     assert distance is not None
     assert distance > 0.95
     assert np.abs(made.after[:, 0]).max() < np.abs(made.before[:, 0]).max()
@@ -79,7 +80,7 @@ def test_no_gap_has_no_closure() -> None:
 
 def test_sessions_are_left_out_whole_where_there_are_three() -> None:
     s = shaken(warm)
-    fold, kind = held_out(s)
+    fold, kind = folds(s)
     assert kind == "session"
     for name in np.unique(s.labels["session"]):
         assert len(np.unique(fold[s.labels["session"] == name])) == 1
@@ -89,7 +90,7 @@ def test_sessions_are_left_out_whole_where_there_are_three() -> None:
 def test_conditions_are_left_out_whole_where_sessions_are_few_or_are_the_cause() -> None:
     s = shaken(warm)
     two = replace(s, labels={**s.labels, "session": np.where(s.labels["session"] == "s3", "s2", s.labels["session"])})
-    for fold, kind in (held_out(two), held_out(s, sessions=False)):
+    for fold, kind in (folds(two), folds(s, sessions=False)):
         assert kind == "condition"
         for number in np.unique(s.condition):
             assert len(np.unique(fold[s.condition == number])) == 1

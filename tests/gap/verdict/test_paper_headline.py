@@ -7,28 +7,18 @@ from dataclasses import replace
 import pytest
 
 from calib.gap.verdict.paper_headline import headline
-from calib.gap.verdict.result import Cause, Verdict
+from calib.gap.verdict.result import Cause, Closure, Fix, Group, Verdict, VerdictKind
 
 
 def _verdict(effect: str, *, group: tuple[str, ...] = (), before: float | None = 2.2, after: float = 0.1) -> Verdict:
     cause = Cause(effect, "", "", probability=0.9, share=1.0, signal=30.0, parameters={})
-    closure = {} if before is None else {"before_rms_m": before, "after_rms_m": after}
     return Verdict(
-        verdict="ambiguous" if group else "explained",
+        kind=VerdictKind.AMBIGUOUS if group else VerdictKind.EXPLAINED,
         sentence="",
         causes=(cause,),
-        credible_sets=((effect,),),
-        indistinguishable=(group,) if group else (),
-        undetectable={},
-        where={},
-        closure=closure,
-        recommended=True,
-        next_runs=(),
-        notes=(),
-        noise={},
-        probabilities={},
-        campaign="c",
-        simulated=True,
+        groups=(Group(group),) if group else (),
+        closure=Closure() if before is None else Closure(before_rms_m=before, after_rms_m=after),
+        fix=Fix(recommended=True),
     )
 
 

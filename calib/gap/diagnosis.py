@@ -1,0 +1,73 @@
+"""What comes out of a diagnosis: the verdict, and the arrays behind it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from calib.gap.data.observations import Observations
+from calib.gap.effects.effect import Effect
+from calib.gap.evidence.fit import Fitted
+from calib.gap.evidence.noise import Noise
+from calib.gap.evidence.search import Search
+from calib.gap.predict.path import Path
+from calib.gap.verdict.closure import HeldOut
+from calib.gap.verdict.result import Verdict
+from calib.gap.verdict.sentence import advice
+
+__all__ = ["Diagnosis"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Diagnosis:
+    """A verdict with the arrays behind it.
+
+    Parameters
+    ----------
+    verdict : Verdict
+        The answer.
+    observations : Observations
+        Units and steps; the counts put right where they had a gross fault.
+    noise : Noise
+        Covariance of each unit.
+    nominal : Path
+        The model alone.
+    fitted : Fitted
+        The hypothesis that the verdict names, the recalibration free.
+    held_out : HeldOut
+        Residuals before and after on runs that the fit has not seen.
+    search : Search
+        All hypotheses tried, and the forms of the library on this campaign.
+    effects : tuple of Effect
+        The library that it was judged by.
+    """
+
+    verdict: Verdict
+    observations: Observations
+    noise: Noise
+    nominal: Path
+    fitted: Fitted
+    held_out: HeldOut
+    search: Search
+    effects: tuple[Effect, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the verdict as plain JSON values; see `Verdict.to_dict`."""
+        return self.verdict.to_dict()
+
+    def summary(self) -> str:
+        """Return the verdict, its causes with their sizes, and the advice on the fix, as lines of text."""
+        verdict = self.verdict
+        lines = [f"{verdict.campaign}{' (simulated)' if verdict.simulated else ''}: {verdict.kind.value}"]
+        lines.append(f"  {verdict.sentence}")
+        for cause in verdict.causes:
+            lines.append(
+                f"  {cause.effect}{f' ({cause.form})' if cause.form else ''}, probability {cause.probability:.2f}"
+            )
+            for name, quantity in cause.parameters.items():
+                half = 0.5 * (quantity.ci95[1] - quantity.ci95[0])
+                lines.append(f"    {name}  {quantity.value:.4g} +- {half:.3g} {quantity.unit}")
+        if any(cause.parameters for cause in verdict.causes):
+            lines.append("  +- is half the 95 % interval")
+        advised = advice(verdict)
+        return "\n".join([*lines, *([f"  {advised}"] if advised else [])])

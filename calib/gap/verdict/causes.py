@@ -1,0 +1,125 @@
+"""The named causes with their sizes, shares and probabilities."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from calib.arrays import FloatArray
+from calib.gap.effects.calibration import NAMES
+from calib.gap.effects.effect import Form
+from calib.gap.evidence.marginal import Nuisance, rows
+from calib.gap.evidence.sizes import size_spreads
+from calib.gap.predict.residuals import residuals
+from calib.gap.verdict.evidence import Evidence
+from calib.gap.verdict.result import Cause, Quantity
+
+__all__ = ["causes_of"]
+
+#: a cause that shows by less than this share of the strongest one may be that one's deviation from its assumed form
+WEAK: Final = 0.4
+#: by what its probability is cut
+WEAKENED: Final = 0.6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sized:
+    """A form at its fitted size: standard uncertainty, whitened contribution (n_rows,) and the signal of that."""
+
+    form: Form
+    theta: FloatArray
+    sd: FloatArray
+    contribution: FloatArray
+    signal: float
+
+
+def causes_of(evidence: Evidence, probabilities: Mapping[str, float]) -> list[Cause]:
+    """Return the causes of the best hypothesis and of the recalibration, most probable first.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        What was measured.
+    probabilities : mapping of str to float
+        Of each effect, from `calib.gap.verdict.odds.effect_probabilities`.
+    """
+    from scipy.special import stdtrit
+
+    system, fitted = evidence.system, evidence.best.fitted
+    coverage = float(stdtrit(max(evidence.noise.dof, 3.0), 0.975))
+    free = max(len(system.gap) - len(fitted.parameters) - 4, 1)
+    inflation = float(np.sqrt(max(1.0, fitted.chi_square / free)))
+    causes = [
+        _cause(evidence, sized, inflation, coverage, probabilities.get(sized.form.effect, 0.0))
+        for sized in _sized(evidence)
+    ]
+    strongest = max((cause.signal for cause in causes), default=0.0)
+    # what the named causes explain together is divided by their squares
+    explained, total = _explained(evidence), max(sum(cause.share for cause in causes), 1e-12)
+    causes = [
+        replace(
+            cause,
+            probability=cause.probability * (WEAKENED if cause.signal < WEAK * strongest else 1.0),
+            share=explained * cause.share / total,
+        )
+        for cause in causes
+    ]
+    return sorted(causes, key=lambda cause: (-round(cause.probability, 2), -cause.signal))
+
+
+def _explained(evidence: Evidence) -> float:
+    """Return the share of the gap beyond its floor that the best hypothesis explains, 0 to 1."""
+    nominal, chi_square = evidence.nominal, evidence.best.fitted.chi_square
+    before = rows(nominal, evidence.noise, residuals(nominal, nominal)[:, :, None])[:, 0]
+    excess = max(float(before @ before) - len(before), 1.0)
+    return float(np.clip(1.0 - max(chi_square - len(before), 0.0) / excess, 0.0, 1.0))
+
+
+def _sized(evidence: Evidence) -> list[_Sized]:
+    """Return the forms of the named effects, calibration parameters last."""
+    system, fitted, recalibration = evidence.system, evidence.best.fitted, evidence.recalibration
+    nuisance = Nuisance.of(system.calibration)
+    spreads = size_spreads(system, fitted, evidence.settings.tolerance)
+    sized = []
+    for form, theta, sd in zip(fitted.forms, fitted.theta, spreads, strict=True):
+        whitened = evidence.contribution(form, theta)
+        signal = float(np.sqrt(nuisance.scalar(whitened[:, None], whitened[:, None])[0, 0]))
+        sized.append(_Sized(form, theta, sd, whitened, signal))
+    for name in evidence.calibration:
+        k = NAMES.index(name)
+        form = evidence.effects[name].forms(evidence.observations)[0]
+        whitened = evidence.calibration_contribution([name])
+        value, sd = recalibration.values[[k]], recalibration.sd[[k]]
+        sized.append(_Sized(form, value, sd, whitened, float(recalibration.signal[k])))
+    return sized
+
+
+def _cause(evidence: Evidence, sized: _Sized, inflation: float, coverage: float, probability: float) -> Cause:
+    """Return a cause whose share is still the square of its contribution."""
+    form, effect = sized.form, evidence.effects[sized.form.effect]
+    spread = sized.sd * inflation
+    quantities = {
+        parameter.name: Quantity(
+            float(value), (float(value - coverage * sd), float(value + coverage * sd)), parameter.unit
+        )
+        for parameter, value, sd in zip(form.parameters, sized.theta, spread, strict=True)
+    }
+    sizes = zip(form.parameters, sized.theta, spread, strict=True)
+    times = max((abs(value) - 2 * sd) / parameter.largest for parameter, value, sd in sizes)
+    remark = f"{times:.2g} times what is physically plausible: suspect {effect.implausible}"
+    return Cause(
+        effect=effect.id,
+        title=effect.title,
+        form=form.label,
+        probability=probability,
+        share=float(sized.contribution @ sized.contribution),
+        signal=sized.signal,
+        parameters=quantities,
+        plausible=bool(times <= 1.0),
+        remark="" if times <= 1.0 else remark,
+        settings=form.settings,
+        family=effect.family.value,
+    )

@@ -1,0 +1,138 @@
+"""All that a verdict is decided on, in one object."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from calib.arrays import FloatArray
+from calib.gap.data.observations import Observations
+from calib.gap.effects.calibration import DIRECTIONS, NAMES
+from calib.gap.effects.effect import Effect, Form
+from calib.gap.effects.encoder_gross import GrossFault
+from calib.gap.evidence.marginal import CALIBRATION_SD
+from calib.gap.evidence.noise import Noise
+from calib.gap.evidence.recalibration import Recalibration
+from calib.gap.evidence.search import Hypothesis, Search, Settings
+from calib.gap.evidence.whitened import WhitenedSystem
+from calib.gap.predict.path import Path
+from calib.gap.verdict.closure import HeldOut
+from calib.gap.verdict.result import BY_MODEL, Detectable
+from calib.gap.where.result import Where
+
+__all__ = ["Evidence"]
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What the stages before the decision have measured.
+
+    Parameters
+    ----------
+    campaign : str
+        Its name.
+    simulated : bool
+        Whether its data were made by a program.
+    nominal : Path
+        The model alone (a gross fault put right).
+    noise : Noise
+        Covariance of each unit.
+    effects : mapping of str to Effect
+        The library, by id.
+    search : Search
+        All hypotheses tried, best first.
+    recalibration : Recalibration
+        Which calibration parameters are off beside the best hypothesis' effects.
+    held_out : HeldOut
+        The gap before and after on runs left out, for the best hypothesis.
+    where : Where
+        Where the gap lies.
+    undetectable : tuple of Detectable
+        Effects that these runs could not have shown.
+    fault : GrossFault, optional
+        A gross fault of the encoders, found and put right before the search.
+    settings : Settings
+        What the search took for granted.
+    notes : tuple of str
+        What had to be assumed on the way.
+    judged_against : str
+        What the gap was judged against.
+    """
+
+    campaign: str
+    simulated: bool
+    nominal: Path
+    noise: Noise
+    effects: Mapping[str, Effect]
+    search: Search
+    recalibration: Recalibration
+    held_out: HeldOut
+    where: Where = field(default_factory=Where)
+    undetectable: tuple[Detectable, ...] = ()
+    fault: GrossFault | None = None
+    settings: Settings = field(default_factory=Settings)
+    notes: tuple[str, ...] = ()
+    judged_against: str = BY_MODEL
+
+    @property
+    def observations(self) -> Observations:
+        """Units and steps."""
+        return self.nominal.s
+
+    @property
+    def best(self) -> Hypothesis:
+        """The hypothesis with the largest weight."""
+        return self.search.hypotheses[0]
+
+    @cached_property
+    def probabilities(self) -> FloatArray:
+        """Posterior probability of each hypothesis, shape (n_hypotheses,)."""
+        weights: FloatArray = self.search.probabilities()
+        return weights
+
+    @cached_property
+    def calibration(self) -> tuple[str, ...]:
+        """Calibration parameters that are off, of those that the library holds."""
+        return tuple(name for name in self.recalibration.subsets[0] if name in self.effects)
+
+    @property
+    def denied(self) -> bool:
+        """Whether a calibration parameter is off that the library was denied: a cause outside the library."""
+        return len(self.calibration) < len(self.recalibration.subsets[0])
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        """Effects of the best hypothesis, and calibration parameters that are off."""
+        return (*self.best.effects, *self.calibration)
+
+    @cached_property
+    def system(self) -> WhitenedSystem:
+        """The whitened system about the best hypothesis' path."""
+        return WhitenedSystem(self.best.fitted.path, self.nominal, self.noise)
+
+    @cached_property
+    def per_unit(self) -> FloatArray:
+        """What a relative change of each calibration parameter does, whitened, shape (n_rows, 4)."""
+        columns: FloatArray = self.system.calibration / CALIBRATION_SD
+        return columns
+
+    def probability(self, holds: Callable[[Hypothesis], bool]) -> float:
+        """Return the probability of the hypotheses for which something holds."""
+        pairs = zip(self.search.hypotheses, self.probabilities, strict=True)
+        return float(sum(probability for hypothesis, probability in pairs if holds(hypothesis)))
+
+    def contribution(self, form: Form, theta: FloatArray) -> FloatArray:
+        """Return what a form does at a size (n_parameters,), whitened, shape (n_rows,)."""
+        whitened: FloatArray = self.system.columns(form) @ (theta / form.typical)
+        return whitened
+
+    def calibration_contribution(self, names: Sequence[str]) -> FloatArray:
+        """Return what calibration parameters do at their fitted sizes, whitened, shape (n_rows,)."""
+        whitened: FloatArray = np.zeros(len(self.system.gap))
+        for name in names:
+            k = NAMES.index(name)
+            whitened += self.per_unit @ DIRECTIONS[k] * self.recalibration.values[k]
+        return whitened

@@ -1,0 +1,236 @@
+"""What a verdict says beside its causes: how far the gap shrinks, what is left, what could be seen, what to drive."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from calib.gap.data.channels import Channel
+
+__all__ = [
+    "Closure",
+    "Detectable",
+    "Fix",
+    "Group",
+    "NoiseSummary",
+    "PlannedRunAdvice",
+    "Rest",
+    "Transfer",
+    "json_number",
+]
+
+
+def json_number(value: float) -> float | None:
+    """Return a float that JSON can say, None where it is not finite."""
+    return float(value) if np.isfinite(value) else None
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """Effects that these runs cannot tell apart, the named one first."""
+
+    effects: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Detectable:
+    """The smallest size of an effect that these runs could show.
+
+    Parameters
+    ----------
+    effect : str
+        Id of the effect.
+    smallest : str
+        That size with its unit, in words; where `never`, why no size would show.
+    never : bool
+        Whether no size would show.
+    """
+
+    effect: str
+    smallest: str
+    never: bool = False
+
+    @property
+    def sentence(self) -> str:
+        """The size, or ``never`` and why."""
+        return f"never: {self.smallest}" if self.never else self.smallest
+
+
+@dataclass(frozen=True, slots=True)
+class Closure:
+    """How far the gap shrinks on runs that the fit has not seen.
+
+    Parameters
+    ----------
+    before_rms_m, after_rms_m, floor_rms_m : float or None
+        Root mean square of the gap at the ends (of the distance where no end was measured) by the model alone, by the
+        model with the causes, and of the floor.
+    fraction : float or None
+        Of the gap beyond the floor that is closed, every run and channel weighed by its noise; None where the gap is
+        below half the floor.
+    ci95 : tuple of float or None
+        Its interval.
+    held_out : str
+        What was left out in turn: ``session`` or ``condition``.
+    by_channel : mapping of Channel to float or None
+        The fraction of each channel.
+    """
+
+    before_rms_m: float | None = None
+    after_rms_m: float | None = None
+    floor_rms_m: float | None = None
+    fraction: float | None = None
+    ci95: tuple[float, float] | None = None
+    held_out: str = "condition"
+    by_channel: Mapping[Channel, float | None] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain JSON values."""
+        return {
+            "before_rms_m": self.before_rms_m,
+            "after_rms_m": self.after_rms_m,
+            "floor_rms_m": self.floor_rms_m,
+            "fraction": self.fraction,
+            "ci95": None if self.ci95 is None else list(self.ci95),
+            "held_out": self.held_out,
+            "by_channel": {channel.label: fraction for channel, fraction in self.by_channel.items()},
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Rest:
+    """What no named cause explains: its share of the gap, its signal, and where it lies, in words."""
+
+    share: float
+    signal: float
+    where: tuple[str, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain JSON values."""
+        return {"share": json_number(self.share), "signal": json_number(self.signal), "where": list(self.where)}
+
+
+@dataclass(frozen=True, slots=True)
+class Transfer:
+    """What the fix does on runs of a kind, speed, load or direction that it was not fitted on.
+
+    Parameters
+    ----------
+    left_out : str
+        What was left out: ``kind``, ``speed``, ``load``, ``direction``, ``session``.
+    value : str
+        Which of them.
+    before_rms_m, after_rms_m : float or None
+        Root mean square of the gap there without and with the fix.
+    """
+
+    left_out: str
+    value: str
+    before_rms_m: float | None
+    after_rms_m: float | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain JSON values."""
+        return {
+            "left_out": self.left_out,
+            "value": self.value,
+            "before_rms_m": self.before_rms_m,
+            "after_rms_m": self.after_rms_m,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Fix:
+    """What the correction is worth.
+
+    Parameters
+    ----------
+    recommended : bool
+        Whether to apply it.
+    agreement_m : float or None
+        By how much the corrections of causes that cannot be told apart differ; None where that was not asked.
+    transfer : tuple of Transfer
+        What it did where it was tried.
+    """
+
+    recommended: bool = False
+    agreement_m: float | None = None
+    transfer: tuple[Transfer, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain JSON values."""
+        return {
+            "recommended": self.recommended,
+            "agreement_m": self.agreement_m,
+            "transfer": [trial.to_dict() for trial in self.transfer],
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseSummary:
+    """The floor: degrees of freedom that repeats give it, and its scales by name, relative to what is stated."""
+
+    dof: float = 0.0
+    scales: Mapping[str, float] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain JSON values."""
+        return {"dof": self.dof, "scales": dict(self.scales)}
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedRunAdvice:
+    """A run to drive next, and why.
+
+    Parameters
+    ----------
+    kind, direction : str
+        Route, and ``out`` or ``back``; the second empty where that means nothing.
+    payload_kg, payload_x_m, payload_y_m : float or None
+        Payload and its place; None where the place means nothing.
+    speed_mps, temperature_C, minutes_under_load : float or None
+        Conditions; None where any will do.
+    stops : int
+        Stops on the way.
+    read_rolling : bool
+        Whether the reference is read while the vehicle rolls.
+    columns : mapping of str to float
+        Further columns of the run.
+    why : str
+        What it tells.
+    distance : float or None
+        By how many standard deviations the nearest tied effects then lie apart; None where there is no tie.
+    """
+
+    kind: str
+    why: str
+    direction: str = ""
+    payload_kg: float | None = None
+    payload_x_m: float | None = None
+    payload_y_m: float | None = None
+    speed_mps: float | None = None
+    temperature_C: float | None = None
+    minutes_under_load: float | None = None
+    stops: int = 0
+    read_rolling: bool = False
+    columns: Mapping[str, float] = field(default_factory=dict)
+    distance: float | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what there is to say of it as plain JSON values."""
+        document: dict[str, Any] = {"kind": self.kind}
+        if self.direction:
+            document["direction"] = self.direction
+        for name in ("payload_kg", "payload_x_m", "payload_y_m", "speed_mps", "temperature_C", "minutes_under_load"):
+            value = getattr(self, name)
+            if value is not None:
+                document[name] = value
+        if self.stops:
+            document["stops"] = self.stops
+        if self.read_rolling:
+            document["read_rolling"] = True
+        document |= {**self.columns, "why": self.why}
+        return document if self.distance is None else document | {"distance": self.distance}
