@@ -106,9 +106,13 @@ def diagnose(
     RefusedError
         Where no run has both counts and something measured.
     """
+    from calib.gap.data.from_campaign import observations_of
     from calib.gap.diagnose import diagnose_in_full
     from calib.gap.effects.applied import model_of
+    from calib.gap.effects.library import check_excluded
 
+    if exclude:
+        check_excluded(exclude, observations_of(campaign), campaign.extra.get("effects", ()))
     believed, effects = (None, ()) if model is None else model_of(Path(model), campaign)
     full = diagnose_in_full(campaign, seed=seed, exclude=tuple(exclude), model=believed, applied=effects)
     return extended(Diagnosis, full)

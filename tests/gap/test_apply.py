@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,8 @@ from calib.gap.verdict.result import VerdictKind
 from calib.plant.effects.registry import find
 from calib.plant.make import make_campaign
 from calib.plant.plans import good_design
+from tests.gap.effects.making import Motion, Run, rich_runs
+from tests.gap.effects.making import campaign as campaign_of
 
 
 def campaign_with(effect: str, times: float = 3.0, seed: int = 3, n_runs: int = 60) -> Campaign:
@@ -98,3 +101,48 @@ def test_without_a_cause_there_is_nothing_to_write() -> None:
     assert found.verdict.kind is VerdictKind.NO_GAP
     with pytest.raises(RefusedError, match="no effect to add"):
         applied_model(found, campaign)
+
+
+DECLARED = {
+    "id": "damp",
+    "title": "damp bands",
+    "column": "humidity",
+    "acts_on": "both",
+    "typical": 5e-3,
+    "largest": 5e-2,
+}
+
+
+def damp(higher: float, per_unit: float = 0.01) -> Campaign:
+    """Rich runs whose bands swell with the humidity above 0.5, on days that are more humid by `higher`."""
+    rng = np.random.default_rng(1)
+
+    def truth(run: Run, now: Motion) -> None:
+        now.left = now.right = per_unit * (run.numbers["humidity"] - 0.5)
+        now.laser_m, now.end_x_m, now.end_y_m = rng.normal(0, [0.0015, 0.002, 0.002])
+        now.end_rad = rng.normal(0, 0.0008)
+
+    runs = [replace(run, front=False, numbers=dict(run.numbers)) for run in rich_runs()]
+    for run in runs:
+        run.numbers["humidity"] += higher
+    return replace(campaign_of(runs, truth=truth), extra={"effects": [DECLARED]})
+
+
+def test_a_declared_effect_is_named_alone_and_its_model_holds_on_other_days(tmp_path: Path) -> None:
+    """The column is no second candidate beside its declaration, and the model written down is nought where it was."""
+    here, there = damp(0.0), damp(0.4)
+    found = diagnose_in_full(here, plan=False)
+    assert found.verdict.verdict == "explained"
+    assert [cause.effect for cause in found.verdict.causes] == ["damp"]
+    low, high = found.verdict.causes[0].parameters["size"].ci95
+    assert low <= 0.01 <= high
+    path = write_bytes(tmp_path / "model.json", applied_model(found, here).to_bytes())
+    model, sections = model_of(path, there)
+    bare = predict(observations_of(there))
+    observations, notes = with_effects(observations_of(there, model), sections, there.extra["effects"])
+    assert notes == ()
+    corrected = predict(observations)
+    before, after = (np.abs(residuals(nominal, nominal)[:, 0]).max() for nominal in (bare, corrected))
+    # what is left: the instruments, 2 mm of 40 mm, and the uncertainty of the size over half a unit of humidity; nought
+    # at these runs' own mean, nine tenths would be left
+    assert after < 0.2 * before

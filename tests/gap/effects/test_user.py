@@ -13,12 +13,12 @@ from calib.errors import BadFileError, BadInputError, CalibError
 from calib.gap.data.from_campaign import observations_of
 from calib.gap.data.observations import Observations
 from calib.gap.effects.covariate import covariate_columns
-from calib.gap.effects.effect import Effect, Form, Parameter
-from calib.gap.effects.library import library
-from calib.gap.effects.user import entry_point_effects
+from calib.gap.effects.effect import Centre, Effect, Form, Parameter
+from calib.gap.effects.library import check_excluded, library
+from calib.gap.effects.user import ACTS_ON, entry_point_effects
 from calib.gap.predict.path import predict, signature
 from calib.gap.predict.push import Push
-from tests.gap.effects.making import STRAIGHT, Run, campaign, situation
+from tests.gap.effects.making import ROUTE, STRAIGHT, Run, campaign, situation
 
 RUNS = [Run(STRAIGHT, numbers={"tyre_bar": 2.0 + 0.1 * (i % 4), "temperature_C": 20.0 + i}) for i in range(12)]
 SOUND = {
@@ -179,3 +179,48 @@ def test_a_column_that_is_constant_or_has_gaps_is_no_candidate(column: np.ndarra
     numbers = {**made.runs.numbers, "tyre_bar": column}
     s = observations_of(replace(made, runs=replace(made.runs, numbers=numbers)))
     assert next(e for e in library(s) if e.id == "covariate:tyre_bar").forms(s) == []
+
+
+def test_a_declared_column_is_no_candidate_of_its_own_beside_the_declaration(s: Observations) -> None:
+    """Two effects of one column would be alike, and make every verdict on it ambiguous."""
+    ids = {effect.id for effect in library(s, declared=[SOUND])}
+    assert "tyre" in ids
+    assert "covariate:tyre_bar" not in ids
+    # without the declaration the column speaks for itself again
+    assert "covariate:tyre_bar" in {effect.id for effect in library(s, declared=[SOUND], exclude=("tyre",))}
+
+
+@pytest.mark.parametrize("excluded", ["tyre", "foreign", "covariate:tyre_bar", "wear", "encoder_gross"])
+def test_whatever_may_be_named_may_be_excluded(s: Observations, monkeypatch: pytest.MonkeyPatch, excluded: str) -> None:
+    monkeypatch.setattr(
+        "calib.gap.effects.user.entry_points", lambda group: [point("Foreign")] * (group == "calib.effects")
+    )
+    check_excluded([excluded], s, [SOUND])
+    assert excluded not in {effect.id for effect in library(s, declared=[SOUND], exclude=(excluded,))}
+
+
+@pytest.mark.parametrize("unknown", ["gremlins", "covariate:no_such_column", "user:tyre"])
+def test_what_is_no_effect_of_the_campaign_cannot_be_excluded(s: Observations, unknown: str) -> None:
+    with pytest.raises(BadInputError, match="expected an effect of the library"):
+        check_excluded([unknown], s, [SOUND])
+
+
+@pytest.mark.parametrize("acts_on", ACTS_ON)
+def test_another_zero_of_the_column_looks_like_calibration_and_is_said_to(acts_on: str) -> None:
+    """An effect that counts from nought, not from the mean, is the declared one and what it says it shifts."""
+    s = situation([replace(run, pieces=ROUTE) if n % 2 else run for n, run in enumerate(RUNS)])
+    effect = declared(s, acts_on=acts_on)
+    (form,) = effect.forms(s)
+    path = predict(s)
+    (push,) = form.centred_at(Centre(0.0)).pushes(path)
+    (own,) = form.pushes(path)
+    moved = (signature(path, push) - signature(path, own))[:, :4]
+    if acts_on == "distance":
+        # an offset of the laser, which no calibration is
+        assert effect.shifts == ()
+        return
+    known = {e.id: e.forms(s)[0].pushes(path)[0] for e in library(s) if e.calibration}
+    matrix = np.stack([signature(path, known[name])[:, :4].ravel() for name in effect.shifts], axis=1)
+    left = moved.ravel() - matrix @ np.linalg.lstsq(matrix, moved.ravel(), rcond=None)[0]
+    # chords against arcs are of second order in a step's turn (0.04 rad here)
+    assert np.abs(left).max() <= 3e-3 * np.abs(moved).max()
