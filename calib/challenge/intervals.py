@@ -5,31 +5,26 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 __all__ = ["Share", "clopper_pearson", "share", "wilson"]
 
 
-def wilson(hits: int, total: int, z: float = 1.959963984540054) -> tuple[float, float]:
-    """Return Wilson's score interval of hits / total; (0, 1) where there is nothing."""
-    if total == 0:
-        return 0.0, 1.0
-    rate = hits / total
-    middle = (rate + z * z / (2 * total)) / (1 + z * z / total)
-    half = z / (1 + z * z / total) * float(np.sqrt(rate * (1 - rate) / total + z * z / (4 * total * total)))
-    return max(0.0, middle - half), min(1.0, middle + half)
+def wilson(hits: int, total: int) -> tuple[float, float]:
+    """Return Wilson's 95 % score interval of hits / total; (0, 1) where there is nothing."""
+    return _interval(hits, total, "wilson")
 
 
 def clopper_pearson(hits: int, total: int, level: float = 0.95) -> tuple[float, float]:
     """Return the exact interval of hits / total; (0, 1) where there is nothing."""
-    from scipy.special import betaincinv
+    return _interval(hits, total, "beta", level)
+
+
+def _interval(hits: int, total: int, method: str, level: float = 0.95) -> tuple[float, float]:
+    from statsmodels.stats.proportion import proportion_confint
 
     if total == 0:
         return 0.0, 1.0
-    tail = 0.5 * (1 - level)
-    low = 0.0 if hits == 0 else float(betaincinv(hits, total - hits + 1, tail))
-    high = 1.0 if hits == total else float(betaincinv(hits + 1, total - hits, 1 - tail))
-    return low, high
+    low, high = proportion_confint(hits, total, alpha=1 - level, method=method)
+    return float(low), float(high)
 
 
 @dataclass(frozen=True, slots=True)

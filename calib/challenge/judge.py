@@ -129,18 +129,12 @@ def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
     before, after = tried.get("before_over_floor"), tried.get("after_over_floor")
     harmful = None if not recommended or before is None or after is None else bool(after > before)
     target = recipe.targets[0] if recipe.targets else float("nan")
-    if recipe.group == "empty":
-        right = first
-    elif recipe.group == "outside":
-        right = word in _OPEN
-    elif recipe.group == "deleted":
-        right = word in _OPEN or (bool(named) and named[0] in near)
-    elif recipe.group == "alias":
-        right = any(effects[0] in group and group & set(recipe.aliases) for group in groups)
-    elif recipe.group == "pair":
-        right = set(effects) <= set(named)
-    else:
-        right = first
+    right = {
+        "outside": word in _OPEN,
+        "deleted": word in _OPEN or (bool(named) and named[0] in near),
+        "alias": any(effects[0] in group and bool(group & set(recipe.aliases)) for group in groups if effects),
+        "pair": set(effects) <= set(named),
+    }.get(recipe.group, first)
     closure = given.get("closure") or {}
     return Judged(
         case=recipe.case,

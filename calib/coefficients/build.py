@@ -181,18 +181,7 @@ def from_law(
             "simulated": bool(simulated),
             "outside": outside,
             "wheels": sides,
-            "vehicle": {
-                "track": _q(vehicle.track_m, "m"),
-                "track_std": _q(track_std_m, "m"),
-                "wheelbase": _q(vehicle.wheelbase_m, "m"),
-                "wheel_radius": _q(vehicle.wheel_radius_m, "m"),
-                "mass": _q(vehicle.mass_kg, "kg"),
-                "cog_x": _q(vehicle.cog_x_m, "m"),
-                "cog_y": _q(vehicle.cog_y_m, "m"),
-                "cog_z": _q(vehicle.cog_z_m, "m"),
-                "max_wheel_load": _q(vehicle.max_wheel_load_N, "N"),
-                "gravity": _q(GRAVITY_MPS2, "m/s^2"),
-            },
+            "vehicle": _vehicle(vehicle, track_std_m),
             "encoder": {
                 "counts_per_rev_left": _q(encoder.counts_per_rev_left, "count/rev"),
                 "counts_per_rev_right": _q(encoder.counts_per_rev_right, "count/rev"),
@@ -213,6 +202,21 @@ def from_law(
 
 def _q(value: float, unit: str) -> dict[str, Any]:
     return {"value": float(value), "unit": unit}
+
+
+def _vehicle(vehicle: Vehicle, track_std_m: float) -> dict[str, Any]:
+    return {
+        "track": _q(vehicle.track_m, "m"),
+        "track_std": _q(track_std_m, "m"),
+        "wheelbase": _q(vehicle.wheelbase_m, "m"),
+        "wheel_radius": _q(vehicle.wheel_radius_m, "m"),
+        "mass": _q(vehicle.mass_kg, "kg"),
+        "cog_x": _q(vehicle.cog_x_m, "m"),
+        "cog_y": _q(vehicle.cog_y_m, "m"),
+        "cog_z": _q(vehicle.cog_z_m, "m"),
+        "max_wheel_load": _q(vehicle.max_wheel_load_N, "N"),
+        "gravity": _q(GRAVITY_MPS2, "m/s^2"),
+    }
 
 
 def _wheel(law: WheelLaw, load_margin_N: float | None) -> dict[str, Any]:

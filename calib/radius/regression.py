@@ -215,7 +215,7 @@ def fit_wheel(
     estimate = stratified_line(x, radius, groups) if 2 <= len(groups) < len(load) else None
     estimate = estimate or plain
     design = "confounded" if estimate is plain and 2 <= len(groups) < len(load) else estimate.design
-    influence = _influence(x, np.asarray(results.resid), float(results.scale))
+    influence = _influence(x, radius, np.asarray(results.resid), float(results.scale))
     naive = NaiveLine(
         radius_ref_m=float(plain.coefficients[0]),
         slope_m_per_N=float(plain.coefficients[1]),
@@ -224,9 +224,17 @@ def fit_wheel(
         radius_ref_ci95_m=t_interval(plain.coefficients[0], float(results.bse[0]), results.df_resid),
         slope_ci95_m_per_N=t_interval(plain.coefficients[1], float(results.bse[1]), results.df_resid),
     )
-    return _wheel_fit(
-        wheel, load, radius, estimate, design, naive, reference_load_N, _r_squared(radius, results.resid), influence
-    )
+    return _wheel_fit(wheel, load, radius, estimate, design, naive, reference_load_N, influence)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Influence:
+    """How well the ordinary least-squares fit does, and how much each run carries of it."""
+
+    r_squared: float
+    variance_m2: float
+    leverage: FloatArray
+    cook: FloatArray
 
 
 def _constant(wheel: str, load: FloatArray, radius: FloatArray, groups: Groups) -> WheelFit:
@@ -236,9 +244,8 @@ def _constant(wheel: str, load: FloatArray, radius: FloatArray, groups: Groups) 
     variance = float(scatter @ scatter) / (n - 1)
     leverage = np.full(n, 1.0 / n)
     cook = scatter**2 / variance * leverage / (1 - leverage) ** 2 if variance > 0 else np.zeros(n)
-    return _wheel_fit(
-        wheel, load, radius, estimate, "constant", None, float(load.mean()), 0.0, (variance, leverage, cook)
-    )
+    influence = _Influence(0.0, variance, leverage, cook)
+    return _wheel_fit(wheel, load, radius, estimate, "constant", None, float(load.mean()), influence)
 
 
 def _wheel_fit(
@@ -249,12 +256,11 @@ def _wheel_fit(
     design: str,
     naive: NaiveLine | None,
     reference_load_N: float,
-    r_squared: float,
-    influence: tuple[float, FloatArray, FloatArray],
+    influence: _Influence,
 ) -> WheelFit:
-    value, slope = (float(one) for one in estimate.coefficients)
+    value, slope = estimate.coefficients.tolist()
     covariance = estimate.covariance
-    dof_radius, dof_slope = (float(one) for one in estimate.dof(np.eye(2)))
+    dof_radius, dof_slope = estimate.dof(np.eye(2)).tolist()
     line = design != "constant"
     law = WheelLaw(
         reference_load_N=reference_load_N,
@@ -267,7 +273,6 @@ def _wheel_fit(
         load_max_N=float(load.max()),
         n_runs=len(load),
     )
-    variance, leverage, cook = influence
     return WheelFit(
         wheel=wheel,
         law=law,
@@ -276,8 +281,8 @@ def _wheel_fit(
         estimate=estimate,
         naive=naive,
         intercept_m=value - slope * reference_load_N,
-        r_squared=r_squared,
-        residual_std_m=float(np.sqrt(variance)),
+        r_squared=influence.r_squared,
+        residual_std_m=float(np.sqrt(influence.variance_m2)),
         run_std_m=float(np.sqrt(estimate.run_variance)),
         session_std_m=float(np.sqrt(estimate.session_variance)),
         dof_radius_ref=dof_radius,
@@ -287,8 +292,8 @@ def _wheel_fit(
         load_N=load,
         radius_m=radius,
         residual_m=radius - law.radius_m(load),
-        leverage=leverage,
-        cook=cook,
+        leverage=influence.leverage,
+        cook=influence.cook,
     )
 
 
@@ -298,9 +303,9 @@ def _r_squared(radius: FloatArray, residual: FloatArray) -> float:
     return 1.0 - float(residual @ residual) / total if total > 0 else 0.0
 
 
-def _influence(x: FloatArray, residual: FloatArray, scale: float) -> tuple[float, FloatArray, FloatArray]:
+def _influence(x: FloatArray, radius: FloatArray, residual: FloatArray, scale: float) -> _Influence:
     centred = x - x.mean()
     leverage = 1.0 / len(x) + centred**2 / float(centred @ centred)
     slack = np.maximum(1.0 - leverage, 1e-12)
     cook = residual**2 * leverage / (2 * scale * slack**2) if scale > 0 else np.zeros_like(x)
-    return scale, leverage, cook
+    return _Influence(_r_squared(radius, residual), scale, leverage, cook)

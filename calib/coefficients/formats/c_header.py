@@ -82,7 +82,6 @@ def render(file: CoefficientFile, loads: Sequence[LoadPair]) -> tuple[Artifact, 
 
 
 def _head(file: CoefficientFile) -> str:
-    vehicle, encoder, noise, limits = file.vehicle, file.encoder, file.noise, file.limits
     lines = [
         "/* Wheel coefficients and odometry, C99, no memory allocation, one header to include.",
         f" * campaign: {ascii_line(file.name)}" + (" -- SIMULATED DATA" if file.simulated else ""),
@@ -123,6 +122,13 @@ def _head(file: CoefficientFile) -> str:
         "",
     ]
     lines += _wheel(file.wheels.left, "left") + _wheel(file.wheels.right, "right")
+    lines += [*_numbers(file), *_table(file), "", ""]
+    return "\n".join(lines)
+
+
+def _numbers(file: CoefficientFile) -> list[str]:
+    """Return the lines of vehicle, encoders, noise and limits."""
+    vehicle, encoder, noise, limits = file.vehicle, file.encoder, file.noise, file.limits
     numbers = {
         "TRACK_M": vehicle.track.value,
         "TRACK_STD_M": vehicle.track_std.value,
@@ -140,11 +146,13 @@ def _head(file: CoefficientFile) -> str:
         "MAX_STEP_M": limits.max_step.value,
         "MAX_GAP_S": limits.max_gap.value,
     }
-    lines += ["/* vehicle, encoders, noise, limits */"]
-    lines += [f"#define CALIB_{name} {_c(value)}" for name, value in numbers.items()]
     bits = int(encoder.wrap_bits.value) if encoder.wrap_bits is not None else 0
-    lines += [f"#define CALIB_WRAP_BITS {bits} /* 0: the counters do not wrap */", ""]
-    return "\n".join([*lines, *_table(file), "", ""])
+    return [
+        "/* vehicle, encoders, noise, limits */",
+        *(f"#define CALIB_{name} {_c(value)}" for name, value in numbers.items()),
+        f"#define CALIB_WRAP_BITS {bits} /* 0: the counters do not wrap */",
+        "",
+    ]
 
 
 def _wheel(wheel: WheelSection, side: str) -> list[str]:

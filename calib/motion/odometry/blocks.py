@@ -2,25 +2,90 @@
 
 Sums run within a block and are carried from block to block, which keeps their rounding below that of a
 sample-by-sample loop. Sine and cosine both come from the tangent of half the angle: one vectorised function instead of
-two scalar ones.
+two scalar ones. A sequential sum waits for each addition: here the steps stand in short rows, a product with a triangle
+of ones gives the sums within all rows, and only the totals of the rows are summed one after the other.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from math import isfinite
 from typing import Final
 
 import numpy as np
 
 from calib.arrays import FloatArray, IntArray
 from calib.motion.odometry.arc import shorten
-from calib.motion.odometry.prefix_sums import Part, running_sums
 from calib.motion.odometry.steps import Flat
 
-__all__ = ["WHOLE", "Block", "blocks"]
+__all__ = ["ROW", "WHOLE", "Block", "Part", "blocks", "prefix_sums"]
 
-WHOLE: Final = Part.of()
+#: steps a row
+ROW: Final = 16
+
+#: rows a product: so few that no BLAS starts threads of its own
+_ROWS: Final = 1024
+
+_ONES: Final = np.ones(ROW)
+_TRIANGLE: Final = np.triu(np.ones((ROW, ROW)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """What is wanted of running sums: them times `factor`, without the share `left_out` of the last step."""
+
+    left_out: float
+    factor: float
+    triangle: FloatArray
+
+    @staticmethod
+    def scaled(left_out: float = 0.0, factor: float = 1.0) -> Part:
+        """Return the part of a share and a factor."""
+        return Part(left_out, factor, np.ascontiguousarray(factor * (_TRIANGLE - left_out * np.eye(ROW))))
+
+
+def prefix_sums(steps: FloatArray, before: float, wanted: list[tuple[FloatArray, Part]]) -> float:
+    """Write running sums of `steps`, begun at `before`; return the sum of the steps alone.
+
+    Parameters
+    ----------
+    steps : array of float, shape (n,)
+        Contiguous; used up.
+    before : float
+        Sum before the first step.
+    wanted : list of (array, Part)
+        Where to write, shape (n,), and what.
+    """
+    if len(steps) % ROW == 0:
+        rows = steps.reshape(-1, ROW)
+        totals = np.dot(rows, _ONES)
+        np.add.accumulate(totals, out=totals)
+        total = float(totals[-1])
+        # a product would spread a single NaN over its row
+        if isfinite(total):
+            totals[1:] = totals[:-1]
+            totals[0] = 0.0
+            totals += before
+            rows[:, 0] += totals
+            for out, part in wanted:
+                sums_of_rows = out.reshape(-1, ROW)
+                for k in range(0, len(rows), _ROWS):
+                    np.dot(rows[k : k + _ROWS], part.triangle, out=sums_of_rows[k : k + _ROWS])
+                if part.left_out:
+                    totals *= part.left_out * part.factor
+                    sums_of_rows[:, 0] += totals
+            return total
+    sums = np.cumsum(steps)
+    for out, part in wanted:
+        np.add(sums, before, out=out)
+        if part.left_out:
+            out -= part.left_out * steps
+        out *= part.factor
+    return float(sums[-1])
+
+
+WHOLE: Final = Part.scaled()
 
 
 @dataclass(slots=True, eq=False)
@@ -84,7 +149,7 @@ class Block:
             lead, firsts = base[1:] - ends[:-1], self.local[1:]
             lead /= unit
             steps[firsts] += lead
-            running_sums(steps, start / unit, wanted)
+            prefix_sums(steps, start / unit, wanted)
             for out, part in wanted:
                 if part.left_out:
                     lead *= part.left_out * part.factor
@@ -92,10 +157,10 @@ class Block:
             return
         # the carry is summed with its rounding (Neumaier), so that equal steps do not add up a bias
         so_far, rest = (flat.carried[which], flat.rest[which]) if self.continues else (start, 0.0)
-        total = running_sums(steps, start / unit, wanted) * unit
-        made = so_far + total
-        lost = (so_far - made) + total if abs(so_far) >= abs(total) else (total - made) + so_far
-        flat.carried[which], flat.rest[which] = made, rest + lost
+        total = prefix_sums(steps, start / unit, wanted) * unit
+        ahead = so_far + total
+        lost = (so_far - ahead) + total if abs(so_far) >= abs(total) else (total - ahead) + so_far
+        flat.carried[which], flat.rest[which] = ahead, rest + lost
 
 
 def blocks(flat: Flat, size: int, *, behind: float, curved: bool, theta: FloatArray | None) -> Iterator[Block]:
@@ -116,7 +181,7 @@ def blocks(flat: Flat, size: int, *, behind: float, curved: bool, theta: FloatAr
     """
     n = len(flat.left)
     store = np.empty((4, min(size, n)))
-    half_heading, heading = Part.of(behind, 0.5 * flat.unit), Part.of(0.0, flat.unit)
+    half_heading, heading = Part.scaled(behind, 0.5 * flat.unit), Part.scaled(0.0, flat.unit)
     edges = np.append(np.arange(0, n, size), n)
     first_runs = np.searchsorted(flat.starts, edges[:-1], side="right") - 1
     last_runs = np.searchsorted(flat.starts, edges[1:], side="left")

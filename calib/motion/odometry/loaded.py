@@ -8,11 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.arrays import FloatArray, IntArray
-from calib.campaign.settings import Encoder
+from calib.campaign.settings import Encoder, OdometryModel
 from calib.errors import BadInputError
 from calib.radius.law import RadiusLaw
 
-__all__ = ["LoadHistory", "loads_in_steps", "radii_under_load", "travel_from_counts", "unwrapped"]
+__all__ = ["LoadHistory", "loads_in_steps", "radii_of_model", "radii_under_load", "travel_from_counts", "unwrapped"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,6 +96,17 @@ def radii_under_load(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the effective radii of both wheels for loads of any shape, in m: the block that Fig. 7 adds."""
     return law.left.radius_m(load_left_N), law.right.radius_m(load_right_N)
+
+
+def radii_of_model(
+    model: OdometryModel, load_left_N: npt.ArrayLike, load_right_N: npt.ArrayLike
+) -> tuple[FloatArray, FloatArray]:
+    """Return the radii that a simulator uses for loads of any shape, in m: its own slopes about its reference load."""
+    left_N, right_N = np.asarray(load_left_N, dtype=np.float64), np.asarray(load_right_N, dtype=np.float64)
+    return (
+        np.asarray(model.radius_left_m + model.slope_left_m_per_N * (left_N - model.reference_load_N)),
+        np.asarray(model.radius_right_m + model.slope_right_m_per_N * (right_N - model.reference_load_N)),
+    )
 
 
 def travel_from_counts(

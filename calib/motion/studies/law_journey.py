@@ -15,7 +15,7 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.errors import BadInputError
 from calib.motion.pose_covariance import jacobian, steps
-from calib.motion.poses import pose_errors
+from calib.motion.poses import PoseErrors, pose_errors
 from calib.motion.routes import Route
 from calib.motion.studies.follow import Axle, end_of_route, wheel_travel
 from calib.radius.law import RadiusLaw, WheelLaw
@@ -194,12 +194,7 @@ def law_journey(
         by_wheel = (slopes[3:] ** 2).sum(axis=0) * std**2
         spread = np.column_stack([np.ones(2), scale]) ** 2
         square[name] = float(centre.distance_m[0]) ** 2 + by_wheel @ spread
-        intervals[name] = {}
-        for row, component in enumerate(COMPONENTS):
-            half = _half_width(np.abs(slopes[row]) * std, dof)
-            value = float(getattr(centre, component)[0])
-            low, high = np.quantile(getattr(errors, component), [0.025, 0.975])
-            intervals[name][component] = Interval(value, (value - half, value + half), (float(low), float(high)))
+        intervals[name] = _intervals(centre, errors, np.abs(slopes) * std, dof)
     ratios = np.sqrt(square["without"] / square["corrected"])
     ratio_low, ratio_high = np.quantile(ratios[1:], [0.025, 0.975])
     each = np.quantile(distance["without"] / np.maximum(distance["corrected"], 1e-15), [0.025, 0.5, 0.975])
@@ -221,6 +216,17 @@ def law_journey(
         journeys_ratio=(float(each[0]), float(each[1]), float(each[2])),
         draws=draws,
     )
+
+
+def _intervals(centre: PoseErrors, errors: PoseErrors, scales: FloatArray, dof: list[float]) -> dict[str, Interval]:
+    """Return each component's value with its interval by linear propagation and by Monte Carlo."""
+    intervals = {}
+    for row, component in enumerate(COMPONENTS):
+        half = _half_width(scales[row], dof)
+        value = float(getattr(centre, component)[0])
+        low, high = np.quantile(getattr(errors, component), [0.025, 0.975])
+        intervals[component] = Interval(value, (value - half, value + half), (float(low), float(high)))
+    return intervals
 
 
 def _end_jacobian(route: Route, believed: Axle, real: Axle, heading_rad: float) -> FloatArray:

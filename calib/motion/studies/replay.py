@@ -1,8 +1,8 @@
 """Logged runs replayed through odometry, against their reference poses: with and without the load correction.
 
-Three odometries are compared: with what the simulator believes, with the law's radii at the unladen load kept constant,
-and with the law's radii at the load of each run (Fig. 7), or, where a log has its own loads, of each step. The
-vehicle's own runtime is fed the same logs.
+Three odometries are compared: with what the simulator believes, its load slopes included; with the law's radii at the
+unladen load, kept constant; and with the law's radii at the load of each run (Fig. 7), or, where a log has its own
+loads, of each step. The vehicle's own runtime is fed the same logs.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from calib.campaign.model import Campaign
 from calib.coefficients.file import CoefficientFile
 from calib.errors import RefusedError
 from calib.motion.odometry.integrate import end_poses
-from calib.motion.odometry.loaded import loads_in_steps, radii_under_load, travel_from_counts
+from calib.motion.odometry.loaded import loads_in_steps, radii_of_model, radii_under_load, travel_from_counts
 from calib.motion.poses import PoseErrors, Poses, pose_errors
 from calib.motion.studies.runtime_check import RuntimeCheck, runtime_check
 from calib.radius.law import RadiusLaw
@@ -146,27 +146,13 @@ def replay(
         )
     law, runs, logs = coefficients.law, chosen.runs, chosen.logs
     loads = runs.number("load_left_N"), runs.number("load_right_N")
-    unladen = coefficients.geometry.unladen_load_N
     carried = (
         loads_in_steps(loads[0], logs.columns.get("load_left_N"), logs.offsets),
         loads_in_steps(loads[1], logs.columns.get("load_right_N"), logs.offsets),
     )
-    radii = {
-        "model": (np.full(len(runs), chosen.model.radius_left_m), np.full(len(runs), chosen.model.radius_right_m)),
-        "constant": radii_under_load(law, np.full(len(runs), unladen), np.full(len(runs), unladen)),
-        "corrected": radii_under_load(law, *carried),
-    }
-    tracks = {"model": chosen.model.track_m, "constant": coefficients.geometry.track_m}
-    counts = logs.columns["counts_left"], logs.columns["counts_right"]
     reference = Poses(runs.number("ref_x_m"), runs.number("ref_y_m"), runs.number("ref_theta_rad"))
-    ends, errors, travelled = {}, {}, np.zeros(len(runs))
-    for method in METHODS:
-        left, right = travel_from_counts(*counts, chosen.encoder, *radii[method], offsets=logs.offsets)
-        track = tracks.get(method, coefficients.geometry.track_m)
-        ends[method] = end_poses(left, right, track, offsets=logs.offsets, scheme=scheme)
-        errors[method] = pose_errors(ends[method], reference)
-        if method == "corrected":
-            travelled = np.add.reduceat(0.5 * np.abs(left + right), logs.offsets[:-1])
+    ends, travelled = _driven(chosen, coefficients, carried, scheme)
+    errors = {method: pose_errors(end, reference) for method, end in ends.items()}
     in_range = np.logical_and.reduceat(_in_range(law, *carried), logs.offsets[:-1])
     if not in_range.any():
         raise RefusedError(
@@ -175,10 +161,8 @@ def replay(
         )
     square = {method: errors[method].distance_m[in_range] ** 2 for method in METHODS}
     picks = rng.integers(0, in_range.sum(), size=(resamples, int(in_range.sum())))
-    drawn = np.sqrt(
-        square["constant"][picks].mean(axis=1) / np.maximum(square["corrected"][picks].mean(axis=1), 1e-300)
-    )
-    low, high = np.quantile(drawn, [0.025, 0.975])
+    means = {method: square[method][picks].mean(axis=1) for method in ("constant", "corrected")}
+    low, high = np.quantile(np.sqrt(means["constant"] / np.maximum(means["corrected"], 1e-300)), [0.025, 0.975])
     rms = {method: float(np.sqrt(part.mean())) for method, part in square.items()}
     return Replay(
         run_id=runs.run_id,
@@ -199,6 +183,27 @@ def replay(
         runtime=runtime_check(chosen, coefficients, runs=runtime_runs),
         left_out=left_out,
     )
+
+
+def _driven(
+    campaign: Campaign, coefficients: CoefficientFile, carried_N: tuple[FloatArray, FloatArray], scheme: str
+) -> tuple[dict[str, Poses], FloatArray]:
+    """Return the end poses by each of `METHODS`, and the way by the corrected one, under the loads of the steps."""
+    unladen = np.full(len(campaign.runs), coefficients.geometry.unladen_load_N)
+    track_m, offsets, columns = coefficients.geometry.track_m, campaign.logs.offsets, campaign.logs.columns
+    believed = {
+        "model": (radii_of_model(campaign.model, *carried_N), campaign.model.track_m),
+        "constant": (radii_under_load(coefficients.law, unladen, unladen), track_m),
+        "corrected": (radii_under_load(coefficients.law, *carried_N), track_m),
+    }
+    ends, left, right = {}, np.empty(0), np.empty(0)
+    for method in METHODS:
+        radii, track = believed[method]
+        left, right = travel_from_counts(
+            columns["counts_left"], columns["counts_right"], campaign.encoder, *radii, offsets=offsets
+        )
+        ends[method] = end_poses(left, right, track, offsets=offsets, scheme=scheme)
+    return ends, np.add.reduceat(0.5 * np.abs(left + right), offsets[:-1])
 
 
 def _usable(campaign: Campaign) -> tuple[Campaign, dict[str, int]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,8 @@ from calib.campaign.read import read_campaign
 from calib.campaign.write import write_campaign
 from calib.coefficients.file import CoefficientFile
 from calib.coefficients.source import coefficients_of
+from calib.gap.data.from_campaign import observations_of
+from calib.gap.predict.path import predict
 from calib.motion.odometry.integrate import end_poses
 from calib.motion.odometry.loaded import loads_in_steps, travel_from_counts
 from calib.motion.studies.replay import replay
@@ -88,3 +91,22 @@ def test_a_load_holds_from_the_step_after_its_sample_to_the_end_of_its_run() -> 
     got = loads_in_steps([1.0, 2.0, 3.0], logged, [0, 5, 5, 8])
     assert got.tolist() == [1.0, 1.0, 5.0, 5.0, 6.0, 3.0, 3.0, 7.0]
     assert loads_in_steps([1.0, 3.0], None, [0, 2, 3]).tolist() == [1.0, 1.0, 3.0]
+
+
+def test_the_gap_of_the_model_is_the_one_that_the_diagnosis_sees() -> None:
+    """With load slopes in the model, both simulate the same end poses: the same errors, run by run."""
+    yard = Path(__file__).resolve().parents[3] / "sample_runs" / "yard"
+    campaign = read_campaign(yard)
+    assert campaign.model.slope_left_m_per_N != 0.0
+    replayed = replay(campaign, coefficients_of(yard).file, rng=np.random.default_rng(0), runtime_runs=1)
+    nominal = predict(observations_of(campaign))
+    unit = {str(name): number for number, name in enumerate(nominal.s.labels["run_id"])}
+    chosen = [unit[str(name)] for name in replayed.run_id]
+    # the diagnosis takes some twenty samples of a log as steps: sub-millimetre on ways of up to 60 m
+    tolerance_m = 2e-3
+    np.testing.assert_allclose(replayed.ends["model"].x_m, nominal.end[chosen, 0], rtol=0.0, atol=tolerance_m)
+    np.testing.assert_allclose(replayed.ends["model"].y_m, nominal.end[chosen, 1], rtol=0.0, atol=tolerance_m)
+    without = replace(campaign.model, slope_left_m_per_N=0.0, slope_right_m_per_N=0.0)
+    flat = replay(replace(campaign, model=without), coefficients_of(yard).file, rng=np.random.default_rng(0))
+    # what leaving the slopes out costs on this campaign
+    assert flat.rms_m["model"] > 5 * replayed.rms_m["model"]
