@@ -24,6 +24,7 @@ DIAGNOSIS: Final = "waits for the typed results of the diagnosis"
 LONG_FUNCTIONS: Final = {
     "cli/challenge.py:register": REGISTER,
     "cli/deviation.py:register": REGISTER,
+    "cli/diagnose.py:diagnose": REGISTER,
     "cli/diagnose.py:register": REGISTER,
     "cli/fit.py:fit": REGISTER,
     "cli/fit.py:register": REGISTER,
