@@ -58,13 +58,29 @@ class Observations:
     labels : mapping of str to array of str, shape (n_units,)
         ``run_id``, ``session``, ``kind``, ``direction``.
     condition : array of int, shape (n_units,)
-        Units driven alike (same route, direction, loads, speed) share a number.
+        Units driven alike (same route, direction, loads, speed) share a number; by what was driven, not by labels.
     cell : array of int, shape (n_units,)
         Units of one condition that were also driven in the same session, warmth, dwell and further columns.
     kind : array of int, shape (n_units,)
         Units of the same route and direction.
     axis : array of float, shape (n_units,)
         1 where the laser's distance is the projection on the start heading, 0 where it is the length of the line.
+    sigma_distance_m, sigma_xy_m, sigma_theta_rad : array of float, shape (n_units,)
+        Stated standard uncertainty of what was measured.
+    sigma_start_rad : array of float, shape (n_units,)
+        The same of the heading of the unit's start frame, where that was read too; else 0.
+    count_rad : tuple of float
+        Rotation of the left and right wheel between two counts.
+    windowed : bool
+        Whether recordings were cut into windows.
+    run, window : array of int, shape (n_units,)
+        Row of the run table among those included, and number of the window within it.
+    start_pose : array of float, shape (n_units, 3)
+        Where each unit starts in the frame common to all; NaN where that is not known.
+    common_frame : bool
+        Whether places on the floor mean the same in all units.
+    led_straight : array of bool, shape (n_units,)
+        Units whose heading is that of a run led straight, not a measured one.
     notes : tuple of str
         What had to be left out or assumed, in sentences.
     """
@@ -91,11 +107,17 @@ class Observations:
     cell: IntArray
     kind: IntArray
     axis: FloatArray
-    sigma_distance_m: float
-    sigma_xy_m: float
-    sigma_theta_rad: float
+    sigma_distance_m: FloatArray
+    sigma_xy_m: FloatArray
+    sigma_theta_rad: FloatArray
+    sigma_start_rad: FloatArray
     count_rad: tuple[float, float]
     windowed: bool
+    run: IntArray
+    window: IntArray
+    start_pose: FloatArray
+    common_frame: bool
+    led_straight: BoolArray
     notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:

@@ -1,0 +1,318 @@
+"""Units laid end to end as arrays, and what each of them can be compared in."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.arrays import BoolArray, FloatArray, IntArray, StrArray
+from calib.campaign.model import Campaign
+from calib.campaign.settings import OdometryModel
+from calib.gap.data.driven_alike import (
+    Driven,
+    joined,
+    lane_names,
+    levels,
+    load_width_N,
+    measured_speed,
+    routes,
+    speed_width_mps,
+)
+from calib.gap.data.observations import CHANNELS, STRAIGHT_RAD, Observations
+from calib.gap.data.straightness import heading_by_straightness, weave_of_log, were_led_straight
+from calib.gap.data.unit import CountsPerRadian, Unit
+from calib.gap.data.wheel_loads import filled_loads
+
+__all__ = ["assemble"]
+
+_LABELS = ("run_id", "session", "kind", "direction")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Steps:
+    """Steps of all units, end to end, with sums over each unit by the model."""
+
+    starts: IntArray
+    roll_left: FloatArray
+    roll_right: FloatArray
+    duration: FloatArray
+    logged: BoolArray
+    model: OdometryModel
+
+    def total(self, steps: FloatArray) -> FloatArray:
+        summed: FloatArray = np.add.reduceat(steps, self.starts[:-1])
+        return summed
+
+    @property
+    def left_m(self) -> FloatArray:
+        return self.roll_left * self.model.radius_left_m
+
+    @property
+    def right_m(self) -> FloatArray:
+        return self.roll_right * self.model.radius_right_m
+
+    @property
+    def path_m(self) -> FloatArray:
+        return 0.5 * (self.left_m + self.right_m)
+
+    @property
+    def turn_rad(self) -> FloatArray:
+        return (self.right_m - self.left_m) / self.model.track_m
+
+
+def assemble(
+    campaign: Campaign,
+    model: OdometryModel,
+    units: Sequence[Unit],
+    per_rad: CountsPerRadian,
+    *,
+    in_map: bool,
+    notes: Sequence[str],
+) -> Observations:
+    """Lay units end to end and settle which channels each of them has and which were driven alike.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        Whose runs the units are.
+    model : OdometryModel
+        What the simulator believes.
+    units : sequence of Unit
+        Units in the order driven.
+    per_rad : CountsPerRadian
+        Scales of the encoders.
+    in_map : bool
+        Whether the reference's poses stand in one frame for all runs.
+    notes : sequence of str
+        What was said on the way here.
+
+    Returns
+    -------
+    Observations
+    """
+    said = list(notes)
+    steps = _steps(units, model)
+    front, steer, turned = _front(units)
+    path, turn = steps.total(steps.path_m), steps.total(steps.turn_rad)
+    measured, simulated = np.full((len(units), 6), np.nan), np.full((len(units), 6), np.nan)
+    measured[:, :4], simulated[:, :4] = [u.measured for u in units], [u.simulated for u in units]
+    measured[:, 3] = _unwrapped(measured[:, 3], turn)
+    usable = _usable(measured, path, turn, steps.logged, said)
+    index = np.array([u.run for u in units])
+    led, sigma_led = _led_straight(campaign, steps, measured, index, said)
+    measured[led, 3], usable[led, 3] = 0.0, True
+    has_front = np.isfinite(steps.total(front)) & np.isfinite(steps.total(steer))
+    measured[has_front, 4:] = 0.0
+    usable[:, 4:] = has_front[:, None]
+    outside = _outside(simulated, usable, said)
+    numbers = _numbers(campaign, index, path, said)
+    labels = {name: campaign.runs.label(name)[index] for name in _LABELS}
+    route, condition, cell = _alike(campaign, steps, measured, numbers, labels)
+    return Observations(
+        vehicle=campaign.vehicle,
+        model=model,
+        starts=steps.starts,
+        roll_left_rad=steps.roll_left,
+        roll_right_rad=steps.roll_right,
+        phase_left_rad=np.concatenate([u.left_rad[1:] for u in units]),
+        phase_right_rad=np.concatenate([u.right_rad[1:] for u in units]),
+        time_s=np.concatenate([u.time_s[1:] for u in units]),
+        duration_s=steps.duration,
+        front_roll_rad=front,
+        steer_rad=steer,
+        steer_change_rad=turned,
+        from_log=steps.logged,
+        measured=measured,
+        simulated=np.where(outside, simulated, np.nan),
+        usable=usable,
+        numbers=numbers,
+        labels=labels,
+        condition=condition,
+        cell=cell,
+        kind=route,
+        axis=_laser_axis(measured, usable),
+        sigma_distance_m=np.full(len(units), campaign.rangefinder.sigma_m),
+        sigma_xy_m=_stated([u.sigma_xy_m for u in units], campaign.reference.sigma_xy_m),
+        sigma_theta_rad=np.where(
+            led, sigma_led, _stated([u.sigma_theta_rad for u in units], campaign.reference.sigma_theta_rad)
+        ),
+        sigma_start_rad=np.array([u.sigma_start_rad for u in units]),
+        count_rad=(1 / per_rad.left, 1 / per_rad.right),
+        windowed=any(u.window > 0 for u in units),
+        run=index,
+        window=np.array([u.window for u in units]),
+        start_pose=np.array([u.start_pose for u in units]),
+        common_frame=_common_frame(campaign, in_map),
+        led_straight=led,
+        notes=tuple(said),
+    )
+
+
+def _steps(units: Sequence[Unit], model: OdometryModel) -> _Steps:
+    starts = np.concatenate(([0], np.cumsum([u.n_steps for u in units]))).astype(np.int64)
+    return _Steps(
+        starts=starts,
+        roll_left=np.concatenate([np.diff(u.left_rad) for u in units]),
+        roll_right=np.concatenate([np.diff(u.right_rad) for u in units]),
+        duration=np.concatenate([np.diff(u.time_s) for u in units]),
+        logged=np.array([u.from_log for u in units]),
+        model=model,
+    )
+
+
+def _front(units: Sequence[Unit]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the front wheel's roll, mean steering angle and its change in each step, NaN where not logged."""
+    roll, steer, change = [], [], []
+    for u in units:
+        nothing = np.full(u.n_steps, np.nan)
+        roll.append(nothing if u.front_rad is None else np.diff(u.front_rad))
+        steer.append(nothing if u.steer_rad is None else 0.5 * (u.steer_rad[1:] + u.steer_rad[:-1]))
+        change.append(nothing if u.steer_rad is None else np.diff(u.steer_rad))
+    return np.concatenate(roll), np.concatenate(steer), np.concatenate(change)
+
+
+def _stated(given: Sequence[float], stated: float) -> FloatArray:
+    values = np.array(given)
+    return np.where(np.isnan(values), stated, values)
+
+
+def _unwrapped(heading: FloatArray, turn: FloatArray) -> FloatArray:
+    """Bring a reference heading that may come wrapped next to the wheels' turn: all then lie within half a turn."""
+    known = np.isfinite(heading)
+    if not known.any() or np.abs(heading[known]).max() > np.pi + 0.05:
+        return heading
+    wraps = 2 * np.pi * np.round((turn - heading) / (2 * np.pi))
+    # but only where the two then agree: with swapped or halved counts it is the wheels that are wrong
+    with np.errstate(invalid="ignore"):
+        return heading + np.where(np.abs(turn - heading - wraps) < 1.0, wraps, 0.0)
+
+
+def _usable(measured: FloatArray, path: FloatArray, turn: FloatArray, logged: BoolArray, said: list[str]) -> BoolArray:
+    """Return which channels each unit has, shape (n_units, 6), the front wheel's left out."""
+    with np.errstate(invalid="ignore"):
+        chord = np.hypot(measured[:, 1], measured[:, 2])
+        straight = (np.abs(turn) < STRAIGHT_RAD) & ~(chord < 0.9 * np.abs(path))
+        # without a log the distance says itself whether the run was led along a line: wheels of unlike radii that
+        # roll a straight line seem to turn
+        led = np.abs(np.abs(measured[:, 0]) - np.abs(path)) < 0.05 * np.abs(path)
+    pose_ok = logged | straight
+    usable = np.isfinite(measured)
+    # along and lateral are read in the frame of the measured heading; without one, of the wheels' heading
+    usable[:, 1:3] &= pose_ok[:, None] & usable[:, 1:2] & usable[:, 2:3]
+    usable[:, 0] &= logged | led | (np.abs(turn) < STRAIGHT_RAD)
+    left_out = int((~pose_ok & np.isfinite(measured[:, 1])).sum())
+    if left_out:
+        said.append(f"{left_out} runs have an end pose but no log of a curved path: only their heading counts")
+    return usable
+
+
+def _led_straight(
+    campaign: Campaign, steps: _Steps, measured: FloatArray, index: IntArray, said: list[str]
+) -> tuple[BoolArray, FloatArray]:
+    """Return which units have the heading of a run led straight, and its standard uncertainty, each (n_units,)."""
+    path, turn = steps.total(steps.path_m), steps.total(steps.turn_rad)
+    posed = np.asarray(np.isfinite(measured[:, 1:4]).any(axis=1))
+    led = were_led_straight(measured[:, 0], path, turn, steps.model.track_m, posed)
+    sigma, assumed = heading_by_straightness(
+        campaign.runs.number("amplitude_m")[index],
+        campaign.runs.number("wavelength_m")[index],
+        weave_of_log(steps.starts, steps.path_m, steps.turn_rad, steps.logged),
+        np.abs(path),
+    )
+    if led.any():
+        milli = 1e3 * float(np.median(sigma[led]))
+        how = "assumed" if assumed[led].all() else "by their weave"
+        said.append(
+            f"{int(led.sum())} runs have a distance and no end pose: led straight, they are taken to end at the "
+            f"heading they began with, to within {milli:.2g} mrad ({how}), so that each wheel has a radius of its own"
+        )
+    return led, sigma
+
+
+def _outside(simulated: FloatArray, usable: BoolArray, said: list[str]) -> BoolArray:
+    """Return where an outside simulator predicted a channel that is used, and say where it did not."""
+    outside = np.isfinite(simulated) & usable
+    for channel in range(4):
+        if outside[:, channel].any() and not outside[:, channel][usable[:, channel]].all():
+            missing = int((usable[:, channel] & ~outside[:, channel]).sum())
+            said.append(
+                f"{missing} runs have no sim_ value for {CHANNELS[channel]}: judged against calib's own odometry"
+            )
+    return outside
+
+
+def _numbers(campaign: Campaign, index: IntArray, path: FloatArray, said: list[str]) -> dict[str, FloatArray]:
+    """Return the covariates of each unit."""
+    left, right, known = filled_loads(campaign)
+    if not known:
+        said.append("no payload or wheel load is given: every run is taken as unladen")
+    numbers = {name: campaign.runs.number(name)[index] for name in campaign.runs.numbers}
+    numbers |= {"load_left_N": left[index], "load_right_N": right[index]}
+    numbers["travelled_km"] = np.concatenate(([0.0], np.cumsum(np.abs(path))[:-1])) / 1000.0
+    return numbers
+
+
+def _alike(
+    campaign: Campaign,
+    steps: _Steps,
+    measured: FloatArray,
+    numbers: dict[str, FloatArray],
+    labels: dict[str, StrArray],
+) -> tuple[IntArray, IntArray, IntArray]:
+    """Return the route, the condition and the cell of each unit, each shape (n_units,)."""
+    driven = Driven(steps.starts, steps.left_m, steps.right_m, steps.model.track_m, measured[:, 3])
+    route = joined([routes(driven), labels["direction"], lane_names(labels["kind"])])
+    speed = measured_speed(steps.starts, driven.rolled_m, steps.duration, steps.logged)
+    set_speed = numbers.get("speed_mps", np.full(len(route), np.nan))
+    speed = np.where(np.isfinite(speed), speed, set_speed)
+    width = load_width_N(campaign.vehicle)
+    condition = joined(
+        [
+            route,
+            levels(numbers["load_left_N"], width),
+            levels(numbers["load_right_N"], width),
+            levels(speed, speed_width_mps(speed)),
+        ]
+    )
+    warmth, dwell = (numbers.get(name, np.zeros(len(route))) for name in ("temperature_C", "minutes_under_load"))
+    cell = joined(
+        [
+            condition,
+            labels["session"],
+            levels(warmth, 2.0),
+            levels(dwell, 5.0),
+            *(levels(numbers[name], _width(numbers[name])) for name in campaign.runs.covariates),
+        ]
+    )
+    return route, condition, cell
+
+
+def _width(values: FloatArray) -> float:
+    """Width that tells set values of a further column apart: a tenth of its spread."""
+    spread = float(np.nanmax(values) - np.nanmin(values)) if np.isfinite(values).any() else 0.0
+    return spread / 10.0 if spread > 0 else 1.0
+
+
+def _common_frame(campaign: Campaign, in_map: bool) -> bool:
+    """Return whether places on the floor are the same for all runs: a map, or a corridor driven out and back."""
+    if in_map:
+        return True
+    directions = campaign.runs.label("direction")
+    return campaign.reference.frame is None and bool(np.isin(directions, ("out", "back")).any())
+
+
+def _laser_axis(measured: FloatArray, usable: BoolArray) -> FloatArray:
+    """Say for each unit what the laser's distance is the length of.
+
+    Where an end pose was measured too, it tells whether the laser looks along the start heading (1) or at the end
+    point (2); without one, the length of the line that the run was led along is all that can be said (0).
+    """
+    both = usable[:, 0] & usable[:, 1] & usable[:, 2]
+    axis = np.zeros(len(measured))
+    if both.any():
+        gap_x = np.median(np.abs(measured[both, 0] - measured[both, 1]))
+        gap_chord = np.median(np.abs(measured[both, 0] - np.hypot(measured[both, 1], measured[both, 2])))
+        axis[both] = 1.0 if gap_x <= gap_chord else 2.0
+    return axis

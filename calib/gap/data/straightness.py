@@ -1,0 +1,114 @@
+"""Runs led straight along a corridor: their heading at the end is that of the start, to within the way's straightness.
+
+With a distance alone the two wheels cannot be told apart. A run that was led along a line still has two wheels that
+went the same way, as `fit` takes it: a heading of nought, as uncertain as the way is straight.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from calib.arrays import BoolArray, FloatArray, IntArray
+
+__all__ = ["ASSUMED_LATERAL_M", "heading_by_straightness", "weave_of_log", "were_led_straight"]
+
+#: how far a run led along a corridor is taken to stray from its line, where nobody says
+ASSUMED_LATERAL_M: Final = 0.05
+#: wheels that differ by no more than this share may have rolled a straight line
+MOST_UNEQUAL: Final = 0.03
+#: the distance measured and that rolled agree to this share, on a straight line
+AGREES: Final = 0.05
+
+
+def were_led_straight(
+    distance_m: FloatArray, path_m: FloatArray, turn_rad: FloatArray, track_m: float, posed: BoolArray
+) -> BoolArray:
+    """Return which units were led along a line, by what was measured alone, shape (n_units,).
+
+    Parameters
+    ----------
+    distance_m : array of float, shape (n_units,)
+        Measured length of the line, NaN where not measured.
+    path_m, turn_rad : array of float, shape (n_units,)
+        What the wheels rolled, and turned.
+    track_m : float
+        Track.
+    posed : array of bool, shape (n_units,)
+        Units with a measured end pose or heading.
+    """
+    way = np.abs(path_m)
+    with np.errstate(invalid="ignore"):
+        along = np.abs(np.abs(distance_m) - way) < AGREES * way
+    straight = np.abs(turn_rad) * track_m < MOST_UNEQUAL * way
+    led: BoolArray = along & straight & ~posed
+    return led
+
+
+def heading_by_straightness(
+    amplitude_m: FloatArray, wavelength_m: FloatArray, weave_rad: FloatArray, way_m: FloatArray
+) -> tuple[FloatArray, BoolArray]:
+    """Return how uncertain the heading at the end of a straight run is, and where that had to be assumed.
+
+    A stated weave of amplitude A and wavelength l turns the vehicle by up to 2 pi A / l; else the log says by how much
+    it wove; else it is taken to stray by `ASSUMED_LATERAL_M` in one wave over its length.
+
+    Parameters
+    ----------
+    amplitude_m, wavelength_m : array of float, shape (n_units,)
+        Stated weave, NaN where not stated.
+    weave_rad : array of float, shape (n_units,)
+        Root mean square of the heading about its trend, by the log; NaN without one.
+    way_m : array of float, shape (n_units,)
+        Length of the run.
+
+    Returns
+    -------
+    sigma_rad : array of float, shape (n_units,)
+    assumed : array of bool, shape (n_units,)
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        stated = 2 * np.pi * np.abs(amplitude_m) / wavelength_m
+        assumed = 2 * np.pi * ASSUMED_LATERAL_M / np.maximum(way_m, ASSUMED_LATERAL_M)
+    # both ends lie somewhere on the wave, whose root mean square each of them adds
+    seen = np.sqrt(2.0) * weave_rad
+    has_stated, has_seen = np.isfinite(stated) & (stated > 0), np.isfinite(weave_rad)
+    sigma = np.where(has_stated, stated, np.where(has_seen, np.maximum(seen, 0.1 * assumed), assumed))
+    return sigma, ~(has_stated | has_seen)
+
+
+def weave_of_log(starts: IntArray, way_m: FloatArray, turn_rad: FloatArray, logged: BoolArray) -> FloatArray:
+    """Return the root mean square of the heading about its linear trend along the way, shape (n_units,).
+
+    Wheels of unlike radii turn evenly along the way: the trend is theirs. NaN without a log.
+
+    Parameters
+    ----------
+    starts : array of int, shape (n_units + 1,)
+        Steps of unit u stand at ``starts[u]:starts[u + 1]``.
+    way_m, turn_rad : array of float, shape (n_steps,)
+        Way and turn of each step by the wheels.
+    logged : array of bool, shape (n_units,)
+        Which units have a log.
+    """
+    unit = np.repeat(np.arange(len(logged)), np.diff(starts))
+
+    def within(steps: FloatArray) -> FloatArray:
+        running = np.cumsum(steps)
+        before = np.concatenate(([0.0], running))[starts[:-1]]
+        middle: FloatArray = running - 0.5 * steps - before[unit]
+        return middle
+
+    def total(steps: FloatArray) -> FloatArray:
+        summed: FloatArray = np.add.reduceat(steps, starts[:-1])
+        return summed
+
+    weight = np.abs(way_m)
+    along, heading = within(weight), within(turn_rad)
+    whole = np.maximum(total(weight), 1e-12)
+    along = along - (total(weight * along) / whole)[unit]
+    heading = heading - (total(weight * heading) / whole)[unit]
+    slope = total(weight * along * heading) / np.maximum(total(weight * along * along), 1e-12)
+    left = heading - slope[unit] * along
+    return np.where(logged, np.sqrt(total(weight * left * left) / whole), np.nan)

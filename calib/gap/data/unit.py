@@ -1,0 +1,158 @@
+"""A unit of the diagnosis: a run or a window of a recording, its wheel angles, and what was measured at its end."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from calib.arrays import FloatArray, IntArray
+from calib.campaign.model import RunTable
+from calib.campaign.settings import Encoder
+
+__all__ = ["MAX_STEPS", "CountsPerRadian", "Unit", "log_rows", "thinned", "unit_from_log", "unit_from_row"]
+
+#: a log is thinned to so many steps; the arcs between are exact for what the wheels really rolled
+MAX_STEPS: Final = 400
+#: steps of a run whose totals alone are known
+STEPS_WITHOUT_LOG: Final = 40
+
+
+@dataclass(frozen=True, slots=True)
+class CountsPerRadian:
+    """Counts of each encoder for a radian of its wheel."""
+
+    left: float
+    right: float
+    front: float
+
+    @staticmethod
+    def from_encoder(encoder: Encoder) -> CountsPerRadian:
+        """Return the scales of an encoder section."""
+        turn = 2 * np.pi
+        return CountsPerRadian(
+            encoder.counts_per_rev_left / turn, encoder.counts_per_rev_right / turn, encoder.front / turn
+        )
+
+
+def _nan(*shape: int) -> FloatArray:
+    return np.full(shape, np.nan)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Unit:
+    """A run, or a window of a recording.
+
+    Parameters
+    ----------
+    run : int
+        Row of the run table.
+    window : int
+        Number of the window within its run, 0 for a whole run.
+    time_s, left_rad, right_rad : array of float, shape (n_steps + 1,)
+        Time since the run's start and angles of the wheels by their counters.
+    front_rad, steer_rad : array of float, shape (n_steps + 1,), optional
+        Angle of the front wheel and its steering angle.
+    from_log : bool
+        False where the steps were made up from the totals.
+    measured, simulated : array of float, shape (4,)
+        Distance, x, y and heading at the end, in the frame of the unit's start; NaN where not measured.
+    sigma_xy_m, sigma_theta_rad : float
+        Standard uncertainty of the measured position and heading; NaN where the settings' holds.
+    sigma_start_rad : float
+        Standard uncertainty of the heading of the unit's start frame, where that was read too.
+    start_pose : array of float, shape (3,)
+        Where the unit starts in the frame common to all runs; NaN where there is none.
+    led_straight : bool
+        True where the heading is that of a run led straight, not a measured one.
+    """
+
+    run: int
+    window: int
+    time_s: FloatArray
+    left_rad: FloatArray
+    right_rad: FloatArray
+    front_rad: FloatArray | None = None
+    steer_rad: FloatArray | None = None
+    from_log: bool = True
+    measured: FloatArray = field(default_factory=lambda: _nan(4))
+    simulated: FloatArray = field(default_factory=lambda: _nan(4))
+    sigma_xy_m: float = float("nan")
+    sigma_theta_rad: float = float("nan")
+    sigma_start_rad: float = 0.0
+    start_pose: FloatArray = field(default_factory=lambda: _nan(3))
+    led_straight: bool = False
+
+    @property
+    def n_steps(self) -> int:
+        """Number of steps."""
+        return len(self.left_rad) - 1
+
+
+def log_rows(log: Mapping[str, FloatArray]) -> IntArray:
+    """Return the samples of a log that have a time and both counts, shape (n_samples,); none if a column is missing."""
+    if not {"t_s", "counts_left", "counts_right"} <= log.keys():
+        return np.zeros(0, dtype=np.int64)
+    good = np.isfinite(log["t_s"]) & np.isfinite(log["counts_left"]) & np.isfinite(log["counts_right"])
+    return np.flatnonzero(good)
+
+
+def thinned(rows: IntArray) -> IntArray:
+    """Return at most `MAX_STEPS` + 1 of the samples, evenly spread, first and last kept."""
+    if len(rows) <= MAX_STEPS + 1:
+        return rows
+    return rows[np.unique(np.linspace(0, len(rows) - 1, MAX_STEPS + 1).astype(np.int64))]
+
+
+def unit_from_log(
+    run: int, log: Mapping[str, FloatArray], rows: IntArray, per_rad: CountsPerRadian, *, window: int = 0
+) -> Unit:
+    """Make a unit of some samples of a log.
+
+    Parameters
+    ----------
+    run : int
+        Row of the run table.
+    log : dict of str to array of float, shape (n_samples,)
+        Columns of the log.
+    rows : array of int
+        Samples to use, two or more, thinned here.
+    per_rad : CountsPerRadian
+        Scales of the encoders.
+    window : int
+        Number of the window within the run.
+
+    Returns
+    -------
+    Unit
+        Nothing measured yet. The front wheel counts where all of its samples are there.
+    """
+    index = thinned(rows)
+    front, steer = (None if name not in log else log[name][index] for name in ("counts_front", "steer_rad"))
+    return Unit(
+        run=run,
+        window=window,
+        time_s=log["t_s"][index],
+        left_rad=log["counts_left"][index] / per_rad.left,
+        right_rad=log["counts_right"][index] / per_rad.right,
+        front_rad=None if front is None or np.isnan(front).any() else front / per_rad.front,
+        steer_rad=None if steer is None or np.isnan(steer).any() else steer,
+    )
+
+
+def unit_from_row(run: int, runs: RunTable, per_rad: CountsPerRadian) -> Unit | None:
+    """Make a unit of a row's totals, as one arc; None where the row has no counts."""
+    left, right = float(runs.number("counts_left")[run]), float(runs.number("counts_right")[run])
+    if not (np.isfinite(left) and np.isfinite(right)):
+        return None
+    share = np.linspace(0.0, 1.0, STEPS_WITHOUT_LOG + 1)
+    return Unit(
+        run=run,
+        window=0,
+        time_s=_nan(STEPS_WITHOUT_LOG + 1),
+        left_rad=share * left / per_rad.left,
+        right_rad=share * right / per_rad.right,
+        from_log=False,
+    )

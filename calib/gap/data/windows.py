@@ -1,0 +1,108 @@
+"""Long recordings with a continuous reference, cut into windows, each in the frame of its own start."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+
+from calib.arrays import FloatArray
+from calib.campaign.settings import Reference
+from calib.gap.data.reference_poses import ReferencePoses, relative_pose
+from calib.gap.data.unit import CountsPerRadian, Unit, log_rows, unit_from_log
+
+__all__ = ["FEW_RUNS", "WINDOW_M", "cut", "whole", "window_length_m"]
+
+#: with fewer runs than this, recordings are cut into windows
+FEW_RUNS: Final = 12
+#: longest window
+WINDOW_M: Final = 4.0
+#: windows wanted of all recordings together
+WINDOWS_WANTED: Final = 48
+#: shortest window, in tracks
+SHORTEST_TRACKS: Final = 1.5
+#: fewest samples of a window
+FEWEST_SAMPLES: Final = 4
+
+
+def window_length_m(travelled_m: float, track_m: float) -> float:
+    """Return the length of a window: short enough for many, long enough that wheels matter, shape ()."""
+    return float(np.clip(travelled_m / WINDOWS_WANTED, min(SHORTEST_TRACKS * track_m, WINDOW_M), WINDOW_M))
+
+
+def whole(unit: Unit, reference: ReferencePoses, settings: Reference) -> Unit:
+    """Return a run's unit with its end pose by the log's own reference."""
+    if reference.from_first:
+        return _between(unit, reference, 0, len(reference.rows) - 1, settings)
+    measured = unit.measured.copy()
+    measured[1:] = reference.poses[-1]
+    return replace(unit, measured=measured)
+
+
+def cut(
+    run: int,
+    log: Mapping[str, FloatArray],
+    reference: ReferencePoses,
+    settings: Reference,
+    per_rad: CountsPerRadian,
+    length_m: float,
+) -> list[Unit]:
+    """Cut a recording into windows of about a length.
+
+    Parameters
+    ----------
+    run : int
+        Row of the run table.
+    log : dict of str to array of float, shape (n_samples,)
+        Columns of the log.
+    reference : ReferencePoses
+        The vehicle's poses by the reference.
+    settings : Reference
+        Stated uncertainties.
+    per_rad : CountsPerRadian
+        Scales of the encoders.
+    length_m : float
+        Length of a window, by what the wheels roll.
+
+    Returns
+    -------
+    list of Unit
+        Empty where there is but one.
+    """
+    travelled = reference.travelled_m
+    n_windows = int(max(1, round(float(travelled[-1]) / length_m)))
+    edges = np.unique(np.searchsorted(travelled, np.linspace(0.0, travelled[-1], n_windows + 1)))
+    edges = np.minimum(edges, len(travelled) - 1)
+    rows = log_rows(log)
+    windows: list[Unit] = []
+    for first, last in pairwise(edges):
+        inside = rows[(rows >= reference.rows[first]) & (rows <= reference.rows[last])]
+        if len(inside) < FEWEST_SAMPLES:
+            continue
+        unit = replace(unit_from_log(run, log, inside, per_rad, window=len(windows)), front_rad=None, steer_rad=None)
+        windows.append(_between(unit, reference, int(first), int(last), settings))
+    return windows if len(windows) > 1 else []
+
+
+def _between(unit: Unit, reference: ReferencePoses, first: int, last: int, settings: Reference) -> Unit:
+    """Return a unit with the motion between two poses of the reference: both of them read, both uncertain."""
+    (start, start_sd), (end, end_sd) = reference.pose(first), reference.pose(last)
+    start_sd = settings.sigma_theta_rad if np.isnan(start_sd) else start_sd
+    end_sd = settings.sigma_theta_rad if np.isnan(end_sd) else end_sd
+    measured = unit.measured.copy()
+    measured[1:] = relative_pose(start, end)
+    if reference.course is not None:
+        # a course is known up to whole turns
+        turned = reference.course.by_wheels[last, 2] - reference.course.by_wheels[first, 2]
+        measured[3] = turned + (measured[3] - turned + np.pi) % (2 * np.pi) - np.pi
+    return replace(
+        unit,
+        measured=measured,
+        sigma_xy_m=float(np.sqrt(2.0)) * settings.sigma_xy_m,
+        sigma_theta_rad=end_sd,
+        sigma_start_rad=start_sd,
+        start_pose=start if reference.in_map else unit.start_pose,
+    )
