@@ -17,7 +17,7 @@ __all__ = ["ASSUMED_LATERAL_M", "heading_by_straightness", "weave_of_log", "were
 #: how far a run led along a corridor is taken to stray from its line, where nobody says
 ASSUMED_LATERAL_M: Final = 0.05
 #: wheels that differ by no more than this share may have rolled a straight line
-MOST_UNEQUAL: Final = 0.03
+MOST_UNEQUAL: Final = 0.02
 #: the distance measured and that rolled agree to this share, on a straight line
 AGREES: Final = 0.05
 

@@ -1,0 +1,69 @@
+"""Runs led straight without an end pose have two wheels: a heading of nought, as uncertain as the way is straight."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calib.gap.data.from_campaign import observations_of
+from calib.gap.data.straightness import ASSUMED_LATERAL_M, weave_of_log
+from calib.gap.predict.path import predict
+from calib.gap.predict.residuals import residuals
+from tests.gap.data.paths import TRACK_M, Truth, campaign_of
+
+
+def corridor(unequal: float = 0.0, length: float = 40.0, n: int = 12, **columns: np.ndarray) -> dict:
+    straight = Truth([(length, 0.0)])
+    counts = straight.counts()
+    counts["counts_left"] = counts["counts_left"] * (1 + unequal)
+    return {"logs": [counts] * n, "numbers": {"distance_m": np.full(n, length), **columns}}
+
+
+def test_unequal_wheels_show_as_a_heading_of_the_straight() -> None:
+    """One wheel that counts 1 % more over S m turns the odometry by -0.01 S/b; the gap says so, as e = +0.01 S/b."""
+    observations = observations_of(campaign_of(**corridor(0.01)))
+    assert observations.led_straight.all()
+    assert observations.usable[:, 3].all()
+    path = predict(observations)
+    np.testing.assert_allclose(residuals(path, path)[:, 3], 0.01 * 40.0 / TRACK_M, rtol=1e-9)
+
+
+def test_a_stated_weave_gives_the_uncertainty() -> None:
+    """Amplitude A and wavelength l: the heading goes up to 2 pi A / l."""
+    made = corridor(amplitude_m=np.full(12, 0.03), wavelength_m=np.full(12, 8.0))
+    observations = observations_of(campaign_of(**made))
+    np.testing.assert_allclose(observations.sigma_theta_rad, 2 * np.pi * 0.03 / 8.0, rtol=1e-12)
+
+
+def test_without_a_log_or_a_stated_weave_the_uncertainty_is_assumed_and_said() -> None:
+    made = corridor()
+    counts = {name: np.array([log[name][-1] for log in made["logs"]]) for name in ("counts_left", "counts_right")}
+    empty = [{name: column[:1] for name, column in log.items()} for log in made["logs"]]
+    observations = observations_of(campaign_of(empty, numbers=made["numbers"] | counts))
+    np.testing.assert_allclose(observations.sigma_theta_rad, 2 * np.pi * ASSUMED_LATERAL_M / 40.0, rtol=1e-12)
+    assert any("assumed" in note for note in observations.notes)
+
+
+def test_the_weave_of_a_log_is_that_of_its_sine() -> None:
+    """A heading a sin(2 pi s/l) beside an even turn has root mean square a / sqrt(2); whole waves, fine steps."""
+    n, a = 4000, 0.02
+    way = np.full(n, 40.0 / n)
+    along = np.cumsum(way)
+    heading = a * np.sin(2 * np.pi * along / 5.0) + 0.01 * along
+    turn = np.diff(heading, prepend=0.0)
+    found = weave_of_log(np.array([0, n]), way, turn, np.array([True]))
+    # the trend takes a little of eight whole waves: (6 / (2 pi 8))^2 / 2 = 0.7 % of the square
+    assert found[0] == pytest.approx(a / np.sqrt(2), rel=5e-3)
+
+
+@pytest.mark.parametrize("spoil", ["pose", "bent", "short"])
+def test_other_runs_get_no_heading_for_nothing(spoil: str) -> None:
+    """A measured end pose, a bent way or a distance that is not the way's leaves the run alone."""
+    made = corridor()
+    if spoil == "pose":
+        made["numbers"]["ref_theta_rad"] = np.full(12, 0.01)
+    if spoil == "bent":
+        made["logs"] = [Truth([(40.0, 0.1)]).counts()] * 12
+    if spoil == "short":
+        made["numbers"]["distance_m"] = np.full(12, 30.0)
+    assert not observations_of(campaign_of(**made)).led_straight.any()
