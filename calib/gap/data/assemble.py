@@ -96,17 +96,13 @@ def assemble(
     steps = _steps(units, model)
     front, steer, turned = _front(units)
     path, turn = steps.total(steps.path_m), steps.total(steps.turn_rad)
-    measured, simulated = np.full((len(units), 6), np.nan), np.full((len(units), 6), np.nan)
-    measured[:, :4], simulated[:, :4] = [u.measured for u in units], [u.simulated for u in units]
-    measured[:, 3] = _unwrapped(measured[:, 3], turn)
-    usable = _usable(measured, path, turn, steps.logged, said)
     index = np.array([u.run for u in units])
+    measured, usable = _measured(units, path, turn, steps.logged, said)
     led, sigma_led = _led_straight(campaign, steps, measured, index, said)
     measured[led, 3], usable[led, 3] = 0.0, True
-    has_front = np.isfinite(steps.total(front)) & np.isfinite(steps.total(steer))
-    measured[has_front, 4:] = 0.0
-    usable[:, 4:] = has_front[:, None]
-    outside = _outside(simulated, usable, said)
+    usable[:, 4:] = (np.isfinite(steps.total(front)) & np.isfinite(steps.total(steer)))[:, None]
+    measured[usable[:, 4], 4:] = 0.0
+    simulated = _simulated(units, usable, said)
     numbers = _numbers(campaign, index, path, said)
     labels = {name: campaign.runs.label(name)[index] for name in _LABELS}
     route, condition, cell = _alike(campaign, steps, measured, numbers, labels)
@@ -125,7 +121,7 @@ def assemble(
         steer_change_rad=turned,
         from_log=steps.logged,
         measured=measured,
-        simulated=np.where(outside, simulated, np.nan),
+        simulated=simulated,
         usable=usable,
         numbers=numbers,
         labels=labels,
@@ -134,10 +130,8 @@ def assemble(
         kind=route,
         axis=_laser_axis(measured, usable),
         sigma_distance_m=np.full(len(units), campaign.rangefinder.sigma_m),
-        sigma_xy_m=_stated([u.sigma_xy_m for u in units], campaign.reference.sigma_xy_m),
-        sigma_theta_rad=np.where(
-            led, sigma_led, _stated([u.sigma_theta_rad for u in units], campaign.reference.sigma_theta_rad)
-        ),
+        sigma_xy_m=_stated(units, "sigma_xy_m", campaign),
+        sigma_theta_rad=np.where(led, sigma_led, _stated(units, "sigma_theta_rad", campaign)),
         sigma_start_rad=np.array([u.sigma_start_rad for u in units]),
         count_rad=(1 / per_rad.left, 1 / per_rad.right),
         windowed=any(u.window > 0 for u in units),
@@ -173,9 +167,10 @@ def _front(units: Sequence[Unit]) -> tuple[FloatArray, FloatArray, FloatArray]:
     return np.concatenate(roll), np.concatenate(steer), np.concatenate(change)
 
 
-def _stated(given: Sequence[float], stated: float) -> FloatArray:
-    values = np.array(given)
-    return np.where(np.isnan(values), stated, values)
+def _stated(units: Sequence[Unit], name: str, campaign: Campaign) -> FloatArray:
+    """Return an uncertainty of the reference in each unit: the unit's own, else the settings'."""
+    values = np.array([getattr(u, name) for u in units], dtype=np.float64)
+    return np.where(np.isnan(values), getattr(campaign.reference, name), values)
 
 
 def _unwrapped(heading: FloatArray, turn: FloatArray) -> FloatArray:
@@ -189,8 +184,13 @@ def _unwrapped(heading: FloatArray, turn: FloatArray) -> FloatArray:
         return heading + np.where(np.abs(turn - heading - wraps) < 1.0, wraps, 0.0)
 
 
-def _usable(measured: FloatArray, path: FloatArray, turn: FloatArray, logged: BoolArray, said: list[str]) -> BoolArray:
-    """Return which channels each unit has, shape (n_units, 6), the front wheel's left out."""
+def _measured(
+    units: Sequence[Unit], path: FloatArray, turn: FloatArray, logged: BoolArray, said: list[str]
+) -> tuple[FloatArray, BoolArray]:
+    """Return what was measured and which channels each unit has, each (n_units, 6), the front wheel's left out."""
+    measured = np.full((len(units), 6), np.nan)
+    measured[:, :4] = [u.measured for u in units]
+    measured[:, 3] = _unwrapped(measured[:, 3], turn)
     with np.errstate(invalid="ignore"):
         chord = np.hypot(measured[:, 1], measured[:, 2])
         straight = (np.abs(turn) < STRAIGHT_RAD) & ~(chord < 0.9 * np.abs(path))
@@ -205,7 +205,7 @@ def _usable(measured: FloatArray, path: FloatArray, turn: FloatArray, logged: Bo
     left_out = int((~pose_ok & np.isfinite(measured[:, 1])).sum())
     if left_out:
         said.append(f"{left_out} runs have an end pose but no log of a curved path: only their heading counts")
-    return usable
+    return measured, usable
 
 
 def _led_straight(
@@ -231,8 +231,10 @@ def _led_straight(
     return led, sigma
 
 
-def _outside(simulated: FloatArray, usable: BoolArray, said: list[str]) -> BoolArray:
-    """Return where an outside simulator predicted a channel that is used, and say where it did not."""
+def _simulated(units: Sequence[Unit], usable: BoolArray, said: list[str]) -> FloatArray:
+    """Return what an outside simulator predicted of the channels used, (n_units, 6), and say where it did not."""
+    simulated = np.full((len(units), 6), np.nan)
+    simulated[:, :4] = [u.simulated for u in units]
     outside = np.isfinite(simulated) & usable
     for channel in range(4):
         if outside[:, channel].any() and not outside[:, channel][usable[:, channel]].all():
@@ -240,7 +242,7 @@ def _outside(simulated: FloatArray, usable: BoolArray, said: list[str]) -> BoolA
             said.append(
                 f"{missing} runs have no sim_ value for {CHANNELS[channel]}: judged against calib's own odometry"
             )
-    return outside
+    return np.where(outside, simulated, np.nan)
 
 
 def _numbers(campaign: Campaign, index: IntArray, path: FloatArray, said: list[str]) -> dict[str, FloatArray]:
