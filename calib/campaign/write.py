@@ -127,10 +127,10 @@ def _settings(campaign: Campaign) -> dict[str, Any]:
 
 def _plain(section: Any) -> dict[str, float | str]:
     """Return the keys of a section that have a value; those that were added with a default only where they differ."""
-    found = {field.name: (getattr(section, field.name), field.default) for field in fields(section)}
+    values = {field.name: (getattr(section, field.name), field.default) for field in fields(section)}
     return {
         name: value if isinstance(value, str) else float(value)
-        for name, (value, default) in found.items()
+        for name, (value, default) in values.items()
         if value is not None and (name not in _WHERE_GIVEN or value != default)
     }
 

@@ -72,7 +72,7 @@ def _forms_there(
     from calib.gap.effects.library import library
 
     effects = {e.id: e for e in library(there, exclude=exclude, declared=fresh.extra.get("effects", ()))}
-    found = []
+    matches = []
     for wanted in diagnosis.fitted.forms:
         effect = effects.get(wanted.effect)
         alike = [
@@ -84,8 +84,8 @@ def _forms_there(
             return None
         nearest = min(alike, key=lambda form: _apart(form.settings, wanted.settings))
         # the fitted fix as it stands: nought where it was nought on the runs it was fitted to
-        found.append(nearest.centred_at(wanted.centre))
-    return tuple(found)
+        matches.append(nearest.centred_at(wanted.centre))
+    return tuple(matches)
 
 
 def _apart(one: dict[str, float], other: dict[str, float]) -> float:

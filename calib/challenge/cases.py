@@ -84,10 +84,10 @@ class Truth:
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON values; an infinite tail as None."""
-        made = asdict(self)
-        made["noise"]["tail"] = None if np.isinf(self.noise.tail) else self.noise.tail
-        made["recipe"]["targets"] = [None if np.isnan(one) else one for one in self.recipe.targets]
-        return made
+        document = asdict(self)
+        document["noise"]["tail"] = None if np.isinf(self.noise.tail) else self.noise.tail
+        document["recipe"]["targets"] = [None if np.isnan(target) else target for target in self.recipe.targets]
+        return document
 
     @staticmethod
     def from_dict(data: Mapping[str, Any]) -> Truth:
@@ -95,7 +95,7 @@ class Truth:
         recipe = dict(data["recipe"])
         for key in ("effects", "aliases"):
             recipe[key] = tuple(recipe[key])
-        recipe["targets"] = tuple(float("nan") if one is None else float(one) for one in recipe["targets"])
+        recipe["targets"] = tuple(float("nan") if item is None else float(item) for item in recipe["targets"])
         noise = dict(data["noise"])
         noise["tail"] = float("inf") if noise["tail"] is None else noise["tail"]
         return Truth(
@@ -103,7 +103,7 @@ class Truth:
             seed=data["seed"],
             max_runs=data["max_runs"],
             redraw=data["redraw"],
-            causes=tuple(Cause(**one) for one in data["causes"]),
+            causes=tuple(Cause(**item) for item in data["causes"]),
             typical=tuple(data["typical"]),
             signals=tuple(data["signals"]),
             beside=tuple(data["beside"]),
@@ -127,7 +127,7 @@ def case_design(recipe: Recipe, seed: int, max_runs: int, redraw: int = 0) -> De
     n_runs = min(n_runs, max_runs)
     if recipe.group == "empty":
         # what an empty campaign has besides its runs varies as in the others
-        needs |= {str(one) for one in rng.choice(["front", "slope", "lanes", "flying", "stops"], 2, replace=False)}
+        needs |= {str(need) for need in rng.choice(["front", "slope", "lanes", "flying", "stops"], 2, replace=False)}
     if recipe.design == "good":
         weighed = "slope" not in needs and bool(rng.random() < 0.15)
         poses = {"poses": "turning"} if "poses" not in needs and rng.random() < 0.2 and "no_logs" not in needs else {}
@@ -142,14 +142,14 @@ def case_design(recipe: Recipe, seed: int, max_runs: int, redraw: int = 0) -> De
 def truth_of(recipe: Recipe, seed: int, max_runs: int) -> Truth:
     """Draw the truth of a case: noise, model, causes, and their sizes for the wanted signals."""
     for redraw in range(_TRIES):
-        made = _draw(recipe, seed, max_runs, redraw)
+        truth = _draw(recipe, seed, max_runs, redraw)
         hidden = [
             beside is not None and signal is not None and beside < 0.6 * signal
-            for beside, signal in zip(made.beside, made.signals, strict=True)
+            for beside, signal in zip(truth.beside, truth.signals, strict=True)
         ]
         if not any(hidden):
             break
-    return made
+    return truth
 
 
 def _draw(recipe: Recipe, seed: int, max_runs: int, redraw: int) -> Truth:
@@ -159,17 +159,17 @@ def _draw(recipe: Recipe, seed: int, max_runs: int, redraw: int) -> Truth:
     noise = random_noise(rng, **heavy)
     model = random_model(design, rng)
     causes = []
-    for one in as_causes({name: float("nan") for name in recipe.effects}, design, rng):
-        sign = 1.0 if one.effect in (*_UNSIGNED, *_ONE_SIGN) else float(rng.choice([-1.0, 1.0]))
-        causes.append(replace(one, size=sign * one.size))
-    gross = any(one.effect in _UNSIGNED for one in causes)
+    for cause in as_causes({name: float("nan") for name in recipe.effects}, design, rng):
+        sign = 1.0 if cause.effect in (*_UNSIGNED, *_ONE_SIGN) else float(rng.choice([-1.0, 1.0]))
+        causes.append(replace(cause, size=sign * cause.size))
+    gross = any(cause.effect in _UNSIGNED for cause in causes)
     signals: tuple[float | None, ...] = tuple(None for _ in causes)
     beside = signals
     near: tuple[tuple[str, float], ...] = ()
     if causes and not gross:
-        scaled, noise, found = to_signal(design, model, noise, causes, recipe.targets)
+        scaled, noise, reached = to_signal(design, model, noise, causes, recipe.targets)
         causes = scaled
-        signals, beside = tuple(round(v, 3) for v in found.alone), tuple(round(v, 3) for v in found.beside)
+        signals, beside = tuple(round(v, 3) for v in reached.alone), tuple(round(v, 3) for v in reached.beside)
         if len(causes) == 1 and not causes[0].effect.startswith("outside:") and recipe.group != "natural":
             near = tuple((r.effect, r.distance) for r in rivals(design, model, noise, causes[0])[:8])
     return Truth(
@@ -178,7 +178,7 @@ def _draw(recipe: Recipe, seed: int, max_runs: int, redraw: int) -> Truth:
         max_runs=max_runs,
         redraw=redraw,
         causes=tuple(causes),
-        typical=tuple(find(one.effect, one.form).typical for one in causes),
+        typical=tuple(find(cause.effect, cause.form).typical for cause in causes),
         signals=signals,
         beside=beside,
         rivals=near,
@@ -196,5 +196,5 @@ def campaigns_of(truth: Truth, *, fresh: bool = True) -> tuple[Campaign, Campaig
     rng = np.random.default_rng([truth.seed, recipe.number, 2, truth.redraw])
     # both are called what the case is called: a name must not tell them apart
     names = (recipe.case,) * (2 if fresh else 1)
-    made = make_campaigns(design, truth.causes, rng, noise=truth.noise, model=truth.model, names=names)
-    return made[0], made[1] if fresh else None
+    campaigns = make_campaigns(design, truth.causes, rng, noise=truth.noise, model=truth.model, names=names)
+    return campaigns[0], campaigns[1] if fresh else None

@@ -93,8 +93,8 @@ def _signals(axes: Axes, score: Score) -> None:
 
 
 def _with_bars(axes: Axes, x: np.ndarray, shares: list[Share], *, color: str, marker: str, label: str) -> None:
-    rates = np.array([one.rate or 0.0 for one in shares])
-    bars = np.array([wilson(one.hits, one.total) for one in shares])
+    rates = np.array([part.rate or 0.0 for part in shares])
+    bars = np.array([wilson(part.hits, part.total) for part in shares])
     spread = np.abs(np.stack([rates - bars[:, 0], bars[:, 1] - rates]))
     axes.errorbar(x, rates, yerr=spread, color=color, marker=marker, ms=5, lw=1.2, capsize=2, label=label)
 
@@ -103,11 +103,11 @@ def _reliability(axes: Axes, score: Score) -> None:
     axes.plot([0, 1], [0, 1], color=_GREY, lw=1)
     axes.fill_between([0, 1], [-0.05, 0.95], [0.05, 1.05], color=_GREY, alpha=0.15, lw=0)
     if score.reliability:
-        stated = np.array([one["stated"] for one in score.reliability])
-        shares = [Share(one["true"]["hits"], one["true"]["total"]) for one in score.reliability]
+        stated = np.array([line["stated"] for line in score.reliability])
+        shares = [Share(line["true"]["hits"], line["true"]["total"]) for line in score.reliability]
         _with_bars(axes, stated, shares, color=_BLUE, marker="o", label="")
-        for x, one in zip(stated, shares, strict=True):
-            axes.annotate(str(one.total), (x, 0.02), ha="center", fontsize=7.5, color=_GREY)
+        for x, line in zip(stated, shares, strict=True):
+            axes.annotate(str(line.total), (x, 0.02), ha="center", fontsize=7.5, color=_GREY)
     axes.set_xlim(0, 1.02)
     axes.set_ylim(0, 1.02)
     axes.set_xlabel("stated probability of a named cause (below: statements)")
@@ -142,10 +142,10 @@ def confusion_figure(score: Score) -> Figure:
     from matplotlib.figure import Figure
 
     truths = list(score.confusion)
-    said = {name for row in score.confusion.values() for name in row}
+    answers = {name for row in score.confusion.values() for name in row}
     plain = [name for name in truths if not name.startswith(("deleted: ", "outside:", "nothing"))]
-    words = [name for name in ("no_gap", "unknown", "ambiguous", "error", "missing") if name in said]
-    columns = [name for name in plain if name in said] + sorted(said - set(plain) - set(words)) + words
+    words = [name for name in ("no_gap", "unknown", "ambiguous", "error", "missing") if name in answers]
+    columns = [name for name in plain if name in answers] + sorted(answers - set(plain) - set(words)) + words
     rows = plain + [name for name in truths if name not in plain]
     counts = np.array([[score.confusion[truth].get(name, 0) for name in columns] for truth in rows], dtype=np.float64)
     counts = counts.reshape(len(rows), len(columns))

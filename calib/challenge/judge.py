@@ -121,7 +121,7 @@ def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
     in_library = recipe.group != "outside" and not recipe.deleted
     first = bool(named) and named[0] in effects if effects else not named and word == "no_gap"
     both = all(_grouped(effect, named, groups) for effect in effects) and (bool(effects) or first)
-    sets = [set(one) for one in given.get("credible_sets", [])]
+    sets = [set(credible) for credible in given.get("credible_sets", [])]
     sure = [cause for cause in named if cause not in effects and not _with_truth(cause, effects, groups, near)]
     recommended = bool(given.get("recommended", False))
     extra = given.get("challenge") or {}
@@ -148,7 +148,7 @@ def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
         right=right,
         first=first,
         in_group=both,
-        covered=any(set(effects) <= one for one in sets) if in_library else None,
+        covered=any(set(effects) <= credible for credible in sets) if in_library else None,
         set_size=len(sets),
         separable=truth.rivals[0][1] >= APART if truth.rivals else None,
         rival=f"{truth.rivals[0][0]} {truth.rivals[0][1]:.1f}" if truth.rivals else "",

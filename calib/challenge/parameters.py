@@ -70,7 +70,7 @@ def compare(truth: Truth, verdict: Mapping[str, Any]) -> list[Compared]:
         In the shape of ``calib diagnose --json``.
     """
     named = {cause.get("effect"): cause for cause in verdict.get("causes", [])}
-    found: list[Compared] = []
+    compared: list[Compared] = []
     for cause in truth.causes:
         expected = _TRUE.get((cause.effect, cause.form))
         given = named.get(cause.effect)
@@ -79,5 +79,5 @@ def compare(truth: Truth, verdict: Mapping[str, Any]) -> list[Compared]:
         for name, value in expected(truth, cause).items():
             interval = given.get("parameters", {}).get(name, {}).get("ci95")
             if interval and None not in interval:
-                found.append((f"{cause.effect}.{name}", value, float(interval[0]), float(interval[1])))
-    return found
+                compared.append((f"{cause.effect}.{name}", value, float(interval[0]), float(interval[1])))
+    return compared

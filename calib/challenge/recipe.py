@@ -162,17 +162,17 @@ def _library() -> list[str]:
 def _singles(count: int, rng: np.random.Generator) -> list[tuple[str, float]]:
     """Return (effect/form, signal): every effect at every signal, forms in turn, strong ones twice; gross."""
     gross = [(f"{form.effect}/{form.form}", float("nan")) for name in _GROSS for form in forms_of(name)]
-    made: list[tuple[str, float]] = []
+    strong: list[tuple[str, float]] = []
     for turn, signal in enumerate((*SIGNALS, 10.0, 25.0)):
         for place, name in enumerate(_library()):
             # constant lost counts are an alias by construction, and have their own group
-            forms = [one.form for one in forms_of(name) if (name, one.form) != ("lost_counts", "constant")]
-            made.append((f"{name}/{forms[(turn + place) % len(forms)]}", signal))
-    if count < len(made) + len(gross):
+            forms = [item.form for item in forms_of(name) if (name, item.form) != ("lost_counts", "constant")]
+            strong.append((f"{name}/{forms[(turn + place) % len(forms)]}", signal))
+    if count < len(strong) + len(gross):
         # a small set: other effects each time, strong ones first
-        names = [str(one) for one in rng.permutation(_library())]
+        names = [str(item) for item in rng.permutation(_library())]
         return [(names[n % len(names)], (10.0, 25.0, 25.0, 10.0, 5.0, 3.0)[n % 6]) for n in range(count)]
-    whole = made + gross
+    whole = strong + gross
     return [whole[number % len(whole)] for number in range(count)]
 
 
@@ -192,11 +192,11 @@ def _of_group(group: str, count: int, rng: np.random.Generator) -> list[dict[str
         names = [str(one) for one in rng.permutation(_library())]
         return [{"effects": (names[n % len(names)],), "targets": (nan,)} for n in range(count)]
     if group == "pair":
-        made = []
+        pairs = []
         for n in range(count):
             pair = rng.choice(_PAIRED, 2, replace=False)
-            made.append({"effects": tuple(map(str, pair)), "targets": ((15.0, 15.0), (25.0, 12.0))[n % 2]})
-        return made
+            pairs.append({"effects": tuple(map(str, pair)), "targets": ((15.0, 15.0), (25.0, 12.0))[n % 2]})
+        return pairs
     if group == "outside":
         strange = [form.effect for form in ALL if form.effect.startswith("outside:")]
         return [
@@ -234,8 +234,8 @@ def recipes(seeds: Seeds, limit: int | None = None) -> list[Recipe]:
     """
     listed: list[dict[str, Any]] = []
     for group in GROUPS:
-        made = _of_group(group, seeds.cases.get(group, 0), np.random.default_rng([seeds.seed, GROUPS.index(group)]))
-        listed.extend({"group": group, **one} for one in made)
+        cases = _of_group(group, seeds.cases.get(group, 0), np.random.default_rng([seeds.seed, GROUPS.index(group)]))
+        listed.extend({"group": group, **case} for case in cases)
     order = np.random.default_rng([seeds.seed, 999]).permutation(len(listed))
     kept = order if limit is None else order[:limit]
     return [Recipe(case=f"c{place + 1:04d}", number=int(n), **listed[int(n)]) for place, n in enumerate(kept)]

@@ -76,13 +76,20 @@ def run_case(
         campaign = read_campaign(place)
         fresh = read_campaign(again) if again.is_dir() else None
         verdict, achieved = diagnoser(campaign, seed, exclude, fresh)
-        found = {**verdict, "challenge": {"seconds": round(time.perf_counter() - started, 3), "achieved": achieved}}
+        document = {
+            **verdict,
+            "challenge": {"seconds": round(time.perf_counter() - started, 3), "achieved": achieved},
+        }
         fine = True
     except Exception as error:
         what = "refused" if isinstance(error, CalibError) else type(error).__name__
-        found = {"verdict": "error", "error": f"{what}: {error}", "challenge": {"seconds": None, "achieved": None}}
+        document = {
+            "verdict": "error",
+            "error": f"{what}: {error}",
+            "challenge": {"seconds": None, "achieved": None},
+        }
         fine = False
-    write_json(folder / "verdicts" / f"{case}.json", found, force=True)
+    write_json(folder / "verdicts" / f"{case}.json", document, force=True)
     return fine
 
 

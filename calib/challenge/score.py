@@ -90,14 +90,14 @@ class Score:
             "truth_sha256": self.truth_sha256,
             "board": {
                 name: {
-                    **one.to_dict(),
+                    **line.to_dict(),
                     "target": None if name not in TARGETS else {"value": TARGETS[name][0], "sense": TARGETS[name][1]},
                     "met": self.meets(name),
                 }
-                for name, one in self.board.items()
+                for name, line in self.board.items()
             },
-            "by_signal": {s: {n: one.to_dict() for n, one in row.items()} for s, row in self.by_signal.items()},
-            "reliability": [dict(one) for one in self.reliability],
+            "by_signal": {s: {n: line.to_dict() for n, line in row.items()} for s, row in self.by_signal.items()},
+            "reliability": [dict(line) for line in self.reliability],
             "confusion": {truth: dict(row) for truth, row in self.confusion.items()},
             "summary": dict(self.summary),
             "misses": [case.to_dict() for case in self.misses],
@@ -199,7 +199,7 @@ def score_of(cases: list[Judged], *, purpose: str = "", truth_sha256: str = "") 
         cases=tuple(cases),
         board=board,
         by_signal=by_signal,
-        reliability=_reliability([one for case in cases for one in case.statements]),
+        reliability=_reliability([statement for case in cases for statement in case.statements]),
         confusion=_confusion(cases),
         summary=_summary(cases),
     )
@@ -210,12 +210,16 @@ def _of(cases: list[Judged], group: str) -> list[Judged]:
 
 
 def _reliability(statements: list[tuple[float, bool]]) -> tuple[Mapping[str, Any], ...]:
-    made = []
+    bins = []
     for number in range(_BINS):
         low, high = number / _BINS, (number + 1) / _BINS
-        inside = [one for one in statements if low <= one[0] < high or (number == _BINS - 1 and one[0] == 1.0)]
+        inside = [
+            statement
+            for statement in statements
+            if low <= statement[0] < high or (number == _BINS - 1 and statement[0] == 1.0)
+        ]
         if inside:
-            made.append(
+            bins.append(
                 {
                     "low": low,
                     "high": high,
@@ -223,25 +227,25 @@ def _reliability(statements: list[tuple[float, bool]]) -> tuple[Mapping[str, Any
                     "true": share([hit for _, hit in inside]).to_dict(),
                 }
             )
-    return tuple(made)
+    return tuple(bins)
 
 
 def _confusion(cases: list[Judged]) -> dict[str, dict[str, int]]:
-    made: dict[str, dict[str, int]] = {}
+    rows: dict[str, dict[str, int]] = {}
     for case in cases:
         if case.group == "pair":
             continue
-        row = made.setdefault(("deleted: " if case.deleted else "") + (case.truth[0] if case.truth else "nothing"), {})
-        said = case.named[0] if case.named else case.verdict
-        row[said] = row.get(said, 0) + 1
-    return {truth: dict(sorted(made[truth].items(), key=lambda item: -item[1])) for truth in sorted(made)}
+        row = rows.setdefault(("deleted: " if case.deleted else "") + (case.truth[0] if case.truth else "nothing"), {})
+        answer = case.named[0] if case.named else case.verdict
+        row[answer] = row.get(answer, 0) + 1
+    return {truth: dict(sorted(rows[truth].items(), key=lambda item: -item[1])) for truth in sorted(rows)}
 
 
 def _summary(cases: list[Judged]) -> dict[str, Any]:
     def median(values: list[float]) -> float | None:
         return float(np.median(values)) if values else None
 
-    intervals = [one for case in cases for one in case.intervals]
+    intervals = [interval for case in cases for interval in case.intervals]
     hits: dict[str, list[bool]] = {}
     for name, truth, low, high in intervals:
         hits.setdefault(name, []).append(low <= truth <= high)

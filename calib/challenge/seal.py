@@ -83,18 +83,18 @@ def workers_of(workers: int) -> Iterator[ProcessPoolExecutor]:
 def _each(work: Callable[[T], R], items: Sequence[T], workers: int, tick: Callable[[int], None]) -> list[R]:
     """Return the work on each item, in order; `tick` gets how many are done."""
     if workers <= 1:
-        made = []
+        results = []
         for number, item in enumerate(items):
-            made.append(work(item))
+            results.append(work(item))
             tick(number + 1)
-        return made
+        return results
     with workers_of(workers) as pool:
         waiting = {pool.submit(work, item): number for number, item in enumerate(items)}
-        found: dict[int, R] = {}
+        by_place: dict[int, R] = {}
         for future in as_completed(waiting):
-            found[waiting[future]] = future.result()
-            tick(len(found))
-    return [found[number] for number in range(len(items))]
+            by_place[waiting[future]] = future.result()
+            tick(len(by_place))
+    return [by_place[number] for number in range(len(items))]
 
 
 def _draw_one(job: tuple[Recipe, int, int]) -> dict[str, Any]:
@@ -160,14 +160,14 @@ def make(
     report: Tick = tick or (lambda _stage, _done, _total: None)
     truths = _each(
         _draw_one,
-        [(one, seeds.seed, seeds.max_runs) for one in wanted],
+        [(item, seeds.seed, seeds.max_runs) for item in wanted],
         workers,
         lambda done: report("truths", done, len(wanted)),
     )
     content = {
         "format": TRUTH_FORMAT,
         "purpose": seeds.purpose,
-        "cases": {one["recipe"]["case"]: one for one in truths},
+        "cases": {item["recipe"]["case"]: item for item in truths},
     }
     write_text(truth_file, to_json(content), force=force)
     digest = sha256_file(truth_file)
@@ -176,7 +176,7 @@ def make(
         sealed(digest)
     _each(
         _write_one,
-        [(one, str(folder)) for one in truths],
+        [(item, str(folder)) for item in truths],
         workers,
         lambda done: report("campaigns", done, len(wanted)),
     )
@@ -185,8 +185,8 @@ def make(
         "purpose": seeds.purpose,
         "truth_sha256": digest,
         "cases": {
-            one["recipe"]["case"]: {"exclude": [one["recipe"]["deleted"]] if one["recipe"]["deleted"] else []}
-            for one in truths
+            item["recipe"]["case"]: {"exclude": [item["recipe"]["deleted"]] if item["recipe"]["deleted"] else []}
+            for item in truths
         },
     }
     write_text(folder / PUBLIC, to_json(public), force=True)

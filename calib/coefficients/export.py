@@ -46,8 +46,8 @@ def export(file: CoefficientFile, to: str, loads: Sequence[LoadPair] = ()) -> tu
     module = FORMATS.get(to)
     if module is None:
         raise BadInputError(f"--to: found {to!r}; expected one of {', '.join(FORMATS)}; choose one of them")
-    made: tuple[Artifact, ...] = importlib.import_module(module).render(file, loads)
-    return made
+    artifacts: tuple[Artifact, ...] = importlib.import_module(module).render(file, loads)
+    return artifacts
 
 
 def parse_loads(texts: Iterable[str]) -> tuple[LoadPair, ...]:
@@ -95,14 +95,14 @@ def place(artifacts: Sequence[Artifact], output: Path, *, force: bool) -> list[d
         Where a file exists and `force` is False; nothing is written then.
     """
     single = len(artifacts) == 1 and not output.is_dir() and output.suffix != ""
-    targets = [output if single else output / made.name for made in artifacts]
+    targets = [output if single else output / artifact.name for artifact in artifacts]
     for target in targets:
         if target.exists() and not force:
             raise would_overwrite(target)
     return [
         {
-            "path": str(write_bytes(target, made.data, force=force)),
-            "sha256": hashlib.sha256(made.data).hexdigest(),
+            "path": str(write_bytes(target, artifact.data, force=force)),
+            "sha256": hashlib.sha256(artifact.data).hexdigest(),
         }
-        for target, made in zip(targets, artifacts, strict=True)
+        for target, artifact in zip(targets, artifacts, strict=True)
     ]

@@ -162,14 +162,14 @@ def load_coefficients(path: Path | str) -> CoefficientFile:
     except (ValueError, RecursionError) as error:
         raise _bad(path, f"no JSON ({error})", "the JSON that calib export writes") from error
     if not isinstance(document, dict) or document.get("format") != FORMAT:
-        found = document.get("format") if isinstance(document, dict) else type(document).__name__
-        raise _bad(path, f"format {found!r}", repr(FORMAT), column="format")
+        format_found = document.get("format") if isinstance(document, dict) else type(document).__name__
+        raise _bad(path, f"format {format_found!r}", repr(FORMAT), column="format")
     try:
         file = CoefficientFile.model_validate(document)
         computed = checksum(document)
     except ValidationError as error:
-        where, found, expected = _first(error)
-        raise _bad(path, found, expected, column=where or None) from error
+        where, format_found, expected = _first(error)
+        raise _bad(path, format_found, expected, column=where or None) from error
     except (ValueError, OverflowError) as error:
         raise _bad(path, str(error), "finite numbers") from error
     if computed != file.checksum:

@@ -129,14 +129,18 @@ def jacobian(
         turn_right * offset_right / track,
         -(path.right_m - path.left_m) / track**2,
     )
-    made = np.empty((*path.left_m.shape, 3, len(PARAMETERS)))
+    slopes = np.empty((*path.left_m.shape, 3, len(PARAMETERS)))
     for number, (along, turn) in enumerate(zip(by_path, by_turn, strict=True)):
         heading = np.cumsum(turn, axis=-1)
         before = heading - turn
-        made[..., 0, number] = np.cumsum(path.by_path[0] * along + path.by_turn[0] * turn - path.dy_m * before, axis=-1)
-        made[..., 1, number] = np.cumsum(path.by_path[1] * along + path.by_turn[1] * turn + path.dx_m * before, axis=-1)
-        made[..., 2, number] = heading
-    return made
+        slopes[..., 0, number] = np.cumsum(
+            path.by_path[0] * along + path.by_turn[0] * turn - path.dy_m * before, axis=-1
+        )
+        slopes[..., 1, number] = np.cumsum(
+            path.by_path[1] * along + path.by_turn[1] * turn + path.dx_m * before, axis=-1
+        )
+        slopes[..., 2, number] = heading
+    return slopes
 
 
 def parameter_covariance(law: RadiusLaw, *, track_std_m: float = 0.0, single_run: bool = False) -> FloatArray:
@@ -151,13 +155,13 @@ def parameter_covariance(law: RadiusLaw, *, track_std_m: float = 0.0, single_run
     single_run : bool
         Add the scatter of single runs about the law (the prediction band) to the uncertainty of its mean.
     """
-    made = np.zeros((5, 5))
+    covariance = np.zeros((5, 5))
     for first, wheel in ((0, law.left), (2, law.right)):
-        made[first : first + 2, first : first + 2] = wheel.covariance
+        covariance[first : first + 2, first : first + 2] = wheel.covariance
         if single_run:
-            made[first, first] += wheel.residual_std_m**2
-    made[4, 4] = track_std_m**2
-    return made
+            covariance[first, first] += wheel.residual_std_m**2
+    covariance[4, 4] = track_std_m**2
+    return covariance
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,18 +200,18 @@ class RandomWalk:
             np.cumsum(part, axis=-1)
             for part in (heading, heading * cx, heading * cy, heading * cx * cx, heading * cx * cy, heading * cy * cy)
         )
-        made = np.empty((*path.left_m.shape, 3, 3))
-        made[..., 0, 0] = y * y * q - 2 * y * qy + qyy + np.cumsum(along * path.by_path[0] ** 2, axis=-1)
-        made[..., 1, 1] = x * x * q - 2 * x * qx + qxx + np.cumsum(along * path.by_path[1] ** 2, axis=-1)
-        made[..., 0, 1] = made[..., 1, 0] = (
+        covariance = np.empty((*path.left_m.shape, 3, 3))
+        covariance[..., 0, 0] = y * y * q - 2 * y * qy + qyy + np.cumsum(along * path.by_path[0] ** 2, axis=-1)
+        covariance[..., 1, 1] = x * x * q - 2 * x * qx + qxx + np.cumsum(along * path.by_path[1] ** 2, axis=-1)
+        covariance[..., 0, 1] = covariance[..., 1, 0] = (
             y * qx + x * qy - x * y * q - qxy + np.cumsum(along * path.by_path[0] * path.by_path[1], axis=-1)
         )
-        made[..., 0, 2] = made[..., 2, 0] = qy - y * q
-        made[..., 1, 2] = made[..., 2, 1] = x * q - qx
-        made[..., 2, 2] = q
+        covariance[..., 0, 2] = covariance[..., 2, 0] = qy - y * q
+        covariance[..., 1, 2] = covariance[..., 2, 1] = x * q - qx
+        covariance[..., 2, 2] = q
         if self.count_std:
-            made += self._readings(path)
-        return made
+            covariance += self._readings(path)
+        return covariance
 
     def _readings(self, path: PathSteps) -> FloatArray:
         """Return what a reading at the start and one at the end add, shape (..., n, 3, 3)."""
@@ -216,7 +220,7 @@ class RandomWalk:
         left, right, track = (np.broadcast_to(part, path.left_m.shape) for part in (left, right, path.track_m))
         theta = path.poses.theta_rad
         start = theta[..., :1] - (path.right_m[..., :1] - path.left_m[..., :1]) / track[..., :1]
-        made = np.zeros((*path.left_m.shape, 3, 3))
+        covariance = np.zeros((*path.left_m.shape, 3, 3))
         for size, sign in ((left, -1.0), (right, 1.0)):
             turn = sign * size / track
             # at the end: moves and turns the pose where it stands; at the start: turns all that follows, too
@@ -230,8 +234,8 @@ class RandomWalk:
                 ),
                 axis=-1,
             )
-            made += end[..., :, None] * end[..., None, :] + begin[..., :, None] * begin[..., None, :]
-        return made
+            covariance += end[..., :, None] * end[..., None, :] + begin[..., :, None] * begin[..., None, :]
+        return covariance
 
 
 @dataclass(frozen=True, slots=True, eq=False)

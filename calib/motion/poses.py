@@ -46,23 +46,25 @@ class Poses:
         return np.stack([self.x_m, self.y_m, self.theta_rad], axis=-1)
 
     @staticmethod
-    def of(stacked: npt.ArrayLike) -> Poses:
+    def from_stacked(stacked: npt.ArrayLike) -> Poses:
         """Return the poses of an array whose last axis holds x, y, theta."""
-        made = np.asarray(stacked, dtype=np.float64)
-        return Poses(made[..., 0], made[..., 1], made[..., 2])
+        values = np.asarray(stacked, dtype=np.float64)
+        return Poses(values[..., 0], values[..., 1], values[..., 2])
 
     def moved(self, by: Poses) -> Poses:
         """Return the poses seen as relative to `by`, expressed in the frame in which `by` stands (``by`` o self)."""
-        c, s = np.cos(by.theta_rad), np.sin(by.theta_rad)
+        cosine, sine = np.cos(by.theta_rad), np.sin(by.theta_rad)
         return Poses(
-            by.x_m + c * self.x_m - s * self.y_m, by.y_m + s * self.x_m + c * self.y_m, by.theta_rad + self.theta_rad
+            by.x_m + cosine * self.x_m - sine * self.y_m,
+            by.y_m + sine * self.x_m + cosine * self.y_m,
+            by.theta_rad + self.theta_rad,
         )
 
     def seen_from(self, frame: Poses) -> Poses:
         """Return the poses as seen from `frame`: the inverse of `moved`."""
-        c, s = np.cos(frame.theta_rad), np.sin(frame.theta_rad)
+        cosine, sine = np.cos(frame.theta_rad), np.sin(frame.theta_rad)
         dx, dy = self.x_m - frame.x_m, self.y_m - frame.y_m
-        return Poses(c * dx + s * dy, c * dy - s * dx, self.theta_rad - frame.theta_rad)
+        return Poses(cosine * dx + sine * dy, cosine * dy - sine * dx, self.theta_rad - frame.theta_rad)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,10 +108,10 @@ def pose_errors(true: Poses, reference: Poses) -> PoseErrors:
         Shapes that broadcast.
     """
     dx, dy = true.x_m - reference.x_m, true.y_m - reference.y_m
-    c, s = np.cos(reference.theta_rad), np.sin(reference.theta_rad)
+    cosine, sine = np.cos(reference.theta_rad), np.sin(reference.theta_rad)
     return PoseErrors(
-        along_m=np.asarray(c * dx + s * dy),
-        lateral_m=np.asarray(c * dy - s * dx),
+        along_m=np.asarray(cosine * dx + sine * dy),
+        lateral_m=np.asarray(cosine * dy - sine * dx),
         heading_rad=wrapped(true.theta_rad - reference.theta_rad),
         global_x_m=np.asarray(dx),
         global_y_m=np.asarray(dy),

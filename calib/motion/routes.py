@@ -56,10 +56,10 @@ class Route:
     turn_rad: FloatArray
 
     @staticmethod
-    def of(name: str, *segments: Segment) -> Route:
+    def from_segments(name: str, *segments: Segment) -> Route:
         """Return the route of `straight` and `arc` segments."""
-        made = np.array(segments, dtype=np.float64).reshape(-1, 2)
-        return Route(name, made[:, 0].copy(), made[:, 1].copy())
+        rows = np.array(segments, dtype=np.float64).reshape(-1, 2)
+        return Route(name, rows[:, 0].copy(), rows[:, 1].copy())
 
     def __len__(self) -> int:
         return len(self.length_m)
@@ -83,13 +83,13 @@ class Route:
         """Return the same route with a border between two segments at each of these distances along it."""
         wanted = np.unique(np.asarray(at_m, dtype=np.float64))
         edges = self.distance_m()
-        made: list[Segment] = []
+        pieces: list[Segment] = []
         for k, (length, turn) in enumerate(zip(self.length_m.tolist(), self.turn_rad.tolist(), strict=True)):
             first, last = edges[k], edges[k + 1]
             inside = wanted[(wanted > first + 1e-9) & (wanted < last - 1e-9)]
             shares = np.diff(np.concatenate(([first], inside, [last]))) / (last - first) if len(inside) else [1.0]
-            made += [(length * float(share), turn * float(share)) for share in shares]
-        return Route.of(self.name, *made)
+            pieces += [(length * float(share), turn * float(share)) for share in shares]
+        return Route.from_segments(self.name, *pieces)
 
     def mirrored(self) -> Route:
         """Return the route with left and right swapped."""
@@ -132,7 +132,7 @@ def find_route(name: str) -> Route:
         Where there is no such route.
     """
     if name in NAMED:
-        return Route.of(name, *NAMED[name])
+        return Route.from_segments(name, *NAMED[name])
     if name.endswith(".toml"):
         return read_route(Path(name))
     if name.endswith(".tum"):
@@ -194,7 +194,7 @@ def read_route(path: Path) -> Route:
     name = document.get("name", path.stem)
     if not isinstance(name, str):
         raise bad(repr(name), "a text", "name")
-    made = []
+    segments = []
     for number, piece in enumerate(pieces, start=1):
         where = f"segment {number}"
         if not isinstance(piece, dict):
@@ -206,8 +206,8 @@ def read_route(path: Path) -> Route:
         for key, value in values.items():
             if value is None or (key == "radius_m" and value < 0.0):
                 raise bad(f"{key} = {piece[key]!r}", "a finite number, a radius not below 0", where)
-        made.append(_segment({key: value for key, value in values.items() if value is not None}))
-    return Route.of(name, *made)
+        segments.append(_segment({key: value for key, value in values.items() if value is not None}))
+    return Route.from_segments(name, *segments)
 
 
 _KEYS: Final = {frozenset({"straight_m"}), frozenset({"radius_m", "turn_deg"}), frozenset({"radius_m", "turn_rad"})}

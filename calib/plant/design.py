@@ -90,8 +90,8 @@ class Design:
     @property
     def corridor(self) -> BoolArray:
         """Whether a run goes along the corridor, shape (n_runs,)."""
-        found: BoolArray = np.char.startswith(self.kind, "corridor")
-        return found
+        straight: BoolArray = np.char.startswith(self.kind, "corridor")
+        return straight
 
     @property
     def heading_sign(self) -> FloatArray:

@@ -49,14 +49,14 @@ def as_causes(truth: Mapping[str, float] | Sequence[Cause], design: Design, rng:
     """
     if not isinstance(truth, Mapping):
         return list(truth)
-    made = []
+    causes = []
     for key, size in truth.items():
         effect, _, form = key.partition("/")
-        found = find(effect, form)
-        made.append(
-            Cause(effect, float(found.typical if np.isnan(size) else size), found.form, found.knobs(rng, design))
+        known = find(effect, form)
+        causes.append(
+            Cause(effect, float(known.typical if np.isnan(size) else size), known.form, known.knobs(rng, design))
         )
-    return made
+    return causes
 
 
 def apply_causes(world: World, causes: Sequence[Cause], blocks: FloatArray | None = None) -> World:

@@ -96,11 +96,11 @@ def good_design(rng: np.random.Generator, *, n_runs: int = 60, needs: Iterable[s
     speed = deal(list(map(float, speeds)))
     stops = deal([0, 0, 1, 3] if "stops" in need else [0, 0, 0, 1])
     flying = deal([True, False] if "flying" in need else [False])
-    made: list[dict[str, Any]] = []
+    conditions: list[dict[str, Any]] = []
     for number in range(n_conditions):
         corridor = route[number].startswith("corridor")
         loaded = payload[number] > 0
-        made.append(
+        conditions.append(
             {
                 "kind": route[number],
                 "direction": ways[(number // 2) % 2] if corridor else "",
@@ -124,7 +124,7 @@ def good_design(rng: np.random.Generator, *, n_runs: int = 60, needs: Iterable[s
     order = np.resize(np.arange(n_conditions), n_runs)
     rows = []
     for number in range(n_runs):
-        row = dict(made[order[number]])
+        row = dict(conditions[order[number]])
         row["session"] = sessions[number * n_sessions // n_runs]
         row["minutes"] = float(rng.choice([2.0, 10.0, 30.0, 60.0])) if row["payload_kg"] > 0 else 0.0
         rows.append(row)

@@ -39,7 +39,7 @@ class Rival:
 def _variants(design: Design, slope_per_N: float) -> list[Cause]:
     """Return causes at small sizes whose sums span what each effect can do on a design."""
     n_sessions = len(set(design.session))
-    made: list[Cause] = []
+    variants: list[Cause] = []
     for form in ALL:
         if form.effect in _SKIPPED or form.effect.startswith("outside:"):
             continue
@@ -53,7 +53,7 @@ def _variants(design: Design, slope_per_N: float) -> list[Cause]:
         elif form.effect == "load_creep":
             knobs = [{"tau_min": 15.0}]
         elif form.effect == "session_step":
-            knobs = [{f"step_{one}": 1.0} for one in range(1, n_sessions)] if form.form == "plain" else []
+            knobs = [{f"step_{knob}": 1.0} for knob in range(1, n_sessions)] if form.form == "plain" else []
         elif form.effect == "wheel_eccentricity":
             knobs = [{"left_rad": a, "right_rad": b} for a, b in ((0.0, 0.0), (1.57, 0.0), (0.0, 1.57))]
         elif form.effect in {"rear_drag", "lost_counts"}:
@@ -64,8 +64,8 @@ def _variants(design: Design, slope_per_N: float) -> list[Cause]:
             knobs = [{"downhill_rad": 0.0}, {"downhill_rad": np.pi / 2}]
         elif form.effect.startswith("covariate:"):
             knobs = [form.knobs(np.random.default_rng(0), design)]
-        made.extend(Cause(form.effect, size, form.form, one) for one in knobs)
-    return made
+        variants.extend(Cause(form.effect, size, form.form, knob) for knob in knobs)
+    return variants
 
 
 def rivals(design: Design, model: OdometryModel, noise: Noise, cause: Cause) -> tuple[Rival, ...]:
@@ -83,20 +83,20 @@ def rivals(design: Design, model: OdometryModel, noise: Noise, cause: Cause) -> 
     tuple of Rival
         Every effect that the design can show, by the best of its forms.
     """
-    others = [one for one in _variants(design, model.slope_left_m_per_N) if one.effect != cause.effect]
-    found = strengths(design, model, noise, [cause, *others], step_s=0.08, weigh=False)
-    truth = found.change[0]
+    others = [other for other in _variants(design, model.slope_left_m_per_N) if other.effect != cause.effect]
+    strong = strengths(design, model, noise, [cause, *others], step_s=0.08, weigh=False)
+    truth = strong.change[0]
     families: dict[tuple[str, str], list[int]] = {}
-    for number, one in enumerate(others, start=1):
+    for number, other in enumerate(others, start=1):
         # one wheel or the other, never both: alternatives, while the other variants of an effect add up
-        which = str(one.knobs["right"]) if "right" in one.knobs else ""
-        families.setdefault((one.effect, one.form + which), []).append(number)
+        which = str(other.knobs["right"]) if "right" in other.knobs else ""
+        families.setdefault((other.effect, other.form + which), []).append(number)
     nearest: dict[str, float] = {}
-    base = None if is_calibration(cause) else found.absorbed
+    base = None if is_calibration(cause) else strong.absorbed
     for (effect, _), numbers in families.items():
-        columns = np.stack([np.nan_to_num(found.change[number]) for number in numbers], axis=-1)
+        columns = np.stack([np.nan_to_num(strong.change[number]) for number in numbers], axis=-1)
         free = columns if base is None else np.concatenate((base, columns), axis=-1)
-        distance = strength(truth, found.cov, free)
+        distance = strength(truth, strong.cov, free)
         nearest[effect] = min(nearest.get(effect, np.inf), distance)
     ordered = sorted(nearest.items(), key=lambda item: item[1])
     return tuple(Rival(effect, round(distance, 3)) for effect, distance in ordered)

@@ -150,12 +150,12 @@ def tabulate(
         parts.append((x, y, np.cos(theta), np.sin(theta), theta, kappa))
         start[key] = (filled, filled + len(kappa) - 1, end_m)
         filled += len(kappa)
-    found = [start[key] for key in zip(kinds, weaves, strict=True)]
+    starts = [start[key] for key in zip(kinds, weaves, strict=True)]
     x, y, cos, sin, theta, kappa = (np.concatenate([part[j] for part in parts]) for j in range(6))
     return RouteTables(
-        first=np.array([item[0] for item in found]),
-        last=np.array([item[1] for item in found]),
-        end_m=np.array([item[2] for item in found]),
+        first=np.array([item[0] for item in starts]),
+        last=np.array([item[1] for item in starts]),
+        end_m=np.array([item[2] for item in starts]),
         x_m=x,
         y_m=y,
         cos=cos,

@@ -320,8 +320,8 @@ def to_signal(
     typical = np.array([find(cause.effect, cause.form).typical for cause in causes])
     scaled = list(causes)
     for attempt in range(3):
-        found = strengths(design, model, noise, scaled, step_s=0.04)
-        reached = np.array(found.alone)
+        reached_by = strengths(design, model, noise, scaled, step_s=0.04)
+        reached = np.array(reached_by.alone)
         factor = np.where(np.isfinite(wanted) & (reached > 0), wanted / np.maximum(reached, 1e-12), 1.0)
         if attempt == 0 and len(causes):
             ratio = float(np.max(np.abs(sizes * factor) / typical))

@@ -108,14 +108,14 @@ def compare_laws(left: WheelFit, right: WheelFit, model: RadiusLaw) -> ModelComp
     model : RadiusLaw
         The law believed.
     """
-    made = []
+    compared = []
     for fit, law in ((left, model.left), (right, model.right)):
         believed = float(law.radius_m(fit.law.reference_load_N))
         slope = None
         if fit.slope_ci95_m_per_N is not None:
             slope = _difference(fit.law.slope_m_per_N, law.slope_m_per_N, fit.slope_ci95_m_per_N)
-        made.append(WheelComparison(_difference(fit.law.radius_ref_m, believed, fit.radius_ref_ci95_m), slope))
-    return ModelComparison(left.law.reference_load_N, made[0], made[1])
+        compared.append(WheelComparison(_difference(fit.law.radius_ref_m, believed, fit.radius_ref_ci95_m), slope))
+    return ModelComparison(left.law.reference_load_N, compared[0], compared[1])
 
 
 def _difference(fitted: float, model: float, ci95: tuple[float, float]) -> Difference:

@@ -103,7 +103,7 @@ def weave_excess(
     from scipy.special import ellipeinc
 
     amplitude, wavelength, distance, phase = np.broadcast_arrays(
-        *(np.asarray(one, dtype=np.float64) for one in (amplitude_m, wavelength_m, distance_m, phase_rad))
+        *(np.asarray(values, dtype=np.float64) for values in (amplitude_m, wavelength_m, distance_m, phase_rad))
     )
     k = 2 * np.pi / wavelength
     slope = k * amplitude

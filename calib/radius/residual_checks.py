@@ -232,7 +232,7 @@ def _normality(runs: _Runs) -> Check | None:
         return None
     from scipy.stats import shapiro
 
-    statistic, p_value = (float(one) for one in shapiro(runs.rest))
+    statistic, p_value = (float(number) for number in shapiro(runs.rest))
     sentence = (
         "The residuals look normal, as the intervals assume."
         if p_value >= NOTE_BELOW

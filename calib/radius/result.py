@@ -37,11 +37,11 @@ def provenance(campaign: Campaign, *, version: str, arguments: Mapping[str, Any]
         for name in ("campaign.toml", "runs.csv"):
             if (campaign.root / name).is_file():
                 hashes[name] = sha256_file(campaign.root / name)
-    found = {"version": version, "arguments": dict(arguments), "inputs": dict(sorted(hashes.items()))}
+    record = {"version": version, "arguments": dict(arguments), "inputs": dict(sorted(hashes.items()))}
     if "report" in campaign.extra:
         # dates of TOML become texts
-        found["report"] = json.loads(json.dumps(campaign.extra["report"], default=str))
-    return found
+        record["report"] = json.loads(json.dumps(campaign.extra["report"], default=str))
+    return record
 
 
 def write_result(fit: Fit, folder: Path, *, force: bool = False) -> Path:

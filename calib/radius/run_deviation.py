@@ -108,9 +108,9 @@ class RunDeviations:
 
     def rows(self) -> list[dict[str, Any]]:
         """Return one mapping of plain values a run."""
-        texts = {name: [str(one) for one in getattr(self, name)] for name in ("run_id", "source", "verdict")}
+        texts = {name: [str(value) for value in getattr(self, name)] for name in ("run_id", "source", "verdict")}
         numbers = {
-            name: [float(one) if np.isfinite(one) else None for one in getattr(self, name)]
+            name: [float(value) if np.isfinite(value) else None for value in getattr(self, name)]
             for name in self.__dataclass_fields__
             if name not in {*texts, "tolerance", "left_out", "notes"}
         }

@@ -151,10 +151,10 @@ class Estimate:
         total = within + between
         share = np.where(total > 0, between / np.where(total > 0, total, 1.0), 0.0)
         critical = critical_value(share, self.dof_between, self.dof_within, coverage)
-        found = equivalent_dof(critical, coverage)
+        dof = equivalent_dof(critical, coverage)
         # pure parts to the last digit
-        found = np.where(share <= 0, self.dof_within, found)
-        return np.where(share >= 1, self.dof_between, found)
+        dof = np.where(share <= 0, self.dof_within, dof)
+        return np.where(share >= 1, self.dof_between, dof)
 
 
 def breusch_pagan(residual: FloatArray, x: FloatArray) -> tuple[float, float]:

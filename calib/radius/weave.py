@@ -194,8 +194,8 @@ def _solve(design: FloatArray, wanted: FloatArray) -> FloatArray:
     # columns scaled to one; the ridge keeps a straight run, which has no wave to place, solvable
     scaled = gram / scale[:, :, None] / scale[:, None, :] + 1e-9 * np.eye(gram.shape[1])
     right = np.einsum("nmi,nm->ni", design, wanted) / scale
-    found: FloatArray = np.linalg.solve(scaled, right[:, :, None])[:, :, 0] / scale
-    return found.T
+    solution: FloatArray = np.linalg.solve(scaled, right[:, :, None])[:, :, 0] / scale
+    return solution.T
 
 
 def _progress(heading: FloatArray) -> FloatArray:

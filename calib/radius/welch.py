@@ -130,5 +130,5 @@ def _nodes(dof: float) -> FloatArray:
     from scipy.special import chdtri
 
     n = MANY_NODES if dof > MANY else FEW_NODES
-    found = np.asarray(chdtri(dof, (np.arange(n) + 0.5) / n)) / dof
-    return np.asarray(found / found.mean())
+    quantiles = np.asarray(chdtri(dof, (np.arange(n) + 0.5) / n)) / dof
+    return np.asarray(quantiles / quantiles.mean())

@@ -26,7 +26,7 @@ def test_a_trajectory_survives_the_file(tmp_path: Path) -> None:
 
 
 def test_lines_are_eight_numbers_with_unit_quaternions_about_the_vertical(tmp_path: Path) -> None:
-    path = write_tum(tmp_path / "a.tum", [1.5], Poses.of([[2.0, 3.0, math.pi / 3]]))
+    path = write_tum(tmp_path / "a.tum", [1.5], Poses.from_stacked([[2.0, 3.0, math.pi / 3]]))
     numbers = [float(part) for part in path.read_text().splitlines()[-1].split()]
     np.testing.assert_allclose(numbers, [1.5, 2.0, 3.0, 0.0, 0.0, 0.0, 0.5, math.sqrt(3) / 2], rtol=0.0, atol=1e-15)
 
@@ -55,11 +55,11 @@ def test_broken_lines_are_refused_with_their_number(tmp_path: Path, line: str) -
 
 
 def test_nothing_is_overwritten_and_nothing_infinite_written(tmp_path: Path) -> None:
-    path = write_tum(tmp_path / "a.tum", [0.0], Poses.of([[0.0, 0.0, 0.0]]))
+    path = write_tum(tmp_path / "a.tum", [0.0], Poses.from_stacked([[0.0, 0.0, 0.0]]))
     with pytest.raises(BadInputError, match="--force"):
-        write_tum(path, [0.0], Poses.of([[0.0, 0.0, 0.0]]))
+        write_tum(path, [0.0], Poses.from_stacked([[0.0, 0.0, 0.0]]))
     with pytest.raises(BadInputError, match="not finite"):
-        write_tum(tmp_path / "b.tum", [0.0], Poses.of([[0.0, math.nan, 0.0]]))
+        write_tum(tmp_path / "b.tum", [0.0], Poses.from_stacked([[0.0, math.nan, 0.0]]))
     with pytest.raises(BadFileError, match="no pose"):
         path.write_text("# nothing\n")
         read_tum(path)

@@ -23,11 +23,11 @@ def render(file: CoefficientFile, loads: Sequence[LoadPair]) -> tuple[Artifact, 
     RefusedError
         Where a load lies outside the valid range and the file says refuse.
     """
-    made: dict[str, Artifact] = {}
+    artifacts: dict[str, Artifact] = {}
     for pair in loads or default_loads(file):
         artifact = _one(file, pair)
-        made.setdefault(artifact.name, artifact)
-    return tuple(made.values())
+        artifacts.setdefault(artifact.name, artifact)
+    return tuple(artifacts.values())
 
 
 def _one(file: CoefficientFile, pair: LoadPair) -> Artifact:

@@ -127,17 +127,19 @@ def route_of(kind: str, corridor_m: float = DEFAULT_CORRIDOR_M) -> Route:
     """
     quarter = 0.5 * np.pi
     if kind == "corridor_short":
-        return Route.of(kind, straight(SHORT * corridor_m))
+        return Route.from_segments(kind, straight(SHORT * corridor_m))
     if kind == "corridor" or kind.startswith("corridor_"):
-        return Route.of(kind, straight(corridor_m))
+        return Route.from_segments(kind, straight(corridor_m))
     if kind in {"route_left", "route_right"}:
-        left = Route.of(kind, straight(5.0), arc(3.0, quarter), straight(5.0), arc(1.5, quarter), straight(3.0))
+        left = Route.from_segments(
+            kind, straight(5.0), arc(3.0, quarter), straight(5.0), arc(1.5, quarter), straight(3.0)
+        )
         return left if kind == "route_left" else left.mirrored()
     if kind in {"circle_left", "circle_right"}:
-        left = Route.of(kind, arc(1.2, 4 * np.pi))
+        left = Route.from_segments(kind, arc(1.2, 4 * np.pi))
         return left if kind == "circle_left" else left.mirrored()
     if kind in NAMED:
-        return Route.of(kind, *NAMED[kind])
+        return Route.from_segments(kind, *NAMED[kind])
     known = "corridor, corridor_short, route_left, route_right, circle_left, circle_right, " + ", ".join(
         name for name in NAMED if name != "corridor"
     )

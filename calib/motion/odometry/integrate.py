@@ -104,8 +104,8 @@ def integrate(
     halves = ((before(flat, middle), slice(0, middle)), (after(flat, middle), slice(middle, n)))
     with ThreadPoolExecutor(2) as pool:
         waiting = [pool.submit(fill, part, x[where], y[where], theta[where]) for part, where in halves]
-        for one in waiting:
-            one.result()
+        for half in waiting:
+            half.result()
         run = int(np.searchsorted(flat.starts, middle, side="right")) - 1
         if flat.starts[run] != middle:
             # the second half was driven from the origin: put it where the first one ended

@@ -32,7 +32,7 @@ class LoadHistory:
     right_N: FloatArray
 
     @staticmethod
-    def of(changes: npt.ArrayLike) -> LoadHistory:
+    def from_rows(changes: npt.ArrayLike) -> LoadHistory:
         """Return the history of rows (time in s, left load in N, right load in N).
 
         Raises
@@ -77,18 +77,18 @@ def loads_in_steps(run_N: npt.ArrayLike, logged_N: npt.ArrayLike | None, offsets
         A load takes effect in the step after the sample that has it: the vehicle stands while it is loaded.
     """
     edges = np.asarray(offsets, dtype=np.int64)
-    made = np.repeat(np.asarray(run_N, dtype=np.float64), np.diff(edges))
+    carried = np.repeat(np.asarray(run_N, dtype=np.float64), np.diff(edges))
     if logged_N is None:
-        return made
+        return carried
     logged = np.asarray(logged_N, dtype=np.float64)
-    own = np.arange(len(made))
+    own = np.arange(len(carried))
     first = np.repeat(edges[:-1], np.diff(edges))
     # the last sample before this one, of the same run, that has a load
     last = np.maximum.accumulate(np.where(np.isfinite(logged), own, -1))
     last = np.where(own > first, np.concatenate(([-1], last[:-1])), -1)
     known = last >= first
-    made[known] = logged[last[known]]
-    return made
+    carried[known] = logged[last[known]]
+    return carried
 
 
 def radii_under_load(
@@ -137,7 +137,7 @@ def travel_from_counts(
         0 at the first sample of each run.
     """
     edges = np.asarray([0, len(np.atleast_1d(counts_left))] if offsets is None else offsets, dtype=np.int64)
-    made = []
+    travels = []
     for counts, per_rev, radius in (
         (counts_left, encoder.counts_per_rev_left, radius_left_m),
         (counts_right, encoder.counts_per_rev_right, radius_right_m),
@@ -148,8 +148,8 @@ def travel_from_counts(
         travel[firsts] = 0.0
         wide = _wide(np.asarray(radius, dtype=np.float64), edges, len(values))
         travel *= (2 * np.pi / per_rev) * wide
-        made.append(travel)
-    return made[0], made[1]
+        travels.append(travel)
+    return travels[0], travels[1]
 
 
 def _wide(radius: FloatArray, edges: IntArray, n: int) -> FloatArray:

@@ -63,11 +63,11 @@ def _machine_code() -> Callable[..., None]:
     import numba
 
     try:
-        made: Any = numba.njit(nogil=True, cache=True, error_model="numpy")(_loop)
+        loop: Any = numba.njit(nogil=True, cache=True, error_model="numpy")(_loop)
     except RuntimeError:
         # nowhere to keep it
-        made = numba.njit(nogil=True, error_model="numpy")(_loop)
-    return made  # type: ignore[no-any-return]
+        loop = numba.njit(nogil=True, error_model="numpy")(_loop)
+    return loop  # type: ignore[no-any-return]
 
 
 def _loop(

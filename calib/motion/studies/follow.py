@@ -48,13 +48,13 @@ class Axle:
         BadInputError
             Where one is not a finite number above 0.
         """
-        made = tuple(
+        parts = tuple(
             np.asarray(part, dtype=np.float64) for part in (self.radius_left_m, self.radius_right_m, self.track_m)
         )
-        for name, part in zip(("left radius", "right radius", "track"), made, strict=True):
+        for name, part in zip(("left radius", "right radius", "track"), parts, strict=True):
             if part.ndim > 1 or not (np.isfinite(part) & (part > 0.0)).all():
                 raise BadInputError(f"{name}: found {part!s:.60}; expected lengths above 0 in m, one a vehicle")
-        return made[0], made[1], made[2]
+        return parts[0], parts[1], parts[2]
 
 
 def wheel_travel(route: Route, believed: Axle, real: Axle) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -71,12 +71,12 @@ def wheel_travel(route: Route, believed: Axle, real: Axle) -> tuple[FloatArray, 
     real_left, real_right, real_track = real.arrays()
     ratio_left, ratio_right = np.atleast_1d(real_left / left)[:, None], np.atleast_1d(real_right / right)[:, None]
     half = 0.5 * np.atleast_1d(track)[:, None] * route.turn_rad
-    made = np.broadcast_arrays(
+    parts = np.broadcast_arrays(
         ratio_left * (route.length_m - half),
         ratio_right * (route.length_m + half),
         np.atleast_1d(real_track)[:, None],
     )
-    return made[0], made[1], made[2][:, :1]
+    return parts[0], parts[1], parts[2][:, :1]
 
 
 def follow(route: Route, believed: Axle, real: Axle) -> Poses:

@@ -235,8 +235,8 @@ def _end_jacobian(route: Route, believed: Axle, real: Axle, heading_rad: float) 
     real_left, real_right, _ = real.arrays()
     path = steps(left[0], right[0], track[0], radius_left_m=real_left, radius_right_m=real_right)
     by_radius = jacobian(path)[-1][:, [0, 2]]
-    c, s = np.cos(heading_rad), np.sin(heading_rad)
-    turned = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ by_radius
+    cosine, sine = np.cos(heading_rad), np.sin(heading_rad)
+    turned = np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]]) @ by_radius
     return np.vstack([turned, by_radius[:2]])
 
 

@@ -53,17 +53,17 @@ class Loading:
         BadInputError
             Where no row stands at 0 m, two stand at one place, or a number is not possible.
         """
-        made = np.array(sorted(rows), dtype=np.float64).reshape(-1, 3)
-        if not len(made) or made[0, 0] != 0.0 or (np.diff(made[:, 0]) <= 0.0).any():
+        ordered = np.array(sorted(rows), dtype=np.float64).reshape(-1, 3)
+        if not len(ordered) or ordered[0, 0] != 0.0 or (np.diff(ordered[:, 0]) <= 0.0).any():
             raise BadInputError(
-                f"loads along the path: found changes at {', '.join(f'{s:g}' for s in made[:, 0])} m; expected the "
-                "first at 0 m and each at a place of its own; give each place once"
+                f"loads along the path: found changes at {', '.join(f'{at:g}' for at in ordered[:, 0])} m; expected "
+                "the first at 0 m and each at a place of its own; give each place once"
             )
-        if not np.isfinite(made).all() or (made[:, 1:] <= 0.0).any():
+        if not np.isfinite(ordered).all() or (ordered[:, 1:] <= 0.0).any():
             raise BadInputError(
                 "loads along the path: found one of 0 N or below, or no number; expected loads above 0 N"
             )
-        return Loading(made[:, 0], made[:, 1], made[:, 2])
+        return Loading(ordered[:, 0], ordered[:, 1], ordered[:, 2])
 
     @property
     def pairs(self) -> tuple[tuple[float, float], ...]:
@@ -112,9 +112,9 @@ class Driven:
 
     def end(self) -> dict[str, float]:
         """Return the errors at the end of the route, with their standard uncertainties and the rms distance."""
-        made = {f"error_{name}": float(getattr(self.errors, name)[-1]) for name in COMPONENTS}
-        made |= {f"std_{name}": float(self.std[name][-1]) for name in COMPONENTS}
-        return made | {"rms_m": float(self.rms_m[-1])}
+        values = {f"error_{name}": float(getattr(self.errors, name)[-1]) for name in COMPONENTS}
+        values |= {f"std_{name}": float(self.std[name][-1]) for name in COMPONENTS}
+        return values | {"rms_m": float(self.rms_m[-1])}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -190,9 +190,9 @@ class LawPath:
                 for j, second in enumerate(("x", "y", "theta")[i:], start=i):
                     unit = f"{units[i]}2" if units[i] == units[j] else f"{units[i]}_{units[j]}"
                     columns[f"{part}_{first}_{second}_{unit}"] = matrix[:, i, j]
-        found = ellipses(self.corrected.systematic + self.corrected.random)
-        columns |= {"ellipse95_major_m": found.major_m, "ellipse95_minor_m": found.minor_m}
-        return _rows(columns | {"ellipse95_angle_rad": found.angle_rad})
+        regions = ellipses(self.corrected.systematic + self.corrected.random)
+        columns |= {"ellipse95_major_m": regions.major_m, "ellipse95_minor_m": regions.minor_m}
+        return _rows(columns | {"ellipse95_angle_rad": regions.angle_rad})
 
     def _loads(self) -> dict[str, FloatArray]:
         left, right = self.loading.at(self.distance_m)
@@ -255,7 +255,7 @@ def law_path(
     kept = radii_under_load(law, *reference_N)
     spread = parameter_covariance(law, track_std_m=track_std_m, single_run=single_run)
     half = 0.5 * track_m * fine.turn_rad
-    made = []
+    driven = []
     for believed in (kept, real):
         path = steps(
             real[0] / believed[0] * (fine.length_m - half),
@@ -271,14 +271,14 @@ def law_path(
         )
         systematic = _from_start(slopes @ spread @ np.swapaxes(slopes, -1, -2))
         random = np.zeros_like(systematic) if walk is None else _from_start(walk.covariance(path))
-        poses = Poses.of(_from_start(path.poses.stacked()))
+        poses = Poses.from_stacked(_from_start(path.poses.stacked()))
         std = _std(systematic + random, reference)
         # x and y at the end by the coefficients of each wheel
         last = [(slopes[-1, :2, part], spread[part, part]) for part in (slice(0, 2), slice(2, 4))]
         by_wheel = np.array([np.trace(slope @ own @ slope.T) for slope, own in last])
-        made.append(Driven(poses, pose_errors(poses, reference), systematic, random, std, by_wheel))
-    interval = None if rng is None else _ratio_interval(made[0], made[1], (law.left.dof, law.right.dof), draws, rng)
-    return LawPath(loading, reference_N, distance, reference, made[0], made[1], interval)
+        driven.append(Driven(poses, pose_errors(poses, reference), systematic, random, std, by_wheel))
+    interval = None if rng is None else _ratio_interval(driven[0], driven[1], (law.left.dof, law.right.dof), draws, rng)
+    return LawPath(loading, reference_N, distance, reference, driven[0], driven[1], interval)
 
 
 def _ratio_interval(
@@ -286,18 +286,18 @@ def _ratio_interval(
 ) -> tuple[float, float]:
     """Return the 95 % interval of the ratio of the rms distances: variances that were estimated follow chi-square."""
     more = np.stack([d / rng.chisquare(d, draws) for d in dof]) - 1.0
-    square = [float(one.rms_m[-1]) ** 2 + one.by_wheel_m2 @ more for one in (without, corrected)]
+    square = [float(drive.rms_m[-1]) ** 2 + drive.by_wheel_m2 @ more for drive in (without, corrected)]
     low, high = np.quantile(np.sqrt(square[0] / square[1]), [0.025, 0.975])
     return float(low), float(high)
 
 
 def _std(covariance: FloatArray, reference: Poses) -> dict[str, FloatArray]:
     """Return the standard uncertainty of each component of the error."""
-    c, s = np.cos(reference.theta_rad), np.sin(reference.theta_rad)
+    cosine, sine = np.cos(reference.theta_rad), np.sin(reference.theta_rad)
     xx, xy, yy = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
     squares = (
-        c * c * xx + 2 * c * s * xy + s * s * yy,
-        s * s * xx - 2 * c * s * xy + c * c * yy,
+        cosine * cosine * xx + 2 * cosine * sine * xy + sine * sine * yy,
+        sine * sine * xx - 2 * cosine * sine * xy + cosine * cosine * yy,
         covariance[:, 2, 2],
         xx,
         yy,

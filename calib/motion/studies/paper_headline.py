@@ -54,14 +54,14 @@ def headlines(route: Route, track_m: float) -> tuple[Headline, ...]:
         Track, believed and real.
     """
     before, after = STUDIES["asymmetric"], STUDIES["corrected"]
-    made = []
+    lines = []
     for which in before.which:
         first, second = (
             run_sweep(route, [Case.of(which, ratio) for ratio in study.ratios], track_m=track_m).largest_m()
             for study in (before, after)
         )
-        made.append(Headline(which, first, second, first / second))
-    return tuple(made)
+        lines.append(Headline(which, first, second, first / second))
+    return tuple(lines)
 
 
 @cache

@@ -73,7 +73,7 @@ class Simulation:
 
     def document(self) -> dict[str, Any]:
         """Return everything but the points along the routes, ready for JSON."""
-        made: dict[str, Any] = {
+        document: dict[str, Any] = {
             "study": self.study,
             "title": self.title,
             "sweeps": [
@@ -85,13 +85,13 @@ class Simulation:
             "law": None,
         }
         if self.law is not None:
-            made["law"] = {
+            document["law"] = {
                 "table": [asdict(row) for row in self.law.table],
                 "journeys": [asdict(journey) for journey in self.law.journeys],
                 "path": self.law.path.document(),
                 "notes": list(self.law.notes),
             }
-        return made
+        return document
 
 
 def simulate(

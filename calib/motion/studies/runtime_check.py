@@ -58,10 +58,10 @@ def runtime_check(campaign: Campaign, coefficients: CoefficientFile, *, runs: in
         odometer.reset()
         fed += 1
         part = slice(int(logs.offsets[run]), int(logs.offsets[run + 1]))
-        loads = np.stack([one[part] for one in carried], axis=1)
+        loads = np.stack([load[part] for load in carried], axis=1)
         changed = np.concatenate(([True], (np.diff(loads, axis=0) != 0.0).any(axis=1))).tolist()
         fine, clamped = True, False
-        made = []
+        poses = []
         samples_of_run = zip(
             log["counts_left"].tolist(),
             log["counts_right"].tolist(),
@@ -86,12 +86,12 @@ def runtime_check(campaign: Campaign, coefficients: CoefficientFile, *, runs: in
                 break
             pose = odometer.pose
             clamped = clamped or pose.clamped
-            made.append((pose.x_m, pose.y_m, pose.theta_rad))
+            poses.append((pose.x_m, pose.y_m, pose.theta_rad))
         if not fine or clamped:
             continue
         radii = radii_under_load(law, loads[:, 0], loads[:, 1])
         left_m, right_m = travel_from_counts(log["counts_left"], log["counts_right"], campaign.encoder, *radii)
-        gap = np.abs(integrate(left_m, right_m, track).stacked() - np.array(made)).max(axis=0)
+        gap = np.abs(integrate(left_m, right_m, track).stacked() - np.array(poses)).max(axis=0)
         worst_m = float(np.fmax(worst_m, max(gap[0], gap[1])))
         worst_rad = float(np.fmax(worst_rad, gap[2]))
     return RuntimeCheck(fed, samples, worst_m, worst_rad, faults)

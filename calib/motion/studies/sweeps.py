@@ -231,11 +231,11 @@ def run_sweep(
         Spacing of the points.
     """
     way = find_route(route) if isinstance(route, str) else route
-    made = tuple(cases)
+    vehicles = tuple(cases)
     believed = Axle(1.0, 1.0, track_m)
     real = Axle(
-        np.array([case.left for case in made]),
-        np.array([case.right for case in made]),
+        np.array([case.left for case in vehicles]),
+        np.array([case.right for case in vehicles]),
         track_m if real_track_m is None else real_track_m,
     )
     fine = way.divided(spacing_m)
@@ -243,7 +243,7 @@ def run_sweep(
     return Sweep(
         route=way,
         track_m=track_m,
-        cases=made,
+        cases=vehicles,
         distance_m=fine.distance_m(),
         reference=reference,
         poses=poses,

@@ -101,15 +101,15 @@ def _gaps(track: Track, ride: Ride) -> tuple[FloatArray, FloatArray]:
     """Return the gap with exact angles and with counters, each (along, lateral, heading), shape (3,)."""
     end = np.array([track.x_m[-1], track.y_m[-1], track.theta_rad[-1]])
     per_count = 2.0 * math.pi / COUNTS_PER_REV
-    found = []
+    gaps = []
     for left, right in (
         (track.left_rad, track.right_rad),
         (track.counts_left * per_count, track.counts_right * per_count),
     ):
         gap = end - dead_reckoning(left, right, ride.belief)
         cos, sin = math.cos(end[2]), math.sin(end[2])
-        found.append(np.array([cos * gap[0] + sin * gap[1], -sin * gap[0] + cos * gap[1], gap[2]]))
-    return found[0], found[1]
+        gaps.append(np.array([cos * gap[0] + sin * gap[1], -sin * gap[0] + cos * gap[1], gap[2]]))
+    return gaps[0], gaps[1]
 
 
 def noise_floor(

@@ -26,10 +26,10 @@ def forms_of(effect: str) -> tuple[Form, ...]:
     BadInputError
         Where there is no such effect.
     """
-    found = tuple(form for form in ALL if form.effect == effect)
-    if not found:
+    forms = tuple(form for form in ALL if form.effect == effect)
+    if not forms:
         raise BadInputError(f"effect {effect!r} found; expected one of {', '.join(effects())}; name one of these")
-    return found
+    return forms
 
 
 def find(effect: str, form: str = "") -> Form:
@@ -40,12 +40,12 @@ def find(effect: str, form: str = "") -> Form:
     BadInputError
         Where there is no such effect, or no such form of it.
     """
-    found = forms_of(effect)
+    forms = forms_of(effect)
     if not form:
-        return found[0]
-    for one in found:
-        if one.form == form:
-            return one
+        return forms[0]
+    for known in forms:
+        if known.form == form:
+            return known
     raise BadInputError(
-        f"form {form!r} of {effect} found; expected one of {', '.join(one.form for one in found)}; name one of these"
+        f"form of {effect}: found {form!r}; expected one of {', '.join(known.form for known in forms)}; choose one"
     )

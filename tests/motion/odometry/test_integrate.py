@@ -35,7 +35,7 @@ def loop(left: FloatArray, right: FloatArray, track: float, start: tuple[float, 
             x, y = x + path * math.cos(heading), y + path * math.sin(heading)
         theta += turn
         made.append((x, y, theta))
-    return Poses.of(np.array(made).reshape(-1, 3))
+    return Poses.from_stacked(np.array(made).reshape(-1, 3))
 
 
 def steps(n: int, seed: int = 0, turn: float = 0.02) -> tuple[FloatArray, FloatArray]:
@@ -72,7 +72,7 @@ def test_runs_laid_end_to_end_are_each_integrated_on_their_own(
     for run, (a, b) in enumerate(pairwise(offsets)):
         alone = loop(left[a:b], right[a:b], TRACK_M, tuple(starts[run]), scheme)
         close(flat[a:b], alone, 2e-10)
-        last = alone[-1] if b > a else Poses.of(starts[run])
+        last = alone[-1] if b > a else Poses.from_stacked(starts[run])
         close(ends[run], last, 2e-10)
 
 
@@ -185,7 +185,7 @@ def test_the_exact_arc_does_not_depend_on_the_sampling(path: FloatArray, pieces:
 
 def test_turning_the_start_turns_the_whole_path() -> None:
     left, right = steps(200)
-    start = Poses.of([3.0, -1.0, 2.0])
+    start = Poses.from_stacked([3.0, -1.0, 2.0])
     close(integrate(left, right, TRACK_M).moved(start), integrate(left, right, TRACK_M, start=start.stacked()))
 
 

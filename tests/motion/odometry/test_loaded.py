@@ -47,7 +47,7 @@ def test_loading_at_a_stop_changes_the_radii_from_there_on() -> None:
     counts_right = np.concatenate([np.arange(0, 20001, 10), np.full(20, 20000), np.arange(20000, 50001, 10)]) / 2
     t = np.arange(len(counts_left)) * 0.02
     stop = 2005
-    history = LoadHistory.of([[0.0, 300.0, 300.0], [t[stop] + 0.005, 900.0, 400.0]])
+    history = LoadHistory.from_rows([[0.0, 300.0, 300.0], [t[stop] + 0.005, 900.0, 400.0]])
     radii = radii_under_load(LAW, *history.at(t))
     left, right = travel_from_counts(counts_left, counts_right, ENCODER, *radii)
     whole = end_poses(left, right, 0.7)
@@ -62,7 +62,7 @@ def test_loading_at_a_stop_changes_the_radii_from_there_on() -> None:
 
 
 def test_a_change_holds_from_the_first_step_after_it() -> None:
-    history = LoadHistory.of([[0.0, 1.0, 2.0], [1.0, 3.0, 4.0]])
+    history = LoadHistory.from_rows([[0.0, 1.0, 2.0], [1.0, 3.0, 4.0]])
     left, right = history.at([-1.0, 0.0, 0.5, 1.0, 1.5])
     assert left.tolist() == [1.0, 1.0, 1.0, 1.0, 3.0]
     assert right.tolist() == [2.0, 2.0, 2.0, 2.0, 4.0]
@@ -71,7 +71,7 @@ def test_a_change_holds_from_the_first_step_after_it() -> None:
 @pytest.mark.parametrize("rows", [[], [[0.0, 1.0]], [[0.0, 1.0, np.nan]], [[1.0, 1.0, 1.0], [1.0, 2.0, 2.0]]])
 def test_impossible_histories_are_refused(rows: list[list[float]]) -> None:
     with pytest.raises(BadInputError, match="load history"):
-        LoadHistory.of(rows)
+        LoadHistory.from_rows(rows)
 
 
 def test_wrapped_counters_give_the_path_of_unwrapped_ones() -> None:

@@ -90,7 +90,7 @@ RATIO = st.floats(0.97, 1.03)
 def test_swapped_wheels_on_the_mirrored_route_drive_the_mirrored_path(
     segments: list[tuple[float, float]], left: float, right: float
 ) -> None:
-    route = Route.of("r", *segments)
+    route = Route.from_segments("r", *segments)
     seen = end_of_route(route, BELIEVED, Axle(0.1 * left, 0.1 * right, 0.7))
     mirrored = end_of_route(route.mirrored(), BELIEVED, Axle(0.1 * right, 0.1 * left, 0.7))
     np.testing.assert_allclose(
@@ -103,7 +103,7 @@ def test_swapped_wheels_on_the_mirrored_route_drive_the_mirrored_path(
 def test_scaling_the_route_and_the_vehicle_scales_the_error(
     segments: list[tuple[float, float]], left: float, right: float, scale: float
 ) -> None:
-    route = Route.of("r", *segments)
+    route = Route.from_segments("r", *segments)
     large = Route("r", scale * route.length_m, route.turn_rad)
     small = end_of_route(route, BELIEVED, Axle(0.1 * left, 0.1 * right, 0.7))
     made = end_of_route(
@@ -118,7 +118,7 @@ def test_scaling_the_route_and_the_vehicle_scales_the_error(
 def test_dividing_the_route_does_not_move_the_end(
     segments: list[tuple[float, float]], left: float, right: float, spacing: float
 ) -> None:
-    route = Route.of("r", *segments)
+    route = Route.from_segments("r", *segments)
     real = Axle(0.1 * left, 0.1 * right, 0.7)
     coarse, fine = end_of_route(route, BELIEVED, real), end_of_route(route.divided(spacing), BELIEVED, real)
     np.testing.assert_allclose(fine.stacked(), coarse.stacked(), rtol=0.0, atol=1e-11)
@@ -129,7 +129,7 @@ def test_dividing_the_route_does_not_move_the_end(
 def test_driving_the_route_back_leads_home_whatever_the_radii(
     segments: list[tuple[float, float]], left: float, right: float
 ) -> None:
-    there = Route.of("r", *segments)
+    there = Route.from_segments("r", *segments)
     whole = Route(
         "there and back",
         np.concatenate([there.length_m, -there.length_m[::-1]]),

@@ -45,7 +45,7 @@ def circle(pose: tuple[float, float, float], left_m: float, right_m: float) -> t
 
 def test_two_straight_pieces_with_two_pairs_of_radii_are_two_arcs() -> None:
     """Without the correction the odometry believes the radii at 300 N; the wheels roll on those at the load carried."""
-    path = made(Route.of("r", straight(10.0)))
+    path = made(Route.from_segments("r", straight(10.0)))
     pose = (0.0, 0.0, 0.0)
     for length, left_N, right_N in ((4.0, 300.0, 350.0), (6.0, 900.0, 400.0)):
         left = length * (0.1 + 1.3e-6 * (left_N - 300.0)) / 0.1
@@ -74,7 +74,7 @@ def test_radii_that_follow_the_load_keep_to_the_route(name: str) -> None:
 
 def test_the_systematic_part_is_the_scatter_of_vehicles_whose_law_is_another() -> None:
     """Monte Carlo: coefficients drawn once a journey, for both pieces the same; driven as two arcs."""
-    path = made(Route.of("r", straight(10.0)), track_std_m=2e-3, single_run=True)
+    path = made(Route.from_segments("r", straight(10.0)), track_std_m=2e-3, single_run=True)
     rng = np.random.default_rng(5)
     ends = []
     means = [[one.radius_ref_m, one.slope_m_per_N] for one in (LAW.left, LAW.right)]
@@ -122,7 +122,7 @@ def test_under_one_load_the_path_ends_in_the_scatter_of_the_journey() -> None:
 def test_the_random_part_is_that_of_the_walk_on_a_straight() -> None:
     """var(theta) = q S, var(y) = q S^3 / 3, var(x) = p S."""
     walk = RandomWalk(sigma_along_m_per_sqrt_m=2e-3, sigma_heading_rad_per_sqrt_m=1e-3)
-    path = made(Route.of("r", straight(10.0)), walk=walk)
+    path = made(Route.from_segments("r", straight(10.0)), walk=walk)
     random = path.corrected.random[-1]
     assert random[2, 2] == pytest.approx(1e-6 * 10.0, rel=1e-9)
     assert random[1, 1] == pytest.approx(1e-6 * 1000.0 / 3.0, rel=1e-3)  # steps of 1/200 of the way
@@ -146,7 +146,7 @@ def test_tables_hold_what_the_path_says() -> None:
 
 
 def test_cutting_a_route_leaves_it_where_it_is() -> None:
-    route = Route.of("r", straight(2.0), arc(1.0, -2.0), arc(0.0, 1.0), straight(-1.0))
+    route = Route.from_segments("r", straight(2.0), arc(1.0, -2.0), arc(0.0, 1.0), straight(-1.0))
     cut = route.cut([0.0, 0.5, 2.0, 3.0, 4.5, 99.0])
     assert len(cut) == 7
     np.testing.assert_allclose(cut.poses()[-1].stacked(), route.poses()[-1].stacked(), rtol=0.0, atol=1e-13)
@@ -163,4 +163,4 @@ def test_impossible_loads_are_refused(rows: list[tuple[float, float, float]]) ->
 
 def test_a_change_beyond_the_end_is_refused() -> None:
     with pytest.raises(BadInputError, match="before the end of r at 3 m"):
-        made(Route.of("r", straight(3.0)))
+        made(Route.from_segments("r", straight(3.0)))

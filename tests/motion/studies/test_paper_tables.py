@@ -100,7 +100,7 @@ def test_the_bend_of_the_straight_is_the_textbook_parabola_to_first_order() -> N
 def test_unequal_radii_miss_the_end_of_the_route(which: str, ratio: float, x: float, y: float) -> None:
     """Fig. 14: global errors, x lateral to the last straight."""
     pose = end("paper_route", *real_radii(which, ratio))
-    errors = pose_errors(pose, Poses.of([8.0, 8.0, math.pi / 2]))
+    errors = pose_errors(pose, Poses.from_stacked([8.0, 8.0, math.pi / 2]))
     np.testing.assert_allclose((errors.global_x_m, errors.global_y_m), (x, y), rtol=0.0, atol=TENTH_MM)
     # along the last straight is global y, left of it is minus global x
     np.testing.assert_allclose((errors.along_m, errors.lateral_m), (y, -x), rtol=0.0, atol=TENTH_MM)
