@@ -31,7 +31,7 @@ from calib.gap.verdict.closure import HeldOut, measure_closure
 from calib.gap.verdict.decide import decide
 from calib.gap.verdict.evidence import Evidence
 from calib.gap.verdict.result import BY_MODEL, BY_SIMULATOR, Verdict
-from calib.gap.where.covariates import locate
+from calib.gap.where.locate import locate
 
 if TYPE_CHECKING:
     from calib.coefficients.sections import EffectSection

@@ -20,13 +20,13 @@ NEAR: Final = 3.0
 STRETCH: Final = 2.0
 
 
-def distance(bench: WhitenedSystem, nuisance: Nuisance, contribution: FloatArray, form: Form) -> float:
+def distance(system: WhitenedSystem, nuisance: Nuisance, contribution: FloatArray, form: Form) -> float:
     """Return how far a contribution (n_rows,) lies from what a form could do, in standard deviations.
 
     The form's parameters are free within what is physically plausible.
     """
     target = project(nuisance, contribution[:, None])[:, 0]
-    columns = project(nuisance, bench.columns(form))
+    columns = project(nuisance, system.columns(form))
     bound = np.array([p.largest / p.typical for p in form.parameters]) * STRETCH
     gram = columns.T @ columns
     sizes = np.linalg.solve(gram + np.diag(1e-9 + 1.0 / (10 * bound) ** 2), columns.T @ target)
@@ -36,7 +36,7 @@ def distance(bench: WhitenedSystem, nuisance: Nuisance, contribution: FloatArray
 
 
 def aliases_of(
-    bench: WhitenedSystem,
+    system: WhitenedSystem,
     nuisance: Nuisance,
     contribution: FloatArray,
     forms: dict[str, list[Form]],
@@ -46,7 +46,7 @@ def aliases_of(
 
     Parameters
     ----------
-    bench : WhitenedSystem
+    system : WhitenedSystem
         The whitened system.
     nuisance : Nuisance
         What is free beside the effect.
@@ -57,11 +57,11 @@ def aliases_of(
     held : sequence of str
         Effects of the hypothesis itself, not to be offered.
     """
-    found: dict[str, float] = {}
-    for name, made in forms.items():
+    aliases: dict[str, float] = {}
+    for name, offered in forms.items():
         if name in held:
             continue
-        near = min((distance(bench, nuisance, contribution, form) for form in made), default=np.inf)
+        near = min((distance(system, nuisance, contribution, form) for form in offered), default=np.inf)
         if near < NEAR:
-            found[name] = near
-    return found
+            aliases[name] = near
+    return aliases

@@ -14,7 +14,7 @@ from calib.gap.evidence.fit import fit
 from calib.gap.evidence.noise import Noise, estimate_noise
 from calib.gap.predict.path import Path, predict
 from calib.gap.predict.residuals import residuals
-from calib.gap.where.covariates import locate
+from calib.gap.where.locate import locate
 from calib.gap.where.result import CovariateLine
 from calib.plant.effects.registry import find
 from calib.plant.make import make_campaign
