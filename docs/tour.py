@@ -1,9 +1,9 @@
 # ruff: noqa: T201  (a script shows what it does)
-"""Run every command that README.md shows and put its real output beneath it: ``python docs/tour.py``.
+"""Run every command that the README and the site show and put its real output beneath it: ``python docs/tour.py``.
 
 A block that begins with ``console`` after its fence holds commands, each in a line that begins with ``$``; what stands
 between them is replaced by what they print. ``--only WORD`` runs the blocks that hold the word; ``--check`` writes
-nothing and ends with status 1 where the README no longer shows what the commands print.
+nothing and ends with status 1 where a page no longer shows what the commands print.
 """
 
 from __future__ import annotations
@@ -17,7 +17,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-README = ROOT / "README.md"
+#: pages in the order in which a reader meets them: later ones use what earlier commands wrote
+PAGES = tuple(
+    ROOT / name for name in ("README.md", "docs/start.md", "docs/verdicts.md", "docs/planning.md", "docs/commands.md")
+)
 BLOCK = re.compile(r"(?<=^```console\n).*?(?=^```$)", re.MULTILINE | re.DOTALL)
 PROMPT = "$ "
 
@@ -45,7 +48,7 @@ def output_of(command: str) -> str:
 
 
 def renewed(text: str, wanted: Callable[[str], bool]) -> str:
-    """Return the README with the output of the blocks that are `wanted` made again."""
+    """Return a page with the output of the blocks that are `wanted` made again."""
 
     def make(found: re.Match[str]) -> str:
         block = found.group(0)
@@ -61,18 +64,22 @@ def renewed(text: str, wanted: Callable[[str], bool]) -> str:
 
 
 def main() -> int:
-    """Renew the README, or say that it is out of date."""
+    """Renew the pages, or say which are out of date."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--only", metavar="WORD", default="", help="only blocks that hold the word")
     parser.add_argument("--check", action="store_true", help="write nothing; status 1 where something would change")
     given = parser.parse_args()
-    before = README.read_text(encoding="utf-8")
-    after = renewed(before, lambda block: given.only in block)
+    stale = []
+    for page in PAGES:
+        before = page.read_text(encoding="utf-8")
+        after = renewed(before, lambda block: given.only in block)
+        if after != before:
+            stale.append(page.relative_to(ROOT).as_posix())
+            if not given.check:
+                page.write_text(after, encoding="utf-8")
     if given.check:
-        print("README.md is up to date" if after == before else "README.md is out of date: run python docs/tour.py")
-        return int(after != before)
-    README.write_text(after, encoding="utf-8")
-    return 0
+        print(f"out of date: {', '.join(stale)}; run python docs/tour.py" if stale else "all pages are up to date")
+    return int(bool(stale) and given.check)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The README's commands are commands of this version, and what it shows is what they print."""
+"""The commands that README and site show are commands of this version, and what they show is what is printed."""
 
 from __future__ import annotations
 
@@ -29,8 +29,10 @@ def _tour() -> ModuleType:
 
 
 TOUR = _tour()
-BLOCKS = [found.group(0) for found in TOUR.BLOCK.finditer(README)]
-SHOWN = [command for block in BLOCKS for command in TOUR.commands_of(block)]
+TEXTS = [page.read_text(encoding="utf-8") for page in TOUR.PAGES]
+BLOCKS = list(dict.fromkeys(found.group(0) for text in TEXTS for found in TOUR.BLOCK.finditer(text)))
+SHOWN = list(dict.fromkeys(command for block in BLOCKS for command in TOUR.commands_of(block)))
+MOST_WORDS = 1500
 
 
 @pytest.mark.parametrize("command", SHOWN)
@@ -55,8 +57,14 @@ def test_the_line_that_tests_is_the_one_of_continuous_integration() -> None:
     assert TEST_LINE in (ROOT / ".ci" / "run").read_text(encoding="utf-8").splitlines()
 
 
+def test_the_readme_is_read_in_ten_minutes() -> None:
+    """Fifteen hundred words; everything else is on the site."""
+    assert len(README.split()) <= MOST_WORDS
+
+
 def test_links_lead_to_files_of_the_project() -> None:
-    for name in ("README.md", "CONTRIBUTING.md", "reports/README.md"):
+    pages = [page.relative_to(ROOT).as_posix() for page in (ROOT / "docs").rglob("*.md")]
+    for name in ("README.md", "CONTRIBUTING.md", "reports/README.md", *pages):
         text = (ROOT / name).read_text(encoding="utf-8")
         targets = [one for one in re.findall(r"\]\(([^)#\s]+)", text) if "://" not in one]
         assert all((ROOT / name).parent.joinpath(one).exists() for one in targets), name

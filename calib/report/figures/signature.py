@@ -1,0 +1,80 @@
+"""The signature of an effect: where it bends the paths, and what it leaves in each channel, kind by kind."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from calib.arrays import FloatArray, StrArray
+from calib.gap.effects.signatures import EffectSignature
+from calib.gap.predict.path import Path
+from calib.report.figures.style import GREY, PALETTE, canvas, styled
+
+__all__ = ["signature_figure"]
+
+CHANNELS = ("distance", "along", "lateral", "heading", "front", "steering")
+ANGLES = frozenset({"heading", "steering"})
+#: a channel that changes by less (m or rad) counts as still: no instrument sees a micrometre
+STILL = 1e-6
+
+
+@styled
+def signature_figure(found: EffectSignature, nominal: Path) -> Figure:
+    """Draw a signature.
+
+    Parameters
+    ----------
+    found : EffectSignature
+        From `calib.gap.effects.signatures.signature_of`.
+    nominal : Path
+        The model alone on the same runs.
+
+    Returns
+    -------
+    Figure
+        Left the floor plan, one run of each kind, without the effect in grey and with it, enlarged, in colour; right
+        the change of each channel at the typical size, a dot a run.
+    """
+    kinds = nominal.s.labels["kind"]
+    names = list(np.unique(kinds))
+    size = np.nan_to_num(np.nanmax(np.abs(np.where(np.isfinite(found.change), found.change, 0.0)), axis=0))
+    moved = [k for k in range(len(CHANNELS)) if size[k] > STILL]
+    figure = canvas(6.4)
+    parts = figure.subfigures(1, 2, width_ratios=(1.0, 1.25))
+    _draw_plan(parts[0].subplots(), found, nominal, names)
+    panels = parts[1].subplots(max(len(moved), 1), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, channel in zip(panels, moved, strict=False):
+        _draw_channel(axes, found.change[:, channel], CHANNELS[channel], kinds, names)
+    panels[0].set_title("change at its typical size, channels that move")
+    panels[-1].set_xticks(range(len(names)), names, rotation=20, ha="right")
+    return figure
+
+
+def _draw_plan(axes: Axes, found: EffectSignature, nominal: Path, names: list[str]) -> None:
+    s = nominal.s
+    for number, name in enumerate(names):
+        units = np.flatnonzero(s.labels["kind"] == name)
+        sizes = np.nansum(found.change[units] ** 2, axis=1)
+        unit = int(units[np.argmax(sizes)])
+        part = slice(int(s.starts[unit]), int(s.starts[unit + 1]))
+        axes.plot(nominal.x_m[part], nominal.y_m[part], color=GREY, linewidth=0.8)
+        colour = PALETTE[number % len(PALETTE)]
+        axes.plot(found.enlarged.x_m[part], found.enlarged.y_m[part], color=colour, linewidth=1.1, label=name)
+        axes.plot(*found.enlarged.end[unit, :2], marker="o", markersize=3, color=colour)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_xlabel("x, m")
+    axes.set_ylabel("y, m")
+    bent = found.factor > 1.0 and bool(np.ptp(found.enlarged.end[:, :2] - nominal.end[:, :2]) > 0)
+    axes.set_title(f"paths, effect x {found.factor:.3g}" if bent else "paths (the effect bends none)")
+
+
+def _draw_channel(axes: Axes, change: FloatArray, name: str, kinds: StrArray, names: list[str]) -> None:
+    for number, kind in enumerate(names):
+        values = 1e3 * change[kinds == kind]
+        spread = number + np.linspace(-0.25, 0.25, len(values))
+        axes.plot(spread, values, ".", markersize=2.5, color=PALETTE[number % len(PALETTE)])
+    axes.axhline(0.0, color=GREY, linewidth=0.6)
+    axes.margins(y=0.2)
+    axes.set_ylabel(f"{name}\n{'mrad' if name in ANGLES else 'mm'}", rotation=0, ha="right", va="center")
+    axes.set_xlim(-0.5, len(names) - 0.5)

@@ -1,0 +1,348 @@
+"""The interactive part of a page: linked panels in which choosing a run or a session lights it everywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from calib.arrays import FloatArray, StrArray
+from calib.errors import MissingExtraError
+
+if TYPE_CHECKING:
+    from bokeh.models import ColumnDataSource, Model
+    from bokeh.plotting import figure
+
+__all__ = ["CauseBar", "PanelData", "interactive_panels"]
+
+#: Okabe and Ito's colours, told apart by colour-blind eyes too
+COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999")
+FADED: Final = 0.12
+#: points of a drawn path at most: more cannot be seen and weigh on the page
+PATH_POINTS: Final = 60
+WIDTH: Final = 540
+HEIGHT: Final = 380
+
+
+@dataclass(frozen=True, slots=True)
+class CauseBar:
+    """A cause as the page draws it: its share of the gap with a 95 % interval where there is one."""
+
+    label: str
+    probability: float
+    share: float
+    share_ci95: tuple[float, float] | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PanelData:
+    """What the panels show.
+
+    Parameters
+    ----------
+    run_id, session, kind : array of str, shape (n_units,)
+        Labels of each unit.
+    channels : tuple of (str, str)
+        Name and unit (``m`` or ``rad``) of each channel.
+    before, after : array of float, shape (n_units, n_channels)
+        Gap without and with the fix, NaN where a unit lacks the channel.
+    floor : array of float, shape (n_units, n_channels)
+        Noise floor.
+    covariates : mapping of str to array of float, shape (n_units,)
+        What the gap may go with.
+    paths_m : tuple of array of float, each shape (n_points, 2)
+        Predicted paths; empty where there are none.
+    offset_m : array of float, shape (n_units, 2), optional
+        Measured minus predicted end point, in the frame of the paths.
+    along_m : tuple of array of float, each shape (n_samples, 3)
+        Distance on the way, and the gap along and left of the path there, for units with a continuous reference; an
+        empty array for the others.
+    causes : tuple of CauseBar
+        What the verdict names.
+    """
+
+    run_id: StrArray
+    session: StrArray
+    kind: StrArray
+    channels: tuple[tuple[str, str], ...]
+    before: FloatArray
+    after: FloatArray
+    floor: FloatArray
+    covariates: Mapping[str, FloatArray]
+    paths_m: tuple[FloatArray, ...] = ()
+    offset_m: FloatArray | None = None
+    along_m: tuple[FloatArray, ...] = ()
+    causes: tuple[CauseBar, ...] = ()
+
+
+def interactive_panels(data: PanelData) -> tuple[str, str]:
+    """Return the panels as HTML: what goes into the head (Bokeh itself, inline) and what into the body.
+
+    Parameters
+    ----------
+    data : PanelData
+        What to show.
+
+    Returns
+    -------
+    head, body : str
+        Both self-contained: nothing is fetched when the page is opened.
+
+    Raises
+    ------
+    MissingExtraError
+        Where Bokeh is not installed.
+    """
+    try:
+        from bokeh.embed import components
+        from bokeh.resources import Resources
+    except ImportError as error:
+        raise MissingExtraError("an interactive page", "bokeh", "html") from error
+    resources = Resources(mode="inline", components=["bokeh", "bokeh-widgets"])
+    script, div = components(_layout(data))
+    return resources.render(), f"{div}\n{script}"
+
+
+def _layout(data: PanelData) -> Model:
+    from bokeh.layouts import column, gridplot, row
+
+    source = _source(data)
+    panels = [_covariate_panel(data, source), _before_after_panel(data, source)]
+    if data.paths_m and data.offset_m is not None:
+        panels.insert(0, _map_panel(data, source))
+    if any(len(path) for path in data.along_m):
+        panels.append(_along_panel(source))
+    if data.causes:
+        panels.append(_cause_panel(data.causes))
+    widgets = [panel.widgets for panel in panels]
+    figures = [panel.figure for panel in panels]
+    tools = [widget for group in widgets for widget in group]
+    return column(
+        row(_session_choice(data, source), *tools),
+        gridplot([figures[k : k + 2] for k in range(0, len(figures), 2)], merge_tools=False),
+        sizing_mode="stretch_width",
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Panel:
+    figure: figure
+    widgets: tuple[Model, ...] = ()
+
+
+def _milli(values: FloatArray) -> FloatArray:
+    return np.asarray(1e3 * values, dtype=np.float64)
+
+
+def _source(data: PanelData) -> ColumnDataSource:
+    """Return the one table of all panels, a row a unit: a selection in one panel is a selection in all."""
+    from bokeh.models import ColumnDataSource
+
+    _, number = np.unique(data.kind, return_inverse=True)
+    columns: dict[str, Any] = {
+        "run": data.run_id,
+        "session": data.session,
+        "kind": data.kind,
+        "colour": [COLOURS[int(k) % len(COLOURS)] for k in number],
+    }
+    for name, values in data.covariates.items():
+        columns[f"by {name}"] = values
+    columns["by order driven"] = np.arange(len(data.run_id), dtype=np.float64)
+    for channel, (name, _) in enumerate(data.channels):
+        columns[f"before {name}"] = _milli(data.before[:, channel])
+        columns[f"after {name}"] = _milli(data.after[:, channel])
+    first = _first_channel(data)
+    columns["x"] = columns["by order driven"]
+    columns["y"] = columns[f"before {first}"]
+    columns["b"], columns["a"] = columns[f"before {first}"], columns[f"after {first}"]
+    if data.paths_m and data.offset_m is not None:
+        thin = [path[:: max(1, len(path) // PATH_POINTS)] for path in data.paths_m]
+        columns["path_x"] = [path[:, 0].astype(np.float32) for path in thin]
+        columns["path_y"] = [path[:, 1].astype(np.float32) for path in thin]
+        ends = np.array([path[-1] for path in data.paths_m])
+        columns["end_x"], columns["end_y"] = ends[:, 0], ends[:, 1]
+        columns["off_x"], columns["off_y"] = data.offset_m[:, 0], data.offset_m[:, 1]
+    if any(len(path) for path in data.along_m):
+        columns["way"] = [np.round(path[:, 0], 4) if len(path) else np.zeros(0) for path in data.along_m]
+        columns["way_gap"] = [_milli(path[:, 2]) if len(path) else np.zeros(0) for path in data.along_m]
+    return ColumnDataSource(columns)
+
+
+def _first_channel(data: PanelData) -> str:
+    """Return the channel whose gap stands highest above its floor."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = np.nanmean((data.before / np.where(data.floor > 0, data.floor, np.nan)) ** 2, axis=0)
+    return data.channels[int(np.nanargmax(ratio))][0] if np.isfinite(ratio).any() else data.channels[0][0]
+
+
+def _present(data: PanelData) -> list[tuple[str, str]]:
+    return [pair for k, pair in enumerate(data.channels) if np.isfinite(data.before[:, k]).any()]
+
+
+def _unit(unit: str) -> str:
+    return "mrad" if unit == "rad" else "mm"
+
+
+def _figure(title: str, x: str, y: str, **further: Any) -> figure:
+    from bokeh.plotting import figure as bokeh_figure
+
+    plot = bokeh_figure(
+        title=title,
+        x_axis_label=x,
+        y_axis_label=y,
+        width=WIDTH,
+        height=HEIGHT,
+        tools="tap,box_select,pan,wheel_zoom,reset,save",
+        **further,
+    )
+    plot.toolbar.logo = None
+    return plot
+
+
+def _hover(plot: figure, renderer: Model) -> None:
+    from bokeh.models import HoverTool
+
+    plot.add_tools(
+        HoverTool(renderers=[renderer], tooltips=[("run", "@run"), ("session", "@session"), ("kind", "@kind")])
+    )
+
+
+def _map_panel(data: PanelData, source: ColumnDataSource) -> _Panel:
+    """Draw the paths from a common start and, at each end, the gap as an arrow, enlarged by what the slider says."""
+    from bokeh.models import CustomJS, Slider
+
+    plot = _figure("Floor plan: predicted paths, and the gap at each end", "x, m", "y, m", match_aspect=True)
+    lines = plot.multi_line(
+        "path_x", "path_y", source=source, line_color="colour", line_alpha=0.5, nonselection_line_alpha=FADED
+    )
+    assert data.offset_m is not None
+    size = float(np.nanmax(np.hypot(data.offset_m[:, 0], data.offset_m[:, 1]), initial=1e-6))
+    extent = max(float(np.ptp(np.concatenate(data.paths_m), axis=0).max()), 1e-3)
+    factor = max(1.0, round(0.15 * extent / size))
+    ends = np.array([path[-1] for path in data.paths_m])
+    tips = ends + factor * data.offset_m
+    source.add(list(np.stack((ends[:, 0], tips[:, 0]), axis=1)), "arrow_x")
+    source.add(list(np.stack((ends[:, 1], tips[:, 1]), axis=1)), "arrow_y")
+    plot.multi_line(
+        "arrow_x", "arrow_y", source=source, line_color="colour", line_width=2, nonselection_line_alpha=FADED
+    )
+    plot.scatter("end_x", "end_y", source=source, size=5, color="colour", nonselection_alpha=FADED)
+    _hover(plot, lines)
+    slider = Slider(start=1, end=max(10 * factor, 10), value=factor, step=1, title="gap drawn enlarged by")
+    slider.js_on_change("value", CustomJS(args={"source": source}, code=ENLARGE))
+    return _Panel(plot, (slider,))
+
+
+def _covariate_panel(data: PanelData, source: ColumnDataSource) -> _Panel:
+    """Draw one channel's gap against one covariate; both can be chosen."""
+    from bokeh.models import CustomJS, Select
+
+    first = _first_channel(data)
+    units = {name: _unit(unit) for name, unit in _present(data)}
+    plot = _figure("The gap against what was driven", "order driven", f"{first}, {units[first]}")
+    points = plot.scatter("x", "y", source=source, size=7, color="colour", alpha=0.8, nonselection_alpha=FADED)
+    _hover(plot, points)
+    names = ["order driven", *data.covariates]
+    by = Select(title="against", value=names[0], options=names)
+    channel = Select(title="channel", value=first, options=list(units))
+    code = CustomJS(
+        args={
+            "source": source,
+            "by": by,
+            "channel": channel,
+            "x": plot.xaxis[0],
+            "y": plot.yaxis[0],
+            "units": units,
+        },
+        code=CHOOSE,
+    )
+    by.js_on_change("value", code)
+    channel.js_on_change("value", code)
+    return _Panel(plot, (channel, by))
+
+
+def _before_after_panel(data: PanelData, source: ColumnDataSource) -> _Panel:
+    """Draw what is left after the fix against what was there before; the floor as a band, the diagonal as a line."""
+    from bokeh.models import BoxAnnotation, Slope
+
+    first = _first_channel(data)
+    index = [name for name, _ in data.channels].index(first)
+    unit = _unit(data.channels[index][1])
+    plot = _figure("Before and after the fix, on runs left out", f"{first} before, {unit}", f"{first} after, {unit}")
+    floor = 2e3 * float(np.sqrt(np.nanmean(data.floor[:, index] ** 2)))
+    plot.add_layout(BoxAnnotation(bottom=-floor, top=floor, fill_alpha=0.08, fill_color="#009E73"))
+    plot.add_layout(Slope(gradient=1.0, y_intercept=0.0, line_dash="dashed", line_color="#999999"))
+    points = plot.scatter("b", "a", source=source, size=7, color="colour", alpha=0.8, nonselection_alpha=FADED)
+    _hover(plot, points)
+    return _Panel(plot)
+
+
+def _along_panel(source: ColumnDataSource) -> _Panel:
+    """Draw the lateral gap along the way, where the log has a reference all along."""
+    plot = _figure("The gap along the run", "distance on the way, m", "left of the path, mm")
+    lines = plot.multi_line(
+        "way", "way_gap", source=source, line_color="colour", line_alpha=0.6, nonselection_line_alpha=FADED
+    )
+    _hover(plot, lines)
+    return _Panel(plot)
+
+
+def _cause_panel(causes: tuple[CauseBar, ...]) -> _Panel:
+    """Draw each named cause's share of the gap with its 95 % interval."""
+    from bokeh.models import ColumnDataSource, Whisker
+
+    labels = [f"{cause.label} (p = {cause.probability:.2f})" for cause in causes][::-1]
+    plot = _figure("Causes: share of the gap", "share", "", y_range=labels, x_range=(0.0, 1.05))
+    plot.hbar(y=labels, right=[cause.share for cause in causes][::-1], height=0.5, color=COLOURS[0], alpha=0.7)
+    known = [(label, cause.share_ci95) for label, cause in zip(labels[::-1], causes, strict=True) if cause.share_ci95]
+    if known:
+        table = ColumnDataSource(
+            {
+                "y": [label for label, _ in known],
+                "low": [interval[0] for _, interval in known if interval],
+                "high": [interval[1] for _, interval in known if interval],
+            }
+        )
+        plot.add_layout(Whisker(source=table, base="y", lower="low", upper="high", dimension="width"))
+    return _Panel(plot)
+
+
+def _session_choice(data: PanelData, source: ColumnDataSource) -> Model:
+    """Return a list of sessions and kinds whose choice selects their runs in every panel."""
+    from bokeh.models import CustomJS, MultiChoice
+
+    options = sorted({f"session {name}" for name in data.session} | {f"kind {name}" for name in data.kind})
+    choice = MultiChoice(title="light up", options=options, value=[], width=320)
+    choice.js_on_change("value", CustomJS(args={"source": source}, code=LIGHT))
+    return choice
+
+
+#: selects the units of the chosen sessions and kinds
+LIGHT: Final = """
+const rows = [];
+const wanted = cb_obj.value;
+for (let k = 0; k < source.data.run.length; k++) {
+  const labels = ["session " + source.data.session[k], "kind " + source.data.kind[k]];
+  if (labels.some((label) => wanted.includes(label))) rows.push(k);
+}
+source.selected.indices = rows;
+"""
+
+#: shows another channel or covariate
+CHOOSE: Final = """
+source.data.x = source.data["by " + by.value];
+source.data.y = source.data["before " + channel.value];
+x.axis_label = by.value;
+y.axis_label = channel.value + ", " + units[channel.value];
+source.change.emit();
+"""
+
+#: draws the gap at the ends of the paths larger or smaller
+ENLARGE: Final = """
+const d = source.data;
+d.arrow_x = Array.from(d.end_x, (x, k) => [x, x + cb_obj.value * d.off_x[k]]);
+d.arrow_y = Array.from(d.end_y, (y, k) => [y, y + cb_obj.value * d.off_y[k]]);
+source.change.emit();
+"""
