@@ -41,9 +41,9 @@ def signature_figure(found: EffectSignature, nominal: Path) -> Figure:
     size = np.nan_to_num(np.nanmax(np.abs(np.where(np.isfinite(found.change), found.change, 0.0)), axis=0))
     moved = [k for k in range(len(CHANNELS)) if size[k] > STILL]
     figure = canvas(6.4)
-    parts = figure.subfigures(1, 2, width_ratios=(1.0, 1.25))
-    _draw_plan(parts[0].subplots(), found, nominal, names)
-    panels = parts[1].subplots(max(len(moved), 1), 1, sharex=True, squeeze=False)[:, 0]
+    floor, channels = figure.subfigures(1, 2, width_ratios=(1.0, 1.25), squeeze=False)[0]
+    _draw_plan(floor.subplots(), found, nominal, names)
+    panels = channels.subplots(max(len(moved), 1), 1, sharex=True, squeeze=False)[:, 0]
     for axes, channel in zip(panels, moved, strict=False):
         _draw_channel(axes, found.change[:, channel], CHANNELS[channel], kinds, names)
     panels[0].set_title("change at its typical size, channels that move")
