@@ -9,6 +9,7 @@ import numpy as np
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.family import Family
+from calib.gap.effects.scales import softness
 from calib.gap.effects.shapes import curvature_per_m, shows_curves
 from calib.gap.predict.push import Push
 from calib.units import GRAVITY_MPS2
@@ -40,6 +41,6 @@ class CurveLoadTransfer(Effect):
         pull_mps2 = speed * np.abs(speed) * curvature_per_m(s)
         moved_N = s.weight_N[s.unit] * pull_mps2 * s.vehicle.cog_z_m / (GRAVITY_MPS2 * s.model.track_m)
         per_left, per_right = -moved_N / s.radius_left_m[s.unit], moved_N / s.radius_right_m[s.unit]
-        radius = 0.5 * (s.model.radius_left_m + s.model.radius_right_m)
+        radius = 0.5 * (s.model.radius_left_m + s.model.radius_right_m) * softness(s)
         parameter = Parameter("slope", "m/N", typical=1e-5 * radius, largest=6e-5 * radius)
         return [Form(self.id, "", (parameter,), lambda _: [Push(left=per_left, right=per_right)])]

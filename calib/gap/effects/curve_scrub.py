@@ -9,6 +9,7 @@ import numpy as np
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.family import Family
+from calib.gap.effects.scales import reach
 from calib.gap.effects.shapes import curvature_per_m, shows_curves
 from calib.gap.predict.push import Push
 
@@ -31,6 +32,6 @@ class CurveScrub(Effect):
         if not shows_curves(s):
             return []
         bend = np.abs(curvature_per_m(s))
-        # up to 3 % in a turn of 1 m
-        parameter = Parameter("widening", "m", typical=1.5e-2, largest=1.5e-1)
+        # up to 3 % in a turn of the vehicle's own length
+        parameter = Parameter("widening", "m", typical=1.5e-2 * reach(s), largest=1.5e-1 * reach(s))
         return [Form(self.id, "", (parameter,), lambda _: [Push(track=bend)])]

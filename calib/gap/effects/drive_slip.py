@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.arrays import FloatArray
 from calib.gap.data.observations import Observations
-from calib.gap.effects.effect import Effect, Form, Parameter
+from calib.gap.effects.effect import Centre, Effect, Form, Parameter
 from calib.gap.effects.family import Family
 from calib.gap.effects.steering import front_travel_m, has_front
 from calib.gap.predict.push import Push
@@ -36,46 +36,65 @@ class DriveSlip(Effect):
         """Return forms by the force that slips; none without a front wheel in the log."""
         if not has_front(s).any():
             return []
-        weight = s.weight_N / float(np.mean(s.weight_N))
         front_N = s.weight_N - s.number("load_left_N") - s.number("load_right_N")
         over_front = s.weight_N / np.maximum(front_N, 0.05 * s.weight_N)
         acceleration = _acceleration_mps2(s)
         speeding = np.maximum(acceleration, 0.0)
-        front = front_travel_m(s)
+        front, ones = front_travel_m(s), np.ones(len(s.unit))
         per_acceleration = Parameter("slip_per_mps2", "s2/m", typical=1e-2, largest=1e-1)
         rolling = Parameter("slip_rolling", "1", typical=3e-3, largest=5e-2)
         # a run from rest to rest gains and loses the same by acceleration and braking
         gains = bool((np.abs(s.total(front * speeding)) > 1e-4).any())
-        unlike = bool(np.isfinite(over_front).all() and np.ptp(over_front / np.mean(over_front) / weight) > 0.02)
-        constant = [np.ones(len(s.unit))]
-        forces: list[tuple[str, FloatArray]] = [("by the force", weight)]
-        if unlike:
-            forces.append(("by the force over the front load", over_front / float(np.mean(over_front))))
-        found: list[tuple[str, list[FloatArray], tuple[Parameter, ...]]] = []
-        for name, force in forces:
-            wide = force[s.unit]
+        forces = {"by the force": s.weight_N}
+        if np.isfinite(over_front).all() and np.ptp(_over_mean(over_front) / _over_mean(s.weight_N)) > 0.02:
+            forces["by the force over the front load"] = over_front
+        # label, the force (None where the load does nothing), the parts that go with it, their parameters
+        found: list[tuple[str, FloatArray | None, list[FloatArray], tuple[Parameter, ...]]] = []
+        for name, force in forces.items():
             if gains:
-                found.append((f"{name}, speeding up", [speeding * wide], (per_acceleration,)))
-                both = [speeding * wide, wide]
-                found.append((f"{name}, speeding up and rolling", both, (per_acceleration, rolling)))
+                found.append((f"{name}, speeding up", force, [speeding], (per_acceleration,)))
+                both = (per_acceleration, rolling)
+                found.append((f"{name}, speeding up and rolling", force, [speeding, ones], both))
+            wide = Centre(0.0, float(np.mean(force))).deviations(force)[s.unit]
             if (np.abs(s.total(front * acceleration * wide)) > 1e-2).any():
-                both = [acceleration * wide, wide]
-                found.append((f"{name}, speeding up, braking and rolling", both, (per_acceleration, rolling)))
-            found.append((f"{name}, rolling", [wide], (rolling,)))
+                both = (per_acceleration, rolling)
+                found.append((f"{name}, speeding up, braking and rolling", force, [acceleration, ones], both))
+            found.append((f"{name}, rolling", force, [ones], (rolling,)))
+        if float(np.ptp(_over_mean(s.weight_N))) > 1e-9:
+            found.append(("a constant share, or the front wheel's radius", None, [ones], (rolling,)))
 
-        if float(np.ptp(weight)) > 1e-9:
-            found.append(("a constant share, or the front wheel's radius", constant, (rolling,)))
-
-        def made(label: str, slips: list[FloatArray], parameters: tuple[Parameter, ...]) -> Form:
+        def made(
+            label: str,
+            force: FloatArray | None,
+            parts: list[FloatArray],
+            parameters: tuple[Parameter, ...],
+            centre: Centre | None = None,
+        ) -> Form:
+            share = ones
+            if force is not None:
+                centre = centre or Centre(0.0, float(np.mean(force)))
+                share = centre.deviations(force)[s.unit]
             pushes = []
-            for slip in slips:
+            for part in parts:
                 reading = np.zeros((len(s), 6))
-                reading[:, 4] = s.total(front * slip * s.steer_cos)
-                reading[:, 5] = s.total(front * slip * s.steer_sin) / s.vehicle.wheelbase_m
+                reading[:, 4] = s.total(front * part * share * s.steer_cos)
+                reading[:, 5] = s.total(front * part * share * s.steer_sin) / s.vehicle.wheelbase_m
                 pushes.append(Push(reading=reading))
-            return Form(self.id, label, parameters, lambda _: pushes, tries=len(found))
+            return Form(
+                self.id,
+                label,
+                parameters,
+                lambda _: pushes,
+                tries=len(found),
+                centre=centre,
+                about=None if centre is None else lambda elsewhere: made(label, force, parts, parameters, elsewhere),
+            )
 
         return [made(*one) for one in found]
+
+
+def _over_mean(values: FloatArray) -> FloatArray:
+    return values / np.mean(values)
 
 
 def _acceleration_mps2(s: Observations) -> FloatArray:

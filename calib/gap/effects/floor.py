@@ -11,11 +11,19 @@ from calib.arrays import FloatArray, IntArray
 from calib.gap.data.observations import Observations
 from calib.gap.predict.path import Path
 
-__all__ = ["far_end_m", "floor_place", "is_back", "lanes", "map_heading_rad"]
+__all__ = ["common_frame", "far_end_m", "floor_place", "is_back", "lanes", "map_heading_rad"]
 
 
 #: a kind that ends so is driven on another lane of the same floor
 _LANE: Final = re.compile(r"_([b-z]|\d+)$")
+
+
+def common_frame(s: Observations) -> bool:
+    """Return whether the poses stand in one frame, so that a place on the floor is the same place in every run.
+
+    A campaign that does not say is taken to: its runs begin at one mark.
+    """
+    return not s.windowed and bool(getattr(s, "common_frame", True))
 
 
 def is_back(s: Observations) -> FloatArray:

@@ -11,7 +11,7 @@ from calib.arrays import FloatArray
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter, varies
 from calib.gap.effects.family import Family
-from calib.gap.effects.floor import map_heading_rad
+from calib.gap.effects.floor import common_frame, map_heading_rad
 from calib.gap.predict.path import Path, predict
 from calib.gap.predict.push import Push
 
@@ -33,11 +33,8 @@ class FloorSlope(Effect):
     shifts: ClassVar[tuple[str, ...]] = ("radius_scale",)
 
     def forms(self, s: Observations) -> list[Form]:
-        """Return forms by slope and pull; none where the floor is only driven one way, or for windows of a recording.
-
-        The place of a window on the floor is not kept.
-        """
-        if s.windowed:
+        """Return forms by slope and pull; none where it is driven one way only, or headings share no zero."""
+        if not common_frame(s):
             return []
         nominal = predict(s)
         heading = map_heading_rad(nominal)

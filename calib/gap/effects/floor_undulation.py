@@ -10,6 +10,7 @@ from calib.arrays import BoolArray
 from calib.gap.data.observations import STRAIGHT_RAD, Observations
 from calib.gap.effects.effect import Effect, Form, Parameter, varies
 from calib.gap.effects.family import Family
+from calib.gap.effects.floor import common_frame
 from calib.gap.predict.push import Push
 
 __all__ = ["FloorUndulation"]
@@ -37,12 +38,14 @@ class FloorUndulation(Effect):
         if varies(lane):
             values = np.unique(lane)
             groups = [(f"lane {value:g}", lane == value) for value in values]
-        else:
+        elif common_frame(s):
             # only routes that run straight along the hall are lanes
             kind = s.labels["kind"]
             bent = (s.total(np.abs(s.turn_rad)) > _BENT_RAD) | (np.abs(s.total(s.turn_rad)) > STRAIGHT_RAD)
             names = [name for name in np.unique(kind) if not bent[kind == name].any()]
             groups = [(f"route {name}", kind == name) for name in names]
+        else:
+            groups = []
         if not 1 < len(groups) <= _MOST:
             return []
         parameter = Parameter("excess", "1", typical=2.5e-4, largest=2e-3, sign=1)

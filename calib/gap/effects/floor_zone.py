@@ -11,7 +11,7 @@ from calib.arrays import FloatArray, IntArray
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.family import Family
-from calib.gap.effects.floor import floor_place, lanes, map_heading_rad
+from calib.gap.effects.floor import common_frame, floor_place, lanes, map_heading_rad
 from calib.gap.predict.path import Path, predict
 from calib.gap.predict.push import Push
 
@@ -42,7 +42,7 @@ class FloorZone(Effect):
         A strip lies across the whole floor, as a joint does. Only runs with a log have a place; what fewer than three
         runs cross is left out, and what tells runs apart best is kept.
         """
-        if s.windowed or np.count_nonzero(s.from_log) < _FEWEST_UNITS:
+        if not common_frame(s) or np.count_nonzero(s.from_log) < _FEWEST_UNITS:
             return []
         lane = lanes(s)[s.unit]
         places: WeakKeyDictionary[Path, tuple[FloatArray, FloatArray, FloatArray]] = WeakKeyDictionary()

@@ -8,8 +8,9 @@ import numpy as np
 
 from calib.arrays import FloatArray
 from calib.gap.data.observations import Observations
-from calib.gap.effects.effect import Effect, Form, Parameter, varies
+from calib.gap.effects.effect import Centre, Effect, Form, Parameter, varies
 from calib.gap.effects.family import Family
+from calib.gap.effects.scales import softness
 from calib.gap.predict.push import Push
 
 __all__ = ["LoadCreep"]
@@ -40,39 +41,44 @@ class LoadCreep(Effect):
             return []
         # the middle of the run stands for the run: a tau of minutes hardly moves within it
         t = minutes + 0.5 * np.nan_to_num(s.total(np.nan_to_num(s.duration_s))) / 60.0
-        radius = 0.5 * (s.model.radius_left_m + s.model.radius_right_m)
+        radius = 0.5 * (s.model.radius_left_m + s.model.radius_right_m) * softness(s)
         reference = s.model.reference_load_N
         unladen = s.vehicle.unladen_load_N
         parameters = tuple(
             Parameter(name, "m/N", typical=1.5e-6 * radius, largest=2e-5 * radius)
             for name in ("creep_left", "creep_right")
         )
-        shapes: dict[str, tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]] = {}
-        zero = np.zeros(len(s))
-        shapes["whole load"] = ((left, right), (zero, zero))
-        over = (left - reference, right - reference)
+        # the load before it, from which the band creeps to the present one; the reference load is no load at all
+        before: dict[str, tuple[FloatArray, FloatArray] | None] = {"whole load": None}
         if varies(left, 5.0) or varies(right, 5.0):
-            shapes["load above the reference"] = (over, (zero, zero))
-            before = (_before(left, right, unladen), _before(right, left, unladen))
-            if np.ptp(before[0]) > 5.0 or np.ptp(before[1]) > 5.0:
-                shapes["change of load"] = (over, (before[0] - reference, before[1] - reference))
-        tries = len(shapes) * len(TIMES_MIN)
+            before["load above the reference"] = None
+            loads = (_before(left, right, unladen), _before(right, left, unladen))
+            if np.ptp(loads[0]) > 5.0 or np.ptp(loads[1]) > 5.0:
+                before["change of load"] = loads
 
-        def made(name: str, tau: float) -> Form:
-            (now_left, now_right), (old_left, old_right) = shapes[name]
+        def made(name: str, tau: float, centre: Centre | None) -> Form:
+            nought = 0.0 if centre is None else centre.mean
             gone = np.exp(-t / tau)
-            per_left = -(now_left - (now_left - old_left) * gone) / s.radius_left_m
-            per_right = -(now_right - (now_right - old_right) * gone) / s.radius_right_m
+            pushes = []
+            for number, (load, radius_m) in enumerate(((left, s.radius_left_m), (right, s.radius_right_m))):
+                loads = before[name]
+                old = np.zeros(len(s)) if loads is None else loads[number] - nought
+                now = load - nought
+                pushes.append(-(now - (now - old) * gone) / radius_m)
+            per_left, per_right = pushes
             return Form(
                 self.id,
                 f"{name}, time constant {tau:g} min",
                 parameters,
                 lambda _: [Push(left=per_left), Push(right=per_right)],
                 settings={"tau_min": tau},
-                tries=tries,
+                tries=len(before) * len(TIMES_MIN),
+                centre=centre,
+                about=None if centre is None else lambda elsewhere: made(name, tau, elsewhere),
             )
 
-        return [made(name, tau) for name in shapes for tau in TIMES_MIN]
+        centre = Centre(reference)
+        return [made(name, tau, None if name == "whole load" else centre) for name in before for tau in TIMES_MIN]
 
 
 def _before(load: FloatArray, other: FloatArray, first: float) -> FloatArray:

@@ -7,6 +7,7 @@ from typing import ClassVar
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter, varies
 from calib.gap.effects.family import Family
+from calib.gap.effects.scales import softness
 from calib.gap.effects.shapes import shows_curves
 from calib.gap.predict.push import Push
 
@@ -31,5 +32,5 @@ class LoadDependentTrack(Effect):
             return []
         over = axle - 2.0 * s.model.reference_load_N
         # up to 1 % for 1000 N
-        parameter = Parameter("per_N", "1/N", typical=5e-6, largest=5e-5)
+        parameter = Parameter("per_N", "1/N", typical=5e-6 * softness(s), largest=5e-5 * softness(s))
         return [Form(self.id, "", (parameter,), lambda _: [Push(track=over)])]

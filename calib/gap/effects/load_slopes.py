@@ -9,6 +9,7 @@ import numpy as np
 from calib.arrays import BoolArray, FloatArray
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Parameter
+from calib.gap.effects.scales import softness
 from calib.gap.predict.path import Path
 from calib.vehicle import wheel_loads_N
 
@@ -21,9 +22,9 @@ NOMINAL_PER_N: Final = 1e-5
 def slope_parameters(s: Observations) -> tuple[Parameter, ...]:
     """Return the slopes of the left and right radius against load in m/N, as an effect's parameters.
 
-    0.1 to 1.5 % per kN on a wheel of 0.1 m is 1e-7 to 1.5e-6 m/N.
+    0.1 to 1.5 % per kN on a wheel of 0.1 m is 1e-7 to 1.5e-6 m/N; more on lighter vehicles.
     """
-    radius = 0.5 * (s.model.radius_left_m + s.model.radius_right_m)
+    radius = 0.5 * (s.model.radius_left_m + s.model.radius_right_m) * softness(s)
     names = ("slope_left", "slope_right")
     return tuple(Parameter(name, "m/N", typical=1e-5 * radius, largest=6e-5 * radius) for name in names)
 
@@ -32,11 +33,12 @@ def radius_slopes_m_per_N(path: Path, use: BoolArray | None = None) -> tuple[flo
     """Return the slopes of the left and right radius against load.
 
     Those of the model; where it has none, those that the hypothesis gives the radii of the units `use`, shape
-    (n_units,); where there are none either, `NOMINAL_PER_N` times the radius. With a nominal slope only the product
+    (n_units,); where there are none either, `NOMINAL_PER_N` times the radius (more on
+    lighter vehicles). With a nominal slope only the product
     of slope and misreported load means anything.
     """
     s = path.s
-    model = s.model
+    model, nominal_per_N = s.model, NOMINAL_PER_N * softness(s)
     if model.slope_left_m_per_N != 0.0 or model.slope_right_m_per_N != 0.0:
         return model.slope_left_m_per_N, model.slope_right_m_per_N
     keep = np.ones(len(s), dtype=bool) if use is None else use
@@ -53,7 +55,7 @@ def radius_slopes_m_per_N(path: Path, use: BoolArray | None = None) -> tuple[flo
         if good.sum() > 1 and np.ptp(load[good]) > 20.0:
             over = load[good] - load[good].mean()
             slope = float(over @ rolled[good] / (over @ over))
-        found.append(slope if abs(slope) > 0.1 * NOMINAL_PER_N * radius else NOMINAL_PER_N * radius)
+        found.append(slope if abs(slope) > 0.1 * nominal_per_N * radius else nominal_per_N * radius)
     return found[0], found[1]
 
 

@@ -6,6 +6,7 @@ from typing import ClassVar, Final
 
 import numpy as np
 
+from calib.arrays import BoolArray
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.family import Family
@@ -19,10 +20,11 @@ _MOST: Final = 6
 
 
 class PayloadMass(Effect):
-    """The payload of one label is off by a share, and with it the loads: dr_i = c_i share dF_i.
+    """The payload of one label, or of all, is off by a share, and with it the loads: dr_i = c_i share dF_i.
 
     The slopes c_i are the model's, else those of the hypothesis as the other payloads show them, else a nominal 1 % per
-    kN (then the share is only as good as that slope).
+    kN (then the share is only as good as that slope). All labels at once (a scale that reads too low) are asked of only
+    where the model has slopes: in a model without them no payload does anything, and slopes that are off look alike.
     """
 
     id: ClassVar[str] = "payload_mass"
@@ -34,7 +36,7 @@ class PayloadMass(Effect):
     shifts: ClassVar[tuple[str, ...]] = ("radius_scale", "unequal_radii")
 
     def forms(self, s: Observations) -> list[Form]:
-        """Return a form for each of the (at most six) payloads driven most; none without payloads."""
+        """Return a form for each of the (at most six) payloads driven most, and one for all; none without payloads."""
         payload = np.nan_to_num(s.number("payload_kg"))
         values, counts = np.unique(np.round(payload, 3), return_counts=True)
         laden = values > 0.0
@@ -43,8 +45,11 @@ class PayloadMass(Effect):
         added_left, added_right = payload_load_N(s)
         parameter = Parameter("share", "1", typical=0.15, largest=0.5)
 
-        def made(value: float) -> Form:
-            mine = np.abs(payload - value) < 1e-3
+        has_slopes = s.model.slope_left_m_per_N != 0.0 or s.model.slope_right_m_per_N != 0.0
+        together = len(values) > 1 and has_slopes
+        tries = len(values) + int(together)
+
+        def made(label: str, mine: BoolArray, settings: dict[str, float]) -> Form:
 
             def pushes(path: Path) -> list[Push]:
                 left, right = radius_slopes_m_per_N(path, ~mine)
@@ -55,7 +60,10 @@ class PayloadMass(Effect):
                     )
                 ]
 
-            label = f"payload of {value:g} kg"
-            return Form(self.id, label, (parameter,), pushes, {"payload_kg": value}, tries=len(values))
+            return Form(self.id, label, (parameter,), pushes, settings, tries=tries)
 
-        return [made(float(value)) for value in values]
+        single = [
+            made(f"payload of {value:g} kg", np.abs(payload - value) < 1e-3, {"payload_kg": float(value)})
+            for value in values
+        ]
+        return [*single, made("all payloads", payload > 0.0, {})] if together else single

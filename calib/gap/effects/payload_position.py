@@ -10,6 +10,7 @@ from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.family import Family
 from calib.gap.effects.load_slopes import radius_slopes_m_per_N
+from calib.gap.effects.scales import reach
 from calib.gap.predict.path import Path
 from calib.gap.predict.push import Push
 from calib.units import GRAVITY_MPS2
@@ -63,7 +64,7 @@ class PayloadPosition(Effect):
             ]
 
         def parameter(name: str) -> tuple[Parameter, ...]:
-            return (Parameter(name, "m", typical=3e-2, largest=2.5e-1),)
+            return (Parameter(name, "m", typical=3e-2 * reach(s), largest=2.5e-1 * reach(s)),)
 
         return [
             Form(self.id, "sideways", parameter("further_left"), sideways, tries=2),

@@ -1,4 +1,4 @@
-"""The reference is late: a vehicle that still rolls is seen where it was."""
+"""The reference is late, or early: a vehicle that rolls is seen where it was, or will be."""
 
 from __future__ import annotations
 
@@ -9,14 +9,18 @@ import numpy as np
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.family import Family
-from calib.gap.effects.shapes import end_motion
+from calib.gap.effects.shapes import end_motion, stands_mps, start_motion, start_to_end_frame
+from calib.gap.predict.path import Path
 from calib.gap.predict.push import Push
 
 __all__ = ["ReferenceLatency"]
 
 
 class ReferenceLatency(Effect):
-    """The reading is tau old: e_s = -tau v_end and e_theta = -tau omega_end."""
+    """The reading is tau old (or, below 0, ahead of the counts): e_s = -tau v_end and e_theta = -tau omega_end.
+
+    A window of a recording begins in motion too, and its start, from which all is counted, is as late as its end.
+    """
 
     id: ClassVar[str] = "reference_latency"
     title: ClassVar[str] = "a reference that reads late"
@@ -28,7 +32,9 @@ class ReferenceLatency(Effect):
     def forms(self, s: Observations) -> list[Form]:
         """Return forms by instrument (end pose, laser, both); none where every run stands still when it is read."""
         speed, rate = end_motion(s)
-        rolls = np.abs(speed) > 0.01
+        first_speed, first_rate = start_motion(s) if s.windowed else (np.zeros(len(s)), np.zeros(len(s)))
+        least = np.minimum(0.01, 0.2 * stands_mps(s))
+        rolls = (np.abs(speed) > least) | (np.abs(first_speed) > least)
         has_pose = bool((s.usable[:, 1:4].any(axis=1) & rolls).any())
         has_laser = bool((s.usable[:, 0] & rolls).any())
         wanted = [("end pose", has_pose, True, False), ("laser", has_laser, False, True)]
@@ -37,12 +43,19 @@ class ReferenceLatency(Effect):
         tries = sum(one[1] for one in wanted)
 
         def made(label: str, pose: bool, laser: bool) -> Form:
-            reading = np.zeros((len(s), 6))
-            if pose:
-                reading[:, 1], reading[:, 3] = -speed, -rate
-            if laser:
-                # the laser reads a length, which grows whichever way the vehicle rolls
-                reading[:, 0] = -np.abs(speed)
-            return Form(self.id, label, (parameter,), lambda _: [Push(reading=reading)], tries=tries)
+            def pushes(path: Path) -> list[Push]:
+                reading = np.zeros((len(s), 6))
+                if pose:
+                    # the start lay back by v_0 tau and was turned by omega_0 tau: all is seen from there
+                    x, y = first_speed - first_rate * path.end[:, 1], first_rate * path.end[:, 0]
+                    reading[:, 1], reading[:, 2] = start_to_end_frame(path, x, y)
+                    reading[:, 1] -= speed
+                    reading[:, 3] = first_rate - rate
+                if laser:
+                    # the laser reads a length, which grows whichever way the vehicle rolls
+                    reading[:, 0] = np.abs(first_speed) - np.abs(speed)
+                return [Push(reading=reading)]
+
+            return Form(self.id, label, (parameter,), pushes, tries=tries)
 
         return [made(label, pose, laser) for label, offered, pose, laser in wanted if offered]

@@ -10,6 +10,7 @@ from calib.arrays import FloatArray
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.family import Family
+from calib.gap.effects.scales import reach
 from calib.gap.effects.shapes import start_to_end_frame
 from calib.gap.predict.path import Path, predict
 from calib.gap.predict.push import Push
@@ -42,5 +43,7 @@ class ReferenceLeverArm(Effect):
             c, sn = np.cos(path.frame), np.sin(path.frame)
             return [push(path, c - 1.0, sn), push(path, -sn, c - 1.0)]
 
-        parameters = tuple(Parameter(name, "m", typical=1e-2, largest=2e-1) for name in ("lever_x", "lever_y"))
+        scale = reach(s)
+        names = ("lever_x", "lever_y")
+        parameters = tuple(Parameter(name, "m", typical=1e-2 * scale, largest=2e-1 * scale) for name in names)
         return [Form(self.id, "", parameters, pushes)]

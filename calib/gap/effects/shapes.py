@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.arrays import BoolArray, FloatArray
+from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Form, Parameter
 from calib.gap.predict.path import Path
@@ -18,6 +18,8 @@ __all__ = [
     "end_motion",
     "laser_share",
     "shows_curves",
+    "stands_mps",
+    "start_motion",
     "start_to_end_frame",
 ]
 
@@ -27,6 +29,8 @@ MOVING_MPS = 0.05
 _END_S = 0.3
 #: an end speed below this is a halt, seen through the counter's steps
 _STANDS_MPS = 0.05
+#: or below this share of the driven speed, for vehicles that creep
+_SLOW = 0.2
 
 
 def driven_speed_mps(s: Observations) -> FloatArray:
@@ -73,19 +77,37 @@ def end_motion(s: Observations) -> tuple[FloatArray, FloatArray]:
     By the log's last two stretches of three tenths of a second, carried on to the very end: a vehicle that brakes to a
     halt stands there. A unit without a log is taken as read at its set speed, 0 where that is not known.
     """
-    ends = s.time_s[s.starts[1:] - 1]
-    back = ends[s.unit] - (s.time_s - 0.5 * np.nan_to_num(s.duration_s))
+    last = s.starts[1:] - 1
+    to_end = s.time_s[last][s.unit] - (s.time_s - 0.5 * np.nan_to_num(s.duration_s))
+    return _motion_at(s, to_end, last)
+
+
+def start_motion(s: Observations) -> tuple[FloatArray, FloatArray]:
+    """Return signed speed (m/s) and turn rate (rad/s) at the start of each unit, as `end_motion` at its end."""
+    first = s.starts[:-1]
+    duration = np.nan_to_num(s.duration_s)
+    from_start = (s.time_s - 0.5 * duration) - (s.time_s - duration)[first][s.unit]
+    return _motion_at(s, from_start, first)
+
+
+def _motion_at(s: Observations, age: FloatArray, edge: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Return speed and turn rate at the edge of each unit; `age` is how far from it each step lies, in seconds."""
     with np.errstate(invalid="ignore"):
-        late, early = back < _END_S, (back >= _END_S) & (back < 2 * _END_S)
-    late[s.starts[1:] - 1] = True
-    early[s.starts[1:] - 1] = False
-    way, turn = (_carried_on(s, part, back, late, early) for part in (s.path_m, s.turn_rad))
-    stands = np.abs(way) < _STANDS_MPS
+        late, early = age < _END_S, (age >= _END_S) & (age < 2 * _END_S)
+    late[edge] = True
+    early[edge] = False
+    way, turn = (_carried_on(s, part, age, late, early) for part in (s.path_m, s.turn_rad))
+    stands = np.abs(way) < stands_mps(s)
     known = s.from_log & np.isfinite(way)
     set_speed = np.nan_to_num(s.number("speed_mps")) * np.sign(s.total(s.path_m))
-    last_curvature = curvature_per_m(s)[s.starts[1:] - 1]
     speed = np.where(known, np.where(stands, 0.0, way), set_speed)
-    return speed, np.where(known, np.where(stands, 0.0, turn), np.abs(set_speed) * last_curvature)
+    return speed, np.where(known, np.where(stands, 0.0, turn), np.abs(set_speed) * curvature_per_m(s)[edge])
+
+
+def stands_mps(s: Observations) -> FloatArray:
+    """Return the speed below which the edge of a unit is a halt, shape (n_units,): less where all of it is slow."""
+    driven = driven_speed_mps(s)
+    return np.minimum(_STANDS_MPS, np.where(np.isfinite(driven), _SLOW * driven, _STANDS_MPS))
 
 
 def _carried_on(s: Observations, steps: FloatArray, back: FloatArray, late: BoolArray, early: BoolArray) -> FloatArray:

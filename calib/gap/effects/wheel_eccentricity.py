@@ -10,6 +10,7 @@ from calib.arrays import FloatArray
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.family import Family
+from calib.gap.effects.scales import wheel_size
 from calib.gap.predict.push import Push
 
 __all__ = ["WheelEccentricity"]
@@ -45,8 +46,11 @@ class WheelEccentricity(Effect):
         of_left = relative(s.phase_left_rad, s.roll_left_rad, s.radius_left_m)
         of_right = relative(s.phase_right_rad, s.roll_right_rad, s.radius_right_m)
 
+        scale = wheel_size(s)
+
         def parameters(side: str) -> tuple[Parameter, ...]:
-            return tuple(Parameter(f"{side}_{part}", "m", typical=2e-4, largest=2e-3) for part in ("cos", "sin"))
+            names = (f"{side}_cos", f"{side}_sin")
+            return tuple(Parameter(name, "m", typical=2e-4 * scale, largest=2e-3 * scale) for name in names)
 
         left, right = [Push(left=part) for part in of_left], [Push(right=part) for part in of_right]
         return [

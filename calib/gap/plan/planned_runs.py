@@ -149,16 +149,19 @@ def route_of(kind: str, corridor_m: float = DEFAULT_CORRIDOR_M) -> Route:
 def default_candidates(campaign: Campaign) -> list[PlannedRun]:
     """Return runs worth considering: routes, payloads and their place, speeds, directions, temperatures, dwell.
 
-    Payloads stay within what the campaign carried (200 kg where it carried none), temperatures are varied by 10 K where
-    the campaign notes them.
+    Payloads stay within what the campaign carried (twice the vehicle's own mass where it carried none), temperatures
+    are varied by 10 K where the campaign notes them.
     """
     runs = campaign.runs
     carried = runs.number("payload_kg")
-    most = float(np.nanmax(carried)) if np.isfinite(carried).any() and np.nanmax(carried) > 0 else 200.0
+    heaviest = float(np.nanmax(carried)) if np.isfinite(carried).any() else 0.0
+    most = heaviest if heaviest > 0.0 else 2.0 * campaign.vehicle.mass_kg
     warm = runs.number("temperature_C")
     usual = float(np.nanmedian(warm)) if np.isfinite(warm).any() else float("nan")
-    payloads = [(0.0, 0.0, 0.0), (0.5 * most, 0.3, 0.0), (most, 0.3, 0.0), (0.5 * most, 0.3, 0.15)]
-    payloads.append((0.5 * most, 0.3, -0.15))
+    # on the vehicle, whose wheelbase is the longest that a payload is moved on
+    ahead, aside = 0.3 * min(1.0, campaign.vehicle.wheelbase_m), 0.15 * min(1.0, campaign.vehicle.wheelbase_m)
+    payloads = [(0.0, 0.0, 0.0), (0.5 * most, ahead, 0.0), (most, ahead, 0.0), (0.5 * most, ahead, aside)]
+    payloads.append((0.5 * most, ahead, -aside))
     routes = [("corridor", "out"), ("corridor", "back"), ("square_cw", ""), ("square_ccw", ""), ("figure8", "")]
     routes += [("route_left", ""), ("route_right", "")]
     base = PlannedRun("corridor", temperature_C=usual)
@@ -169,7 +172,7 @@ def default_candidates(campaign: Campaign) -> list[PlannedRun]:
                 one = replace(base, kind=kind, direction=direction, speed_mps=speed)
                 dwell = 10.0 if payload else 0.0
                 made.append(replace(one, payload_kg=payload, payload_x_m=x, payload_y_m=y, minutes_under_load=dwell))
-    loaded = replace(base, direction="out", payload_kg=most, payload_x_m=0.3, speed_mps=0.5)
+    loaded = replace(base, direction="out", payload_kg=most, payload_x_m=ahead, speed_mps=0.5)
     made += [replace(loaded, minutes_under_load=minutes) for minutes in (1.0, 60.0)]
     made.append(replace(base, direction="out", stops=4))
     made.append(replace(base, direction="out", speed_mps=0.7, read_rolling=True))

@@ -16,7 +16,20 @@ from calib.gap.effects.library import library
 from calib.gap.effects.path_weave import sine_excess
 from calib.gap.effects.shapes import driven_speed_mps, end_motion
 from calib.gap.predict.path import predict
-from tests.gap.effects.making import ROUTE, SQUARE, STRAIGHT, Motion, Run, campaign, motion_of, situation
+from calib.vehicle import Vehicle
+from tests.gap.effects.making import (
+    MODEL,
+    RADIUS_M,
+    ROUTE,
+    SQUARE,
+    STRAIGHT,
+    Motion,
+    Run,
+    campaign,
+    motion_of,
+    rich_runs,
+    situation,
+)
 
 
 def offered(s: Observations, effect: str) -> list[str]:
@@ -133,3 +146,114 @@ def test_session_steps_count_from_the_first_session_driven() -> None:
     s = situation(runs)
     (form,) = next(e for e in library(s) if e.id == "session_step").forms(s)
     assert [p.name for p in form.parameters] == ["left_alpha", "right_alpha", "left_mid", "right_mid"]
+
+
+def test_all_payloads_at_once_are_asked_of_only_where_the_model_follows_the_load() -> None:
+    """Without slopes in the model a wrong scale does nothing, and slopes that are off would be its exact alias."""
+    assert "all payloads" not in offered(situation(rich_runs()), "payload_mass")
+    sloped = replace(MODEL, slope_left_m_per_N=1e-6, slope_right_m_per_N=1e-6)
+    assert "all payloads" in offered(situation(rich_runs(), model=sloped), "payload_mass")
+    one = [run for run in rich_runs() if run.numbers["payload_kg"] in (0.0, 100.0)]
+    assert offered(situation(one, model=sloped), "payload_mass") == ["payload of 100 kg"]
+
+
+@pytest.mark.parametrize("effect", ["floor_zone", "floor_slope", "floor_undulation"])
+def test_places_and_slopes_of_the_floor_need_poses_in_one_frame(effect: str) -> None:
+    """Where every run has a frame of its own, nothing says that two runs crossed the same place."""
+    lanes = [
+        replace(run, kind="corridor_b") if number % 6 == 3 else run
+        for number, run in enumerate(rich_runs())
+        if number % 3 == 0 or effect != "floor_undulation"
+    ]
+    s = situation(lanes)
+    assert offered(s, effect)
+    object.__setattr__(s, "common_frame", False)
+    assert offered(s, effect) == []
+
+
+def test_a_numbered_lane_needs_no_frame() -> None:
+    runs = [Run(STRAIGHT, numbers={"lane": float(n % 2)}) for n in range(12)]
+    s = situation(runs)
+    object.__setattr__(s, "common_frame", False)
+    assert offered(s, "floor_undulation") == ["lane 0", "lane 1"]
+
+
+def moved(x_m: float, y_m: float, theta_rad: float) -> np.ndarray:
+    """A motion in the plane as a matrix."""
+    c, s = np.cos(theta_rad), np.sin(theta_rad)
+    return np.array([[c, -s, x_m], [s, c, y_m], [0.0, 0.0, 1.0]])
+
+
+def back(speed_mps: float, curvature_per_m: float, seconds: float) -> np.ndarray:
+    """Where a vehicle on an arc was so many seconds ago, seen from where it is."""
+    turn = -speed_mps * curvature_per_m * seconds
+    if turn == 0.0:
+        return moved(-speed_mps * seconds, 0.0, 0.0)
+    return moved(np.sin(turn) / curvature_per_m, (1.0 - np.cos(turn)) / curvature_per_m, turn)
+
+
+BEND = (0.5 * np.pi * 3.0, 1 / 3.0)
+BACKWARD = [(-6.0, 0.0), (-5.0, 0.3)]
+
+
+@pytest.mark.parametrize("latency_s", [0.02, -0.02])
+@pytest.mark.parametrize(
+    "pieces", [[(6.0, 0.0), BEND], [BEND, (6.0, 0.0)], [BEND], [(-6.0, 0.0), (-5.0, 0.3)]], ids=str
+)
+def test_a_window_of_a_late_reference_is_late_at_both_ends(pieces: list[tuple[float, float]], latency_s: float) -> None:
+    """The pose between two late readings is the true one with the motion of the delay taken back at either end."""
+    speed = 0.5
+    s = situation([Run(pieces, speed_mps=speed, steps=2000, front=False)] * 3)
+    windows = replace(s, windowed=True)
+    path = predict(windows)
+    (form,) = next(e for e in library(windows) if e.id == "reference_latency").forms(windows)[:1]
+    (push,) = form.pushes(path)
+    found = latency_s * push.reading[0]  # type: ignore[index]
+    ends = [(np.sign(length), kappa) for length, kappa in (pieces[0], pieces[-1])]
+    # the pieces' curvature is turn per way without sign
+    first, last = (back(sign * speed, sign * kappa, latency_s) for sign, kappa in ends)
+    late = np.linalg.inv(first) @ moved(*path.end[0]) @ last
+    change = late[:2, 2] - path.end[0, :2]
+    c, sn = np.cos(path.frame[0]), np.sin(path.frame[0])
+    turned = np.arctan2(late[1, 0], late[0, 0]) - path.end[0, 2]
+    wanted = [c * change[0] + sn * change[1], c * change[1] - sn * change[0], np.angle(np.exp(1j * turned))]
+    # 10 mm of way at either end: what is of second order in the delay is 10 mm times 3 mrad
+    np.testing.assert_allclose(found[1:4], wanted, rtol=0, atol=1e-4)
+    # a vehicle that goes on and on along one arc shows no delay at all
+    assert (np.abs(found[1:4]).max() < 1e-4) == (len(pieces) == 1)
+
+
+def test_a_slow_robot_may_have_a_late_reference() -> None:
+    """At 30 mm/s it is in motion when it is read, and not when it has stopped."""
+    slow = [Run([(0.6, 0.0)], speed_mps=0.03, steps=200, stops=n % 2 == 0) for n in range(12)]
+    s = situation(slow)
+    speed, _ = end_motion(s)
+    np.testing.assert_allclose(speed[1::2], 0.03, rtol=1e-3)
+    assert not speed[::2].any()
+    assert offered(s, "reference_latency")
+
+
+def test_plausible_sizes_follow_the_vehicle() -> None:
+    """The same vehicle made smaller may be off by less in length and, being lighter, by more per newton."""
+
+    def largest(effect: str, size: float, mass_kg: float) -> float:
+        vehicle = Vehicle(
+            track_m=0.7 * size,
+            wheelbase_m=size,
+            wheel_radius_m=RADIUS_M * size,
+            mass_kg=mass_kg,
+            cog_x_m=0.388 * size,
+        )
+        model = replace(MODEL, radius_left_m=RADIUS_M * size, radius_right_m=RADIUS_M * size, track_m=0.7 * size)
+        s = situation(rich_runs(), vehicle=vehicle, model=model)
+        return next(e for e in library(s) if e.id == effect).forms(s)[0].parameters[0].largest
+
+    for effect in ("reference_lever_arm", "payload_position", "curve_scrub"):
+        assert largest(effect, 0.2, 0.7) == pytest.approx(0.2 * largest(effect, 1.0, 100.0))
+        # larger vehicles keep the sizes of the field
+        assert largest(effect, 2.0, 800.0) == largest(effect, 1.0, 100.0)
+    own_N = 0.5 * 0.7 * 9.81 * (1.0 - 0.388)
+    for effect in ("load_radius", "curve_load_transfer", "load_creep"):
+        ratio = largest(effect, 0.2, 0.7) / largest(effect, 1.0, 100.0)
+        # per metre of radius, as many times more as its wheel carries less than 300 N
+        assert ratio == pytest.approx(0.2 * 300.0 / own_N, rel=1e-9)

@@ -407,6 +407,14 @@ def _(run: Run, now: Motion) -> None:
         now.right = 1.2e-6 * more_N * (0.5 * (1.0 - 0.3) - 0.02 / TRACK_M) / loaded(run.load_right_N)
 
 
+@case("payload_mass", "all payloads", 0.1, model=SLOPED)
+def _(run: Run, now: Motion) -> None:
+    """A scale that reads a tenth too little under every payload."""
+    more_N = 0.1 * run.numbers["payload_kg"] * G
+    now.left = 1.2e-6 * more_N * (0.5 * (1.0 - 0.3) + 0.02 / TRACK_M) / loaded(run.load_left_N)
+    now.right = 1.2e-6 * more_N * (0.5 * (1.0 - 0.3) - 0.02 / TRACK_M) / loaded(run.load_right_N)
+
+
 @case("payload_position", "sideways", 0.05, model=SLOPED)
 def _(run: Run, now: Motion) -> None:
     moved_N = run.numbers["payload_kg"] * G * 0.05 / TRACK_M

@@ -195,3 +195,17 @@ def test_three_chosen_runs_tell_more_apart_than_four_at_random() -> None:
     before, after = count([]), count([by_content[repr(run)] for run in said])
     assert after > np.median(at_random)
     assert after >= 2 * before
+
+
+def test_a_light_robot_is_offered_a_light_payload() -> None:
+    """Where nothing was carried, no more than twice what the vehicle weighs, within its own length."""
+    driven = base()
+    numbers = {name: column for name, column in driven.runs.numbers.items() if not name.startswith("payload")}
+    small = replace(
+        driven,
+        vehicle=replace(driven.vehicle, mass_kg=0.7, wheelbase_m=0.2, cog_x_m=0.05),
+        runs=replace(driven.runs, numbers=numbers),
+    )
+    offered = default_candidates(small)
+    assert max(run.payload_kg for run in offered) == pytest.approx(1.4)
+    assert max(abs(run.payload_x_m) for run in offered) < 0.2
