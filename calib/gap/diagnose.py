@@ -113,9 +113,9 @@ def diagnose_in_full(
         observations = corrected(observations, fault)
         nominal = predict(observations)
     effects = library(observations, exclude=exclude, declared=declared)
+    shifts = {effect.id: effect.shifts for effect in effects}
     noise, base, searched = _searched(nominal, effects, settings)
     best = searched.hypotheses[0]
-    shifts = {effect.id: effect.shifts for effect in effects}
     held_out = _held_out(nominal, noise, best, effects, rng)
     if fault is not None:
         held_out = replace(held_out, before=before)
@@ -136,8 +136,8 @@ def diagnose_in_full(
         judged_against=judged_against,
     )
     verdict = decide(evidence)
-    if plan and verdict.groups:
-        ties = [group.effects for group in verdict.groups]
+    ties = [group.effects for group in verdict.groups]
+    if plan and ties:
         advised = next_runs(campaign, effects, noise, ties, best.fitted, model=model)
         verdict = replace(verdict, next_runs=tuple(advised))
     return Diagnosis(verdict, observations, noise, nominal, best.fitted, held_out, searched, tuple(effects))

@@ -33,8 +33,6 @@ LONG_FUNCTIONS: Final = {
     "cli/simulate.py:register": REGISTER,
     "cli/simulate.py:simulate": REGISTER,
     "gap/apply.py:applied_model": DIAGNOSIS,
-    "gap/diagnose.py:diagnose_in_full": DIAGNOSIS,
-    "gap/where/along_run.py:_scan": DIAGNOSIS,
     "motion/odometry/numba_loop.py:_loop": "machine code: a call inside costs what the loop saves",
     "plant/contact/campaign.py:make_contact_campaign": WRITTEN_OUT,
     "plant/contact/machine.py:mjcf": "one XML document, written out",

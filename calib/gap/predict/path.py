@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from calib.arrays import BoolArray, FloatArray
+from calib.gap.data.channels import N_CHANNELS, POSE, Channel
 from calib.gap.data.observations import Observations
 from calib.gap.predict.push import Push, total_push
 
@@ -36,7 +37,7 @@ class Path:
         Heading at the middle of each step, position at its middle.
     end : array of float, shape (n_units, 3)
         End pose.
-    reading : array of float, shape (n_units, 6)
+    reading : array of float, shape (n_units, n_channels)
         Predicted reading of each channel: distance, x, y, heading, front, steering.
     """
 
@@ -80,7 +81,7 @@ class Path:
     @cached_property
     def frame(self) -> FloatArray:
         """Heading in which along and lateral are read: the measured one, else the wheels', shape (n_units,)."""
-        measured = self.s.measured[:, 3]
+        measured = self.s.measured[:, Channel.HEADING]
         return np.where(np.isfinite(measured), measured, self.end[:, 2])
 
     @cached_property
@@ -98,7 +99,7 @@ class Path:
 
     @cached_property
     def calibration(self) -> FloatArray:
-        """Derivative of the readings by (left radius, right radius, track, front radius), shape (n_units, 6, 4).
+        """Derivative of the readings by (left, right radius, track, front radius), shape (n_units, n_channels, 4).
 
         The first three are relative changes, as is the fourth, which only the front channels feel.
         """
@@ -121,15 +122,15 @@ class Path:
         """
         s = self.s
         with np.errstate(invalid="ignore"):
-            bent = np.abs(s.measured[:, 3]) > LED_STRAIGHT_RAD
+            bent = np.abs(s.measured[:, Channel.HEADING]) > LED_STRAIGHT_RAD
         made: BoolArray = (s.total(np.abs(s.turn_rad)) < LED_STRAIGHT_RAD) & ~bent
         return made
 
     def _front_radius(self) -> FloatArray:
-        made = np.zeros((len(self.s), 6))
+        made = np.zeros((len(self.s), N_CHANNELS))
         front = np.nan_to_num(self.s.front_roll_rad) * self.s.vehicle.wheel_radius_m
-        made[:, 4] = -self.s.total(front * self.s.steer_cos)
-        made[:, 5] = -self.s.total(front * self.s.steer_sin) / self.s.vehicle.wheelbase_m
+        made[:, Channel.FRONT] = -self.s.total(front * self.s.steer_cos)
+        made[:, Channel.STEERING] = -self.s.total(front * self.s.steer_sin) / self.s.vehicle.wheelbase_m
         return made
 
 
@@ -183,18 +184,20 @@ def predict(s: Observations, pushes: list[Push] | None = None) -> Path:
         x_m=x - 0.5 * dx,
         y_m=y - 0.5 * dy,
         end=end,
-        reading=np.zeros((len(s), 6)),
+        reading=np.zeros((len(s), N_CHANNELS)),
     )
     reading = path.reading
-    reading[:, 1:4] = end
+    reading[:, [*POSE, Channel.HEADING]] = end
     line = np.abs(s.total(ds * path.weave_cos))
-    reading[:, 0] = np.where(s.axis == 1, end[:, 0], np.where(s.axis == 2, np.hypot(end[:, 0], end[:, 1]), line))
-    if s.usable[:, 4:].any():
+    reading[:, Channel.DISTANCE] = np.where(
+        s.axis == 1, end[:, 0], np.where(s.axis == 2, np.hypot(end[:, 0], end[:, 1]), line)
+    )
+    if s.usable[:, Channel.FRONT :].any():
         wheelbase = s.vehicle.wheelbase_m
         front = np.nan_to_num(s.front_roll_rad) * s.vehicle.wheel_radius_m
         # what the rear wheels say, less what the front wheel and its steering say of the same (Eqs 12 to 14)
-        reading[:, 4] = s.total(ds - front * s.steer_cos)
-        reading[:, 5] = s.total(turn - front * s.steer_sin / wheelbase)
+        reading[:, Channel.FRONT] = s.total(ds - front * s.steer_cos)
+        reading[:, Channel.STEERING] = s.total(turn - front * s.steer_sin / wheelbase)
     if push.reading is not None:
         reading += _in_start_frame(path, push.reading)
     return path
@@ -214,11 +217,11 @@ def _bend(s: Observations, turn: FloatArray) -> FloatArray:
 
 
 def _in_start_frame(path: Path, reading: FloatArray) -> FloatArray:
-    """Turn the along and lateral columns (n_units, 6) from the end frame into the start frame."""
+    """Turn the along and lateral columns (n_units, n_channels) from the end frame into the start frame."""
     made = reading.copy()
     c, s = np.cos(path.frame), np.sin(path.frame)
-    made[:, 1] = c * reading[:, 1] - s * reading[:, 2]
-    made[:, 2] = s * reading[:, 1] + c * reading[:, 2]
+    made[:, Channel.ALONG] = c * reading[:, Channel.ALONG] - s * reading[:, Channel.LATERAL]
+    made[:, Channel.LATERAL] = s * reading[:, Channel.ALONG] + c * reading[:, Channel.LATERAL]
     return made
 
 
@@ -236,13 +239,13 @@ def signature(path: Path, push: Push, *, by_steps: bool = False) -> FloatArray:
 
     Returns
     -------
-    array of float, shape (n_units, 6)
+    array of float, shape (n_units, n_channels)
         Change of (distance, along, lateral, heading, front, steering) per unit of the parameter; along and lateral
         in the frame of the end heading.
     """
     s = path.s
     n_units, n_steps = len(s), len(s.unit)
-    made = np.zeros((n_units, 6))
+    made = np.zeros((n_units, N_CHANNELS))
     stepwise: dict[str, FloatArray] = {}
     for number, part in enumerate((push.left, push.right, push.track)):
         if part is None:
@@ -260,7 +263,7 @@ def signature(path: Path, push: Push, *, by_steps: bool = False) -> FloatArray:
 
 
 def _along_path(path: Path, wide: dict[str, FloatArray], push: Push) -> FloatArray:
-    """Integrate what varies along the path: shape (n_units, 6)."""
+    """Integrate what varies along the path: shape (n_units, n_channels)."""
     s = path.s
     ds = np.zeros(len(s.unit))
     turn = np.zeros(len(s.unit))
@@ -284,15 +287,15 @@ def _along_path(path: Path, wide: dict[str, FloatArray], push: Push) -> FloatArr
         dx -= push.lateral_m * path.sin
         dy += push.lateral_m * path.cos
     x, y = s.total(dx), s.total(dy)
-    made = np.zeros((len(s), 6))
+    made = np.zeros((len(s), N_CHANNELS))
     c, sn = np.cos(path.frame), np.sin(path.frame)
-    made[:, 1], made[:, 2] = c * x + sn * y, c * y - sn * x
-    made[:, 3] = s.total(turn)
+    made[:, Channel.ALONG], made[:, Channel.LATERAL] = c * x + sn * y, c * y - sn * x
+    made[:, Channel.HEADING] = s.total(turn)
     with np.errstate(invalid="ignore", divide="ignore"):
         chord = np.nan_to_num((path.end[:, 0] * x + path.end[:, 1] * y) / np.hypot(path.end[:, 0], path.end[:, 1]))
     line = s.total(ds * path.weave_cos) * np.sign(s.total(path.ds_m))
-    made[:, 0] = np.where(s.axis == 1, x, np.where(s.axis == 2, chord, line))
-    if s.usable[:, 4:].any():
-        made[:, 4] = s.total(ds)
-        made[:, 5] = made[:, 3]
+    made[:, Channel.DISTANCE] = np.where(s.axis == 1, x, np.where(s.axis == 2, chord, line))
+    if s.usable[:, Channel.FRONT :].any():
+        made[:, Channel.FRONT] = s.total(ds)
+        made[:, Channel.STEERING] = made[:, Channel.HEADING]
     return made
