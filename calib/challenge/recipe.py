@@ -189,7 +189,7 @@ def _of_group(group: str, count: int, rng: np.random.Generator) -> list[dict[str
     if group == "single":
         return [{"effects": (name,), "targets": (signal,)} for name, signal in _singles(count, rng)]
     if group == "natural":
-        names = [str(one) for one in rng.permutation(_library())]
+        names = list(map(str, rng.permutation(_library())))
         return [{"effects": (names[n % len(names)],), "targets": (nan,)} for n in range(count)]
     if group == "pair":
         pairs = []
@@ -215,7 +215,7 @@ def _of_group(group: str, count: int, rng: np.random.Generator) -> list[dict[str
         ]
     names = [*_library(), *CALIBRATION]
     if count < len(names):
-        names = [str(one) for one in rng.permutation(names)]
+        names = list(map(str, rng.permutation(names)))
     return [
         {"effects": (names[n % len(names)],), "targets": (25.0,), "deleted": names[n % len(names)]}
         for n in range(count)

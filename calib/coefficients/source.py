@@ -69,14 +69,14 @@ def coefficients_of(path: Path | str, *, outside: str | None = None, created: st
 
         campaign = read_campaign(path)
         fit, inputs = fit_campaign(campaign), campaign.hashes
-    made = from_fit(fit, outside=wanted or "refuse", created=created, inputs=inputs)
+    master = from_fit(fit, outside=wanted or "refuse", created=created, inputs=inputs)
     notes = tuple(
         f"{name} wheel, check {check.name} failed: {check.sentence}"
         for name, wheel in fit.wheels.items()
         for check in wheel.checks
         if not check.passed
     )
-    return Source(made, notes)
+    return Source(master, notes)
 
 
 def effects_left_out(file: CoefficientFile, what: str) -> tuple[str, ...]:

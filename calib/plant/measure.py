@@ -175,7 +175,7 @@ def campaign_of(
         "direction": design.direction[chosen],
     }
     if logged:
-        labels["log"] = np.array([f"logs/{one}.csv" for one in run_id])
+        labels["log"] = np.array([f"logs/{run}.csv" for run in run_id])
     table = RunTable(
         labels=labels,
         numbers={column: values[chosen].astype(np.float64) for column, values in numbers.items()},

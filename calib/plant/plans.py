@@ -66,7 +66,7 @@ def good_design(rng: np.random.Generator, *, n_runs: int = 60, needs: Iterable[s
         Fields of `Design` that are given instead of drawn (``front=True``, ``log_period_s=0.1``, ...).
     """
     need = set(needs)
-    column_names = [one.partition(":")[2] for one in need if one.startswith("column:")]
+    column_names = [want.partition(":")[2] for want in need if want.startswith("column:")]
     n_conditions = max(8, n_runs // 3)
     n_sessions = int(rng.integers(3, 6))
     sessions = [f"s{number + 1}" for number in range(n_sessions)]

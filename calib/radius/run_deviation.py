@@ -221,7 +221,8 @@ def deviation_rows(
     BadInputError
         Where a length is not positive.
     """
-    amplitude, wavelength = (np.atleast_1d(np.asarray(one, dtype=np.float64)) for one in (amplitudes_m, wavelengths_m))
+    lengths = (amplitudes_m, wavelengths_m)
+    amplitude, wavelength = (np.atleast_1d(np.asarray(values, dtype=np.float64)) for values in lengths)
     for name, values, least in (
         ("--amplitude", amplitude, "zero or more"),
         ("--wavelength", wavelength, "more than zero"),
@@ -252,7 +253,7 @@ def deviation_rows(
         "yaw_rad": path.yaw_rad,
         "allowed_amplitude_m": allowed_amplitude_m(tolerance, w),
     }
-    return [dict(zip(columns, (float(one) for one in row), strict=True)) for row in zip(*columns.values(), strict=True)]
+    return [dict(zip(columns, map(float, row), strict=True)) for row in zip(*columns.values(), strict=True)]
 
 
 def table_setting(

@@ -109,12 +109,12 @@ def _loop(
                     u = halves[k] * halves[k]
                     chord = 0.5 * (left[first + k] + right[first + k]) * (1.0 + u * (_SINE[0] + u * _SINE[1]))
                     u = middle[k] * middle[k]
-                    s = _SINE[2] + u * (_SINE[3] + u * _SINE[4])
-                    s = middle[k] * (1.0 + u * (_SINE[0] + u * (_SINE[1] + u * s)))
-                    c = _COSINE[2] + u * (_COSINE[3] + u * _COSINE[4])
-                    c = 1.0 + u * (_COSINE[0] + u * (_COSINE[1] + u * c))
-                    dx[k] = chord * (cos * c - sin * s)
-                    dy[k] = chord * (sin * c + cos * s)
+                    sine = _SINE[2] + u * (_SINE[3] + u * _SINE[4])
+                    sine = middle[k] * (1.0 + u * (_SINE[0] + u * (_SINE[1] + u * sine)))
+                    cosine = _COSINE[2] + u * (_COSINE[3] + u * _COSINE[4])
+                    cosine = 1.0 + u * (_COSINE[0] + u * (_COSINE[1] + u * cosine))
+                    dx[k] = chord * (cos * cosine - sin * sine)
+                    dy[k] = chord * (sin * cosine + cos * sine)
             else:
                 for k in range(count):
                     half = halves[k]
@@ -132,9 +132,9 @@ def _loop(
             gone[0], gone[1], gone[2] = gone_x, gone_y, turned
             for j in range(3):
                 # summed with its rounding (Neumaier), so that equal steps do not add up a bias
-                made = so_far[j] + gone[j]
+                ahead = so_far[j] + gone[j]
                 if abs(so_far[j]) >= abs(gone[j]):
-                    rest[j] += (so_far[j] - made) + gone[j]
+                    rest[j] += (so_far[j] - ahead) + gone[j]
                 else:
-                    rest[j] += (gone[j] - made) + so_far[j]
-                so_far[j] = made
+                    rest[j] += (gone[j] - ahead) + so_far[j]
+                so_far[j] = ahead

@@ -154,7 +154,7 @@ def noise_floor(
         for kind in kinds:
             ride = Ride(kind, payload, belief, length_m=length_m, curve_speed_mps=curve_speed_mps)
             rides = [_perturbed(ride, rng) for _ in range(repeats)]
-            tracks = [drive(machine, one) for one in rides]
+            tracks = [drive(machine, each) for each in rides]
             gaps = np.array([_gaps(track, ride) for track in tracks])
             fine = drive(halved, rides[0])
             runs.append(

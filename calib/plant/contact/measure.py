@@ -72,7 +72,7 @@ def measured(
             "session": np.array([f"s{number + 1}" for number in session]),
             "kind": np.array([kind for kind, *_ in conditions]),
             "direction": np.array([direction for _, direction, *_ in conditions]),
-            "log": np.array([f"logs/{one}.csv" for one in run_id]),
+            "log": np.array([f"logs/{run}.csv" for run in run_id]),
         },
         numbers={
             "payload_kg": np.array([payload.mass_kg for payload in payloads]),
