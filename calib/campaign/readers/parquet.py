@@ -15,6 +15,8 @@ from calib.errors import BadFileError
 __all__ = ["read"]
 
 _MAX_ROWS: Final = 200_000_000
+#: below this many rows threads cost more than they save
+_MANY_ROWS: Final = 100_000
 
 
 def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTable:  # noqa: ARG001 - a reader's form
@@ -39,7 +41,7 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
                     shown, found=f"{rows} rows promised", expected=f"at most {_MAX_ROWS}", remedy="split the file"
                 )
             kept = [name for name in names if wanted is None or wanted(name)]
-            table = source.read(columns=kept)
+            table = source.read(columns=kept, use_threads=rows > _MANY_ROWS)
     except (pa.ArrowException, OSError, ValueError, OverflowError) as error:
         raise BadFileError(
             shown,

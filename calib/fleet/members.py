@@ -1,0 +1,167 @@
+"""Which vehicles a folder holds, and which files each vehicle's journeys stand in."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from datetime import date
+from pathlib import Path
+from typing import Final
+
+from calib.campaign.readers import READERS, read_table
+from calib.errors import BadFileError
+from calib.files import inside
+
+__all__ = ["Member", "Part", "labels_of", "members_of"]
+
+SETTINGS: Final = "campaign.toml"
+LABELS: Final = "vehicles.csv"
+_PARTITION: Final = re.compile(r"vehicle=(.+)")
+_MONTH: Final = re.compile(r"month=(\d{4})-(\d{2})")
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """A file with journeys of one vehicle.
+
+    Parameters
+    ----------
+    name : str
+        Path relative to the fleet's folder; names the part in results.
+    path : Path
+        Where it is.
+    settings : Path
+        Folder of its ``campaign.toml``.
+    day : float or None
+        Day of its journeys since 1970-01-01 where the partition says a month (its fifteenth); None where only the
+        column ``day`` can.
+    """
+
+    name: str
+    path: Path
+    settings: Path
+    day: float | None = None
+
+    @property
+    def key(self) -> str:
+        """Size and time of change, by which a part that was read before is known again."""
+        status = self.path.stat()
+        return f"{status.st_size}-{status.st_mtime_ns}"
+
+
+@dataclass(frozen=True, slots=True)
+class Member:
+    """A vehicle: its id and the files of its journeys, in order."""
+
+    vehicle: str
+    parts: tuple[Part, ...]
+
+
+def members_of(folder: Path) -> tuple[Member, ...]:
+    """Return the vehicles of a fleet, by id.
+
+    Parameters
+    ----------
+    folder : Path
+        Either one campaign folder a vehicle, or a Parquet dataset: ``campaign.toml``, which holds for all, beside
+        folders ``vehicle=ID`` (with or without ``month=YYYY-MM`` within) of ``.parquet`` files whose columns are those
+        of ``runs.csv``.
+
+    Returns
+    -------
+    tuple of Member
+
+    Raises
+    ------
+    BadFileError
+        Where the folder holds no vehicle.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise BadFileError(
+            folder,
+            found="a file" if folder.exists() else "no such folder",
+            expected="a folder with one campaign folder a vehicle, or a dataset partitioned by vehicle",
+            remedy="give the fleet's folder",
+        )
+    found = _dataset(folder) if (folder / SETTINGS).is_file() else _campaigns(folder)
+    if not found:
+        raise BadFileError(
+            folder,
+            found="no vehicle",
+            expected="campaign folders, or campaign.toml beside folders vehicle=ID of .parquet files",
+            remedy="give the folder that holds them",
+        )
+    return found
+
+
+def _campaigns(folder: Path) -> tuple[Member, ...]:
+    members = []
+    for path in sorted(folder.iterdir()):
+        if not (path / SETTINGS).exists():
+            continue
+        tables = (path / f"runs{suffix}" for suffix in READERS)
+        table = next((one for one in tables if one.exists()), path / "runs.csv")
+        part = Part(f"{path.name}/{table.name}", inside(folder, f"{path.name}/{table.name}", named_in=folder), path)
+        members.append(Member(path.name, (part,)))
+    return tuple(members)
+
+
+def _dataset(folder: Path) -> tuple[Member, ...]:
+    members = []
+    for path in sorted(folder.iterdir()):
+        match = _PARTITION.fullmatch(path.name)
+        if match is None or not path.is_dir():
+            continue
+        parts = []
+        for file in sorted(path.rglob("*.parquet")):
+            name = file.relative_to(folder).as_posix()
+            parts.append(Part(name, inside(folder, name, named_in=folder), folder, _day_of(file.parent.name)))
+        members.append(Member(match[1], tuple(parts)))
+    return tuple(members)
+
+
+def _day_of(partition: str) -> float | None:
+    month = _MONTH.fullmatch(partition)
+    if month is None or not 1 <= int(month[2]) <= 12:
+        return None
+    return float((date(int(month[1]), int(month[2]), 15) - date(1970, 1, 1)).days)
+
+
+def labels_of(folder: Path, vehicles: tuple[str, ...]) -> dict[str, dict[str, str]]:
+    """Return what is known of the vehicles beside their journeys: hall, type, ...
+
+    Parameters
+    ----------
+    folder : Path
+        May hold ``vehicles.csv``: a column ``vehicle`` and any further columns of labels.
+    vehicles : tuple of str
+        Ids.
+
+    Returns
+    -------
+    dict of str to dict of str to str
+        For each column, the label of each vehicle that has one.
+    """
+    path = Path(folder) / LABELS
+    if not path.is_file():
+        return {}
+    table = read_table(path, LABELS)
+    if "vehicle" not in table.columns:
+        raise BadFileError(
+            LABELS,
+            found=f"the columns {', '.join(table.columns)[:80]}",
+            expected="a column vehicle",
+            remedy="name the vehicles as their folders are named",
+        )
+    ids = [str(cell) for cell in table.columns["vehicle"]]
+    known = set(vehicles)
+    return {
+        name: {
+            vehicle: str(cell)
+            for vehicle, cell in zip(ids, cells, strict=True)
+            if vehicle in known and cell not in (None, "")
+        }
+        for name, cells in table.columns.items()
+        if name != "vehicle"
+    }

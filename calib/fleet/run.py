@@ -1,0 +1,132 @@
+"""A fleet from folder to view: what changed is read, sums are added, and the view is made anew."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from calib.fleet.engines import run_tasks
+from calib.fleet.members import Member, Part, labels_of, members_of
+from calib.fleet.part_sums import PartSums, sums_of_parts
+from calib.fleet.store import Store
+from calib.fleet.vehicle import VehicleRecord, record_of
+from calib.fleet.view import FleetView, view_of
+
+__all__ = ["Fleet", "fit_fleet"]
+
+#: called with the number of files done and the number to do
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Fleet:
+    """A fleet's vehicles and view.
+
+    Parameters
+    ----------
+    records : tuple of VehicleRecord
+        By vehicle id.
+    view : FleetView
+        Of all of them.
+    n_read, n_kept : int
+        Files read now, and files whose sums were kept from before.
+    """
+
+    records: tuple[VehicleRecord, ...]
+    view: FleetView
+    n_read: int
+    n_kept: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain JSON values: ``vehicles``, one each, and ``fleet``."""
+        outliers = {outlier.vehicle: outlier.why for outlier in self.view.outliers}
+        vehicles = []
+        for record in self.records:
+            values = record.to_dict()
+            values["outlier"] = record.vehicle in outliers
+            values["why"] = values["why"] or outliers.get(record.vehicle, "")
+            vehicles.append(values)
+        return {"format": "calib-fleet/1", "vehicles": vehicles, "fleet": self.view.to_dict()}
+
+    def summary(self) -> str:
+        """Return the fleet in a few lines of text."""
+        view = self.view
+        lines = [f"{view.n_fitted} of {view.n_vehicles} vehicles fitted, {view.n_failed} failed"]
+        for name, one in view.populations.items():
+            scale, unit = (1e3, "mm") if name.startswith("radius") else (1e9, "nm/N")
+            lines.append(
+                f"  {name}: mean {scale * one.mean:.4f} {unit} (95 %: {scale * one.mean_ci95[0]:.4f} .. "
+                f"{scale * one.mean_ci95[1]:.4f}), between vehicles {scale * one.spread:.4f} {unit} (95 %: "
+                f"{scale * one.spread_ci95[0]:.4f} .. {scale * one.spread_ci95[1]:.4f}), "
+                f"within {scale * one.within:.4f}"
+            )
+        lines += [f"  outlier {outlier.vehicle}: {outlier.why}" for outlier in view.outliers]
+        lines += [
+            f"  drifting {one.vehicle}: {one.wheel} wheel {1e9 * one.per_day_m:+.0f} +- "
+            f"{1e9 * one.half_width_m:.0f} nm a day (95 %), due on day {one.due_day:.0f}"
+            for one in view.drifting
+        ]
+        lines += [f"  {cause.sentence}" for cause in view.common]
+        return "\n".join(lines)
+
+
+def fit_fleet(
+    folder: Path,
+    into: Path,
+    *,
+    workers: int = 1,
+    scheduler: str = "",
+    progress: Progress | None = None,
+) -> Fleet:
+    """Fit every vehicle of a fleet.
+
+    Parameters
+    ----------
+    folder : Path
+        See `calib.fleet.members.members_of`.
+    into : Path
+        Result folder; holds the sums of what was read, so that only new or changed files are read the next time and an
+        interrupted run goes on where it was.
+    workers : int
+        Processes of this machine.
+    scheduler : str
+        Address of a Dask scheduler, in place of `workers`.
+    progress : callable, optional
+        Called as files are done.
+
+    Returns
+    -------
+    Fleet
+        The same whatever the engine, the number of workers and the order.
+    """
+    members = members_of(folder)
+    store = Store(into)
+    kept = _still_valid(members, store.read())
+    todo = [part for member in members for part in member.parts if part.name not in kept]
+    n_kept = len(kept)
+    for number, part in enumerate(run_tasks(sums_of_parts, todo, _given_up, workers=workers, scheduler=scheduler), 1):
+        store.append(part)
+        kept[part.part] = part
+        if progress is not None:
+            progress(number, len(todo))
+    store.rewrite(list(kept.values()))
+    records = tuple(record_of(member.vehicle, [kept[part.name] for part in member.parts]) for member in members)
+    labels = labels_of(folder, tuple(member.vehicle for member in members))
+    return Fleet(records, view_of(records, labels), len(todo), n_kept)
+
+
+def _still_valid(members: tuple[Member, ...], kept: dict[str, PartSums]) -> dict[str, PartSums]:
+    """Return the kept sums whose files are there and unchanged."""
+    valid = {}
+    for member in members:
+        for part in member.parts:
+            have = kept.get(part.name)
+            if have is not None and have.key and part.path.exists() and have.key == part.key:
+                valid[part.name] = have
+    return valid
+
+
+def _given_up(part: Part, why: str) -> PartSums:
+    return PartSums(part.name, "", 0.0, 0.0, None, None, why)

@@ -1,0 +1,167 @@
+"""A fleet with known spread, outliers, drift and a common cause, written as Parquet: the plant of `calib fleet`."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from calib.arrays import FloatArray, IntArray
+from calib.errors import MissingExtraError
+
+__all__ = ["FleetTruth", "make_fleet"]
+
+COUNTS_PER_REV: Final = 4096
+FIRST_MONTH: Final = (2025, 1)
+LOADS_N: Final = (300.0, 500.0, 700.0, 900.0, 1100.0)
+SETTINGS: Final = """format = "calib-campaign/1"
+name = "fleet"
+simulated = true
+
+[vehicle]
+track_m = 0.7
+wheelbase_m = 1.0
+wheel_radius_m = 0.1
+
+[encoder]
+counts_per_rev = 4096
+
+[model]
+radius_left_m = 0.1
+radius_right_m = 0.1
+track_m = 0.7
+reference_load_N = 300.0
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class FleetTruth:
+    """What was planted.
+
+    Parameters
+    ----------
+    radius_mean_m, radius_spread_m, slope_mean_m_per_N, slope_spread_m_per_N : float
+        Normal population of each wheel's radius at 300 N and slope.
+    outliers, drifting, common : tuple of str
+        Vehicles with a radius or slope of its own, with a drifting radius, and those of hall B, whose floor makes the
+        right wheel's radius seem larger.
+    """
+
+    radius_mean_m: float
+    radius_spread_m: float
+    slope_mean_m_per_N: float
+    slope_spread_m_per_N: float
+    outliers: tuple[str, ...]
+    drifting: tuple[str, ...]
+    common: tuple[str, ...]
+
+
+def make_fleet(
+    folder: Path,
+    rng: np.random.Generator,
+    *,
+    n_vehicles: int = 400,
+    n_runs: int = 60,
+    n_months: int = 6,
+    n_outliers: int = 20,
+    n_drifting: int = 5,
+    n_common: int = 40,
+) -> FleetTruth:
+    """Write a fleet as a Parquet dataset ``vehicle=ID/month=YYYY-MM/runs.parquet``, with ``truth.json`` beside it.
+
+    Parameters
+    ----------
+    folder : Path
+        New folder.
+    rng : numpy.random.Generator
+        Chance.
+    n_vehicles, n_runs, n_months : int
+        Size; the runs of a vehicle are spread over the months, two sessions in each.
+    n_outliers, n_drifting, n_common : int
+        How many vehicles get what.
+
+    Returns
+    -------
+    FleetTruth
+
+    Raises
+    ------
+    MissingExtraError
+        Without pyarrow.
+    """
+    try:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+    except ImportError as error:
+        raise MissingExtraError("a Parquet dataset", "pyarrow", "parquet") from error
+    names = [f"v{k:05d}" for k in range(n_vehicles)]
+    order = rng.permutation(n_vehicles)
+    odd, drifting = order[:n_outliers], order[n_outliers : n_outliers + n_drifting]
+    in_hall = rng.permutation(n_vehicles)[:n_common]
+    truth = FleetTruth(
+        radius_mean_m=0.0995,
+        radius_spread_m=6e-5,
+        slope_mean_m_per_N=-1.2e-6,
+        slope_spread_m_per_N=6e-8,
+        outliers=tuple(sorted(names[k] for k in odd)),
+        drifting=tuple(sorted(names[k] for k in drifting)),
+        common=tuple(sorted(names[k] for k in in_hall)),
+    )
+    radius = rng.normal(truth.radius_mean_m, truth.radius_spread_m, (n_vehicles, 2))
+    slope = rng.normal(truth.slope_mean_m_per_N, truth.slope_spread_m_per_N, (n_vehicles, 2))
+    wheel = rng.integers(0, 2, n_outliers)
+    sign = rng.choice((-1.0, 1.0), n_outliers)
+    by_radius = rng.random(n_outliers) < 0.5
+    radius[odd, wheel] += np.where(by_radius, sign * rng.uniform(8, 15, n_outliers) * truth.radius_spread_m, 0.0)
+    slope[odd, wheel] += np.where(by_radius, 0.0, sign * rng.uniform(8, 15, n_outliers) * truth.slope_spread_m_per_N)
+    radius[in_hall, 1] += 2.0 * truth.radius_spread_m
+    rate = np.zeros((n_vehicles, 2))
+    rate[drifting, rng.integers(0, 2, n_drifting)] = -rng.uniform(1.5e-6, 3e-6, n_drifting)
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    for row, name in enumerate(names):
+        for month, table in enumerate(_months(rng, radius[row], slope[row], rate[row], n_runs, n_months)):
+            year, number = divmod(FIRST_MONTH[1] - 1 + month, 12)
+            where = folder / f"vehicle={name}" / f"month={FIRST_MONTH[0] + year}-{number + 1:02d}"
+            where.mkdir(parents=True, exist_ok=True)
+            pq.write_table(pa.table(table), where / "runs.parquet")
+    (folder / "campaign.toml").write_text(SETTINGS, encoding="utf-8")
+    hall = np.where(np.isin(np.arange(n_vehicles), in_hall), "B", "A")
+    lines = ["vehicle,hall", *(f"{name},{place}" for name, place in zip(names, hall, strict=True))]
+    (folder / "vehicles.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    (folder / "truth.json").write_text(json.dumps(asdict(truth), indent=2) + "\n", encoding="utf-8")
+    return truth
+
+
+def _months(
+    rng: np.random.Generator, radius: FloatArray, slope: FloatArray, rate: FloatArray, n_runs: int, n_months: int
+) -> list[dict[str, FloatArray | IntArray | list[str]]]:
+    """Return the run table of each month of a vehicle; `radius`, `slope`, `rate` are those of the left, right wheel."""
+    tables: list[dict[str, FloatArray | IntArray | list[str]]] = []
+    for month, share in enumerate(np.array_split(np.arange(n_runs), n_months)):
+        n = len(share)
+        day = 30.0 * month + np.sort(rng.integers(0, 28, 2))[np.arange(n) * 2 // max(n, 1)]
+        session = [f"m{month}-{int(value)}" for value in day]
+        load = rng.choice(LOADS_N, (n, 2))
+        shift = {label: rng.normal(0.0, 4e-6, 2) for label in sorted(set(session))}
+        true = radius + slope * (load - 300.0) + np.outer(day, rate) + np.array([shift[label] for label in session])
+        true = true + rng.normal(0.0, 1.5e-5, (n, 2))
+        way = rng.uniform(37.0, 42.0, n)
+        counts = np.round(way[:, None] / (2 * np.pi * true) * COUNTS_PER_REV).astype(np.int64)
+        tables.append(
+            {
+                "run_id": [f"r{int(k):03d}" for k in share],
+                "session": session,
+                "kind": ["corridor"] * n,
+                "load_left_N": load[:, 0],
+                "load_right_N": load[:, 1],
+                "distance_m": np.round(way + rng.normal(0.0, 0.0015, n), 5),
+                "counts_left": counts[:, 0],
+                "counts_right": counts[:, 1],
+                "day": day.astype(np.float64),
+            }
+        )
+    return tables

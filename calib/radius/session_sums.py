@@ -1,0 +1,164 @@
+"""A wheel's line from sums over the runs of each session: runs can be added later and are never read again.
+
+The estimator is that of `calib.radius.sessions`, which needs of the runs of a session only their number and the sums of
+loads, radii, their squares and products. The one part of it that sums cannot give is the correction for a scatter that
+depends on the load (HC3).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.arrays import FloatArray, StrArray
+from calib.radius.sessions import NEGLIGIBLE_SHARE, WORKING_RATIO, Estimate
+
+__all__ = ["SessionSums", "line_from_sums"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SessionSums:
+    """Sums over the runs of each session, for one wheel.
+
+    Parameters
+    ----------
+    session : array of str, shape (n_sessions,)
+        Labels, each once, in order.
+    table : array of float, shape (n_sessions, 8)
+        Number of runs; sums of load, radius, load squared, load times radius, radius squared, day, and day squared.
+        Loads are counted from a reference load (N), radii from a nominal radius (m), days from any common day.
+    load_min_N, load_max_N : float
+        Span of the loads, counted from the same reference load; infinite the wrong way round where there are no runs.
+    """
+
+    session: StrArray
+    table: FloatArray
+    load_min_N: float
+    load_max_N: float
+
+    @staticmethod
+    def from_runs(session: StrArray, load_N: FloatArray, radius_m: FloatArray, day: FloatArray) -> SessionSums:
+        """Return the sums of runs, each argument of shape (n_runs,)."""
+        labels, index = np.unique(session, return_inverse=True)
+        ones = np.ones_like(load_N)
+        terms = (ones, load_N, radius_m, load_N**2, load_N * radius_m, radius_m**2, day, day**2)
+        table = np.stack([np.bincount(index, term, len(labels)) for term in terms], axis=1)
+        return SessionSums(labels, table, float(load_N.min(initial=np.inf)), float(load_N.max(initial=-np.inf)))
+
+    def added(self, other: SessionSums) -> SessionSums:
+        """Return the sums of both, sessions of the same label as one."""
+        labels, index = np.unique(np.concatenate([self.session, other.session]), return_inverse=True)
+        table = np.zeros((len(labels), self.table.shape[1]))
+        np.add.at(table, index, np.concatenate([self.table, other.table]))
+        low = min(self.load_min_N, other.load_min_N)
+        return SessionSums(labels, table, low, max(self.load_max_N, other.load_max_N))
+
+    @property
+    def n_runs(self) -> float:
+        """Number of runs."""
+        return float(self.table[:, 0].sum())
+
+    @property
+    def means(self) -> FloatArray:
+        """Mean load, radius and day of each session, shape (n_sessions, 3)."""
+        return np.asarray(self.table[:, [1, 2, 6]] / self.table[:, :1])
+
+    @property
+    def within(self) -> FloatArray:
+        """Sums of squares within sessions: of load, of load times radius, of radius, shape (3,)."""
+        n, x, y, xx, xy, yy = self.table[:, :6].T
+        return np.array([(xx - x * x / n).sum(), (xy - x * y / n).sum(), (yy - y * y / n).sum()])
+
+
+def line_from_sums(sums: SessionSums) -> Estimate | None:
+    """Return the session-aware line, or None where these runs cannot carry one.
+
+    Parameters
+    ----------
+    sums : SessionSums
+        Of one wheel.
+
+    Returns
+    -------
+    Estimate or None
+        As `calib.radius.sessions.stratified_line` gives it, without HC3; the plain line where there is one session, or
+        one run a session. None with fewer than three runs or a single load.
+    """
+    n, n_sessions = sums.n_runs, len(sums.session)
+    if n < 3:
+        return None
+    if not 2 <= n_sessions < n:
+        return _plain(sums)
+    sizes = sums.table[:, 0]
+    x_mean, y_mean, _ = sums.means.T
+    info_within, cross_within, square_within = sums.within
+    weight = 1.0 / (WORKING_RATIO + 1.0 / sizes)
+    centre = float(weight @ x_mean / weight.sum())
+    x_away = x_mean - centre
+    info_between = float(weight @ x_away**2)
+    whole = info_within + info_between
+    if not whole > 1e-12 * max(float(sums.table[:, 3].sum()), 1.0):
+        return None
+    share = info_between / whole
+    only_between = share > 1 - NEGLIGIBLE_SHARE
+    only_within = share < NEGLIGIBLE_SHARE or (n_sessions == 2 and not only_between)
+    dof_within = n - n_sessions - (0 if only_between else 1)
+    dof_between = n_sessions - (1 if only_within else 2)
+    if dof_within < 1 or dof_between < 1:
+        return _plain(sums)
+    slope_within = 0.0 if only_between else cross_within / info_within
+    run_variance = max(square_within - slope_within * (0.0 if only_between else cross_within), 0.0) / dof_within
+    if only_within:
+        part, slope = 1.0, slope_within
+        mean_radius = float(weight @ (y_mean - slope * x_away) / weight.sum())
+        deviation = y_mean - slope * x_away - mean_radius
+    else:
+        mean_radius = float(weight @ y_mean / weight.sum())
+        slope_between = float(weight @ (x_away * (y_mean - mean_radius))) / info_between
+        deviation = y_mean - mean_radius - slope_between * x_away
+        part = 0.0 if only_between else info_within / whole
+        slope = part * slope_within + (1 - part) * slope_between
+    between_square = float(weight @ deviation**2) / dof_between
+    lever = np.array([[centre**2, -centre], [-centre, 1.0]])
+    cov_between = between_square / weight.sum() * np.array([[1.0, 0.0], [0.0, 0.0]])
+    if not only_within:
+        cov_between = cov_between + (1 - part) ** 2 * between_square / info_between * lever
+    harmonic = float(np.mean(1.0 / sizes))
+    mean_variance = between_square / float(weight.mean())
+    return Estimate(
+        design="crossed" if only_within else "confounded" if only_between else "mixed",
+        coefficients=np.array([mean_radius - slope * centre, slope]),
+        cov_within=lever * (part**2 * run_variance / info_within if part else 0.0),
+        dof_within=float(dof_within),
+        cov_between=cov_between,
+        dof_between=float(dof_between),
+        run_variance=run_variance,
+        session_variance=max(mean_variance - run_variance * harmonic, 0.0),
+        session_f=mean_variance / (run_variance * harmonic) if run_variance > 0 else None,
+        robust=False,
+    )
+
+
+def _plain(sums: SessionSums) -> Estimate | None:
+    """Return the least-squares line, every run counted as independent; None with a single load."""
+    n, x, y, xx, xy, yy = sums.table[:, :6].sum(axis=0)
+    info = xx - x * x / n
+    if n < 3 or not info > 1e-12 * max(xx, 1.0):
+        return None
+    slope = (xy - x * y / n) / info
+    variance = max(yy - y * y / n - slope * (xy - x * y / n), 0.0) / (n - 2)
+    mean = x / n
+    covariance = variance * (np.array([[mean**2, -mean], [-mean, 1.0]]) / info + np.diag([1.0 / n, 0.0]))
+    return Estimate(
+        design="single",
+        coefficients=np.array([y / n - slope * mean, slope]),
+        cov_within=covariance,
+        dof_within=float(n - 2),
+        cov_between=np.zeros((2, 2)),
+        dof_between=0.0,
+        run_variance=float(variance),
+        session_variance=0.0,
+        session_f=None,
+        robust=False,
+    )
