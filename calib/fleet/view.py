@@ -157,9 +157,13 @@ def view_of(records: Sequence[VehicleRecord], labels: Mapping[str, Mapping[str, 
     """
     fitted = sorted((record for record in records if record.status == "fitted"), key=lambda record: record.vehicle)
     values, std = _table(fitted)
-    common = _common(fitted, values, std, labels or {})
-    outliers = _outliers(fitted, *_without_common(fitted, values, std, common, labels or {}))
-    keep = ~np.isin([record.vehicle for record in fitted], [one.vehicle for one in outliers])
+    common = _common(fitted, values, labels or {})
+    drifting = _drifting(fitted)
+    # what drifts is named as drifting: where it has got to is not a second finding
+    steady = {record.vehicle for record in fitted} - {one.vehicle for one in drifting}
+    apart = _outliers(fitted, *_without_common(fitted, values, std, common, labels or {}))
+    outliers = tuple(outlier for outlier in apart if outlier.vehicle in steady)
+    keep = ~np.isin([record.vehicle for record in fitted], [one.vehicle for one in apart])
     populations = {}
     for k, (side, kind) in enumerate(_QUANTITIES):
         found = population(values[keep, k], std[keep, k])
@@ -172,7 +176,7 @@ def view_of(records: Sequence[VehicleRecord], labels: Mapping[str, Mapping[str, 
         n_failed=len(records) - len(fitted),
         populations=populations,
         outliers=outliers,
-        drifting=_drifting(fitted),
+        drifting=drifting,
         common=common,
     )
 
@@ -231,9 +235,9 @@ def _drifting(fitted: Sequence[VehicleRecord]) -> tuple[DriftingVehicle, ...]:
 
 
 def _common(
-    fitted: Sequence[VehicleRecord], values: FloatArray, std: FloatArray, labels: Mapping[str, Mapping[str, str]]
+    fitted: Sequence[VehicleRecord], values: FloatArray, labels: Mapping[str, Mapping[str, str]]
 ) -> tuple[CommonCause, ...]:
-    """Return the labels whose vehicles differ from the others in a quantity: Welch's test on robustly clipped values."""
+    """Return the labels whose vehicles differ from the others in a quantity (Welch's test on clipped values)."""
     from scipy.stats import ttest_ind
 
     candidates: list[tuple[CommonCause, float]] = []
@@ -273,7 +277,7 @@ def _common(
 
 
 def _clipped(values: FloatArray, inside: Any) -> FloatArray:
-    """Return values with those far from their own side's median drawn in, so that single vehicles do not speak for all."""
+    """Return values with those far from their side's median drawn in, so that no vehicle speaks for all."""
     clipped = values.copy()
     for part in (inside, ~inside):
         median = float(np.median(values[part]))

@@ -43,7 +43,7 @@ class SessionSums:
         labels, index = np.unique(session, return_inverse=True)
         ones = np.ones_like(load_N)
         terms = (ones, load_N, radius_m, load_N**2, load_N * radius_m, radius_m**2, day, day**2)
-        table = np.stack([np.bincount(index, term, len(labels)) for term in terms], axis=1)
+        table = np.stack([np.bincount(index, term, len(labels)) for term in terms], axis=1).astype(np.float64)
         return SessionSums(labels, table, float(load_N.min(initial=np.inf)), float(load_N.max(initial=-np.inf)))
 
     def added(self, other: SessionSums) -> SessionSums:
