@@ -127,7 +127,7 @@ def _on_dask(
             f"scheduler {scheduler}: found no answer ({' '.join(str(error).split())[:100]}); "
             "expected a Dask scheduler; start one, or leave the scheduler away"
         ) from error
-    with client:
+    with client, client.as_current():
         batch_of = {client.submit(task, batch, pure=False): batch for batch in _batches(items, BATCH)}
         finished = as_completed(list(batch_of))
         for future in finished:

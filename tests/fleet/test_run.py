@@ -1,0 +1,117 @@
+"""A fleet's result is the same however it is made, and no vehicle's bad data stop it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.campaign.read import read_campaign
+from calib.files import to_json
+from calib.fleet.run import Fleet, fit_fleet
+from calib.fleet.store import SUMS
+from calib.plant.fleet import FleetTruth
+from calib.radius.fit import fit_campaign
+
+ROOT = Path(__file__).resolve().parents[2]
+#: see tests/radius/test_session_sums.py
+SUMS_TOLERANCE = 1e-8
+
+
+def _bytes(fleet: Fleet) -> str:
+    return to_json(fleet.to_dict())
+
+
+def test_a_vehicle_of_a_fleet_gets_the_law_that_fit_gives(tmp_path: Path) -> None:
+    """Sums lose nothing: radius and slope of the sample campaign, and their intervals."""
+    shutil.copytree(ROOT / "sample_runs" / "corridor_crossed", tmp_path / "fleet" / "v1")
+    record = fit_fleet(tmp_path / "fleet", tmp_path / "out").records[0]
+    fit = fit_campaign(read_campaign(tmp_path / "fleet" / "v1"))
+    assert record.left is not None
+    assert record.left.radius_ref_m == pytest.approx(fit.left.law.radius_ref_m, rel=SUMS_TOLERANCE)
+    assert record.left.slope_m_per_N == pytest.approx(fit.left.law.slope_m_per_N, rel=1e-6)
+    np.testing.assert_allclose(record.left.slope_ci95_m_per_N, fit.left.slope_ci95_m_per_N, rtol=1e-5)
+
+
+def test_workers_and_order_change_nothing(small: tuple[Path, FleetTruth], tmp_path: Path) -> None:
+    """The same bytes from one process and from two, in the result and in the kept sums."""
+    alone = fit_fleet(small[0], tmp_path / "one")
+    shared = fit_fleet(small[0], tmp_path / "two", workers=2)
+    assert _bytes(alone) == _bytes(shared)
+    assert (tmp_path / "one" / SUMS).read_bytes() == (tmp_path / "two" / SUMS).read_bytes()
+
+
+def test_an_interrupted_run_goes_on_where_it_was(small: tuple[Path, FleetTruth], tmp_path: Path) -> None:
+    """Half of the kept lines, the last one cut short: the rest is read, and the result is the same."""
+    whole = fit_fleet(small[0], tmp_path / "out")
+    sums = tmp_path / "out" / SUMS
+    data = sums.read_bytes()
+    sums.write_bytes(data[: len(data) // 2])
+    again = fit_fleet(small[0], tmp_path / "out")
+    assert 0 < again.n_read < len(whole.records) * 2
+    assert again.n_read + again.n_kept == whole.n_read
+    assert _bytes(again) == _bytes(whole)
+    assert sums.read_bytes() == data
+
+
+def test_new_journeys_alone_are_read(small: tuple[Path, FleetTruth], tmp_path: Path) -> None:
+    """A month that comes adds its sums; nothing else is read again, and the result is that of all months at once."""
+    folder = tmp_path / "fleet"
+    shutil.copytree(small[0], folder)
+    last = sorted(folder.glob("vehicle=*/month=2025-02"))
+    for month in last:
+        shutil.move(month, tmp_path / f"{month.parent.name}-later")
+    fit_fleet(folder, tmp_path / "out")
+    for month in last:
+        shutil.move(tmp_path / f"{month.parent.name}-later", month)
+    grown = fit_fleet(folder, tmp_path / "out")
+    assert (grown.n_read, grown.n_kept) == (len(last), len(last))
+    assert _bytes(grown) == _bytes(fit_fleet(folder, tmp_path / "fresh"))
+
+
+def test_bad_data_of_one_vehicle_stop_nobody(small: tuple[Path, FleetTruth], tmp_path: Path) -> None:
+    """A damaged file, and a vehicle without one, are listed with their one line."""
+    folder = tmp_path / "fleet"
+    shutil.copytree(small[0], folder)
+    damaged = next(folder.glob("vehicle=v00003/*/runs.parquet"))
+    damaged.write_bytes(damaged.read_bytes()[:100])
+    (folder / "vehicle=empty").mkdir()
+    fleet = fit_fleet(folder, tmp_path / "out", workers=2)
+    failed = {record.vehicle: record.why for record in fleet.records if record.status == "failed"}
+    assert set(failed) == {"v00003", "empty"}
+    assert "parquet" in failed["v00003"]
+    assert fleet.view.n_fitted == len(fleet.records) - 2
+
+
+def test_the_result_names_what_was_planted(small: tuple[Path, FleetTruth], tmp_path: Path) -> None:
+    """All four odd vehicles, and nobody else."""
+    fleet = fit_fleet(small[0], tmp_path / "out")
+    assert {outlier.vehicle for outlier in fleet.view.outliers} == set(small[1].outliers)
+
+
+def _dies_at_seven(batch: list[int]) -> list[int]:
+    for item in batch:
+        if item == 7:
+            os._exit(1)
+    return [item * item for item in batch]
+
+
+def test_a_worker_that_dies_costs_its_own_task_only() -> None:
+    """The item that kills its worker is given up after two tries; every other has its result."""
+    from calib.fleet.engines import run_tasks
+
+    results = run_tasks(_dies_at_seven, list(range(40)), lambda item, why: -item, workers=2)
+    assert sorted(results) == sorted([*(k * k for k in range(40) if k != 7), -7])
+
+
+def test_a_dask_scheduler_gives_the_same_bytes(small: tuple[Path, FleetTruth], tmp_path: Path) -> None:
+    """A real scheduler with two worker processes, started here."""
+    distributed = pytest.importorskip("distributed", reason="the extra fleet is not installed")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1"
+    ) as cluster:
+        through = fit_fleet(small[0], tmp_path / "dask", scheduler=cluster.scheduler_address)
+    assert _bytes(through) == _bytes(fit_fleet(small[0], tmp_path / "alone"))
