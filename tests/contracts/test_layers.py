@@ -27,6 +27,7 @@ ALLOWED: dict[str, set[str]] = {
     "motion": GROUND | {"campaign", "radius", "coefficients", "runtime"},
     "gap": GROUND | {"campaign", "radius", "coefficients", "motion"},
     "report": GROUND | {"__init__", "campaign", "radius", "coefficients", "motion", "gap"},
+    "fleet": GROUND | {"campaign", "radius", "gap"},
     "runtime": set(),
     "plant": GROUND | {"campaign"},
     "challenge": GROUND | {"__init__", "campaign", "plant", "gap"},
