@@ -7,9 +7,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+import numpy as np
+
+from calib.arrays import FloatArray
 from calib.units import SUFFIXES, convertible, split_suffix
 
-__all__ = ["Recognised", "recognise", "spelled"]
+__all__ = ["Recognised", "converted", "recognise", "spelled"]
 
 _BRACKETS: Final = re.compile(r"(.*?)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]\s*")
 _SPELLINGS: Final = {
@@ -96,3 +99,28 @@ def recognise(found: str, known: Sequence[str] | Iterable[str], *, further: bool
         renamed = f"{stem}_{target}"
         return Recognised(found, renamed, factor, offset, f"read as {renamed} (times {factor:.10g})")
     return Recognised(found, clean)
+
+
+def converted(values: FloatArray, factor: float, offset: float = 0.0) -> FloatArray:
+    """Return ``factor * values + offset`` as decimal arithmetic would give it: 0.4348 kN is 434.8 N, not 434.79999999.
+
+    Parameters
+    ----------
+    values : array of float
+        As written.
+    factor, offset : float
+        The conversion.
+
+    Returns
+    -------
+    array of float
+        Rounded to 15 significant digits, which is more than any decimal number in a file holds.
+    """
+    if factor == 1.0 and not offset:
+        return values
+    out = factor * values + offset
+    with np.errstate(divide="ignore", invalid="ignore"):
+        scale = 10.0 ** np.clip(14 - np.floor(np.log10(np.abs(out))), -22, 22)
+        rounded = np.rint(out * scale) / scale
+    usable: FloatArray = np.where(np.isfinite(rounded), rounded, out)
+    return usable

@@ -9,18 +9,17 @@ from typing import Final
 import numpy as np
 
 from calib.arrays import FloatArray, IntArray
-from calib.campaign.columns import Recognised, recognise
+from calib.campaign.columns import Recognised, converted, recognise
 from calib.campaign.faults import Border
-from calib.campaign.model import LOG_COLUMNS, Logs
-from calib.campaign.readers import read_table
+from calib.campaign.model import LOG_COLUMNS, WHEEL_SETS, Logs
+from calib.campaign.readers import Layout, read_table
 from calib.campaign.settings import Encoder
 from calib.campaign.wraps import detect_wrap_bits, unwrap
 from calib.errors import BadFileError
 
-__all__ = ["LogFile", "Renames", "read_log", "read_logs"]
+__all__ = ["LogFile", "Renames", "laid_end_to_end", "read_log", "read_logs", "refuse_incomplete"]
 
-_REQUIRED: Final = LOG_COLUMNS[:3]
-_COUNTS: Final = ("counts_left", "counts_right", "counts_front")
+_COUNTS: Final = tuple(name for name in LOG_COLUMNS if name.startswith("counts_"))
 
 #: run number, run id, path, and its name in messages
 LogFile = tuple[int, str, Path, str]
@@ -29,7 +28,9 @@ LogFile = tuple[int, str, Path, str]
 Renames = Mapping[str, tuple[str, float]]
 
 
-def read_log(path: Path, shown: str, border: Border, renames: Renames | None = None) -> dict[str, FloatArray]:
+def read_log(
+    path: Path, shown: str, border: Border, renames: Renames | None = None, layout: Layout | None = None
+) -> dict[str, FloatArray]:
     """Read one log.
 
     Parameters
@@ -42,6 +43,8 @@ def read_log(path: Path, shown: str, border: Border, renames: Renames | None = N
         Takes notes.
     renames : mapping of str to (str, float), optional
         Column as found -> name that it stands for, with a unit (``t_ms``), and a factor.
+    layout : Layout, optional
+        Sheet and header row where they are known.
 
     Returns
     -------
@@ -58,7 +61,7 @@ def read_log(path: Path, shown: str, border: Border, renames: Renames | None = N
     def called(found: str) -> Recognised:
         return recognise(names[found][0] if found in names else found, LOG_COLUMNS, further=False)
 
-    raw = read_table(path, shown, lambda name: called(name).name in LOG_COLUMNS)
+    raw = read_table(path, shown, lambda name: called(name).name in LOG_COLUMNS, layout)
     border.notes.extend(raw.notes)
     columns: dict[str, FloatArray] = {}
     for found, cells in raw.columns.items():
@@ -75,33 +78,55 @@ def read_log(path: Path, shown: str, border: Border, renames: Renames | None = N
         if match.said:
             border.say(f"{shown}, column {found}", match.said, "unit" if match.factor != 1.0 else "name")
         factor = match.factor * (names[found][1] if found in names else 1.0)
-        columns[match.name] = cells if factor == 1.0 and not match.offset else factor * cells + match.offset
-    for name in _REQUIRED:
-        if name not in columns:
-            raise BadFileError(
-                shown,
-                row=1,
-                column=name,
-                found="no such column",
-                expected=f"{', '.join(_REQUIRED)}",
-                remedy="name the columns so in the header line; a unit may differ if it is named (t_ms)",
-            )
-        gaps = np.flatnonzero(np.isnan(columns[name]))
-        if len(gaps):
-            raise BadFileError(
-                shown,
-                row=int(raw.line[gaps[0]]),
-                column=name,
-                found="an empty cell",
-                expected="a number in every row",
-                remedy="remove the row; a gap in time is found and said",
-            )
+        columns[match.name] = converted(cells, factor, match.offset)
+    refuse_incomplete(columns, shown, raw.line)
     if not len(raw.line):
         raise BadFileError(shown, found="no rows", expected="one row a sample", remedy="export the log again")
     if abs(start := float(columns["t_s"][0])) > 1.0:
         border.say(shown, f"times count from the first sample, which stood at {start:.10g} s", "start_time")
         columns["t_s"] = columns["t_s"] - start
     return columns
+
+
+def refuse_incomplete(columns: Mapping[str, FloatArray], shown: str, line: IntArray) -> None:
+    """Refuse a log without time or wheels, or with gaps in them.
+
+    Parameters
+    ----------
+    columns : mapping of str to array of float, shape (n_samples,)
+        Under calib's names.
+    shown : str
+        The log's name in messages.
+    line : array of int, shape (n_samples,)
+        Line of each sample in the file.
+
+    Raises
+    ------
+    BadFileError
+        Names the column that is missing, or the row of the empty cell.
+    """
+    wheels = max(WHEEL_SETS, key=lambda names: sum(name in columns for name in names) / len(names))
+    for name in ("t_s", *wheels):
+        if name not in columns:
+            others = " or ".join(" and ".join(names) for names in WHEEL_SETS)
+            raise BadFileError(
+                shown,
+                row=1,
+                column=name,
+                found="no such column",
+                expected=f"t_s with {others}",
+                remedy="name the columns so in the header line; a unit may differ if it is named (t_ms)",
+            )
+        gaps = np.flatnonzero(np.isnan(columns[name]))
+        if len(gaps):
+            raise BadFileError(
+                shown,
+                row=int(line[gaps[0]]),
+                column=name,
+                found="an empty cell",
+                expected="a number in every row",
+                remedy="remove the row; a gap in time is found and said",
+            )
 
 
 def read_logs(
@@ -133,6 +158,37 @@ def read_logs(
             parts[index] = read_log(path, name, border, renames)
         except BadFileError as error:
             border.fault(error, "unreadable_log", run_id)
+    names = {index: (run_id, name) for index, run_id, _, name in files}
+    return laid_end_to_end(parts, n_runs, encoder, names, border)
+
+
+def laid_end_to_end(
+    parts: dict[int, dict[str, FloatArray]],
+    n_runs: int,
+    encoder: Encoder,
+    names: Mapping[int, tuple[str, str]],
+    border: Border,
+) -> Logs:
+    """Return the logs of a campaign as one, with the overflow of their counters undone.
+
+    Parameters
+    ----------
+    parts : dict of int to dict of str to array
+        Columns of the log of each run that has one; they are taken out of it, so that logs are never held twice.
+    n_runs : int
+        Rows of the run table.
+    encoder : Encoder
+        ``wrap_bits`` where the settings name it; else overflows are looked for.
+    names : mapping of int to (str, str)
+        Run id and name of the log, for messages.
+    border : Border
+        Takes notes.
+
+    Returns
+    -------
+    Logs
+        Of all runs, end to end.
+    """
     lengths = np.zeros(n_runs, dtype=np.int64)
     for index, part in parts.items():
         lengths[index] = len(part["t_s"])
@@ -143,12 +199,10 @@ def read_logs(
             continue
         column = np.full(int(offsets[-1]), np.nan)
         for index, part in parts.items():
-            # taken out of the parts at once, so that the logs are never held twice
             values = part.pop(name, None)
             if values is not None:
                 column[offsets[index] : offsets[index + 1]] = values
         columns[name] = column
-    names = {index: (run_id, name) for index, run_id, _, name in files}
     for name in _COUNTS:
         if name in columns:
             columns[name] = _continuous(columns[name], offsets, name, encoder, names, border)
@@ -160,7 +214,7 @@ def _continuous(
     offsets: IntArray,
     column: str,
     encoder: Encoder,
-    names: dict[int, tuple[str, str]],
+    names: Mapping[int, tuple[str, str]],
     border: Border,
 ) -> FloatArray:
     if not len(counts):

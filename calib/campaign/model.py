@@ -25,6 +25,7 @@ __all__ = [
     "LABEL_COLUMNS",
     "LOG_COLUMNS",
     "NUMERIC_COLUMNS",
+    "WHEEL_SETS",
     "Campaign",
     "Logs",
     "Note",
@@ -59,13 +60,17 @@ NUMERIC_COLUMNS: Final = (
     "sim_distance_m",
 )
 
-#: columns of a log; the first three are required
+#: columns of a log; ``t_s`` and one of `WHEEL_SETS` are required
 LOG_COLUMNS: Final = (
     "t_s",
     "counts_left",
     "counts_right",
     "steer_rad",
     "counts_front",
+    "counts_front_left",
+    "counts_front_right",
+    "counts_rear_left",
+    "counts_rear_right",
     "range_m",
     "ref_x_m",
     "ref_y_m",
@@ -75,6 +80,13 @@ LOG_COLUMNS: Final = (
     "sim_theta_rad",
     "load_left_N",
     "load_right_N",
+)
+
+#: what a log needs of the wheels: both rear wheels, or the driven front wheel and its steering, or four (mecanum)
+WHEEL_SETS: Final = (
+    ("counts_left", "counts_right"),
+    ("counts_front", "steer_rad"),
+    ("counts_front_left", "counts_front_right", "counts_rear_left", "counts_rear_right"),
 )
 
 
@@ -244,6 +256,8 @@ class Campaign:
         Sections of ``campaign.toml`` that the contract does not name, as read (``effects`` for one).
     odometry : Odometry
         What the vehicle's own odometry runs on.
+    assumed : tuple of str
+        Keys of ``campaign.toml`` whose values nobody stated: a program filled them in (``rangefinder.sigma_m``).
     """
 
     root: Path | None
@@ -260,6 +274,7 @@ class Campaign:
     hashes: Mapping[str, str] = field(default_factory=dict)
     extra: Mapping[str, Any] = field(default_factory=dict)
     odometry: Odometry = field(default_factory=Odometry)
+    assumed: tuple[str, ...] = ()
 
     def select(self, keep: npt.ArrayLike) -> Campaign:
         """Return the campaign with the runs that `keep` (bool mask or indices) picks."""

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.arrays import BoolArray, FloatArray, StrArray
-from calib.campaign.columns import Recognised, recognise
+from calib.campaign.columns import Recognised, converted, recognise
 from calib.campaign.faults import Border
 from calib.campaign.model import LABEL_COLUMNS, NUMERIC_COLUMNS, RunTable
 from calib.campaign.readers.table import RawTable, comma_evidence, numbers
@@ -18,6 +18,8 @@ from calib.errors import BadFileError
 __all__ = ["run_table"]
 
 _KNOWN: Final = (*LABEL_COLUMNS, *NUMERIC_COLUMNS, "excluded")
+#: ways along a corridor
+DIRECTIONS: Final = ("out", "back")
 _TRUE: Final = frozenset({"true", "1", "1.0", "yes", "y", "x"})
 _FALSE: Final = frozenset({"false", "0", "0.0", "no", "n", "", "-"})
 
@@ -60,6 +62,8 @@ def run_table(raw: RawTable, shown: str, border: Border) -> RunTable:
         name: _texts(raw.columns[matched[name].found], name, shown, line) for name in LABEL_COLUMNS if name in matched
     }
     _check_run_ids(labels["run_id"], line, shown, border)
+    if "direction" in labels:
+        labels["direction"] = _directions(labels["direction"], labels["run_id"], line, shown, border)
     excluded = _flags(raw.columns[matched["excluded"].found], shown, line) if "excluded" in matched else None
     return RunTable(
         labels=labels,
@@ -116,7 +120,7 @@ def _numbers(raw: RawTable, matched: Mapping[str, Recognised], shown: str, borde
             )
             continue
         commas = commas or comma
-        values[name] = column if match.factor == 1.0 and not match.offset else match.factor * column + match.offset
+        values[name] = converted(column, match.factor, match.offset)
     if commas:
         border.say(shown, "decimal commas were read as decimal points", "decimal_comma")
     return values
@@ -144,6 +148,28 @@ def _plain(cell: Any) -> str:
     if np.isnan(number):
         return ""
     return str(int(number)) if number.is_integer() else repr(number)
+
+
+def _directions(
+    texts: StrArray, run_ids: StrArray, line: npt.NDArray[np.int64], shown: str, border: Border
+) -> StrArray:
+    """Return directions in lower case; any other than ``out`` and ``back`` is a fault, since checks rest on them."""
+    lower = np.char.lower(texts)
+    for index in np.flatnonzero(~np.isin(lower, ("", *DIRECTIONS))):
+        border.fault(
+            BadFileError(
+                shown,
+                row=int(line[index]),
+                column="direction",
+                found=repr(str(texts[index])[:40]),
+                expected="out or back, or an empty cell",
+                remedy=f'map it when ingesting: direction = {{column = "...", values = {{"{str(texts[index])[:20]}" = '
+                '"out"}}',
+            ),
+            "direction",
+            str(run_ids[index]),
+        )
+    return lower
 
 
 def _flags(cells: npt.NDArray[Any], shown: str, line: npt.NDArray[np.int64]) -> BoolArray:

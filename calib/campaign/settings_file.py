@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Final
 
+from calib.campaign.columns import recognise
 from calib.campaign.model import Campaign, Logs, Note, RunTable
 from calib.campaign.settings import (
     FRAMES,
@@ -22,7 +23,7 @@ from calib.campaign.settings_section import Sections, typed
 from calib.errors import BadFileError
 from calib.vehicle import DRIVES, Vehicle
 
-__all__ = ["FORMAT", "Settings", "load_toml", "parse_settings", "read_settings"]
+__all__ = ["FORMAT", "STATED", "Settings", "load_toml", "not_stated", "parse_settings", "read_settings"]
 
 FORMAT: Final = "calib-campaign/1"
 
@@ -30,6 +31,14 @@ _VEHICLE: Final = tuple(field.name for field in fields(Vehicle) if field.name !=
 _REFERENCE: Final = tuple(field.name for field in fields(Reference) if field.name != "frame")
 _MODEL: Final = tuple(field.name for field in fields(OdometryModel))
 _ENCODER: Final = ("counts_per_rev", "counts_per_rev_left", "counts_per_rev_right", "counts_per_rev_front", "wrap_bits")
+
+#: what a laboratory has to state, by section; results lean on each of them
+STATED: Final[Mapping[str, tuple[str, ...]]] = {
+    "vehicle": ("track_m", "wheelbase_m", "wheel_radius_m", "mass_kg", "cog_x_m"),
+    "encoder": ("counts_per_rev",),
+    "rangefinder": ("sigma_m",),
+    "reference": ("sigma_xy_m", "sigma_theta_rad"),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +55,7 @@ class Settings:
     odometry: Odometry
     extra: Mapping[str, Any]
     notes: tuple[Note, ...]
+    assumed: tuple[str, ...] = ()
 
     def campaign(self, runs: RunTable, logs: Logs, **further: Any) -> Campaign:
         """Return the campaign of these settings; `further` fields of `Campaign` default to what a new one has."""
@@ -60,6 +70,7 @@ class Settings:
             logs=logs,
             extra=self.extra,
             odometry=self.odometry,
+            assumed=self.assumed,
             **{"root": None, "simulated": self.simulated, **further},
         )
 
@@ -103,6 +114,7 @@ def parse_settings(document: dict[str, Any], shown: str, default_name: str) -> S
         )
     name = typed(document.pop("name", default_name), str, shown, "name", "a text")
     simulated = typed(document.pop("simulated", False), bool, shown, "simulated", "true or false")
+    declared = _declared(document, shown)
     extra: dict[str, Any] = {}
     section = Sections(document, shown, notes, extra)
     drive = section.choice("vehicle", "drive", DRIVES)
@@ -132,7 +144,34 @@ def parse_settings(document: dict[str, Any], shown: str, default_name: str) -> S
             remedy="give the centre of mass ahead of the rear axle, in metres",
         )
     extra = {key: value for key, value in document.items() if key not in section.read} | extra
-    return Settings(name, simulated, vehicle, encoder, model, rangefinder, reference, odometry, extra, tuple(notes))
+    assumed = tuple(dict.fromkeys((*declared, *not_stated(document))))
+    return Settings(
+        name, simulated, vehicle, encoder, model, rangefinder, reference, odometry, extra, tuple(notes), assumed
+    )
+
+
+def not_stated(document: Mapping[str, Any]) -> list[str]:
+    """Return the keys of `STATED` that a settings document leaves out, whatever unit it gives the others in.
+
+    Parameters
+    ----------
+    document : mapping
+        As read from TOML.
+    """
+    missing = []
+    for section, keys in STATED.items():
+        part = document.get(section, {})
+        given = {recognise(key, keys, further=False).name for key in part} if isinstance(part, Mapping) else set()
+        if section == "encoder" and {"counts_per_rev_left", "counts_per_rev_right"} <= set(part):
+            given.add("counts_per_rev")
+        missing += [f"{section}.{key}" for key in keys if key not in given]
+    return missing
+
+
+def _declared(document: dict[str, Any], shown: str) -> list[str]:
+    """Take out the key ``assumed``: what an earlier program filled in."""
+    declared = typed(document.pop("assumed", []), list, shown, "assumed", 'a list of keys, as ["rangefinder.sigma_m"]')
+    return [str(typed(key, str, shown, "assumed", "keys as texts")) for key in declared]
 
 
 def load_toml(path: Path, shown: str) -> dict[str, Any]:

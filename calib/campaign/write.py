@@ -109,6 +109,7 @@ def _settings(campaign: Campaign) -> dict[str, Any]:
         "format": FORMAT,
         "name": campaign.name,
         "simulated": bool(campaign.simulated),
+        **({"assumed": list(campaign.assumed)} if campaign.assumed else {}),
         "vehicle": _plain(campaign.vehicle),
         "encoder": encoder,
         "model": _plain(campaign.model),

@@ -180,6 +180,8 @@ FAULTS: list[tuple[str, str, str, Fault, str]] = [
         lambda m: replace(m, model=replace(m.model, track_m=700.0)),
         "",
     ),
+    ("assumed_values", "assumed", "suspicious", lambda m: replace(m, assumed=("vehicle.track_m",)), ""),
+    ("assumed_values", "assumed", "info", lambda m: replace(m, assumed=("rangefinder.sigma_m",)), ""),
 ]
 
 

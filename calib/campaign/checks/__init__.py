@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Final
 
-from calib.campaign.checks import counts, design, distances, loads, logs, repeats
+from calib.campaign.checks import assumed, counts, design, distances, loads, logs, repeats
 from calib.campaign.model import Campaign, Note
 
 __all__ = ["CHECKS", "Check"]
@@ -15,6 +15,7 @@ Check = Callable[[Campaign], Iterator[Note]]
 
 #: name of a check -> function; the order is the order of the report
 CHECKS: Final[dict[str, Check]] = {
+    "assumed_values": assumed.assumed_values,
     "missing_values": distances.missing_values,
     "distance_span": distances.distance_span,
     "distance_against_log": distances.distance_against_log,

@@ -206,7 +206,7 @@ def turn_direction(campaign: Campaign) -> Iterator[Note]:
     agreement = np.zeros(len(runs))
     for run in np.flatnonzero(present):
         log = campaign.logs.of(int(run))
-        if "steer_rad" in log:
+        if {"steer_rad", "counts_left", "counts_right"} <= set(log):
             rate = np.diff(_heading(campaign, log["counts_left"], log["counts_right"]))
             angle = log["steer_rad"][1:]
             scale = np.sqrt(np.nansum(rate**2) * np.nansum(angle**2))

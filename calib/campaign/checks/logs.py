@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
 from calib.arrays import FloatArray
-from calib.campaign.checks.common import SIDES, note
+from calib.campaign.checks.common import note
 from calib.campaign.model import Campaign, Note
 
 __all__ = ["clock", "count_jumps", "log_speed"]
@@ -41,7 +41,7 @@ def clock(campaign: Campaign) -> Iterator[Note]:
         long = np.flatnonzero(step > max(3.5 * usual, 0.0))
         if not len(long):
             continue
-        moved = np.abs(np.diff(log["counts_left"])) + np.abs(np.diff(log["counts_right"]))
+        moved = np.sum([np.abs(np.diff(log[name])) for name in _wheels(log)], axis=0)
         rate = float(np.median((moved / np.where(step > 0, step, np.nan))[step > 0]))
         # while driving, a real gap goes with as many counts as its time asks for
         jumped = [at for at in long if rate > 0 and moved[at] < 0.35 * rate * step[at] and _driving(moved, int(at))]
@@ -68,6 +68,11 @@ def clock(campaign: Campaign) -> Iterator[Note]:
             )
 
 
+def _wheels(log: Mapping[str, FloatArray]) -> list[str]:
+    """Return the columns of a log that count a wheel."""
+    return [name for name in log if name.startswith("counts_")]
+
+
 def _driving(moved: FloatArray, at: int) -> bool:
     """Return whether the wheels turned just before and just after a step."""
     return bool(moved[max(0, at - 3) : at].any() and moved[at + 1 : at + 4].any())
@@ -79,16 +84,16 @@ def count_jumps(campaign: Campaign) -> Iterator[Note]:
         log = campaign.logs.of(int(run))
         time_step = np.diff(log["t_s"])
         usual_time = max(float(np.median(time_step)), 1e-9)
-        for side in SIDES:
+        for name in _wheels(log):
             # a gap in time may hold many counts; it is named as a gap
-            step = np.diff(log[f"counts_{side}"]) / np.maximum(1.0, time_step / usual_time)
+            step = np.diff(log[name]) / np.maximum(1.0, time_step / usual_time)
             usual = float(np.percentile(np.abs(step), 95))
             far = np.flatnonzero(np.abs(step) > 6 * usual + 50)
             if len(far) and len(far) <= max(5, 0.01 * len(step)):
                 yield note(
                     campaign,
                     run,
-                    f"log counts_{side}",
+                    f"log {name}",
                     f"{len(far)} jump(s), first in sample {far[0] + 2} by {step[far[0]]:.0f} counts where "
                     f"{usual:.0f} are "
                     "usual; the encoder may have lost contact, or the counter was reset",
@@ -103,6 +108,8 @@ def log_speed(campaign: Campaign) -> Iterator[Note]:
     per_count = 2 * np.pi * campaign.vehicle.wheel_radius_m / campaign.encoder.counts_per_rev_left
     for run in np.flatnonzero((logs.lengths >= 20) & (speed > 0)):
         log = logs.of(int(run))
+        if "counts_left" not in log:
+            continue
         stride = max(1, len(log["t_s"]) // 50)
         time, counts = log["t_s"][::stride], log["counts_left"][::stride]
         step = np.diff(time)

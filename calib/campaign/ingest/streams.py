@@ -1,0 +1,393 @@
+"""Read one log or recording as a mapping says: columns under calib's names, counts whatever the wheels gave."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from calib.arrays import FloatArray, IntArray
+from calib.campaign.columns import converted, recognise
+from calib.campaign.faults import Border
+from calib.campaign.ingest.lag import Lag, estimate_lag
+from calib.campaign.ingest.mapping import COUNT_UNITS, Line, MappingFile
+from calib.campaign.logs_file import refuse_incomplete
+from calib.campaign.model import LOG_COLUMNS
+from calib.campaign.readers import Layout, RawTable, Recording, holds_recording, read_recording, read_table
+from calib.campaign.readers.recording import NS_PER_S, Stream, WantedColumns, interpolated
+from calib.campaign.settings import Encoder
+from calib.campaign.wraps import detect_wrap_bits, unwrap
+from calib.errors import BadFileError
+
+__all__ = ["MappedLog", "read_mapped"]
+
+#: name under which the column that tells the runs is kept
+CUT: Final = "cut"
+_POSE: Final = ("ref_x_m", "ref_y_m")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MappedLog:
+    """A log or recording under calib's names.
+
+    Parameters
+    ----------
+    columns : dict of str to array of float, shape (n_samples,)
+        Of `LOG_COLUMNS`, SI units, ``t_s`` from the first sample; beside them ``cut`` where a column tells the runs.
+    start_ns : int
+        Time of the first sample: nanoseconds since 1970, or since midnight or the start of the clock.
+    lags : mapping of str to Lag
+        How far other streams lag behind the wheels, by what they measure.
+    wrap_bits : int or None
+        Width of the counter where overflows were found before streams were joined.
+    """
+
+    columns: dict[str, FloatArray]
+    start_ns: int
+    lags: Mapping[str, Lag]
+    wrap_bits: int | None = None
+
+
+def read_mapped(path: Path, shown: str, mapping: MappingFile, encoder: Encoder, border: Border) -> MappedLog:
+    """Read one log or recording.
+
+    Parameters
+    ----------
+    path : Path
+        The file, or the folder of a rosbag2 recording.
+    shown : str
+        Its name in messages.
+    mapping : MappingFile
+        Its lines for logs.
+    encoder : Encoder
+        Counts a revolution, and the counter's width where it is known.
+    border : Border
+        Takes notes.
+
+    Returns
+    -------
+    MappedLog
+        Sampled at the wheels' times.
+
+    Raises
+    ------
+    BadFileError
+        Where a column that the mapping names is missing, or the file has no clock or no wheels.
+    """
+    lines = {line.name: line for line in mapping.log if line.column}
+    if mapping.cut is not None and mapping.cut.column:
+        lines[CUT] = Line(CUT, mapping.cut.column)
+    lags: dict[str, Lag] = {}
+    bits = encoder.wrap_bits
+    if holds_recording(path):
+        wanted = frozenset(line.column for line in lines.values())
+        recording = read_recording(path, shown, WantedColumns(wanted) if lines else None)
+        _refuse_absent(recording.column_names, lines.values(), path, shown, mapping.shown)
+        base = _base(recording, lines, shown)
+        recording, bits = _unwrapped(recording, lines, base, bits)
+        time_ns = _times(base, lines, shown)
+        if base.time_ns is not None:
+            _say_clocks(recording, base, shown, border)
+            lags = _lags(recording, lines, base, shown, border)
+        raw, epoch = _joined(recording, base, time_ns, lines, lags if mapping.log_files.remove_lag else {})
+        border.notes.extend(recording.notes)
+    else:
+        raw = _table(path, shown, lines, mapping.log_files.layout)
+        _refuse_absent(tuple(raw.columns), lines.values(), path, shown, mapping.shown)
+        border.notes.extend(raw.notes)
+        epoch = None
+    columns, epoch = _renamed(raw, lines, shown, border, epoch)
+    if "t_s" in columns:
+        _counts(columns, lines, encoder)
+    refuse_incomplete(columns, shown, raw.line)
+    if not len(raw.line):
+        raise BadFileError(shown, found="no rows", expected="one row a sample", remedy="export the log again")
+    start = float(columns["t_s"][0])
+    if epoch is None:
+        epoch = round(start * NS_PER_S)
+    if abs(start) > 1.0:
+        border.say(shown, f"times count from the first sample, which stood at {start:.10g} s", "start_time")
+        columns["t_s"] = columns["t_s"] - start
+    return MappedLog(columns, epoch, lags, bits)
+
+
+def _table(path: Path, shown: str, lines: Mapping[str, Line], layout: Layout) -> RawTable:
+    mapped = {line.column for line in lines.values()}
+    return read_table(
+        path,
+        shown,
+        lambda name: name in mapped or recognise(name, LOG_COLUMNS, further=False).name in LOG_COLUMNS,
+        layout,
+    )
+
+
+def _refuse_absent(names: Sequence[str], lines: Iterable[Line], path: Path, shown: str, shown_mapping: str) -> None:
+    for line in lines:
+        if line.column not in names:
+            listed = names
+            if holds_recording(path):
+                listed = read_recording(path, shown).column_names
+                if line.column in listed:
+                    continue
+            raise BadFileError(
+                shown,
+                row=None if holds_recording(path) else 1,
+                column=line.name,
+                found=f"no column {line.column!r}, only {', '.join(listed)[:300] or 'none that holds numbers'}",
+                expected="the column that the mapping names",
+                remedy=f"correct log.{line.name} in {shown_mapping}; 'calib ingest --describe' lists the columns",
+            )
+
+
+def _base(recording: Recording, lines: Mapping[str, Line], shown: str) -> Stream:
+    """Return the stream whose times the log takes: the wheels'."""
+    for name in LOG_COLUMNS:
+        if name.startswith("counts_") and name in lines:
+            found = recording.stream_of(lines[name].column)
+            if found is not None:
+                return found
+    if not recording.streams:
+        raise BadFileError(
+            shown,
+            found="no stream that calib reads",
+            expected="wheels, and what measures the path",
+            remedy="see what is inside with 'calib ingest --describe'",
+        )
+    return max(recording.streams, key=len)
+
+
+def _times(base: Stream, lines: Mapping[str, Line], shown: str) -> IntArray | None:
+    """Return the times of the base where it has a clock; refuse one that has none and gets none."""
+    if "t_s" in lines or base.time_ns is None:
+        if "t_s" not in lines and "t_s" not in base.columns:
+            raise BadFileError(
+                shown,
+                found=f"no clock in {base.name!r} ({', '.join(base.columns)[:120]})",
+                expected="times, as waveform properties or as a column",
+                remedy='name the column of times in the mapping: [log] t_s = "..."',
+            )
+        return None
+    return base.time_ns
+
+
+def _unwrapped(
+    recording: Recording, lines: Mapping[str, Line], base: Stream, bits: int | None
+) -> tuple[Recording, int | None]:
+    """Undo overflows of counters before anything is interpolated across them."""
+    streams = []
+    for stream in recording.streams:
+        changed: dict[str, FloatArray] = {}
+        for name, line in lines.items():
+            plain = name.startswith("counts_") and (line.unit or "counts") == "counts"
+            if not plain or line.column not in stream.columns or stream is base:
+                continue
+            counts = stream.columns[line.column]
+            whole = np.asarray([0, len(counts)])
+            width = bits or detect_wrap_bits(counts, whole)
+            if width is not None:
+                changed[line.column], _ = unwrap(counts, whole, width)
+                bits = width
+        new = Stream(
+            stream.name,
+            stream.kind,
+            {**stream.columns, **changed},
+            stream.time_ns,
+            stream.clock,
+            stream.units,
+            stream.behind_arrival_s,
+        )
+        streams.append(new if changed else stream)
+    return Recording(tuple(streams), recording.notes, recording.properties), bits
+
+
+def _joined(
+    recording: Recording,
+    base: Stream,
+    time_ns: IntArray | None,
+    lines: Mapping[str, Line],
+    removed: Mapping[str, Lag],
+) -> tuple[RawTable, int | None]:
+    columns: dict[str, FloatArray] = {}
+    for name, line in lines.items():
+        stream = recording.stream_of(line.column)
+        if stream is None:
+            continue
+        if stream.name == base.name or stream.time_ns is None or time_ns is None:
+            if len(stream) == len(base):
+                columns[line.column] = stream.columns[line.column]
+            continue
+        lag = removed.get("reference" if name.startswith("ref_") else name)
+        shift = line.lag_s + (lag.lag_s if lag else 0.0)
+        columns[line.column] = interpolated(stream, line.column, time_ns, shift_ns=round(shift * NS_PER_S))
+    epoch = None
+    if time_ns is not None:
+        columns["t_s"] = (time_ns - time_ns[0]) / NS_PER_S
+        epoch = int(time_ns[0])
+    return RawTable(columns, np.arange(1, len(base) + 1, dtype=np.int64)), epoch
+
+
+def _renamed(
+    raw: RawTable, lines: Mapping[str, Line], shown: str, border: Border, epoch: int | None
+) -> tuple[dict[str, FloatArray], int | None]:
+    """Give columns calib's names and SI units; those that the mapping names first, then those recognised."""
+    columns: dict[str, FloatArray] = {}
+    for name, line in lines.items():
+        if line.column not in raw.columns:
+            continue
+        if name == CUT:
+            columns[CUT] = np.asarray(raw.columns[line.column], dtype=np.float64)
+            continue
+        if name == "t_s" and line.column in raw.epochs:
+            epoch = raw.epochs[line.column]
+            columns[name] = raw.columns[line.column]
+            continue
+        match = recognise(line.target, LOG_COLUMNS, further=False)
+        columns[name] = converted(raw.columns[line.column], match.factor * line.factor, match.offset)
+    mapped = {line.column for line in lines.values()}
+    for found, cells in raw.columns.items():
+        match = recognise(found, LOG_COLUMNS, further=False)
+        if found in mapped or match.name not in LOG_COLUMNS or match.name in lines:
+            continue
+        if match.name in columns:
+            raise BadFileError(
+                shown,
+                row=1,
+                column=found,
+                found=f"a second column for {match.name}",
+                expected="one",
+                remedy="remove or rename one of them",
+            )
+        if match.said:
+            border.say(f"{shown}, column {found}", match.said, "unit" if match.factor != 1.0 else "name")
+        if match.name == "t_s" and found in raw.epochs:
+            epoch = raw.epochs[found]
+        columns[match.name] = converted(cells, match.factor, match.offset)
+    ordered: dict[str, FloatArray] = {name: columns[name] for name in (*LOG_COLUMNS, CUT) if name in columns}
+    return ordered, epoch
+
+
+def _counts(columns: dict[str, FloatArray], lines: Mapping[str, Line], encoder: Encoder) -> None:
+    """Turn angles, rates and increments of the wheels into counts, in place."""
+    time = columns["t_s"]
+    for name in [one for one in columns if one.startswith("counts_")]:
+        line = lines.get(name)
+        kind, turns = COUNT_UNITS[(line.unit if line else None) or "counts"]
+        if kind == "counts":
+            continue
+        values = columns[name]
+        per_rev = encoder.counts_per_rev_right if name.endswith("right") else encoder.counts_per_rev_left
+        if name == "counts_front":
+            per_rev = encoder.front
+        if kind == "increments":
+            columns[name] = np.cumsum(values)
+        elif kind == "angle":
+            columns[name] = _continuous_angle(values, 1.0 / turns) * turns * per_rev
+        else:
+            steps = 0.5 * (values[1:] + values[:-1]) * np.diff(time)
+            total = np.concatenate(([0.0], np.cumsum(steps)))
+            columns[name] = total * (turns * per_rev if kind == "rate" else 1.0)
+
+
+def _continuous_angle(angle: FloatArray, turn: float) -> FloatArray:
+    """Return an angle that runs on where its sensor starts again after a turn."""
+    if np.ptp(angle) > 1.001 * turn:
+        return angle
+    return np.unwrap(angle, period=turn)
+
+
+def _say_clocks(recording: Recording, base: Stream, shown: str, border: Border) -> None:
+    """Say what the streams' clocks show: span, rate, gaps, and offsets between streams."""
+    for stream in recording.streams:
+        report = stream.report()
+        if report is None:
+            continue
+        text = f"{report.n_samples} samples over {report.span_s:.6g} s at {report.rate_Hz:.4g} Hz ({stream.clock})"
+        level = "info"
+        if report.n_gaps:
+            text += f"; {report.n_gaps} gap(s), the longest {report.longest_gap_s:.3g} s"
+        if stream is not base and base.time_ns is not None and stream.time_ns is not None:
+            text += f"; starts {(report.start_ns - int(base.time_ns[0])) / NS_PER_S:+.6g} s from the wheels"
+            if stream.behind_arrival_s is not None and base.behind_arrival_s is not None:
+                apart = stream.behind_arrival_s - base.behind_arrival_s
+                text += f", stamps {apart:+.4g} s older at arrival than theirs"
+            if report.end_ns < int(base.time_ns[0]) or report.start_ns > int(base.time_ns[-1]):
+                text += "; the spans do not meet: the clocks differ"
+                level = "suspicious"
+        border.say(f"{shown}, {stream.name}", text, "clock", level=level)
+
+
+def _lags(recording: Recording, lines: Mapping[str, Line], base: Stream, shown: str, border: Border) -> dict[str, Lag]:
+    """Estimate how far the reference and the rangefinder lag behind the wheels, and say so."""
+    wheels = [
+        base.columns[line.column]
+        for name, line in lines.items()
+        if name.startswith("counts_") and line.column in base.columns and (line.unit or "counts") in _PATHS
+    ]
+    if not wheels or base.time_ns is None:
+        return {}
+    origin = int(base.time_ns[0])
+    time = (base.time_ns - origin) / NS_PER_S
+    paths = [_run_on(path) for path in wheels]
+    travelled = np.mean(paths, axis=0)
+    found: dict[str, Lag] = {}
+    for name, other in _others(recording, lines, base).items():
+        stream, path = other
+        if stream.time_ns is None or len(path) < 20:
+            continue
+        lag = estimate_lag(time, _distance(travelled), (stream.time_ns - origin) / NS_PER_S, path)
+        if lag is None:
+            continue
+        found[name] = lag
+        low, high = lag.ci95_s
+        border.say(
+            f"{shown}, {stream.name}",
+            f"the {name} lags {1e3 * lag.lag_s:+.1f} ms behind the wheels "
+            f"(95 %: {1e3 * low:+.1f} .. {1e3 * high:+.1f}, by their speeds)",
+            "lag",
+        )
+    return found
+
+
+_PATHS: Final = frozenset({"counts", "turns", "rad", "deg"})
+
+
+def _run_on(counts: FloatArray) -> FloatArray:
+    whole = np.asarray([0, len(counts)])
+    bits = detect_wrap_bits(counts, whole)
+    return counts if bits is None else unwrap(counts, whole, bits)[0]
+
+
+def _distance(travelled: FloatArray) -> FloatArray:
+    """Return the path driven, whichever way."""
+    total: FloatArray = np.cumsum(np.abs(np.diff(travelled, prepend=travelled[:1])))
+    return total
+
+
+def _others(recording: Recording, lines: Mapping[str, Line], base: Stream) -> dict[str, tuple[Stream, FloatArray]]:
+    """Return path driven by other streams: the reference's, the rangefinder's."""
+    out: dict[str, tuple[Stream, FloatArray]] = {}
+    if all(name in lines for name in _POSE):
+        stream = recording.stream_of(lines["ref_x_m"].column)
+        if stream is not None and stream.name != base.name and lines["ref_y_m"].column in stream.columns:
+            x, y = (stream.columns[lines[name].column] for name in _POSE)
+            out["reference"] = stream, _smoothed_path(stream, np.column_stack([x, y]))
+    if "range_m" in lines:
+        stream = recording.stream_of(lines["range_m"].column)
+        if stream is not None and stream.name != base.name:
+            out["range_m"] = stream, _smoothed_path(stream, stream.columns[lines["range_m"].column][:, None])
+    return out
+
+
+def _smoothed_path(stream: Stream, places: FloatArray) -> FloatArray:
+    """Return the path through places at a spacing that noise does not lengthen much, at every sample."""
+    report = stream.report()
+    stride = max(1, round(0.1 * report.rate_Hz)) if report else 1
+    known = np.isfinite(places).all(axis=1)
+    index = np.flatnonzero(known)[::stride]
+    steps = np.linalg.norm(np.diff(places[index], axis=0), axis=1)
+    total = np.concatenate(([0.0], np.cumsum(steps)))
+    every: FloatArray = np.interp(np.arange(len(places)), index, total)
+    return every
