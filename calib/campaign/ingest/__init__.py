@@ -1,5 +1,8 @@
 """From a laboratory's files and recordings to a campaign: describe what is there, map it, cut it into runs."""
 
+from calib.campaign.ingest.describe import Description, describe
+from calib.campaign.ingest.gathered import gathered
+from calib.campaign.ingest.opening import read_or_ingest
 from calib.campaign.ingest.run import Ingested, ingest
 
-__all__ = ["Ingested", "ingest"]
+__all__ = ["Description", "Ingested", "describe", "gathered", "ingest", "read_or_ingest"]

@@ -147,7 +147,7 @@ def cut_pieces(
         pieces = _by_stops(time, wheels, cut.min_stop_s)
     elif cut.by == "length":
         along = path / cut.length_m if cut.length_m > 0 else (time - time[0]) / cut.length_s
-        pieces = _by_change(np.floor(along * (1.0 - 1e-12)), np.ones(len(time), dtype=np.bool_))
+        pieces = _by_change(np.floor(along + 1e-9), np.ones(len(time), dtype=np.bool_))
     else:
         values = log["cut"]
         pieces = _by_change(values, ~np.isnan(values) & (values != 0))

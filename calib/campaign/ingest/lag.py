@@ -12,9 +12,13 @@ from calib.arrays import FloatArray
 __all__ = ["Lag", "estimate_lag"]
 
 _BLOCKS: Final = 12
+_GOLDEN: Final = 0.6180339887498949
+_MOST_POINTS: Final = 40_000
 #: smoothing of both speeds, which come from differences of rounded readings
 _SMOOTH_S: Final = 0.2
 _LEAST_CORRELATION: Final = 0.5
+#: least change of speed, as a share of it, that a lag shows in
+_LEAST_CHANGE: Final = 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,18 +74,20 @@ def estimate_lag(
     step = max(float(np.median(np.diff(time_s))), float(np.median(np.diff(other_time_s))), 1e-3)
     if not end - start > 4 * largest_s:
         return None
-    grid = np.arange(start + largest_s, end - largest_s, step)
-    wide = max(1, round(_SMOOTH_S / step))
-    pad = np.arange(-wide, wide + 1) * step
+    # a grid in step with neither stream: between samples the noise of an interpolated path is less than at them, and a
+    # grid in step with one would find the lag that puts it between the other's samples
+    spacing = max(_GOLDEN * float(np.median(np.diff(time_s))), (end - start) / _MOST_POINTS)
+    grid = np.arange(start + largest_s, end - largest_s, spacing)
+    half_window = max(_SMOOTH_S, step)
 
     def speed(at: FloatArray, times: FloatArray, path: FloatArray) -> FloatArray:
         """Mean speed over the window around each time: differences of an interpolated path, no grid of its own."""
-        late, early = (np.interp(at + sign * pad[-1], times, path) for sign in (1.0, -1.0))
-        difference: FloatArray = (late - early) / (2 * pad[-1])
+        late, early = (np.interp(at + sign * half_window, times, path) for sign in (1.0, -1.0))
+        difference: FloatArray = (late - early) / (2 * half_window)
         return difference
 
     own = speed(grid, time_s, travelled)
-    if not np.std(own) > 0:
+    if not np.std(own) > _LEAST_CHANGE * np.mean(np.abs(own)):
         return None
 
     def correlation(lag: float, keep: np.ndarray) -> float:
@@ -94,8 +100,10 @@ def estimate_lag(
     candidates = np.arange(-largest_s, largest_s + step, max(step, 0.01))
     rough = candidates[int(np.argmax([correlation(lag, everything) for lag in candidates]))]
 
+    reach = max(0.05, 2.0 * step)
+
     def peak(keep: np.ndarray) -> float:
-        around = (rough - 0.25, rough + 0.25)
+        around = (rough - reach, rough + reach)
         found = minimize_scalar(
             lambda lag: -correlation(lag, keep), bounds=around, method="bounded", options={"xatol": 1e-6}
         )

@@ -116,7 +116,8 @@ def ingest(
     read = read_mapping(mapping)
     settings = parse_settings(read.settings, read.shown, into.name or "campaign")
     work = _Work(read, settings, Border(lenient=False))
-    work.border.notes.extend(settings.notes)
+    # a mapping is no campaign.toml: it names no format, and what it leaves out is written as assumed
+    work.border.notes.extend(note for note in settings.notes if note.code not in {"format", "default_vehicle"})
     if mapping:
         work.hashes[read.shown] = sha256_file(mapping)
     campaign = _campaign(paths, work)

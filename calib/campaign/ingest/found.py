@@ -1,0 +1,230 @@
+"""What is in a file: rows, columns with units and spans, streams with their clocks; nothing is assumed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from calib.campaign.ingest.words import stem_and_unit
+from calib.campaign.readers import RawTable, holds_recording, read_recording, read_table
+from calib.campaign.readers.table import comma_evidence, numbers
+from calib.campaign.readers.times import TIME_FORMATS, time_format
+from calib.campaign.wraps import detect_wrap_bits
+from calib.errors import BadFileError
+
+__all__ = ["ColumnFound", "FileFound", "StreamFound", "look_into"]
+
+_TEXTS: int = 6
+_FEW_TEXTS: int = 40
+
+
+@dataclass(frozen=True, slots=True)
+class ColumnFound:
+    """A column.
+
+    Parameters
+    ----------
+    name : str
+        As found.
+    kind : {"number", "text", "time", "empty"}
+        What its cells are.
+    unit : str
+        The unit that its name or the file gives; empty where none is given.
+    low, high : float or None
+        Span of its numbers.
+    texts : tuple of str
+        Its different texts, where they are few.
+    n_empty : int
+        Cells without a value.
+    wrap_bits : int or None
+        Width of the counter that it looks like.
+    whole : bool
+        Whether all its numbers are integers.
+    form : str
+        What times look like.
+    """
+
+    name: str
+    kind: str
+    unit: str = ""
+    low: float | None = None
+    high: float | None = None
+    texts: tuple[str, ...] = ()
+    n_empty: int = 0
+    wrap_bits: int | None = None
+    whole: bool = False
+    form: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class StreamFound:
+    """A stream of a recording, with what its clock shows; zeros where it has none."""
+
+    name: str
+    kind: str
+    n_samples: int
+    clock: str
+    columns: tuple[str, ...]
+    span_s: float = 0.0
+    rate_Hz: float = 0.0
+    n_gaps: int = 0
+    longest_gap_s: float = 0.0
+    start_ns: int | None = None
+    behind_arrival_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class FileFound:
+    """A file.
+
+    Parameters
+    ----------
+    name : str
+        As given.
+    recording : bool
+        Whether it holds streams rather than one table.
+    n_rows : int
+        Rows, or samples of the longest stream.
+    columns : tuple of ColumnFound
+        All columns.
+    remarks : tuple of str
+        What was recognised: separator, header row, sheet, encoding, decimal commas, times.
+    streams : tuple of StreamFound
+        Of a recording.
+    properties : mapping of str to str
+        What a recording says of itself.
+    """
+
+    name: str
+    recording: bool
+    n_rows: int
+    columns: tuple[ColumnFound, ...]
+    remarks: tuple[str, ...]
+    streams: tuple[StreamFound, ...] = ()
+    properties: Mapping[str, str] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it for JSON."""
+        return asdict(self)
+
+
+def look_into(path: Path) -> FileFound:
+    """Return what a file holds.
+
+    Parameters
+    ----------
+    path : Path
+        A table or a recording.
+
+    Raises
+    ------
+    BadFileError
+        Where it cannot be read.
+    """
+    shown = str(path)
+    if holds_recording(path):
+        return _recording(path, shown)
+    try:
+        raw = read_table(path, shown, lambda _: True)
+    except BadFileError:
+        # texts among the columns: as read, and each column looked at by itself
+        raw = read_table(path, shown)
+    columns = _columns(raw, shown)
+    remarks = [
+        note.text if note.where == shown else f"{note.where.partition(', ')[2]}: {note.text}" for note in raw.notes
+    ]
+    return FileFound(shown, False, len(raw.line), tuple(columns), tuple(remarks))
+
+
+def _columns(raw: RawTable, shown: str) -> list[ColumnFound]:
+    texts = [cells for cells in raw.columns.values() if cells.dtype == object]
+    evidence = comma_evidence(texts)
+    out = []
+    for name, cells in raw.columns.items():
+        if name in raw.epochs:
+            high = float(np.nanmax(cells)) if len(cells) else 0.0
+            out.append(ColumnFound(name, "time", low=0.0, high=high, form="times of the clock"))
+            continue
+        out.append(_column(name, cells, shown, raw.line, evidence))
+    return out
+
+
+def _column(
+    name: str, cells: npt.NDArray[Any], shown: str, line: npt.NDArray[np.int64], evidence: bool | None
+) -> ColumnFound:
+    filled = (
+        [cell for cell in cells.tolist() if cell is not None and str(cell).strip()] if cells.dtype == object else None
+    )
+    if filled is not None and not filled:
+        return ColumnFound(name, "empty", n_empty=len(cells))
+    unit = stem_and_unit(name)[1] or ""
+    first = str(filled[0]) if filled else ""
+    if filled and (form := time_format(first)):
+        return ColumnFound(name, "time", n_empty=len(cells) - len(filled), form=TIME_FORMATS[form], texts=(first,))
+    try:
+        values, _ = numbers(cells, shown=shown, column=name, line=line, decimal_comma=evidence)
+    except BadFileError:
+        different = list(dict.fromkeys(str(cell).strip() for cell in filled or ()))
+        few = tuple(different if len(different) <= _TEXTS else different[:_TEXTS])
+        return ColumnFound(name, "text", texts=few, n_empty=len(cells) - len(filled or ()))
+    known = values[np.isfinite(values)]
+    if not len(known):
+        return ColumnFound(name, "empty", n_empty=len(cells))
+    whole = bool((known == np.rint(known)).all())
+    offsets = np.asarray([0, len(values)])
+    return ColumnFound(
+        name,
+        "number",
+        unit=unit,
+        low=float(known.min()),
+        high=float(known.max()),
+        n_empty=len(values) - len(known),
+        wrap_bits=detect_wrap_bits(values, offsets) if whole and len(values) > _FEW_TEXTS else None,
+        whole=whole,
+    )
+
+
+def _recording(path: Path, shown: str) -> FileFound:
+    recording = read_recording(path, shown)
+    columns, streams = [], []
+    for stream in recording.streams:
+        line = np.arange(1, len(stream) + 1)
+        for name, values in stream.columns.items():
+            found = _column(name, values, shown, line, None)
+            unit = stream.units.get(name, found.unit)
+            columns.append(found if unit == found.unit else _with_unit(found, unit))
+        report = stream.report()
+        streams.append(
+            StreamFound(
+                stream.name,
+                stream.kind,
+                len(stream),
+                stream.clock,
+                tuple(stream.columns),
+                report.span_s if report else 0.0,
+                report.rate_Hz if report else 0.0,
+                report.n_gaps if report else 0,
+                report.longest_gap_s if report else 0.0,
+                report.start_ns if report else None,
+                stream.behind_arrival_s,
+            )
+        )
+    remarks = tuple(note.text for note in recording.notes)
+    longest = max((len(stream) for stream in recording.streams), default=0)
+    return FileFound(shown, True, longest, tuple(columns), remarks, tuple(streams), recording.properties)
+
+
+def _with_unit(found: ColumnFound, unit: str) -> ColumnFound:
+    from dataclasses import replace
+
+    return replace(found, unit=unit)
+
+
+def same_columns(files: Sequence[FileFound]) -> bool:
+    """Return whether files hold the same columns."""
+    return len({tuple(column.name for column in one.columns) for one in files}) <= 1

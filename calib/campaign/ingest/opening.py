@@ -1,0 +1,55 @@
+"""Open what a command is given: a campaign folder, or a file that becomes a campaign on the way."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+from calib.campaign.ingest.run import ingest
+from calib.campaign.model import Campaign
+from calib.campaign.read import SETTINGS, read_campaign
+from calib.campaign.readers import is_bag_folder
+from calib.errors import BadInputError
+
+__all__ = ["read_or_ingest"]
+
+
+def read_or_ingest(path: Path, *, mapping: Path | None = None, lenient: bool = False, logs: bool = True) -> Campaign:
+    """Read a campaign folder, or make a campaign out of a recording or table as `ingest` would, and read that.
+
+    Parameters
+    ----------
+    path : Path
+        A campaign folder; or a file, or the folder of a rosbag2 recording.
+    mapping : Path, optional
+        The mapping of a file; a campaign folder takes none.
+    lenient, logs : bool
+        As for `read_campaign`.
+
+    Returns
+    -------
+    Campaign
+        Without a folder of its own (``root`` is None) where it was made on the way.
+
+    Raises
+    ------
+    BadInputError
+        Where a campaign folder is given with a mapping, or the file cannot be used.
+    """
+    path = Path(path)
+    if path.is_dir() and not is_bag_folder(path) and ((path / SETTINGS).exists() or mapping is None):
+        if mapping is not None:
+            raise BadInputError(
+                f"{path}: found a campaign and a mapping; expected a mapping only with a recording; leave it out"
+            )
+        return read_campaign(path, lenient=lenient, logs=logs)
+    if not path.exists():
+        return read_campaign(path, lenient=lenient, logs=logs)
+    with tempfile.TemporaryDirectory(prefix="calib-") as place:
+        folder = Path(place) / (path.stem or "campaign")
+        made = ingest([path], folder, mapping=mapping)
+        campaign = read_campaign(folder, lenient=lenient, logs=logs)
+    known = {(note.code, note.text) for note in campaign.notes}
+    notes = (*(note for note in made.notes if (note.code, note.text) not in known), *campaign.notes)
+    return replace(campaign, root=None, notes=notes)

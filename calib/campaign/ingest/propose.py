@@ -1,0 +1,248 @@
+"""Propose a mapping from what was found: guesses by name and unit, and remarks where only the laboratory knows."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from calib.campaign.columns import recognise
+from calib.campaign.ingest.found import ColumnFound, FileFound
+from calib.campaign.ingest.log_files import run_number
+from calib.campaign.ingest.mapping import TABLE_COLUMNS
+from calib.campaign.ingest.words import DIRECTION_WORDS, guessed_log_column, guessed_table_column, plain, stem_and_unit
+from calib.campaign.model import LOG_COLUMNS
+from calib.campaign.toml_text import to_toml
+from calib.units import SUFFIXES, split_suffix
+
+__all__ = ["Proposal", "propose"]
+
+#: message types whose poses measure from outside, best first; wheel odometry is no reference
+_POSES: Final = (
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "geometry_msgs/msg/TransformStamped",
+    "poses",
+    "tf2_msgs/msg/TFMessage",
+    "tf/msg/tfMessage",
+)
+_ODOMETRY: Final = "nav_msgs/msg/Odometry"
+#: keys that only the laboratory knows, with what they are
+_STATE: Final = {
+    "vehicle": {
+        "track_m": "between the contact points of the rear wheels",
+        "wheelbase_m": "rear axle to front wheel",
+        "wheel_radius_m": "nominal",
+        "mass_kg": "without payload",
+        "cog_x_m": "centre of mass ahead of the rear axle",
+    },
+    "encoder": {"counts_per_rev": "counts a wheel revolution, gear and quadrature included"},
+    "rangefinder": {"sigma_m": "standard uncertainty of one distance"},
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Proposal:
+    """A mapping proposed: its lines, and the sources as the command line takes them."""
+
+    lines: tuple[str, ...]
+    sources: str
+
+
+def propose(table: FileFound | None, logs: Sequence[FileFound], sources: Sequence[str]) -> Proposal:
+    """Propose a mapping.
+
+    Parameters
+    ----------
+    table : FileFound or None
+        The run table.
+    logs : sequence of FileFound
+        Logs and recordings.
+    sources : sequence of str
+        Paths as given; the table's comes first in the command.
+    """
+    lines = [f"name = {_text(_name(table, logs))}"]
+    bits = next((column.wrap_bits for one in logs for column in one.columns if column.wrap_bits), None)
+    lines += _settings(bits)
+    if table is not None:
+        lines += ["", "[table]" + " " * 20 + "# calib's column = the table's column"]
+        lines += _table_lines(table)
+    if logs:
+        lines += ["", "[log]" + " " * 22 + "# the same for logs and recordings"]
+        lines += _file_lines(table, logs)
+        lines += _log_lines(logs)
+    recordings = [one for one in logs if one.recording]
+    if recordings and (table is None or len(logs) == 1):
+        lines += ["", "[cut]" + " " * 22 + "# one recording holds many runs", 'by = "stops"', "min_stop_s = 1.0"]
+        lines += ['#by = "times"', '#times = [[0.0, 41.5], [60.0, 101.0]]   # or "length", "column"']
+    ordered = [one for one in sources if table is not None and one == table.name]
+    ordered += [one for one in sources if one not in ordered]
+    if table is not None and table.name not in ordered:
+        # the table was found in a folder: it has to be named first
+        ordered.insert(0, table.name)
+    return Proposal(tuple(lines), " ".join(f"'{one}'" if re.search(r"\s", one) else one for one in ordered))
+
+
+def _name(table: FileFound | None, logs: Sequence[FileFound]) -> str:
+    return Path((table or logs[0]).name).stem
+
+
+def _text(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False)
+
+
+def _settings(bits: int | None) -> list[str]:
+    lines: list[str] = []
+    for section, keys in _STATE.items():
+        lines += [
+            "",
+            f"[{section}]" + ("   # state what you know; what is left out is marked as assumed" if not lines else ""),
+        ]
+        lines += [f"#{key} =   # {what}" for key, what in keys.items()]
+        if section == "encoder" and bits:
+            lines.append(f"wrap_bits = {bits}   # found in the jumps of the counters")
+    return lines
+
+
+def _entry(name: str, column: ColumnFound, unit: str | None, further: dict[str, object] | None = None) -> str:
+    """Return one line of a mapping; a plain text where the column's name says all."""
+    parts: dict[str, object] = {"column": column.name}
+    in_brackets = "[" in column.name or "(" in column.name
+    if unit is not None and not in_brackets:
+        parts["unit"] = unit
+    parts |= further or {}
+    if len(parts) == 1:
+        return f"{name} = {_text(column.name)}"
+    return to_toml({name: [parts]}).strip().replace("[{", "{").replace("}]", "}")
+
+
+def _table_lines(table: FileFound) -> list[str]:
+    lines, taken, own, left = [], set(), [], []
+    for column in table.columns:
+        guess = guessed_table_column(column.name)
+        if column.texts and all(plain(text) in DIRECTION_WORDS for text in column.texts) and len(column.texts) <= 2:
+            guess = ("direction", None)
+        if guess is None or guess[0] in taken or column.kind == "empty":
+            left.append(column.name)
+            continue
+        name, unit = guess
+        taken.add(name)
+        further: dict[str, object] = {}
+        remark = ""
+        if name == "direction" and set(column.texts) - {"out", "back"}:
+            further["values"] = {text: DIRECTION_WORDS.get(plain(text), "out") for text in column.texts}
+            if any(plain(text) not in DIRECTION_WORDS for text in column.texts):
+                remark = '   # "out" or "back"'
+        if recognise(column.name, TABLE_COLUMNS).name == name and not further:
+            own.append(column.name)
+            continue
+        needs = split_suffix(name)[1]
+        if needs and stem_and_unit(column.name)[1] is None:
+            unit, remark = needs, f"   # names no unit: {_units_of(needs)}"
+        lines.append(_entry(name, column, unit, further) + remark)
+    if "run_id" not in taken:
+        lines.append('#run_id = ""   # the column that names the runs')
+    if "kind" not in taken:
+        lines.append('kind = {value = "corridor"}   # the route, where the table does not say')
+    if own:
+        lines.append(f"# recognised by their names: {', '.join(own)[:110]}")
+    if left:
+        lines.append(f"# not used, numbers kept as covariates: {', '.join(left)[:110]}")
+    return lines
+
+
+def _units_of(suffix: str) -> str:
+    return ", ".join(unit for unit, (target, _, _) in SUFFIXES.items() if target == suffix)[:40]
+
+
+def _file_lines(table: FileFound | None, logs: Sequence[FileFound]) -> list[str]:
+    """Return the pattern of the logs' names, where the runs' names do not say them."""
+    if table is None or len(logs) < 2:
+        return []
+    column = next((one for one in table.columns if (guessed_table_column(one.name) or ("",))[0] == "run_id"), None)
+    stems = [Path(one.name).stem for one in logs]
+    ids = column.texts if column is not None and column.kind == "text" else ()
+    if ids and ids[0] in stems:
+        return []
+    digits = [re.search(r"\d+(?!.*\d)", stem) for stem in stems]
+    if not all(digits):
+        return ['#file = "{run_id}.csv"   # the log of a run']
+    first = digits[0]
+    if first is None:
+        return []
+    widths = {len(match[0]) for match in digits if match}
+    form = "{n}" if len(widths) > 1 else f"{{n:{widths.pop():02}}}"
+    path = Path(logs[0].name)
+    name = path.stem[: first.start()] + form + path.stem[first.end() :] + path.suffix
+    lines = [f"file = {_text(name)}"]
+    if ids and run_number(ids[0], None) is not None:
+        pattern = re.sub(r"\d+(?!.*\d)", "{n}", ids[0])
+        lines.append(f"run = {_text(pattern)}   # where the number stands in a run's name")
+    return lines
+
+
+def _log_lines(logs: Sequence[FileFound]) -> list[str]:
+    one = max(logs, key=lambda file: (file.recording, len(file.columns)))
+    if one.recording:
+        return _recording_lines(one)
+    lines, taken = [], set()
+    for column in one.columns:
+        guess = guessed_log_column(column.name)
+        if guess is None or guess[0] in taken:
+            continue
+        name, unit = guess
+        taken.add(name)
+        if recognise(column.name, LOG_COLUMNS).name == name:
+            continue
+        remark = ""
+        needs = split_suffix(name)[1]
+        if needs and stem_and_unit(column.name)[1] is None and column.kind != "time" and not name.startswith("counts_"):
+            unit, remark = needs, f"   # names no unit: {_units_of(needs)}"
+        lines.append(_entry(name, column, unit) + remark)
+    return lines
+
+
+def _recording_lines(one: FileFound) -> list[str]:
+    lines, taken = [], set()
+    found = {column.name: column for column in one.columns}
+    kinds = {stream.name: stream for stream in one.streams}
+    clocked = any(stream.start_ns is not None for stream in one.streams)
+    reference = next(
+        (stream for kind in _POSES for stream in one.streams if stream.kind == kind),
+        next((stream for stream in one.streams if stream.kind == _ODOMETRY), None),
+    )
+    for stream in kinds.values():
+        for name in stream.columns:
+            column = found[name]
+            guess = guessed_log_column(name)
+            if guess is None or guess[0] in taken or ".velocity" in name or ":velocity." in name or ":effort." in name:
+                continue
+            target, unit = guess
+            if target.startswith("ref_") and stream is not reference:
+                continue
+            if target == "t_s" and clocked:
+                continue
+            further: dict[str, object] = {}
+            remark = ""
+            if target.startswith("counts_"):
+                angle = stream.kind.endswith("JointState") and not column.whole
+                if angle:
+                    further["unit"] = "rad"
+                if column.low == column.high:
+                    remark = "   # never changes"
+                unit = None
+            elif target == "range_m":
+                further["from_start"] = True
+            elif target == "t_s" and stem_and_unit(name)[1] is None:
+                unit, remark = "s", "   # names no unit: s, ms, us, ns"
+            if column.unit in SUFFIXES and unit is None and not target.startswith("counts_"):
+                unit = None if column.unit == split_suffix(target)[1] else column.unit
+            if target == "ref_x_m" and stream.kind == _ODOMETRY:
+                lines.append("# wheel odometry is no reference: keep these lines only if it measures from outside")
+            taken.add(target)
+            lines.append(_entry(target, column, unit, further) + remark)
+    # a four-wheel vehicle's names may have been taken for others; times first
+    return sorted(lines, key=lambda line: 0 if line.startswith("t_s") else 1)
