@@ -140,6 +140,7 @@ def assemble(
         start_pose=np.array([u.start_pose for u in units]),
         common_frame=_common_frame(campaign, in_map),
         led_straight=led,
+        sigmas_assumed=_sigmas_assumed(campaign, usable),
         notes=tuple(said),
     )
 
@@ -214,6 +215,9 @@ def _led_straight(
     """Return which units have the heading of a run led straight, and its standard uncertainty, each (n_units,)."""
     path, turn = steps.total(steps.path_m), steps.total(steps.turn_rad)
     posed = np.asarray(np.isfinite(measured[:, 1:4]).any(axis=1))
+    if np.array_equal(steps.roll_left, steps.roll_right):
+        # one sensor stands for both wheels: nothing can tell them apart
+        posed[:] = True
     led = were_led_straight(measured[:, 0], path, turn, steps.model.track_m, posed)
     sigma, assumed = heading_by_straightness(
         campaign.runs.number("amplitude_m")[index],
@@ -303,6 +307,14 @@ def _common_frame(campaign: Campaign, in_map: bool) -> bool:
         return True
     directions = campaign.runs.label("direction")
     return campaign.reference.frame is None and bool(np.isin(directions, ("out", "back")).any())
+
+
+def _sigmas_assumed(campaign: Campaign, usable: BoolArray) -> bool:
+    """Return whether the uncertainty of an instrument that is used was filled in by a program."""
+    assumed = {str(key) for key in campaign.extra.get("assumed", ())}
+    laser, pose = bool(usable[:, 0].any()), bool(usable[:, 1:4].any())
+    of_pose = {"reference.sigma_xy_m", "reference.sigma_theta_rad"}
+    return (laser and "rangefinder.sigma_m" in assumed) or (pose and bool(of_pose & assumed))
 
 
 def _laser_axis(measured: FloatArray, usable: BoolArray) -> FloatArray:

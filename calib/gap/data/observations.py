@@ -81,6 +81,8 @@ class Observations:
         Whether places on the floor mean the same in all units.
     led_straight : array of bool, shape (n_units,)
         Units whose heading is that of a run led straight, not a measured one.
+    sigmas_assumed : bool
+        Whether a program filled in an instrument's uncertainty because nobody stated it.
     notes : tuple of str
         What had to be left out or assumed, in sentences.
     """
@@ -118,6 +120,7 @@ class Observations:
     start_pose: FloatArray
     common_frame: bool
     led_straight: BoolArray
+    sigmas_assumed: bool = False
     notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:

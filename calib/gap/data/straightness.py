@@ -39,8 +39,11 @@ def were_led_straight(
         Units with a measured end pose or heading.
     """
     way = np.abs(path_m)
-    with np.errstate(invalid="ignore"):
-        along = np.abs(np.abs(distance_m) - way) < AGREES * way
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = np.abs(distance_m) / way
+        # a radius that is off makes all ways too short or too long, alike
+        known = ratio[np.isfinite(ratio) & ~posed]
+        along = np.abs(ratio / (np.median(known) if len(known) else 1.0) - 1.0) < AGREES
     straight = np.abs(turn_rad) * track_m < MOST_UNEQUAL * way
     led: BoolArray = along & straight & ~posed
     return led

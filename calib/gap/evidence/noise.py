@@ -1,20 +1,24 @@
-"""The noise of each unit: its covariance over the channels, with scales taken from repeats.
+"""The noise of each unit: its covariance over the channels, with scales taken from what was driven alike.
 
 Heading noise along a path becomes lateral error at its end, so the channels of a unit are correlated, each unit in its
 own way. The covariance is a sum of known shapes; their scales are found by restricted maximum likelihood from what
-differs between units driven alike, after a mean in each channel and a calibration of each condition's own are removed.
+differs between units driven alike, after a mean in each channel and a calibration of each group's own are removed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 
-from calib.arrays import BoolArray, FloatArray, IntArray
-from calib.campaign.model import NUMERIC_COLUMNS
+from calib.arrays import FloatArray
+from calib.gap.data.channels import Channel
+from calib.gap.evidence.floor_support import FEWEST_DOF, MOST_EXCESS, Basis, Support, bases
+from calib.gap.evidence.noise_kernels import COMPONENTS, MEDIANS, kernels, masked, quantisation, whiten
+from calib.gap.evidence.noise_scales import Grouped, NoiseShapes, ScaleLikelihood, most_likely, thinned_groups
+from calib.gap.evidence.trends import interactions, surroundings
+from calib.gap.evidence.window_growth import Growth, window_growth
 from calib.gap.predict.path import Path
 
 __all__ = [
@@ -29,30 +33,19 @@ __all__ = [
     "whiten",
 ]
 
-#: components: (name, prior median of the standard deviation's scale, prior spread of its natural logarithm)
-COMPONENTS: Final[tuple[tuple[str, float, float], ...]] = (
-    ("distance", 1.0, 0.4),  # times the rangefinder's stated sigma
-    ("position", 1.0, 0.4),  # times the reference's stated sigma
-    ("heading", 1.0, 0.4),  # times the reference's stated sigma
-    ("heading_walk", 2e-4, 1.0),  # rad per sqrt(m)
-    ("along_walk", 2e-4, 1.0),  # m per sqrt(m)
-    ("radius_scatter", 2e-5, 1.0),  # relative, both wheels, from run to run
-    ("yaw_scatter", 2e-5, 1.0),  # relative, right against left, from run to run
-    ("start_heading", 3e-4, 1.0),  # rad, from run to run
-    ("front_walk", 5e-4, 1.0),  # m per sqrt(m)
-    ("steering_walk", 1e-3, 1.0),  # rad per sqrt(m)
-    ("front_scatter", 3e-4, 1.0),  # relative, front radius, from run to run
-    ("steer_scatter", 1e-3, 1.0),  # rad, zero of the steering angle, from run to run
-)
-
-
-#: repeats with fewer degrees of freedom are joined with coarser ones
-ENOUGH_DOF: Final = 30.0
+#: fewest units for which stated sigmas alone are a floor
+FEWEST_UNITS: Final = 4
+#: a floor so many times the stated one is said first
+FAR_ABOVE: Final = 4.0
+#: a floor of windows about as large as the stated one needs no more support
+AS_STATED: Final = 2.0
+#: a larger one may exceed what grows as noise does by this factor
+MOST_GROWTH: Final = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Noise:
-    """Covariance of every unit.
+    """Covariance of every unit, and what it rests on.
 
     Parameters
     ----------
@@ -61,117 +54,50 @@ class Noise:
     scales : mapping of str to float
         Scale of each component.
     dof : float
-        Degrees of freedom that repeats give it; small means that the stated instruments carry it.
+        Degrees of freedom that units driven alike give it; 0 where the stated instruments carry it.
     weight : array of float, shape (n_units,)
         1 for ordinary units, less for those far from their repeats.
+    supported : bool
+        Whether these runs support a floor at all.
+    support : str
+        What supports it, in words; where nothing does, why.
+    excess : array of float, shape (6,)
+        Floor over the floor by the stated sigmas and typical walks, the median over the units; NaN where no unit has
+        the channel.
     """
 
     covariance: FloatArray
     scales: dict[str, float]
     dof: float
     weight: FloatArray
+    supported: bool = True
+    support: str = ""
+    excess: FloatArray = field(default_factory=lambda: np.full(6, np.nan))
+
+    @property
+    def finding(self) -> str:
+        """What to say first where the floor is far above the stated sigmas, a sentence; else an empty text."""
+        most = int(np.nanargmax(self.excess)) if np.isfinite(self.excess).any() else 0
+        if not self.excess[most] > FAR_ABOVE:
+            return ""
+        return (
+            f"what scatters in the {Channel(most).label} channel is {self.excess[most]:.2g} times what the stated "
+            "sigmas and typical wheels give: the floor itself is a finding; check the instruments, or state them"
+        )
 
     @property
     def floor(self) -> FloatArray:
         """Standard deviation of each channel in each unit, shape (n_units, 6)."""
-        made: FloatArray = np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
-        return made
+        deviation: FloatArray = np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
+        return deviation
 
 
-def kernels(path: Path) -> FloatArray:
-    """Return the covariance of each component at scale 1, shape (n_components, n_units, 6, 6)."""
-    s = path.s
-    n = len(s)
-    made = np.zeros((len(COMPONENTS), n, 6, 6))
-    made[0, :, 0, 0] = s.sigma_distance_m**2
-    made[1, :, 1, 1] = made[1, :, 2, 2] = s.sigma_xy_m**2
-    made[2, :, 3, 3] = s.sigma_theta_rad**2
-    c, sn = np.cos(path.frame)[s.unit], np.sin(path.frame)[s.unit]
-    length = np.abs(path.ds_m)
-    along_x = np.where(s.axis == 1, 1.0, 0.0)[s.unit]
-    chord = np.maximum(np.hypot(path.end[:, 0], path.end[:, 1]), 1e-9)
-    ux, uy = (path.end[:, 0] / chord)[s.unit], (path.end[:, 1] / chord)[s.unit]
-    line = s.axis[s.unit] == 0
-    # a kick of the heading at a step, read at the end
-    kick = np.zeros((len(s.unit), 6))
-    kick[:, 0] = np.where(line, 0.0, np.where(along_x > 0, path.lever_x, ux * path.lever_x + uy * path.lever_y))
-    kick[:, 1] = c * path.lever_x + sn * path.lever_y
-    kick[:, 2] = c * path.lever_y - sn * path.lever_x
-    kick[:, 3] = 1.0
-    kick[:, 5] = 1.0
-    push = np.zeros((len(s.unit), 6))
-    push[:, 0] = np.where(line, 1.0, np.where(along_x > 0, path.cos, ux * path.cos + uy * path.sin))
-    push[:, 1] = c * path.cos + sn * path.sin
-    push[:, 2] = c * path.sin - sn * path.cos
-    push[:, 4] = 1.0
-    for number, vector in ((3, kick), (4, push)):
-        outer = np.einsum("ka,kb,k->kab", vector, vector, length)
-        made[number] = np.add.reduceat(outer, s.starts[:-1], axis=0)
-    calibration = path.calibration
-    both = calibration[:, :, 0] + calibration[:, :, 1]
-    differ = 0.5 * (calibration[:, :, 1] - calibration[:, :, 0])
-    start = np.zeros((n, 6))
-    start[:, 1] = np.sin(path.frame) * path.end[:, 0] - np.cos(path.frame) * path.end[:, 1]
-    start[:, 2] = np.cos(path.frame) * path.end[:, 0] + np.sin(path.frame) * path.end[:, 1]
-    start[:, 3] = 1.0
-    zero = np.zeros((n, 6))
-    zero[:, 4] = -s.vehicle.wheelbase_m * path.end[:, 2]
-    zero[:, 5] = s.total(path.ds_m) / s.vehicle.wheelbase_m
-    for number, rows in ((5, both), (6, differ), (7, start), (10, calibration[:, :, 3]), (11, zero)):
-        made[number] = np.einsum("ua,ub->uab", rows, rows)
-    made[8, :, 4, 4] = s.length_m
-    made[9, :, 5, 5] = s.length_m
-    return made
+def estimate_noise(path: Path, gap: FloatArray, *, start: Noise | None = None) -> Noise:
+    """Estimate the noise from units driven alike.
 
-
-def quantisation(path: Path) -> FloatArray:
-    """Return the covariance that counting in whole counts gives, shape (n_units, 6, 6)."""
-    s = path.s
-    made = np.zeros((len(s), 6, 6))
-    radius = s.vehicle.wheel_radius_m
-    for wheel, sign in ((0, -1.0), (1, 1.0)):
-        # the first and the last count are each off by a uniform share of a count
-        sigma = s.count_rad[wheel] * radius / np.sqrt(6.0)
-        rows = np.zeros((len(s), 6))
-        rows[:, 0] = rows[:, 1] = rows[:, 4] = 0.5 * sigma
-        rows[:, 3] = rows[:, 5] = sign * sigma / s.model.track_m
-        made += np.einsum("ua,ub->uab", rows, rows)
-    return made
-
-
-def masked(covariance: FloatArray, usable: BoolArray) -> FloatArray:
-    """Give missing channels unit variance and no correlation."""
-    both = usable[:, :, None] & usable[:, None, :]
-    made = np.where(both, covariance, 0.0)
-    index = np.arange(6)
-    made[:, index, index] = np.where(usable, np.maximum(made[:, index, index], 1e-18), 1.0)
-    # a whisker of independent variance keeps exactly aliased channels factorable
-    made[:, index, index] *= 1.0 + 1e-9
-    return made
-
-
-def whiten(covariance: FloatArray, columns: FloatArray) -> FloatArray:
-    """Multiply by the inverse Cholesky factor of each unit's covariance.
-
-    Parameters
-    ----------
-    covariance : array of float, shape (n_units, 6, 6)
-    columns : array of float, shape (n_units, 6, k)
-        Zero where a channel is missing.
-
-    Returns
-    -------
-    array of float, shape (n_units, 6, k)
-    """
-    made: FloatArray = np.linalg.solve(np.linalg.cholesky(covariance), columns)
-    return made
-
-
-def estimate_noise(path: Path, gap: FloatArray) -> Noise:
-    """Estimate the noise from repeats.
-
-    Repeats are units of one cell where there are enough of them; else of one condition, with a trend on temperature,
-    dwell, session and further columns removed; else of one route; at last all units together.
+    These are units of one cell where there are enough of them; else of one condition, with a trend on temperature,
+    dwell, session and further columns removed; else neighbours in the order driven; else runs of one route with their
+    loads and speeds as trends; at last the stated sigmas stand alone.
 
     Parameters
     ----------
@@ -179,6 +105,8 @@ def estimate_noise(path: Path, gap: FloatArray) -> Noise:
         Where the gap was taken.
     gap : array of float, shape (n_units, 6)
         Measured minus predicted.
+    start : Noise, optional
+        An estimate about another path, to begin at.
 
     Returns
     -------
@@ -186,198 +114,89 @@ def estimate_noise(path: Path, gap: FloatArray) -> Noise:
         Covariances and the scales behind them. Scales that repeats do not determine keep their prior, which is
         the instruments' stated uncertainty for the first three.
     """
-    s = path.s
-    trend = np.concatenate([surroundings(path), *interactions(path)], axis=2)
-    for labels, columns in ((s.cell, None), (s.condition, trend), (s.kind, trend), (np.zeros_like(s.kind), trend)):
-        problem = _Problem(path, gap, labels, columns)
-        if problem.dof >= ENOUGH_DOF:
-            break
-    return problem.solve()
+    shapes = NoiseShapes.about(path)
+    log_scale, weight = np.log(MEDIANS), np.ones(len(gap))
+    if start is not None:
+        known = [start.scales.get(name, median) for name, median, _ in COMPONENTS]
+        begin = np.log(np.maximum(known, 1e-300))
+    else:
+        begin = log_scale
+    basis, dof = Basis.STATED, 0.0
+    for support in bases(path):
+        grouped = Grouped.by(support.labels)
+        if len(grouped.units) == 0:
+            continue
+        whole = ScaleLikelihood(path, gap, shapes, grouped, support.trend)
+        dof_here = whole.dof
+        if dof_here < support.dof:
+            continue
+        log_scale, weight[grouped.units] = _scales(path, gap, shapes, grouped, support, whole, begin)
+        basis, dof = support.basis, dof_here
+        break
+    covariance = shapes.covariance(log_scale, weight)
+    scales = {
+        name: float(np.exp(v)) for (name, _, _), v, on in zip(COMPONENTS, log_scale, shapes.active, strict=True) if on
+    }
+    excess = _excess(shapes, covariance)
+    supported, words = _support(path, covariance, basis, dof, excess)
+    return Noise(covariance, scales, dof, weight, supported, words, excess)
 
 
-def surroundings(path: Path) -> FloatArray:
-    """Return what both radii may do with the surroundings, shape (n_units, 6, k)."""
-    s = path.s
-    waited = s.number("minutes_under_load")
-    load = s.number("load_left_N") + s.number("load_right_N")
-    values = [s.number("temperature_C"), waited, np.log1p(np.maximum(np.nan_to_num(waited), 0.0) / 5.0) * load]
-    values += [s.numbers[name] for name in s.numbers if name not in NUMERIC_COLUMNS]
-    sessions = np.unique(s.labels["session"])
-    values += [(s.labels["session"] == name).astype(np.float64) for name in sessions[1:]]
-    return _on_radii(path, [(column, (0, 1)) for value in values for column in _standardised(value)])
+def _scales(
+    path: Path,
+    gap: FloatArray,
+    shapes: NoiseShapes,
+    grouped: Grouped,
+    support: Support,
+    whole: ScaleLikelihood,
+    begin: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Return the logarithms of the most likely scales, and the weights of all units grouped."""
+    some = thinned_groups(grouped)
+    part = whole if some is grouped else ScaleLikelihood(path, gap, shapes, some, support.trend)
+    if part.dof < FEWEST_DOF:
+        part = whole
+    best = most_likely(part, begin)
+    return best, whole.weights(best)
 
 
-def interactions(path: Path) -> list[FloatArray]:
-    """Return what the surroundings may do differently under another load or at another speed.
-
-    One array (n_units, 6, 2) for each of temperature and dwell with each of total load, own load, speed and turning,
-    where they vary.
-    """
-    s = path.s
-    left, right = s.number("load_left_N"), s.number("load_right_N")
-    total, speed, turned = left + right, s.number("speed_mps"), s.total(np.abs(s.turn_rad))
-    others = ((total, total), (left, right), (speed, speed), (turned, turned))
-    made = []
-    for value in (s.number("temperature_C"), s.number("minutes_under_load")):
-        for first in _standardised(value):
-            for pair in others:
-                columns = [(first * second, (k,)) for k in (0, 1) for second in _standardised(pair[k])]
-                if columns:
-                    made.append(_on_radii(path, columns))
-    return made
+def _excess(shapes: NoiseShapes, covariance: FloatArray) -> FloatArray:
+    """Return the floor over that of the stated sigmas, the median over the units, shape (6,)."""
+    usable = shapes.usable
+    stated = shapes.covariance(np.log(MEDIANS), np.ones(len(usable)))
+    ratio = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2) / np.diagonal(stated, axis1=1, axis2=2))
+    return np.array([float(np.median(ratio[on, k])) if (on := usable[:, k]).any() else np.nan for k in range(6)])
 
 
-def _on_radii(path: Path, columns: Sequence[tuple[FloatArray, tuple[int, ...]]]) -> FloatArray:
-    """Return a hundredth of each column acting on the radius of the wheels named, shape (n_units, 6, k)."""
-    made = [path.calibration[:, :, k] * column[:, None] * 1e-2 for column, wheels in columns for k in wheels]
-    stacked = np.stack(made, axis=2) if made else np.zeros((len(path.s), 6, 0))
-    return np.where(path.s.usable[:, :, None], stacked, 0.0)
+def _support(path: Path, covariance: FloatArray, basis: Basis, dof: float, excess: FloatArray) -> tuple[bool, str]:
+    """Return whether a floor is supported, and by what or why not."""
+    if basis is Basis.STATED:
+        if path.s.sigmas_assumed:
+            return False, str(Basis.NOTHING)
+        if len(path.s) < FEWEST_UNITS:
+            return False, f"nothing: {len(path.s)} runs, none driven twice"
+        return True, str(basis)
+    counted = f"{basis} ({dof:.0f} degrees of freedom)"
+    if basis is Basis.REPEATS:
+        return True, counted
+    most = float(np.nanmax(excess))
+    if most > MOST_EXCESS:
+        return (
+            False,
+            f"nothing: {counted} scatter {most:.3g} times as much as the stated sigmas, and no repeats say why",
+        )
+    if most <= AS_STATED or basis is not Basis.WINDOWS:
+        return True, counted
+    return _by_growth(path, covariance, counted, window_growth(path))
 
 
-def _standardised(values: FloatArray) -> list[FloatArray]:
-    """Return the values less their mean over their spread; nothing where they do not vary."""
-    if not np.isfinite(values).any():
-        return []
-    filled = np.nan_to_num(values - np.nanmean(values))
-    spread = float(filled.std())
-    return [filled / spread] if spread > 1e-9 else []
-
-
-class _Problem:
-    """Restricted likelihood of the noise's scales for one way of grouping the units."""
-
-    def __init__(self, path: Path, gap: FloatArray, labels: IntArray, trend: FloatArray | None) -> None:
-        s = path.s
-        self.kernels, self.fixed = kernels(path), quantisation(path)
-        self.usable = s.usable
-        both = s.usable[:, :, None] & s.usable[:, None, :]
-        self.active = np.array([bool((np.abs(k) * both).sum() > 0) for k in self.kernels])
-        self.median = np.log([c[1] for c in COMPONENTS])
-        self.spread = np.array([c[2] for c in COMPONENTS])
-        self.design, self.prior = _nuisance(path, gap)
-        self.gap = gap
-        _, self.group = np.unique(labels, return_inverse=True)
-        self.n_groups = int(self.group.max()) + 1
-        self.repeated = np.bincount(self.group)[self.group] >= 2
-        self.counted = np.unique(self.group[self.repeated])
-        self.trend = trend if trend is not None else np.zeros((len(s), 6, 0))
-        on = self.repeated
-        self.dof = max(float(self.usable[on].sum() - _rank(self.design[on], self.group[on], self.usable[on])), 0.0)
-        self.dof = max(self.dof - self.trend.shape[2], 0.0)
-
-    def covariance(self, log_scale: FloatArray, weight: FloatArray) -> FloatArray:
-        """Return the covariance of each unit, shape (n_units, 6, 6)."""
-        variance = np.exp(2 * np.where(self.active, log_scale, self.median)) * self.active
-        whole = np.einsum("c,cuab->uab", variance, self.kernels) + self.fixed
-        return masked(whole / weight[:, None, None], self.usable)
-
-    def _solved(self, columns: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-        """Return what is left (n, 6) and kept (n, 6, 6) of each whitened unit, and the restricted cost's middle.
-
-        `columns` (n, 6, 9 + k + 1) holds the whitened own design of each group, the trend and the gap.
-        """
-        k = self.trend.shape[2]
-        x, rest = columns[:, :, :9], columns[:, :, 9:]
-        gram = np.zeros((self.n_groups, 9, 9))
-        cross = np.zeros((self.n_groups, 9, k + 1))
-        np.add.at(gram, self.group, x.transpose(0, 2, 1) @ x)
-        np.add.at(cross, self.group, x.transpose(0, 2, 1) @ rest)
-        gram += np.diag(self.prior)
-        inverse = np.linalg.inv(gram)
-        scaled = x @ inverse[self.group]
-        left = rest - scaled @ cross[self.group]
-        flat = rest.reshape(-1, k + 1)
-        dense = flat.T @ flat - (cross.transpose(0, 2, 1) @ (inverse @ cross)).sum(axis=0)
-        middle = float(np.linalg.slogdet(gram[self.counted])[1].sum())
-        kept = np.eye(6) - scaled @ x.transpose(0, 2, 1)
-        g, square = left[:, :, -1], float(dense[k, k])
-        if k:
-            inner = dense[:k, :k] + np.eye(k)
-            beta = np.linalg.solve(inner, dense[:k, k])
-            square -= float(dense[:k, k] @ beta)
-            t = left[:, :, :k]
-            g = g - t @ beta
-            kept = kept - t @ np.linalg.inv(inner) @ t.transpose(0, 2, 1)
-            middle += float(np.linalg.slogdet(inner)[1])
-        return g, kept, middle + square
-
-    def _whitened(self, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the inverse Cholesky factors (n, 6, 6) and the whitened columns, 0 where a unit stands alone."""
-        inverse = np.linalg.inv(np.linalg.cholesky(covariance))
-        columns = np.concatenate([self.design, self.trend, self.gap[:, :, None]], axis=2)
-        return inverse, (inverse @ columns) * self.repeated[:, None, None]
-
-    def cost(self, log_scale: FloatArray, weight: FloatArray) -> tuple[float, FloatArray]:
-        """Return minus the restricted log likelihood, the prior of the scales included, and its gradient."""
-        covariance = self.covariance(log_scale, weight)
-        factor, columns = self._whitened(covariance)
-        on = self.repeated
-        log_det = -2 * float(np.log(np.diagonal(factor[on], axis1=1, axis2=2)).sum())
-        left, kept, middle = self._solved(columns)
-        away = (log_scale - self.median) / self.spread
-        turned = factor.transpose(0, 2, 1)
-        alpha = (turned @ left[:, :, None])[:, :, 0]
-        inner = turned @ kept @ factor - alpha[:, :, None] * alpha[:, None, :]
-        both = self.usable[:, :, None] & self.usable[:, None, :]
-        inner = np.where(both, inner, 0.0) * (on / weight)[:, None, None]
-        slope = np.tensordot(self.kernels, inner, axes=([1, 2, 3], [0, 1, 2])) * self.active
-        gradient = slope * np.exp(2 * log_scale) + away / self.spread
-        return 0.5 * (log_det + middle + float(away @ away)), gradient
-
-    def weights(self, log_scale: FloatArray) -> FloatArray:
-        """Return Student-t weights (5 degrees of freedom) from how far units stand from their repeats."""
-        _, columns = self._whitened(self.covariance(log_scale, np.ones(len(self.gap))))
-        left, own, _ = self._solved(columns)
-        lever = 6.0 - np.trace(own, axis1=1, axis2=2)
-        dim = np.maximum(self.usable.sum(axis=1), 1)
-        # what a unit keeps of its own after its group's means are removed
-        kept = np.maximum(dim - lever, 0.25 * dim)
-        square = (left**2).sum(axis=1) / kept * dim
-        made: FloatArray = np.where(self.repeated, np.minimum(1.0, (5.0 + dim) / (5.0 + square)), 1.0)
-        return made
-
-    def solve(self) -> Noise:
-        """Return the noise at the most likely scales."""
-        from scipy.optimize import minimize
-
-        best, weight = self.median.copy(), np.ones(len(self.gap))
-        if self.dof > 0:
-            for _ in range(3):
-                options = {"maxiter": 30, "ftol": 1e-6}
-                bounds = [(m - 4 * w, m + 5 * w) for m, w in zip(self.median, self.spread, strict=True)]
-                best = minimize(
-                    self.cost, best, args=(weight,), jac=True, method="L-BFGS-B", bounds=bounds, options=options
-                ).x
-                fresh = self.weights(best)
-                if np.abs(fresh - weight).max() < 0.05:
-                    break
-                weight = fresh
-        scales = {
-            name: float(np.exp(v)) for (name, _, _), v, on in zip(COMPONENTS, best, self.active, strict=True) if on
-        }
-        return Noise(self.covariance(best, weight), scales, self.dof, weight)
-
-
-def _nuisance(path: Path, gap: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return what each group may have of its own, shape (n_units, 6, 9), and its prior precision, shape (9,)."""
-    s = path.s
-    design = np.zeros((len(s), 6, 9))
-    design[:, :, :3] = path.calibration[:, :, :3]
-    # on a straight the turn by the wheels is the noise itself
-    design[path.led_straight, :, 2] = 0.0
-    design[:, np.arange(6), 3 + np.arange(6)] = 1.0
-    design = np.where(s.usable[:, :, None], design, 0.0)
-    size = np.maximum(np.sqrt((gap**2).mean(axis=0)), 1e-6)
-    prior = 1.0 / np.concatenate(([0.03, 0.03, 0.1], 30 * size)) ** 2
-    return design, prior
-
-
-def _rank(design: FloatArray, group: IntArray, usable: BoolArray) -> int:
-    """Return how many degrees of freedom the groups' own means and calibrations use up."""
-    total = 0
-    for label in np.unique(group):
-        rows = design[group == label][usable[group == label]]
-        if len(rows):
-            norm = np.maximum(np.abs(rows).max(axis=0), 1e-12)
-            total += int(np.linalg.matrix_rank(rows / norm, tol=1e-3))
-    return total
+def _by_growth(path: Path, covariance: FloatArray, counted: str, growth: Growth | None) -> tuple[bool, str]:
+    """Return whether the floor of windows, above the stated one, grows with their length as noise does."""
+    if growth is None:
+        return False, f"nothing: {counted} scatter more than stated, and there are too few to see how that grows"
+    # a walk of the heading leads the place astray by the length to the power of three halves: the heading alone tells
+    heading = Channel.HEADING
+    floor = float(np.sqrt(covariance[path.s.usable[:, heading], heading, heading].mean()))
+    if floor > MOST_GROWTH * growth.noise_rms[2]:
+        return False, f"nothing: what differs between {counted} grows in proportion to their length, as no noise does"
+    return True, f"{counted}, of {growth.length_m[0]:.2g} to {growth.length_m[-1]:.2g} m"

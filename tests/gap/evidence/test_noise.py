@@ -11,14 +11,14 @@ from calib.gap.data.observations import Observations
 from calib.gap.evidence.noise import (
     COMPONENTS,
     Noise,
-    _Problem,
     estimate_noise,
     interactions,
     kernels,
     quantisation,
     surroundings,
 )
-from calib.gap.predict.path import predict
+from calib.gap.evidence.noise_scales import Grouped, NoiseShapes, ScaleLikelihood
+from calib.gap.predict.path import Path, predict
 from calib.gap.predict.residuals import residuals
 from tests.gap.effects.making import (
     COUNTS,
@@ -104,9 +104,9 @@ def test_the_gradient_of_the_likelihood_is_that_of_central_differences() -> None
     rng = np.random.default_rng(4)
     gap = residuals(path, path) + rng.normal(0, 3e-3, (len(s), 6)) * s.usable
     trend = np.concatenate([surroundings(path), *interactions(path)[:2]], axis=2)
-    problem = _Problem(path, gap, np.arange(len(s)) // 4, trend)
-    weight = rng.uniform(0.3, 1.0, len(s))
-    at = problem.median + rng.normal(0, 0.4, len(NAMES))
+    problem = likelihood(path, gap, np.arange(len(s)) // 4, trend)
+    weight = rng.uniform(0.3, 1.0, len(problem.usable))
+    at = np.log([median for _, median, _ in COMPONENTS]) + rng.normal(0, 0.4, len(NAMES))
     _, gradient = problem.cost(at, weight)
     step = 1e-4
     for k in range(len(NAMES)):
@@ -114,6 +114,10 @@ def test_the_gradient_of_the_likelihood_is_that_of_central_differences() -> None
         change = (problem.cost(at + away, weight)[0] - problem.cost(at - away, weight)[0]) / (2 * step)
         # differences of a cost of order 1000 over 1e-4 keep some six digits
         assert gradient[k] == pytest.approx(change, rel=1e-4, abs=1e-4), NAMES[k]
+
+
+def likelihood(path: Path, gap: np.ndarray, labels: np.ndarray, trend: np.ndarray | None = None) -> ScaleLikelihood:
+    return ScaleLikelihood(path, gap, NoiseShapes.about(path), Grouped.by(labels), trend)
 
 
 def repeats(seed: int, n_repeats: int = 12, scale: float = 1.0, warmth: float = 0.0, **given: object) -> Observations:
@@ -175,7 +179,7 @@ def test_few_repeats_fall_back_to_coarser_groups() -> None:
     values = {name: rng.uniform(*span, 64) for name, span in (("temperature_C", (5, 45)), ("humidity", (0.2, 0.8)))}
     warm, even = repeats(6, 16, warmth=1e-3, **values), repeats(6, 16, warmth=0.0, **values)
     path = predict(warm)
-    assert _Problem(path, residuals(path, path), warm.cell, None).dof < 30
+    assert likelihood(path, residuals(path, path), warm.cell).dof < 30
     noise, without = estimated(warm), estimated(even)
     assert noise.dof >= 30
     # 1e-3 a kelvin over 10 m and some 12 K is 120 mm, beside a walk of 10 mm: a tenth of it left would double the scale

@@ -1,0 +1,287 @@
+"""The scales of the noise by restricted likelihood: what differs between units that were driven alike."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from calib.arrays import BoolArray, FloatArray, IntArray
+from calib.gap.evidence.noise_kernels import COMPONENTS, MEDIANS, fixed_noise, kernels, masked
+from calib.gap.predict.path import Path
+
+__all__ = ["Grouped", "NoiseShapes", "ScaleLikelihood", "most_likely", "thinned_groups"]
+
+SPREADS: Final = np.array([spread for _, _, spread in COMPONENTS])
+#: Student-t weights of units far from their repeats have so many degrees of freedom
+ROBUST_DOF: Final = 5.0
+#: scales are found from at most so many units: their uncertainty is then a few per cent, and the cost is bounded
+MOST_UNITS: Final = 480
+_ROUNDS: Final = 3
+_OWN: Final = 9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NoiseShapes:
+    """What the noise of some units is made of.
+
+    Parameters
+    ----------
+    kernels : array of float, shape (n_components, n_units, 6, 6)
+        Covariance of each component at scale 1.
+    fixed : array of float, shape (n_units, 6, 6)
+        Covariance without a scale.
+    usable : array of bool, shape (n_units, 6)
+        Channels that a unit has.
+    active : array of bool, shape (n_components,)
+        Components that show in any channel used.
+    """
+
+    kernels: FloatArray
+    fixed: FloatArray
+    usable: BoolArray
+    active: BoolArray
+
+    @staticmethod
+    def about(path: Path) -> NoiseShapes:
+        """Return the shapes of all units of a path."""
+        usable, shapes = path.s.usable, kernels(path)
+        both = (usable[:, :, None] & usable[:, None, :]).astype(np.float64)
+        active = np.array([bool((np.abs(shape) * both).sum() > 0) for shape in shapes])
+        return NoiseShapes(shapes, fixed_noise(path), usable, active)
+
+    def covariance(self, log_scale: FloatArray, weight: FloatArray) -> FloatArray:
+        """Return the covariance of each unit, shape (n_units, 6, 6)."""
+        variance = np.exp(2 * np.where(self.active, log_scale, np.log(MEDIANS))) * self.active
+        whole = np.tensordot(variance, self.kernels, axes=1) + self.fixed
+        return masked(whole / weight[:, None, None], self.usable)
+
+    def select(self, units: IntArray) -> NoiseShapes:
+        """Return the shapes of some units."""
+        return NoiseShapes(self.kernels[:, units], self.fixed[units], self.usable[units], self.active)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Grouped:
+    """Units that were driven alike, group by group; units that stand alone are left out.
+
+    Parameters
+    ----------
+    units : array of int, shape (n,)
+        Their numbers, those of a group side by side.
+    group : array of int, shape (n,)
+        Number of the group of each.
+    first : array of int, shape (n_groups,)
+        Where each group begins.
+    """
+
+    units: IntArray
+    group: IntArray
+    first: IntArray
+
+    @staticmethod
+    def by(labels: IntArray) -> Grouped:
+        """Group the units by a label, shape (n_units,)."""
+        _, code = np.unique(labels, return_inverse=True)
+        units = np.argsort(code, kind="stable")
+        return Grouped._numbered(units[np.bincount(code)[code[units]] >= 2], code)
+
+    @staticmethod
+    def _numbered(units: IntArray, code: IntArray) -> Grouped:
+        _, first, group = np.unique(code[units], return_index=True, return_inverse=True)
+        return Grouped(units, group, first)
+
+    def select(self, keep: BoolArray) -> Grouped:
+        """Return the groups with some of their units only, shape (n,)."""
+        units = self.units[keep]
+        _, first, group = np.unique(self.group[keep], return_index=True, return_inverse=True)
+        return Grouped(units, group, first)
+
+    def summed(self, values: FloatArray) -> FloatArray:
+        """Sum values (n, ...) over each group."""
+        total: FloatArray = np.add.reduceat(values, self.first, axis=0)
+        return total
+
+
+def thinned_groups(grouped: Grouped, most: int = MOST_UNITS) -> Grouped:
+    """Return at most about `most` units: the same share of every group, two at least, of evenly chosen groups.
+
+    Parameters
+    ----------
+    grouped : Grouped
+        All units driven alike.
+    most : int
+        How many are wanted.
+    """
+    n = len(grouped.units)
+    if n <= most:
+        return grouped
+    sizes = np.diff(np.append(grouped.first, n))
+    wanted = np.maximum(2, np.ceil(sizes * most / n))
+    # each unit's place within its group, and which of the wanted places it is the first for
+    place = np.arange(n) - grouped.first[grouped.group]
+    slot = np.floor(place * wanted[grouped.group] / sizes[grouped.group])
+    chosen = np.concatenate(([True], (np.diff(slot) > 0) | (np.diff(grouped.group) > 0)))
+    stride = max(1, int(np.ceil(2 * len(sizes) / most)))
+    return grouped.select(chosen & (grouped.group % stride == 0))
+
+
+class ScaleLikelihood:
+    """Restricted likelihood of the noise's scales, for one way of grouping units.
+
+    Parameters
+    ----------
+    path : Path
+        Where the gap was taken.
+    gap : array of float, shape (n_units, 6)
+        Measured minus predicted.
+    shapes : NoiseShapes
+        What the noise of all units is made of.
+    grouped : Grouped
+        Which units were driven alike.
+    trend : array of float, shape (n_units, 6, k)
+        What may differ between units driven alike and is no noise.
+    """
+
+    def __init__(
+        self, path: Path, gap: FloatArray, shapes: NoiseShapes, grouped: Grouped, trend: FloatArray | None = None
+    ) -> None:
+        units = grouped.units
+        self.grouped, self.shapes = grouped, shapes.select(units)
+        self.active = shapes.active
+        self.usable = self.shapes.usable
+        design, self.prior = _nuisance(path, gap)
+        trends = np.zeros((len(path.s), 6, 0)) if trend is None else trend
+        self.k = trends.shape[2]
+        self.columns = np.concatenate([design, trends, gap[:, :, None]], axis=2)[units]
+
+    @property
+    def dof(self) -> float:
+        """Degrees of freedom that are left for the noise."""
+        used = _rank(self.columns[:, :, :_OWN], self.grouped, self.usable)
+        return float(max(self.usable.sum() - used - self.k, 0))
+
+    def _whitened(self, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the inverse Cholesky factors (n, 6, 6) and the whitened columns."""
+        inverse = np.linalg.inv(np.linalg.cholesky(covariance))
+        return inverse, inverse @ self.columns
+
+    def _solved(self, columns: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+        """Return what is left (n, 6) and kept (n, 6, 6) of each whitened unit, and the restricted cost's middle.
+
+        `columns` (n, 6, 9 + k + 1) holds the whitened own design of each group, the trend and the gap.
+        """
+        k, group = self.k, self.grouped.group
+        x, rest = columns[:, :, :_OWN], columns[:, :, _OWN:]
+        turned = x.transpose(0, 2, 1)
+        gram = self.grouped.summed(turned @ x) + np.diag(self.prior)
+        cross = self.grouped.summed(turned @ rest)
+        inverse = np.linalg.inv(gram)
+        scaled = x @ inverse[group]
+        left = rest - scaled @ cross[group]
+        flat = rest.reshape(-1, k + 1)
+        solved = (inverse @ cross).reshape(-1, k + 1)
+        dense = flat.T @ flat - cross.reshape(-1, k + 1).T @ solved
+        middle = float(np.linalg.slogdet(gram)[1].sum())
+        kept = np.eye(6) - scaled @ turned
+        g, square = left[:, :, -1], float(dense[k, k])
+        if k:
+            inner = dense[:k, :k] + np.eye(k)
+            beta = np.linalg.solve(inner, dense[:k, k])
+            square -= float(dense[:k, k] @ beta)
+            t = left[:, :, :k]
+            g = g - t @ beta
+            # one product of large matrices, not one a unit
+            half = (t.reshape(-1, k) @ np.linalg.inv(np.linalg.cholesky(inner)).T).reshape(t.shape)
+            kept = kept - half @ half.transpose(0, 2, 1)
+            middle += float(np.linalg.slogdet(inner)[1])
+        return g, kept, middle + square
+
+    def cost(self, log_scale: FloatArray, weight: FloatArray) -> tuple[float, FloatArray]:
+        """Return minus the restricted log likelihood, the prior of the scales included, and its gradient."""
+        factor, columns = self._whitened(self.shapes.covariance(log_scale, weight))
+        log_det = -2 * float(np.log(np.diagonal(factor, axis1=1, axis2=2)).sum())
+        left, kept, middle = self._solved(columns)
+        away = (log_scale - np.log(MEDIANS)) / SPREADS
+        turned = factor.transpose(0, 2, 1)
+        alpha = (turned @ left[:, :, None])[:, :, 0]
+        inner = turned @ kept @ factor - alpha[:, :, None] * alpha[:, None, :]
+        both = self.usable[:, :, None] & self.usable[:, None, :]
+        inner = np.where(both, inner, 0.0) / weight[:, None, None]
+        slope = np.tensordot(self.shapes.kernels, inner, axes=([1, 2, 3], [0, 1, 2])) * self.active
+        gradient = slope * np.exp(2 * log_scale) + away / SPREADS
+        return 0.5 * (log_det + middle + float(away @ away)), gradient
+
+    def weights(self, log_scale: FloatArray) -> FloatArray:
+        """Return Student-t weights from how far units stand from their repeats, shape (n,)."""
+        _, columns = self._whitened(self.shapes.covariance(log_scale, np.ones(len(self.usable))))
+        left, own, _ = self._solved(columns)
+        lever = 6.0 - np.trace(own, axis1=1, axis2=2)
+        dim = np.maximum(self.usable.sum(axis=1), 1)
+        # what a unit keeps of its own after its group's means are removed
+        kept = np.maximum(dim - lever, 0.25 * dim)
+        square = (left**2).sum(axis=1) / kept * dim
+        weight: FloatArray = np.minimum(1.0, (ROBUST_DOF + dim) / (ROBUST_DOF + square))
+        return weight
+
+
+def most_likely(likelihood: ScaleLikelihood, start: FloatArray) -> FloatArray:
+    """Return the logarithms of the most likely scales, units far from their repeats weighing less.
+
+    Parameters
+    ----------
+    likelihood : ScaleLikelihood
+        Of the units driven alike.
+    start : array of float, shape (n_components,)
+        Where to begin.
+
+    Returns
+    -------
+    array of float, shape (n_components,)
+    """
+    from scipy.optimize import minimize
+
+    best, weight = start, np.ones(len(likelihood.usable))
+    bounds = [(m - 4 * w, m + 5 * w) for m, w in zip(np.log(MEDIANS), SPREADS, strict=True)]
+    for _ in range(_ROUNDS):
+        best = minimize(
+            likelihood.cost,
+            best,
+            args=(weight,),
+            jac=True,
+            method="L-BFGS-B",
+            bounds=bounds,
+            options={"maxiter": 30, "ftol": 1e-6},
+        ).x
+        fresh = likelihood.weights(best)
+        if np.abs(fresh - weight).max() < 0.05:
+            break
+        weight = fresh
+    return np.asarray(best)
+
+
+def _nuisance(path: Path, gap: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return what each group may have of its own, shape (n_units, 6, 9), and its prior precision, shape (9,)."""
+    observations = path.s
+    design = np.zeros((len(observations), 6, _OWN))
+    design[:, :, :3] = path.calibration[:, :, :3]
+    # on a straight the turn by the wheels is the noise itself
+    design[path.led_straight, :, 2] = 0.0
+    design[:, np.arange(6), 3 + np.arange(6)] = 1.0
+    design = np.where(observations.usable[:, :, None], design, 0.0)
+    size = np.maximum(np.sqrt((gap**2).mean(axis=0)), 1e-6)
+    prior = 1.0 / np.concatenate(([0.03, 0.03, 0.1], 30 * size)) ** 2
+    return design, prior
+
+
+def _rank(design: FloatArray, grouped: Grouped, usable: BoolArray) -> int:
+    """Return how many degrees of freedom the groups' own means and calibrations use up."""
+    total = 0
+    ends = np.append(grouped.first[1:], len(grouped.units))
+    for first, end in zip(grouped.first, ends, strict=True):
+        rows = design[first:end][usable[first:end]]
+        if len(rows):
+            norm = np.maximum(np.abs(rows).max(axis=0), 1e-12)
+            total += int(np.linalg.matrix_rank(rows / norm, tol=1e-3))
+    return total
