@@ -10,7 +10,7 @@ from calib.arrays import BoolArray, FloatArray
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter, varies
 from calib.gap.effects.family import Family
-from calib.gap.effects.shapes import MOVING_MPS, curvature_per_m, driven_speed_mps
+from calib.gap.effects.shapes import curvature_per_m, driven_speed_mps, stands_mps
 from calib.gap.predict.push import Push
 
 __all__ = ["BrakingSkid", "stops"]
@@ -60,7 +60,7 @@ def stops(s: Observations) -> BoolArray:
     speed = np.abs(s.speed_mps)
     last = np.zeros(len(s.unit), dtype=bool)
     last[s.starts[1:] - 1] = True
-    moving = speed > MOVING_MPS
+    moving = speed > stands_mps(s)[s.unit]
     follows = np.concatenate((moving[1:], [False]))
     driven = np.nan_to_num(driven_speed_mps(s))[s.unit]
     within = moving & ~last & ~follows

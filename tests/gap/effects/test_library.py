@@ -12,8 +12,10 @@ import pytest
 import calib.gap.effects as package
 from calib.gap.data.from_campaign import observations_of
 from calib.gap.data.observations import Observations
+from calib.gap.effects.calibration import DIRECTIONS, NAMES, TYPICAL
 from calib.gap.effects.effect import Effect, Form
-from calib.gap.effects.library import REGISTRY, every_effect, library
+from calib.gap.effects.family import Family
+from calib.gap.effects.library import REGISTRY, effect_class, every_effect, library
 from calib.gap.predict.path import predict, signature
 from tests.gap.effects.making import campaign, rich_runs, situation, with_outside_simulator
 
@@ -130,6 +132,32 @@ def test_titles_and_suspicions_are_clauses(rich: Observations) -> None:
     for effect in library(rich):
         assert effect.title and not effect.title.endswith("."), effect.id
         assert effect.implausible and not effect.implausible.endswith("."), effect.id
+
+
+@pytest.mark.parametrize("name", REGISTRY)
+def test_an_effect_says_its_family_what_it_needs_and_which_run_separates_it(name: str) -> None:
+    kind = effect_class(name)
+    assert kind is not None
+    assert kind.family is not Family.OWN
+    for words in (kind.needs, kind.separates):
+        assert words and not words.endswith("."), name
+    assert kind.family.words and not kind.family.words.endswith(".")
+    assert (kind.family is Family.CALIBRATION) == (kind.calibration_direction is not None) == bool(kind.hides_in)
+
+
+def test_what_an_effect_shifts_is_the_calibrations_own(rich: Observations) -> None:
+    for effect in library(rich):
+        assert set(effect.shifts) <= set(NAMES), effect.id
+
+
+def test_the_directions_of_the_calibration_are_what_its_effects_do(rich: Observations) -> None:
+    """A unit of each effect is its stated change of left radius, right radius and track; sizes are the forms'."""
+    path = predict(rich)
+    for name, direction, typical in zip(NAMES, DIRECTIONS, TYPICAL, strict=True):
+        (form,) = next(e for e in library(rich) if e.id == name).forms(rich)
+        (push,) = form.pushes(path)
+        np.testing.assert_allclose(signature(path, push), path.calibration @ direction, rtol=1e-12, atol=1e-12)
+        assert form.typical[0] == typical
 
 
 def rotated(path_frame: np.ndarray, change: np.ndarray) -> np.ndarray:
