@@ -44,12 +44,14 @@ class PayloadMass(Effect):
         values = np.sort(values[np.argsort(-counts, kind="stable")[:_MOST]])
         added_left, added_right = payload_load_N(s)
         parameter = Parameter("share", "1", typical=0.15, largest=0.5)
+        # one label may be mistyped; a scale that is off by more than a third is found out
+        of_all = Parameter("share", "1", typical=0.1, largest=0.3)
 
         has_slopes = s.model.slope_left_m_per_N != 0.0 or s.model.slope_right_m_per_N != 0.0
         together = len(values) > 1 and has_slopes
         tries = len(values) + int(together)
 
-        def made(label: str, mine: BoolArray, settings: dict[str, float]) -> Form:
+        def made(label: str, mine: BoolArray, share: Parameter, settings: dict[str, float]) -> Form:
 
             def pushes(path: Path) -> list[Push]:
                 left, right = radius_slopes_m_per_N(path, ~mine)
@@ -60,10 +62,10 @@ class PayloadMass(Effect):
                     )
                 ]
 
-            return Form(self.id, label, (parameter,), pushes, settings, tries=tries)
+            return Form(self.id, label, (share,), pushes, settings, tries=tries)
 
         single = [
-            made(f"payload of {value:g} kg", np.abs(payload - value) < 1e-3, {"payload_kg": float(value)})
+            made(f"payload of {value:g} kg", np.abs(payload - value) < 1e-3, parameter, {"payload_kg": float(value)})
             for value in values
         ]
-        return [*single, made("all payloads", payload > 0.0, {})] if together else single
+        return [*single, made("all payloads", payload > 0.0, of_all, {})] if together else single
