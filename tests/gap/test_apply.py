@@ -132,7 +132,7 @@ def test_a_declared_effect_is_named_alone_and_its_model_holds_on_other_days(tmp_
     """The column is no second candidate beside its declaration, and the model written down is nought where it was."""
     here, there = damp(0.0), damp(0.4)
     found = diagnose_in_full(here, plan=False)
-    assert found.verdict.verdict == "explained"
+    assert found.verdict.kind is VerdictKind.EXPLAINED
     assert [cause.effect for cause in found.verdict.causes] == ["damp"]
     low, high = found.verdict.causes[0].parameters["size"].ci95
     assert low <= 0.01 <= high
