@@ -63,6 +63,13 @@ class CheckReport:
     info: tuple[Note, ...]
 
     @property
+    def verdict(self) -> str:
+        """``sound``, ``look at this`` where something is suspicious, or ``wrong``."""
+        if self.wrong:
+            return "wrong"
+        return "look at this" if self.suspicious else "sound"
+
+    @property
     def sound(self) -> bool:
         """Whether nothing is wrong; suspicious things alone do not count."""
         return not self.wrong

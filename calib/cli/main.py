@@ -1,15 +1,18 @@
-"""The door: builds the command line, and turns known errors into one line and an exit status."""
+"""The entry point: builds the command line, and turns known errors into one line and an exit status."""
 
 from __future__ import annotations
 
 import importlib
 import os
+import signal
 import sys
 from collections.abc import Sequence
-from typing import Final
+from typing import Any, Final
 
 import typer
 
+from calib.cli.respell import respelled
+from calib.cli.terminal import KEPT
 from calib.errors import CalibError
 
 __all__ = ["app", "main"]
@@ -17,8 +20,10 @@ __all__ = ["app", "main"]
 EXIT_FINE: Final = 0
 EXIT_BAD_INPUT: Final = 2
 EXIT_BUG: Final = 3
+EXIT_INTERRUPTED: Final = 128 + signal.SIGINT
+EXIT_PIPE_CLOSED: Final = 141
 
-#: command -> module under ``calib.cli``; adding a command means adding one file and one line here
+#: command -> module under ``calib.cli`` with ``run`` and ``EPILOG``; a name of two words is a command of a group
 COMMANDS: Final[dict[str, str]] = {
     "export": "export",
     "check": "check",
@@ -27,8 +32,13 @@ COMMANDS: Final[dict[str, str]] = {
     "deviation": "deviation",
     "report": "report",
     "loads": "loads",
-    "challenge": "challenge",
-    "simulate": "simulate",
+    "challenge make": "challenge.make",
+    "challenge run": "challenge.run",
+    "challenge score": "challenge.score",
+    "simulate route": "simulate.route",
+    "simulate journey": "simulate.journey",
+    "simulate study": "simulate.study",
+    "simulate replay": "simulate.replay",
     "diagnose": "diagnose",
     "plan": "plan",
 }
@@ -42,13 +52,29 @@ SUMMARIES: Final[dict[str, str]] = {
     "report": "Write the calibration report as PDF.",
     "export": "Write coefficients for vehicle or controller.",
     "loads": "Compute static wheel loads from a payload.",
-    "simulate": "Simulate a route on odometry, load by load.",
+    "simulate": "Simulate routes and loads; replay logged runs.",
+    "simulate route": "Drive a route with radii other than believed.",
+    "simulate journey": "Drive a route under a fitted law, load by load.",
+    "simulate study": "Run a study of the paper's Section 7.",
+    "simulate replay": "Replay a campaign's logged runs.",
     "geometry": "Estimate radii and track from end poses.",
     "diagnose": "Say why the simulation differs from reality.",
     "plan": "Say which runs to drive next.",
     "challenge": "Check the diagnosis blind, on sealed cases.",
+    "challenge make": "Make sealed cases.",
+    "challenge run": "Diagnose every case.",
+    "challenge score": "Open the truth and score.",
     "fleet": "Calibrate many vehicles at once.",
 }
+
+#: group -> the example that its help shows
+EXAMPLES: Final[dict[str, str]] = {
+    "simulate": "Example: calib simulate study corrected --law sample_runs/corridor --output section7",
+    "challenge": "Example: calib challenge make --seeds calib/challenge/seeds/ci.toml --into blind",
+}
+
+#: where the shell asks for completions, and the words typed so far
+_COMPLETE, _COMPLETE_WORDS = "_CALIB_COMPLETE", ("_TYPER_COMPLETE_ARGS", "COMP_WORDS")
 
 
 def build(arguments: Sequence[str] | None = None) -> typer.Typer:
@@ -63,28 +89,47 @@ def build(arguments: Sequence[str] | None = None) -> typer.Typer:
     application = typer.Typer(
         name="calib",
         no_args_is_help=True,
-        add_completion=False,
+        add_completion=True,
         rich_markup_mode=None,
         pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
         help="Calibrate a vehicle's wheel odometry, and find out why its simulation is wrong.",
     )
 
     @application.callback(invoke_without_command=True)
-    def root(version: bool = typer.Option(False, "--version", help="Show the version and exit.")) -> None:
+    def root(version: bool = typer.Option(False, "--version", "-V", help="Show the version and exit.")) -> None:
         if version:
             from calib import __version__
 
             typer.echo(f"calib {__version__}")
             raise typer.Exit
 
-    asked = next((one for one in arguments or () if not one.startswith("-")), None)
-    order = [*(name for name in SUMMARIES if name in COMMANDS), *(name for name in COMMANDS if name not in SUMMARIES)]
-    for name in order:
-        if arguments is not None and asked != name and name in SUMMARIES:
-            application.command(name, help=SUMMARIES[name])(_elsewhere)
+    words = None if arguments is None else [word for word in arguments if not word.startswith("-")]
+    groups: dict[str, typer.Typer] = {}
+    for name in sorted(COMMANDS, key=lambda one: list(SUMMARIES).index(one) if one in SUMMARIES else len(SUMMARIES)):
+        group, _, inner = name.rpartition(" ")
+        parent = application
+        if group:
+            if group not in groups:
+                groups[group] = _group(group)
+                application.add_typer(groups[group], name=group)
+            parent = groups[group]
+        if words is None or words[: len(name.split())] == name.split():
+            _register(parent, inner, importlib.import_module(f"calib.cli.{COMMANDS[name]}"))
         else:
-            importlib.import_module(f"calib.cli.{COMMANDS[name]}").register(application, name)
+            parent.command(inner, help=SUMMARIES.get(name, ""))(_elsewhere)
     return application
+
+
+def _group(name: str) -> typer.Typer:
+    return typer.Typer(no_args_is_help=True, rich_markup_mode=None, help=SUMMARIES[name], epilog=EXAMPLES.get(name, ""))
+
+
+def _register(parent: typer.Typer, name: str, module: Any) -> None:
+    if hasattr(module, "register"):
+        module.register(parent, name)
+    else:
+        parent.command(name, epilog=module.EPILOG)(module.run)
 
 
 def _elsewhere() -> None:
@@ -103,9 +148,11 @@ def main(arguments: list[str] | None = None) -> None:
 
 def run(arguments: list[str] | None = None) -> int:
     """Run the command line and return its exit status."""
+    kept: list[str] = []
+    KEPT.set(kept)
     try:
-        given = sys.argv[1:] if arguments is None else arguments
-        result = build(given)(args=given, prog_name="calib", standalone_mode=False)
+        status = _invoke(sys.argv[1:] if arguments is None else arguments)
+        sys.stdout.flush()
     except CalibError as error:
         return _complain(str(error))
     except typer.TyperException as error:
@@ -115,18 +162,45 @@ def run(arguments: list[str] | None = None) -> int:
         context = getattr(error, "ctx", None)
         return _complain(_message(error) + (f" (see '{context.command_path} --help')" if context else ""))
     except (typer.Abort, KeyboardInterrupt):
-        return _complain("interrupted; nothing half-written was left behind")
+        held = f"kept: {'; '.join(kept)}" if kept else "nothing was written"
+        return _complain(f"interrupted; {held}, and nothing half-written is left", EXIT_INTERRUPTED)
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return EXIT_FINE
+        return _pipe_closed()
+    except SystemExit as error:
+        # the printing libraries end the program with 1 where nobody reads on
+        if isinstance(error.__context__, BrokenPipeError):
+            return _pipe_closed()
+        raise
     except MemoryError:
         return _complain("out of memory; expected a campaign that fits; give fewer runs or shorter logs")
     except Exception as error:
         if os.environ.get("CALIB_TRACEBACK"):
             raise
-        _complain(f"bug in calib, please report: {type(error).__name__}: {error} (CALIB_TRACEBACK=1 shows where)")
-        return EXIT_BUG
+        message = f"bug in calib, please report: {type(error).__name__}: {error} (CALIB_TRACEBACK=1 shows where)"
+        return _complain(message, EXIT_BUG)
+    return status
+
+
+def _invoke(arguments: list[str]) -> int:
+    """Parse and call."""
+    if _COMPLETE in os.environ:
+        typed = next((os.environ[name].split() for name in _COMPLETE_WORDS if name in os.environ), [])
+        build(typed[1:])(args=arguments, prog_name="calib", standalone_mode=False)
+        return EXIT_FINE
+    arguments = respelled(arguments)
+    command = typer.main.get_command(build(arguments))
+    try:
+        with command.make_context("calib", list(arguments)) as context:
+            result = command.invoke(context)
+    except typer.Exit as ended:
+        return ended.exit_code
     return result if isinstance(result, int) else EXIT_FINE
+
+
+def _pipe_closed() -> int:
+    # what is still buffered has nowhere to go
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return EXIT_PIPE_CLOSED
 
 
 def _message(error: Exception) -> str:
@@ -134,9 +208,9 @@ def _message(error: Exception) -> str:
     return str(formatted()) if formatted else str(error)
 
 
-def _complain(message: str) -> int:
+def _complain(message: str, status: int = EXIT_BAD_INPUT) -> int:
     sys.stderr.write("calib: " + " ".join(message.split()) + "\n")
-    return EXIT_BAD_INPUT
+    return status
 
 
 if __name__ == "__main__":

@@ -3,109 +3,113 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from calib.cli.output import FORCE, JSON, emit_json, say
+from calib.cli.options import Force, JsonTarget, refuse_existing
+from calib.cli.terminal import emit_json, say, waiting, wrote
 from calib.cli.threads import one_blas_thread
+from calib.errors import BadInputError, RefusedError
 
 if TYPE_CHECKING:
-    from calib.campaign.model import Campaign
     from calib.report.content import Report
-    from calib.report.source import Source
 
-__all__ = ["register"]
+__all__ = ["EPILOG", "run"]
 
 EPILOG = "Example: calib report sample_runs/corridor_crossed --into corridor_crossed.pdf --date 2025-03-31"
 
 
-def register(application: typer.Typer, name: str) -> None:
-    """Add the command to `application`."""
+def run(
+    source: Annotated[
+        Path,
+        typer.Argument(
+            metavar="CAMPAIGN|RESULT", help="Campaign folder, or result folder of calib fit, or its fit.json."
+        ),
+    ],
+    into: Annotated[
+        Path | None,
+        typer.Option(
+            "--into", metavar="FILE|FOLDER", help="PDF file, or folder for it; without it: reports/<campaign>.pdf."
+        ),
+    ] = None,
+    date: Annotated[
+        str | None,
+        typer.Option(
+            "--date", metavar="YYYY-MM-DD", help="Date of issue; without it: today. Fixes the bytes of the PDF."
+        ),
+    ] = None,
+    figures: Annotated[
+        Path | None,
+        typer.Option("--figures", metavar="FOLDER", help="Write every figure there, too, as PNG, SVG and PDF."),
+    ] = None,
+    html: Annotated[
+        Path | None, typer.Option("--html", metavar="FILE", help="Write the same as one HTML page, too.")
+    ] = None,
+    diagnosis: Annotated[
+        bool, typer.Option("--diagnosis", help="Add the diagnosis of the gap between measured and simulated motion.")
+    ] = False,
+    seed: Annotated[int, typer.Option("--seed", metavar="N", help="Seed of the diagnosis.")] = 0,
+    json: JsonTarget = None,
+    force: Force = False,
+) -> int:
+    """Write the report on a campaign as PDF/A-3, the coefficient file attached.
 
-    @application.command(name, epilog=EPILOG)
-    def report(
-        source: Path = typer.Argument(
-            ..., metavar="CAMPAIGN|RESULT", help="Campaign folder, or result folder of calib fit, or its fit.json."
-        ),
-        into: Path | None = typer.Option(
-            None,
-            "--into",
-            metavar="FILE|FOLDER",
-            help="PDF file, or folder for it; without it: reports/<campaign>.pdf.",
-        ),
-        date: str | None = typer.Option(
-            None, "--date", metavar="YYYY-MM-DD", help="Date of issue; without it: today. Fixes the bytes of the PDF."
-        ),
-        figures: Path | None = typer.Option(
-            None, "--figures", metavar="FOLDER", help="Write every figure there, too, as PNG, SVG and PDF."
-        ),
-        diagnosis: bool = typer.Option(
-            False, "--diagnosis", help="Add the diagnosis of the gap between measured and simulated motion."
-        ),
-        seed: int = typer.Option(0, "--seed", metavar="N", help="Seed of the diagnosis."),
-        json_target: str | None = JSON,
-        force: bool = FORCE,
-    ) -> int:
-        """Write the report on a campaign as PDF/A-3, the coefficient file attached.
+    The [report] section of campaign.toml states laboratory, customer, vehicle, instruments and dates. Exit status 1
+    where a check says that the law should not be used as it is; the report is written all the same and says so.
+    With --diagnosis, runs that allow no law, as loops do, still give a report of the diagnosis.
+    """
+    if diagnosis:
+        one_blas_thread()
+    from calib.files import write_bytes, write_text
+    from calib.report.html import to_html
+    from calib.report.pdf import to_pdf, write_figures
+    from calib.report.source import issue_date
 
-        The [report] section of campaign.toml states laboratory, customer, vehicle, instruments and dates. Exit status 1
-        where a check says that the law should not be used as it is; the report is written all the same and says so.
-        With --diagnosis, runs that allow no law, as loops do, still give a report of the diagnosis.
-        """
-        if diagnosis:
-            one_blas_thread()
-        from calib.errors import RefusedError
-        from calib.files import write_bytes
-        from calib.report.content import compose
-        from calib.report.pdf import to_pdf, write_figures
-        from calib.report.place import place_of
-        from calib.report.source import issue_date, source_of
-
-        issued = issue_date(date)
-        try:
-            found, campaign = source_of(source, issued=issued)
-        except RefusedError as error:
-            if not diagnosis:
-                raise
-            made, target = _without_law(source, into, issued, str(error), seed, force=force)
-        else:
-            target = place_of(found.fit.name, into, force=force)
-            made = compose(_diagnosed(found, campaign, source, seed) if diagnosis else found)
-        drawn = [] if figures is None else write_figures(made, figures, force=force)
-        write_bytes(target, to_pdf(made), force=force)
-        say(
-            f"wrote {target} (report {made.report_id}{', simulated data' if made.simulated else ''})",
-            target=json_target,
-        )
-        if figures is not None:
-            say(f"wrote {len(drawn)} figure files to {figures}", target=json_target)
-        if not made.passed:
-            say("A check failed: the law should not be used as it is; the report says why.", target=json_target)
-        document: dict[str, Any] = {"file": str(target), "figures": [str(path) for path in drawn], **made.to_dict()}
-        emit_json(document, json_target, force=force)
-        return 0 if made.passed else 1
+    refuse_existing([json, html], force=force)
+    issued = issue_date(date)
+    with waiting("writing the report"):
+        report, target = _report(source, into, issued, seed=seed, diagnosis=diagnosis, force=force)
+        drawn = [] if figures is None else write_figures(report, figures, force=force)
+        write_bytes(target, to_pdf(report), force=force)
+    marked = ", simulated data" if report.simulated else ""
+    wrote([], target=json, what=f"{target} (report {report.report_id}{marked})")
+    if html is not None:
+        wrote([write_text(html, to_html(report), force=force)], target=json)
+    if figures is not None:
+        wrote([], target=json, what=f"{len(drawn)} figure files to {figures}")
+    if not report.passed:
+        say("A check failed: the law should not be used as it is; the report says why.", target=json)
+    document: dict[str, Any] = {"file": str(target), "figures": [str(path) for path in drawn], **report.to_dict()}
+    emit_json(document, json, force=force)
+    return 0 if report.passed else 1
 
 
-def _without_law(
-    path: Path, into: Path | None, issued: str, why: str, seed: int, *, force: bool
+def _report(
+    path: Path, into: Path | None, issued: str, *, seed: int, diagnosis: bool, force: bool
 ) -> tuple[Report, Path]:
-    """Return the report of the diagnosis alone and its file; refused where the path is no campaign."""
+    """Return the report and its file; runs that allow no law give one of the diagnosis alone, where asked for."""
     from calib.campaign.read import read_campaign
+    from calib.report.content import compose
     from calib.report.gap_report import diagnosis_report
-    from calib.report.place import place_of
-
-    campaign = read_campaign(path)
-    target = place_of(campaign.name, into, force=force)
-    return diagnosis_report(campaign, issued=issued, why=why.removeprefix(f"{path}: "), seed=seed), target
-
-
-def _diagnosed(found: Source, campaign: Campaign | None, path: Path, seed: int) -> Source:
-    from calib.errors import BadInputError
     from calib.report.gap_source import with_diagnosis
+    from calib.report.place import place_of
+    from calib.report.source import source_of
 
-    if campaign is None:
-        raise BadInputError(
-            f"{path}: found the result of a fit; expected a campaign folder, which a diagnosis needs; give the campaign"
-        )
-    return with_diagnosis(found, campaign, seed=seed)
+    try:
+        source, campaign = source_of(path, issued=issued)
+    except RefusedError as error:
+        if not diagnosis:
+            raise
+        read = read_campaign(path)
+        target = place_of(read.name, into, force=force)
+        return diagnosis_report(read, issued=issued, why=str(error).removeprefix(f"{path}: "), seed=seed), target
+    target = place_of(source.fit.name, into, force=force)
+    if diagnosis:
+        if campaign is None:
+            raise BadInputError(
+                f"{path}: found the result of a fit; expected a campaign folder, which a diagnosis needs; give the "
+                "campaign"
+            )
+        source = with_diagnosis(source, campaign, seed=seed)
+    return compose(source), target

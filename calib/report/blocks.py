@@ -9,7 +9,18 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Block", "Column", "Equation", "Facts", "Items", "Notice", "Picture", "Section", "Table", "Text"]
+__all__ = ["Block", "Column", "Equation", "Facts", "Heading", "Items", "Notice", "Picture", "Section", "Table", "Text"]
+
+
+@dataclass(frozen=True, slots=True)
+class Heading:
+    """A heading within a section."""
+
+    text: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the block as plain values."""
+        return {"kind": "heading", "text": self.text}
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +99,8 @@ class Column:
         Set in a typewriter face; for hashes.
     group : str
         Common title above neighbouring columns of the same group.
+    detail : bool
+        Left out where there is little room, as on a terminal.
     """
 
     title: str
@@ -96,6 +109,7 @@ class Column:
     wide: bool = False
     mono: bool = False
     group: str = ""
+    detail: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +147,7 @@ class Picture:
         return {"kind": "picture", "name": self.name, "caption": self.caption, "alt": self.alt}
 
 
-Block = Text | Facts | Items | Equation | Notice | Table | Picture
+Block = Heading | Text | Facts | Items | Equation | Notice | Table | Picture
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from calib.arrays import FloatArray, StrArray
+from calib.gap.verdict.paper_headline import headline
+from calib.gap.verdict.result import Verdict
 
 __all__ = ["GapFindings"]
 
@@ -17,8 +19,10 @@ class GapFindings:
 
     Parameters
     ----------
-    verdict : mapping
-        As ``calib diagnose --json`` writes it.
+    verdict : Verdict
+        The answer.
+    headline : mapping or None
+        The paper's headline beside it, where load is the cause.
     channels : tuple of (str, str)
         Name and unit (``m`` or ``rad``) of each channel, shape (n_channels,).
     before, after : array of float, shape (n_units, n_channels), or None
@@ -36,7 +40,8 @@ class GapFindings:
         Measured minus simulated end position on the floor plan.
     """
 
-    verdict: Mapping[str, Any]
+    verdict: Verdict
+    headline: Mapping[str, Any] | None = None
     channels: tuple[tuple[str, str], ...] = ()
     before: FloatArray | None = None
     after: FloatArray | None = None
@@ -45,3 +50,12 @@ class GapFindings:
     covariates: Mapping[str, FloatArray] = field(default_factory=dict)
     paths_m: tuple[FloatArray, ...] = ()
     offset_m: FloatArray | None = None
+
+    @staticmethod
+    def of(verdict: Verdict) -> GapFindings:
+        """Return a verdict alone, without the arrays of its figures."""
+        return GapFindings(verdict, headline=headline(verdict))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the verdict as ``calib diagnose --json`` writes it."""
+        return self.verdict.to_dict() | {"headline": self.headline}

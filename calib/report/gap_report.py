@@ -43,7 +43,7 @@ def diagnosis_report(campaign: Campaign, *, issued: str, why: str, seed: int = 0
         Where the campaign cannot be diagnosed either.
     """
     gap = findings_of(diagnose_in_full(campaign, seed=seed))
-    content = {"inputs": dict(campaign.hashes), "campaign": campaign.name, "version": __version__, "gap": gap.verdict}
+    content = {"inputs": dict(campaign.hashes), "campaign": campaign.name, "version": __version__, "gap": gap.to_dict()}
     number = "CR-" + hashlib.sha256(to_json(content).encode()).hexdigest()[:12].upper()
     stated = stated_of(campaign)
     facts = (
@@ -82,7 +82,7 @@ def diagnosis_report(campaign: Campaign, *, issued: str, why: str, seed: int = 0
         attachments=(
             Attachment(
                 name="diagnosis.json",
-                data=to_json(gap.verdict).encode("utf-8"),
+                data=to_json(gap.to_dict()).encode("utf-8"),
                 mime="application/json",
                 description="The verdict of the diagnosis with everything that it rests on",
             ),

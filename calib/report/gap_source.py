@@ -73,7 +73,8 @@ def findings_of(diagnosis: Diagnosis) -> GapFindings:
         if values.dtype.kind == "f"
     }
     return GapFindings(
-        verdict=diagnosis.verdict.to_dict() | {"headline": headline(diagnosis.verdict)},
+        verdict=diagnosis.verdict,
+        headline=headline(diagnosis.verdict),
         channels=tuple((channel.label, channel.unit) for channel in Channel),
         before=np.where(s.usable, held_out.before, np.nan),
         after=np.where(s.usable, held_out.after, np.nan),

@@ -9,56 +9,91 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from calib.campaign.model import Campaign
+from calib.errors import would_overwrite
 from calib.files import write_json, write_text
 from calib.motion.odometry.integrate import integrate
 from calib.motion.odometry.loaded import loads_in_steps, radii_under_load, travel_from_counts
 from calib.motion.poses import Poses
 from calib.motion.studies.replay import Replay
-from calib.motion.studies.run import SHOWN, Simulation
+from calib.motion.studies.run import SHOWN, LawPart, Simulation
 from calib.motion.trajectory import write_tum
 from calib.radius.law import RadiusLaw
+from calib.report.figures.files import write_figures
 
-__all__ = ["publish_replay", "publish_simulation", "replay_trajectories", "simulation_trajectories"]
+__all__ = ["replay_trajectories", "simulation_trajectories", "write_replay", "write_simulation"]
 
 
-def publish_simulation(found: Simulation, folder: Path, *, force: bool) -> list[Path]:
+def write_simulation(simulation: Simulation, folder: Path, *, force: bool) -> list[Path]:
     """Write the figures of a simulation with their numbers as CSV beside them, and everything as JSON.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        From `calib.motion.studies.run.simulate`.
+    folder : Path
+        Where to.
+    force : bool
+        Replace existing files.
 
     Returns
     -------
     list of Path
         Files written.
+
+    Raises
+    ------
+    BadInputError
+        Where a file exists and `force` is False; nothing is then written.
     """
-    from calib.report.figures.motion import ratio_figure, save, sweep_figure
-    from calib.report.figures.motion_path import law_errors_figure, law_path_figure, sweep_errors_figure
-
-    made = [write_json(folder / f"{found.study}.json", found.document(), force=force)]
-    for name, sweep in found.sweeps.items():
-        figure = sweep_figure(sweep, error=SHOWN.get(name, "lateral_m"), title=found.title)
-        made += save(figure, folder, name, force=force)
-        made.append(_csv(folder / f"{name}.csv", sweep.ends(), force=force))
-        made += save(sweep_errors_figure(sweep, title=found.title), folder, f"{name}_errors", force=force)
-        made.append(_csv(folder / f"{name}_errors.csv", sweep.along(), force=force))
-    if found.law is not None:
-        law, path = found.law.law, found.law.path
-        measured = ((law.left.load_min_N, law.left.load_max_N), (law.right.load_min_N, law.right.load_max_N))
-        made += save(ratio_figure(found.law.table, measured=measured), folder, "fig15", force=force)
-        rows = [{field: getattr(row, field) for field in row.__slots__} for row in found.law.table]
-        made.append(_csv(folder / "table1.csv", rows, force=force))
-        title = f"Under the fitted law, {path.loading_text}: single runs, track, floor and encoders"
-        made += save(law_path_figure(path, title=title), folder, "band", force=force)
-        made.append(_csv(folder / "band.csv", path.covariance_rows(), force=force))
-        made += save(law_errors_figure(path, title=title), folder, "errors", force=force)
-        made.append(_csv(folder / "errors.csv", path.error_rows(), force=force))
-    return made
+    figures, tables = _sweep_files(simulation)
+    if simulation.law is not None:
+        law_figures, law_tables = _law_files(simulation.law)
+        figures, tables = figures | law_figures, tables | law_tables
+    document = folder / f"{simulation.study}.json"
+    for target in (document, *(folder / f"{name}.csv" for name in tables)):
+        if target.exists() and not force:
+            raise would_overwrite(target)
+    written = write_figures(figures, folder, force=force)
+    written += [_csv(folder / f"{name}.csv", rows, force=force) for name, rows in tables.items()]
+    return [write_json(document, simulation.document(), force=force), *written]
 
 
-def simulation_trajectories(found: Simulation, folder: Path, *, speed_mps: float, force: bool) -> list[Path]:
+def _sweep_files(simulation: Simulation) -> tuple[dict[str, Figure], dict[str, Sequence[Mapping[str, Any]]]]:
+    from calib.report.figures.motion import sweep_figure
+    from calib.report.figures.motion_path import sweep_errors_figure
+
+    figures: dict[str, Figure] = {}
+    tables: dict[str, Sequence[Mapping[str, Any]]] = {}
+    for name, sweep in simulation.sweeps.items():
+        figures[name] = sweep_figure(sweep, error=SHOWN.get(name, "lateral_m"), title=simulation.title)
+        figures[f"{name}_errors"] = sweep_errors_figure(sweep, title=simulation.title)
+        tables |= {name: sweep.ends(), f"{name}_errors": sweep.along()}
+    return figures, tables
+
+
+def _law_files(part: LawPart) -> tuple[dict[str, Figure], dict[str, Sequence[Mapping[str, Any]]]]:
+    from calib.report.figures.motion import ratio_figure
+    from calib.report.figures.motion_path import law_errors_figure, law_path_figure
+
+    law, path = part.law, part.path
+    measured = ((law.left.load_min_N, law.left.load_max_N), (law.right.load_min_N, law.right.load_max_N))
+    title = f"Under the fitted law, {path.loading_text}: single runs, track, floor and encoders"
+    figures = {
+        "fig15": ratio_figure(part.table, measured=measured),
+        "band": law_path_figure(path, title=title),
+        "errors": law_errors_figure(path, title=title),
+    }
+    radii = [{field: getattr(row, field) for field in row.__slots__} for row in part.table]
+    return figures, {"table1": radii, "band": path.covariance_rows(), "errors": path.error_rows()}
+
+
+def simulation_trajectories(simulation: Simulation, folder: Path, *, speed_mps: float, force: bool) -> list[Path]:
     """Write each vehicle's path and the route as TUM files, timed by a constant speed along the route."""
     made = []
-    for name, sweep in found.sweeps.items():
+    for name, sweep in simulation.sweeps.items():
         t = sweep.distance_m / speed_mps
         made.append(write_tum(folder / f"{name}_route.tum", t, sweep.reference, force=force))
         for number, case in enumerate(sweep.cases):
@@ -67,14 +102,13 @@ def simulation_trajectories(found: Simulation, folder: Path, *, speed_mps: float
     return made
 
 
-def publish_replay(found: Replay, folder: Path, document: Mapping[str, Any], *, force: bool) -> list[Path]:
+def write_replay(replay: Replay, folder: Path, document: Mapping[str, Any], *, force: bool) -> list[Path]:
     """Write the figure of a replay, its table as CSV and everything as JSON."""
-    from calib.report.figures.motion import replay_figure, save
+    from calib.report.figures.motion import replay_figure
 
-    made = [write_json(folder / "replay.json", document, force=force)]
-    made += save(replay_figure(found), folder, "replay", force=force)
-    made.append(_csv(folder / "replay.csv", document["runs"], force=force))
-    return made
+    written = write_figures({"replay": replay_figure(replay)}, folder, force=force)
+    table = _csv(folder / "replay.csv", document["runs"], force=force)
+    return [write_json(folder / "replay.json", document, force=force), *written, table]
 
 
 def replay_trajectories(campaign: Campaign, law: RadiusLaw, track_m: float, folder: Path, *, force: bool) -> list[Path]:

@@ -14,7 +14,9 @@ __all__ = [
     "aligned",
     "fixed",
     "left",
+    "length",
     "measured",
+    "percent",
     "places",
     "plural",
     "probability",
@@ -125,3 +127,16 @@ def span(low: float, high: float, unit: str, form: str = ".4g") -> str:
 def left(title: str, *, wide: bool = False) -> Column:
     """Return a column of texts."""
     return Column(title, align="left", wide=wide)
+
+
+def length(value_m: float | None) -> str:
+    """Return a length in mm or m, to two digits; a dash where there is none."""
+    if value_m is None or not math.isfinite(value_m):
+        return MISSING
+    factor, unit = readable("m", abs(value_m))
+    return f"{two_digits(factor * value_m)} {unit}"
+
+
+def percent(share: float | None) -> str:
+    """Return a share in whole percent; a dash where there is none."""
+    return MISSING if share is None or not math.isfinite(share) else f"{100 * share:.0f} %".replace("-", "−")

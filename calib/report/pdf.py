@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from datetime import UTC, datetime
 from importlib.resources import files
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
 
-from calib.errors import BadInputError, CalibError, would_overwrite
-from calib.files import to_json, write_bytes
+from calib.errors import CalibError
+from calib.files import to_json
 from calib.report.content import Report
+from calib.report.figures.files import FORMS
+from calib.report.figures.files import write_figures as files_of
 from calib.report.figures.style import render
 
-__all__ = ["FORMS", "figure_files", "to_pdf", "write_figures"]
+__all__ = ["FORMS", "to_pdf", "write_figures"]
 
 #: PDF/A-3 at its accessible level: tagged, with alternative texts
 STANDARD: Final = "a-3a"
-FORMS: Final = ("png", "svg", "pdf")
 
 
 def to_pdf(report: Report) -> bytes:
@@ -68,29 +68,6 @@ def to_pdf(report: Report) -> bytes:
     return bytes(made)
 
 
-def figure_files(report: Report) -> Mapping[str, bytes]:
-    """Return every figure of a report in every format of `FORMS`, by file name."""
-    made = {}
-    for picture in report.pictures:
-        figure = picture.draw()
-        for form in FORMS:
-            made[f"{picture.name}.{form}"] = render(figure, form)
-    return made
-
-
 def write_figures(report: Report, folder: Path, *, force: bool = False) -> list[Path]:
-    """Write every figure as PNG, SVG and PDF into `folder`.
-
-    Raises
-    ------
-    BadInputError
-        Where a file exists and `force` is False, or the folder cannot be written.
-    """
-    folder = Path(folder)
-    if folder.exists() and not folder.is_dir():
-        raise BadInputError(f"{folder}: found a file; expected a folder for the figures; choose another path")
-    names = [f"{picture.name}.{form}" for picture in report.pictures for form in FORMS]
-    for name in names:
-        if (folder / name).exists() and not force:
-            raise would_overwrite(folder / name)
-    return [write_bytes(folder / name, data, force=force) for name, data in figure_files(report).items()]
+    """Write every figure of a report as PNG, SVG and PDF; see `calib.report.figures.files.write_figures`."""
+    return files_of({picture.name: picture.draw() for picture in report.pictures}, folder, force=force)

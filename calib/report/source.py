@@ -89,7 +89,7 @@ class Source:
             "campaign": self.fit.name,
             "version": __version__,
             "coefficients": self.coefficients.changed(created=None).checksum,
-            "gap": None if self.gap is None else self.gap.verdict,
+            "gap": None if self.gap is None else self.gap.to_dict(),
         }
         return "CR-" + hashlib.sha256(to_json(content).encode()).hexdigest()[:12].upper()
 

@@ -19,7 +19,7 @@ def test_a_sound_campaign_exits_0_and_says_what_is_there(folder: Path, capsys: p
     assert run(["check", str(folder)]) == 0
     out, err = capsys.readouterr()
     assert "30" in out
-    assert "Nothing is wrong" in out
+    assert "Sound: No fault" in out
     assert err == ""
 
 
@@ -31,7 +31,25 @@ def test_something_wrong_exits_1(folder: Path, capsys: pytest.CaptureFixture[str
 
 def test_suspicious_alone_exits_0(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["check", str(write_campaign(campaign(crossed=False), tmp_path / "c"))]) == 0
-    assert "cannot be told apart" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "cannot be told apart" in " ".join(out.split())
+    assert "Look at this" in out
+
+
+def test_strict_turns_suspicion_into_exit_status_1(tmp_path: Path, folder: Path) -> None:
+    suspicious = write_campaign(campaign(crossed=False), tmp_path / "suspicious")
+    assert run(["check", str(suspicious), "--strict"]) == 1
+    assert run(["check", str(folder), "--strict"]) == 0
+
+
+def test_the_verdict_of_the_document_is_that_of_the_screen(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Nothing under suspicion ends in words that say all is well."""
+    for crossed, verdict in ((True, "sound"), (False, "look at this")):
+        target = tmp_path / f"{crossed}.json"
+        made = write_campaign(campaign(crossed=crossed), tmp_path / str(crossed))
+        run(["check", str(made), "--json", str(target)])
+        assert json.loads(target.read_text())["verdict"] == verdict
+        assert verdict in " ".join(capsys.readouterr().out.lower().splitlines()[-2:])
 
 
 def test_json_on_standard_output_stands_alone(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -55,7 +55,7 @@ def test_people_get_intervals_checks_and_budget(corridor: Path, capsys: pytest.C
     assert err == ""
     for word in (
         "SIMULATED",
-        "radius at 300 N",
+        "F₀ = 300 N",
         "95 %",
         "a drift from session to session looks like load",
         "rangefinder",

@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 from pathlib import Path
+from typing import get_type_hints
 
 import pytest
 
 from calib.cli.main import COMMANDS, SUMMARIES, run
 
 CLI = Path(__file__).resolve().parents[2] / "calib" / "cli"
-#: files of the room that are no command
-SHARED = {"__init__", "main", "output", "threads"}
-#: command -> its sub-commands, which then carry the options
-GROUPS = {"challenge": ("make", "run", "score")}
-EVERY = [
-    arguments
-    for name in COMMANDS
-    for arguments in ([(name, one) for one in GROUPS[name]] if name in GROUPS else [(name,)])
-]
+EVERY = [tuple(name.split()) for name in COMMANDS]
 
 
 def _help(arguments: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> str:
@@ -27,8 +21,21 @@ def _help(arguments: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> str
 
 
 def test_every_file_of_a_command_is_registered() -> None:
-    files = {path.stem for path in CLI.glob("*.py") if "\ndef register(" in path.read_text(encoding="utf-8")}
+    files = {
+        ".".join(path.relative_to(CLI).with_suffix("").parts)
+        for path in CLI.rglob("*.py")
+        if "\nEPILOG = " in path.read_text(encoding="utf-8")
+    }
     assert files == set(COMMANDS.values())
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_command_is_a_function_whose_options_all_say_what_they_are(name: str) -> None:
+    """Nothing is nested: ``run`` can be called and followed from outside, and each parameter has its help."""
+    function = importlib.import_module(f"calib.cli.{COMMANDS[name]}").run
+    for parameter, hint in get_type_hints(function, include_extras=True).items():
+        if parameter != "return":
+            assert hint.__metadata__[0].help, parameter
 
 
 def test_every_command_has_a_summary() -> None:

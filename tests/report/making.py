@@ -6,6 +6,18 @@ from itertools import pairwise
 
 import numpy as np
 
+from calib.gap.data.channels import Channel
+from calib.gap.verdict.result import (
+    Cause,
+    Closure,
+    Detectable,
+    Group,
+    PlannedRunAdvice,
+    Quantity,
+    Verdict,
+    VerdictKind,
+)
+from calib.gap.where.result import ChannelGap, CovariateLine, RunLine, Where
 from calib.report.gap_findings import GapFindings
 
 CHANNELS = (("distance", "m"), ("along", "m"), ("lateral", "m"), ("heading", "rad"))
@@ -33,46 +45,35 @@ def findings(seed: int = 0, n: int = 48) -> GapFindings:
     before[:, 3] += 0.003 * turn
     before[kinds != "corridor", 0] = np.nan
     after = np.where(np.isnan(before), np.nan, rng.normal(size=(n, 4)) * NOISE)
-    verdict = {
-        "verdict": "ambiguous",
-        "sentence": "",
-        "causes": [
-            {
-                "effect": "track_width",
-                "title": "Track differs from the model's",
-                "probability": 0.61,
-                "share": 0.93,
-                "parameters": {"relative": {"value": 3.02e-3, "ci95": [2.93e-3, 3.11e-3], "unit": "1"}},
-                "remark": "",
-            },
-            {
-                "effect": "curve_scrub",
-                "probability": 0.37,
-                "share": 0.93,
-                "parameters": {},
-                "remark": "suspect latency",
-            },
-        ],
-        "credible_sets": [["track_width"], ["curve_scrub"]],
-        "indistinguishable": [["track_width", "curve_scrub"]],
-        "undetectable": {"side_slip": "2 mrad per m/s^2"},
-        "where": {
-            "channels": {name: {"rms": 0.02, "floor": float(NOISE[k])} for k, (name, _) in enumerate(CHANNELS)},
-            "covariates": [{"name": "turn", "share": 0.9, "p_value": 1e-9}],
-            "runs": [{"run_id": "r_004", "z": 4.2}],
-            "places": [],
-        },
-        "closure": {
-            "before_rms_m": 0.061,
-            "after_rms_m": 0.0041,
-            "floor_rms_m": 0.004,
-            "fraction": 0.99,
-            "ci95": [0.97, 1.0],
-            "held_out": "session",
-        },
-        "recommended": False,
-        "next_runs": [{"kind": "square_ccw", "payload_kg": 200, "speed_mps": 0.3, "why": "tells the two apart"}],
-    }
+    verdict = Verdict(
+        kind=VerdictKind.AMBIGUOUS,
+        sentence="The gap is explained by the track or by scrub in curves: these runs cannot tell which.",
+        causes=(
+            Cause(
+                effect="track_width",
+                title="Track differs from the model's",
+                form="",
+                probability=0.61,
+                share=0.93,
+                signal=20.0,
+                parameters={"relative": Quantity(3.02e-3, (2.93e-3, 3.11e-3), "1")},
+            ),
+            Cause("curve_scrub", "scrub in curves", "", 0.37, 0.93, 20.0, {}, remark="suspect latency"),
+        ),
+        credible_sets=(("track_width",), ("curve_scrub",)),
+        groups=(Group(("track_width", "curve_scrub")),),
+        undetectable=(Detectable("side_slip", "2 mrad per m/s^2"), Detectable("wear", "nothing varies", never=True)),
+        where=Where(
+            channels=tuple(
+                ChannelGap(Channel.from_label(name), 0.02, float(NOISE[k])) for k, (name, _) in enumerate(CHANNELS)
+            ),
+            covariates=(CovariateLine("turn_rad", Channel.HEADING, 0.9, (0.8, 0.95), 1e-9, significant=True),),
+            runs=(RunLine("r_004", Channel.LATERAL, 0.034, 0.008, 4.2),),
+        ),
+        closure=Closure(0.061, 0.0041, 0.004, 0.99, (0.97, 1.0), "session"),
+        next_runs=(PlannedRunAdvice("square_ccw", "tells the two apart", payload_kg=200, speed_mps=0.3),),
+        campaign="yard",
+    )
     return GapFindings(
         verdict=verdict,
         channels=CHANNELS,

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
+from html import unescape
 
 import pytest
 
+from calib.gap.data.channels import Channel
+from calib.gap.verdict.result import Cause, Closure, PlannedRunAdvice, Quantity, Verdict, VerdictKind
+from calib.gap.where.result import ChannelGap, Where
 from calib.report.blocks import Notice, Picture, Section, Table
 from calib.report.content import compose
 from calib.report.gap_findings import GapFindings
+from calib.report.html import block_html
 from calib.report.pages import diagnosis
 from calib.report.pdf import to_pdf
 from calib.report.source import Source
+from calib.report.statements.diagnosis import diagnosis_content
+from calib.report.text import to_text
 from tests.report.making import findings
 
 
@@ -30,35 +38,51 @@ def test_the_page_shows_verdict_map_ranking_aliases_closure_and_next_runs(source
     pictures = [block.name for block in made.blocks if isinstance(block, Picture)]
     assert pictures == ["gap-map", "gap-by-covariate", "gap-before-after"]
     notice = next(block for block in made.blocks if isinstance(block, Notice))
-    assert notice.title == "These runs cannot tell the causes apart"
-    assert "track width or curve scrub" in notice.text
+    assert notice.title == "These runs cannot tell the causes apart (ambiguous)"
     tables = {block.columns[0].title: block for block in made.blocks if isinstance(block, Table)}
-    assert [row[1:3] for row in tables["Cause"].rows][:1] == [("relative", "1")]
-    assert tables["No."].rows[0] == ("1", "square ccw", "200", "0.3", "tells the two apart")
+    sizes = next(block for block in made.blocks if isinstance(block, Table) and block.columns[1].title == "Parameter")
+    assert sizes.rows[0] == ("track_width", "relative", "1", "0.003020", "0.002930", "0.003110")
+    assert tables["Run"].rows[0][0] == "1. square ccw"
+    assert tables["Run"].rows[0][-1] == "tells the two apart"
     text = str([block.to_dict() for block in made.blocks])
-    for phrase in ("track width – curve scrub", "61 %", "61 mm", "4.1 mm", "99 %", "m/s²", "suspect latency"):
+    for phrase in ("track_width, curve_scrub", "61 %", "61 mm", "4.1 mm", "99 %", "m/s²", "suspect latency",
+                   "wear: nothing varies", "r_004: lateral +34 mm, 4 times its floor"):  # fmt: skip
         assert phrase in text, phrase
 
 
-@pytest.mark.parametrize("verdict", ["no_gap", "explained", "partly_explained", "ambiguous", "unknown"])
-def test_a_bare_verdict_is_a_page(source: Source, verdict: str) -> None:
+@pytest.mark.parametrize("kind", VerdictKind)
+def test_a_bare_verdict_is_a_page(source: Source, kind: VerdictKind) -> None:
     """A verdict without arrays, causes or closure still says what it is."""
-    made = page(source, GapFindings({"verdict": verdict}))
+    made = page(source, GapFindings(Verdict(kind, "It is as it is.")))
     notice = next(block for block in made.blocks if isinstance(block, Notice))
-    assert notice.text.endswith(".")
+    assert kind.value in notice.title
+    assert notice.text == "It is as it is."
     assert not [block for block in made.blocks if isinstance(block, Picture)]
 
 
+def test_terminal_pdf_and_html_say_the_same(source: Source) -> None:
+    """Every word of the content that the terminal shows stands in the HTML, and every block is one of the PDF's."""
+    content = diagnosis_content(findings())
+    blank = re.compile(r"[\s\u2007\u2008]+")
+    page_words = blank.sub(" ", " ".join(unescape(re.sub(r"<[^>]+>", " ", block_html(one))) for one in content))
+    for line in to_text(content, width=400).splitlines():
+        for part in re.split(r"\s{2,}", line.strip().removeprefix("- ")):
+            assert part.replace("-", "").replace("─", "") == "" or part in page_words.replace("−", "-"), part
+    assert page(source, findings()).blocks[0] == content[0]
+
+
 def test_missing_values_are_dashes_not_failures(source: Source) -> None:
-    empty = {
-        "verdict": "explained",
-        "causes": [{"effect": "track_width", "probability": None, "parameters": {"relative": {"value": None}}}],
-        "where": {"channels": {"along": {}, "heading": {"rms": None, "floor": None}}, "covariates": [{"name": "turn"}]},
-        "closure": {"before_rms_m": None, "after_rms_m": None, "fraction": None, "ci95": None},
-        "next_runs": [{"kind": "corridor"}],
-        "undetectable": {"wear": 0.1, "side_slip": {"value": 2e-3, "unit": "rad"}},
-    }
-    text = str([block.to_dict() for block in page(source, GapFindings(empty)).blocks])
+    nan = float("nan")
+    cause = Cause("track_width", "track", "", nan, nan, nan, {"relative": Quantity(nan, (nan, nan), "1")})
+    verdict = Verdict(
+        VerdictKind.EXPLAINED,
+        "",
+        causes=(cause,),
+        where=Where(channels=(ChannelGap(Channel.ALONG, 0.0, 0.0),)),
+        closure=Closure(),
+        next_runs=(PlannedRunAdvice("corridor", "why"),),
+    )
+    text = str([block.to_dict() for block in page(source, GapFindings(verdict)).blocks])
     assert "–" in text
     assert "None" not in text
     assert "nan" not in text

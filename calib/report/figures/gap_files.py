@@ -9,17 +9,14 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from calib.arrays import FloatArray
-from calib.errors import would_overwrite
-from calib.files import write_bytes
 from calib.gap.diagnosis import Diagnosis
 from calib.gap.where.covariates import covariate_values
+from calib.report.figures.files import write_figures
 from calib.report.figures.gap import before_after, gap_by_covariate, gap_map
-from calib.report.figures.style import render
 from calib.report.gap_source import findings_of
 
 __all__ = ["gap_pictures", "write_gap_pictures"]
 
-FORMS: Final = ("png", "svg", "pdf")
 MOST_PANELS: Final = 6
 
 
@@ -58,32 +55,5 @@ def _telling(diagnosis: Diagnosis, channel: str, numeric: dict[str, FloatArray])
 
 
 def write_gap_pictures(diagnosis: Diagnosis, folder: Path, *, force: bool = False) -> list[Path]:
-    """Write every figure of a diagnosis as PNG, SVG and PDF.
-
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-        From `calib.gap.diagnose.diagnose_in_full`.
-    folder : Path
-        Made where it is missing.
-    force : bool
-        Replace existing files.
-
-    Returns
-    -------
-    list of Path
-        The files written.
-
-    Raises
-    ------
-    BadInputError
-        Where a file exists and `force` is False; nothing is then written.
-    """
-    figures = gap_pictures(diagnosis)
-    targets = {folder / f"{name}.{form}": (figure, form) for name, figure in figures.items() for form in FORMS}
-    for target in targets:
-        if target.exists() and not force:
-            raise would_overwrite(target)
-    for target, (figure, form) in targets.items():
-        write_bytes(target, render(figure, form), force=force)
-    return list(targets)
+    """Write every figure of a diagnosis as PNG, SVG and PDF; see `calib.report.figures.files.write_figures`."""
+    return write_figures(gap_pictures(diagnosis), folder, force=force)

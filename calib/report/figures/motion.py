@@ -1,21 +1,17 @@
-"""Figures of wheel loads and of Section 7, drawn without a display and written as PNG, SVG and PDF."""
+"""Figures of wheel loads and of Section 7."""
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from matplotlib import rc_context
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from calib.errors import BadInputError
-from calib.files import write_bytes
 from calib.motion.studies.load_sweep import LoadSweep
 from calib.motion.studies.sweeps import Sweep
+from calib.report.figures.style import BLUE, GREY, INK, ORANGE, SKY, canvas, colour, figure_title, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,37 +19,9 @@ if TYPE_CHECKING:
     from calib.motion.studies.law_journey import TableRow
     from calib.motion.studies.replay import Replay
 
-__all__ = [
-    "COLOURS",
-    "DASHES",
-    "FORMATS",
-    "STYLE",
-    "load_figure",
-    "ratio_figure",
-    "replay_figure",
-    "save",
-    "sweep_figure",
-    "sweep_keys",
-    "sweep_styles",
-]
+__all__ = ["DASHES", "load_figure", "ratio_figure", "replay_figure", "sweep_figure", "sweep_keys", "sweep_styles"]
 
-FORMATS: Final = ("png", "svg", "pdf")
-
-#: colours that stay apart in print and for colour-blind readers
-COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#5a5a5a")
 DASHES: Final[dict[str, Any]] = {"right": "-", "left": "--", "both": ":", "equal": "-", "given": "-"}
-
-#: of all figures
-STYLE: Final[dict[Any, Any]] = {
-    "font.size": 9.0,
-    "axes.grid": True,
-    "grid.alpha": 0.3,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "legend.frameon": False,
-    "legend.fontsize": 7.5,
-    "svg.hashsalt": "calib",
-}
 
 _SWEEP_LABELS: Final = {
     "payload_kg": "payload (kg)",
@@ -63,60 +31,23 @@ _SWEEP_LABELS: Final = {
 }
 
 
-def save(figure: Figure, folder: Path, stem: str, *, formats: Sequence[str] = FORMATS, force: bool) -> list[Path]:
-    """Write a figure in each format; the same figure gives the same bytes.
-
-    Parameters
-    ----------
-    figure : Figure
-        What is written.
-    folder : Path
-        Where to.
-    stem : str
-        Name of the files without suffix.
-    formats : sequence of str
-        Suffixes without the point, of `FORMATS`.
-    force : bool
-        Whether existing files are replaced.
-
-    Raises
-    ------
-    BadInputError
-        Where a format is not known, or a file exists and `force` is False.
-    """
-    made = []
-    for name in formats:
-        if name not in FORMATS:
-            raise BadInputError(f"format: found {name!r}; expected {', '.join(FORMATS)}; choose one of them")
-        metadata: dict[str, Any] = {
-            "png": {"Software": None},
-            "svg": {"Date": None},
-            "pdf": {"CreationDate": None, "ModDate": None, "Creator": None, "Producer": None},
-        }[name]
-        buffer = io.BytesIO()
-        with rc_context(STYLE):
-            figure.savefig(buffer, format=name, dpi=160, metadata=metadata)
-        made.append(write_bytes(folder / f"{stem}.{name}", buffer.getvalue(), force=force))
-    return made
-
-
+@styled
 def load_figure(sweep: LoadSweep) -> Figure:
     """Return the wheel loads over a sweep (Fig. 3)."""
-    with rc_context(STYLE):
-        figure = Figure(figsize=(5.2, 3.4), layout="constrained")
-        axes = figure.add_subplot()
-        along = getattr(sweep, sweep.swept or "payload_kg")
-        for name, load, colour, dash in (
-            ("left wheel", sweep.left_N, COLOURS[0], "-"),
-            ("right wheel", sweep.right_N, COLOURS[1], "--"),
-            ("front wheel", sweep.front_N, COLOURS[6], ":"),
-        ):
-            axes.plot(along, load, dash, color=colour, label=name, linewidth=1.6)
-        axes.set_xlabel(_SWEEP_LABELS[sweep.swept])
-        axes.set_ylabel("wheel load (N)")
-        axes.set_ylim(bottom=0.0)
-        axes.legend()
-        return figure
+    figure = canvas(8.0, 11.0)
+    axes = figure.add_subplot()
+    along = getattr(sweep, sweep.swept or "payload_kg")
+    for name, load, tint, dash in (
+        ("left wheel", sweep.left_N, BLUE, "-"),
+        ("right wheel", sweep.right_N, ORANGE, "--"),
+        ("front wheel", sweep.front_N, GREY, ":"),
+    ):
+        axes.plot(along, load, dash, color=tint, label=name, linewidth=1.6)
+    axes.set_xlabel(_SWEEP_LABELS[sweep.swept])
+    axes.set_ylabel("wheel load (N)")
+    axes.set_ylim(bottom=0.0)
+    axes.legend()
+    return figure
 
 
 def sweep_styles(sweep: Sweep) -> list[dict[str, Any]]:
@@ -127,18 +58,19 @@ def sweep_styles(sweep: Sweep) -> list[dict[str, Any]]:
 
 def sweep_keys(sweep: Sweep) -> list[Line2D]:
     """Return the entries of the legend of a sweep."""
-    symbol = "E" if sweep.cases[0].which == "equal" else "$E_r$"
+    symbol = "E" if sweep.cases[0].which == "equal" else "E_r"
     keys = [Line2D([], [], color=shade, label=f"{symbol} = {ratio:.6g}") for ratio, shade in _shades(sweep).items()]
     wheels = {case.which: DASHES[case.which] for case in sweep.cases}
     if set(wheels) - {"equal", "given"}:
-        keys += [Line2D([], [], color="#5a5a5a", linestyle=d, label=f"{w} off") for w, d in wheels.items()]
-    return [*keys, Line2D([], [], color="black", linewidth=0.8, label="route")]
+        keys += [Line2D([], [], color=GREY, linestyle=d, label=f"{w} off") for w, d in wheels.items()]
+    return [*keys, Line2D([], [], color=INK, linewidth=0.8, label="route")]
 
 
 def _shades(sweep: Sweep) -> dict[float, str]:
-    return {ratio: COLOURS[k % len(COLOURS)] for k, ratio in enumerate(dict.fromkeys(c.ratio for c in sweep.cases))}
+    return {ratio: colour(k) for k, ratio in enumerate(dict.fromkeys(c.ratio for c in sweep.cases))}
 
 
+@styled
 def sweep_figure(sweep: Sweep, *, error: str, title: str) -> Figure:
     """Return the routes driven (a) and one error along them (b), as in Figs 12 to 14 and 16.
 
@@ -152,33 +84,33 @@ def sweep_figure(sweep: Sweep, *, error: str, title: str) -> Figure:
         What the figure shows.
     """
     labels = {
-        "lateral_m": r"$e_y$, left of the route (m)",
-        "global_x_m": r"$e_x$, global x (m)",
+        "lateral_m": "error to the left of the route (m)",
+        "global_x_m": "error in global x (m)",
         "distance_m": "distance to the route's pose (m)",
     }
-    with rc_context(STYLE):
-        figure = Figure(figsize=(8.6, 3.9), layout="constrained")
-        route, graph = figure.subplots(1, 2)
-        values = getattr(sweep.errors, error)
-        for number, style in enumerate(sweep_styles(sweep)):
-            route.plot(sweep.poses.x_m[number], sweep.poses.y_m[number], **style)
-            graph.plot(sweep.distance_m, values[number], **style)
-        route.plot(sweep.reference.x_m, sweep.reference.y_m, color="black", linewidth=0.8)
-        straight = float(np.ptp(sweep.reference.y_m)) < 1e-9
-        if not straight:
-            route.set_aspect("equal", adjustable="box")
-        route.set_xlabel("x (m)")
-        route.set_ylabel("y (m)")
-        route.set_title("a) path of the middle of the rear axle", loc="left", fontsize=9)
-        graph.set_xlabel("distance along the route (m)")
-        graph.set_ylabel(labels[error])
-        graph.set_title("b) error", loc="left", fontsize=9)
-        keys = sweep_keys(sweep)
-        figure.legend(handles=keys, loc="outside lower center", ncols=9)
-        figure.suptitle(f"{title}; track {sweep.track_m:g} m", fontsize=10, x=0.01, ha="left")
-        return figure
+    figure = canvas(8.0)
+    route, graph = figure.subplots(1, 2)
+    values = getattr(sweep.errors, error)
+    for number, style in enumerate(sweep_styles(sweep)):
+        route.plot(sweep.poses.x_m[number], sweep.poses.y_m[number], **style)
+        graph.plot(sweep.distance_m, values[number], **style)
+    route.plot(sweep.reference.x_m, sweep.reference.y_m, color=INK, linewidth=0.8)
+    straight = float(np.ptp(sweep.reference.y_m)) < 1e-9
+    if not straight:
+        route.set_aspect("equal", adjustable="box")
+    route.set_xlabel("x (m)")
+    route.set_ylabel("y (m)")
+    route.set_title("path of the middle of the rear axle")
+    graph.set_xlabel("distance along the route (m)")
+    graph.set_ylabel(labels[error])
+    graph.set_title("error")
+    keys = sweep_keys(sweep)
+    figure.legend(handles=keys, loc="outside lower center", ncols=9)
+    figure_title(figure, f"{title}; track {sweep.track_m:g} m")
+    return figure
 
 
+@styled
 def ratio_figure(rows: Sequence[TableRow], *, measured: tuple[tuple[float, float], tuple[float, float]]) -> Figure:
     """Return the ratio of the 95 % bands' limits to the mean radius over load, both wheels (Fig. 15).
 
@@ -189,51 +121,50 @@ def ratio_figure(rows: Sequence[TableRow], *, measured: tuple[tuple[float, float
     measured : ((float, float), (float, float))
         Load ranges that the left and the right wheel were measured in.
     """
-    with rc_context(STYLE):
-        figure = Figure(figsize=(8.6, 3.6), layout="constrained")
-        loads = np.array([row.load_N for row in rows])
-        first: Axes | None = None
-        for number, side in enumerate(("left", "right")):
-            axes = figure.add_subplot(1, 2, number + 1, sharey=first)
-            first = first or axes
-            radius = np.array([getattr(row, f"radius_{side}_m") for row in rows])
-            for band, colour in (("prediction", COLOURS[4]), ("mean", COLOURS[0])):
-                half = np.array([getattr(row, f"{band}_{side}_m") for row in rows]) / radius
-                name = "of a single run" if band == "prediction" else "of the mean"
-                axes.fill_between(loads, 1 - half, 1 + half, color=colour, alpha=0.35, label=f"95 % band {name}")
-                axes.plot(loads, np.stack([1 - half, 1 + half], axis=1), color=colour, linewidth=1.0)
-            axes.axvspan(*measured[number], color="black", alpha=0.05, label="loads measured")
-            axes.set_xlabel("wheel load (N)")
-            axes.set_title(f"{'ab'[number]}) {side} wheel", loc="left", fontsize=9)
-            axes.ticklabel_format(axis="y", useOffset=False)
-        if first is not None:
-            first.set_ylabel("radius over the law's mean radius")
-            handles, names = first.get_legend_handles_labels()
-            figure.legend(handles, names, loc="outside lower center", ncols=3)
-        return figure
+    figure = canvas(7.4)
+    loads = np.array([row.load_N for row in rows])
+    first: Axes | None = None
+    for number, side in enumerate(("left", "right")):
+        axes = figure.add_subplot(1, 2, number + 1, sharey=first)
+        first = first or axes
+        radius = np.array([getattr(row, f"radius_{side}_m") for row in rows])
+        for band, tint in (("prediction", SKY), ("mean", BLUE)):
+            half = np.array([getattr(row, f"{band}_{side}_m") for row in rows]) / radius
+            name = "of a single run" if band == "prediction" else "of the mean"
+            axes.fill_between(loads, 1 - half, 1 + half, color=tint, alpha=0.35, label=f"95 % band {name}")
+            axes.plot(loads, np.stack([1 - half, 1 + half], axis=1), color=tint, linewidth=1.0)
+        axes.axvspan(*measured[number], color=INK, alpha=0.05, label="loads measured")
+        axes.set_xlabel("wheel load (N)")
+        axes.set_title(f"{side.capitalize()} wheel")
+        axes.ticklabel_format(axis="y", useOffset=False)
+    if first is not None:
+        first.set_ylabel("radius over the law's mean radius")
+        handles, names = first.get_legend_handles_labels()
+        figure.legend(handles, names, loc="outside lower center", ncols=3)
+    return figure
 
 
+@styled
 def replay_figure(replayed: Replay) -> Figure:
     """Return the end errors of the logged runs, by constant radii and by radii that follow the load."""
-    with rc_context(STYLE):
-        figure = Figure(figsize=(8.6, 3.6), layout="constrained")
-        plan, graph = figure.subplots(1, 2)
-        total = replayed.load_left_N + replayed.load_right_N
-        for method, name, colour, mark in (
-            ("constant", "radii of the unladen load", COLOURS[1], "x"),
-            ("corrected", "radii of the load carried", COLOURS[0], "o"),
-        ):
-            e = replayed.errors[method]
-            plan.plot(e.along_m, e.lateral_m, mark, color=colour, markersize=4, label=name, fillstyle="none")
-            graph.plot(total, e.distance_m, mark, color=colour, markersize=4, fillstyle="none")
-        plan.set_xlabel("along (m)")
-        plan.set_ylabel("lateral (m)")
-        plan.axhline(0.0, color="black", linewidth=0.6)
-        plan.axvline(0.0, color="black", linewidth=0.6)
-        plan.set_title("a) end error in the frame of the reference", loc="left", fontsize=9)
-        graph.set_xlabel("load of both rear wheels (N)")
-        graph.set_ylabel("distance to the reference (m)")
-        graph.set_yscale("log")
-        graph.set_title("b) end error by load", loc="left", fontsize=9)
-        plan.legend()
-        return figure
+    figure = canvas(7.4)
+    plan, graph = figure.subplots(1, 2)
+    total = replayed.load_left_N + replayed.load_right_N
+    for method, name, tint, mark in (
+        ("constant", "radii of the unladen load", ORANGE, "x"),
+        ("corrected", "radii of the load carried", BLUE, "o"),
+    ):
+        e = replayed.errors[method]
+        plan.plot(e.along_m, e.lateral_m, mark, color=tint, markersize=4, label=name, fillstyle="none")
+        graph.plot(total, e.distance_m, mark, color=tint, markersize=4, fillstyle="none")
+    plan.set_xlabel("along (m)")
+    plan.set_ylabel("lateral (m)")
+    plan.axhline(0.0, color=INK, linewidth=0.6)
+    plan.axvline(0.0, color=INK, linewidth=0.6)
+    plan.set_title("end error in the frame of the reference")
+    graph.set_xlabel("load of both rear wheels (N)")
+    graph.set_ylabel("distance to the reference (m)")
+    graph.set_yscale("log")
+    graph.set_title("end error by load")
+    plan.legend()
+    return figure

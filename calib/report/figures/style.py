@@ -16,10 +16,12 @@ __all__ = [
     "INK",
     "ORANGE",
     "PALETTE",
+    "SKY",
     "WIDTH_CM",
     "axes_grid",
     "canvas",
     "colour",
+    "figure_title",
     "render",
     "shared_legend",
     "styled",
@@ -29,7 +31,7 @@ P = ParamSpec("P")
 
 #: Okabe and Ito's colours, told apart by colour-blind readers, dark ones first
 PALETTE: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#7A5C00", "#56B4E9", "#E69F00", "#5D5D5D")
-BLUE, ORANGE = PALETTE[0], PALETTE[1]
+BLUE, ORANGE, SKY = PALETTE[0], PALETTE[1], PALETTE[5]
 INK: Final = "#222222"
 GREY: Final = "#8A8A8A"
 #: width of the text on the page
@@ -69,6 +71,8 @@ _STYLE: Final[dict[str, Any]] = {
     "lines.linewidth": 1.2,
     "lines.markersize": 3.5,
     "figure.facecolor": "white",
+    "figure.titlesize": 8.0,
+    "figure.titleweight": "bold",
     "figure.constrained_layout.h_pad": 0.04,
     "figure.constrained_layout.w_pad": 0.04,
     "text.parse_math": False,
@@ -103,6 +107,11 @@ def canvas(height_cm: float, width_cm: float = WIDTH_CM) -> Figure:
 def axes_grid(figure: Figure, rows: int, columns: int, **options: Any) -> Any:
     """Return an array of axes, shape (rows, columns)."""
     return figure.subplots(rows, columns, squeeze=False, **options)
+
+
+def figure_title(figure: Figure, text: str) -> None:
+    """Put a title over all axes, at the left as theirs are."""
+    figure.suptitle(text, x=0.01, ha="left")
 
 
 def shared_legend(figure: Figure, handles: Sequence[Any], labels: Sequence[str], *, below: bool = False) -> None:

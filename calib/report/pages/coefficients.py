@@ -6,9 +6,9 @@ import numpy as np
 
 from calib.radius.regression import WheelFit
 from calib.report.blocks import Block, Column, Equation, Section, Table, Text
-from calib.report.law_text import MM, UM, coverage_factor
 from calib.report.numbers import aligned, fixed, left, measured, span, two_digits
 from calib.report.source import Source
+from calib.report.statements.law import MM, UM, coverage_factor
 
 __all__ = ["section"]
 

@@ -11,6 +11,7 @@ from calib.report.blocks import Block, Column, Picture, Section, Table, Text
 from calib.report.figures import radius as figures
 from calib.report.numbers import aligned, fixed, places, two_digits
 from calib.report.source import Source
+from calib.report.statements.law import quality_text
 
 __all__ = ["section"]
 
@@ -43,7 +44,7 @@ def section(source: Source) -> Section:
             ),
             aligned(_rows(fit.left, fit.right), 2, 3, 5, 6),
         ),
-        Text(" ".join(_quality(wheel) for wheel in fit.wheels.values())),
+        Text(" ".join(quality_text(wheel) for wheel in fit.wheels.values())),
     ]
     return Section("Regression on load", tuple(blocks))
 
@@ -54,19 +55,6 @@ def _said(wheel: WheelFit) -> str:
         return f"{wheel.wheel} wheel: constant radius {1e3 * law.radius_ref_m:.4f} mm"
     way = "grows" if law.slope_m_per_N > 0 else "shrinks"
     return f"{wheel.wheel} wheel: the radius {way} by {abs(1e6 * law.slope_m_per_N):.3g} µm for each newton"
-
-
-def _quality(wheel: WheelFit) -> str:
-    text = f"{wheel.wheel.capitalize()} wheel: residual standard deviation {two_digits(1e6 * wheel.residual_std_m)} µm"
-    if wheel.model == "line":
-        # more digits only where the line explains nearly everything
-        text += f", R² = {wheel.r_squared:.5f}" if wheel.r_squared > 0.99 else f", R² = {wheel.r_squared:.3f}"
-    if wheel.session_std_m > 0:
-        text += (
-            f", scatter of runs {two_digits(1e6 * wheel.run_std_m)} µm and of sessions "
-            f"{two_digits(1e6 * wheel.session_std_m)} µm"
-        )
-    return text + "."
 
 
 def _rows(left: WheelFit, right: WheelFit) -> tuple[tuple[str, ...], ...]:

@@ -1,0 +1,1 @@
+"""``calib challenge``: a blind check of the diagnosis on cases whose truth is sealed."""

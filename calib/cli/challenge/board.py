@@ -1,0 +1,122 @@
+"""A scoreboard as blocks."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from calib.challenge.score import Score
+    from calib.report.blocks import Block
+
+__all__ = ["score_content"]
+
+_MET: Final = {True: "met", False: "MISSED", None: ""}
+
+
+def score_content(score: Score) -> list[Block]:
+    """Return what a score says.
+
+    Parameters
+    ----------
+    score : Score
+        From `calib.challenge.score.score`.
+    """
+    from calib.report.blocks import Items
+
+    summary = score.summary
+    coverage = summary["interval_coverage"]
+    sentences = [
+        f"95 % set: {summary['median_set_size']} hypotheses (median)",
+        f"95 % intervals that hold the truth: {coverage['hits']} of {coverage['total']}",
+    ]
+    if summary["closure_compared"]:
+        difference = summary["closure_predicted_minus_achieved_median"]
+        sentences.append(f"closure, predicted against achieved: {difference:.3f} apart (median)")
+    return [_board(score), *_parts(score), Items(tuple(sentences)), _misses(score)]
+
+
+def _board(score: Score) -> Block:
+    from calib.challenge.intervals import clopper_pearson, wilson
+    from calib.challenge.score import TARGETS
+    from calib.report.blocks import Column, Table
+    from calib.report.numbers import MISSING, left
+
+    rows = []
+    for name, line in score.board.items():
+        low, high = wilson(line.hits, line.total)
+        exact = clopper_pearson(line.hits, line.total)
+        rows.append(
+            (
+                name,
+                f"{line.hits}/{line.total}",
+                MISSING if line.rate is None else f"{line.rate:.1%}",
+                f"{low:.1%}..{high:.1%}",
+                f"{exact[0]:.1%}..{exact[1]:.1%}",
+                f"{TARGETS[name][1]} {TARGETS[name][0]:.0%}" if name in TARGETS else "",
+                _MET[score.meets(name)],
+            )
+        )
+    columns = (
+        left("Line"),
+        Column("Cases"),
+        Column("Share"),
+        Column("Wilson", group="95 % interval"),
+        Column("Clopper-Pearson", group="95 % interval"),
+        Column("Target"),
+        left(""),
+    )
+    caption = f"{len(score.cases)} sealed cases ({score.purpose}), truth {score.truth_sha256}"
+    return Table(caption, columns, tuple(rows))
+
+
+def _parts(score: Score) -> list[Block]:
+    from calib.report.blocks import Column, Table
+
+    words = ("detected", "first", "in_group", "covered")
+    titles = ("Signal", "A gap seen", "Named first", "Named or in its group", "In the 95 % set")
+    by_signal = tuple(
+        (signal, *(f"{row[word].hits}/{row[word].total}" for word in words)) for signal, row in score.by_signal.items()
+    )
+    reliability = tuple(
+        (
+            f"{row['low']:.1f}..{row['high']:.1f}",
+            f"{row['stated']:.3f}",
+            f"{row['true']['rate']:.3f}",
+            f"{row['true']['total']}",
+        )
+        for row in score.reliability
+    )
+    return [
+        Table("Single effects by signal.", tuple(Column(title) for title in titles), by_signal),
+        Table(
+            "Stated probabilities.",
+            tuple(Column(title) for title in ("Bin", "Stated", "True", "Statements")),
+            reliability,
+        ),
+    ]
+
+
+def _misses(score: Score) -> Block:
+    from calib.report.blocks import Column, Table
+    from calib.report.numbers import MISSING, left
+
+    rows = tuple(
+        (
+            case.case,
+            case.group,
+            MISSING if case.signal is None else f"{case.signal:g}",
+            (f"deleted {case.deleted}" if case.deleted else " + ".join(case.truth)) or "nothing",
+            case.error or f"{case.verdict}: {', '.join(case.named)}".rstrip(": "),
+            case.rival,
+        )
+        for case in score.misses
+    )
+    columns = (
+        left("Case"),
+        left("Group"),
+        Column("Signal"),
+        left("Truth", wide=True),
+        left("Answer", wide=True),
+        left("Nearest rival, sigma", wide=True),
+    )
+    return Table("Misses.", columns, rows)

@@ -1,0 +1,67 @@
+"""The options that commands share, and lists of numbers as users write them."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from calib.errors import BadInputError, would_overwrite
+
+__all__ = ["Force", "JsonTarget", "Seed", "nearest", "numbers", "refuse_existing"]
+
+JsonTarget = Annotated[
+    str | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON to FILE; '-' is standard output.")
+]
+Force = Annotated[bool, typer.Option("--force", help="Replace existing output files.")]
+Seed = Annotated[int, typer.Option("--seed", metavar="N", help="Seed of everything that is drawn.")]
+
+
+def numbers(text: str, count: int | None, name: str) -> tuple[float, ...]:
+    """Return the numbers of a text such as ``300,1100``.
+
+    Parameters
+    ----------
+    text : str
+        Numbers separated by commas.
+    count : int or None
+        How many are expected; None: one or more.
+    name : str
+        The option, for the message.
+
+    Raises
+    ------
+    BadInputError
+        Where the text holds something else.
+    """
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        values = ()
+    if not values or (count is not None and len(values) != count) or not all(map(math.isfinite, values)):
+        wanted = f"{count} numbers" if count else "numbers"
+        raise BadInputError(f"{name}: found {text!r:.60}; expected {wanted} separated by commas; write them as 1.5,2")
+    return values
+
+
+def nearest(word: str, known: Iterable[str]) -> str:
+    """Return ``; did you mean 'x'?`` for the known words that are near, else an empty text."""
+    near = difflib.get_close_matches(word, list(known), n=3, cutoff=0.5)
+    return f"; did you mean {' or '.join(repr(name) for name in near)}?" if near else ""
+
+
+def refuse_existing(targets: Iterable[Path | str | None], *, force: bool) -> None:
+    """Refuse targets that exist, before the work is done; None and ``-`` are no files.
+
+    Raises
+    ------
+    BadInputError
+        Where a target exists and `force` is False.
+    """
+    for target in targets:
+        if target is not None and str(target) != "-" and Path(target).exists() and not force:
+            raise would_overwrite(target)

@@ -1,0 +1,1 @@
+"""``calib simulate``: routes, journeys under a law, the paper's studies, and replays of logged runs."""

@@ -1,0 +1,82 @@
+"""`calib simulate study`: the studies of the paper's Section 7."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from calib.cli.options import Force, JsonTarget, Seed, nearest, numbers, refuse_existing
+from calib.cli.simulate.common import DRAWS, SPEED_MPS, Draws, Output, Speed, Targets, Track, Tum, finish
+from calib.cli.terminal import waiting
+from calib.errors import BadInputError
+
+__all__ = ["EPILOG", "run"]
+
+EPILOG = "Example: calib simulate study corrected --law sample_runs/corridor --output section7"
+
+
+def run(
+    name: Annotated[str, typer.Argument(metavar="STUDY", help="symmetric, asymmetric or corrected.")],
+    law: Annotated[
+        Path | None,
+        typer.Option(
+            "--law",
+            "--model",
+            metavar="PATH",
+            help="Drive the same journeys under this law, too: campaign, result of calib fit, or coefficient file.",
+        ),
+    ] = None,
+    load: Annotated[
+        list[str] | None,
+        typer.Option("--load", metavar="L,R", help="With --law: wheel loads in place of the study's, N."),
+    ] = None,
+    route: Annotated[
+        list[str] | None, typer.Option("--route", help="Another route than the study's; again for more.")
+    ] = None,
+    track: Track = None,
+    draws: Draws = DRAWS,
+    seed: Seed = 0,
+    output: Output = None,
+    tum: Tum = None,
+    speed: Speed = SPEED_MPS,
+    json: JsonTarget = None,
+    force: Force = False,
+) -> None:
+    """Run a study of the paper's Section 7: what wrong radii do to a vehicle that follows its own odometry.
+
+    symmetric: both wheels alike. asymmetric: the radii differ. corrected: the radii follow the load, and what is left
+    is the 95 % band of the regression. With --law, Table 1 and journeys under that law are added.
+    """
+    import numpy as np
+
+    from calib.motion.studies.law_source import law_source
+    from calib.motion.studies.run import simulate
+    from calib.motion.studies.sweeps import STUDIES
+    from calib.vehicle import Vehicle
+
+    refuse_existing([json], force=force)
+    targets = Targets(output, tum, speed, json, force)
+    if name not in STUDIES:
+        raise BadInputError(f"study: found {name!r}; expected one of {', '.join(STUDIES)}" + nearest(name, STUDIES))
+    pairs = [numbers(text, 2, "--load") for text in load or ()]
+    if pairs and law is None:
+        raise BadInputError("--load: found no law; expected --law PATH beside it; loads mean nothing without one")
+    if min((value for pair in pairs for value in pair), default=1.0) <= 0.0:
+        raise BadInputError("--load: found 0 N or below; expected loads above 0 N; correct it")
+    source = None if law is None else law_source(law)
+    vehicle = Vehicle() if source is None else source.vehicle
+    with waiting("simulating"):
+        simulation = simulate(
+            name,
+            routes=route or (),
+            track_m=vehicle.track_m if track is None else track,
+            law=None if source is None else source.law,
+            loads_N=[(pair[0], pair[1]) for pair in pairs],
+            track_std_m=0.0 if source is None else source.track_std_m,
+            walk=None if source is None else source.walk,
+            draws=draws,
+            rng=np.random.default_rng(seed),
+        )
+    finish(simulation, targets, seed=seed, notes=() if source is None else source.notes)

@@ -1,0 +1,157 @@
+"""Blocks on the terminal: as wide as it is, coloured only where it is one."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from pathlib import Path
+from shutil import get_terminal_size
+from typing import TYPE_CHECKING, Any, Final
+
+from calib.errors import BadInputError
+
+if TYPE_CHECKING:
+    from calib.report.blocks import Block, Section
+
+__all__ = ["KEPT", "emit_json", "keep", "note", "progress", "say", "show", "waiting", "wants_stdout", "wrote"]
+
+#: what the command at work has written so far, for the line after an interruption
+KEPT: Final[ContextVar[list[str]]] = ContextVar("kept")
+
+#: widest line, so that sentences can be read on a wide screen
+WIDEST: Final = 110
+NARROWEST: Final = 40
+DEFAULT: Final = 80
+_STYLES: Final = {"heading": "bold", "caption": "bold", "dim": "dim", "good": "green", "note": "yellow", "bad": "red",
+                  "simulated": "magenta"}  # fmt: skip
+_ASCII: Final = str.maketrans(
+    {"µ": "u", "±": "+-", "–": "-", "—": "-", "…": "...", "°": "deg ", "─": "-", "₀": "0", "ₒ": "_O", "²": "^2",
+     "χ": "chi", "λ": "lambda", "π": "pi", "ν": "dof", "×": "x", "∞": "inf"}
+)  # fmt: skip
+
+
+def wants_stdout(target: str | None) -> bool:
+    """Return whether standard output belongs to the JSON alone."""
+    return target == "-"
+
+
+def emit_json(value: Any, target: str | None, *, force: bool) -> None:
+    """Write `value` as JSON where `target` says; nothing where it is None."""
+    from calib.files import to_json, write_json
+
+    if target is None:
+        return
+    if target == "-":
+        try:
+            text = to_json(value)
+        except ValueError as error:
+            raise BadInputError(f"the result holds a number that JSON cannot say ({error})") from error
+        sys.stdout.write(text)
+        sys.stdout.flush()
+    else:
+        write_json(Path(target), value, force=force)
+
+
+def show(blocks: Iterable[Block | Section], *, target: str | None = None) -> None:
+    """Print blocks for people; to standard error where standard output belongs to JSON."""
+    from calib.report.text import text_lines
+
+    stream = sys.stderr if wants_stdout(target) else sys.stdout
+    lines = text_lines(blocks, _width())
+    if _is_coloured(stream):
+        from rich.console import Console
+        from rich.text import Text
+
+        console = Console(file=stream, highlight=False, soft_wrap=True)
+        for line in lines:
+            console.print(Text(line.text, style=_STYLES.get(line.style, "")))
+        return
+    for line in lines:
+        _write(stream, line.text.rstrip())
+
+
+def say(text: str, *, target: str | None = None) -> None:
+    """Print a sentence for people over as many lines as it takes."""
+    from calib.report.blocks import Text
+
+    show([Text(text)] if text else [], target=target)
+
+
+def note(text: str) -> None:
+    """Print a remark on standard error."""
+    _write(sys.stderr, f"calib: note: {text}")
+
+
+def wrote(paths: Iterable[Path | str], *, target: str | None = None, what: str = "") -> None:
+    """Say which files were written, and keep that for the line after an interruption.
+
+    Parameters
+    ----------
+    paths : iterable of Path or str
+        The files.
+    target : str, optional
+        Where the JSON goes.
+    what : str
+        What they are, in place of their names, where they are many: ``18 figure files in FOLDER``.
+    """
+    stream = sys.stderr if wants_stdout(target) else sys.stdout
+    texts = [what] if what else [str(path) for path in paths]
+    for text in texts:
+        _write(stream, f"wrote {text}")
+        keep(text)
+
+
+def keep(text: str) -> None:
+    """Note what stays if the command is interrupted from now on."""
+    KEPT.get([]).append(text)
+
+
+@contextmanager
+def progress(what: str) -> Iterator[Callable[[int, int, str], None]]:
+    """Give a function ``(done, total, stage)`` that shows progress on standard error, where that is a terminal."""
+    if not sys.stderr.isatty():
+        yield lambda _done, _total, _stage: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        tasks: dict[str, Any] = {}
+
+        def tick(done: int, total: int, stage: str) -> None:
+            if stage not in tasks:
+                tasks[stage] = bar.add_task(f"{what} {stage}", total=total)
+            bar.update(tasks[stage], completed=done)
+
+        yield tick
+
+
+@contextmanager
+def waiting(what: str) -> Iterator[None]:
+    """Show on standard error, where that is a terminal, that something is at work which takes seconds."""
+    if not sys.stderr.isatty():
+        yield
+        return
+    from rich.console import Console
+
+    with Console(stderr=True).status(f"{what} ..."):
+        yield
+
+
+def _width() -> int:
+    return min(max(get_terminal_size((DEFAULT, 24)).columns, NARROWEST), WIDEST)
+
+
+def _is_coloured(stream: Any) -> bool:
+    return bool(stream.isatty()) and "NO_COLOR" not in os.environ and os.environ.get("TERM") != "dumb"
+
+
+def _write(stream: Any, text: str) -> None:
+    try:
+        stream.write(text + "\n")
+    except UnicodeEncodeError:
+        stream.write(text.translate(_ASCII).encode("ascii", "replace").decode("ascii") + "\n")

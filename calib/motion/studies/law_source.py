@@ -1,0 +1,109 @@
+"""The law that a journey is driven under, with the vehicle that it belongs to, and the loads that payloads make."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from calib.errors import BadInputError
+from calib.motion.pose_covariance import RandomWalk
+from calib.motion.studies.law_path import Loading
+from calib.radius.law import RadiusLaw
+from calib.vehicle import Vehicle, check_wheel_loads, wheel_loads_N
+
+if TYPE_CHECKING:
+    from calib.coefficients.file import CoefficientFile
+
+__all__ = ["LawSource", "carried_loads_N", "law_source", "loading_on_the_way"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LawSource:
+    """A law and what comes with it.
+
+    Parameters
+    ----------
+    law : RadiusLaw
+        Radii by load.
+    vehicle : Vehicle
+        Geometry.
+    track_std_m : float
+        Standard uncertainty of the track.
+    walk : RandomWalk
+        Random part of the pose's error.
+    notes : tuple of str
+        What the user should know of where it comes from.
+    """
+
+    law: RadiusLaw
+    vehicle: Vehicle
+    track_std_m: float
+    walk: RandomWalk
+    notes: tuple[str, ...]
+
+
+def law_source(path: Path) -> LawSource:
+    """Return the law of a campaign, a result folder or a coefficient file.
+
+    Raises
+    ------
+    BadInputError
+        Where the path is none of them, or cannot be used.
+    """
+    from calib.coefficients.source import coefficients_of, effects_left_out
+
+    source = coefficients_of(path)
+    return LawSource(
+        law=source.file.law,
+        vehicle=source.file.geometry,
+        track_std_m=source.file.vehicle.track_std.value,
+        walk=_walk(source.file),
+        notes=(*source.notes, *effects_left_out(source.file, "not simulated")),
+    )
+
+
+def carried_loads_N(vehicle: Vehicle, payload_kg: float, x_m: float, y_m: float) -> tuple[float, float]:
+    """Return the wheel loads (left, right) under a payload that the vehicle can carry.
+
+    Raises
+    ------
+    BadInputError
+        Where the mass is negative.
+    RefusedError
+        Where the payload cannot be carried.
+    """
+    if payload_kg < 0.0:
+        raise BadInputError(f"payload: found {payload_kg:g} kg; expected a mass from 0 kg; correct it")
+    front, left_N, right_N = wheel_loads_N(vehicle, payload_kg, x_m, y_m)
+    check_wheel_loads(vehicle, front, left_N, right_N, what=f"payload {payload_kg:g} kg at x {x_m:g} m, y {y_m:g} m")
+    return float(left_N), float(right_N)
+
+
+def loading_on_the_way(vehicle: Vehicle, rows: Sequence[tuple[float, ...]]) -> Loading:
+    """Return the loads of payloads that are put on and taken off on the way; unladen before the first.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        Geometry and mass.
+    rows : sequence of (float, float, float, float)
+        Distance from which on in m, and the payload's mass in kg and place x and y in m.
+    """
+    if any(row[0] < 0.0 for row in rows):
+        raise BadInputError("payload_at: found a distance below 0 m; expected one along the route; correct it")
+    if min(row[0] for row in rows) > 0.0:
+        rows = [*rows, (0.0, 0.0, 0.0, 0.0)]
+    return Loading.of([(row[0], *carried_loads_N(vehicle, *row[1:4])) for row in rows])
+
+
+def _walk(file: CoefficientFile) -> RandomWalk:
+    """Return the random part of the pose's error as a coefficient file states it."""
+    return RandomWalk(
+        sigma_along_m_per_sqrt_m=file.noise.along.value,
+        sigma_heading_rad_per_sqrt_m=file.noise.heading.value,
+        count_std=file.noise.count_std.value,
+        counts_per_rev_left=file.encoder.counts_per_rev_left.value,
+        counts_per_rev_right=file.encoder.counts_per_rev_right.value,
+    )

@@ -1,0 +1,51 @@
+"""Figures as files: each as PNG, SVG and PDF, and none where one of them exists already."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final
+
+from matplotlib.figure import Figure
+
+from calib.errors import BadInputError, would_overwrite
+from calib.files import write_bytes
+from calib.report.figures.style import render
+
+__all__ = ["FORMS", "write_figures"]
+
+FORMS: Final = ("png", "svg", "pdf")
+
+
+def write_figures(figures: Mapping[str, Figure], folder: Path, *, force: bool = False) -> list[Path]:
+    """Write figures in every format of `FORMS`; the same figure gives the same bytes.
+
+    Parameters
+    ----------
+    figures : mapping of str to Figure
+        By the name of their files, without suffix.
+    folder : Path
+        Made where it is missing.
+    force : bool
+        Replace existing files.
+
+    Returns
+    -------
+    list of Path
+        The files written.
+
+    Raises
+    ------
+    BadInputError
+        Where a file exists and `force` is False; nothing is then written.
+    """
+    folder = Path(folder)
+    if folder.exists() and not folder.is_dir():
+        raise BadInputError(f"{folder}: found a file; expected a folder for the figures; choose another path")
+    targets = {folder / f"{name}.{form}": (figure, form) for name, figure in figures.items() for form in FORMS}
+    for target in targets:
+        if target.exists() and not force:
+            raise would_overwrite(target)
+    for target, (figure, form) in targets.items():
+        write_bytes(target, render(figure, form), force=force)
+    return list(targets)

@@ -1,0 +1,125 @@
+"""The report as one HTML page that opens from disk: blocks as plain markup, figures inside, no script needed."""
+
+from __future__ import annotations
+
+import base64
+from html import escape
+from importlib.resources import files
+from typing import Final
+
+from calib.report.blocks import Block, Column, Equation, Facts, Heading, Items, Notice, Picture, Section, Table, Text
+from calib.report.content import Report
+from calib.report.figures.style import render
+from calib.report.text import EQUATIONS
+
+__all__ = ["block_html", "to_html"]
+
+_SMALL: Final = ' class="small"'
+_ALIGN: Final = {"left": "l", "right": "r", "center": "c"}
+
+
+def to_html(report: Report) -> str:
+    """Return a report as a self-contained page.
+
+    Parameters
+    ----------
+    report : Report
+        From `calib.report.content.compose`.
+    """
+    style = (files("calib.report") / "page.css").read_text(encoding="utf-8")
+    head = block_html(Facts(report.head))
+    simulated = (
+        block_html(Notice("simulated", "Simulated data", "A program made these data. No vehicle was measured."))
+        if report.simulated
+        else ""
+    )
+    contents = "".join(
+        f'<li><a href="#s{number}">{escape(section.title)}</a></li>'
+        for number, section in enumerate(report.sections, start=1)
+    )
+    sections = "\n".join(_section(number, section) for number, section in enumerate(report.sections, start=1))
+    return f"""<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{escape(report.title)} – {escape(report.name)}</title>
+<style>
+{style}</style>
+</head>
+<body>
+<header>
+<p class="kind">Calibration report {escape(report.report_id)}</p>
+<h1>{escape(report.title)}</h1>
+<p class="name">{escape(report.name)}</p>
+{simulated}
+{head}
+</header>
+<nav><ol>{contents}</ol></nav>
+<main>
+{sections}
+</main>
+<footer>Issued {escape(report.issued)}; report {escape(report.report_id)}</footer>
+</body>
+</html>
+"""
+
+
+def _section(number: int, section: Section) -> str:
+    blocks = "\n".join(block_html(block) for block in section.blocks)
+    return f'<section id="s{number}">\n<h2>{number} {escape(section.title)}</h2>\n{blocks}\n</section>'
+
+
+def block_html(block: Block) -> str:
+    """Return a block as markup; every text is escaped, pictures are held as vectors."""
+    if isinstance(block, Heading):
+        return f"<h3>{escape(block.text)}</h3>"
+    if isinstance(block, Text):
+        return f"<p{_SMALL if block.small else ''}>{escape(block.text)}</p>"
+    if isinstance(block, Facts):
+        rows = "".join(f"<dt>{escape(name)}</dt><dd>{escape(value)}</dd>" for name, value in block.rows)
+        return f"<dl>{rows}</dl>"
+    if isinstance(block, Items):
+        return "<ul>" + "".join(f"<li>{escape(item)}</li>" for item in block.items) + "</ul>"
+    if isinstance(block, Equation):
+        return f'<p class="equation">{escape(EQUATIONS[block.name])}</p>'
+    if isinstance(block, Notice):
+        text = f"<p>{escape(block.text)}</p>" if block.text else ""
+        return f'<div class="notice {escape(block.level)}"><strong>{escape(block.title)}</strong>{text}</div>'
+    if isinstance(block, Table):
+        return _table(block)
+    assert isinstance(block, Picture)
+    data = base64.b64encode(render(block.draw(), "svg")).decode("ascii")
+    return (
+        f'<figure><img alt="{escape(block.alt)}" src="data:image/svg+xml;base64,{data}">'
+        f"<figcaption>{escape(block.caption)}</figcaption></figure>"
+    )
+
+
+def _table(table: Table) -> str:
+    groups = ""
+    if any(column.group for column in table.columns):
+        spans: list[tuple[str, int]] = []
+        for column in table.columns:
+            if spans and column.group and spans[-1][0] == column.group:
+                spans[-1] = (column.group, spans[-1][1] + 1)
+            else:
+                spans.append((column.group, 1))
+        cells = "".join(f'<th class="c" colspan="{span}">{escape(title)}</th>' for title, span in spans)
+        groups = f"<tr>{cells}</tr>"
+    head = "".join(
+        f'<th class="{_ALIGN[column.align]}">{escape(column.title)}'
+        + (f"<br><span>{escape(column.unit)}</span>" if column.unit else "")
+        + "</th>"
+        for column in table.columns
+    )
+    body = "".join("<tr>" + "".join(map(_cell, table.columns, row)) + "</tr>\n" for row in table.rows)
+    return (
+        f'<div class="table"><table><caption>{escape(table.caption)}</caption>'
+        f"<thead>{groups}<tr>{head}</tr></thead>\n<tbody>{body}</tbody></table></div>"
+    )
+
+
+def _cell(column: Column, text: str) -> str:
+    name = _ALIGN[column.align] + (" mono" if column.mono else "") + (" wide" if column.wide else "")
+    return f'<td class="{name}">{escape(text)}</td>'

@@ -1,0 +1,103 @@
+"""The runs of a fit as tables: each run, or each session where there are many; and those left out."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from calib.radius.fitted import Fit
+from calib.report.blocks import Column, Table
+from calib.report.numbers import fixed, left
+
+__all__ = ["MOST_ROWS", "left_out_table", "runs_table", "sessions_table"]
+
+#: beyond this many runs the report's table is one of sessions
+MOST_ROWS: Final = 200
+
+
+def left_out_table(fit: Fit) -> Table:
+    """Return one row a reason, since a campaign of many routes leaves dozens of runs out for the same."""
+    by_reason: dict[str, list[str]] = {}
+    for run in fit.radii.left_out:
+        by_reason.setdefault(run.reason, []).append(run.run_id)
+    rows = []
+    for reason, names in list(by_reason.items())[:MOST_ROWS]:
+        shown = ", ".join(names[:MOST_ROWS]) + (f" and {len(names) - MOST_ROWS} more" if len(names) > MOST_ROWS else "")
+        rows.append((reason, str(len(names)), shown))
+    columns = (left("Reason", wide=True), Column("Number"), left("Runs", wide=True))
+    return Table("Runs that were not used.", columns, tuple(rows), dense=True)
+
+
+def runs_table(fit: Fit) -> Table:
+    """Return every run: counts, distance, loads, radii, and residuals from the law."""
+    radii = fit.radii
+    columns = (
+        left("Run"),
+        left("Session"),
+        left("Dir."),
+        Column("Distance", "m", detail=True),
+        *(
+            Column(wheel, unit, group=group, detail=group == "Path")
+            for group, unit in (("Load", "N"), ("Radius", "mm"), ("Path", "ppm"), ("Residual", "µm"))
+            for wheel in ("left", "right")
+        ),
+    )
+    rows = tuple(
+        (
+            str(radii.run_id[k]),
+            str(radii.session[k]),
+            str(radii.direction[k]),
+            fixed(float(radii.distance_m[k]), 4),
+            fixed(float(radii.load_left_N[k]), 1),
+            fixed(float(radii.load_right_N[k]), 1),
+            fixed(1e3 * float(radii.radius_left_m[k]), 4),
+            fixed(1e3 * float(radii.radius_right_m[k]), 4),
+            fixed(1e6 * float(radii.path_left[k]), 0),
+            fixed(1e6 * float(radii.path_right[k]), 0),
+            fixed(1e6 * float(fit.left.residual_m[k]), 1),
+            fixed(1e6 * float(fit.right.residual_m[k]), 1),
+        )
+        for k in range(len(radii))
+    )
+    return Table(
+        "Runs: distance by the rangefinder, wheel loads, effective radii with the path correction contained in them, "
+        "and residuals from the law.",
+        columns,
+        rows,
+        dense=True,
+    )
+
+
+def sessions_table(fit: Fit) -> Table:
+    """Return one row a session, for campaigns of many runs."""
+    radii = fit.radii
+    columns = (
+        left("Session"),
+        Column("Runs"),
+        *(Column(wheel, "N", align="center", group="Loads") for wheel in ("left", "right")),
+        *(Column(wheel, "µm", group=group) for group in ("Mean residual", "Scatter") for wheel in ("left", "right")),
+    )
+    rows = []
+    for name in dict.fromkeys(radii.session.tolist()):
+        on = radii.session == name
+        pieces = [fit.left.residual_m[on], fit.right.residual_m[on]]
+        scatter = [float(np.std(part, ddof=1)) if len(part) > 1 else float("nan") for part in pieces]
+        rows.append(
+            (
+                str(name),
+                str(int(on.sum())),
+                *(f"{part[on].min():.0f}–{part[on].max():.0f}" for part in (radii.load_left_N, radii.load_right_N)),
+                *(fixed(1e6 * float(part.mean()), 1) for part in pieces),
+                *(fixed(1e6 * part, 1) for part in scatter),
+            )
+        )
+    shown = rows[:MOST_ROWS]
+    return Table(
+        f"Sessions of the {len(radii)} runs"
+        + ("" if len(shown) == len(rows) else f", the first {len(shown)} of {len(rows)}")
+        + "; scatter is one standard deviation (k = 1). Every single run stands in runs.csv of the result folder.",
+        columns,
+        tuple(shown),
+        dense=True,
+    )

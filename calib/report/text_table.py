@@ -1,0 +1,158 @@
+"""A table as lines of text: no cell is split where blanks do not allow it; what does not fit follows below."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from calib.report.blocks import Column, Table
+
+__all__ = ["table_lines"]
+
+GAP: Final = 2
+#: a column of texts beyond this width may be wrapped between words
+LONG: Final = 30
+#: least width of a column of sentences
+NARROW: Final = 24
+
+
+@dataclass(frozen=True, slots=True)
+class _Fitted:
+    """A column with its cells, the width that it needs, and whether its texts may be wrapped."""
+
+    column: Column
+    cells: tuple[str, ...]
+    width: int
+    least: int
+
+    @property
+    def wraps(self) -> bool:
+        return self.least < self.width
+
+
+def table_lines(table: Table, width: int, plain: Callable[[str], str]) -> list[str]:
+    """Return header, rule and rows of a table.
+
+    Parameters
+    ----------
+    table : Table
+        Columns of detail are left out.
+    width : int
+        Columns of the terminal. Where the table is wider, its columns are dealt out to several tables below each
+        other, the first column in each.
+    plain : callable
+        Makes a cell's text one that terminals show.
+
+    Returns
+    -------
+    list of str
+        Without caption.
+    """
+    fitted = [
+        _fit(column, [plain(row[number]) for row in table.rows])
+        for number, column in enumerate(table.columns)
+        if not column.detail
+    ]
+    lines: list[str] = []
+    for part in _parts(fitted, width):
+        if lines:
+            lines.append("")
+        lines += _drawn(part, _widths(part, width))
+    return lines
+
+
+def columns_of(text: str) -> int:
+    """Return how many columns a text takes; signs of East Asian scripts take two."""
+    from rich.cells import cell_len
+
+    return len(text) if text.isascii() else cell_len(text)
+
+
+def _fit(column: Column, cells: list[str]) -> _Fitted:
+    if column.align == "right" and column.group == "" and not column.wide:
+        cells = [cell.rstrip() for cell in cells]
+    longest = max((columns_of(cell) for cell in cells), default=0)
+    words = [columns_of(word) for word in f"{column.title} {column.unit}".split()]
+    width = max([longest, *words, 1])
+    if not column.wide and not (column.align == "left" and longest > LONG):
+        return _Fitted(column, tuple(cells), width, width)
+    unbroken = max((columns_of(word) for cell in cells for word in cell.split()), default=0)
+    return _Fitted(column, tuple(cells), width, min(width, max(NARROW, unbroken, *words)))
+
+
+def _parts(fitted: Sequence[_Fitted], width: int) -> list[list[_Fitted]]:
+    parts: list[list[_Fitted]] = []
+    part: list[_Fitted] = []
+    for one in fitted:
+        taken = sum(other.least + GAP for other in part) + one.least
+        if part and taken > width and len(part) > (1 if parts else 0):
+            parts.append(part)
+            part = [fitted[0]]
+        part.append(one)
+    return [*parts, part] if part else parts
+
+
+def _widths(part: Sequence[_Fitted], width: int) -> list[int]:
+    """Return the widths: the least, what is left for sentences, and room for the titles of groups."""
+    free = width - sum(one.least for one in part) - GAP * (len(part) - 1)
+    widths = []
+    for one in part:
+        more = max(0, min(one.width - one.least, free))
+        free -= more
+        widths.append(one.least + more)
+    for group in dict.fromkeys(one.column.group for one in part if one.column.group):
+        members = [number for number, one in enumerate(part) if one.column.group == group]
+        room = sum(widths[number] for number in members) + GAP * (len(members) - 1)
+        widths[members[-1]] += max(0, columns_of(group) - room)
+    return widths
+
+
+def _drawn(part: Sequence[_Fitted], widths: Sequence[int]) -> list[str]:
+    groups = [one.column.group for one in part]
+    heads = [
+        textwrap.wrap(one.column.title, width, break_long_words=False) for one, width in zip(part, widths, strict=True)
+    ]
+    height = max(len(head) for head in heads)
+    lines = []
+    if any(groups):
+        lines += _group_lines(groups, widths)
+    for number in range(height):
+        words = [head[number - height + len(head)] if number >= height - len(head) else "" for head in heads]
+        lines.append(_row(words, part, widths))
+    if any(one.column.unit for one in part):
+        lines.append(_row([one.column.unit for one in part], part, widths))
+    lines.append("─" * (sum(widths) + GAP * (len(widths) - 1)))
+    for cells in zip(*(one.cells for one in part), strict=True):
+        wrapped = [
+            textwrap.wrap(cell, width, break_long_words=False, break_on_hyphens=False) if one.wraps else [cell]
+            for cell, one, width in zip(cells, part, widths, strict=True)
+        ]
+        for number in range(max(map(len, wrapped))):
+            words = [lines_of[number] if number < len(lines_of) else "" for lines_of in wrapped]
+            lines.append(_row(words, part, widths))
+    return lines
+
+
+def _group_lines(groups: Sequence[str], widths: Sequence[int]) -> list[str]:
+    titles, rules, number = "", "", 0
+    while number < len(groups):
+        last = number
+        while groups[number] and last + 1 < len(groups) and groups[last + 1] == groups[number]:
+            last += 1
+        room = sum(widths[number : last + 1]) + GAP * (last - number)
+        titles += f"{groups[number][:room]:^{room}}" + " " * GAP
+        rules += ("─" if groups[number] else " ") * room + " " * GAP
+        number = last + 1
+    return [titles.rstrip(), rules.rstrip()]
+
+
+def _row(words: Sequence[str], part: Sequence[_Fitted], widths: Sequence[int]) -> str:
+    cells = []
+    for word, one, width in zip(words, part, widths, strict=True):
+        blank = " " * max(0, width - columns_of(word))
+        half = len(blank) // 2
+        pieces = {"left": (word, blank), "right": (blank, word), "center": (blank[:half], word, blank[half:])}
+        cells.append("".join(pieces[one.column.align]))
+    return (" " * GAP).join(cells).rstrip()
