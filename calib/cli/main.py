@@ -159,8 +159,7 @@ def run(arguments: list[str] | None = None) -> int:
         if type(error).__name__ == "NoArgsIsHelpError":
             sys.stderr.write(_message(error) + "\n")
             return EXIT_BAD_INPUT
-        context = getattr(error, "ctx", None)
-        return _complain(_message(error) + (f" (see '{context.command_path} --help')" if context else ""))
+        return _complain(_usage(error))
     except (typer.Abort, KeyboardInterrupt):
         held = f"kept: {'; '.join(kept)}" if kept else "nothing was written"
         return _complain(f"interrupted; {held}, and nothing half-written is left", EXIT_INTERRUPTED)
@@ -201,6 +200,27 @@ def _pipe_closed() -> int:
     # what is still buffered has nowhere to go
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return EXIT_PIPE_CLOSED
+
+
+def _usage(error: Exception) -> str:
+    """Return what is wrong with the words typed, and which command of the same group would take them."""
+    message, context = _message(error), getattr(error, "ctx", None)
+    if context is None:
+        return message
+    words = context.command_path.split()
+    option = getattr(error, "option_name", "")
+    others = [
+        name for name in COMMANDS if len(words) == 3 and name.split()[0] == words[1] and name.split()[1] != words[2]
+    ]
+    takers = [f"'calib {name}'" for name in others if option and option in _options(name)]
+    message += f"; {' and '.join(takers)} {'has' if len(takers) == 1 else 'have'} it" if takers else ""
+    return f"{message} (see '{context.command_path} --help')"
+
+
+def _options(name: str) -> set[str]:
+    application = typer.Typer(add_completion=False)
+    application.command(name)(importlib.import_module(f"calib.cli.{COMMANDS[name]}").run)
+    return {option for parameter in typer.main.get_command(application).params for option in parameter.opts}
 
 
 def _message(error: Exception) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from calib.cli.main import run
+from calib.cli.respell import respelled
 from calib.motion.trajectory import read_tum
 
 
@@ -154,10 +155,32 @@ def test_the_schemes_differ_in_replay_as_their_order_says(
 
 
 @pytest.mark.parametrize(
+    ("earlier", "today"),
+    [
+        ("--replay C --law L --seed 3", "replay C --law L --seed 3"),
+        ("--law L --replay=C", "replay --law L C"),
+        ("corrected --law L", "study corrected --law L"),
+        ("custom --route a --route b --real 1,1", "route a b --real 1,1"),
+        ("custom --route a --law L --payload-at 1,2,3,4", "journey a --law L --payload-at 1,2,3,4"),
+        ("study corrected", "study corrected"),
+        ("--help", "--help"),
+    ],
+)
+def test_earlier_spellings_are_todays_commands(earlier: str, today: str) -> None:
+    assert respelled(["simulate", *earlier.split()]) == ["simulate", *today.split()]
+
+
+def test_the_list_of_simulations_is_shown_where_none_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["simulate"]) == 2
+    shown = capsys.readouterr().err
+    assert all(name in shown for name in ("route", "journey", "study", "replay"))
+
+
+@pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ([], "--replay"),
-        (["sideways"], "symmetric"),
+        (["sideways"], "sideways"),
+        (["study", "symetric"], "did you mean 'symmetric'"),
         (["custom"], "--real"),
         (["custom", "--ratio", "0"], "ratio of radii"),
         (["custom", "--ratio", "1", "--wheel", "front"], "which wheel"),
@@ -166,12 +189,13 @@ def test_the_schemes_differ_in_replay_as_their_order_says(
         (["custom", "--real", "0.1,-0.1"], "radius of 0 or below"),
         (["symmetric", "--route", "spiral"], "figure8"),
         (["symmetric", "--load", "300,300"], "--law"),
-        (["symmetric", "--payload-at", "1,50,0,0"], "--law"),
-        (["--replay", "nowhere", "--payload-at", "1,50,0,0"], "load_left_N"),
+        (["symmetric", "--payload-at", "1,50,0,0"], "'calib simulate journey' has it"),
+        (["--replay", "nowhere", "--payload-at", "1,50,0,0"], "'calib simulate journey' has it"),
+        (["journey"], "--law"),
         (["symmetric", "--track", "-1"], "track"),
         (["symmetric", "--speed", "0"], "--speed"),
         (["symmetric", "--law", "nowhere"], "nowhere"),
-        (["symmetric", "--replay", "nowhere"], "one of the two"),
+        (["symmetric", "--replay", "nowhere"], "--replay"),
         (["--replay", "nowhere"], "nowhere"),
     ],
 )
