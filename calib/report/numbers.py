@@ -23,6 +23,7 @@ __all__ = [
     "prose",
     "readable",
     "span",
+    "three_digits",
     "two_digits",
 ]
 
@@ -130,11 +131,16 @@ def left(title: str, *, wide: bool = False) -> Column:
 
 
 def length(value_m: float | None) -> str:
-    """Return a length in mm or m, to two digits; a dash where there is none."""
+    """Return a length in mm or m, to three digits; a dash where there is none."""
     if value_m is None or not math.isfinite(value_m):
         return MISSING
     factor, unit = readable("m", abs(value_m))
-    return f"{two_digits(factor * value_m)} {unit}"
+    return f"{three_digits(factor * value_m)} {unit}"
+
+
+def three_digits(value: float) -> str:
+    """Return a size with three significant digits, without an exponent."""
+    return fixed(value, places(abs(value), 3) if value else 0)
 
 
 def percent(share: float | None) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from calib.report.blocks import Column, Table
@@ -20,16 +20,12 @@ NARROW: Final = 24
 
 @dataclass(frozen=True, slots=True)
 class _Fitted:
-    """A column with its cells, the width that it needs, and whether its texts may be wrapped."""
+    """A column with its cells, the width at which nothing is wrapped, and the least that splits no word."""
 
     column: Column
     cells: tuple[str, ...]
     width: int
     least: int
-
-    @property
-    def wraps(self) -> bool:
-        return self.least < self.width
 
 
 def table_lines(table: Table, width: int, plain: Callable[[str], str]) -> list[str]:
@@ -56,7 +52,7 @@ def table_lines(table: Table, width: int, plain: Callable[[str], str]) -> list[s
         if not column.detail
     ]
     lines: list[str] = []
-    for part in _parts(fitted, width):
+    for part in _parts(_with_room_for_groups(fitted), width):
         if lines:
             lines.append("")
         lines += _drawn(part, _widths(part, width))
@@ -77,9 +73,22 @@ def _fit(column: Column, cells: list[str]) -> _Fitted:
     words = [columns_of(word) for word in f"{column.title} {column.unit}".split()]
     width = max([longest, *words, 1])
     if not column.wide and not (column.align == "left" and longest > LONG):
-        return _Fitted(column, tuple(cells), width, width)
+        return _Fitted(column, tuple(cells), max(width, columns_of(column.title)), width)
     unbroken = max((columns_of(word) for cell in cells for word in cell.split()), default=0)
     return _Fitted(column, tuple(cells), width, min(width, max(NARROW, unbroken, *words)))
+
+
+def _with_room_for_groups(fitted: Sequence[_Fitted]) -> list[_Fitted]:
+    """Widen the columns of a group whose common title is longer than they are."""
+    widened = list(fitted)
+    for group in dict.fromkeys(one.column.group for one in fitted if one.column.group):
+        members = [number for number, one in enumerate(fitted) if one.column.group == group]
+        room = sum(fitted[number].least for number in members) + GAP * (len(members) - 1)
+        for k in range(max(0, columns_of(group) - room)):
+            number = members[k % len(members)]
+            one = widened[number]
+            widened[number] = replace(one, width=max(one.width, one.least + 1), least=one.least + 1)
+    return widened
 
 
 def _parts(fitted: Sequence[_Fitted], width: int) -> list[list[_Fitted]]:
@@ -95,17 +104,13 @@ def _parts(fitted: Sequence[_Fitted], width: int) -> list[list[_Fitted]]:
 
 
 def _widths(part: Sequence[_Fitted], width: int) -> list[int]:
-    """Return the widths: the least, what is left for sentences, and room for the titles of groups."""
+    """Return the widths: the least, and what is left for sentences."""
     free = width - sum(one.least for one in part) - GAP * (len(part) - 1)
     widths = []
     for one in part:
         more = max(0, min(one.width - one.least, free))
         free -= more
         widths.append(one.least + more)
-    for group in dict.fromkeys(one.column.group for one in part if one.column.group):
-        members = [number for number, one in enumerate(part) if one.column.group == group]
-        room = sum(widths[number] for number in members) + GAP * (len(members) - 1)
-        widths[members[-1]] += max(0, columns_of(group) - room)
     return widths
 
 
@@ -126,8 +131,10 @@ def _drawn(part: Sequence[_Fitted], widths: Sequence[int]) -> list[str]:
     lines.append("─" * (sum(widths) + GAP * (len(widths) - 1)))
     for cells in zip(*(one.cells for one in part), strict=True):
         wrapped = [
-            textwrap.wrap(cell, width, break_long_words=False, break_on_hyphens=False) if one.wraps else [cell]
-            for cell, one, width in zip(cells, part, widths, strict=True)
+            textwrap.wrap(cell, width, break_long_words=False, break_on_hyphens=False)
+            if columns_of(cell) > width
+            else [cell]
+            for cell, width in zip(cells, widths, strict=True)
         ]
         for number in range(max(map(len, wrapped))):
             words = [lines_of[number] if number < len(lines_of) else "" for lines_of in wrapped]

@@ -31,8 +31,8 @@ def cause_blocks(verdict: Verdict) -> list[Block]:
             left("Id"),
             Column("Probability"),
             Column("Share"),
-            Column("from", group="95 % of share"),
-            Column("to", group="95 % of share"),
+            Column("from", group="95 % interval"),
+            Column("to", group="95 % interval"),
             left("Plausible"),
         ),
         tuple(

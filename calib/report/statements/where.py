@@ -6,7 +6,7 @@ from typing import Final
 
 from calib.gap.where.result import PlaceLine, RunLine, Where
 from calib.report.blocks import Block, Column, Items, Table, Text
-from calib.report.numbers import MISSING, fixed, left, probability, prose, readable, two_digits
+from calib.report.numbers import MISSING, fixed, left, probability, prose, readable, three_digits
 
 __all__ = ["where_blocks"]
 
@@ -35,7 +35,7 @@ def _channels(where: Where) -> Table:
     rows = []
     for gap in where.channels:
         factor, unit = readable(gap.channel.unit, gap.rms)
-        cells = (two_digits(factor * value) for value in (gap.rms, gap.floor))
+        cells = (three_digits(factor * value) for value in (gap.rms, gap.floor))
         rows.append((gap.channel.label, unit, *cells, fixed(gap.ratio, 1)))
     return Table(
         "Where: the gap by channel, root mean square, against its floor.",
