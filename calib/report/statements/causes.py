@@ -17,7 +17,7 @@ _MOST: Final = 24
 
 def effect_name(effect: str) -> str:
     """Return an effect's id as people read it."""
-    return effect.replace("_", " ").replace("covariate:", "covariate ")
+    return effect.replace("_", " ").replace(":", " ")
 
 
 def cause_blocks(verdict: Verdict) -> list[Block]:
