@@ -14,6 +14,8 @@ from calib.errors import BadInputError
 
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign
+    from calib.coefficients.sections import EffectSection
+    from calib.gap.diagnosis import Diagnosis
     from calib.gap.verdict.result import Verdict
 
 __all__ = ["EPILOG", "run"]
@@ -54,28 +56,14 @@ def run(
     in part only, or its cause is unknown. 2: bad input.
     """
     one_blas_thread()
-    from calib.campaign.read import read_campaign
     from calib.files import write_bytes, write_json
     from calib.gap.apply import applied_model
-    from calib.gap.diagnose import diagnose_in_full
-    from calib.gap.effects.applied import model_of
     from calib.gap.verdict.paper_headline import headline
     from calib.gap.verdict.result import VerdictKind
 
     refuse_existing([json, apply, None if into is None else into / RESULT_FILE], force=force)
     with waiting("diagnosing"):
-        read = read_campaign(campaign)
-        if exclude:
-            _check_excluded(exclude, read)
-        believed, effects = (None, ()) if model is None else model_of(model, read)
-        diagnosis = diagnose_in_full(
-            read,
-            seed=seed,
-            exclude=tuple(exclude or ()),
-            model=believed,
-            applied=effects,
-            model_name="" if model is None else model.name,
-        )
+        read, diagnosis, effects = _diagnosed(campaign, model, tuple(exclude or ()), seed)
     verdict = diagnosis.verdict
     document = verdict.to_dict() | {"headline": headline(verdict)}
     _show(verdict, target=json)
@@ -94,7 +82,26 @@ def run(
     return 0 if verdict.kind in {VerdictKind.NO_GAP, VerdictKind.EXPLAINED} else 1
 
 
-def _check_excluded(exclude: list[str], campaign: Campaign) -> None:
+def _diagnosed(
+    path: Path, model: Path | None, exclude: tuple[str, ...], seed: int
+) -> tuple[Campaign, Diagnosis, tuple[EffectSection, ...]]:
+    """Return the campaign, its diagnosis, and the effects that the model has already."""
+    from calib.campaign.read import read_campaign
+    from calib.gap.diagnose import diagnose_in_full
+    from calib.gap.effects.applied import model_of
+
+    campaign = read_campaign(path)
+    if exclude:
+        _check_excluded(exclude, campaign)
+    believed, effects = (None, ()) if model is None else model_of(model, campaign)
+    name = "" if model is None else model.name
+    diagnosis = diagnose_in_full(
+        campaign, seed=seed, exclude=exclude, model=believed, applied=effects, model_name=name
+    )
+    return campaign, diagnosis, tuple(effects)
+
+
+def _check_excluded(exclude: tuple[str, ...], campaign: Campaign) -> None:
     """Refuse what is no effect of the campaign's library, its columns' and the user's own included."""
     from calib.gap.data.from_campaign import observations_of
     from calib.gap.effects.library import REGISTRY, check_excluded

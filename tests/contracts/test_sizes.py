@@ -16,22 +16,11 @@ SOURCES = sorted(PACKAGE.rglob("*.py"))
 MOST_IN_FUNCTION: Final = 60
 MOST_IN_FILE: Final = 400
 
-REGISTER: Final = "a command inside its registration; gone once commands stand at module level"
 WRITTEN_OUT: Final = "a list written out: no branch, nothing to call twice"
 DIAGNOSIS: Final = "waits for the typed results of the diagnosis"
 
 #: functions that are longer, and why
 LONG_FUNCTIONS: Final = {
-    "cli/challenge.py:register": REGISTER,
-    "cli/deviation.py:register": REGISTER,
-    "cli/diagnose.py:diagnose": REGISTER,
-    "cli/diagnose.py:register": REGISTER,
-    "cli/fit.py:fit": REGISTER,
-    "cli/fit.py:register": REGISTER,
-    "cli/report.py:register": REGISTER,
-    "cli/simulate.py:_replay": REGISTER,
-    "cli/simulate.py:register": REGISTER,
-    "cli/simulate.py:simulate": REGISTER,
     "gap/apply.py:applied_model": DIAGNOSIS,
     "motion/odometry/numba_loop.py:_loop": "machine code: a call inside costs what the loop saves",
     "plant/contact/campaign.py:make_contact_campaign": WRITTEN_OUT,
