@@ -95,9 +95,7 @@ def _diagnosed(
         _check_excluded(exclude, campaign)
     believed, effects = (None, ()) if model is None else model_of(model, campaign)
     name = "" if model is None else model.name
-    diagnosis = diagnose_in_full(
-        campaign, seed=seed, exclude=exclude, model=believed, applied=effects, model_name=name
-    )
+    diagnosis = diagnose_in_full(campaign, seed=seed, exclude=exclude, model=believed, applied=effects, model_name=name)
     return campaign, diagnosis, tuple(effects)
 
 
