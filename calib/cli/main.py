@@ -39,6 +39,7 @@ COMMANDS: Final[dict[str, str]] = {
     "simulate journey": "simulate.journey",
     "simulate study": "simulate.study",
     "simulate replay": "simulate.replay",
+    "geometry": "geometry",
     "diagnose": "diagnose",
     "plan": "plan",
 }
@@ -57,7 +58,7 @@ SUMMARIES: Final[dict[str, str]] = {
     "simulate journey": "Drive a route under a fitted law, load by load.",
     "simulate study": "Run a study of the paper's Section 7.",
     "simulate replay": "Replay a campaign's logged runs.",
-    "geometry": "Estimate radii and track from end poses.",
+    "geometry": "Estimate radii, track and sensor together.",
     "diagnose": "Say why the simulation differs from reality.",
     "plan": "Say which runs to drive next.",
     "challenge": "Check the diagnosis blind, on sealed cases.",
