@@ -23,14 +23,12 @@ if TYPE_CHECKING:
         Campaign,
         Diagnosis,
         Fit,
-        Geometry,
         Plan,
         Replay,
         Simulation,
         diagnose,
         export,
         fit,
-        geometry,
         plan,
         read,
         replay,
@@ -44,7 +42,6 @@ __all__ = [
     "Campaign",
     "Diagnosis",
     "Fit",
-    "Geometry",
     "Plan",
     "Replay",
     "Simulation",
@@ -52,7 +49,6 @@ __all__ = [
     "diagnose",
     "export",
     "fit",
-    "geometry",
     "plan",
     "read",
     "replay",
@@ -61,7 +57,7 @@ __all__ = [
 ]
 
 #: folders of this package that bear the name of a function of `calib.api`
-_ALSO_FOLDERS = ("geometry", "report")
+_ALSO_FOLDERS = ("report",)
 
 
 def __getattr__(name: str) -> Any:

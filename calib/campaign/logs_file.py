@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -17,7 +19,7 @@ from calib.campaign.settings import Encoder
 from calib.campaign.wraps import detect_wrap_bits, unwrap
 from calib.errors import BadFileError
 
-__all__ = ["LogFile", "Renames", "laid_end_to_end", "read_log", "read_logs", "refuse_incomplete"]
+__all__ = ["LogFile", "Renames", "laid_end_to_end", "log_column", "read_log", "read_logs", "refuse_incomplete"]
 
 _COUNTS: Final = tuple(name for name in LOG_COLUMNS if name.startswith("counts_"))
 
@@ -59,7 +61,7 @@ def read_log(
     names = renames or {}
 
     def called(found: str) -> Recognised:
-        return recognise(names[found][0] if found in names else found, LOG_COLUMNS, further=False)
+        return log_column(names[found][0] if found in names else found)
 
     raw = read_table(path, shown, lambda name: called(name).name in LOG_COLUMNS, layout)
     border.notes.extend(raw.notes)
@@ -86,6 +88,20 @@ def read_log(
         border.say(shown, f"times count from the first sample, which stood at {start:.10g} s", "start_time")
         columns["t_s"] = columns["t_s"] - start
     return columns
+
+
+def log_column(name: str) -> Recognised:
+    """Return what a column of a log is, by its whole name or, in a recording, by the part after its stream or group.
+
+    Parameters
+    ----------
+    name : str
+        As found: ``counts_left``, ``Encoder/counts_left`` or ``/wheels:counts_left``.
+    """
+    whole = recognise(name, LOG_COLUMNS, further=False)
+    if whole.name in LOG_COLUMNS:
+        return whole
+    return replace(recognise(re.split(r"[:/]", name)[-1], LOG_COLUMNS, further=False), found=name)
 
 
 def refuse_incomplete(columns: Mapping[str, FloatArray], shown: str, line: IntArray) -> None:

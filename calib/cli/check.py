@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.options import Force, JsonTarget, refuse_existing
+from calib.cli.options import Force, JsonTarget, MappingOption, refuse_existing
 from calib.cli.terminal import emit_json, show, waiting, wants_stdout
 
 __all__ = ["EPILOG", "run"]
@@ -16,8 +16,9 @@ EPILOG = "Example: calib check sample_runs/corridor --json -"
 
 
 def run(
-    campaign: Annotated[Path, typer.Argument(help="Campaign folder (campaign.toml, runs.csv, logs).")],
+    campaign: Annotated[Path, typer.Argument(help="Campaign folder (campaign.toml, runs.csv, logs), or a recording.")],
     strict: Annotated[bool, typer.Option("--strict", help="Exit status 1 on suspicious things, too.")] = False,
+    mapping: MappingOption = None,
     json: JsonTarget = None,
     force: Force = False,
 ) -> int:
@@ -30,12 +31,12 @@ def run(
     from dataclasses import asdict
 
     from calib.campaign.check import check_campaign
-    from calib.campaign.read import read_campaign
+    from calib.campaign.ingest import read_or_ingest
     from calib.report.statements.check import check_content
 
     refuse_existing([json], force=force)
     with waiting("checking"):
-        report = check_campaign(read_campaign(campaign, lenient=True))
+        report = check_campaign(read_or_ingest(campaign, mapping=mapping, lenient=True))
     document = {
         "campaign": report.campaign,
         "simulated": report.simulated,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calib.cli.options import Force, JsonTarget, nearest, refuse_existing
+from calib.cli.options import Force, JsonTarget, MappingOption, nearest, refuse_existing
 from calib.cli.terminal import emit_json, say, show, waiting, wrote
 from calib.cli.threads import one_blas_thread
 from calib.errors import BadInputError
@@ -25,7 +25,9 @@ RESULT_FILE = "diagnosis.json"
 
 
 def run(
-    campaign: Annotated[Path, typer.Argument(metavar="CAMPAIGN", help="Folder with campaign.toml and runs.csv.")],
+    campaign: Annotated[
+        Path, typer.Argument(metavar="CAMPAIGN", help="Folder with campaign.toml and runs.csv, or a recording.")
+    ],
     model: Annotated[
         Path | None,
         typer.Option("--model", metavar="FILE", help="Coefficient file that the simulator believes, effects included."),
@@ -47,6 +49,7 @@ def run(
     into: Annotated[
         Path | None, typer.Option("--into", metavar="FOLDER", help="Result folder: diagnosis.json.")
     ] = None,
+    mapping: MappingOption = None,
     json: JsonTarget = None,
     force: Force = False,
 ) -> int:
@@ -56,6 +59,7 @@ def run(
     in part only, or its cause is unknown. 2: bad input.
     """
     one_blas_thread()
+    from calib.campaign.ingest import read_or_ingest
     from calib.files import write_bytes, write_json
     from calib.gap.apply import applied_model
     from calib.gap.verdict.paper_headline import headline
@@ -63,7 +67,9 @@ def run(
 
     refuse_existing([json, apply, None if into is None else into / RESULT_FILE], force=force)
     with waiting("diagnosing"):
-        read, diagnosis, effects = _diagnosed(campaign, model, tuple(exclude or ()), seed)
+        read, diagnosis, effects = _diagnosed(
+            read_or_ingest(campaign, mapping=mapping), model, tuple(exclude or ()), seed
+        )
     verdict = diagnosis.verdict
     document = verdict.to_dict() | {"headline": headline(verdict)}
     _show(verdict, target=json)
@@ -83,14 +89,12 @@ def run(
 
 
 def _diagnosed(
-    path: Path, model: Path | None, exclude: tuple[str, ...], seed: int
+    campaign: Campaign, model: Path | None, exclude: tuple[str, ...], seed: int
 ) -> tuple[Campaign, Diagnosis, tuple[EffectSection, ...]]:
     """Return the campaign, its diagnosis, and the effects that the model has already."""
-    from calib.campaign.read import read_campaign
     from calib.gap.diagnose import diagnose_in_full
     from calib.gap.effects.applied import model_of
 
-    campaign = read_campaign(path)
     if exclude:
         _check_excluded(exclude, campaign)
     believed, effects = (None, ()) if model is None else model_of(model, campaign)

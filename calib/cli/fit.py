@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.options import Force, JsonTarget, refuse_existing
+from calib.cli.options import Force, JsonTarget, MappingOption, refuse_existing
 from calib.cli.terminal import emit_json, show, waiting, wants_stdout, wrote
 from calib.errors import BadInputError
 
@@ -17,7 +17,9 @@ EPILOG = "Example: calib fit sample_runs/corridor --into results/corridor"
 
 
 def run(
-    campaign: Annotated[Path, typer.Argument(metavar="CAMPAIGN", help="Folder with campaign.toml and runs.csv.")],
+    campaign: Annotated[
+        Path, typer.Argument(metavar="CAMPAIGN", help="Folder with campaign.toml and runs.csv, or a recording.")
+    ],
     into: Annotated[
         Path | None,
         typer.Option("--into", metavar="FOLDER", help="Result folder: fit.json and runs.csv, for report and export."),
@@ -39,6 +41,7 @@ def run(
         ),
     ] = None,
     runs: Annotated[bool, typer.Option("--runs", help="List the radius of every run.")] = False,
+    mapping: MappingOption = None,
     json: JsonTarget = None,
     force: Force = False,
 ) -> int:
@@ -50,7 +53,7 @@ def run(
     from dataclasses import replace
 
     from calib import __version__
-    from calib.campaign.read import read_campaign
+    from calib.campaign.ingest import read_or_ingest
     from calib.coefficients.source import coefficients_of, effects_left_out
     from calib.radius.comparison import compare_laws
     from calib.radius.fit import fit_campaign
@@ -68,7 +71,7 @@ def run(
         believed = coefficients_of(model)
         reference_load = believed.file.law.left.reference_load_N
     with waiting("fitting"):
-        read = read_campaign(campaign)
+        read = read_or_ingest(campaign, mapping=mapping)
         fitted = fit_campaign(read, reference_load_N=reference_load)
     arguments = {"campaign": campaign.name, "reference_load_N": reference_load}
     fitted = replace(fitted, provenance=provenance(read, version=__version__, arguments=arguments))

@@ -1,51 +1,97 @@
-"""``calib ingest``: raw lab files become a campaign."""
+"""``calib ingest``: raw lab files and recordings become a campaign; or a description of them and a mapping to go by."""
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from calib.cli.options import Force, JsonTarget, refuse_existing
 from calib.cli.terminal import emit_json, say, waiting, wants_stdout
 
+if TYPE_CHECKING:
+    from calib.campaign.ingest import Ingested
+
 __all__ = ["EPILOG", "run"]
 
 EPILOG = "Example: calib ingest export.xlsx logger/ --mapping lab.toml --into hall3"
+#: runs cut out of a recording that are listed
+_LISTED = 8
 
 
 def run(
-    sources: Annotated[list[Path], typer.Argument(help="Run table first (csv, xlsx, parquet), then logs or folders.")],
-    into: Annotated[Path, typer.Option("--into", metavar="CAMPAIGN", help="Campaign folder to make.")],
+    sources: Annotated[
+        list[Path],
+        typer.Argument(help="Run table first, where there is one; then logs, recordings or folders of them."),
+    ],
+    into: Annotated[Path | None, typer.Option("--into", metavar="CAMPAIGN", help="Campaign folder to make.")] = None,
     mapping: Annotated[
         Path | None, typer.Option("--mapping", metavar="FILE", help="TOML that names the columns.")
     ] = None,
+    describe: Annotated[
+        bool, typer.Option("--describe", help="Say what is in the files and propose a mapping, as TOML.")
+    ] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Do everything but write.")] = False,
     json: JsonTarget = None,
     force: Force = False,
 ) -> None:
     """Make a campaign out of raw lab files; the sources are hashed and left untouched.
 
-    The mapping is written once for a lab's export. Its sections [table] and [log] say which source column is which
-    calib column, as a name (run_id = "Run no.") or with unit and factor (distance_m = {column = "Distance", unit =
-    "mm"}, counts_left = {column = "Enc L", factor = -1}); session = {value = "monday"} is the same for every run;
-    log.file = "run_{run_id}.csv" names a run's log. All else ([vehicle], [encoder], name, ...) goes into
-    campaign.toml. Columns that carry calib's names need no line.
+    First 'calib ingest --describe FILE... > lab.toml': it says what is inside (sheets, header rows, topics, channels,
+    units, time formats, overflowing counters) and proposes a mapping. Edit it, try it with --dry-run, and ingest. The
+    mapping's sections [table] and [log] say which source column is which calib column, as a name (run_id = "Run no.")
+    or with unit, factor and texts (distance_m = {column = "Distance", unit = "mm"}); log.file = "Run_{n:02}.csv" names
+    a run's log; [cut] says how a continuous recording is cut into runs. All else goes into campaign.toml.
     """
-    from calib.campaign.ingest import ingest
+    from calib.errors import BadInputError
 
     refuse_existing([json], force=force)
+    if describe:
+        _describe(sources, json, force)
+        return
+    if into is None:
+        raise BadInputError(
+            "--into: found no campaign folder to make; expected one; give --into FOLDER, or --describe to look first"
+        )
+    from calib.campaign.ingest import gathered, ingest
+
     with waiting("reading"):
-        made = ingest(sources, into, mapping=mapping, force=force)
+        made = ingest(sources, into, mapping=mapping, force=force, dry_run=dry_run)
     document = {
         "campaign": str(made.folder),
         "n_runs": made.n_runs,
         "n_logs": made.n_logs,
+        "written": not dry_run,
+        "assumed": list(made.campaign.assumed),
         "sources": dict(made.sources),
+        "cuts": [dict(cut) for cut in made.cuts],
         "notes": [{"level": note.level, "where": note.where, "text": note.text} for note in made.notes],
     }
     emit_json(document, json, force=force)
+    if wants_stdout(json):
+        return
+    for note in gathered(made.notes):
+        say(f"{note.where}: {note.text}")
+    _say_cuts(made)
+    end = "nothing was written" if dry_run else f"look at it with 'calib check {made.folder}'"
+    say(f"{made.folder}: {made.n_runs} runs, {made.n_logs} logs; {end}")
+
+
+def _describe(sources: list[Path], json: str | None, force: bool) -> None:
+    from calib.campaign.ingest import describe
+
+    with waiting("looking"):
+        description = describe(sources)
+    emit_json(description.to_dict(), json, force=force)
     if not wants_stdout(json):
-        for note in made.notes:
-            say(f"  {note.where}: {note.text}")
-        say(f"{made.folder}: {made.n_runs} runs, {made.n_logs} logs; look at it with 'calib check {made.folder}'")
+        sys.stdout.write(description.to_toml())
+
+
+def _say_cuts(made: Ingested) -> None:
+    if not made.cuts:
+        return
+    shown = ", ".join(f"{cut['run_id']} {cut['start_s']:.1f}-{cut['end_s']:.1f} s" for cut in made.cuts[:_LISTED])
+    more = f" and {len(made.cuts) - _LISTED} more" if len(made.cuts) > _LISTED else ""
+    say(f"Cut into runs: {shown}{more}.")

@@ -28,6 +28,7 @@ COMMANDS: Final[dict[str, str]] = {
     "export": "export",
     "check": "check",
     "ingest": "ingest",
+    "init": "init",
     "fit": "fit",
     "deviation": "deviation",
     "report": "report",
@@ -39,7 +40,6 @@ COMMANDS: Final[dict[str, str]] = {
     "simulate journey": "simulate.journey",
     "simulate study": "simulate.study",
     "simulate replay": "simulate.replay",
-    "geometry": "geometry",
     "diagnose": "diagnose",
     "plan": "plan",
 }
@@ -47,6 +47,7 @@ COMMANDS: Final[dict[str, str]] = {
 #: command -> its line in ``calib --help``, so that the list of commands imports none of them
 SUMMARIES: Final[dict[str, str]] = {
     "check": "Say what a campaign holds and what is wrong.",
+    "init": "Make an empty campaign to fill in.",
     "ingest": "Make a campaign out of raw lab files.",
     "fit": "Fit each wheel's radius against its load.",
     "deviation": "Show what a woven path does to a radius.",
@@ -58,7 +59,7 @@ SUMMARIES: Final[dict[str, str]] = {
     "simulate journey": "Drive a route under a fitted law, load by load.",
     "simulate study": "Run a study of the paper's Section 7.",
     "simulate replay": "Replay a campaign's logged runs.",
-    "geometry": "Estimate radii, track and sensor together.",
+    "geometry": "Estimate radii and track from end poses.",
     "diagnose": "Say why the simulation differs from reality.",
     "plan": "Say which runs to drive next.",
     "challenge": "Check the diagnosis blind, on sealed cases.",

@@ -12,10 +12,14 @@ import typer
 
 from calib.errors import BadInputError, would_overwrite
 
-__all__ = ["Force", "JsonTarget", "Seed", "nearest", "numbers", "refuse_existing"]
+__all__ = ["Force", "JsonTarget", "MappingOption", "Seed", "nearest", "numbers", "refuse_existing"]
 
 JsonTarget = Annotated[
     str | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON to FILE; '-' is standard output.")
+]
+MappingOption = Annotated[
+    Path | None,
+    typer.Option("--mapping", metavar="FILE", help="TOML that maps a recording or table, read as if ingested."),
 ]
 Force = Annotated[bool, typer.Option("--force", help="Replace existing output files.")]
 Seed = Annotated[int, typer.Option("--seed", metavar="N", help="Seed of everything that is drawn.")]

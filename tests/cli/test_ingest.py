@@ -1,11 +1,14 @@
 from __future__ import annotations
 
 import json
+import tomllib
 from pathlib import Path
 
 import pytest
 
 from calib.cli.main import run
+from tests.campaign.ingest.driven import mapping_text, recorded, write
+from tests.campaign.ingest.lab import german, plain
 
 
 @pytest.fixture
@@ -41,3 +44,67 @@ def test_help_documents_the_mapping(capsys: pytest.CaptureFixture[str]) -> None:
     out = capsys.readouterr().out
     assert "[table]" in out
     assert "calib ingest" in out
+
+
+def test_without_a_target_the_options_are_named(table: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["ingest", str(table)]) == 2
+    err = capsys.readouterr().err
+    assert "--into" in err
+    assert "--describe" in err
+
+
+@pytest.mark.parametrize("make", [german, plain])
+def test_a_description_is_a_mapping(make: object, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Standard output is TOML that ingest takes; as JSON the same and what was found in each file."""
+    lab = make(tmp_path)  # type: ignore[operator]
+    assert run(["ingest", "--describe", str(lab.table), str(lab.logs)]) == 0
+    text = capsys.readouterr().out
+    assert tomllib.loads(text)["encoder"]["wrap_bits"] == 16
+    (tmp_path / "m.toml").write_text(text, encoding="utf-8")
+    arguments = ["ingest", str(lab.table), str(lab.logs), "--mapping", str(tmp_path / "m.toml")]
+    assert run([*arguments, "--into", str(tmp_path / "c"), "--dry-run"]) == 0
+    assert "nothing was written" in capsys.readouterr().out
+    assert not (tmp_path / "c").exists()
+    assert run(["ingest", "--describe", str(lab.table), str(lab.logs), "--json", "-"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["mapping"] == text
+    assert document["n_files"] == 24
+
+
+def test_the_screen_of_24_runs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At 80 columns what ingestion says of the export fits on two screens, and no line is longer."""
+    monkeypatch.setenv("COLUMNS", "80")
+    lab = german(tmp_path)
+    run(["ingest", "--describe", str(lab.table), str(lab.logs)])
+    (tmp_path / "m.toml").write_text(capsys.readouterr().out, encoding="utf-8")
+    arguments = ["ingest", str(lab.table), str(lab.logs), "--mapping", str(tmp_path / "m.toml")]
+    assert run([*arguments, "--into", str(tmp_path / "c")]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) <= 48, len(lines)
+    # a path may be longer than a line
+    assert all(len(line) <= 80 or " " not in line.strip() for line in lines)
+
+
+def test_one_command_from_a_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """check, fit and diagnose take a recording with its mapping as if it had been ingested."""
+    driven = recorded(tmp_path)
+    source = write(driven.drive, tmp_path, "mcap")
+    mapping = tmp_path / "m.toml"
+    mapping.write_text(mapping_text("mcap") + '[table]\nfile = "runs.csv"\n')
+    campaign = tmp_path / "c"
+    assert run(["ingest", str(source), "--mapping", str(mapping), "--into", str(campaign)]) == 0
+    for command in ("check", "fit", "diagnose"):
+        capsys.readouterr()
+        first = run([command, str(source), "--mapping", str(mapping), "--json", "-"])
+        on_the_way = json.loads(capsys.readouterr().out)
+        assert run([command, str(campaign), "--json", "-"]) == first
+        written = json.loads(capsys.readouterr().out)
+        if command == "check":
+            assert on_the_way["found"] == written["found"]
+        elif command == "fit":
+            assert on_the_way["wheels"] == written["wheels"]
+        else:
+            assert on_the_way["verdict"] == written["verdict"]
+            assert on_the_way["causes"] == written["causes"]

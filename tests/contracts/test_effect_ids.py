@@ -22,8 +22,6 @@ EXEMPT = {
     "challenge/cases.py",
     # which planted parameter is which fitted one
     "challenge/parameters.py",
-    # a parameter of the vehicle, called in the geometry's format as the effect that a wrong one leaves
-    "geometry/drives.py",
 }
 PLANT = PACKAGE / "plant"
 

@@ -7,15 +7,17 @@
     track_mm = 700
 
     [table]                            # calib column = column of the laboratory's run table
+    file = "runs.xlsx"                 # beside the mapping, where no table is among the sources
     sheet = "Runs"                     # sheet and header_row are found where they are not named
     run_id = "Run no."
     distance_m = {column = "Distance", unit = "mm"}
     counts_left = {column = "Enc L", factor = -1}
     direction = {column = "Way", values = {hin = "out", zurueck = "back"}}
-    session = {value = "monday"}       # the same for every run
+    session = {value = "monday"}       # the same for every run; a list holds one value a run
 
     [log]                              # the same for logs and recordings, and the file that holds a run's log
     file = "run_{n:02}.csv"            # {run_id}, or {n}: the number in the run's name, as run = "Run {n}" reads it
+    swapped = ["Run 12"]               # runs whose left and right encoder were exchanged
     t_s = {column = "time", unit = "ms"}
     counts_left = "EncL"
     counts_right = {column = "/joints:position.right", unit = "rad"}
@@ -41,6 +43,7 @@ from calib.campaign.model import LABEL_COLUMNS, LOG_COLUMNS, NUMERIC_COLUMNS
 from calib.campaign.readers import Layout
 from calib.campaign.settings_file import load_toml
 from calib.errors import BadFileError
+from calib.files import inside
 from calib.units import SUFFIXES, split_suffix
 
 __all__ = ["COUNT_UNITS", "TABLE_COLUMNS", "Line", "LogFiles", "MappingFile", "bad_line", "read_mapping"]
@@ -62,7 +65,7 @@ COUNT_UNITS: Final[Mapping[str, tuple[str, float]]] = {
     "rad/min": ("rate", 1.0 / (60.0 * 6.283185307179586)),
 }
 _LINE_KEYS: Final = frozenset({"column", "unit", "factor", "value", "values", "from_start", "lag_s"})
-_FILE_KEYS: Final = frozenset({"file", "run", "sheet", "header_row", "lag"})
+_FILE_KEYS: Final = frozenset({"file", "run", "sheet", "header_row", "lag", "swapped"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,8 +78,8 @@ class Line:
         Calib's column.
     column : str
         The source's column; empty where `value` stands for it.
-    value : str, float or None
-        What holds for every run.
+    value : str, float, tuple or None
+        What holds for every run, or one value a run.
     unit : str or None
         The source's unit.
     factor : float
@@ -91,7 +94,7 @@ class Line:
 
     name: str
     column: str = ""
-    value: str | float | None = None
+    value: str | float | tuple[str | float, ...] | None = None
     unit: str | None = None
     factor: float = 1.0
     values: Mapping[str, str] = field(default_factory=dict)
@@ -121,6 +124,7 @@ class LogFiles:
     run: str | None = None
     layout: Layout = field(default_factory=Layout)
     remove_lag: bool = False
+    swapped: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,6 +138,7 @@ class MappingFile:
     log_files: LogFiles
     cut: Cut | None
     settings: dict[str, Any]
+    table_file: Path | None = None
 
 
 def read_mapping(path: Path | None) -> MappingFile:
@@ -154,6 +159,7 @@ def read_mapping(path: Path | None) -> MappingFile:
     table, log = _section(document, "table", shown), _section(document, "log", shown)
     cut = parse_cut(_section(document, "cut", shown), shown) if "cut" in document else None
     layout = _layout(table, shown, "table")
+    table_file = _table_file(table.pop("file", None), path, shown)
     files = _log_files(log, shown)
     known_logs = LOG_COLUMNS
     return MappingFile(
@@ -164,6 +170,7 @@ def read_mapping(path: Path | None) -> MappingFile:
         log_files=files,
         cut=cut,
         settings=document,
+        table_file=table_file,
     )
 
 
@@ -202,6 +209,14 @@ def _layout(section: dict[str, Any], shown: str, where: str) -> Layout:
     return Layout(sheet, row)
 
 
+def _table_file(name: Any, mapping: Path | None, shown: str) -> Path | None:
+    if name is None or mapping is None:
+        return None
+    if not isinstance(name, str):
+        raise bad_line(shown, "table", "file", name, "the name of the run table, relative to the mapping")
+    return inside(mapping.parent, name, named_in=shown, column="table.file")
+
+
 def _log_files(section: dict[str, Any], shown: str) -> LogFiles:
     layout = _layout(section, shown, "log")
     file, run, lag = section.pop("file", None), section.pop("run", None), section.pop("lag", "report")
@@ -213,7 +228,10 @@ def _log_files(section: dict[str, Any], shown: str) -> LogFiles:
         raise bad_line(shown, "log", "run", run, 'how a run is called, as "Run {n}"')
     if lag not in {"report", "remove"}:
         raise bad_line(shown, "log", "lag", lag, '"report" or "remove"')
-    return LogFiles(file, run, layout, lag == "remove")
+    swapped = section.pop("swapped", [])
+    if not isinstance(swapped, list) or not all(isinstance(one, str) for one in swapped):
+        raise bad_line(shown, "log", "swapped", swapped, 'names of runs, as ["Run 12"]')
+    return LogFiles(file, run, layout, lag == "remove", tuple(swapped))
 
 
 def _line(name: str, entry: Any, shown: str, where: str, known: Sequence[str] | None) -> Line:
@@ -227,8 +245,10 @@ def _line(name: str, entry: Any, shown: str, where: str, known: Sequence[str] | 
     value = line.get("value")
     if isinstance(value, bool):
         value = "true" if value else "false"
-    if value is not None and not isinstance(value, str | int | float):
-        raise bad_line(shown, where, name, value, "a text or a number")
+    if isinstance(value, list) and value and all(isinstance(one, str | int | float) for one in value):
+        value = tuple(value)
+    if value is not None and not isinstance(value, str | int | float | tuple):
+        raise bad_line(shown, where, name, value, "a text or a number, or a list of one a run")
     for key, expected in (("factor", "a factor that is a number other than 0"), ("lag_s", "a number of seconds")):
         number = line.get(key, 1.0)
         usable = isinstance(number, int | float) and not isinstance(number, bool) and abs(number) < 1e12

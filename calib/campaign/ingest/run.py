@@ -12,7 +12,7 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.campaign.faults import Border
 from calib.campaign.ingest.log_files import listed_files, match_logs
-from calib.campaign.ingest.mapping import MappingFile, read_mapping
+from calib.campaign.ingest.mapping import MappingFile, bad_line, read_mapping
 from calib.campaign.ingest.pieces import Part, cut_recordings
 from calib.campaign.ingest.poses import end_values
 from calib.campaign.ingest.streams import MappedLog, read_mapped
@@ -132,24 +132,27 @@ def ingest(
 
 
 def _campaign(paths: Sequence[Path], work: _Work) -> Campaign:
-    table = _table(paths, work)
+    table = _table(paths[0], work)
+    first = paths[0]
     others = listed_files(paths if table is None else paths[1:])
-    if table is not None:
-        others = [path for path in others if path.resolve() != paths[0].resolve()]
-    runs = None if table is None else mapped_runs(table, work.mapping, str(paths[0]), work.border)
+    if table is None and work.mapping.table_file is not None:
+        first = work.mapping.table_file
+        table = _table(first, work)
+    others = [path for path in others if table is None or path.resolve() != first.resolve()]
+    runs = None if table is None else mapped_runs(table, work.mapping, str(first), work.border)
     if work.mapping.cut is not None:
         runs, parts = _cut(runs, table, others, work)
     elif runs is None:
         runs, parts = _a_run_a_file(others, work)
     else:
-        runs, parts = _matched(runs, others, str(paths[0]), work)
+        runs, parts = _matched(runs, others, str(first), work)
+    parts = _exchanged(runs, parts, work)
     runs, parts = _ends(runs, parts)
     return _assembled(runs, parts, work)
 
 
-def _table(paths: Sequence[Path], work: _Work) -> RawTable | None:
-    """Return the run table where the first source is one."""
-    first = paths[0]
+def _table(first: Path, work: _Work) -> RawTable | None:
+    """Return the run table where a source is one."""
     if not first.exists() or first.is_dir() or holds_recording(first):
         if not first.exists():
             raise BadInputError(f"{first}: found no such file; expected a run table or a recording; correct the path")
@@ -219,6 +222,22 @@ def _matched(runs: RunTable, files: Sequence[Path], shown: str, work: _Work) -> 
     if excluded.any():
         labels["exclusion_reason"] = reasons.astype(np.str_)
     return replace(runs, labels=labels, excluded=excluded), parts
+
+
+def _exchanged(runs: RunTable, parts: dict[int, Part], work: _Work) -> dict[int, Part]:
+    """Exchange left and right in the logs of the runs that the mapping names."""
+    names = {str(run_id): index for index, run_id in enumerate(runs.run_id)}
+    out = dict(parts)
+    for run_id in work.mapping.log_files.swapped:
+        part = out.get(names.get(run_id, -1))
+        if part is None or not {"counts_left", "counts_right"} <= set(part.columns):
+            known = f"one of {', '.join(list(names)[:8])}, ... that has a log"
+            raise bad_line(work.mapping.shown, "log", "swapped", run_id, known)
+        columns = dict(part.columns)
+        columns["counts_left"], columns["counts_right"] = columns["counts_right"], columns["counts_left"]
+        out[names[run_id]] = replace(part, columns=columns)
+        work.border.say(part.shown, "left and right were exchanged, as the mapping says", "exchanged", run_id=run_id)
+    return out
 
 
 def _ends(runs: RunTable, parts: Mapping[int, Part]) -> tuple[RunTable, dict[int, Part]]:

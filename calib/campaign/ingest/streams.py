@@ -14,7 +14,7 @@ from calib.campaign.columns import converted, recognise
 from calib.campaign.faults import Border
 from calib.campaign.ingest.lag import Lag, estimate_lag
 from calib.campaign.ingest.mapping import COUNT_UNITS, Line, MappingFile
-from calib.campaign.logs_file import refuse_incomplete
+from calib.campaign.logs_file import log_column, refuse_incomplete
 from calib.campaign.model import LOG_COLUMNS
 from calib.campaign.readers import Layout, RawTable, Recording, holds_recording, read_recording, read_table
 from calib.campaign.readers.recording import NS_PER_S, Stream, WantedColumns, interpolated
@@ -119,7 +119,7 @@ def _table(path: Path, shown: str, lines: Mapping[str, Line], layout: Layout) ->
     return read_table(
         path,
         shown,
-        lambda name: name in mapped or recognise(name, LOG_COLUMNS, further=False).name in LOG_COLUMNS,
+        lambda name: name in mapped or log_column(name).name in LOG_COLUMNS,
         layout,
     )
 
@@ -248,7 +248,7 @@ def _renamed(
         columns[name] = converted(raw.columns[line.column], match.factor * line.factor, match.offset)
     mapped = {line.column for line in lines.values()}
     for found, cells in raw.columns.items():
-        match = recognise(found, LOG_COLUMNS, further=False)
+        match = log_column(found)
         if found in mapped or match.name not in LOG_COLUMNS or match.name in lines:
             continue
         if match.name in columns:

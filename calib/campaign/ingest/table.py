@@ -62,9 +62,7 @@ def mapped_runs(raw: RawTable, mapping: MappingFile, shown: str, border: Border)
             columns.setdefault(name, cells)
     for line in mapping.table:
         if line.value is not None and line.name not in columns:
-            cells = np.empty(len(raw.line), dtype=object)
-            cells[:] = line.value
-            columns[line.name] = cells
+            columns[line.name] = _given(line, len(raw.line), mapping)
     runs = run_table(RawTable(columns, raw.line, raw.notes), shown, border)
     return replace(runs, numbers=_scaled(runs.numbers, factors))
 
@@ -96,6 +94,17 @@ def _cells(raw: RawTable, line: Line, mapping: MappingFile, shown: str) -> npt.N
             )
         out[index] = meant.get(text.lower(), text) or None
     return out
+
+
+def _given(line: Line, n_runs: int, mapping: MappingFile) -> npt.NDArray[Any]:
+    """Return a column of one value for all runs, or of one value a run."""
+    cells = np.empty(n_runs, dtype=object)
+    if isinstance(line.value, tuple) and len(line.value) != n_runs:
+        raise bad_line(
+            mapping.shown, "table", line.name, f"{len(line.value)} values", f"one value for each of {n_runs} runs"
+        )
+    cells[:] = list(line.value) if isinstance(line.value, tuple) else line.value
+    return cells
 
 
 def _text(cell: Any) -> str:

@@ -126,3 +126,45 @@ def test_overflows_of_a_recording_are_undone_and_their_width_written(
     assert f"wrap_bits = {bits}" in (tmp_path / "c" / "campaign.toml").read_text()
     campaign = read_campaign(tmp_path / "c")
     np.testing.assert_array_equal(campaign.runs.number("counts_left"), driven.made.runs.number("counts_left"))
+
+
+def test_a_table_named_in_the_mapping_goes_with_the_recording(driven: Recorded, tmp_path: Path) -> None:
+    """One command from a recording to a campaign with its loads."""
+    (tmp_path / "runs.csv").write_text(driven.table.read_text())
+    (tmp_path / "m.toml").write_text(mapping_text("csv") + '[table]\nfile = "runs.csv"\n')
+    campaign = read_or_ingest(write(driven.drive, tmp_path, "csv"), mapping=tmp_path / "m.toml")
+    np.testing.assert_array_equal(campaign.runs.number("payload_kg"), driven.made.runs.number("payload_kg"))
+    (tmp_path / "m.toml").write_text(mapping_text("csv") + '[table]\nfile = "../runs.csv"\n')
+    with pytest.raises(BadInputError, match=r"table.file"):
+        read_or_ingest(write(driven.drive, tmp_path, "csv"), mapping=tmp_path / "m.toml")
+
+
+def test_one_value_a_run(driven: Recorded, tmp_path: Path) -> None:
+    loads = [float(value) for value in driven.made.runs.number("payload_kg")]
+    text = mapping_text("csv") + f"[table]\npayload_kg = {{value = {loads}}}\n"
+    (tmp_path / "m.toml").write_text(text)
+    campaign = read_or_ingest(write(driven.drive, tmp_path, "csv"), mapping=tmp_path / "m.toml")
+    assert campaign.runs.number("payload_kg").tolist() == loads
+    (tmp_path / "m.toml").write_text(text.replace("[0.0, ", "["))
+    with pytest.raises(BadInputError, match=r"9 values.*one value for each of 10 runs"):
+        read_or_ingest(write(driven.drive, tmp_path, "csv"), mapping=tmp_path / "m.toml")
+
+
+def test_a_recording_among_the_logs_of_a_campaign_is_read(driven: Recorded, tmp_path: Path) -> None:
+    """``logs/<run_id>.tdms`` with channels of calib's names needs no mapping."""
+    from nptdms import ChannelObject, TdmsWriter
+
+    (tmp_path / "logs").mkdir()
+    (tmp_path / "runs.csv").write_text("run_id,distance_m\na,12.5\n")
+    (tmp_path / "campaign.toml").write_text('format = "calib-campaign/1"\n')
+    counts = np.arange(0, 5000, 50)
+    with TdmsWriter(tmp_path / "logs" / "a.tdms") as daq:
+        daq.write_segment(
+            [
+                ChannelObject("Encoder", name, counts + shift, {"wf_increment": 0.02, "wf_start_offset": 0.0})
+                for shift, name in enumerate(("counts_left", "counts_right"))
+            ]
+        )
+    log = read_campaign(tmp_path).logs.of(0)
+    np.testing.assert_allclose(log["t_s"], 0.02 * np.arange(100), atol=1e-9)
+    np.testing.assert_array_equal(log["counts_right"], counts + 1)

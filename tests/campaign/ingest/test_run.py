@@ -7,7 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calib.campaign.check import check_campaign
 from calib.campaign.ingest import ingest
+from calib.campaign.ingest.log_files import expected_name
+from calib.campaign.ingest.mapping import LogFiles
 from calib.campaign.read import read_campaign
 from calib.errors import BadInputError
 
@@ -127,3 +130,89 @@ def test_a_log_of_no_run_is_said(lab: Path, tmp_path: Path) -> None:
     (lab / "logs" / "lauf_9.csv").write_text("Zeit,L,R\n0,0,0\n")
     made = ingest([lab / "export.csv", lab / "logs"], tmp_path / "c", mapping=lab / "map.toml")
     assert "unused_source" in {note.code for note in made.notes}
+
+
+def test_a_direction_that_nobody_mapped_is_an_error(lab: Path, tmp_path: Path) -> None:
+    """Neither ``out`` nor ``back``: never checks that are silently left out."""
+    (lab / "export.csv").write_text(
+        TABLE.replace("Bemerkung", "Richtung").replace("gut", "hin").replace("Regen", "her")
+    )
+    mapping = lab / "map.toml"
+    mapping.write_text(MAPPING.replace("[log]", 'direction = "Richtung"\n[log]'))
+    with pytest.raises(BadInputError, match=r"row 2, column direction: found 'hin'; expected out or back"):
+        ingest([lab / "export.csv", lab / "logs"], tmp_path / "c", mapping=mapping)
+    mapping.write_text(MAPPING.replace("[log]", 'direction = {column = "Richtung", values = {hin = "out"}}\n[log]'))
+    with pytest.raises(BadInputError, match=r"table.direction.values.*'her'.*row 3"):
+        ingest([lab / "export.csv", lab / "logs"], tmp_path / "c", mapping=mapping)
+    mapping.write_text(
+        MAPPING.replace("[log]", 'direction = {column = "Richtung", values = {hin = "out", her = "back"}}\n[log]')
+    )
+    made = ingest([lab / "export.csv", lab / "logs"], tmp_path / "c", mapping=mapping)
+    assert made.campaign.runs.label("direction").tolist() == ["out", "back"]
+
+
+def test_numbers_are_written_as_people_write_them(tmp_path: Path) -> None:
+    """0.4348 kN are 434.8 N, which floating point alone would write as 434.79999999999995."""
+    table = tmp_path / "t.csv"
+    table.write_text("run_id,load_left_kN,load_right_kN,distance_mm\na,0.4348,0.4346,40250.1\n")
+    ingest([table], tmp_path / "c")
+    row = (tmp_path / "c" / "runs.csv").read_text().splitlines()[1].split(",")
+    assert row == ["a", "434.8", "434.6", "40.2501"]
+
+
+@pytest.mark.parametrize(
+    ("file", "run", "run_id", "name"),
+    [
+        ("Lauf_{n:02}.csv", None, "Lauf 1", "Lauf_01.csv"),
+        ("Lauf_{n:02}.csv", "Lauf {n}", "lauf 12", "Lauf_12.csv"),
+        ("{n}.csv", "Day 3, run {n}", "Day 3, run 7", "7.csv"),
+        ("run_{run_id}.csv", None, "a1", "run_a1.csv"),
+        ("Lauf_{n:02}.csv", "Lauf {n}", "Fahrt 1", None),
+    ],
+)
+def test_the_name_of_a_log_follows_the_pattern(file: str, run: str | None, run_id: str, name: str | None) -> None:
+    assert expected_name(LogFiles(file, run), run_id) == name
+
+
+def test_rates_angles_and_increments_become_counts(tmp_path: Path) -> None:
+    """Three ways of saying the same wheel: 2 turns at constant rate are 2 x 4096 counts."""
+    time = np.linspace(0.0, 4.0, 41)
+    angle = np.pi * time
+    columns = {
+        "rad": np.mod(angle + np.pi, 2 * np.pi) - np.pi,
+        "rad/s": np.full(41, np.pi),
+        "rpm": np.full(41, 30.0),
+        "turns": angle / (2 * np.pi),
+        "counts/sample": np.concatenate(([0.0], np.full(40, 4096 * 2 / 40))),
+    }
+    for unit, values in columns.items():
+        folder = tmp_path / unit.replace("/", "_")
+        folder.mkdir()
+        rows = "\n".join(f"{t:.3f},{v!r},{v!r}" for t, v in zip(time, map(float, values), strict=True))
+        (folder / "a.csv").write_text("t_s,left,right\n" + rows + "\n")
+        (folder / "m.toml").write_text(
+            f'[log]\ncounts_left = {{column = "left", unit = "{unit}"}}\n'
+            f'counts_right = {{column = "right", unit = "{unit}"}}\n'
+            "[encoder]\ncounts_per_rev = 4096\n"
+        )
+        made = ingest([folder / "a.csv"], folder / "c", mapping=folder / "m.toml")
+        counts = made.campaign.logs.of(0)["counts_left"]
+        assert counts[-1] - counts[0] == pytest.approx(8192, rel=1e-12), unit
+
+
+def test_front_wheel_and_mecanum_logs_pass_through(tmp_path: Path) -> None:
+    for name, drive, columns in (
+        ("front", "tricycle", ("counts_front", "steer_rad")),
+        ("mecanum", "mecanum", ("counts_front_left", "counts_front_right", "counts_rear_left", "counts_rear_right")),
+    ):
+        folder = tmp_path / name
+        folder.mkdir()
+        rows = "".join(
+            f"{0.1 * i:.1f}," + ",".join(str(0.01 * i * (k + 1)) for k in range(len(columns))) + "\n" for i in range(30)
+        )
+        (folder / "a.csv").write_text(",".join(("t_s", *columns)) + "\n" + rows)
+        (folder / "m.toml").write_text(f'[vehicle]\ndrive = "{drive}"\n')
+        ingest([folder / "a.csv"], folder / "c", mapping=folder / "m.toml")
+        campaign = read_campaign(folder / "c")
+        assert set(campaign.logs.of(0)) == {"t_s", *columns}
+        check_campaign(campaign)

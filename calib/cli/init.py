@@ -1,0 +1,34 @@
+"""``calib init``: an empty campaign with a remark beside every key."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from calib.cli.options import Force, JsonTarget, refuse_existing
+from calib.cli.terminal import emit_json, say, wants_stdout, wrote
+
+__all__ = ["EPILOG", "run"]
+
+EPILOG = "Example: calib init hall3"
+
+
+def run(
+    folder: Annotated[Path, typer.Argument(help="Campaign folder to make.")],
+    json: JsonTarget = None,
+    force: Force = False,
+) -> None:
+    """Make an empty campaign to fill in by hand: campaign.toml with remarks, runs.csv with its header, logs.
+
+    What a laboratory has already, in spreadsheets, loggers or recordings, goes in with 'calib ingest' instead.
+    """
+    from calib.campaign.ingest.blank import write_blank
+
+    refuse_existing([json], force=force)
+    written = write_blank(folder, force=force)
+    emit_json({"campaign": str(folder), "written": [str(path) for path in written]}, json, force=force)
+    if not wants_stdout(json):
+        wrote(written)
+        say(f"Fill in campaign.toml and a row a run in runs.csv; then look at it with 'calib check {folder}'.")
