@@ -8,8 +8,9 @@ from typing import Final
 import numpy as np
 
 from calib.arrays import FloatArray, IntArray
+from calib.gap.data.driven_alike import LENGTH_SHARE
 from calib.gap.data.observations import Observations
-from calib.gap.predict.path import Path
+from calib.gap.predict.path import LED_STRAIGHT_RAD, Path
 
 __all__ = ["common_frame", "far_end_m", "floor_place", "is_back", "lanes", "map_heading_rad"]
 
@@ -19,11 +20,11 @@ _LANE: Final = re.compile(r"_([b-z]|\d+)$")
 
 
 def common_frame(s: Observations) -> bool:
-    """Return whether the poses stand in one frame, so that a place on the floor is the same place in every run.
+    """Return whether a place on the floor is the same place in every run: in a map, or from one mark, out and back.
 
-    A campaign that does not say is taken to: its runs begin at one mark.
+    A window of a recording has a place in a map only.
     """
-    return not s.windowed and bool(getattr(s, "common_frame", True))
+    return s.common_frame and (not s.windowed or bool(np.isfinite(s.start_pose).all()))
 
 
 def is_back(s: Observations) -> FloatArray:
@@ -32,18 +33,19 @@ def is_back(s: Observations) -> FloatArray:
 
 
 def far_end_m(s: Observations) -> FloatArray:
-    """Return where on x each unit starts: 0, or for corridor runs back the corridor's length, shape (n_units,).
+    """Return where on x each unit starts: 0, or for straight runs back the corridor's length, shape (n_units,).
 
-    The length is the median measured one of the runs out of the same kind (else of all of that kind).
+    The length is the median measured one of the runs out of about the same length (else of those back).
     """
-    kind = s.labels["kind"].astype(np.str_)
     length = np.where(np.isfinite(s.measured[:, 0]), s.measured[:, 0], np.abs(s.measured[:, 1]))
     length = np.where(np.isfinite(length), length, s.length_m)
+    straight = np.abs(s.total(s.turn_rad)) < LED_STRAIGHT_RAD
+    back, out = straight & (s.heading_sign < 0), straight & (s.labels["direction"] == "out")
     start = np.zeros(len(s))
-    for name in np.unique(kind[np.char.startswith(kind, "corridor")]):
-        mine = kind == name
-        out = mine & (s.heading_sign > 0)
-        start[mine & (s.heading_sign < 0)] = np.median(length[out if out.any() else mine])
+    for route in np.unique(s.kind[back]):
+        mine = back & (s.kind == route)
+        alike = np.abs(np.log(length / np.median(length[mine]))) < LENGTH_SHARE
+        start[mine] = np.median(length[out & alike if (out & alike).any() else mine])
     return start
 
 
@@ -60,14 +62,20 @@ def lanes(s: Observations) -> IntArray:
 
 def map_heading_rad(path: Path) -> FloatArray:
     """Return the heading on the floor at the middle of each step, shape (n_steps,)."""
-    return path.mid_rad + np.pi * is_back(path.s)[path.s.unit]
+    s = path.s
+    start = s.start_pose[:, 2]
+    return path.mid_rad + np.where(np.isfinite(start), start, np.pi * is_back(s))[s.unit]
 
 
 def floor_place(path: Path) -> tuple[FloatArray, FloatArray]:
     """Return the place on the floor at the middle of each step in m, each shape (n_steps,).
 
-    Runs out start at the origin heading along x; runs back head the other way, in a corridor from its far end.
+    In a map units start where they were seen to. Else runs out start at the origin heading along x; runs back head the
+    other way, in a corridor from its far end.
     """
     s = path.s
-    sign = s.heading_sign[s.unit]
-    return far_end_m(s)[s.unit] + sign * path.x_m, sign * path.y_m
+    known = np.isfinite(s.start_pose).all(axis=1)
+    x, y = np.where(known, s.start_pose[:, 0], far_end_m(s)), np.where(known, s.start_pose[:, 1], 0.0)
+    heading = np.where(known, s.start_pose[:, 2], np.pi * is_back(s))
+    c, sn = np.cos(heading)[s.unit], np.sin(heading)[s.unit]
+    return x[s.unit] + c * path.x_m - sn * path.y_m, y[s.unit] + sn * path.x_m + c * path.y_m

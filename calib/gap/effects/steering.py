@@ -21,7 +21,7 @@ def has_front(s: Observations) -> BoolArray:
 
 def front_travel_m(s: Observations) -> FloatArray:
     """Return the front wheel's travel of each step, 0 where it was not logged, shape (n_steps,)."""
-    return np.where(has_front(s)[s.unit], np.nan_to_num(s.front_roll_rad), 0.0) * s.vehicle.wheel_radius_m
+    return np.where(has_front(s)[s.unit], np.nan_to_num(s.front_roll_rad), 0.0) * s.vehicle.front_radius_m
 
 
 def steer_rad(s: Observations) -> FloatArray:

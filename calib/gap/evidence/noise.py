@@ -78,11 +78,11 @@ class Noise:
     def finding(self) -> str:
         """What to say first where the floor is far above the stated sigmas, a sentence; else an empty text."""
         most = int(np.nanargmax(self.excess)) if np.isfinite(self.excess).any() else 0
-        if not self.excess[most] > FAR_ABOVE:
+        if not (self.supported and self.excess[most] > FAR_ABOVE):
             return ""
         return (
-            f"what scatters in the {Channel(most).label} channel is {self.excess[most]:.2g} times what the stated "
-            "sigmas and typical wheels give: the floor itself is a finding; check the instruments, or state them"
+            f"Runs driven alike scatter in the {Channel(most).label} channel {self.excess[most]:.0f} times as much as "
+            "the stated sigmas and typical wheels would: the floor itself is a finding."
         )
 
     @property

@@ -123,12 +123,12 @@ class Path:
         s = self.s
         with np.errstate(invalid="ignore"):
             bent = np.abs(s.measured[:, Channel.HEADING]) > LED_STRAIGHT_RAD
-        made: BoolArray = (s.total(np.abs(s.turn_rad)) < LED_STRAIGHT_RAD) & ~bent
-        return made
+        straight: BoolArray = (s.total(np.abs(s.turn_rad)) < LED_STRAIGHT_RAD) & ~bent
+        return straight | s.led_straight
 
     def _front_radius(self) -> FloatArray:
         made = np.zeros((len(self.s), N_CHANNELS))
-        front = np.nan_to_num(self.s.front_roll_rad) * self.s.vehicle.wheel_radius_m
+        front = np.nan_to_num(self.s.front_roll_rad) * self.s.vehicle.front_radius_m
         made[:, Channel.FRONT] = -self.s.total(front * self.s.steer_cos)
         made[:, Channel.STEERING] = -self.s.total(front * self.s.steer_sin) / self.s.vehicle.wheelbase_m
         return made
@@ -194,7 +194,7 @@ def predict(s: Observations, pushes: list[Push] | None = None) -> Path:
     )
     if s.usable[:, Channel.FRONT :].any():
         wheelbase = s.vehicle.wheelbase_m
-        front = np.nan_to_num(s.front_roll_rad) * s.vehicle.wheel_radius_m
+        front = np.nan_to_num(s.front_roll_rad) * s.vehicle.front_radius_m
         # what the rear wheels say, less what the front wheel and its steering say of the same (Eqs 12 to 14)
         reading[:, Channel.FRONT] = s.total(ds - front * s.steer_cos)
         reading[:, Channel.STEERING] = s.total(turn - front * s.steer_sin / wheelbase)

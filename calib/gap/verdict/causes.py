@@ -11,6 +11,7 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.gap.effects.calibration import NAMES
 from calib.gap.effects.effect import Form
+from calib.gap.evidence.determined import said_of_undetermined, undetermined
 from calib.gap.evidence.marginal import Nuisance, rows
 from calib.gap.evidence.sizes import size_spreads
 from calib.gap.predict.residuals import residuals
@@ -109,7 +110,11 @@ def _cause(evidence: Evidence, sized: _Sized, inflation: float, coverage: float,
     }
     sizes = zip(form.parameters, sized.theta, spread, strict=True)
     times = max((abs(value) - 2 * sd) / parameter.largest for parameter, value, sd in sizes)
-    remark = f"{times:.2g} times what is physically plausible: suspect {effect.implausible}"
+    remark = f"{times:.2g} times what is physically plausible: suspect {effect.implausible}" if times > 1.0 else ""
+    not_told = undetermined(form.parameters, sized.theta, coverage * spread)
+    if not_told:
+        covariance = inflation**2 * _scaled_covariance(evidence, sized)
+        remark = said_of_undetermined(form.parameters, sized.theta, covariance, coverage) or remark
     return Cause(
         effect=effect.id,
         title=effect.title,
@@ -118,8 +123,22 @@ def _cause(evidence: Evidence, sized: _Sized, inflation: float, coverage: float,
         share=float(sized.contribution @ sized.contribution),
         signal=sized.signal,
         parameters=quantities,
-        plausible=bool(times <= 1.0),
-        remark="" if times <= 1.0 else remark,
+        plausible=bool(times <= 1.0) and len(not_told) < len(form.parameters),
+        remark=remark,
+        undetermined=not_told,
         settings=form.settings,
         family=effect.family.value,
     )
+
+
+def _scaled_covariance(evidence: Evidence, sized: _Sized) -> FloatArray:
+    """Return the covariance of a form's parameters: correlated as in the fit, as uncertain as stated."""
+    fitted, first = evidence.best.fitted, 4
+    for form in fitted.forms:
+        last = first + len(form.parameters)
+        if form is sized.form:
+            block = fitted.covariance[first:last, first:last]
+            root = np.sqrt(np.diag(block))
+            return np.asarray(block / np.outer(root, root) * np.outer(sized.sd, sized.sd))
+        first = last
+    return np.diag(sized.sd**2)

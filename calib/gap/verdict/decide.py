@@ -106,8 +106,8 @@ def decide(evidence: Evidence) -> Verdict:
         What the stages before have measured.
     """
     groups = groups_of(evidence)
-    kind = kind_of(_balance(evidence, groups))
-    nothing_named = kind in {VerdictKind.NO_GAP, VerdictKind.UNKNOWN}
+    kind = kind_of(_balance(evidence, groups)) if evidence.noise.supported else VerdictKind.UNDECIDED
+    nothing_named = kind in {VerdictKind.NO_GAP, VerdictKind.UNKNOWN, VerdictKind.UNDECIDED}
     probabilities = effect_probabilities(evidence, groups)
     causes = [] if nothing_named else causes_of(evidence, probabilities)
     if evidence.fault is not None:
@@ -116,6 +116,7 @@ def decide(evidence: Evidence) -> Verdict:
         kind = {
             VerdictKind.NO_GAP: VerdictKind.EXPLAINED,
             VerdictKind.UNKNOWN: VerdictKind.PARTLY_EXPLAINED,
+            VerdictKind.UNDECIDED: VerdictKind.PARTLY_EXPLAINED,
         }.get(kind, kind)
     closure = closure_of(evidence.held_out, evidence.observations)
     verdict = Verdict(
@@ -129,7 +130,7 @@ def decide(evidence: Evidence) -> Verdict:
         closure=closure,
         fix=Fix(recommended=recommended(kind, causes, closure)),
         notes=(*evidence.observations.notes, *evidence.notes),
-        noise=NoiseSummary(dof=evidence.noise.dof, scales=evidence.noise.scales),
+        noise=NoiseSummary.about(evidence.noise),
         probabilities=probabilities,
         judged_against=evidence.judged_against,
         campaign=evidence.campaign,

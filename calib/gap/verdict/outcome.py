@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from calib.gap.data.channels import Channel
+from calib.gap.evidence.noise import Noise
 
 __all__ = [
     "Closure",
@@ -171,14 +172,46 @@ class Fix:
 
 @dataclass(frozen=True, slots=True)
 class NoiseSummary:
-    """The floor: degrees of freedom that repeats give it, and its scales by name, relative to what is stated."""
+    """The floor, and what it rests on.
+
+    Parameters
+    ----------
+    dof : float
+        Degrees of freedom that repeats give it.
+    scales : mapping of str to float
+        Its scales by name.
+    supported : bool
+        Whether the runs support a floor at all.
+    support : str
+        What supports it, in words; where nothing does, why.
+    excess : mapping of Channel to float
+        Floor over that of the stated sigmas and typical wheels.
+    finding : str
+        A sentence where the floor is far above the stated sigmas.
+    """
 
     dof: float = 0.0
     scales: Mapping[str, float] = field(default_factory=dict)
+    supported: bool = True
+    support: str = ""
+    excess: Mapping[Channel, float] = field(default_factory=dict)
+    finding: str = ""
+
+    @classmethod
+    def about(cls, noise: Noise) -> NoiseSummary:
+        """Return what is to be said of a floor."""
+        excess = {channel: float(noise.excess[channel]) for channel in Channel if np.isfinite(noise.excess[channel])}
+        return cls(noise.dof, noise.scales, noise.supported, noise.support, excess, noise.finding)
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON values."""
-        return {"dof": self.dof, "scales": dict(self.scales)}
+        return {
+            "dof": self.dof,
+            "scales": dict(self.scales),
+            "supported": self.supported,
+            "support": self.support,
+            "excess": {channel.label: value for channel, value in self.excess.items()},
+        }
 
 
 @dataclass(frozen=True, slots=True)

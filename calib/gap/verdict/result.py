@@ -103,6 +103,8 @@ class Cause:
         Which family of effects it belongs to (``load``, ``drift``, ``instrument``, ...); empty where unknown.
     forms_open : tuple of str
         Effects of its family, itself aside, whose form would do as well.
+    undetermined : tuple of str
+        Parameters that these runs do not determine: their values are in `parameters`, and are not given out.
     """
 
     effect: str
@@ -118,6 +120,7 @@ class Cause:
     share_ci95: tuple[float, float] | None = None
     family: str = ""
     forms_open: tuple[str, ...] = ()
+    undetermined: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON values."""
@@ -130,7 +133,10 @@ class Cause:
             "share": json_number(self.share),
             "share_ci95": None if self.share_ci95 is None else [json_number(end) for end in self.share_ci95],
             "signal": json_number(self.signal),
-            "parameters": {name: quantity.to_dict() for name, quantity in self.parameters.items()},
+            "parameters": {
+                name: quantity.to_dict() for name, quantity in self.parameters.items() if name not in self.undetermined
+            },
+            "undetermined": list(self.undetermined),
             "plausible": self.plausible,
             "remark": self.remark,
             "family": self.family,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Final
 
 from calib.gap.effects.calibration import HIDES_IN
 from calib.gap.effects.library import title_of
@@ -11,17 +12,28 @@ from calib.gap.where.result import PlaceLine, Where
 
 __all__ = ["advice", "sentence"]
 
+#: a group of more effects than this tells nothing of the cause
+TELLING: Final = 6
+
 
 def sentence(verdict: Verdict) -> str:
-    """Return the verdict in words.
+    """Return the verdict in words; a floor far above the stated sigmas is said first.
 
     Says what causes the gap or that this cannot be said, which causes cannot be told apart, how far the gap shrinks on
     runs left out, and whether a plain recalibration would do or would hide the cause.
     """
+    finding = verdict.noise.finding
+    return f"{finding} {_sentence(verdict)}" if finding else _sentence(verdict)
+
+
+def _sentence(verdict: Verdict) -> str:
     if verdict.kind is VerdictKind.NO_GAP:
         return "No gap: measured and simulated motion differ by no more than repeats of the same run do."
     if verdict.kind is VerdictKind.UNDECIDED:
-        return "These runs cannot show whether there is a gap: nothing in them supports a noise floor."
+        return (
+            f"These runs cannot show whether there is a gap: their noise floor rests on {verdict.noise.support}. "
+            "Drive one route several times over, alike: repeats decide it."
+        )
     if verdict.kind is VerdictKind.UNKNOWN:
         return f"There is a gap, but no effect of the library explains it{_depends(verdict.where)}."
     titles = {cause.effect: cause.title for cause in verdict.causes}
@@ -77,6 +89,9 @@ def _ambiguous(verdict: Verdict, titles: Mapping[str, str]) -> str:
         f"either {group}" if sure or len(groups) > 1 else group for group in groups
     ]
     which = "which" if len(groups) == 1 else "which of each"
+    if any(len(group.effects) > TELLING for group in verdict.groups):
+        most = max(len(group.effects) for group in verdict.groups)
+        return f"There is a gap, but of its cause these runs tell nothing: {most} effects would do as well"
     return f"The gap is explained by {_joined(parts, 'and by')}: these runs cannot tell {which}"
 
 
@@ -87,6 +102,9 @@ def _alternatives(verdict: Verdict, titles: Mapping[str, str]) -> str:
         for group in verdict.groups
     ]
     others = [other for other in others if other]
+    many = max((len(group.effects) for group in verdict.groups), default=0)
+    if many > TELLING:
+        return f", of whose cause these runs tell nothing (up to {many} effects would do as well)"
     return f", which these runs cannot tell from {_joined(others, 'and')}" if others else ""
 
 

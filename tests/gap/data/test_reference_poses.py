@@ -7,6 +7,8 @@ import pytest
 
 from calib.campaign.settings import Reference
 from calib.gap.data.from_campaign import observations_of
+from calib.gap.effects.floor import common_frame, floor_place, map_heading_rad
+from calib.gap.predict.path import predict
 from tests.gap.data.paths import ROUTE, Truth, campaign_of, seen
 
 #: sums of some hundred exact arcs in double precision
@@ -121,3 +123,30 @@ def test_an_end_pose_in_a_map_without_the_start_is_not_used() -> None:
     observations = observations_of(campaign_of([t.counts() for t in truths], Reference(frame="map"), numbers))
     assert np.isnan(observations.measured[:, 1:4]).all()
     assert observations.usable[:, 0].all()
+
+
+@pytest.mark.parametrize("n", [15, 3])
+def test_places_on_the_floor_are_those_of_the_map(n: int) -> None:
+    """In a map every step of every run, whole or window, stands where the truth was on the floor, heading included."""
+    truths = routes(n)
+    logs = [truth.counts() | seen(truth, in_map=True) for truth in truths]
+    observations = observations_of(campaign_of(logs, Reference(frame="map")))
+    assert common_frame(observations)
+    path = predict(observations)
+    x, y = floor_place(path)
+    heading = map_heading_rad(path)
+    for run, truth in enumerate(truths):
+        mine = observations.run[observations.unit] == run
+        away = np.abs((x + 1j * y)[mine][:, None] - truth.place[None, :])
+        # thinned steps of two centimetres, told at their middle
+        assert away.min(axis=1).max() < 0.02
+        turned = heading[mine] - truth.heading[away.argmin(axis=1)]
+        assert np.abs(turned).max() < 0.05
+
+
+def test_starts_of_their_own_have_no_common_floor() -> None:
+    truths = routes()
+    logs = [truth.counts() | seen(truth, in_map=False) for truth in truths]
+    for frame, direction, common in (("start", "out", False), (None, "", False), (None, "out", True)):
+        made = campaign_of(logs, Reference(frame=frame), direction=[direction] * 15)  # type: ignore[arg-type]
+        assert common_frame(observations_of(made)) is common

@@ -62,7 +62,7 @@ def test_repeats_support_a_floor_however_large_it_is() -> None:
     assert noise.supported
     assert noise.support.startswith(Basis.REPEATS)
     assert float(np.nanmax(noise.excess)) > 10
-    assert "times what the stated sigmas" in noise.finding
+    assert "times as much as the stated sigmas" in noise.finding
     calm = estimated(repeats(1, scale=0.05))
     # the laser of these runs is twice as bad as stated, and walks by twice the typical
     assert float(np.nanmax(calm.excess)) < 2.5

@@ -1,0 +1,20 @@
+"""Verdicts on recordings whose references are as labs have them: continuous, without repeats, of a distance only."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from calib.gap.diagnose import diagnose
+from calib.gap.verdict.result import VerdictKind
+from tests.real import recordings
+
+
+@pytest.mark.parametrize("bag", ["bag1", "bag2"])
+def test_strafing_is_never_no_gap(bag: str, shared_data: Path) -> None:
+    """Nearly 0.4 m and more sideways, which the wheels of a differential drive know nothing of: undecided, and why."""
+    verdict = diagnose(recordings.mecanum_as_differential(shared_data, bag), plan=False)
+    assert verdict.kind is VerdictKind.UNDECIDED
+    assert "nothing" in verdict.noise.support
+    assert "repeats decide it" in verdict.sentence
