@@ -33,8 +33,8 @@ class PartSums:
 
     Parameters
     ----------
-    part : str
-        Name of the file.
+    name : str
+        Of the file.
     key : str
         By which the file is known again.
     reference_load_N, radius_m : float
@@ -45,7 +45,7 @@ class PartSums:
         One line; empty where the file could be used.
     """
 
-    part: str
+    name: str
     key: str
     reference_load_N: float
     radius_m: float
@@ -57,7 +57,7 @@ class PartSums:
         """Return it as plain JSON values."""
         wheels = {"left": self.left, "right": self.right}
         return {
-            "part": self.part,
+            "name": self.name,
             "key": self.key,
             "reference_load_N": self.reference_load_N,
             "radius_m": self.radius_m,
@@ -70,7 +70,7 @@ class PartSums:
         """Return what `to_dict` wrote."""
         left, right = (_sums(value["wheels"][name]) for name in ("left", "right"))
         return PartSums(
-            str(value["part"]),
+            str(value["name"]),
             str(value["key"]),
             float(value["reference_load_N"]),
             float(value["radius_m"]),

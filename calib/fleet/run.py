@@ -10,7 +10,7 @@ from typing import Any
 from calib.fleet.engines import run_tasks
 from calib.fleet.members import Member, Part, labels_of, members_of
 from calib.fleet.part_sums import PartSums, sums_of_parts
-from calib.fleet.store import Store
+from calib.fleet.store import SUMS, Store
 from calib.fleet.vehicle import VehicleRecord, record_of
 from calib.fleet.view import FleetView, view_of
 
@@ -102,16 +102,16 @@ def fit_fleet(
         The same whatever the engine, the number of workers and the order.
     """
     members = members_of(folder)
-    store = Store(into)
+    store = Store(Path(into) / SUMS, PartSums.from_dict)
     kept = _still_valid(members, store.read())
     todo = [part for member in members for part in member.parts if part.name not in kept]
     n_kept = len(kept)
     for number, part in enumerate(run_tasks(sums_of_parts, todo, _given_up, workers=workers, scheduler=scheduler), 1):
         store.append(part)
-        kept[part.part] = part
+        kept[part.name] = part
         if progress is not None:
             progress(number, len(todo))
-    store.rewrite(list(kept.values()))
+    store.rewrite(kept.values())
     records = tuple(record_of(member.vehicle, [kept[part.name] for part in member.parts]) for member in members)
     labels = labels_of(folder, tuple(member.vehicle for member in members))
     return Fleet(records, view_of(records, labels), len(todo), n_kept)

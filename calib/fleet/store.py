@@ -4,64 +4,84 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final, Generic, Protocol, TypeVar
 
 from calib.errors import BadInputError
-from calib.fleet.part_sums import PartSums
 
-__all__ = ["SUMS", "Store"]
+__all__ = ["SUMS", "Kept", "Store"]
 
 SUMS: Final = "sums.jsonl"
 
 
-class Store:
-    """The file of sums in a fleet's result folder: one line a part, appended as they come.
+class Kept(Protocol):
+    """What can be kept: something with a name of its own and a key by which its source is known again."""
+
+    @property
+    def name(self) -> str:
+        """Name, unique in the store."""
+
+    @property
+    def key(self) -> str:
+        """Key of the source's state; empty where it shall be done anew."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain JSON values."""
+
+
+Record = TypeVar("Record", bound=Kept)
+
+
+class Store(Generic[Record]):
+    """A file of records in a fleet's result folder: one line each, appended as they come.
 
     Parameters
     ----------
-    folder : Path
-        Result folder; made where it is missing.
+    path : Path
+        The file; its folder is made where it is missing.
+    from_dict : callable
+        Makes a record of what its `to_dict` wrote.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self.path = Path(folder) / SUMS
+    def __init__(self, path: Path, from_dict: Callable[[Mapping[str, Any]], Record]) -> None:
+        self.path, self.from_dict = Path(path), from_dict
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise BadInputError(
-                f"{folder}: found {error.strerror}; expected a folder that can be written; choose another"
+                f"{self.path.parent}: found {error.strerror}; expected a folder that can be written; choose another"
             ) from error
 
-    def read(self) -> dict[str, PartSums]:
-        """Return what is kept, by part; a line cut short by an interruption is dropped."""
-        kept: dict[str, PartSums] = {}
+    def read(self) -> dict[str, Record]:
+        """Return what is kept, by name; a line cut short by an interruption is dropped."""
+        kept: dict[str, Record] = {}
         if not self.path.is_file():
             return kept
         with self.path.open(encoding="utf-8") as stream:
             for line in stream:
                 try:
-                    part = PartSums.from_dict(json.loads(line))
+                    record = self.from_dict(json.loads(line))
                 except (ValueError, KeyError, TypeError):
                     continue
-                kept[part.part] = part
+                kept[record.name] = record
         return kept
 
-    def append(self, part: PartSums) -> None:
+    def append(self, record: Record) -> None:
         """Add a line, whole."""
-        line = (json.dumps(part.to_dict(), ensure_ascii=False) + "\n").encode()
+        line = (json.dumps(record.to_dict(), ensure_ascii=False) + "\n").encode()
         with self.path.open("ab") as stream:
             # after an interruption the last line may lack its end
             if stream.tell() and not _ends_whole(self.path):
                 stream.write(b"\n")
             stream.write(line)
 
-    def rewrite(self, parts: list[PartSums]) -> None:
-        """Put all lines in order of their parts, each once; the same bytes whatever order they came in."""
+    def rewrite(self, records: Iterable[Record]) -> None:
+        """Put all lines in order of their names, each once; the same bytes whatever order they came in."""
         temporary = self.path.with_name(f".{self.path.name}.{os.getpid()}.tmp")
         with temporary.open("w", encoding="utf-8") as stream:
-            for part in sorted(parts, key=lambda one: one.part):
-                stream.write(json.dumps(part.to_dict(), ensure_ascii=False) + "\n")
+            for record in sorted(records, key=lambda record: record.name):
+                stream.write(json.dumps(record.to_dict(), ensure_ascii=False) + "\n")
         temporary.replace(self.path)
 
 

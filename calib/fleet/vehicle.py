@@ -110,7 +110,7 @@ def record_of(vehicle: str, parts: Sequence[PartSums]) -> VehicleRecord:
     VehicleRecord
         Failed where a file could not be used, files count from different origins, or the runs carry no line.
     """
-    parts = sorted(parts, key=lambda part: part.part)
+    parts = sorted(parts, key=lambda part: part.name)
     wrong = next((part.why for part in parts if part.why), "") or ("" if parts else "it has no file of journeys")
     origins = {(part.reference_load_N, part.radius_m) for part in parts}
     if not wrong and len(origins) > 1:
