@@ -58,8 +58,8 @@ def key_of(member: Member) -> str:
 def _campaign(member: Member) -> Campaign:
     if len(member.parts) != 1:
         raise RefusedError(
-            f"{member.vehicle}: found {len(member.parts)} files of journeys; expected one for this task; put a vehicle's "
-            "journeys into one campaign folder"
+            f"{member.vehicle}: found {len(member.parts)} files of journeys; expected one for this task; "
+            "put a vehicle's journeys into one campaign folder"
         )
     return campaign_of(member.parts[0])
 
