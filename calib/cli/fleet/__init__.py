@@ -1,0 +1,1 @@
+"""`calib fleet`: many vehicles at once, and a fleet with known truth."""

@@ -1,0 +1,58 @@
+"""`calib fleet FOLDER`: a task for every vehicle, and the fleet's view."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from calib.cli.options import Force, JsonTarget, refuse_existing
+from calib.cli.terminal import emit_json, keep, progress, show, wants_stdout, wrote
+from calib.cli.threads import one_blas_thread
+
+__all__ = ["EPILOG", "run"]
+
+EPILOG = "Example: calib fleet vehicles --into fleet --workers 2"
+
+
+def run(
+    folder: Annotated[Path, typer.Argument(help="One campaign folder a vehicle, or a dataset partitioned by vehicle.")],
+    into: Annotated[Path, typer.Option("--into", metavar="FOLDER", help="Result folder; a later run goes on there.")],
+    what: Annotated[str, typer.Option("--what", help="fit, check or diagnose.")] = "fit",
+    workers: Annotated[int, typer.Option("--workers", min=1, help="Processes of this machine.")] = 1,
+    scheduler: Annotated[str, typer.Option("--scheduler", metavar="TCP", help="Dask scheduler, tcp://host:port.")] = "",
+    json: JsonTarget = None,
+    force: Force = False,
+) -> int:
+    """Do a task for every vehicle of a fleet: fit its radii, check it, or diagnose it; then say what the fleet shows.
+
+    The result folder holds what was read, vehicles.csv, fleet.json and, for a fit, figures. Only files that are new or
+    have changed are read again; an interrupted run goes on where it was. Exit status 1: a vehicle failed.
+    """
+    one_blas_thread()
+    from calib.report.fleet_files import write_fleet, write_survey
+    from calib.report.statements.fleet import fleet_content, survey_content
+
+    refuse_existing([json], force=force)
+    keep(f"what was read so far, in {into}; the same command goes on")
+    with progress("fleet") as tick:
+        if what == "fit":
+            from calib.fleet.run import fit_fleet
+
+            fleet = fit_fleet(
+                folder, into, workers=workers, scheduler=scheduler, progress=lambda done, n: tick(done, n, "files")
+            )
+            document, blocks, written = fleet.to_dict(), fleet_content(fleet), write_fleet(fleet, into)
+        else:
+            from calib.fleet.survey import survey_fleet
+
+            survey = survey_fleet(
+                folder, into, what, workers=workers, scheduler=scheduler, progress=lambda k, n: tick(k, n, "vehicles")
+            )
+            document, blocks, written = survey.to_dict(), survey_content(survey), write_survey(survey, into)
+    emit_json(document, json, force=force)
+    if not wants_stdout(json):
+        show(blocks)
+    wrote(written, target=json)
+    return int(any(vehicle["status"] == "failed" for vehicle in document["vehicles"]))

@@ -1,0 +1,154 @@
+"""What a fleet says: how its vehicles differ, which stand apart, which drift, what many share, and who failed."""
+
+from __future__ import annotations
+
+from calib.fleet.run import Fleet
+from calib.fleet.survey import Survey
+from calib.report.blocks import Block, Column, Facts, Heading, Items, Picture, Table, Text
+
+__all__ = ["fleet_content", "survey_content"]
+
+#: rows of a list at most; the rest is in the tables
+MOST = 40
+
+
+def fleet_content(fleet: Fleet, *, pictures: bool = False) -> tuple[Block, ...]:
+    """Return what the fit of a fleet says.
+
+    Parameters
+    ----------
+    fleet : Fleet
+        From `calib.fleet.run.fit_fleet`.
+    pictures : bool
+        Add the figures, for a page.
+    """
+    view = fleet.view
+    counts = f"{view.n_fitted} of {view.n_vehicles} fitted, {view.n_failed} failed"
+    read = f"{fleet.n_read} read now, {fleet.n_kept} kept from before"
+    blocks: list[Block] = [Heading("Fleet"), Facts((("vehicles", counts), ("files", read)))]
+    if view.populations:
+        blocks.append(_populations(fleet))
+    if pictures:
+        blocks += _pictures(fleet)
+    if view.outliers:
+        blocks += [
+            Heading(f"Vehicles that stand apart ({len(view.outliers)})"),
+            Items(tuple(f"{outlier.vehicle}, {outlier.why}" for outlier in view.outliers[:MOST])),
+        ]
+    if view.drifting:
+        blocks.append(_drifting(fleet))
+    if view.common:
+        blocks += [Heading("What many share"), Items(tuple(cause.sentence for cause in view.common[:MOST]))]
+    failed = [record for record in fleet.records if record.status == "failed"]
+    if failed:
+        blocks += [
+            Heading(f"Failed ({len(failed)})"),
+            Items(tuple(f"{record.vehicle}: {record.why}" for record in failed[:MOST])),
+        ]
+    blocks.append(
+        Text(
+            "Vehicles that stand apart, drift and share something are named so that of all those named about one in a "
+            "hundred is named wrongly (Benjamini and Hochberg).",
+            small=True,
+        )
+    )
+    return tuple(blocks)
+
+
+def _populations(fleet: Fleet) -> Table:
+    rows = []
+    for name, population in fleet.view.populations.items():
+        scale, unit = (1e3, "mm") if name.startswith("radius") else (1e9, "nm/N")
+        digits = 4 if unit == "mm" else 1
+        half = 0.5 * (population.mean_ci95[1] - population.mean_ci95[0])
+        low, high = (scale * end for end in population.spread_ci95)
+        rows.append(
+            (
+                name.rsplit("_", 3)[0].replace("_", " ") if unit == "nm/N" else name.rsplit("_", 2)[0].replace("_", " "),
+                f"{scale * population.mean:.{digits}f} ± {scale * half:.{digits}f}",
+                f"{scale * population.spread:.{digits}f}",
+                f"{low:.{digits}f} to {high:.{digits}f}",
+                f"{scale * population.within:.{digits}f}",
+                unit,
+            )
+        )
+    return Table(
+        "The fleet; ± is the 95 % interval",
+        (
+            Column("quantity", align="left"),
+            Column("mean"),
+            Column("between"),
+            Column("95 %"),
+            Column("within"),
+            Column("unit", align="left"),
+        ),
+        tuple(rows),
+    )
+
+
+def _drifting(fleet: Fleet) -> Table:
+    return Table(
+        f"Vehicles that drift ({len(fleet.view.drifting)}), soonest due first; ± is the 95 % interval",
+        (
+            Column("vehicle", align="left"),
+            Column("wheel", align="left"),
+            Column("nm a day"),
+            Column("due on day"),
+        ),
+        tuple(
+            (
+                drifting.vehicle,
+                drifting.wheel,
+                f"{1e9 * drifting.per_day_m:+.0f} ± {1e9 * drifting.half_width_m:.0f}",
+                f"{drifting.due_day:.0f}",
+            )
+            for drifting in fleet.view.drifting[:MOST]
+        ),
+    )
+
+
+def _pictures(fleet: Fleet) -> list[Picture]:
+    from calib.report.figures.fleet import fleet_distribution, fleet_drift
+
+    pictures = [
+        Picture(
+            "fleet-distribution",
+            "Radius and slope of each vehicle with its 95 % interval, in order of size.",
+            "Four panels of dots with bars: radius and slope of the left and right wheel, vehicles in order of size.",
+            lambda: fleet_distribution(fleet),
+        )
+    ]
+    drift = fleet_drift(fleet)
+    if drift is not None:
+        pictures.append(
+            Picture(
+                "fleet-drift",
+                "Drift of each wheel with its 95 % interval, in order of size.",
+                "Dots with bars: drift of every wheel of the fleet in order of size.",
+                lambda: drift,
+            )
+        )
+    return pictures
+
+
+def survey_content(survey: Survey) -> tuple[Block, ...]:
+    """Return what a task over a fleet says.
+
+    Parameters
+    ----------
+    survey : Survey
+        From `calib.fleet.survey.survey_fleet`.
+    """
+    failed = [record for record in survey.records if record.status == "failed"]
+    done = len(survey.records) - len(failed)
+    facts = (
+        ("vehicles", f"{done} of {len(survey.records)} done, {len(failed)} failed"),
+        ("now", f"{survey.n_done} done now, {survey.n_kept} kept from before"),
+    )
+    blocks: list[Block] = [Heading(f"Fleet: {survey.what}"), Facts(facts)]
+    if survey.shared:
+        blocks += [Heading("What many share"), Items(tuple(cause.sentence for cause in survey.shared[:MOST]))]
+    if failed:
+        lines = tuple(f"{record.name}: {record.why}" for record in failed[:MOST])
+        blocks += [Heading(f"Failed ({len(failed)})"), Items(lines)]
+    return tuple(blocks)
