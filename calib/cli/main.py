@@ -42,6 +42,8 @@ COMMANDS: Final[dict[str, str]] = {
     "simulate replay": "simulate.replay",
     "diagnose": "diagnose",
     "plan": "plan",
+    "fleet run": "fleet.run",
+    "fleet simulate": "fleet.simulate",
 }
 
 #: command -> its line in ``calib --help``, so that the list of commands imports none of them
@@ -67,12 +69,15 @@ SUMMARIES: Final[dict[str, str]] = {
     "challenge run": "Diagnose every case.",
     "challenge score": "Open the truth and score.",
     "fleet": "Calibrate many vehicles at once.",
+    "fleet run": "Do a task for every vehicle of a folder.",
+    "fleet simulate": "Make a fleet with known truth.",
 }
 
 #: group -> the example that its help shows
 EXAMPLES: Final[dict[str, str]] = {
     "simulate": "Example: calib simulate study corrected --law sample_runs/corridor --output section7",
     "challenge": "Example: calib challenge make --seeds calib/challenge/seeds/ci.toml --into blind",
+    "fleet": "Example: calib fleet vehicles --into fleet --workers 2",
 }
 
 #: where the shell asks for completions, and the words typed so far

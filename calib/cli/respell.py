@@ -1,4 +1,4 @@
-"""Spellings of earlier versions, put into today's words before anything is parsed."""
+"""Short and earlier spellings, put into today's words before anything is parsed."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def respelled(arguments: Sequence[str]) -> list[str]:
 
     ``calib simulate --replay C`` is ``calib simulate replay C``; ``calib simulate corrected`` is ``calib simulate
     study corrected``; ``calib simulate custom --route R`` is ``calib simulate route R``, or ``calib simulate journey
-    R`` with a law.
+    R`` with a law. ``calib fleet FOLDER`` is ``calib fleet run FOLDER``.
 
     Parameters
     ----------
@@ -27,6 +27,8 @@ def respelled(arguments: Sequence[str]) -> list[str]:
         As typed, without the program's name.
     """
     words = list(arguments)
+    if len(words) > 1 and words[0] == "fleet" and words[1] not in ("run", "simulate", "-h", "--help"):
+        return ["fleet", "run", *words[1:]]
     if not words or words[0] != "simulate" or (len(words) > 1 and words[1] in ("-h", "--help")):
         return words
     rest = words[1:]

@@ -193,12 +193,11 @@ def _table(fitted: Sequence[VehicleRecord]) -> tuple[FloatArray, FloatArray]:
 
 
 def _outliers(fitted: Sequence[VehicleRecord], values: FloatArray, std: FloatArray) -> tuple[Outlier, ...]:
-    from scipy.special import erfc
-
     if len(fitted) < FEWEST:
         return ()
-    z = np.stack([outlying(values[:, k], std[:, k]) for k in range(values.shape[1])], axis=1)
-    stands = false_discovery(erfc(np.abs(z) / np.sqrt(2.0)))
+    judged = [outlying(values[:, k], std[:, k]) for k in range(values.shape[1])]
+    z, p_value = (np.stack(part, axis=1) for part in zip(*judged, strict=True))
+    stands = false_discovery(p_value)
     outliers = []
     for row, record in enumerate(fitted):
         if not stands[row].any():

@@ -40,10 +40,12 @@ def write_fleet(fleet: Fleet, into: Path) -> list[Path]:
     ]
     if fleet.view.n_fitted:
         figures = {"distribution": fleet_distribution(fleet), "drift": fleet_drift(fleet)}
-        for name, figure in figures.items():
-            if figure is not None:
-                for form in FORMS:
-                    written.append(write_bytes(into / f"{name}.{form}", render(figure, form), force=True))
+        written += [
+            write_bytes(into / f"{name}.{form}", render(figure, form), force=True)
+            for name, figure in figures.items()
+            if figure is not None
+            for form in FORMS
+        ]
     return written
 
 

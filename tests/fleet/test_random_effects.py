@@ -10,6 +10,8 @@ from calib.fleet.random_effects import false_discovery, outlying, population
 #: 400 fleets: the standard error of a share of 95 % is 1.1 %; three of them either way
 CAMPAIGNS = 400
 LOWEST_COVERAGE, HIGHEST_COVERAGE = 0.917, 0.983
+#: where nothing is to be found, the false discovery rate is the chance of any: 1 %, and three standard errors
+MOST_FALSE_FLEETS = 0.025
 
 
 @pytest.mark.parametrize("spread", [0.3, 1.0, 4.0])
@@ -40,9 +42,17 @@ def test_far_vehicles_do_not_hide_themselves() -> None:
     rng = np.random.default_rng(2)
     values = rng.normal(0.0, 1.0, 200)
     values[:40] += 10.0
-    z = outlying(values, np.full(200, 0.1))
+    z, p_value = outlying(values, np.full(200, 0.1))
     assert np.abs(z[:40]).min() > 4.0
-    assert np.abs(z[40:]).std() < 1.0
+    assert false_discovery(p_value)[:40].all()
+    assert not false_discovery(p_value)[40:].any()
+
+
+def test_a_sound_fleet_has_no_vehicle_apart() -> None:
+    """Normal vehicles, sixty of them: in few fleets any is named, four quantities or one."""
+    rng = np.random.default_rng(4)
+    named = [false_discovery(outlying(rng.normal(0.0, 1.0, 60), np.full(60, 0.1))[1]).any() for _ in range(CAMPAIGNS)]
+    assert np.mean(named) < MOST_FALSE_FLEETS
 
 
 def test_the_share_of_false_findings_is_controlled() -> None:

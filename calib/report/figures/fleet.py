@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from calib.fleet.run import Fleet
-from calib.fleet.vehicle import WHEELS, VehicleRecord
+from calib.fleet.vehicle import WHEELS, Drift, VehicleRecord
 from calib.report.figures.style import GREY, ORANGE, axes_grid, canvas, colour, styled
 
 __all__ = ["fleet_distribution", "fleet_drift"]
@@ -51,7 +51,6 @@ def _ordered(axes: Axes, fitted: list[VehicleRecord], side: str, kind: str, scal
     axes.axhline(float(np.median(usual)), color=colour(0), linewidth=0.8)
 
 
-@styled
 def fleet_drift(fleet: Fleet) -> Figure | None:
     """Draw each wheel's drift with its 95 % interval, in order of size; None where no vehicle's journeys have days.
 
@@ -60,14 +59,16 @@ def fleet_drift(fleet: Fleet) -> Figure | None:
     fleet : Fleet
         From `calib.fleet.run.fit_fleet`.
     """
-    from scipy.special import stdtrit
-
     fitted = [record for record in fleet.records if record.status == "fitted"]
-    named = {(one.vehicle, one.wheel) for one in fleet.view.drifting}
     lines = [(record.vehicle, side, getattr(record, side).drift) for record in fitted for side in WHEELS]
     lines = [line for line in lines if line[2] is not None]
-    if not lines:
-        return None
+    return _drift(lines, {(one.vehicle, one.wheel) for one in fleet.view.drifting}) if lines else None
+
+
+@styled
+def _drift(lines: list[tuple[str, str, Drift]], named: set[tuple[str, str]]) -> Figure:
+    from scipy.special import stdtrit
+
     rate = np.array([1e9 * drift.per_day_m for _, _, drift in lines])
     half = np.array([1e9 * drift.std_m * float(stdtrit(drift.dof, 0.975)) for _, _, drift in lines])
     marked = np.array([(vehicle, side) in named for vehicle, side, _ in lines])

@@ -64,7 +64,9 @@ def _populations(fleet: Fleet) -> Table:
         low, high = (scale * end for end in population.spread_ci95)
         rows.append(
             (
-                name.rsplit("_", 3)[0].replace("_", " ") if unit == "nm/N" else name.rsplit("_", 2)[0].replace("_", " "),
+                name.rsplit("_", 3)[0].replace("_", " ")
+                if unit == "nm/N"
+                else name.rsplit("_", 2)[0].replace("_", " "),
                 f"{scale * population.mean:.{digits}f} ± {scale * half:.{digits}f}",
                 f"{scale * population.spread:.{digits}f}",
                 f"{low:.{digits}f} to {high:.{digits}f}",
