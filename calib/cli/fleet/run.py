@@ -13,7 +13,7 @@ from calib.cli.threads import one_blas_thread
 
 __all__ = ["EPILOG", "run"]
 
-EPILOG = "Example: calib fleet vehicles --into fleet --workers 2"
+EPILOG = "Example: calib fleet run vehicles --into fleet --workers 2"
 
 
 def run(
