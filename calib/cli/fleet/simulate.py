@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.options import Seed
-from calib.cli.terminal import waiting, wrote
+from calib.cli.options import Force, JsonTarget, Seed, refuse_existing
+from calib.cli.terminal import emit_json, waiting, wrote
 
 __all__ = ["EPILOG", "run"]
 
@@ -24,17 +24,22 @@ def run(
     drifting: Annotated[int, typer.Option("--drifting", min=0, help="Vehicles whose radius drifts.")] = 5,
     common: Annotated[int, typer.Option("--common", min=0, help="Vehicles in hall B, whose floor shows.")] = 40,
     seed: Seed = 0,
+    json: JsonTarget = None,
+    force: Force = False,
 ) -> None:
-    """Write a simulated fleet as Parquet, partitioned by vehicle and month, and what was planted as truth.json."""
+    """Write a simulated fleet as Parquet, partitioned by vehicle and month, and what was planted as truth.json.
+
+    With --force the files of the same vehicles and months are replaced in a folder that exists.
+    """
+    from dataclasses import asdict
+
     from numpy.random import default_rng
 
-    from calib.errors import would_overwrite
     from calib.plant.fleet import make_fleet
 
-    if folder.exists():
-        raise would_overwrite(folder)
+    refuse_existing([folder, json], force=force)
     with waiting("driving"):
-        make_fleet(
+        truth = make_fleet(
             folder,
             default_rng(seed),
             n_vehicles=vehicles,
@@ -44,4 +49,5 @@ def run(
             n_drifting=min(drifting, vehicles - min(outliers, vehicles)),
             n_common=min(common, vehicles),
         )
-    wrote([folder])
+    wrote([folder], target=json)
+    emit_json(asdict(truth), json, force=force)
