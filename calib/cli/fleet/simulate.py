@@ -12,11 +12,11 @@ from calib.cli.terminal import emit_json, waiting, wrote
 
 __all__ = ["EPILOG", "run"]
 
-EPILOG = "Example: calib fleet simulate vehicles --vehicles 400 --seed 1"
+EPILOG = "Example: calib fleet simulate --into vehicles --vehicles 400 --seed 1"
 
 
 def run(
-    folder: Annotated[Path, typer.Argument(help="New folder for the dataset.")],
+    into: Annotated[Path, typer.Option("--into", metavar="FOLDER", help="New folder for the dataset.")],
     vehicles: Annotated[int, typer.Option("--vehicles", min=1, help="How many vehicles.")] = 400,
     runs: Annotated[int, typer.Option("--runs", min=6, help="Runs a vehicle.")] = 60,
     months: Annotated[int, typer.Option("--months", min=1, help="Months that they are spread over.")] = 6,
@@ -37,10 +37,10 @@ def run(
 
     from calib.plant.fleet import make_fleet
 
-    refuse_existing([folder, json], force=force)
+    refuse_existing([into, json], force=force)
     with waiting("driving"):
         truth = make_fleet(
-            folder,
+            into,
             default_rng(seed),
             n_vehicles=vehicles,
             n_runs=runs,
@@ -49,5 +49,5 @@ def run(
             n_drifting=min(drifting, vehicles - min(outliers, vehicles)),
             n_common=min(common, vehicles),
         )
-    wrote([folder], target=json)
+    wrote([into], target=json)
     emit_json(asdict(truth), json, force=force)
