@@ -26,7 +26,7 @@ ALLOWED: dict[str, set[str]] = {
     "coefficients": GROUND | {"__init__", "campaign", "radius"},
     "motion": GROUND | {"campaign", "radius", "coefficients", "runtime"},
     "gap": GROUND | {"campaign", "radius", "coefficients", "motion"},
-    "report": GROUND | {"__init__", "campaign", "radius", "coefficients", "motion", "gap"},
+    "report": GROUND | {"__init__", "campaign", "radius", "geometry", "coefficients", "motion", "gap", "fleet"},
     "fleet": GROUND | {"campaign", "radius", "gap"},
     "runtime": set(),
     "plant": GROUND | {"campaign"},
