@@ -20,10 +20,11 @@ from calib.plant.plans import good_design, poor_design
 from calib.plant.rivals import rivals
 from calib.plant.signal import to_signal
 
-__all__ = ["Truth", "campaigns_of", "case_design", "truth_of"]
+__all__ = ["ONE_SIGN", "Truth", "campaigns_of", "case_design", "truth_of"]
 
 _UNSIGNED: Final = ("encoder_gross", "integration_scheme")
-_ONE_SIGN: Final = (
+#: effects of which only positive sizes have a meaning
+ONE_SIGN: Final = (
     "lost_counts",
     "beam_misalignment",
     "floor_undulation",
@@ -160,7 +161,7 @@ def _draw(recipe: Recipe, seed: int, max_runs: int, redraw: int) -> Truth:
     model = random_model(design, rng)
     causes = []
     for cause in as_causes({name: float("nan") for name in recipe.effects}, design, rng):
-        sign = 1.0 if cause.effect in (*_UNSIGNED, *_ONE_SIGN) else float(rng.choice([-1.0, 1.0]))
+        sign = 1.0 if cause.effect in (*_UNSIGNED, *ONE_SIGN) else float(rng.choice([-1.0, 1.0]))
         causes.append(replace(cause, size=sign * cause.size))
     gross = any(cause.effect in _UNSIGNED for cause in causes)
     signals: tuple[float | None, ...] = tuple(None for _ in causes)

@@ -70,6 +70,7 @@ def diagnose_in_full(
     settings: Settings | None = None,
     plan: bool = True,
     model_name: str = "",
+    observations: Observations | None = None,
 ) -> Diagnosis:
     """Diagnose the gap of a campaign.
 
@@ -91,6 +92,9 @@ def diagnose_in_full(
         Look for the runs that would tell tied causes apart, where there are any.
     model_name : str
         Name of the file that `model` is from, for the verdict to say what it judged against.
+    observations : Observations, optional
+        What was observed on the campaign, in place of its own files: planted effects, drawn noise. `model` and
+        `applied` are in it already.
 
     Returns
     -------
@@ -104,7 +108,9 @@ def diagnose_in_full(
     settings = settings or Settings()
     rng = np.random.default_rng(seed)
     declared = campaign.extra.get("effects", ())
-    observations, notes = _observed(campaign, model, applied)
+    notes: tuple[str, ...] = ()
+    if observations is None:
+        observations, notes = _observed(campaign, model, applied)
     judged_against = BY_SIMULATOR if np.isfinite(observations.simulated).any() else (model_name or BY_MODEL)
     nominal = predict(observations)
     before = residuals(nominal, nominal)

@@ -1,0 +1,85 @@
+"""A campaign's own noise: what its own diagnosis leaves, drawn again among what was driven alike."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from calib.arrays import BoolArray, FloatArray, IntArray
+from calib.gap.data.observations import Observations
+
+__all__ = ["OwnNoise", "own_noise"]
+
+#: with fewer units to draw from, the draws repeat one another: the next wider circle is taken
+ENOUGH: Final = 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OwnNoise:
+    """What is left of each unit after the diagnosis' fit, in its own standard deviations, and who may stand in for it.
+
+    A unit's channels stay together, so that tails and correlations are the real ones. What the repeats of a condition
+    have in common is no noise and is taken out; a unit that has no repeats keeps what is left of it, with either sign.
+
+    Parameters
+    ----------
+    whitened : array of float, shape (n_units, 6)
+        Residuals of distance, along, lateral, heading, front, steering, whitened by the unit's own covariance.
+    root : array of float, shape (n_units, 6, 6)
+        Cholesky factor of each unit's covariance.
+    group : array of int, shape (n_units,)
+        Units of one number stand in for one another.
+    repeated : array of bool, shape (n_units,)
+        Units that have repeats.
+    """
+
+    whitened: FloatArray
+    root: FloatArray
+    group: IntArray
+    repeated: BoolArray
+
+    def draw(self, rng: np.random.Generator) -> FloatArray:
+        """Return one draw, shape (n_units, 6), in metres and radians."""
+        n_units = len(self.group)
+        chosen = np.arange(n_units)
+        for number in np.unique(self.group):
+            members = np.flatnonzero(self.group == number)
+            chosen[members] = rng.choice(members, len(members))
+        sign = np.where(self.repeated[chosen], 1.0, rng.choice([-1.0, 1.0], n_units))
+        drawn: FloatArray = np.einsum("uij,uj->ui", self.root, self.whitened[chosen] * sign[:, None])
+        return drawn
+
+
+def own_noise(observations: Observations, left: FloatArray, covariance: FloatArray) -> OwnNoise:
+    """Return the noise of a campaign.
+
+    Parameters
+    ----------
+    observations : Observations
+        What was driven. Units of one condition stand in for one another, where there are enough of them; else those of
+        one route, else those with the same channels.
+    left : array of float, shape (n_units, 6)
+        What the diagnosis' fit leaves.
+    covariance : array of float, shape (n_units, 6, 6)
+        Of each unit, by the diagnosis; unit variance where a channel is missing.
+    """
+    channels = observations.usable @ (2 ** np.arange(6))
+    circles = [_numbered(by, channels) for by in (observations.condition, observations.kind, np.zeros_like(channels))]
+    group = circles[2] + circles[0].max() + circles[1].max() + 2
+    for offset, circle in ((circles[0].max() + 1, circles[1]), (0, circles[0])):
+        group = np.where(np.bincount(circle)[circle] >= ENOUGH, circle + offset, group)
+    root = np.linalg.cholesky(covariance)
+    whitened = np.linalg.solve(root, np.where(observations.usable, left, 0.0)[:, :, None])[:, :, 0]
+    size = np.bincount(circles[0])[circles[0]]
+    for number in np.flatnonzero(np.bincount(circles[0]) > 1):
+        members = circles[0] == number
+        n = int(members.sum())
+        whitened[members] = (whitened[members] - whitened[members].mean(axis=0)) * np.sqrt(n / (n - 1))
+    return OwnNoise(np.where(observations.usable, whitened, 0.0), root, group, size > 1)
+
+
+def _numbered(by: IntArray, channels: IntArray) -> IntArray:
+    """Return a number for each unit, the same where both arrays (n_units,) agree."""
+    return np.unique(by.astype(np.int64) * 64 + channels, return_inverse=True)[1]

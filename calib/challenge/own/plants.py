@@ -1,0 +1,279 @@
+"""What is planted on a campaign: the library's effects in the plant's own forms, and causes outside it, by size."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+from zlib import crc32
+
+import numpy as np
+
+from calib.arrays import FloatArray
+from calib.challenge.cases import ONE_SIGN
+from calib.challenge.own.outsiders import OUTSIDERS, SizedAct, column_act, outsiders
+from calib.challenge.own.replay import Replay
+from calib.errors import BadInputError
+from calib.gap.diagnosis import Diagnosis
+from calib.plant.effects.form import Form
+from calib.plant.effects.registry import effects as plant_effects
+from calib.plant.effects.registry import forms_of
+from calib.plant.signal import CALIBRATION, strength
+
+__all__ = ["Plant", "Size", "absorbed_by_calibration", "parse_sizes", "plants_of", "signal_of"]
+
+#: what the counts alone cannot be made to show, or what a drive has to be planned for
+NOT_PLANTED: Final = {
+    "encoder_gross": "a gross fault is found before the search, by trial",
+    "integration_scheme": "it is in the simulator, not in the vehicle",
+    "path_weave": "it needs runs without logs",
+    "steering_zero": "only the front wheel shows it",
+    "steering_scale": "only the front wheel shows it",
+    "steering_backlash": "only the front wheel shows it",
+    "steering_delay": "only the front wheel shows it",
+    "drive_slip": "only the front wheel shows it",
+}
+#: share of what an effect does that is left beside a recalibration, below which it cannot be asked for
+ABSORBED: Final = 0.02
+#: a planted change of so much of the path driven, or of the heading, is no small effect any more
+LARGEST_SHARE, LARGEST_RAD = 0.2, 1.0
+_SIZE: Final = re.compile(r"\s*([+-]?[0-9.]+(?:[eE][+-]?[0-9]+)?)\s*([sx]?)\s*")
+_RELATIVE_STEP: Final = 1e-4
+
+
+@dataclass(frozen=True, slots=True)
+class Size:
+    """How large an effect is planted.
+
+    Parameters
+    ----------
+    value : float
+        The number.
+    scale : str
+        ``s``: the signal it is to have; ``x``: times the typical size; empty: as it is, in the effect's unit.
+    """
+
+    value: float
+    scale: str
+
+
+def parse_sizes(text: str) -> tuple[Size, ...]:
+    """Return sizes as written: ``10s`` is a signal of 10, ``2x`` twice the typical size, ``0.01`` the size itself.
+
+    Raises
+    ------
+    BadInputError
+        Where the text holds something else.
+    """
+    sizes = []
+    for part in text.split(","):
+        match = _SIZE.fullmatch(part)
+        try:
+            value = float(match.group(1)) if match else 0.0
+        except ValueError:
+            value = 0.0
+        if match is None or value == 0.0:
+            raise BadInputError(
+                f"sizes: found {part.strip()!r:.40}; expected numbers separated by commas, each as 10s (a signal of 10), "
+                "2x (twice the typical size) or 0.01 (in the effect's unit); write them so"
+            )
+        sizes.append(Size(value, match.group(2)))
+    return tuple(sizes)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plant:
+    """One effect at one size.
+
+    Parameters
+    ----------
+    effect : str
+        Id of the effect, or name of the outside cause.
+    form : str
+        The plant's form.
+    outside : bool
+        Whether no library holds it.
+    size : float
+        In the unit.
+    unit : str
+        Of the size.
+    signal : float
+        How strongly it shows on these runs beside their noise, once a recalibration took its share.
+    changes : tuple of array of float, each shape (n_units, 6)
+        What it does to distance, x, y, heading, path and turn; with either sign where both have a meaning.
+    """
+
+    effect: str
+    form: str
+    outside: bool
+    size: float
+    unit: str
+    signal: float
+    changes: tuple[FloatArray, ...]
+
+    @property
+    def key(self) -> int:
+        """A number of its own, for the seeds of what is drawn for it."""
+        return crc32(f"{self.effect}/{self.size:.6g}".encode())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Candidate:
+    effect: str
+    form: str
+    unit: str
+    typical: float
+    outside: bool
+    act: SizedAct
+
+
+def plants_of(
+    diagnosis: Diagnosis, replay: Replay, wanted: Sequence[str], sizes: Sequence[Size], rng: np.random.Generator
+) -> tuple[list[Plant], dict[str, str]]:
+    """Return what is planted, and the reason of what is not.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+        The campaign's own: its library and its noise.
+    replay : Replay
+        Its route.
+    wanted : sequence of str
+        Effects and outside causes; empty: all that these runs can show.
+    sizes : sequence of Size
+        How large.
+    rng : numpy.random.Generator
+        Draws what else there is to choose of a form.
+
+    Raises
+    ------
+    BadInputError
+        Where an effect is unknown.
+    """
+    candidates, left_out = _candidates(diagnosis, replay, rng)
+    known = {*left_out, *(candidate.effect for candidate in candidates)}
+    for name in wanted:
+        if name not in known:
+            raise BadInputError(f"effect {name!r} found; expected one of {', '.join(sorted(known))}; name one of these")
+    if wanted:
+        candidates = [candidate for candidate in candidates if candidate.effect in wanted]
+        left_out = {name: reason for name, reason in left_out.items() if name in wanted}
+    absorbed = absorbed_by_calibration(diagnosis, replay)
+    plants = []
+    for candidate in candidates:
+        sized, reason = _sized(candidate, diagnosis, replay, absorbed, sizes)
+        plants += sized
+        if reason:
+            left_out[candidate.effect] = reason
+    return plants, left_out
+
+
+def _candidates(
+    diagnosis: Diagnosis, replay: Replay, rng: np.random.Generator
+) -> tuple[list[_Candidate], dict[str, str]]:
+    candidates: list[_Candidate] = []
+    left_out: dict[str, str] = {}
+    for effect in diagnosis.effects:
+        if effect.id in NOT_PLANTED:
+            left_out[effect.id] = NOT_PLANTED[effect.id]
+        elif not effect.forms(diagnosis.observations):
+            left_out[effect.id] = f"these runs cannot show it: it needs {effect.needs or 'other runs'}"
+        elif effect.id.startswith("covariate:"):
+            act = column_act(replay.observations.number(effect.id.partition(":")[2]))
+            candidates.append(_Candidate(effect.id, "plain", "1/sd", 5e-4, False, act))
+        elif effect.id not in plant_effects():
+            left_out[effect.id] = "an effect of the campaign's own has no form to plant"
+        else:
+            form = _form(effect.id)
+            # drawn by name, so that another selection of effects draws the same
+            knobs = form.knobs(np.random.default_rng([int(rng.integers(2**31)), 0]), replay.design)
+            candidates.append(_Candidate(effect.id, form.form, form.unit, form.typical, False, _bound(form, knobs)))
+    for name, act in outsiders(replay, rng).items():
+        if isinstance(act, str):
+            left_out[name] = act
+        else:
+            candidates.append(_Candidate(name, "outside", "1", OUTSIDERS[name], True, act))
+    return candidates, left_out
+
+
+def _form(effect: str) -> Form:
+    """Return a form that the library does not assume, where the plant has one."""
+    forms = forms_of(effect)
+    return next((form for form in forms if form.form not in ("plain", "constant")), forms[0])
+
+
+def _bound(form: Form, knobs: dict[str, float]) -> SizedAct:
+    return lambda world, size: form.act(world, np.full(len(world.design), size), knobs)
+
+
+def absorbed_by_calibration(diagnosis: Diagnosis, replay: Replay) -> FloatArray:
+    """Return what small changes of the radii and the track do, along and across the end heading, (n_units, 6, 3)."""
+    step = _RELATIVE_STEP
+
+    def of(name: str) -> FloatArray:
+        def act(world: object) -> None:
+            setattr(world, name, getattr(world, name) * (1 + step))
+
+        return _along_and_across(diagnosis, replay.change(act)) / step
+
+    return np.stack([of("left"), of("right"), of("track")], axis=2)
+
+
+def _along_and_across(diagnosis: Diagnosis, change: FloatArray) -> FloatArray:
+    """Turn x and y of a change (n_units, 6) into the frame in which the noise is stated, NaN where not measured."""
+    frame = diagnosis.nominal.frame
+    cos, sin = np.cos(frame), np.sin(frame)
+    turned = change.copy()
+    turned[:, 1] = cos * change[:, 1] + sin * change[:, 2]
+    turned[:, 2] = cos * change[:, 2] - sin * change[:, 1]
+    return np.where(diagnosis.observations.usable, turned, np.nan)
+
+
+def signal_of(diagnosis: Diagnosis, change: FloatArray, absorbed: FloatArray | None) -> float:
+    """Return how strongly a change of the readings (n_units, 6) shows beside the campaign's noise."""
+    return strength(_along_and_across(diagnosis, change), diagnosis.noise.covariance, absorbed)
+
+
+def _sized(
+    candidate: _Candidate, diagnosis: Diagnosis, replay: Replay, absorbed: FloatArray, sizes: Sequence[Size]
+) -> tuple[list[Plant], str]:
+    """Return a candidate at each size, and why it is at none."""
+    level = candidate.effect not in CALIBRATION
+    free = absorbed if level else None
+
+    def change(size: float) -> FloatArray:
+        return replay.change(lambda world: candidate.act(world, size), level=level)
+
+    small = change(candidate.typical)
+    whole, left = signal_of(diagnosis, small, None), signal_of(diagnosis, small, free)
+    if not left > ABSORBED * whole:
+        return [], "these runs cannot show it" + (": a recalibration takes it up" if whole > 0 else "")
+    plants = []
+    for size in sizes:
+        # an outside cause has no unit of its own that a size could be in
+        if candidate.outside and size.scale != "s":
+            continue
+        value = {"s": candidate.typical * size.value / left, "x": candidate.typical * size.value}.get(
+            size.scale, size.value
+        )
+        for _ in range(3 if size.scale == "s" else 0):
+            reached = signal_of(diagnosis, change(value), free)
+            square = candidate.effect == "beam_misalignment"
+            value *= (size.value / max(reached, 1e-9)) ** (0.5 if square else 1.0)
+        value = float(f"{value:.4g}")
+        signs = (1.0,) if candidate.effect in ONE_SIGN else (1.0, -1.0)
+        changes = tuple(change(sign * value) for sign in signs)
+        if _too_large(replay, changes[0]):
+            continue
+        reached = signal_of(diagnosis, changes[0], free)
+        plants.append(
+            Plant(candidate.effect, candidate.form, candidate.outside, value, candidate.unit, reached, changes)
+        )
+    return plants, "" if plants else "a size that shows would have to be out of all proportion"
+
+
+def _too_large(replay: Replay, change: FloatArray) -> bool:
+    length = np.maximum(replay.observations.length_m, 1e-3)
+    moved = np.hypot(change[:, 1], change[:, 2]) / length
+    return bool((moved > LARGEST_SHARE).any() or (np.abs(change[:, 3]) > LARGEST_RAD).any())

@@ -1,0 +1,261 @@
+"""A campaign's own counts driven again in a world that is other than believed.
+
+The counts are what the vehicle logged; where it truly went follows from them, step by step, by the plant's functional
+forms. No code of the diagnosis has a part in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from calib.arrays import FloatArray, IntArray
+from calib.gap.data.observations import Observations
+from calib.plant.design import Design
+from calib.plant.world import Moment, World, build_world
+
+__all__ = ["Replay", "Route", "design_of", "route_of", "world_of"]
+
+#: the log's speed is smoothed over so long before it is differentiated: counters come in whole steps
+SMOOTH_S: Final = 0.5
+#: a unit that turns by less goes straight
+STRAIGHT_RAD: Final = 0.5
+
+Act = Callable[[World], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Route:
+    """The logged steps of every unit side by side, short units filled with steps of nothing.
+
+    Parameters
+    ----------
+    roll_left_rad, roll_right_rad, duration_s, time_s : array of float, shape (n_steps_most, n_units)
+        Rotation of the wheels in each step, how long it took, and when it ended.
+    speed_mps, acceleration_mps2, curvature_per_m : array of float, shape (n_steps_most, n_units)
+        Motion by the log, smoothed.
+    angle_left_rad, angle_right_rad : array of float, shape (n_steps_most, n_units)
+        Wheel angles at the end of each step.
+    last : array of int, shape (n_units,)
+        Last step of each unit.
+    """
+
+    roll_left_rad: FloatArray
+    roll_right_rad: FloatArray
+    duration_s: FloatArray
+    time_s: FloatArray
+    speed_mps: FloatArray
+    acceleration_mps2: FloatArray
+    curvature_per_m: FloatArray
+    angle_left_rad: FloatArray
+    angle_right_rad: FloatArray
+    last: IntArray
+
+
+def route_of(observations: Observations) -> Route:
+    """Return the steps of a campaign's units, laid side by side."""
+    lengths = observations.lengths
+    shape = (int(lengths.max()), len(observations))
+    place = np.arange(len(observations.unit)) - np.repeat(observations.starts[:-1], lengths)
+
+    def wide(steps: FloatArray) -> FloatArray:
+        laid = np.zeros(shape)
+        laid[place, observations.unit] = np.nan_to_num(steps)
+        return laid
+
+    duration = wide(observations.duration_s)
+    speed = _smoothed(wide(observations.speed_mps), duration, lengths)
+    change = np.diff(speed, axis=0, prepend=speed[:1])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        acceleration = np.where(duration > 0, change / duration, 0.0)
+    return Route(
+        roll_left_rad=wide(observations.roll_left_rad),
+        roll_right_rad=wide(observations.roll_right_rad),
+        duration_s=duration,
+        time_s=wide(observations.time_s),
+        speed_mps=speed,
+        acceleration_mps2=acceleration,
+        curvature_per_m=wide(observations.curvature_per_m),
+        angle_left_rad=wide(observations.phase_left_rad),
+        angle_right_rad=wide(observations.phase_right_rad),
+        last=lengths - 1,
+    )
+
+
+def _smoothed(speed: FloatArray, duration: FloatArray, lengths: IntArray) -> FloatArray:
+    """Return a running mean over about `SMOOTH_S`, each unit by itself."""
+    known = duration[duration > 0]
+    half = int(np.clip(np.rint(0.5 * SMOOTH_S / np.median(known)), 0, 50)) if len(known) else 0
+    if half == 0:
+        return speed
+    running = np.concatenate([np.zeros((1, speed.shape[1])), np.cumsum(speed, axis=0)])
+    index = np.arange(len(speed))[:, None]
+    first, end = np.maximum(index - half, 0), np.minimum(index + half + 1, lengths)
+    units = np.arange(speed.shape[1])
+    mean = (running[np.maximum(end, first), units] - running[first, units]) / np.maximum(end - first, 1)
+    return np.where(index < lengths, mean, 0.0)
+
+
+def design_of(observations: Observations) -> Design:
+    """Return what was driven as the plant's forms ask for it: loads, speeds, temperatures, sessions, directions."""
+    n_units = len(observations)
+
+    def number(name: str) -> FloatArray:
+        values = observations.number(name)
+        known = values[np.isfinite(values)]
+        return np.where(np.isfinite(values), values, known.mean() if len(known) else 0.0)
+
+    straight = observations.total(np.abs(observations.turn_rad)) < STRAIGHT_RAD
+    names = np.array([f"{'corridor' if s else 'route'}_{k}" for s, k in zip(straight, observations.kind, strict=True)])
+    speed = number("speed_mps")
+    if not speed.any():
+        speed = np.abs(observations.total(np.abs(observations.path_m)))
+        elapsed = observations.total(observations.duration_s)
+        speed = np.where(elapsed > 0, speed / np.where(elapsed > 0, elapsed, 1.0), 0.0)
+    minutes = observations.number("minutes_under_load")
+    return Design(
+        kind=names,
+        direction=observations.labels["direction"],
+        session=observations.labels["session"],
+        payload_kg=np.nan_to_num(observations.number("payload_kg")),
+        payload_x_m=np.nan_to_num(observations.number("payload_x_m")),
+        payload_y_m=np.nan_to_num(observations.number("payload_y_m")),
+        speed_mps=speed,
+        temperature_C=number("temperature_C"),
+        minutes_under_load=np.nan_to_num(minutes),
+        flying=np.zeros(n_units, dtype=bool),
+        stops=np.zeros(n_units, dtype=np.int64),
+        length_m=float(np.max(observations.length_m, initial=1e-3)),
+        vehicle=observations.vehicle,
+    )
+
+
+def world_of(observations: Observations, design: Design) -> World:
+    """Return the world in which the model is right, with the loads that the campaign states."""
+    world = build_world(design, observations.model)
+    left, right = observations.number("load_left_N"), observations.number("load_right_N")
+    # where payloads are stated the plant's own statics stay, so that a payload that is other than stated changes both
+    stated = np.isfinite(left) & np.isfinite(right) & (np.ptp(design.payload_kg) == 0)
+    world.load_left_N = np.where(stated, left, world.load_left_N)
+    world.load_right_N = np.where(stated, right, world.load_right_N)
+    world.believed_left_m, world.believed_right_m = observations.radius_left_m, observations.radius_right_m
+    return world
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Replay:
+    """A campaign's route, ready to be driven in other worlds.
+
+    Parameters
+    ----------
+    observations : Observations
+        What was driven.
+    design : Design
+        The same, as the plant's forms ask for it.
+    route : Route
+        Its steps.
+    """
+
+    observations: Observations
+    design: Design
+    route: Route
+
+    @staticmethod
+    def of(observations: Observations) -> Replay:
+        """Return the replay of a campaign."""
+        return Replay(observations, design_of(observations), route_of(observations))
+
+    def readings(self, act: Act | None, *, level: bool = False) -> FloatArray:
+        """Return what the instruments read at the end of each unit, shape (n_units, 6).
+
+        Columns: distance, x, y, heading, path and turn (what a front wheel sees).
+
+        Parameters
+        ----------
+        act : callable, optional
+            Changes the world; none is the model alone.
+        level : bool
+            Take the mean change of the static radii out, which a calibration takes up.
+        """
+        world = world_of(self.observations, self.design)
+        if act is not None:
+            act(world)
+        if level:
+            mean = 0.5 * (world.left.mean() + world.right.mean())
+            world.left, world.right = world.left / mean, world.right / mean
+        return _instruments(self, world, _driven(self, world))
+
+    def change(self, act: Act, *, level: bool = False) -> FloatArray:
+        """Return what a cause does to the readings, shape (n_units, 6)."""
+        return self.readings(act, level=level) - self.readings(None)
+
+
+@dataclass(slots=True)
+class _Ends:
+    """Where every unit ends: its pose, its signed path, and how fast it goes and turns there."""
+
+    pose: FloatArray  # (3, n_units)
+    path_m: FloatArray
+    v_mps: FloatArray
+    omega_radps: FloatArray
+
+
+def _driven(replay: Replay, world: World) -> _Ends:
+    """Drive the logged counts through a world."""
+    route, n_units = replay.route, len(replay.observations)
+    now = Moment.at_rest(n_units)
+    path = np.zeros(n_units)
+    # a count that is lost was rolled all the same: what the wheel did is more than what was logged
+    left_m, right_m = world.believed_left_m * world.left, world.believed_right_m * world.right
+    track_m = world.model.track_m * world.track
+    for step in range(len(route.time_s)):
+        duration = route.duration_s[step]
+        now.t_s = float(route.time_s[step].max())
+        now.v_mps, now.acceleration_mps2 = route.speed_mps[step], route.acceleration_mps2[step]
+        now.curvature_per_m = route.curvature_per_m[step]
+        now.angle_left_rad, now.angle_right_rad = route.angle_left_rad[step], route.angle_right_rad[step]
+        if world.during:
+            now.clear()
+            for effect in world.during:
+                effect(now)
+        left = route.roll_left_rad[step] * left_m * (1.0 + now.left) / (1.0 - now.lost_left)
+        right = route.roll_right_rad[step] * right_m * (1.0 + now.right) / (1.0 - now.lost_right)
+        way = 0.5 * (left + right) / (1.0 + world.rise)
+        turn = (right - left) / (track_m * (1.0 + now.track)) + now.yaw_radps * duration
+        middle = now.theta_rad + 0.5 * turn
+        chord, drift = way * np.sinc(turn / (2 * np.pi)), now.lateral_mps * duration
+        now.x_m = now.x_m + chord * np.cos(middle) - drift * np.sin(middle)
+        now.y_m = now.y_m + chord * np.sin(middle) + drift * np.cos(middle)
+        now.theta_rad = now.theta_rad + turn
+        path += way
+    units = np.arange(n_units)
+    speed = route.speed_mps[route.last, units]
+    pose = np.stack([now.x_m, now.y_m, now.theta_rad])
+    return _Ends(pose, path, speed, speed * route.curvature_per_m[route.last, units])
+
+
+def _instruments(replay: Replay, world: World, ends: _Ends) -> FloatArray:
+    """Return what rangefinder, pose reference and front wheel make of where the units are, shape (n_units, 6)."""
+    x, y, theta = ends.pose
+    axis = replay.observations.axis
+    line = np.where(axis == 1, x, np.where(axis == 2, np.hypot(x, y), np.abs(ends.path_m)))
+    distance = world.laser_scale * line + world.laser_offset_m
+    theta_late = theta - world.latency_s * ends.omega_radps
+    x_late = x - world.latency_s * ends.v_mps * np.cos(theta)
+    y_late = y - world.latency_s * ends.v_mps * np.sin(theta)
+    if replay.observations.windowed:
+        # a window begins in motion: its start is read as late as its end
+        v, omega = replay.route.speed_mps[0], replay.route.speed_mps[0] * replay.route.curvature_per_m[0]
+        x_late, y_late = x_late + world.latency_s * v, y_late
+        theta_late = theta_late + world.latency_s * omega
+    lever_x, lever_y = world.ref_lever_x_m, world.ref_lever_y_m
+    cos, sin = np.cos(theta_late), np.sin(theta_late)
+    seen_x = x_late + cos * lever_x - sin * lever_y - lever_x
+    seen_y = y_late + sin * lever_x + cos * lever_y - lever_y
+    cos, sin = np.cos(world.ref_yaw_rad), np.sin(world.ref_yaw_rad)
+    return np.stack(
+        [distance, cos * seen_x - sin * seen_y, sin * seen_x + cos * seen_y, theta_late, ends.path_m, theta], axis=1
+    )

@@ -1,0 +1,163 @@
+"""The table that comes out: for each effect and size how often it is found, and how often something else."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+from calib.challenge.intervals import clopper_pearson
+from calib.challenge.own.answers import Answer
+from calib.challenge.own.plants import Plant
+
+__all__ = ["Found", "Own", "found_of"]
+
+FORMAT: Final = "calib-challenge-own/1"
+#: more false alarms, or wrong names, than this share are a finding
+ALLOWED: Final = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """What was found of one effect at one size.
+
+    Parameters
+    ----------
+    effect, form, unit : str
+        What was planted.
+    outside : bool
+        Whether no library holds it.
+    size, signal : float
+        How large, and how strongly it shows beside the noise.
+    planted, seen, first, in_group, left_open, wrong : int
+        How often: in all; a gap was seen; it was named first; named, in a group with a named one or by its family;
+        the verdict left a rest open; something else was named (of an outside cause: a fix was recommended).
+    """
+
+    effect: str
+    form: str
+    unit: str
+    outside: bool
+    size: float
+    signal: float
+    planted: int
+    seen: int
+    first: int
+    in_group: int
+    left_open: int
+    wrong: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain JSON values."""
+        common = {"size": self.size, "unit": self.unit, "signal": round(self.signal, 2), "planted": self.planted}
+        if self.outside:
+            return {**common, "seen": self.seen, "left_open": self.left_open, "wrong": self.wrong}
+        return {**common, "form": self.form, "seen": self.seen, "first": self.first, "in_group": self.in_group,
+                "left_open": self.left_open, "wrong": self.wrong}  # fmt: skip
+
+
+def found_of(plant: Plant, answers: Sequence[Answer]) -> Found:
+    """Return what the answers say of a plant."""
+    return Found(
+        effect=plant.effect,
+        form=plant.form,
+        unit=plant.unit,
+        outside=plant.outside,
+        size=plant.size,
+        signal=plant.signal,
+        planted=len(answers),
+        seen=sum(answer.seen for answer in answers),
+        first=sum(answer.first for answer in answers),
+        in_group=sum(answer.in_group for answer in answers),
+        left_open=sum(answer.open for answer in answers),
+        wrong=sum(answer.wrong for answer in answers),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Own:
+    """What a lab's own data would find.
+
+    Parameters
+    ----------
+    campaign : str
+        Its name.
+    simulated : bool
+        Whether its data were made by a program.
+    own_verdict : str
+        Of the campaign as it is.
+    runs, units, units_with_repeats : int
+        Runs, units of the diagnosis, and those whose noise repeats give.
+    found : tuple of Found
+        Each effect and outside cause at each size.
+    empty : tuple of Answer
+        On campaigns with nothing planted.
+    left_out : mapping of str to str
+        What was not planted, and why.
+    asked, done : int
+        Diagnoses wanted, and how many the time was enough for.
+    seed : int
+        Of everything that was drawn.
+    seconds : float
+        What it took.
+    """
+
+    campaign: str
+    simulated: bool
+    own_verdict: str
+    runs: int
+    units: int
+    units_with_repeats: int
+    found: tuple[Found, ...]
+    empty: tuple[Answer, ...]
+    left_out: Mapping[str, str]
+    asked: int
+    done: int
+    seed: int
+    seconds: float
+
+    @property
+    def raised(self) -> int:
+        """False alarms: a gap is seen where nothing was planted."""
+        return sum(answer.seen for answer in self.empty)
+
+    @property
+    def wrong(self) -> int:
+        """Plants of which something else was named."""
+        return sum(found.wrong for found in self.found)
+
+    @property
+    def planted(self) -> int:
+        """Campaigns with something planted."""
+        return sum(found.planted for found in self.found)
+
+    @property
+    def trusted(self) -> bool:
+        """Whether neither false alarms nor wrong names are surely more than one in twenty."""
+        return all(
+            clopper_pearson(hits, total)[0] <= ALLOWED
+            for hits, total in ((self.raised, len(self.empty)), (self.wrong, self.planted))
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain JSON values."""
+        tables: dict[str, dict[str, list[dict[str, Any]]]] = {"effects": {}, "outsiders": {}}
+        for found in self.found:
+            tables["outsiders" if found.outside else "effects"].setdefault(found.effect, []).append(found.to_dict())
+        low, high = clopper_pearson(self.raised, len(self.empty))
+        return {
+            "format": FORMAT,
+            "campaign": self.campaign,
+            "simulated": self.simulated,
+            "own_verdict": self.own_verdict,
+            **tables,
+            "false_alarms": {"tried": len(self.empty), "raised": self.raised, "ci95": [low, high]},
+            "wrong": {"planted": self.planted, "wrong": self.wrong},
+            "trusted": self.trusted,
+            "not_planted": dict(self.left_out),
+            "noise": {"runs": self.runs, "units": self.units, "units_with_repeats": self.units_with_repeats},
+            "asked": self.asked,
+            "done": self.done,
+            "seed": self.seed,
+            "seconds": round(self.seconds, 1),
+        }

@@ -1,0 +1,240 @@
+"""Planting, diagnosing and counting: what this lab's data would find, how often, and how often wrongly."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from calib.arrays import FloatArray
+from calib.campaign.model import Campaign, Logs
+from calib.challenge.own.answers import Answer, answer_of
+from calib.challenge.own.noise import OwnNoise, own_noise
+from calib.challenge.own.plants import Plant, Size, parse_sizes, plants_of
+from calib.challenge.own.replay import Replay
+from calib.challenge.own.result import Found, Own, found_of
+from calib.challenge.seal import workers_of
+from calib.errors import RefusedError
+from calib.gap.data.observations import Observations
+from calib.gap.diagnose import diagnose_in_full
+from calib.gap.diagnosis import Diagnosis
+
+__all__ = ["SIZES", "Asked", "challenge_own"]
+
+#: sizes by default: hardly seen, seen, strong
+SIZES: Final = "5s,10s,25s"
+#: empty campaigns for each round of plants
+EMPTY_EACH: Final = 4
+
+Tick = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What is asked for.
+
+    Parameters
+    ----------
+    effects : tuple of str
+        Effects and outside causes to plant; empty: all that the campaign can show.
+    sizes : tuple of Size
+        How large.
+    planted : int
+        How often each is planted at each size.
+    workers : int
+        Processes.
+    seconds : float
+        Time after which no further diagnosis is begun; each size is planted once before any is planted twice.
+    seed : int
+        Of everything that is drawn.
+    """
+
+    effects: tuple[str, ...] = ()
+    sizes: tuple[Size, ...] = parse_sizes(SIZES)
+    planted: int = 5
+    workers: int = 2
+    seconds: float = 900.0
+    seed: int = 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Bench:
+    """What every planted campaign has in common."""
+
+    campaign: Campaign
+    observations: Observations
+    readings: FloatArray
+    noise: OwnNoise
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Job:
+    """One campaign to plant and to diagnose; `plant` is -1 for an empty one."""
+
+    plant: int
+    effect: str
+    family: str
+    change: FloatArray
+    seeds: tuple[int, ...]
+
+
+def challenge_own(campaign: Campaign, asked: Asked | None = None, tick: Tick | None = None) -> Own:
+    """Plant known effects on a campaign's own noise and route, and diagnose each.
+
+    The noise is what the campaign's own diagnosis leaves, drawn again among runs of the same condition; the counts are
+    its own. The same answer comes out for any number of workers, as long as the time is enough.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        Any that can be diagnosed.
+    asked : Asked, optional
+        What to plant.
+    tick : callable, optional
+        ``tick(done, total)``.
+
+    Raises
+    ------
+    RefusedError
+        Where the campaign has a gross fault of the counters, or cannot be diagnosed.
+    BadInputError
+        Where an effect is unknown.
+    """
+    asked = asked or Asked()
+    began = time.monotonic()
+    diagnosis = diagnose_in_full(campaign, seed=asked.seed, plan=False)
+    gross = [cause.effect for cause in diagnosis.verdict.causes if cause.effect == "encoder_gross"]
+    if gross:
+        raise RefusedError(
+            f"{campaign.name}: the counters have a gross fault ({diagnosis.verdict.sentence}); expected counts that are "
+            "right to a few per cent; put the campaign's encoder settings right first"
+        )
+    replay = Replay.of(diagnosis.observations)
+    plants, left_out = plants_of(diagnosis, replay, asked.effects, asked.sizes, np.random.default_rng(asked.seed))
+    bench = _bench(campaign, diagnosis)
+    families = {effect.id: effect.family.value for effect in diagnosis.effects}
+    jobs = list(_jobs(plants, families, asked, len(diagnosis.observations)))
+    answers = _answered(bench, jobs, asked, began, tick or (lambda _done, _total: None))
+    founds, raised = _counted(plants, jobs, answers)
+    return Own(
+        campaign=campaign.name,
+        simulated=campaign.simulated,
+        own_verdict=diagnosis.verdict.kind.value,
+        runs=len(campaign.included().runs),
+        units=len(diagnosis.observations),
+        units_with_repeats=int(bench.noise.repeated.sum()),
+        found=tuple(founds),
+        empty=tuple(raised),
+        left_out=left_out,
+        asked=len(jobs),
+        done=sum(answer is not None for answer in answers),
+        seed=asked.seed,
+        seconds=time.monotonic() - began,
+    )
+
+
+def _bench(campaign: Campaign, diagnosis: Diagnosis) -> _Bench:
+    """Return the campaign without its gap: what the model alone, or the outside simulator, predicts of each unit."""
+    observations = diagnosis.observations
+    simulated = observations.simulated
+    readings = np.where(np.isfinite(simulated), simulated, diagnosis.nominal.reading)
+    # the logs are in the observations already; without them a campaign is quick to hand over
+    light = replace(campaign.included(), logs=Logs.empty(len(campaign.included().runs)))
+    return _Bench(light, observations, readings, own_noise(observations, diagnosis.fitted.left, diagnosis.noise.covariance))
+
+
+def _jobs(plants: Sequence[Plant], families: dict[str, str], asked: Asked, n_units: int) -> Iterator[_Job]:
+    """Give each plant once, with some empty campaigns, before any is planted again."""
+    nothing = np.zeros((n_units, 6))
+    for turn in range(asked.planted):
+        for number in range(EMPTY_EACH):
+            yield _Job(-1, "", "", nothing, (asked.seed, 0, turn * EMPTY_EACH + number))
+        for place, plant in enumerate(plants):
+            effect = "" if plant.outside else plant.effect
+            change = plant.changes[turn % len(plant.changes)]
+            yield _Job(place, effect, families.get(effect, ""), change, (asked.seed, plant.key, turn))
+
+
+def _diagnosed(bench: _Bench, job: _Job) -> Answer:
+    """Plant one cause with one draw of the noise, and diagnose."""
+    began = time.perf_counter()
+    observed = with_readings(bench.observations, bench.readings + job.change, bench.noise, job.seeds)
+    try:
+        verdict = diagnose_in_full(bench.campaign, seed=job.seeds[-1], plan=False, observations=observed).verdict
+    except RefusedError:
+        # a diagnosis that refuses has seen nothing
+        document: dict[str, object] = {"verdict": "undecided"}
+    else:
+        document = verdict.to_dict()
+    return answer_of(job.effect, job.family, document, time.perf_counter() - began)
+
+
+def with_readings(
+    observations: Observations, readings: FloatArray, noise: OwnNoise, seeds: Sequence[int]
+) -> Observations:
+    """Return the campaign as it would have been observed, with the noise of one draw.
+
+    Parameters
+    ----------
+    observations : Observations
+        The campaign's own.
+    readings : array of float, shape (n_units, 6)
+        Distance, x, y, heading, front, steering, without noise.
+    noise : OwnNoise
+        The campaign's own.
+    seeds : sequence of int
+        Of the draw.
+    """
+    drawn = noise.draw(np.random.default_rng([abs(seed) for seed in seeds]))
+    measured = readings + drawn
+    # along and lateral are noise in the frame of the heading that is measured
+    heading = measured[:, 3] if observations.usable[:, 3].any() else readings[:, 3]
+    heading = np.where(observations.usable[:, 3], heading, readings[:, 3])
+    cos, sin = np.cos(heading), np.sin(heading)
+    measured[:, 1] = readings[:, 1] + cos * drawn[:, 1] - sin * drawn[:, 2]
+    measured[:, 2] = readings[:, 2] + sin * drawn[:, 1] + cos * drawn[:, 2]
+    return replace(observations, measured=np.where(observations.usable, measured, np.nan))
+
+
+def _answered(bench: _Bench, jobs: Sequence[_Job], asked: Asked, began: float, tick: Tick) -> list[Answer | None]:
+    """Return the answers in the order of the jobs, None for those that the time was not enough for."""
+    answers: list[Answer | None] = [None] * len(jobs)
+    tick(0, len(jobs))
+    if asked.workers <= 1:
+        for number, job in enumerate(jobs):
+            if time.monotonic() - began > asked.seconds:
+                break
+            answers[number] = _diagnosed(bench, job)
+            tick(number + 1, len(jobs))
+        return answers
+    with workers_of(asked.workers) as pool:
+        waiting: dict[Future[Answer], int] = {}
+        ahead, done = 0, 0
+        while ahead < len(jobs) or waiting:
+            # few in advance, so that the end of the time is the end of the work
+            while ahead < len(jobs) and len(waiting) <= asked.workers and time.monotonic() - began <= asked.seconds:
+                waiting[pool.submit(_diagnosed, bench, jobs[ahead])] = ahead
+                ahead += 1
+            if not waiting:
+                break
+            finished, _ = wait(waiting, return_when=FIRST_COMPLETED)
+            for future in finished:
+                answers[waiting.pop(future)] = future.result()
+                done += 1
+                tick(done, len(jobs))
+    return answers
+
+
+def _counted(
+    plants: Sequence[Plant], jobs: Sequence[_Job], answers: Sequence[Answer | None]
+) -> tuple[list[Found], list[Answer]]:
+    """Return what was found of each plant, and the answers on empty campaigns."""
+    by_plant: dict[int, list[Answer]] = {}
+    for job, answer in zip(jobs, answers, strict=True):
+        if answer is not None:
+            by_plant.setdefault(job.plant, []).append(answer)
+    return [found_of(plant, by_plant.get(n, [])) for n, plant in enumerate(plants)], by_plant.get(-1, [])
