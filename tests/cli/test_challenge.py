@@ -51,7 +51,37 @@ def test_a_folder_that_is_no_set_is_bad_input(command: str, tmp_path: Path, caps
     assert err.count("\n") == 1
 
 
-@pytest.mark.parametrize("command", ["make", "run", "score"])
+@pytest.mark.parametrize("command", ["make", "own", "run", "score"])
 def test_help_has_an_example(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["challenge", command, "--help"]) == 0
     assert "Example: calib challenge" in capsys.readouterr().out
+
+
+def test_own_refuses_what_it_cannot_plant(
+    tmp_path: Path, project_root: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A size that is none, or a folder that is no campaign, is bad input, in one line."""
+    yard = str(project_root / "sample_runs" / "yard")
+    for arguments, said in (([yard, "--sizes", "strong"], "10s"), ([str(tmp_path)], "campaign.toml")):
+        assert run(["challenge", "own", *arguments]) == 2
+        err = capsys.readouterr().err
+        assert said in err
+        assert err.count("\n") == 1
+
+
+def test_own_says_what_a_campaign_would_find(project_root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Track width at three times its typical size is found on the sample; the JSON has the fields of the contract."""
+    yard = str(project_root / "sample_runs" / "yard")
+    arguments = ["--effects", "track_width", "--sizes", "3x", "--planted", "1", "--workers", "1", "--json", "-"]
+    assert run(["challenge", "own", yard, *arguments]) == 0
+    out, err = capsys.readouterr()
+    own = json.loads(out)
+    row = own["effects"]["track_width"][0]
+    assert {key: row[key] for key in ("size", "planted", "in_group", "wrong")} == {
+        "size": 0.03,
+        "planted": 1,
+        "in_group": 1,
+        "wrong": 0,
+    }
+    assert own["false_alarms"]["tried"] == 4
+    assert "track_width" in err

@@ -70,16 +70,18 @@ def own_noise(observations: Observations, left: FloatArray, covariance: FloatArr
     group = circles[2] + circles[0].max() + circles[1].max() + 2
     for offset, circle in ((circles[0].max() + 1, circles[1]), (0, circles[0])):
         group = np.where(np.bincount(circle)[circle] >= ENOUGH, circle + offset, group)
-    root = np.linalg.cholesky(covariance)
-    whitened = np.linalg.solve(root, np.where(observations.usable, left, 0.0)[:, :, None])[:, :, 0]
+    root = np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
+    kept = np.where(observations.usable, left, 0.0)[:, :, None]
+    whitened = np.asarray(np.linalg.solve(root, kept)[:, :, 0], dtype=np.float64)
     size = np.bincount(circles[0])[circles[0]]
     for number in np.flatnonzero(np.bincount(circles[0]) > 1):
         members = circles[0] == number
         n = int(members.sum())
         whitened[members] = (whitened[members] - whitened[members].mean(axis=0)) * np.sqrt(n / (n - 1))
-    return OwnNoise(np.where(observations.usable, whitened, 0.0), root, group, size > 1)
+    return OwnNoise(whitened, root, group, size > 1)
 
 
 def _numbered(by: IntArray, channels: IntArray) -> IntArray:
     """Return a number for each unit, the same where both arrays (n_units,) agree."""
-    return np.unique(by.astype(np.int64) * 64 + channels, return_inverse=True)[1]
+    numbers: IntArray = np.unique(by.astype(np.int64) * 64 + channels, return_inverse=True)[1]
+    return numbers

@@ -75,8 +75,8 @@ def parse_sizes(text: str) -> tuple[Size, ...]:
             value = 0.0
         if match is None or value == 0.0:
             raise BadInputError(
-                f"sizes: found {part.strip()!r:.40}; expected numbers separated by commas, each as 10s (a signal of 10), "
-                "2x (twice the typical size) or 0.01 (in the effect's unit); write them so"
+                f"sizes: found {part.strip()!r:.40}; expected numbers separated by commas, each as 10s (a "
+                "signal of 10), 2x (twice the typical size) or 0.01 (in the effect's unit); write them so"
             )
         sizes.append(Size(value, match.group(2)))
     return tuple(sizes)
@@ -189,11 +189,11 @@ def _candidates(
             # drawn by name, so that another selection of effects draws the same
             knobs = form.knobs(np.random.default_rng([int(rng.integers(2**31)), 0]), replay.design)
             candidates.append(_Candidate(effect.id, form.form, form.unit, form.typical, False, _bound(form, knobs)))
-    for name, act in outsiders(replay, rng).items():
-        if isinstance(act, str):
-            left_out[name] = act
+    for name, outsider in outsiders(replay, rng).items():
+        if isinstance(outsider, str):
+            left_out[name] = outsider
         else:
-            candidates.append(_Candidate(name, "outside", "1", OUTSIDERS[name], True, act))
+            candidates.append(_Candidate(name, "outside", "1", OUTSIDERS[name], True, outsider))
     return candidates, left_out
 
 

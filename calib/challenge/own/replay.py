@@ -249,7 +249,7 @@ def _instruments(replay: Replay, world: World, ends: _Ends) -> FloatArray:
     if replay.observations.windowed:
         # a window begins in motion: its start is read as late as its end
         v, omega = replay.route.speed_mps[0], replay.route.speed_mps[0] * replay.route.curvature_per_m[0]
-        x_late, y_late = x_late + world.latency_s * v, y_late
+        x_late = x_late + world.latency_s * v
         theta_late = theta_late + world.latency_s * omega
     lever_x, lever_y = world.ref_lever_x_m, world.ref_lever_y_m
     cos, sin = np.cos(theta_late), np.sin(theta_late)

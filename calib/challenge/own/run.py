@@ -110,8 +110,8 @@ def challenge_own(campaign: Campaign, asked: Asked | None = None, tick: Tick | N
     gross = [cause.effect for cause in diagnosis.verdict.causes if cause.effect == "encoder_gross"]
     if gross:
         raise RefusedError(
-            f"{campaign.name}: the counters have a gross fault ({diagnosis.verdict.sentence}); expected counts that are "
-            "right to a few per cent; put the campaign's encoder settings right first"
+            f"{campaign.name}: the counters have a gross fault ({diagnosis.verdict.sentence}); expected counts "
+            "that are right to a few per cent; put the campaign's encoder settings right first"
         )
     replay = Replay.of(diagnosis.observations)
     plants, left_out = plants_of(diagnosis, replay, asked.effects, asked.sizes, np.random.default_rng(asked.seed))
@@ -144,7 +144,9 @@ def _bench(campaign: Campaign, diagnosis: Diagnosis) -> _Bench:
     readings = np.where(np.isfinite(simulated), simulated, diagnosis.nominal.reading)
     # the logs are in the observations already; without them a campaign is quick to hand over
     light = replace(campaign.included(), logs=Logs.empty(len(campaign.included().runs)))
-    return _Bench(light, observations, readings, own_noise(observations, diagnosis.fitted.left, diagnosis.noise.covariance))
+    return _Bench(
+        light, observations, readings, own_noise(observations, diagnosis.fitted.left, diagnosis.noise.covariance)
+    )
 
 
 def _jobs(plants: Sequence[Plant], families: dict[str, str], asked: Asked, n_units: int) -> Iterator[_Job]:
@@ -192,8 +194,7 @@ def with_readings(
     drawn = noise.draw(np.random.default_rng([abs(seed) for seed in seeds]))
     measured = readings + drawn
     # along and lateral are noise in the frame of the heading that is measured
-    heading = measured[:, 3] if observations.usable[:, 3].any() else readings[:, 3]
-    heading = np.where(observations.usable[:, 3], heading, readings[:, 3])
+    heading = np.where(observations.usable[:, 3], measured[:, 3], readings[:, 3])
     cos, sin = np.cos(heading), np.sin(heading)
     measured[:, 1] = readings[:, 1] + cos * drawn[:, 1] - sin * drawn[:, 2]
     measured[:, 2] = readings[:, 2] + sin * drawn[:, 1] + cos * drawn[:, 2]

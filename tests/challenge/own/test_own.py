@@ -1,0 +1,150 @@
+"""Known effects planted on a campaign's own noise: the replay, the noise, the judgement, and the whole way through."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+
+from calib.campaign.model import Campaign
+from calib.challenge.own.answers import answer_of
+from calib.challenge.own.noise import own_noise
+from calib.challenge.own.plants import parse_sizes, plants_of
+from calib.challenge.own.replay import Replay
+from calib.challenge.own.run import Asked, challenge_own
+from calib.errors import BadInputError
+from calib.gap.diagnose import diagnose_in_full
+from calib.gap.diagnosis import Diagnosis
+from calib.plant.make import make_campaign
+from calib.plant.plans import good_design
+from calib.plant.world import World
+
+#: two integrators of the same counts, exact arcs each, differ by how the curvature changes within a step
+ARCS_M, ARCS_RAD = 2e-3, 1e-9
+#: the track enters a turn by its inverse: second order at one per cent
+SECOND_ORDER = 2e-4
+
+
+@pytest.fixture(scope="module")
+def campaign() -> Campaign:
+    rng = np.random.default_rng(3)
+    return make_campaign(good_design(rng, n_runs=30), {}, rng, name="calibrated")
+
+
+@pytest.fixture(scope="module")
+def diagnosis(campaign: Campaign) -> Diagnosis:
+    return diagnose_in_full(campaign, plan=False)
+
+
+def test_the_replay_goes_where_the_diagnosis_predicts(diagnosis: Diagnosis) -> None:
+    """Without any cause the plant's step-by-step drive and the diagnosis' integration end at the same poses."""
+    replay = Replay.of(diagnosis.observations)
+    ours, theirs = replay.readings(None), diagnosis.nominal.reading
+    np.testing.assert_allclose(ours[:, 1:3], theirs[:, 1:3], atol=ARCS_M)
+    np.testing.assert_allclose(ours[:, 3], theirs[:, 3], atol=ARCS_RAD)
+
+
+def test_a_wider_track_turns_less(diagnosis: Diagnosis) -> None:
+    """One per cent of track is one per cent of every turn, whatever the route."""
+
+    def wider(world: World) -> None:
+        world.track = world.track * 1.01
+
+    replay = Replay.of(diagnosis.observations)
+    turn = replay.readings(None)[:, 3]
+    np.testing.assert_allclose(replay.change(wider)[:, 3], -0.01 * turn, rtol=0.011, atol=SECOND_ORDER)
+
+
+def test_the_noise_is_the_campaigns_own(diagnosis: Diagnosis) -> None:
+    """Every drawn unit is some unit of its group, all channels together; the mean square over many draws is kept."""
+    covariance = diagnosis.noise.covariance
+    noise = own_noise(diagnosis.observations, diagnosis.fitted.left, covariance)
+    drawn = np.stack([noise.draw(np.random.default_rng(number)) for number in range(200)])
+    white = np.linalg.solve(noise.root, drawn[0][:, :, None])[:, :, 0]
+    for unit, row in enumerate(white):
+        members = noise.whitened[noise.group == noise.group[unit]]
+        assert min(np.abs(np.abs(members) - np.abs(row)).max(axis=1)) < 1e-9
+    squares = np.linalg.solve(noise.root, drawn[:, :, :, None]) ** 2
+    # 200 draws of 30 units and a few channels: the mean square is known to some 3 %
+    assert squares.mean() == pytest.approx(np.mean(noise.whitened**2), rel=0.1)
+
+
+def test_a_planted_size_has_its_signal(diagnosis: Diagnosis) -> None:
+    """A size asked for by its signal shows by that much; one that cannot be shown is left out with the reason."""
+    replay = Replay.of(diagnosis.observations)
+    names = ("track_width", "load_radius", "steering_zero")
+    plants, left_out = plants_of(diagnosis, replay, names, parse_sizes("10s,2x,0.01"), np.random.default_rng(0))
+    by_signal = [plant for plant in plants if plant.signal == pytest.approx(10.0, rel=0.02)]
+    assert {plant.effect for plant in by_signal} >= {"track_width", "load_radius"}
+    assert 0.02 in [plant.size for plant in plants if plant.effect == "track_width"]  # twice the typical 1 %
+    assert "steering_zero" in left_out
+    with pytest.raises(BadInputError, match="name one of these"):
+        plants_of(diagnosis, replay, ("track_with",), parse_sizes("10s"), np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("text", ["", "10q", "s", "0", "1,,2", "1e999x,a"])
+def test_sizes_that_are_none_are_refused(text: str) -> None:
+    with pytest.raises(BadInputError, match="sizes"):
+        parse_sizes(text)
+
+
+@pytest.mark.parametrize(
+    ("planted", "family", "verdict", "expected"),
+    [
+        ("wear", "drift", {"verdict": "no_gap"}, (False, False, False)),
+        ("wear", "drift", {"verdict": "explained", "causes": [{"effect": "wear"}]}, (True, True, False)),
+        (
+            "wear",
+            "drift",
+            {"verdict": "explained", "causes": [{"effect": "session_step", "family": "drift"}]},
+            (False, True, False),
+        ),
+        (
+            "wear",
+            "drift",
+            {
+                "verdict": "ambiguous",
+                "causes": [{"effect": "load_radius", "family": "load"}],
+                "indistinguishable": [["load_radius", "wear"]],
+            },
+            (False, True, False),
+        ),
+        (
+            "wear",
+            "drift",
+            {"verdict": "explained", "causes": [{"effect": "load_radius", "family": "load"}]},
+            (False, False, True),
+        ),
+        ("wear", "drift", {"verdict": "unknown", "causes": []}, (False, False, False)),
+        ("", "", {"verdict": "explained", "causes": [{"effect": "wear"}], "recommended": True}, (False, False, True)),
+        ("", "", {"verdict": "partly_explained", "causes": [{"effect": "wear"}]}, (False, False, False)),
+    ],
+)
+def test_an_answer_is_first_in_its_group_or_wrong(
+    planted: str, family: str, verdict: dict[str, object], expected: tuple[bool, bool, bool]
+) -> None:
+    """By hand: named first; in its group or family; something else named (of an outsider: a fix recommended)."""
+    answer = answer_of(planted, family, verdict, 1.0)
+    assert (answer.first, answer.in_group, answer.wrong) == expected
+
+
+def test_any_number_of_workers_gives_the_same_table(campaign: Campaign) -> None:
+    """A strong track width is found on a calibrated campaign's own noise; nothing depends on the processes."""
+    asked = {"effects": ("track_width",), "sizes": parse_sizes("25s"), "planted": 1, "seed": 1}
+    one, two = (challenge_own(campaign, Asked(workers=workers, **asked)) for workers in (1, 2))
+    assert one.done == one.asked == 5
+    documents = [{k: v for k, v in own.to_dict().items() if k != "seconds"} for own in (one, two)]
+    assert documents[0] == documents[1]
+    row = documents[0]["effects"]["track_width"][0]
+    assert (row["planted"], row["in_group"], row["wrong"]) == (1, 1, 0)
+    assert documents[0]["false_alarms"]["tried"] == 4
+    assert all(asdict(answer)["verdict"] for answer in one.empty)
+
+
+def test_the_time_is_kept(campaign: Campaign) -> None:
+    """With no time at all nothing is begun, and the table says so."""
+    own = challenge_own(campaign, Asked(effects=("track_width",), workers=1, seconds=0.0))
+    assert (own.done, own.planted, len(own.empty)) == (0, 0, 0)
+    assert own.asked > 0
+    assert own.trusted
