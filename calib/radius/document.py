@@ -65,6 +65,7 @@ def wheel_to_dict(fit: WheelFit) -> dict[str, Any]:
             "session_f": estimate.session_f,
             "hc3": estimate.robust,
             "design": estimate.design,
+            **_systematic(estimate),
         },
         "naive": None
         if naive is None
@@ -85,6 +86,14 @@ def wheel_to_dict(fit: WheelFit) -> dict[str, Any]:
     }
 
 
+def _systematic(estimate: Estimate) -> dict[str, Any]:
+    """Return the parts that are the same in every run; nothing where none is declared."""
+    if not len(estimate.systematic):
+        return {}
+    dof = [float(value) if np.isfinite(value) else None for value in estimate.systematic_dof]
+    return {"systematic": estimate.systematic.tolist(), "systematic_dof": dof}
+
+
 def wheel_from_dict(wheel: str, value: Mapping[str, Any]) -> WheelFit:
     """Return the wheel's fit that `wheel_to_dict` wrote."""
     strata, naive, line = value["strata"], value["naive"], value["model"] == "line"
@@ -96,6 +105,8 @@ def wheel_from_dict(wheel: str, value: Mapping[str, Any]) -> WheelFit:
         cov_between=np.array(strata["covariance_between"], dtype=np.float64),
         session_f=strata["session_f"],
         robust=bool(strata["hc3"]),
+        systematic=np.array(strata.get("systematic", []), dtype=np.float64).reshape(-1, 2),
+        systematic_dof=np.array([np.inf if dof is None else dof for dof in strata.get("systematic_dof", [])]),
         **{name: float(strata[name]) for name in _ESTIMATE},
     )
     law = WheelLaw(

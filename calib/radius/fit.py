@@ -13,6 +13,7 @@ from calib.radius.effective import Component, EffectiveRadii, effective_radii
 from calib.radius.fitted import Fit, Setup
 from calib.radius.regression import WheelFit, fit_wheel
 from calib.radius.residual_checks import checked
+from calib.radius.systematic import declared_sources, systematic_components, with_systematic
 
 __all__ = ["fit_campaign", "fit_law"]
 
@@ -94,6 +95,13 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -
         reference_load_N=reference,
         name=campaign.name,
         simulated=campaign.simulated,
+    )
+    sources = declared_sources(campaign)
+    fit = replace(
+        fit,
+        left=with_systematic(fit.left, fit.radii, sources),
+        right=with_systematic(fit.right, fit.radii, sources),
+        radii=replace(fit.radii, budget=(*fit.radii.budget, *systematic_components(fit.wheels, fit.radii, sources))),
     )
     static, notes = _static(campaign, reference)
     used = campaign.select(np.isin(campaign.runs.run_id, radii.run_id)).runs

@@ -9,7 +9,7 @@ the exact t of the regression on session means, and between the two it follows `
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
@@ -90,6 +90,10 @@ class Estimate:
         Ratio of the two mean squares; F(dof_between, dof_within) where sessions do not scatter.
     robust : bool
         Whether the within part is heteroscedasticity-consistent (HC3).
+    systematic : array of float, shape (n_sources, 2)
+        What each source that is the same in every run does to the coefficients, times its standard uncertainty.
+    systematic_dof : array of float, shape (n_sources,)
+        Degrees of freedom behind each of these.
     """
 
     design: str
@@ -102,11 +106,27 @@ class Estimate:
     session_variance: float
     session_f: float | None
     robust: bool
+    systematic: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
+    systematic_dof: FloatArray = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def cov_systematic(self) -> FloatArray:
+        """Part of the covariance that no number of runs makes smaller, shape (2, 2)."""
+        return np.asarray(self.systematic.T @ self.systematic)
 
     @property
     def covariance(self) -> FloatArray:
         """Covariance of the coefficients, shape (2, 2)."""
-        return np.asarray(self.cov_within + self.cov_between)
+        return np.asarray(self.cov_within + self.cov_between + self.cov_systematic)
+
+    def _systematic_half(self, contrast: npt.ArrayLike, coverage: float) -> FloatArray:
+        """Return the half width that the systematic sources alone give ``contrast @ coefficients``, shape (...)."""
+        from scipy.special import stdtrit
+
+        each = np.asarray(contrast, dtype=np.float64) @ self.systematic.T
+        # in place of infinitely many: Student's t is then normal to six digits
+        factor = stdtrit(np.minimum(self.systematic_dof, 1e6), 0.5 + coverage / 2)
+        return np.asarray(np.sqrt(np.sum((each * factor) ** 2, axis=-1)))
 
     def parts(self, contrast: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return the within and between parts of the variance of ``contrast @ coefficients``.
@@ -143,12 +163,19 @@ class Estimate:
         within, between = within + more_within, between + more_between
         total = within + between
         share = np.where(total > 0, between / np.where(total > 0, total, 1.0), 0.0)
-        return critical_value(share, self.dof_between, self.dof_within, coverage) * np.sqrt(total)
+        random = critical_value(share, self.dof_between, self.dof_within, coverage) * np.sqrt(total)
+        return (
+            np.asarray(np.hypot(random, self._systematic_half(contrast, coverage))) if len(self.systematic) else random
+        )
 
     def dof(self, contrast: npt.ArrayLike, coverage: float = 0.95) -> FloatArray:
         """Return the degrees of freedom whose Student's t gives `half_width`, shape (...)."""
         within, between = self.parts(contrast)
         total = within + between
+        if len(self.systematic):
+            c = np.asarray(contrast, dtype=np.float64)
+            std = np.sqrt(total + np.einsum("...i,ij,...j->...", c, self.cov_systematic, c))
+            return equivalent_dof(self.half_width(contrast, coverage) / np.where(std > 0, std, 1.0), coverage)
         share = np.where(total > 0, between / np.where(total > 0, total, 1.0), 0.0)
         critical = critical_value(share, self.dof_between, self.dof_within, coverage)
         dof = equivalent_dof(critical, coverage)

@@ -1,0 +1,221 @@
+"""Parts of the uncertainty that are the same in every run, so that no number of runs makes them smaller.
+
+They are declared in ``campaign.toml``, since no run shows them::
+
+    [uncertainty.rangefinder]
+    scale = {half_width = 5e-5, distribution = "rectangular"}    # of the distance
+    offset_m = {std = 5e-4}                                      # normal where nothing is said
+    beam_rad = {half_width = 2e-3, distribution = "rectangular"} # between beam and way of driving
+
+    [uncertainty.weighing]
+    scale = {std = 1e-3}                                         # of the wheel load
+    offset_N = {std = 1.0}
+
+Each entry has ``std``, or ``half_width`` with a ``distribution`` (``rectangular``, ``triangular``, ``normal``: a 95 %
+half width), and may have ``type`` (``A`` or ``B``, the default) and ``dof`` for type A.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+
+from calib.arrays import FloatArray
+from calib.campaign.model import Campaign
+from calib.errors import BadFileError
+from calib.radius.effective import Component, EffectiveRadii
+from calib.radius.regression import WheelFit, t_interval
+
+__all__ = ["SystematicSource", "declared_sources", "systematic_components", "with_systematic"]
+
+#: half width over standard deviation; that of a normal distribution holds 95 %
+_DIVISORS: Final[Mapping[str, float]] = {"rectangular": math.sqrt(3.0), "triangular": math.sqrt(6.0), "normal": 1.96}
+#: fourth moment over the squared variance: what a beam's angle does to a distance is of second order in it
+_KURTOSIS: Final[Mapping[str, float]] = {"rectangular": 9.0 / 5.0, "triangular": 12.0 / 5.0, "normal": 3.0}
+_KEYS: Final = ("std", "half_width", "distribution", "type", "dof")
+
+
+@dataclass(frozen=True, slots=True)
+class SystematicSource:
+    """A declared part of the uncertainty.
+
+    Parameters
+    ----------
+    section, key : str
+        Where it stands below ``[uncertainty]``: ``rangefinder``, ``scale``.
+    std : float
+        Standard uncertainty.
+    distribution : str
+        ``normal``, ``rectangular`` or ``triangular``.
+    kind : str
+        GUM evaluation, ``A`` or ``B``.
+    dof : float
+        Degrees of freedom; infinite for type B.
+    """
+
+    section: str
+    key: str
+    std: float
+    distribution: str
+    kind: str
+    dof: float
+
+    @property
+    def name(self) -> str:
+        """Name in the budget."""
+        return f"{self.section}: {self.key.rpartition('_')[0] or self.key}"
+
+    @property
+    def words(self) -> str:
+        """What it is, with its standard uncertainty."""
+        what, unit, factor = _WORDS[self.section, self.key]
+        return f"{what}, u = {factor * self.std:.2g} {unit}, the same in every run"
+
+
+def _along(wheel: WheelFit, sensitivity: FloatArray) -> FloatArray:
+    """Return what a common change of the radii does to the coefficients, shape (2,)."""
+    if wheel.model != "line":
+        return np.array([float(sensitivity.mean()), 0.0])
+    x = wheel.load_N - wheel.law.reference_load_N
+    slope = float(np.sum((x - x.mean()) * sensitivity) / np.sum((x - x.mean()) ** 2))
+    return np.array([float(sensitivity.mean()) - slope * float(x.mean()), slope])
+
+
+_WORDS: Final[Mapping[tuple[str, str], tuple[str, str, float]]] = {
+    ("rangefinder", "scale"): ("scale of the distance", "ppm", 1e6),
+    ("rangefinder", "offset_m"): ("offset of the distance", "mm", 1e3),
+    ("rangefinder", "beam_rad"): ("angle of the beam to the way", "mrad", 1e3),
+    ("weighing", "scale"): ("scale of the wheel load", "%", 1e2),
+    ("weighing", "offset_N"): ("offset of the wheel load", "N", 1.0),
+}
+
+
+def declared_sources(campaign: Campaign) -> tuple[SystematicSource, ...]:
+    """Return the systematic parts that a campaign declares under ``[uncertainty]``.
+
+    Raises
+    ------
+    BadFileError
+        Where a section or key is unknown, or an entry has no size.
+    """
+    declared = campaign.extra.get("uncertainty")
+    if declared is None:
+        return ()
+    where = "campaign.toml" if campaign.root is None else campaign.root / "campaign.toml"
+    known = ", ".join(f"{section}.{key}" for section, key in _WORDS)
+    sources = []
+    for section, entries in _mapping(declared, where, "uncertainty").items():
+        for key, entry in _mapping(entries, where, f"uncertainty.{section}").items():
+            if (section, key) not in _WORDS:
+                raise BadFileError(
+                    where,
+                    column=f"uncertainty.{section}.{key}",
+                    found="an unknown key",
+                    expected=f"one of {known}",
+                    remedy="correct it",
+                )
+            sources.append(_source(section, key, entry, where))
+    return tuple(sources)
+
+
+def _mapping(value: Any, where: Any, column: str) -> Mapping[str, Any]:
+    if not isinstance(value, Mapping):
+        raise BadFileError(
+            where, column=column, found=type(value).__name__, expected="a section", remedy="see the campaign format"
+        )
+    return value
+
+
+def _source(section: str, key: str, entry: Any, where: Any) -> SystematicSource:
+    column = f"uncertainty.{section}.{key}"
+    fields = _mapping(entry, where, column)
+    remedy = 'write {std = 1e-4} or {half_width = 1e-4, distribution = "rectangular"}'
+    distribution, kind = str(fields.get("distribution", "normal")), str(fields.get("type", "B")).upper()
+    sizes = [name for name in ("std", "half_width") if name in fields]
+    numbers = [fields[name] for name in (*sizes, *(["dof"] if "dof" in fields else []))]
+    fine = (
+        set(fields) <= set(_KEYS)
+        and len(sizes) == 1
+        and distribution in _DIVISORS
+        and kind in {"A", "B"}
+        and all(isinstance(number, int | float) and math.isfinite(number) and number > 0 for number in numbers)
+    )
+    if not fine:
+        found = ", ".join(f"{name} = {value!r}" for name, value in fields.items()) or "nothing"
+        expected = f"std or half_width above 0, distribution ({', '.join(_DIVISORS)}), type A or B, and dof"
+        raise BadFileError(where, column=column, found=found, expected=expected, remedy=remedy)
+    size = float(fields[sizes[0]])
+    std = size if sizes == ["std"] else size / _DIVISORS[distribution]
+    return SystematicSource(section, key, std, distribution, kind, float(fields.get("dof", math.inf)))
+
+
+def with_systematic(wheel: WheelFit, radii: EffectiveRadii, sources: tuple[SystematicSource, ...]) -> WheelFit:
+    """Return a wheel's fit with the systematic parts in the covariance of its law and in every interval.
+
+    Parameters
+    ----------
+    wheel : WheelFit
+        From `calib.radius.regression.fit_wheel`.
+    radii : EffectiveRadii
+        The runs of that fit.
+    sources : tuple of SystematicSource
+        From `declared_sources`.
+    """
+    if not sources:
+        return wheel
+    gradients = [_gradient(source, wheel, radii.distance_m) for source in sources]
+    estimate = replace(
+        wheel.estimate,
+        systematic=np.array(gradients),
+        systematic_dof=np.array([source.dof for source in sources]),
+    )
+    covariance, line = estimate.covariance, wheel.model == "line"
+    dof_radius, dof_slope = estimate.dof(np.eye(2)).tolist()
+    std = np.sqrt(np.diag(covariance)).tolist()
+    law = replace(wheel.law, covariance=covariance, dof=min(dof_radius, dof_slope) if line else dof_radius)
+    return replace(
+        wheel,
+        law=law,
+        estimate=estimate,
+        dof_radius_ref=dof_radius,
+        dof_slope=dof_slope if line else 0.0,
+        radius_ref_ci95_m=t_interval(law.radius_ref_m, std[0], dof_radius),
+        slope_ci95_m_per_N=t_interval(law.slope_m_per_N, std[1], dof_slope) if line else None,
+    )
+
+
+def systematic_components(
+    wheels: Mapping[str, WheelFit], radii: EffectiveRadii, sources: tuple[SystematicSource, ...]
+) -> tuple[Component, ...]:
+    """Return the lines of the budget of a single radius, at the middle of the loads driven."""
+    lines = []
+    for source in sources:
+        sizes = []
+        for wheel in wheels.values():
+            gradient = _gradient(source, wheel, radii.distance_m)
+            middle = float(np.mean(wheel.load_N)) - wheel.law.reference_load_N if wheel.model == "line" else 0.0
+            sizes.append(abs(float(gradient[0] + middle * gradient[1])))
+        dof = source.dof if math.isfinite(source.dof) else None
+        lines.append(Component(source.name, source.kind, source.distribution, source.words, sizes[0], sizes[1], dof))
+    return tuple(lines)
+
+
+def _gradient(source: SystematicSource, wheel: WheelFit, distance_m: FloatArray) -> FloatArray:
+    """Return what one standard uncertainty of a source does to the coefficients, shape (2,)."""
+    law, std = wheel.law, source.std
+    match source.section, source.key:
+        case "rangefinder", "scale":
+            return std * _along(wheel, wheel.radius_m)
+        case "rangefinder", "offset_m":
+            return std * _along(wheel, wheel.radius_m / distance_m)
+        case "rangefinder", "beam_rad":
+            # a beam at the angle a measures the distance over cos a: root mean square of a^2 / 2
+            return 0.5 * math.sqrt(_KURTOSIS[source.distribution]) * std**2 * _along(wheel, wheel.radius_m)
+        case "weighing", "scale":
+            return -std * law.slope_m_per_N * np.array([law.reference_load_N, 1.0])
+        case _:
+            return np.array([-std * law.slope_m_per_N, 0.0])

@@ -1,0 +1,150 @@
+"""The entry point: help, version, suggestions, interruptions, closed pipes, completion."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from calib import __version__
+from calib.cli.main import COMMANDS, run
+
+
+@pytest.mark.parametrize("flag", ["-h", "--help"])
+def test_help_has_a_short_form_everywhere(flag: str, capsys: pytest.CaptureFixture[str]) -> None:
+    for words in ([], ["fit"], ["simulate"], ["simulate", "replay"]):
+        assert run([*words, flag]) == 0
+        assert "Usage: calib" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("flag", ["-V", "--version"])
+def test_the_version_has_a_short_form(flag: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run([flag]) == 0
+    assert capsys.readouterr().out == f"calib {__version__}\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "suggestion"),
+    [
+        (["diagnos"], "'diagnose'"),
+        (["simulate", "replai"], "'replay'"),
+        (["fit", "x", "--forse"], "--force"),
+        (["challenge", "scor"], "'score'"),
+    ],
+)
+def test_what_is_misspelled_gets_a_suggestion(
+    words: list[str], suggestion: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(words) == 2
+    error = capsys.readouterr().err
+    assert suggestion in error
+    assert error.count("\n") == 1
+
+
+def test_an_effect_that_is_misspelled_gets_a_suggestion(project_root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["diagnose", str(project_root / "sample_runs/corridor"), "--exclude", "load_radus"]) == 2
+    error = capsys.readouterr().err
+    assert "did you mean 'load_radius'" in error
+    assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize("name", ["check", "fit", "deviation", "diagnose", "report", "simulate replay", "export"])
+def test_a_target_that_exists_is_refused_before_the_work(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The campaign is not even looked for."""
+    target = tmp_path / "there.json"
+    target.write_text("kept")
+    extra = ["--to", "json"] if name == "export" else []
+    assert run([*name.split(), str(tmp_path / "absent"), "--json", str(target), *extra]) == 2
+    assert "existing file" in capsys.readouterr().err
+    assert target.read_text() == "kept"
+
+
+def test_an_interruption_is_one_line_that_says_what_was_kept(
+    project_root: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import calib.files
+
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    arguments = ["fit", str(project_root / "sample_runs/corridor"), "--json", str(tmp_path / "fit.json")]
+    monkeypatch.setattr(calib.files, "write_json", interrupted)
+    assert run(arguments) == 130
+    assert capsys.readouterr().err == "calib: interrupted; nothing was written, and nothing half-written is left\n"
+    monkeypatch.setattr("calib.radius.result.write_result", lambda *_, **__: tmp_path / "result")
+    assert run([*arguments, "--into", str(tmp_path / "result")]) == 130
+    assert capsys.readouterr().err.startswith(f"calib: interrupted; kept: {tmp_path / 'result'}, and")
+
+
+def test_control_c_ends_a_process_with_130(project_root: Path) -> None:
+    """Two seconds into a diagnosis, which takes longer; one line, and nothing on standard output."""
+    program = (
+        "import os, signal, threading; from calib.cli.main import main; "
+        "threading.Timer(2.0, lambda: os.kill(os.getpid(), signal.SIGINT)).start(); "
+        "main(['diagnose', 'sample_runs/corridor'])"
+    )
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, cwd=project_root, capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 130
+    assert done.stdout == ""
+    assert done.stderr.count("\n") == 1
+    assert "interrupted" in done.stderr
+
+
+@pytest.mark.parametrize("arguments", [["check", "sample_runs/corridor"], ["--help"], ["loads", "--json", "-"]])
+def test_a_closed_standard_output_is_no_failure(arguments: list[str], project_root: Path) -> None:
+    """As with ``calib check C | head -0``: 141 or 0, no traceback."""
+    read, write = os.pipe()
+    os.close(read)
+    command = [sys.executable, "-m", "calib", *arguments]
+    done = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, cwd=project_root, text=True, check=False)
+    os.close(write)
+    assert done.returncode in {0, 141}
+    assert done.stderr == ""
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_shells_can_complete_commands_and_options(shell: str) -> None:
+    program = [sys.executable, "-c", "import sys; from calib.cli.main import main; main(sys.argv[1:])"]
+    typed = {"_TYPER_COMPLETE_ARGS": "calib diag", "COMP_WORDS": "calib diag", "COMP_CWORD": "1"}
+    asked = {"_CALIB_COMPLETE": f"complete_{shell}", "_TYPER_COMPLETE_FISH_ACTION": "get-args"}
+    environment = {**os.environ, **asked, **typed}
+    done = subprocess.run(program, env=environment, capture_output=True, text=True, check=False)
+    assert "diagnose" in done.stdout
+    environment |= {"_TYPER_COMPLETE_ARGS": "calib fit --ref", "COMP_WORDS": "calib fit --ref", "COMP_CWORD": "2"}
+    done = subprocess.run(program, env=environment, capture_output=True, text=True, check=False)
+    assert "--reference-load" in done.stdout
+
+
+def test_output_without_unicode_is_still_output(project_root: Path) -> None:
+    """A C locale cannot show a micro sign; the numbers stand all the same."""
+    command = [sys.executable, "-m", "calib", "loads"]
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    done = subprocess.run(command, env=environment, cwd=project_root, capture_output=True, text=True, check=True)
+    assert "1" in done.stdout
+    assert done.stdout.isascii()
+
+
+def test_no_line_of_a_screen_is_wider_than_80_columns(
+    project_root: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    campaign = str(project_root / "sample_runs/corridor_crossed")
+    for arguments in (["check", campaign], ["fit", campaign, "--runs"], ["deviation", campaign], ["deviation"],
+                      ["loads"], ["simulate", "study", "asymmetric", "--law", campaign, "--draws", "200"]):  # fmt: skip
+        run(arguments)
+        out = capsys.readouterr().out
+        assert max(map(len, out.splitlines())) <= 80, arguments
+        assert "…" not in out
+
+
+def test_every_command_is_registered_under_a_summary(capsys: pytest.CaptureFixture[str]) -> None:
+    for group in ("simulate", "challenge"):
+        assert run([group, "--help"]) == 0
+        out = capsys.readouterr().out
+        assert all(name.split()[1] in out for name in COMMANDS if name.startswith(f"{group} "))
