@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -9,8 +10,9 @@ from calib import __version__
 from calib.report.blocks import Picture, Section
 from calib.report.pages import sections_of
 from calib.report.source import Source
+from calib.report.stated import Logo, signatures_of
 
-__all__ = ["Attachment", "Report", "compose"]
+__all__ = ["Attachment", "Report", "compose", "head_of"]
 
 #: longest campaign name in the header of a page; the title has it whole
 SHORT_NAME: Final = 44
@@ -51,6 +53,10 @@ class Report:
         What is said.
     attachments : tuple of Attachment
         Files inside the PDF.
+    signatures : tuple of (str, str)
+        Role and name of those who sign.
+    logo : Logo or None
+        The laboratory's picture.
     """
 
     report_id: str
@@ -63,6 +69,8 @@ class Report:
     head: tuple[tuple[str, str], ...]
     sections: tuple[Section, ...]
     attachments: tuple[Attachment, ...]
+    signatures: tuple[tuple[str, str], ...] = ()
+    logo: Logo | None = None
 
     @property
     def pictures(self) -> tuple[Picture, ...]:
@@ -87,12 +95,39 @@ class Report:
             "passed": self.passed,
             "author": self.author,
             "head": [list(fact) for fact in self.head],
+            "signatures": [list(signature) for signature in self.signatures],
+            "logo": None if self.logo is None else f"logo{self.logo.suffix}",
             "sections": [section.to_dict() for section in self.sections],
             "attachments": [
                 {"name": one.name, "relationship": one.relationship, "mime": one.mime, "description": one.description}
                 for one in self.attachments
             ],
         }
+
+
+def head_of(report_id: str, issued: str, stated: Mapping[str, str]) -> tuple[tuple[str, str], ...]:
+    """Return the facts under a report's title.
+
+    Parameters
+    ----------
+    report_id, issued : str
+        Identification and date of issue.
+    stated : mapping of str to str
+        What the campaign states, by the keys of `calib.report.stated.STATED`.
+    """
+    facts = [("Report", report_id), ("Date of issue", issued)]
+    facts += [
+        (title, stated[key]) for title, key in (("Replaces report", "replaces"), ("Method", "method")) if key in stated
+    ]
+    for title, key in (
+        ("Laboratory", "laboratory"),
+        ("Customer", "customer"),
+        ("Vehicle", "item"),
+        ("Dates of measurement", "measured"),
+        ("Authorised by", "authorised"),
+    ):
+        facts.append((title, stated.get(key, "not stated")))
+    return tuple(facts)
 
 
 def compose(source: Source) -> Report:
@@ -108,15 +143,6 @@ def compose(source: Source) -> Report:
     Report
         The sections of every page that has something to say.
     """
-    head = (
-        ("Report", source.report_id),
-        ("Date of issue", source.issued),
-        ("Laboratory", source.said("laboratory")),
-        ("Customer", source.said("customer")),
-        ("Vehicle", source.said("item")),
-        ("Dates of measurement", source.said("measured")),
-        ("Authorised by", source.said("authorised")),
-    )
     return Report(
         report_id=source.report_id,
         title="Effective rolling radius of the rear wheels",
@@ -125,7 +151,9 @@ def compose(source: Source) -> Report:
         simulated=source.simulated,
         passed=source.fit.passed,
         author=source.stated.get("laboratory", ""),
-        head=head,
+        head=head_of(source.report_id, source.issued, source.stated),
+        signatures=signatures_of(source.stated),
+        logo=source.logo,
         sections=sections_of(source),
         attachments=(
             Attachment(

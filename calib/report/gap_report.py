@@ -9,11 +9,11 @@ from calib.campaign.model import Campaign
 from calib.files import to_json
 from calib.gap.diagnose import diagnose_in_full
 from calib.report.blocks import Items, Notice, Section
-from calib.report.content import Attachment, Report
+from calib.report.content import Attachment, Report, head_of
 from calib.report.gap_source import findings_of
 from calib.report.numbers import prose
 from calib.report.pages.diagnosis import gap_section
-from calib.report.source import stated_of
+from calib.report.stated import logo_of, signatures_of, stated_of
 
 __all__ = ["diagnosis_report"]
 
@@ -46,13 +46,6 @@ def diagnosis_report(campaign: Campaign, *, issued: str, why: str, seed: int = 0
     content = {"inputs": dict(campaign.hashes), "campaign": campaign.name, "version": __version__, "gap": gap.to_dict()}
     number = "CR-" + hashlib.sha256(to_json(content).encode()).hexdigest()[:12].upper()
     stated = stated_of(campaign)
-    facts = (
-        ("Laboratory", "laboratory"),
-        ("Customer", "customer"),
-        ("Vehicle", "item"),
-        ("Dates of measurement", "measured"),
-        ("Authorised by", "authorised"),
-    )
     limits = Section(
         "What this report does not cover",
         (
@@ -73,11 +66,9 @@ def diagnosis_report(campaign: Campaign, *, issued: str, why: str, seed: int = 0
         simulated=campaign.simulated,
         passed=True,
         author=stated.get("laboratory", ""),
-        head=(
-            ("Report", number),
-            ("Date of issue", issued),
-            *((title, stated.get(key, "not stated")) for title, key in facts),
-        ),
+        head=head_of(number, issued, stated),
+        signatures=signatures_of(stated),
+        logo=logo_of(campaign),
         sections=(reason, gap_section(gap), limits),
         attachments=(
             Attachment(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import unicodedata
 from datetime import UTC, datetime
 from importlib.resources import files
 from pathlib import Path
@@ -19,6 +21,8 @@ __all__ = ["FORMS", "to_pdf", "write_figures"]
 
 #: PDF/A-3 at its accessible level: tagged, with alternative texts
 STANDARD: Final = "a-3a"
+#: signs beyond those of whole strange scripts that are looked at one by one
+MOST_SIGNS: Final = 24
 
 
 def to_pdf(report: Report) -> bytes:
@@ -32,15 +36,14 @@ def to_pdf(report: Report) -> bytes:
     Returns
     -------
     bytes
-        The same for the same report: its date is the date of issue, and only built-in fonts are used.
+        The same for the same report: its date is the date of issue, and only built-in fonts are used, unless a name
+        holds signs that these lack.
 
     Raises
     ------
     CalibError
         Where the page cannot be set.
     """
-    import typst
-
     sources: dict[str, bytes] = {
         "main.typ": (files("calib.report") / "page.typ").read_bytes(),
         "data.json": to_json(report.to_dict()).encode("utf-8"),
@@ -49,23 +52,70 @@ def to_pdf(report: Report) -> bytes:
         sources[f"{picture.name}.svg"] = render(picture.draw(), "svg")
     for attachment in report.attachments:
         sources[attachment.name] = attachment.data
+    if report.logo is not None:
+        sources[f"logo{report.logo.suffix}"] = report.logo.data
     with TemporaryDirectory(prefix="calib-report-") as folder:
         for name, data in sources.items():
             (Path(folder) / name).write_bytes(data)
+        return _set(Path(folder), report)
+
+
+def _set(folder: Path, report: Report) -> bytes:
+    """Set the page with the built-in fonts.
+
+    Where a sign is in none of them, those of the system are asked, too; where it is in none of these either, its code
+    point stands in its place.
+    """
+    text = (folder / "data.json").read_text(encoding="utf-8")
+    try:
+        return _compiled(folder, report, system_fonts=False)
+    except _MissingSign:
+        pass
+    for _ in range(MOST_SIGNS):
         try:
-            made = typst.compile(
-                str(Path(folder) / "main.typ"),
-                root=folder,
-                format="pdf",
-                pdf_standards=[STANDARD],
-                ignore_system_fonts=True,
-                timestamp=datetime.fromisoformat(report.issued).replace(tzinfo=UTC),
-            )
-        except RuntimeError as error:
-            raise CalibError(
-                f"the report's page cannot be set: {error}; expected a page for any content, so please report it"
-            ) from error
-    return bytes(made)
+            return _compiled(folder, report, system_fonts=True)
+        except _MissingSign as error:
+            strange = {sign for sign in text if _is_strange(sign)} | set(error.signs)
+            for sign in strange:
+                text = text.replace(sign, f"[U+{ord(sign):X}]")
+            (folder / "data.json").write_text(text, encoding="utf-8")
+    raise CalibError("the report's page cannot be set: too many signs that no font has; expected common scripts")
+
+
+def _is_strange(sign: str) -> bool:
+    """Return whether a sign is of a script that the built-in fonts lack as a whole."""
+    common = unicodedata.name(sign, "").startswith(("LATIN", "GREEK", "CYRILLIC"))
+    return unicodedata.category(sign) in {"Lo", "So", "Cn", "Co"} and not common
+
+
+class _MissingSign(Exception):
+    """A sign that no font has; `signs` are those that were named."""
+
+    def __init__(self, signs: str) -> None:
+        super().__init__(signs)
+        self.signs = signs
+
+
+def _compiled(folder: Path, report: Report, *, system_fonts: bool) -> bytes:
+    import typst
+
+    try:
+        compiled = typst.compile(
+            str(folder / "main.typ"),
+            root=str(folder),
+            format="pdf",
+            pdf_standards=[STANDARD],
+            ignore_system_fonts=not system_fonts,
+            timestamp=datetime.fromisoformat(report.issued).replace(tzinfo=UTC),
+        )
+    except RuntimeError as error:
+        missing = re.search(r'the text `"(.+?)"` could not be displayed', str(error))
+        if missing:
+            raise _MissingSign(missing[1]) from error
+        raise CalibError(
+            f"the report's page cannot be set: {error}; expected a page for any content, so please report it"
+        ) from error
+    return bytes(compiled)
 
 
 def write_figures(report: Report, folder: Path, *, force: bool = False) -> list[Path]:

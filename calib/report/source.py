@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from datetime import date
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from calib import __version__
 from calib.campaign.model import Campaign
@@ -15,34 +16,19 @@ from calib.coefficients.build import from_fit
 from calib.coefficients.file import CoefficientFile
 from calib.errors import BadFileError, BadInputError, RefusedError
 from calib.files import to_json
+from calib.gap.verdict.result import VerdictKind
 from calib.radius.fit import fit_campaign
 from calib.radius.fitted import Fit
 from calib.radius.result import is_result, provenance, read_result
+from calib.report.stated import Logo, logo_of, stated_of, texts_of
 
 if TYPE_CHECKING:
     from calib.report.gap_findings import GapFindings
 
-__all__ = ["STATED", "Source", "from_campaign", "issue_date", "source_of", "source_of_fit", "stated_of"]
+__all__ = ["Source", "from_campaign", "issue_date", "source_of", "source_of_fit"]
 
 #: a PDF cannot carry an earlier date of creation
 FIRST_YEAR: Final = 1970
-
-#: keys of the campaign's ``[report]`` section, and what a reader is told where one is missing
-STATED: Final[Mapping[str, str]] = {
-    "laboratory": "name and address of the laboratory",
-    "customer": "name and contact of the customer",
-    "item": "description of the vehicle",
-    "item_id": "serial number of the vehicle",
-    "item_condition": "condition of the wheels",
-    "place": "where the runs were driven",
-    "floor": "floor of the corridor",
-    "received": "date of receipt of the vehicle",
-    "measured": "dates of the measurement",
-    "instruments": "instruments and their calibration certificates",
-    "deviations": "deviations from the method",
-    "authorised": "who authorises the report",
-    "remarks": "remarks",
-}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,6 +47,10 @@ class Source:
         What the campaign's ``[report]`` section states, by the keys of `STATED`.
     gap : GapFindings or None
         Findings of the diagnosis, where one was asked for.
+    logo : Logo or None
+        The laboratory's picture.
+    known_verdict : (str, str) or None
+        Verdict and sentence of a diagnosis.json that lies beside the fit.
     """
 
     fit: Fit
@@ -68,6 +58,8 @@ class Source:
     issued: str
     stated: Mapping[str, str] = field(default_factory=dict)
     gap: GapFindings | None = None
+    logo: Logo | None = None
+    known_verdict: tuple[VerdictKind, str] | None = None
 
     @property
     def simulated(self) -> bool:
@@ -150,11 +142,29 @@ def source_of(path: Path | str, *, issued: str) -> tuple[Source, Campaign | None
             remedy="give the path of one",
         )
     if is_result(path):
-        return source_of_fit(read_result(path), issued=issued, where=path), None
+        source = source_of_fit(read_result(path), issued=issued, where=path)
+        return replace(source, known_verdict=_verdict_beside(path, source.fit.name)), None
     from calib.campaign.read import read_campaign
 
     campaign = read_campaign(path)
-    return from_campaign(campaign, issued=issued), campaign
+    source = from_campaign(campaign, issued=issued)
+    return replace(source, known_verdict=_verdict_beside(path, campaign.name)), campaign
+
+
+def _verdict_beside(path: Path, name: str) -> tuple[VerdictKind, str] | None:
+    """Return verdict and sentence of the diagnosis of the same campaign that lies in the folder, if there is one."""
+    file = (path if path.is_dir() else path.parent) / "diagnosis.json"
+    if not file.is_file():
+        return None
+    try:
+        document = json.loads(file.read_text(encoding="utf-8"))
+        if document["campaign"] != name:
+            return None
+        return VerdictKind(document["verdict"]), str(document["sentence"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise BadFileError(
+            file, found=f"{type(error).__name__}", expected="what calib diagnose --into wrote", remedy="remove it"
+        ) from error
 
 
 def source_of_fit(fit: Fit, *, issued: str, where: Path | str = "fit") -> Source:
@@ -164,7 +174,7 @@ def source_of_fit(fit: Fit, *, issued: str, where: Path | str = "fit") -> Source
             f"{where}: found a fit without its setup; expected vehicle, instruments and conditions; make it anew "
             "with 'calib fit CAMPAIGN --into FOLDER'"
         )
-    stated = _stated(fit.provenance.get("report"), where)
+    stated = texts_of(fit.provenance.get("report"), where)
     return Source(fit, from_fit(fit, created=issued), issued, stated)
 
 
@@ -173,38 +183,4 @@ def from_campaign(campaign: Campaign, *, issued: str) -> Source:
     fit = fit_campaign(campaign)
     fit = replace(fit, provenance=provenance(campaign, version=__version__, arguments={}))
     made = from_fit(fit, created=issued, inputs=campaign.hashes)
-    return Source(fit, made, issued, stated_of(campaign))
-
-
-def stated_of(campaign: Campaign) -> dict[str, str]:
-    """Return what the ``[report]`` section of a campaign states, by the keys of `STATED`."""
-    where = "campaign.toml" if campaign.root is None else campaign.root / "campaign.toml"
-    return _stated(campaign.extra.get("report"), where)
-
-
-def _stated(section: Any, where: Path | str) -> dict[str, str]:
-    """Return the texts of a ``[report]`` section; a list of texts is joined."""
-    if section is None:
-        return {}
-    remedy = f"write text under these keys: {', '.join(STATED)}"
-    if not isinstance(section, Mapping):
-        raise BadFileError(where, column="report", found=type(section).__name__, expected="a section", remedy=remedy)
-    made = {}
-    for key, value in section.items():
-        texts = value if isinstance(value, (list, tuple)) else [value]
-        if key not in STATED or not all(isinstance(text, (str, int, float)) or _is_date(text) for text in texts):
-            raise BadFileError(
-                where,
-                column=f"report.{key}",
-                found="an unknown key" if key not in STATED else f"a {type(value).__name__}",
-                expected="text",
-                remedy=remedy,
-            )
-        joined = "; ".join(str(text).strip() for text in texts if str(text).strip())
-        if joined:
-            made[str(key)] = joined
-    return made
-
-
-def _is_date(value: Any) -> bool:
-    return hasattr(value, "isoformat")
+    return Source(fit, made, issued, stated_of(campaign), logo=logo_of(campaign))

@@ -19,6 +19,7 @@ from calib.report.figures.style import (
     axes_grid,
     canvas,
     colour,
+    legible,
     shared_legend,
     styled,
 )
@@ -247,7 +248,7 @@ def _groups(group: StrArray | None, n: int) -> tuple[list[str], npt.NDArray[np.i
     names = list(dict.fromkeys(str(text) for text in group))
     index = {text: k for k, text in enumerate(names)}
     number = np.array([index[str(text)] for text in group], dtype=np.int64)
-    return [(text or "(none)").replace("_", " ").strip() or "(none)" for text in names], number
+    return [legible((text or "(none)").replace("_", " ").strip()) or "(none)" for text in names], number
 
 
 def _classes(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -272,4 +273,4 @@ def _with_unit(name: str) -> str:
     units: dict[str, Any] = {"mps": "m/s", "C": "°C", "kg": "kg", "N": "N", "rad": "rad", "m": "m", "s": "s"}
     stem, _, suffix = name.rpartition("_")
     text = f"{stem} ({units[suffix]})" if stem and suffix in units else name
-    return text.replace("_", " ")
+    return legible(text.replace("_", " "))

@@ -12,7 +12,18 @@ from matplotlib.ticker import FuncFormatter, NullFormatter
 from calib.radius.deviation import whole_period_excess
 from calib.radius.effective import EffectiveRadii
 from calib.radius.regression import WheelFit
-from calib.report.figures.style import BLUE, GREY, INK, ORANGE, axes_grid, canvas, colour, shared_legend, styled
+from calib.report.figures.style import (
+    BLUE,
+    GREY,
+    INK,
+    ORANGE,
+    axes_grid,
+    canvas,
+    colour,
+    legible,
+    shared_legend,
+    styled,
+)
 
 __all__ = ["path_deviation", "regressions", "residuals", "runs_by_series"]
 
@@ -240,7 +251,7 @@ def _sessions(session: npt.NDArray[np.str_]) -> tuple[list[str], npt.NDArray[np.
 
 def _short(name: str, limit: int = 18) -> str:
     """Return a label that fits a legend; a leading underscore would hide it."""
-    text = name.strip() or "(no session)"
+    text = legible(name.strip()) or "(no session)"
     text = text if len(text) <= limit else text[: limit - 1] + "…"
     return f"\u200b{text}" if text.startswith("_") else text
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Sequence
-from functools import wraps
+from functools import cache, wraps
 from typing import Any, Final, ParamSpec
 
 import matplotlib as mpl
@@ -22,6 +22,7 @@ __all__ = [
     "canvas",
     "colour",
     "figure_title",
+    "legible",
     "render",
     "shared_legend",
     "styled",
@@ -129,6 +130,22 @@ def shared_legend(figure: Figure, handles: Sequence[Any], labels: Sequence[str],
             handletextpad=0.5,
             columnspacing=1.4,
         )
+
+
+@cache
+def _known_signs() -> frozenset[int]:
+    """Return the code points that the figures' font can show."""
+    from matplotlib.font_manager import findfont
+    from matplotlib.ft2font import FT2Font
+
+    return frozenset(FT2Font(findfont("DejaVu Sans")).get_charmap())
+
+
+def legible(text: str) -> str:
+    """Return a text with signs that the font lacks given by their code points, so that labels stay apart."""
+    if text.isascii():
+        return text
+    return "".join(sign if ord(sign) in _known_signs() else f"U+{ord(sign):X} " for sign in text).strip()
 
 
 def colour(number: int) -> str:

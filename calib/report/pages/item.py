@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from calib.report.blocks import Facts, Section, Text
 from calib.report.numbers import MISSING
-from calib.report.source import STATED, Source
+from calib.report.source import Source
+from calib.report.stated import OPTIONAL, STATED
 
 __all__ = ["section"]
 
@@ -36,9 +37,7 @@ def section(source: Source) -> Section:
             ("Mass", f"{vehicle.mass_kg:g} kg without payload, permissible wheel load {vehicle.max_wheel_load_N:g} N"),
             ("Wheel encoders", counts + wrap),
         ]
-    missing = [
-        what for key, what in STATED.items() if key not in source.stated and key not in {"remarks", "deviations"}
-    ]
+    missing = [what for key, what in STATED.items() if key not in source.stated and key not in OPTIONAL]
     blocks: list[Facts | Text] = [Facts(tuple((name, value or MISSING) for name, value in rows))]
     blocks.append(
         Text(

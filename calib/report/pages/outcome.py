@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from calib.report.blocks import Section, Text
+from calib.report.blocks import Notice, Section, Text
+from calib.report.numbers import prose
 from calib.report.source import Source
 from calib.report.statements.checks import usable_notice
+from calib.report.statements.diagnosis import TITLES, verdict_notice
 from calib.report.statements.law import law_table, single_run_text
 
 __all__ = ["section"]
@@ -20,4 +22,15 @@ def section(source: Source) -> Section:
         f"The law holds for {loads}. It comes from {len(fit.radii)} runs along a straight corridor. The same law, with "
         "its covariance, is attached to this PDF as coefficients.json."
     )
-    return Section("Result", (law_table(fit), holds, single_run_text(fit), usable_notice(fit)))
+    return Section("Result", (law_table(fit), holds, single_run_text(fit), usable_notice(fit), *_gap(source)))
+
+
+def _gap(source: Source) -> tuple[Notice, ...]:
+    """Return what a diagnosis found, where one was made with this report or lies beside the fit."""
+    if source.gap is not None:
+        return (verdict_notice(source.gap.verdict),)
+    if source.known_verdict is None:
+        return ()
+    kind, sentence = source.known_verdict
+    level, title = TITLES[kind]
+    return (Notice(level, f"{title} ({kind.value}, from diagnosis.json)", prose(sentence)),)

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Final
 
 import numpy as np
 
 from calib.radius.fitted import Fit
-from calib.report.blocks import Column, Table, Text
+from calib.report.blocks import Column, Picture, Table, Text
+from calib.report.figures.budget import budget_bars
 from calib.report.numbers import aligned, fixed, left, prose, two_digits
 
-__all__ = ["law_budget", "radius_budget", "scatter_text"]
+__all__ = ["budget_picture", "declared_text", "law_budget", "radius_budget", "scatter_text"]
 
 _NAMES: Final = {
     "rangefinder": "rangefinder",
@@ -55,30 +57,58 @@ def radius_budget(fit: Fit) -> Table:
     )
 
 
+def budget_picture(fit: Fit) -> Picture:
+    """Return the budget of a single radius as bars."""
+    largest = max(fit.radii.budget, key=lambda part: part.std_left_m + part.std_right_m)
+    return Picture(
+        "budget",
+        "Contributions to the standard uncertainty of a single effective radius, and all of them combined.",
+        f"Bars of the uncertainty budget; the largest contribution is {largest.name.replace('_', ' ')}",
+        partial(budget_bars, fit.radii.budget),
+    )
+
+
+def declared_text(fit: Fit) -> Text:
+    """Say which systematic parts are declared, or that none is and what that means for U."""
+    if any(len(wheel.estimate.systematic) for wheel in fit.wheels.values()):
+        return Text(
+            "Parts that are the same in every run are declared by the campaign ([uncertainty] of campaign.toml); they "
+            "enter every U and every band, and more runs do not make them smaller."
+        )
+    return Text(
+        "The campaign declares no systematic parts ([uncertainty] of campaign.toml): scale and offset of the "
+        "rangefinder, angle of its beam, scale of the weighing. Every U counts the instruments' errors as random from "
+        "run to run; what is the same in every run is not contained in it."
+    )
+
+
 def law_budget(fit: Fit) -> Table:
-    """Return what scatter of runs and of sessions contribute to the coefficients."""
+    """Return what scatter of runs and sessions, and what is systematic, contribute to the coefficients."""
+    systematic = any(len(wheel.estimate.systematic) for wheel in fit.wheels.values())
     rows = []
     for name, wheel in fit.wheels.items():
-        within, between = wheel.estimate.cov_within, wheel.estimate.cov_between
+        parts = [wheel.estimate.cov_within, wheel.estimate.cov_between]
+        parts += [wheel.estimate.cov_systematic] if systematic else []
         kinds = [(0, "radius at F₀", "µm", 1e6)]
         if wheel.model == "line":
             kinds.append((1, "slope", "nm/N", 1e9))
         for number, (index, title, unit, scale) in enumerate(kinds):
-            values = [float(one[index, index]) for one in (within, between, within + between)]
+            values = [float(part[index, index]) for part in (*parts, wheel.estimate.covariance)]
             cells = (two_digits(scale * float(np.sqrt(max(value, 0.0)))) for value in values)
             rows.append(("" if number else name, title, unit, *cells))
     return Table(
-        "Budget of the law: what scatter of runs and of sessions contribute to the standard uncertainties u (k = 1) of "
-        "its coefficients.",
+        "Budget of the law: contributions to the standard uncertainties u (k = 1) of its coefficients."
+        + (" What is systematic does not become smaller with more runs." if systematic else ""),
         (
             left("Wheel"),
             left("Coefficient"),
             left("Unit"),
             Column("of runs", group="u from the scatter"),
             Column("of sessions", group="u from the scatter"),
+            *((Column("Systematic"),) if systematic else ()),
             Column("Combined"),
         ),
-        aligned(rows, 3, 4, 5),
+        aligned(rows, *range(3, 7 if systematic else 6)),
     )
 
 

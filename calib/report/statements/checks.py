@@ -28,7 +28,7 @@ def checks_table(fit: Fit) -> Table:
             check_name.replace("_", " "),
             "both" if len(pairs) == 2 else pairs[0][0],
             _LEVELS.get(level, level),
-            " / ".join(dict.fromkeys(_statistic(check) for _, check in pairs)),
+            _statistics([check for _, check in pairs]),
             " / ".join(dict.fromkeys(probability(check.p_value) for _, check in pairs)),
             prose(sentence),
         )
@@ -40,7 +40,7 @@ def checks_table(fit: Fit) -> Table:
             left("Check"),
             left("Wheel"),
             left("Verdict"),
-            Column("Statistic", align="left", detail=True),
+            Column("Statistic", align="left", wide=True, detail=True),
             Column("p", detail=True),
             left("Meaning", wide=True),
         ),
@@ -49,11 +49,13 @@ def checks_table(fit: Fit) -> Table:
     )
 
 
-def _statistic(check: Check) -> str:
-    if check.statistic is None or not check.statistic_name:
-        return ""
-    value = f"{check.statistic:.3g}".replace("-", "−")
-    return prose(f"{check.statistic_name} = {value}")
+def _statistics(checks: list[Check]) -> str:
+    """Return the statistics of a check on one wheel or both, by one name."""
+    values: dict[str, list[str]] = {}
+    for check in checks:
+        if check.statistic is not None and check.statistic_name:
+            values.setdefault(check.statistic_name, []).append(f"{check.statistic:.3g}".replace("-", "−"))
+    return prose("; ".join(f"{name} = {' / '.join(dict.fromkeys(each))}" for name, each in values.items()))
 
 
 def usable_notice(fit: Fit) -> Notice:

@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 
+from calib.arrays import FloatArray
 from calib.radius.fitted import Fit
 from calib.report.blocks import Column, Table
 from calib.report.numbers import fixed, left
@@ -32,11 +33,13 @@ def left_out_table(fit: Fit) -> Table:
 def runs_table(fit: Fit) -> Table:
     """Return every run: counts, distance, loads, radii, and residuals from the law."""
     radii = fit.radii
+    counts = _counts(fit)
     columns = (
         left("Run"),
         left("Session"),
         left("Dir."),
         Column("Distance", "m", detail=True),
+        *(Column(wheel, group="Counts", detail=True) for wheel in ("left", "right") if fit.setup is not None),
         *(
             Column(wheel, unit, group=group, detail=group == "Path")
             for group, unit in (("Load", "N"), ("Radius", "mm"), ("Path", "ppm"), ("Residual", "µm"))
@@ -49,6 +52,7 @@ def runs_table(fit: Fit) -> Table:
             str(radii.session[k]),
             str(radii.direction[k]),
             fixed(float(radii.distance_m[k]), 4),
+            *(f"{count[k]:.0f}" for count in counts),
             fixed(float(radii.load_left_N[k]), 1),
             fixed(float(radii.load_right_N[k]), 1),
             fixed(1e3 * float(radii.radius_left_m[k]), 4),
@@ -61,12 +65,26 @@ def runs_table(fit: Fit) -> Table:
         for k in range(len(radii))
     )
     return Table(
-        "Runs: distance by the rangefinder, wheel loads, effective radii with the path correction contained in them, "
-        "and residuals from the law.",
+        "Runs: distance by the rangefinder, encoder counts, wheel loads, effective radii with the path correction "
+        "contained in them, and residuals from the law.",
         columns,
         rows,
         dense=True,
     )
+
+
+def _counts(fit: Fit) -> list[FloatArray]:
+    """Return the counts of either wheel, from the radii: r = S (1 + e) / (2 pi n); none without an encoder."""
+    if fit.setup is None:
+        return []
+    radii, encoder = fit.radii, fit.setup.encoder
+    return [
+        radii.distance_m * (1 + path) / (2 * np.pi * radius) * per_rev
+        for path, radius, per_rev in (
+            (radii.path_left, radii.radius_left_m, encoder.counts_per_rev_left),
+            (radii.path_right, radii.radius_right_m, encoder.counts_per_rev_right),
+        )
+    ]
 
 
 def sessions_table(fit: Fit) -> Table:
