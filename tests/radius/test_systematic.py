@@ -51,8 +51,9 @@ def test_it_is_what_an_actual_scale_error_does() -> None:
         moved = fit_campaign(replace(plain, runs=replace(plain.runs, numbers=numbers)))
         fit = fit_campaign(declared(**{section: {key: {"std": unit}}}))
         shift = moved.left.estimate.coefficients - fit.left.estimate.coefficients
-        # rtol: the path corrections of the runs change in second order
-        np.testing.assert_allclose(fit.left.estimate.systematic[0], shift, rtol=5e-3, atol=1e-12)
+        # rtol: the path corrections change in second order; atol: ordinary least squares stands for the weights of the
+        # sessions, which for an offset moves the slope by less than a ten-thousandth of it
+        np.testing.assert_allclose(fit.left.estimate.systematic[0], shift, rtol=5e-3, atol=1e-10)
 
 
 def test_more_runs_do_not_make_it_smaller() -> None:

@@ -33,7 +33,8 @@ def words(section: Section) -> str:
 
 
 def everything(report: Report) -> str:
-    return "\n".join([report.title, *(" ".join(fact) for fact in report.head), *map(words, report.sections)])
+    facts = [" ".join(fact) for fact in (*report.head, *report.signatures)]
+    return "\n".join([report.title, *facts, *map(words, report.sections)])
 
 
 def section(report: Report, title: str) -> Section:
