@@ -26,13 +26,15 @@ __all__ = ["observations_of"]
 
 #: what the wheels may still roll after the last pose of the reference, so that it counts as the end pose
 AT_THE_END_M = 1e-3
+#: with fewer runs than this driven like another one, recordings are cut into windows
+FEW_REPEATED = 8
 
 
 def observations_of(campaign: Campaign, model: OdometryModel | None = None) -> Observations:
     """Arrange a campaign for the diagnosis.
 
-    Excluded rows are left out. A recording with a continuous pose reference is cut into windows where there are fewer
-    than a dozen runs. A run without a log counts with what its row says.
+    Excluded rows are left out. Recordings with a continuous pose reference are cut into windows where there are fewer
+    than a dozen runs, or where hardly any was driven twice. A run without a log counts with what its row says.
 
     Parameters
     ----------
@@ -56,8 +58,31 @@ def observations_of(campaign: Campaign, model: OdometryModel | None = None) -> O
     per_rad = CountsPerRadian.from_encoder(campaign.encoder)
     in_map = poses_are_in_a_map(campaign)
     recorded = [_recorded(run, campaign, model, per_rad, in_map) for run in range(len(campaign.runs))]
-    units, notes = _units([run for run in recorded if run is not None], campaign, model, per_rad)
-    without_counts = sum(run is None for run in recorded)
+    with_counts = [run for run in recorded if run is not None]
+    few = len(recorded) < FEW_RUNS
+    observations = _arranged(with_counts, campaign, model, per_rad, in_map, into_windows=few)
+    if not few and any(run.reference is not None for run in with_counts) and _n_repeated(observations) < FEW_REPEATED:
+        observations = _arranged(with_counts, campaign, model, per_rad, in_map, into_windows=True)
+    return observations
+
+
+def _n_repeated(observations: Observations) -> int:
+    """Return how many units were driven like another one."""
+    return int((np.bincount(observations.condition)[observations.condition] > 1).sum())
+
+
+def _arranged(
+    recorded: list[_Recorded],
+    campaign: Campaign,
+    model: OdometryModel,
+    per_rad: CountsPerRadian,
+    in_map: bool,
+    *,
+    into_windows: bool,
+) -> Observations:
+    """Return the observations of all runs, whole or cut into windows."""
+    units, notes = _units(recorded, campaign, model, per_rad, into_windows=into_windows)
+    without_counts = len(campaign.runs) - len(recorded)
     if without_counts:
         notes.insert(0, f"{without_counts} runs have no encoder counts and were left out")
     units = [unit for unit in units if np.isfinite(unit.measured).any() or unit.front_rad is not None]
@@ -102,18 +127,22 @@ def _recorded(
 
 
 def _units(
-    recorded: list[_Recorded], campaign: Campaign, model: OdometryModel, per_rad: CountsPerRadian
+    recorded: list[_Recorded],
+    campaign: Campaign,
+    model: OdometryModel,
+    per_rad: CountsPerRadian,
+    *,
+    into_windows: bool,
 ) -> tuple[list[Unit], list[str]]:
     """Return the units of all runs, long recordings cut into windows, and what has to be said of it."""
     rolled = sum(float(run.reference.travelled_m[-1]) for run in recorded if run.reference is not None)
     length_m = window_length_m(rolled, model.track_m)
-    few = len(campaign.runs) < FEW_RUNS
     units: list[Unit] = []
     n_cut = 0
     for run in recorded:
         windows = (
             []
-            if run.reference is None or not few
+            if run.reference is None or not into_windows
             else cut(run.unit.run, run.log, run.reference, campaign.reference, per_rad, length_m)
         )
         n_cut += bool(windows)

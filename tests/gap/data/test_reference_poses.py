@@ -150,3 +150,11 @@ def test_starts_of_their_own_have_no_common_floor() -> None:
     for frame, direction, common in (("start", "out", False), (None, "", False), (None, "out", True)):
         made = campaign_of(logs, Reference(frame=frame), direction=[direction] * 15)  # type: ignore[arg-type]
         assert common_frame(observations_of(made)) is common
+
+
+def test_journeys_of_which_none_was_driven_twice_are_cut_into_windows() -> None:
+    """Fifteen free drives, each its own route, say nothing of a floor as runs; repeated ones stay whole."""
+    free = [Truth([(2.0 + 0.7 * k, 0.0), (1.5, (-1) ** k * (0.3 + 0.1 * k)), (1.0 + 0.5 * k, 0.0)]) for k in range(15)]
+    for truths, windowed in ((free, True), (routes(), False)):
+        logs = [truth.counts() | seen(truth, in_map=True) for truth in truths]
+        assert observations_of(campaign_of(logs, Reference(frame="map"))).windowed is windowed

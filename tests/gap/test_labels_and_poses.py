@@ -1,0 +1,57 @@
+"""What labels and end poses are not needed for: the same campaign without them ends as with them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from calib.campaign.model import Campaign
+from calib.campaign.read import read_campaign
+from calib.gap.diagnose import diagnose
+from calib.gap.verdict.result import Verdict
+from calib.radius.fit import fit_campaign
+
+POSES = ("ref_x_m", "ref_y_m", "ref_theta_rad")
+
+
+def without(campaign: Campaign, *, labels: Sequence[str] = (), columns: Sequence[str] = ()) -> Campaign:
+    """The campaign as if nobody had written these labels, or measured these columns."""
+    runs, logs = campaign.runs, campaign.logs
+    return replace(
+        campaign,
+        runs=replace(
+            runs,
+            labels={name: column for name, column in runs.labels.items() if name not in labels},
+            numbers={name: column for name, column in runs.numbers.items() if name not in columns},
+        ),
+        logs=replace(logs, columns={name: column for name, column in logs.columns.items() if name not in columns}),
+    )
+
+
+def outcome(verdict: Verdict) -> tuple[str, list[str]]:
+    return verdict.kind.value, [cause.effect for cause in verdict.causes]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["corridor", "corridor_crossed", "yard"])
+def test_a_verdict_does_not_hang_on_labels(name: str, project_root: Path) -> None:
+    """Without kinds and sessions a sample ends as with them."""
+    campaign = read_campaign(project_root / "sample_runs" / name)
+    bare = without(campaign, labels=("kind", "session"))
+    assert outcome(diagnose(bare, plan=False)) == outcome(diagnose(campaign, plan=False))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["corridor", "corridor_crossed"])
+def test_a_corridor_without_end_poses_still_has_two_wheels(name: str, project_root: Path) -> None:
+    """Distance and counts alone end as with poses, with slopes inside the fit's intervals, wheel by wheel."""
+    campaign = read_campaign(project_root / "sample_runs" / name)
+    verdict = diagnose(without(campaign, columns=POSES), plan=False)
+    assert outcome(verdict) == outcome(diagnose(campaign, plan=False))
+    wheels = fit_campaign(campaign).to_dict()["wheels"]
+    for side, wheel in wheels.items():
+        low, high = wheel["slope_ci95_m_per_N"]
+        assert low < verdict.causes[0].parameters[f"slope_{side}"].value < high
