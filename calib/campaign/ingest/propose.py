@@ -73,7 +73,11 @@ def propose(table: FileFound | None, logs: Sequence[FileFound], sources: Sequenc
     if logs:
         lines += ["", "[log]" + " " * 22 + "# the same for logs and recordings"]
         lines += _file_lines(table, logs)
-        lines += _log_lines(logs)
+        found = _log_lines(logs)
+        lines += found
+        if any(line.startswith("counts_rear_left") for line in found):
+            at = next(index for index, line in enumerate(lines) if line.startswith("[vehicle]"))
+            lines.insert(at + 1, 'drive = "mecanum"   # four wheels are counted')
     recordings = [one for one in logs if one.recording]
     if recordings and (table is None or len(logs) == 1):
         lines += ["", "[cut]" + " " * 22 + "# one recording holds many runs", 'by = "stops"', "min_stop_s = 1.0"]
@@ -243,6 +247,7 @@ def _recording_lines(one: FileFound) -> list[str]:
             if target == "ref_x_m" and stream.kind == _ODOMETRY:
                 lines.append("# wheel odometry is no reference: keep these lines only if it measures from outside")
             taken.add(target)
-            lines.append(_entry(target, column, unit, further) + remark)
+            entry = _entry(target, column, unit, further) + remark
+            lines.append(f"#{entry}" if "never changes" in remark else entry)
     # a four-wheel vehicle's names may have been taken for others; times first
     return sorted(lines, key=lambda line: 0 if line.startswith("t_s") else 1)
