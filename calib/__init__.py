@@ -23,12 +23,14 @@ if TYPE_CHECKING:
         Campaign,
         Diagnosis,
         Fit,
+        Geometry,
         Plan,
         Replay,
         Simulation,
         diagnose,
         export,
         fit,
+        geometry,
         plan,
         read,
         replay,
@@ -42,6 +44,7 @@ __all__ = [
     "Campaign",
     "Diagnosis",
     "Fit",
+    "Geometry",
     "Plan",
     "Replay",
     "Simulation",
@@ -49,6 +52,7 @@ __all__ = [
     "diagnose",
     "export",
     "fit",
+    "geometry",
     "plan",
     "read",
     "replay",
@@ -57,7 +61,7 @@ __all__ = [
 ]
 
 #: folders of this package that bear the name of a function of `calib.api`
-_ALSO_FOLDERS = ("report",)
+_ALSO_FOLDERS = ("geometry", "report")
 
 
 def __getattr__(name: str) -> Any:

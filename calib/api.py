@@ -4,22 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Literal
 
 from calib.campaign.model import Campaign
 from calib.errors import BadInputError
 from calib.radius import fitted as radius_fitted
-from calib.results import Diagnosis, Fit, Plan, Replay, Simulation, extended
+from calib.results import Diagnosis, Fit, Geometry, Plan, Replay, Simulation, extended
 
 __all__ = [
     "Campaign",
     "Diagnosis",
     "Fit",
+    "Geometry",
     "Plan",
     "Replay",
     "Simulation",
     "diagnose",
     "export",
     "fit",
+    "geometry",
     "plan",
     "read",
     "replay",
@@ -78,6 +81,43 @@ def fit(campaign: Campaign, *, reference_load_N: float | None = None) -> Fit:
     arguments = {} if reference_load_N is None else {"reference_load_N": reference_load_N}
     fitted = fit_campaign(campaign, reference_load_N=reference_load_N)
     return extended(Fit, fitted, provenance=provenance(campaign, version=__version__, arguments=arguments))
+
+
+def geometry(
+    campaign: Campaign,
+    *,
+    using: Literal["end_poses", "windows"] | None = None,
+    kinds: Sequence[str] = (),
+    leave_out: Literal["session", "kind", "run_id"] | None = None,
+) -> Geometry:
+    """Estimate radii and track together, with the reference's sensor, from end poses or along the way.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        From `read`.
+    using : {"end_poses", "windows"}, optional
+        Whole runs, or windows of several lengths along the way; without it what the campaign has.
+    kinds : sequence of str
+        Kinds of routes to use; none: all.
+    leave_out : {"session", "kind", "run_id"}, optional
+        Leave each of these out in turn and say the end position errors.
+
+    Returns
+    -------
+    Geometry
+        Values with intervals and joint covariance, what stayed undetermined, residuals by route.
+
+    Raises
+    ------
+    RefusedError
+        Where no run has both wheels and a reference.
+    """
+    from calib.geometry.estimate import estimate_geometry
+    from calib.geometry.paths import paths_of
+
+    estimated = estimate_geometry(campaign, using=using, kinds=kinds, leave_out=leave_out)
+    return extended(Geometry, estimated, paths=paths_of(campaign, estimated))
 
 
 def diagnose(

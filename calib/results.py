@@ -14,6 +14,7 @@ from calib.campaign.model import Campaign
 from calib.errors import BadInputError
 from calib.gap import diagnosis as gap_diagnosis
 from calib.gap.verdict.result import PlannedRunAdvice, Verdict
+from calib.geometry import result as geometry_result
 from calib.motion.studies import replay as motion_replay
 from calib.motion.studies import run as motion_run
 from calib.radius import fitted as radius_fitted
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
 
-__all__ = ["Diagnosis", "Fit", "Plan", "Replay", "Simulation", "extended"]
+__all__ = ["Diagnosis", "Fit", "Geometry", "Plan", "Replay", "Simulation", "extended"]
 
 Result = TypeVar("Result")
 
@@ -86,6 +87,23 @@ class Fit(radius_fitted.Fit):
         }
         figure: Figure = _chosen(draw, kind)()
         return figure
+
+
+class Geometry(geometry_result.Geometry):
+    """The geometry of a vehicle; see `calib.geometry.result.Geometry`."""
+
+    __slots__ = ()
+
+    def plot(self) -> Figure:
+        """Draw the paths of the runs before and after the calibration, beside the reference.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+        """
+        from calib.report.figures.geometry import draw_paths
+
+        return draw_paths(self.paths, simulated=self.simulated)
 
 
 class Diagnosis(_Shown, gap_diagnosis.Diagnosis):

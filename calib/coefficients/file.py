@@ -18,6 +18,7 @@ from calib.coefficients.quantities import Section
 from calib.coefficients.sections import (
     EffectSection,
     EncoderSection,
+    GeometrySection,
     InputFile,
     LimitsSection,
     LoadPoint,
@@ -28,7 +29,7 @@ from calib.coefficients.sections import (
 )
 from calib.errors import BadFileError, BadInputError, RefusedError
 from calib.files import to_json
-from calib.radius.law import RadiusLaw, WheelLaw
+from calib.radius.law import JOINT, RadiusLaw, WheelLaw
 from calib.vehicle import Vehicle
 
 __all__ = ["FORMAT", "CoefficientFile", "Outside", "load_coefficients", "sealed"]
@@ -60,6 +61,7 @@ class CoefficientFile(Section):
     limits: LimitsSection
     load_table: list[LoadPoint] = Field(default_factory=list)
     effects: list[EffectSection] = Field(default_factory=list)
+    joint_geometry: GeometrySection | None = None
     inputs: list[InputFile] = Field(default_factory=list)
     checksum: Annotated[str, Field(pattern="^sha256:[0-9a-f]{64}$")]
 
@@ -85,7 +87,11 @@ class CoefficientFile(Section):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the document as plain Python values, in the order of the file."""
-        return self.model_dump(mode="json")
+        document = self.model_dump(mode="json")
+        if document["joint_geometry"] is None:
+            # a file without it reads as files have always read
+            del document["joint_geometry"]
+        return document
 
     def to_bytes(self) -> bytes:
         """Return the file's content: UTF-8 JSON; the same bytes for the same content."""
@@ -99,12 +105,36 @@ class CoefficientFile(Section):
     @property
     def law(self) -> RadiusLaw:
         """The laws of both wheels as arrays compute with them; they do not look at the valid range."""
-        return RadiusLaw(left=_law(self.wheels.left), right=_law(self.wheels.right))
+        return RadiusLaw(left=_law(self.wheels.left), right=_law(self.wheels.right), joint=self._joint())
+
+    def _joint(self) -> FloatArray | None:
+        """Return the joint covariance of both wheels' laws and the track; None where they were not fitted together."""
+        together = self.joint_geometry
+        if together is None or together.source != "rear":
+            return None
+        wheels = self.wheels
+        joint = np.zeros((len(JOINT), len(JOINT)))
+        for at, wheel in ((0, wheels.left), (2, wheels.right)):
+            joint[at : at + 2, at : at + 2] = _law(wheel).covariance
+        joint[4, 4] = self.vehicle.track_std.value**2
+        for entry in together.covariance:
+            if entry.first in JOINT and entry.second in JOINT:
+                one, other = JOINT.index(entry.first), JOINT.index(entry.second)
+                joint[one, other] = joint[other, one] = entry.covariance.value
+        return joint
 
     @property
     def geometry(self) -> Vehicle:
         """The vehicle."""
-        part = self.vehicle
+        part, together = self.vehicle, self.joint_geometry
+        drive: dict[str, Any] = {}
+        if together is not None:
+            lengths = {name: quantity.value for name, quantity in together.parameters.items()}
+            drive = {
+                "drive": together.drive,
+                "front_wheel_radius_m": lengths.get("front_radius_m"),
+                "half_length_plus_half_width_m": lengths.get("half_length_plus_half_width_m"),
+            }
         return Vehicle(
             track_m=part.track.value,
             wheelbase_m=part.wheelbase.value,
@@ -114,6 +144,7 @@ class CoefficientFile(Section):
             cog_y_m=part.cog_y.value,
             cog_z_m=part.cog_z.value,
             max_wheel_load_N=part.max_wheel_load.value,
+            **drive,
         )
 
     def radius_m(self, load_left_N: npt.ArrayLike, load_right_N: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:

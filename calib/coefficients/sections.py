@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -29,8 +29,10 @@ from calib.coefficients.quantities import (
 )
 
 __all__ = [
+    "CovarianceEntry",
     "EffectSection",
     "EncoderSection",
+    "GeometrySection",
     "InputFile",
     "LimitsSection",
     "LoadPoint",
@@ -145,6 +147,35 @@ class EffectSection(Section):
     form: Annotated[str, Field(max_length=256)] = ""
     settings: dict[str, float] = Field(default_factory=dict)
     parameters: dict[str, Quantity]
+
+
+class CovarianceEntry(Section):
+    """Covariance of two parameters of the geometry; of one with itself: its variance."""
+
+    first: str
+    second: str
+    covariance: Quantity
+
+
+class GeometrySection(Section):
+    """Geometry estimated together: every parameter of the drive, and the joint covariance of those determined.
+
+    Holds what the wheels' sections cannot: the parameters of drives other than two wheels on an axle, and the terms
+    that couple left, right and track. Parameters without a variance were not determined and stand at their nominal
+    value.
+    """
+
+    drive: Literal["tricycle", "differential", "mecanum"]
+    source: Literal["rear", "front", "wheels"]
+    parameters: dict[str, Quantity]
+    covariance: list[CovarianceEntry]
+
+    @model_validator(mode="after")
+    def _known(self) -> Self:
+        names = {name for entry in self.covariance for name in (entry.first, entry.second)}
+        if not names <= set(self.parameters):
+            raise ValueError(f"covariance names {', '.join(sorted(names - set(self.parameters)))}, which have no value")
+        return self
 
 
 class InputFile(Section):

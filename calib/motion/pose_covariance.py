@@ -16,12 +16,12 @@ import numpy.typing as npt
 from calib.arrays import FloatArray
 from calib.motion.odometry.arc import sinc
 from calib.motion.poses import Poses
-from calib.radius.law import RadiusLaw
+from calib.radius.law import JOINT, RadiusLaw
 
 __all__ = ["PARAMETERS", "Ellipses", "PathSteps", "RandomWalk", "ellipses", "jacobian", "parameter_covariance", "steps"]
 
 #: what the Jacobian is taken by
-PARAMETERS: Final = ("radius_left_m", "slope_left_m_per_N", "radius_right_m", "slope_right_m_per_N", "track_m")
+PARAMETERS: Final = JOINT
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -149,19 +149,22 @@ def parameter_covariance(law: RadiusLaw, *, track_std_m: float = 0.0, single_run
     Parameters
     ----------
     law : RadiusLaw
-        Both wheels; they were fitted separately and are taken as independent.
+        Both wheels; taken as independent where they were fitted separately.
     track_std_m : float
-        Standard uncertainty of the track.
+        Standard uncertainty of the track; where wheels and track were fitted together, their covariance has it.
     single_run : bool
         Add the scatter of single runs about the law (the prediction band) to the uncertainty of its mean.
     """
-    covariance = np.zeros((5, 5))
+    joint = np.zeros((5, 5))
     for first, wheel in ((0, law.left), (2, law.right)):
-        covariance[first : first + 2, first : first + 2] = wheel.covariance
-        if single_run:
-            covariance[first, first] += wheel.residual_std_m**2
-    covariance[4, 4] = track_std_m**2
-    return covariance
+        joint[first : first + 2, first : first + 2] = wheel.covariance
+    joint[4, 4] = track_std_m**2
+    if law.joint is not None:
+        joint = law.joint.copy()
+    if single_run:
+        for first, wheel in ((0, law.left), (2, law.right)):
+            joint[first, first] += wheel.residual_std_m**2
+    return joint
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from calib.arrays import FloatArray
 
-__all__ = ["RadiusLaw", "WheelLaw"]
+__all__ = ["JOINT", "RadiusLaw", "WheelLaw"]
+
+#: order of the joint covariance of both wheels' laws and the track
+JOINT: Final = ("radius_left_m", "slope_left_m_per_N", "radius_right_m", "slope_right_m_per_N", "track_m")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,7 +70,16 @@ class WheelLaw:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RadiusLaw:
-    """The laws of both rear wheels."""
+    """The laws of both rear wheels.
+
+    Parameters
+    ----------
+    left, right : WheelLaw
+        The wheels.
+    joint : array of float, shape (5, 5), optional
+        Covariance of `JOINT`, where wheels and track were fitted together; None: the wheels are independent.
+    """
 
     left: WheelLaw
     right: WheelLaw
+    joint: FloatArray | None = None

@@ -13,10 +13,12 @@ from calib.coefficients.file import CoefficientFile
 from calib.coefficients.loads import LoadPair
 from calib.errors import BadInputError, RefusedError
 
+NUMBER = r"-?\d+\.\d+(?:e[+-]\d+)?"
 
-def strict_yaml(text: str) -> dict[str, dict[str, float]]:
+
+def strict_yaml(text: str) -> dict[str, dict[str, float | list[float]]]:
     """Read the subset that a ROS 2 parameter file needs; a double without decimal point is an error."""
-    found: dict[str, dict[str, float]] = {}
+    found: dict[str, dict[str, float | list[float]]] = {}
     root = ""
     for line in text.splitlines():
         if not line or line.lstrip().startswith("#") or line == "  ros__parameters:":
@@ -25,9 +27,9 @@ def strict_yaml(text: str) -> dict[str, dict[str, float]]:
             root = match[1]
             found[root] = {}
         else:
-            match = re.fullmatch(r"    ([a-z_]+): (-?\d+\.\d+(?:e[+-]\d+)?)", line)
+            match = re.fullmatch(rf"    ([a-z_]+): (?:({NUMBER})|\[({NUMBER}(?:, {NUMBER})*)\])", line)
             assert match, line
-            found[root][match[1]] = float(match[2])
+            found[root][match[1]] = float(match[2]) if match[2] else [float(part) for part in match[3].split(", ")]
     return found
 
 
@@ -53,7 +55,22 @@ def test_ros2_parameters_read_the_same_with_a_yaml_library(file: CoefficientFile
     for one in export(file, "ros2"):
         found = {root: body["ros__parameters"] for root, body in yaml.safe_load(one.data).items()}
         assert found == strict_yaml(one.data.decode())
-        assert all(isinstance(value, float) for body in found.values() for value in body.values())
+        parts = [np.ravel(value) for body in found.values() for value in body.values()]
+        assert all(part.dtype == np.float64 for part in parts)
+
+
+def test_ros2_states_the_variances_of_a_straight_of_ten_metres(file: CoefficientFile) -> None:
+    """Along: the mean radius; in heading: the difference of the radii; across: half the way times the heading."""
+    walks = {"along": {"value": 0.0, "unit": "m/m^0.5"}, "heading": {"value": 0.0, "unit": "rad/m^0.5"}}
+    quiet = file.changed(noise=file.to_dict()["noise"] | walks)
+    (one,) = export(quiet, "ros2", [LoadPair(300.0, 300.0)])
+    x, y, *unseen, yaw = strict_yaml(one.data.decode())["diff_drive_controller"]["pose_covariance_diagonal"]
+    left, right = (float(side.mean_std_m(300.0)) for side in (file.law.left, file.law.right))
+    radius = 0.5 * sum(float(part) for part in file.radius_m(300.0, 300.0))
+    assert x == pytest.approx((10.0 / radius) ** 2 * (left**2 + right**2) / 4, rel=1e-12)
+    assert yaw == pytest.approx((10.0 / radius / file.vehicle.track.value) ** 2 * (left**2 + right**2), rel=1e-12)
+    assert y == pytest.approx((10.0 / 2) ** 2 * yaw, rel=1e-12)
+    assert unseen == [1e6, 1e6, 1e6]
 
 
 def test_without_loads_ros2_makes_a_file_for_each_line_of_the_load_table(file: CoefficientFile) -> None:

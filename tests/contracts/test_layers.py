@@ -23,7 +23,8 @@ ALLOWED: dict[str, set[str]] = {
     "vehicle": {"arrays", "errors", "units"},
     "campaign": GROUND,
     "radius": GROUND | {"campaign"},
-    "coefficients": GROUND | {"__init__", "campaign", "radius"},
+    "geometry": GROUND | {"campaign", "radius"},
+    "coefficients": GROUND | {"__init__", "campaign", "radius", "geometry"},
     "motion": GROUND | {"campaign", "radius", "coefficients", "runtime"},
     "gap": GROUND | {"campaign", "radius", "coefficients", "motion"},
     "report": GROUND | {"__init__", "campaign", "radius", "geometry", "coefficients", "motion", "gap", "fleet"},
@@ -31,8 +32,9 @@ ALLOWED: dict[str, set[str]] = {
     "runtime": set(),
     "plant": GROUND | {"campaign"},
     "challenge": GROUND | {"__init__", "campaign", "plant", "gap"},
-    "results": GROUND | {"campaign", "radius", "motion", "gap", "report"},
-    "api": GROUND | {"__init__", "campaign", "radius", "coefficients", "motion", "gap", "report", "results"},
+    "results": GROUND | {"campaign", "radius", "geometry", "motion", "gap", "report"},
+    "api": GROUND
+    | {"__init__", "campaign", "radius", "geometry", "coefficients", "motion", "gap", "report", "results"},
     "cli": {"*"},
     "__main__": {"cli"},
 }

@@ -1,0 +1,115 @@
+"""`calib geometry`: radii and track together, with the reference's sensor, from end poses or along the way."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from calib.cli.options import Force, JsonTarget, refuse_existing
+from calib.cli.terminal import emit_json, show, waiting, wrote
+from calib.cli.threads import one_blas_thread
+
+if TYPE_CHECKING:
+    from calib.campaign.model import Campaign
+    from calib.geometry.result import Geometry
+
+__all__ = ["EPILOG", "run"]
+
+EPILOG = "Example: calib geometry my_squares --figures pictures --output coefficients.json"
+
+USING = {"end-poses": "end_poses", "windows": "windows"}
+LEAVE_OUT = {"session": "session", "kind": "kind", "run": "run_id"}
+#: the result, and the picture, in their folders
+RESULT_FILE, PICTURE = "geometry.json", "geometry_paths"
+FORMS = ("png", "svg", "pdf")
+
+
+def run(
+    campaign: Annotated[Path, typer.Argument(metavar="CAMPAIGN", help="Campaign with logs and a reference.")],
+    using: Annotated[
+        str | None,
+        typer.Option("--using", metavar="WHAT", help="end-poses or windows; without it what the campaign has."),
+    ] = None,
+    kind: Annotated[
+        list[str] | None,
+        typer.Option("--kind", metavar="KIND", help="Use runs of this kind alone; may be given again."),
+    ] = None,
+    leave_out: Annotated[
+        str | None,
+        typer.Option("--leave-out", metavar="WHAT", help="Leave each session, kind or run out in turn: end errors."),
+    ] = None,
+    into: Annotated[
+        Path | None, typer.Option("--into", metavar="FOLDER", help="Write the result there (geometry.json).")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", metavar="COEFFICIENTS", help="Write a coefficient file.")
+    ] = None,
+    figures: Annotated[
+        Path | None,
+        typer.Option("--figures", metavar="FOLDER", help="Draw the paths before and after, as PNG, SVG and PDF."),
+    ] = None,
+    json: JsonTarget = None,
+    force: Force = False,
+) -> int:
+    """Estimate radii, track and the reference's sensor together, with intervals.
+
+    From end poses (any routes; squares both ways by UMBmark too) or by windows along the way. The coefficient file is
+    what export, diagnose --model and simulate take. Status 1 where a gross fault (swapped columns, half a track) was
+    recognised: correct it first.
+    """
+    one_blas_thread()
+    from calib.campaign.read import read_campaign
+    from calib.files import write_json
+    from calib.geometry.estimate import estimate_geometry
+    from calib.report.statements.geometry import geometry_content
+
+    way, left_out = _choice("--using", using, USING), _choice("--leave-out", leave_out, LEAVE_OUT)
+    pictures = [figures / f"{PICTURE}.{form}" for form in FORMS] if figures is not None else []
+    result = into / RESULT_FILE if into is not None else None
+    refuse_existing([json, output, result, *pictures], force=force)
+    with waiting("estimating"):
+        read = read_campaign(campaign)
+        estimated = estimate_geometry(read, using=way, kinds=kind or (), leave_out=left_out)
+    show(geometry_content(estimated), target=json)
+    document = estimated.to_dict()
+    if result is not None:
+        wrote([write_json(result, document, force=force)], target=json)
+    if output is not None:
+        _coefficients(estimated, read, output, json, force=force)
+    if pictures:
+        _draw(estimated, read, pictures, json, force=force)
+    emit_json(document, json, force=force)
+    return 0 if estimated.passed else 1
+
+
+def _choice(option: str, given: str | None, known: dict[str, str]) -> Any:
+    from calib.cli.options import nearest
+    from calib.errors import BadInputError
+
+    if given is not None and given not in known:
+        raise BadInputError(
+            f"{option}: found {given!r}; expected one of {', '.join(known)}; choose one of them{nearest(given, known)}"
+        )
+    return None if given is None else known[given]
+
+
+def _coefficients(estimated: Geometry, read: Campaign, output: Path, json: str | None, *, force: bool) -> None:
+    from calib.coefficients.from_geometry import from_geometry
+    from calib.files import write_bytes
+
+    wrote([write_bytes(output, from_geometry(estimated, read).to_bytes(), force=force)], target=json)
+
+
+def _draw(estimated: Geometry, read: Campaign, pictures: list[Path], json: str | None, *, force: bool) -> None:
+    from calib.files import write_bytes
+    from calib.geometry.paths import paths_of
+    from calib.report.figures.geometry import draw_paths
+    from calib.report.figures.style import render
+
+    figure = draw_paths(paths_of(read, estimated), simulated=estimated.simulated)
+    wrote(
+        [write_bytes(path, render(figure, path.suffix[1:]), force=force) for path in pictures],
+        target=json,
+    )

@@ -1,0 +1,120 @@
+"""Which stretches share their noise: blocks, runs, recordings or routes, as the residuals themselves say."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from calib.arrays import BoolArray, FloatArray, IntArray, StrArray
+from calib.geometry.recording import Recording
+from calib.geometry.sandwich import Uncertainty, block_scores, sandwich
+from calib.geometry.segments import Segments
+from calib.geometry.solve import Solution
+
+__all__ = ["ENOUGH_RUNS", "Clustering", "clustered"]
+
+#: groups that a covariance needs at least
+FEWEST: Final = 4
+#: so many runs are the groups to begin with; of fewer runs, blocks within them
+ENOUGH_RUNS: Final = 8
+#: standard deviations by which members of a group pull alike before the group counts as one
+ALIKE: Final = 2.6
+#: neighbouring blocks are joined while their pulls agree by this many standard deviations, down to so many blocks
+NEIGHBOURS: Final = 2.0
+FEWEST_BLOCKS: Final = 16
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Clustering:
+    """The groups taken for independent, and the covariance that follows.
+
+    Parameters
+    ----------
+    name : str
+        ``run``, ``block``, ``session`` or ``route``.
+    uncertainty : Uncertainty
+        Of the free parameters.
+    """
+
+    name: str
+    uncertainty: Uncertainty
+
+
+def clustered(solution: Solution, free: BoolArray, recording: Recording, segments: Segments) -> Clustering:
+    """Return the covariance of the free parameters with groups as large as the residuals ask for.
+
+    Runs of one session, or of one route, that pull the parameters alike beyond chance are one group each: what they
+    share does not average out over repeats. Of several such groupings the one with the widest intervals holds.
+
+    Parameters
+    ----------
+    solution : Solution
+        Of the robust fit.
+    free : array of bool, shape (n_parameters,)
+        Which parameters were free.
+    recording : Recording
+        Labels of the runs.
+    segments : Segments
+        The stretches.
+    """
+    block = np.unique(segments.block, return_inverse=True)[1]
+    first = np.unique(block, return_index=True)[1]
+    run = segments.run[first]
+    scores = block_scores(solution, free, block)
+    many = len(np.unique(run)) >= ENOUGH_RUNS
+    joined = run if many else _joined(scores, run)
+    alone = "run" if many or len(np.unique(run)) == len(run) else "block"
+    best = Clustering(alone, sandwich(solution, free, joined[block]))
+    candidates = {"session": _codes(recording.session)[run], "route": _codes(_routes(recording))[run]}
+    for name, group in candidates.items():
+        if len(np.unique(group)) >= FEWEST and _alike(scores, group) > ALIKE:
+            tried = sandwich(solution, free, group[block])
+            if best.name == alone or _width(tried) > _width(best.uncertainty):
+                best = Clustering(name, tried)
+    return best
+
+
+def _width(uncertainty: Uncertainty) -> float:
+    """Return the mean logarithm of the intervals' half widths."""
+    return float(np.mean(np.log(uncertainty.half_widths())))
+
+
+def _codes(labels: StrArray) -> IntArray:
+    return np.asarray(np.unique(labels, return_inverse=True)[1])
+
+
+def _routes(recording: Recording) -> StrArray:
+    """Return a label of each run's route: its kind, and the sense in which it turns."""
+    turn = recording.end_pose[:, 2]
+    sense = np.where(turn > 1.0, " ccw", np.where(turn < -1.0, " cw", ""))
+    return np.char.add(recording.kind, sense)
+
+
+def _alike(scores: FloatArray, group: IntArray) -> float:
+    """Return by how many standard deviations members of a group pull alike."""
+    products = scores @ scores.T
+    same = (group[:, None] == group[None, :]) & ~np.eye(len(group), dtype=np.bool_)
+    spread = float(np.sqrt(np.square(products[same]).sum() / 2.0))
+    return float(products[same].sum() / 2.0 / spread) if spread > 0.0 else 0.0
+
+
+def _joined(scores: FloatArray, run: IntArray) -> IntArray:
+    """Return the group of each block: neighbours within a run are joined while they pull alike."""
+    group = np.arange(len(run))
+    while len(np.unique(group)) >= 2 * FEWEST_BLOCKS:
+        total = np.stack([np.bincount(group, scores[:, at]) for at in range(scores.shape[1])], axis=1)
+        owner = run[np.unique(group, return_index=True)[1]]
+        together = owner[1:] == owner[:-1]
+        products = np.sum(total[1:] * total[:-1], axis=1)[together]
+        spread = float(np.sqrt(np.square(products).sum()))
+        if not len(products) or spread == 0.0 or products.sum() < NEIGHBOURS * spread:
+            break
+        within = np.concatenate(([0], np.cumsum(~together)))
+        number = np.arange(len(owner)) - np.unique(within, return_index=True)[1][within]
+        pair = np.unique(np.stack([within, number // 2]), axis=1, return_inverse=True)[1].ravel()
+        if len(np.unique(pair)) == len(owner):
+            break
+        group = pair[group]
+    return np.unique(group, return_inverse=True)[1]

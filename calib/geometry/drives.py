@@ -1,0 +1,193 @@
+"""Drives: how the turning of wheels moves the body, and how that depends on each parameter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, Protocol
+
+import numpy as np
+
+from calib.arrays import FloatArray
+from calib.geometry.parameters import Parameter
+
+__all__ = ["DRIVES", "STEERING_SCALE", "Differential", "Drive", "FrontWheel", "Mecanum", "Motion", "Steps"]
+
+#: spread of a length about its nominal value, relative
+LENGTH_STD: Final = 0.10
+#: spread of the radius' change with load, relative to the radius, per newton: 1 % per kN
+SLOPE_STD_PER_N: Final = 1e-5
+#: factor on the steering angle that the sensor says
+STEERING_SCALE: Final = "steering_scale"
+STEERING_ZERO_STD_RAD: Final = 0.1
+STEERING_SCALE_STD: Final = 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Steps:
+    """What the wheels did from sample to sample, all runs laid end to end.
+
+    Parameters
+    ----------
+    turned_rad : array of float, shape (n_wheels, n_samples)
+        Angle that each wheel turned since the sample before; 0 at the first sample of a run.
+    steer_rad : array of float, shape (n_samples,), optional
+        Steering angle in the middle of the step, as the sensor says it.
+    load_offset_N : array of float, shape (2, n_samples), optional
+        Load of the left and right wheel less the reference load.
+    """
+
+    turned_rad: FloatArray
+    steer_rad: FloatArray | None = None
+    load_offset_N: FloatArray | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """Motion of the body in each step, in its own frame, and its derivatives.
+
+    Parameters
+    ----------
+    body : array of float, shape (3, n_samples)
+        Forward and to the left in m, and turn in rad.
+    by_parameter : array of float, shape (n_parameters, 3, n_samples)
+        Derivatives of `body`.
+    """
+
+    body: FloatArray
+    by_parameter: FloatArray
+
+
+class Drive(Protocol):
+    """What the estimate asks of a drive."""
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Parameters of the drive with their nominal values."""
+
+    def motion(self, values: FloatArray, steps: Steps) -> Motion:
+        """Return the motion of the body at parameter `values`, shape (n_parameters,)."""
+
+
+def _length(name: str, nominal_m: float) -> Parameter:
+    return Parameter(name, nominal_m, LENGTH_STD * nominal_m)
+
+
+@dataclass(frozen=True, slots=True)
+class Differential:
+    """Two wheels with encoders on one axle, driven or free: the rear wheels of a tricycle, or a differential drive.
+
+    With loads, the radius of each wheel is radius + slope (load - reference load).
+    """
+
+    radius_left_m: float
+    radius_right_m: float
+    track_m: float
+    slopes: bool = False
+    slope_left_m_per_N: float = 0.0
+    slope_right_m_per_N: float = 0.0
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Radii, track and, with loads, the slopes of the radii."""
+        base = (
+            _length("radius_left_m", self.radius_left_m),
+            _length("radius_right_m", self.radius_right_m),
+            _length("track_m", self.track_m),
+        )
+        if not self.slopes:
+            return base
+        return (
+            *base,
+            Parameter("slope_left_m_per_N", self.slope_left_m_per_N, SLOPE_STD_PER_N * self.radius_left_m),
+            Parameter("slope_right_m_per_N", self.slope_right_m_per_N, SLOPE_STD_PER_N * self.radius_right_m),
+        )
+
+    def motion(self, values: FloatArray, steps: Steps) -> Motion:
+        """Return the motion of the axle's middle (Eqs 8 and 9)."""
+        phi_left, phi_right = steps.turned_rad
+        radius_left, radius_right, track = values[0], values[1], values[2]
+        by_left, by_right = [phi_left], [phi_right]
+        if self.slopes:
+            if steps.load_offset_N is None:
+                raise ValueError("slopes need the wheel loads of every step")
+            by_left.append(phi_left * steps.load_offset_N[0])
+            by_right.append(phi_right * steps.load_offset_N[1])
+        left = radius_left * phi_left + (values[3] * by_left[1] if self.slopes else 0.0)
+        right = radius_right * phi_right + (values[4] * by_right[1] if self.slopes else 0.0)
+        turn = (right - left) / track
+        body = np.stack([0.5 * (left + right), np.zeros_like(turn), turn])
+        derivative = np.zeros((len(values), 3, len(turn)))
+        for order, (one, other) in enumerate(zip(by_left, by_right, strict=True)):
+            at_left, at_right = (0, 1) if order == 0 else (3, 4)
+            derivative[at_left, 0], derivative[at_left, 2] = 0.5 * one, -one / track
+            derivative[at_right, 0], derivative[at_right, 2] = 0.5 * other, other / track
+        derivative[2, 2] = -turn / track
+        return Motion(body, derivative)
+
+
+@dataclass(frozen=True, slots=True)
+class FrontWheel:
+    """A steered front wheel with encoder; the true steering angle is scale times the sensor's, plus zero."""
+
+    front_radius_m: float
+    wheelbase_m: float
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Front radius, wheelbase, zero and scale of the steering angle."""
+        return (
+            _length("front_radius_m", self.front_radius_m),
+            _length("wheelbase_m", self.wheelbase_m),
+            Parameter("steering_zero_rad", 0.0, STEERING_ZERO_STD_RAD),
+            Parameter(STEERING_SCALE, 1.0, STEERING_SCALE_STD),
+        )
+
+    def motion(self, values: FloatArray, steps: Steps) -> Motion:
+        """Return the motion of the rear axle's middle (Eqs 12 to 14)."""
+        if steps.steer_rad is None:
+            raise ValueError("a front wheel needs its steering angle in every step")
+        radius, wheelbase, zero, scale = values
+        phi = steps.turned_rad[0]
+        angle = scale * steps.steer_rad + zero
+        cosine, sine = np.cos(angle), np.sin(angle)
+        travel = radius * phi
+        body = np.stack([travel * cosine, np.zeros_like(travel), travel * sine / wheelbase])
+        derivative = np.zeros((4, 3, len(travel)))
+        derivative[0, 0], derivative[0, 2] = phi * cosine, phi * sine / wheelbase
+        derivative[1, 2] = -travel * sine / wheelbase**2
+        derivative[2, 0], derivative[2, 2] = -travel * sine, travel * cosine / wheelbase
+        derivative[3] = derivative[2] * steps.steer_rad
+        return Motion(body, derivative)
+
+
+@dataclass(frozen=True, slots=True)
+class Mecanum:
+    """Four wheels with rollers at 45 degrees: front left, front right, rear left, rear right; one radius for all."""
+
+    wheel_radius_m: float
+    half_length_plus_half_width_m: float
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Radius, and half the wheelbase plus half the track."""
+        return (
+            _length("wheel_radius_m", self.wheel_radius_m),
+            _length("half_length_plus_half_width_m", self.half_length_plus_half_width_m),
+        )
+
+    def motion(self, values: FloatArray, steps: Steps) -> Motion:
+        """Return the motion of the middle between the four wheels."""
+        radius, arm = values
+        front_left, front_right, rear_left, rear_right = steps.turned_rad
+        forward = 0.25 * (front_left + front_right + rear_left + rear_right)
+        left = 0.25 * (-front_left + front_right + rear_left - rear_right)
+        turn = 0.25 * (-front_left + front_right - rear_left + rear_right)
+        body = radius * np.stack([forward, left, turn / arm])
+        derivative = np.zeros((2, 3, len(turn)))
+        derivative[0] = np.stack([forward, left, turn / arm])
+        derivative[1, 2] = -radius * turn / arm**2
+        return Motion(body, derivative)
+
+
+#: what drives the odometry -> class
+DRIVES: Final = {"rear": Differential, "front": FrontWheel, "wheels": Mecanum}

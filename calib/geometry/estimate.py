@@ -1,0 +1,347 @@
+"""The way through: from a campaign to its geometry."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final, Literal
+
+import numpy as np
+
+from calib.arrays import FloatArray
+from calib.errors import BadInputError, RefusedError
+from calib.geometry.clusters import ENOUGH_RUNS, Clustering, clustered
+from calib.geometry.drives import Differential, Drive, FrontWheel, Mecanum
+from calib.geometry.gross import Fault, factor_faults, front_faults, rear_faults, repaired
+from calib.geometry.identifiability import loosest, weakest
+from calib.geometry.model import Model
+from calib.geometry.noise import COMPONENTS
+from calib.geometry.parameters import SENSOR, Parameters, sensor_parameters
+from calib.geometry.parts import Estimate, Transfer
+from calib.geometry.recording import Recording, odometry_source, recording_of
+from calib.geometry.result import Geometry
+from calib.geometry.routes import rms, route_table
+from calib.geometry.segments import Segments, end_pose_segments, window_segments
+from calib.geometry.solve import Solution, solve
+from calib.geometry.umbmark import Umbmark, umbmark
+
+if TYPE_CHECKING:
+    from calib.campaign.model import Campaign
+
+__all__ = ["Using", "drive_of", "estimate_geometry", "recordings_put_right"]
+
+Using = Literal["end_poses", "windows"]
+
+#: blocks that windows of a few long recordings are laid in, coarse to fine; many runs are blocks themselves
+BLOCKS: Final = (40, 160, 640)
+#: a finer division is taken where its intervals are at most this much wider: a failed measurement then spoils less, and
+#: a standard deviation from some dozens of blocks is itself known to 15 %
+AS_GOOD: Final = 1.25
+#: random walks of heading and distance to begin with, per metre
+WALKS: Final = (2.5e-7, 2.5e-7)
+#: an outlier is a run that chance makes once in a hundred campaigns
+OUTLIER_CHANCE: Final = 0.01
+#: a delay is sought where samples are at most so far apart
+LONGEST_STEP_S: Final = 0.25
+#: loads that vary by less than this part of their mean say nothing of a slope
+LOADS_VARY: Final = 0.05
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fitted:
+    """One estimate with what stands behind it."""
+
+    model: Model
+    parameters: Parameters
+    solution: Solution
+    clustering: Clustering
+    dropped: tuple[str, ...]
+
+    @property
+    def spread(self) -> float:
+        """Mean logarithm of the drive parameters' standard deviations beside their prior ones."""
+        n_drive = len(self.parameters.items) - len(SENSOR)
+        free = self.parameters.free
+        std = self.parameters.prior_std.copy()
+        std[free] = self.clustering.uncertainty.std
+        return float(np.mean(np.log(std[:n_drive] / self.parameters.prior_std[:n_drive])))
+
+
+def estimate_geometry(
+    campaign: Campaign,
+    *,
+    using: Using | None = None,
+    kinds: Sequence[str] = (),
+    sensor: bool | None = None,
+    leave_out: Literal["session", "kind", "run_id"] | None = None,
+) -> Geometry:
+    """Estimate radii and track, or what the drive has in their place, together with the reference's sensor.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        Runs with logs of the wheels, and end poses or poses along the way.
+    using : {"end_poses", "windows"}, optional
+        Whole runs, or windows of several lengths. None: end poses where eight runs or more have one, since they ask
+        nothing of clocks; else windows where the reference follows the vehicle along the way.
+    kinds : sequence of str
+        Kinds of routes to use; none: all.
+    sensor : bool, optional
+        Estimate the sensor's pose on the vehicle and its delay; None: with windows.
+    leave_out : {"session", "kind", "run_id"}, optional
+        Leave each of these out in turn and say the end position error of the runs left out, before and after.
+
+    Returns
+    -------
+    Geometry
+        Values with intervals, what stayed undetermined, residuals by route.
+
+    Raises
+    ------
+    RefusedError
+        Where no run has wheels and a reference, or nothing can be determined.
+    """
+    campaign = _of_kinds(campaign, kinds)
+    source = odometry_source(campaign)
+    recording = recording_of(campaign, source)
+    recording = recording.unwrapped(_turns(drive_of(campaign, source, recording), recording))
+    way = using or _way(recording)
+    divisions = _divisions(recording, way)
+    recording, faults = _put_right(recording, divisions[0], source)
+    drive = drive_of(campaign, source, recording)
+    estimated = (way == "windows") if sensor is None else sensor
+    fits = [_fit(campaign, drive, recording, segments, estimated) for segments in divisions]
+    chosen = fits[0]
+    for other in fits[1:]:
+        if other.spread < chosen.spread + np.log(AS_GOOD):
+            chosen = other
+    geometry = _result(campaign, chosen, source, way, faults)
+    if leave_out is not None:
+        transfer = _transfer(campaign, geometry, way, estimated, leave_out)
+        geometry = replace(geometry, transfer=transfer)
+    return geometry
+
+
+def _way(recording: Recording) -> Using:
+    ends = int(np.isfinite(recording.end_pose[:, :2]).all(axis=1).sum())
+    return "windows" if recording.continuous and ends < ENOUGH_RUNS else "end_poses"
+
+
+def _turns(drive: Drive, recording: Recording) -> FloatArray:
+    """Return the turn of each run by the nominal vehicle."""
+    nominal = np.array([item.nominal for item in drive.parameters])
+    turn = drive.motion(nominal, recording.steps).body[2]
+    return np.add.reduceat(turn, recording.offsets[:-1])
+
+
+def _of_kinds(campaign: Campaign, kinds: Iterable[str]) -> Campaign:
+    wanted = set(kinds)
+    if not wanted:
+        return campaign
+    kind = campaign.runs.label("kind")
+    missing = wanted - set(kind)
+    if missing:
+        raise BadInputError(
+            f"kinds: found {', '.join(sorted(missing))}; expected some of {', '.join(sorted(set(kind)))}; correct them"
+        )
+    return campaign.select(np.isin(kind, sorted(wanted)))
+
+
+def _divisions(recording: Recording, using: Using) -> list[Segments]:
+    if using == "end_poses":
+        return [end_pose_segments(recording)]
+    if len(recording) >= ENOUGH_RUNS:
+        return [window_segments(recording, len(recording))]
+    found = [window_segments(recording, blocks) for blocks in BLOCKS]
+    counts = [len(np.unique(segments.block)) for segments in found]
+    return [one for at, one in enumerate(found) if at == 0 or counts[at] > counts[at - 1]]
+
+
+def _put_right(recording: Recording, segments: Segments, source: str) -> tuple[Recording, tuple[Fault, ...]]:
+    if source == "front":
+        return front_faults(recording, segments)
+    fault = rear_faults(recording, segments) if source == "rear" else None
+    return (recording, ()) if fault is None else (repaired(recording, fault), (fault,))
+
+
+def recordings_put_right(campaign: Campaign, source: str) -> tuple[Recording, tuple[Fault, ...]]:
+    """Return wheels and reference with gross faults put right, and these faults."""
+    recording = recording_of(campaign, source)
+    return _put_right(recording, _divisions(recording, _way(recording))[0], source)
+
+
+def drive_of(campaign: Campaign, source: str, recording: Recording) -> Drive:
+    """Return the drive with its nominal values.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        Its vehicle, and its model of the wheels.
+    source : {"rear", "front", "wheels"}
+        What drives the odometry.
+    recording : Recording
+        Says whether the loads varied, so that radii have slopes.
+    """
+    vehicle, model = campaign.vehicle, campaign.model
+    if source == "front":
+        return FrontWheel(vehicle.front_radius_m, vehicle.wheelbase_m)
+    if source == "wheels":
+        if vehicle.half_length_plus_half_width_m is None:
+            raise BadInputError(
+                "campaign.toml, vehicle.half_length_plus_half_width_m: found nothing; expected half the wheelbase plus "
+                "half the track of the mecanum vehicle; give it"
+            )
+        return Mecanum(vehicle.wheel_radius_m, vehicle.half_length_plus_half_width_m)
+    loads = recording.steps.load_offset_N
+    varied = loads is not None and bool(np.all(np.ptp(loads, axis=1) > LOADS_VARY * max(model.reference_load_N, 1.0)))
+    return Differential(
+        model.radius_left_m,
+        model.radius_right_m,
+        model.track_m,
+        slopes=varied,
+        slope_left_m_per_N=model.slope_left_m_per_N,
+        slope_right_m_per_N=model.slope_right_m_per_N,
+    )
+
+
+def _fit(campaign: Campaign, drive: Drive, recording: Recording, segments: Segments, sensor: bool) -> _Fitted:
+    """Estimate, and leave out what the data cannot determine, one parameter at a time."""
+    reference = campaign.reference
+    place = sensor_parameters(reference.sensor_x_m, reference.sensor_y_m, reference.sensor_yaw_rad)
+    items = (*drive.parameters, *place)
+    free = [item.name for item in drive.parameters]
+    dropped: list[str] = []
+    if sensor:
+        free += list(SENSOR)
+        if float(np.median(np.diff(recording.t_s))) > LONGEST_STEP_S:
+            free.remove("delay_s")
+            dropped.append("delay_s")
+    parameters = Parameters.of(items, free)
+    model = Model(drive, recording, segments)
+    scales = np.array([reference.sigma_xy_m**2, reference.sigma_theta_rad**2, *WALKS])
+    values = parameters.nominal
+    while True:
+        if not parameters.free.any():
+            raise RefusedError(
+                f"geometry of {campaign.name!r}: found nothing that these runs determine; expected runs with turns and "
+                "straights and a reference of their end poses; drive squares both ways"
+            )
+        solution = solve(model, parameters, values, scales)
+        open_one = weakest(solution, parameters)
+        if open_one is None:
+            clustering = clustered(solution, parameters.free, recording, segments)
+            open_one = loosest(clustering.uncertainty.std, parameters)
+            if open_one is None:
+                return _Fitted(model, parameters, solution, clustering, tuple(dropped))
+        dropped.append(open_one)
+        parameters = parameters.without([open_one])
+        values = np.where(parameters.free, solution.values, parameters.nominal)
+
+
+def _result(campaign: Campaign, fitted: _Fitted, source: str, using: Using, faults: tuple[Fault, ...]) -> Geometry:
+    parameters, solution, model = fitted.parameters, fitted.solution, fitted.model
+    uncertainty = fitted.clustering.uncertainty
+    nominal, values = parameters.nominal, solution.values
+    half = uncertainty.half_widths()
+    index = np.flatnonzero(parameters.free)
+    estimates = tuple(
+        Estimate(
+            parameters.names[at],
+            float(nominal[at]),
+            float(values[at]),
+            float(uncertainty.std[number]),
+            (float(values[at] - half[number]), float(values[at] + half[number])),
+            float(uncertainty.dof[number]),
+        )
+        for number, at in enumerate(index)
+    )
+    found = {estimate.name: estimate.value for estimate in estimates}
+    faults = (*faults, *factor_faults(parameters.mapping(nominal), found))
+    whole = _whole(model)
+    before, after = whole.predict(nominal), whole.predict(values)
+    squares = (
+        umbmark(before, after, whole.segments, campaign.model.track_m)
+        if source == "rear" and len(whole.segments) and _whole_runs(whole)
+        else Umbmark(False, why="squares of a vehicle with two encoders on one axle are needed")
+    )
+    return Geometry(
+        name=campaign.name,
+        simulated=campaign.simulated,
+        drive=campaign.vehicle.drive,
+        source=source,
+        using=using,
+        n_runs=len(np.unique(model.segments.run)),
+        n_segments=len(model.segments),
+        estimates=estimates,
+        covariance=uncertainty.covariance,
+        undetermined=fitted.dropped,
+        held={name: float(nominal[at]) for at, name in enumerate(parameters.names) if not parameters.free[at]},
+        clusters=(fitted.clustering.name, uncertainty.clusters),
+        noise=dict(zip(COMPONENTS, np.sqrt(solution.scales).tolist(), strict=True)),
+        residual_rms=rms(after.residuals),
+        outliers=_outliers(model, solution),
+        faults=faults,
+        mirrored=any(fault.code in {"reversed_front", "reversed_steering", "reversed_both"} for fault in faults),
+        umbmark=squares,
+        routes=route_table(model.recording, whole.segments, before.residuals, after.residuals),
+        notes=_notes(fitted, model.recording),
+        inputs=campaign.hashes,
+    )
+
+
+def _whole(model: Model) -> Model:
+    """Return the model of whole runs where their end poses are known, else of the longest windows."""
+    if np.isfinite(model.recording.end_pose[:, :2]).all(axis=1).any():
+        return Model(model.drive, model.recording, end_pose_segments(model.recording))
+    return Model(model.drive, model.recording, model.segments.select(model.segments.level == 0))
+
+
+def _whole_runs(model: Model) -> bool:
+    """Return whether the stretches are whole runs."""
+    return bool(np.array_equal(model.segments.first, model.recording.offsets[model.segments.run]))
+
+
+def _outliers(model: Model, solution: Solution) -> tuple[str, ...]:
+    """Return the runs that the noise cannot explain: by their end pose, or by most of their windows."""
+    from scipy.stats import chi2
+
+    size = np.maximum(model.segments.seen.sum(axis=1), 1)
+    runs = np.unique(model.segments.run)
+    beyond = solution.squares > chi2.isf(OUTLIER_CHANCE / len(runs), size)
+    return tuple(str(model.recording.run_id[run]) for run in runs if beyond[model.segments.run == run].mean() > 0.5)
+
+
+def _notes(fitted: _Fitted, recording: Recording) -> tuple[str, ...]:
+    notes = []
+    name, n = fitted.clustering.name, fitted.clustering.uncertainty.clusters
+    if name in {"session", "route"}:
+        notes.append(
+            f"Runs of one {name} pull the parameters alike: the intervals take the {n} {name}s, not single runs, for "
+            "independent. What they share is no noise; 'calib diagnose' looks for its cause."
+        )
+    if not fitted.solution.converged:
+        notes.append("The search did not settle to the last digit; the values are good to a small part of their sd.")
+    if recording.left_out:
+        first = recording.left_out[0]
+        notes.append(f"Left out: {len(recording.left_out)} runs; the first, {first[0]}: {first[1]}.")
+    return tuple(notes)
+
+
+def _transfer(campaign: Campaign, whole: Geometry, using: Using, sensor: bool, leave_out: str) -> tuple[Transfer, ...]:
+    """Return the end position errors of runs left out in turn."""
+    source = whole.source
+    campaign = campaign.included()
+    labels = campaign.runs.label(leave_out)
+    rows = []
+    for label in dict.fromkeys(labels):
+        away = labels == label
+        rest, tried = recording_of(campaign.select(~away), source), recording_of(campaign.select(away), source)
+        drive = drive_of(campaign, source, rest)
+        fitted = _fit(campaign, drive, rest, _divisions(rest, using)[0], sensor)
+        model = Model(drive, tried, end_pose_segments(tried))
+        errors = [
+            float(np.sqrt(np.mean(np.square(model.predict(values).residuals[:, :2]).sum(axis=1))))
+            for values in (fitted.parameters.nominal, fitted.solution.values)
+        ]
+        rows.append(Transfer(str(label), len(tried), errors[0], errors[1]))
+    return tuple(rows)

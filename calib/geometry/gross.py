@@ -1,0 +1,150 @@
+"""Gross faults that a calibration would otherwise swallow: swapped columns, signs, half a track, mirrored answers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from calib.arrays import FloatArray
+from calib.geometry.drives import Steps
+from calib.geometry.recording import Recording
+from calib.geometry.segments import Segments
+
+__all__ = ["Fault", "factor_faults", "front_faults", "rear_faults", "repaired"]
+
+#: how far a ratio may be from a factor and still be taken for it, relative
+NEAR: Final = 0.08
+#: factors that faults of settings leave, and what they mean
+TRACK_FACTORS: Final = {0.5: "half the track", 2.0: "twice the track"}
+RADIUS_FACTORS: Final = {
+    0.5: "half the radius: twice the counts per revolution, or the radius for the diameter",
+    2.0: "twice the radius: half the counts per revolution, or the diameter for the radius",
+    4.0: "four times the radius: a quarter of the counts per revolution (quadrature)",
+    0.25: "a quarter of the radius: four times the counts per revolution (quadrature)",
+    float(np.pi): "pi times the radius",
+}
+#: standard deviations by which a sign must stand out
+CLEAR: Final = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """A gross fault: its stable name, and a sentence that says what is wrong and what to do."""
+
+    code: str
+    text: str
+
+
+def rear_faults(recording: Recording, segments: Segments) -> Fault | None:
+    """Return the fault of two wheels' signs or sides, from how the heading follows their turning.
+
+    The heading turns with the right wheel and against the left one. Where the regression says otherwise beyond doubt,
+    columns are swapped or a counter runs backwards.
+    """
+    turned = _between(recording.steps.turned_rad, segments)
+    good = segments.seen[:, 2]
+    if good.sum() < 4:
+        return None
+    left, right, reliable = _regression(turned[:, good], segments.measured[good, 2])
+    if not reliable:
+        return None
+    if left < 0.0 < right:
+        return None
+    if left > 0.0 and right > 0.0:
+        return Fault("reversed_left", "the left counter runs backwards; correct its sign or its wiring")
+    if left < 0.0 and right < 0.0:
+        return Fault("reversed_right", "the right counter runs backwards; correct its sign or its wiring")
+    seen = segments.seen[:, 0]
+    forward = float(np.sum(turned.sum(axis=0)[seen] * segments.measured[seen, 0]))
+    if forward < 0.0:
+        return Fault("reversed_both", "both counters run backwards; correct their signs")
+    return Fault(
+        "swapped_wheels", "left and right wheel are swapped; exchange the columns counts_left and counts_right"
+    )
+
+
+def _between(turned: FloatArray, segments: Segments) -> FloatArray:
+    total = np.cumsum(turned, axis=1)
+    return np.asarray(total[:, segments.last] - total[:, segments.first])
+
+
+def _regression(turned: FloatArray, heading: FloatArray) -> tuple[float, float, bool]:
+    """Return how the heading follows each wheel, and whether both signs stand out."""
+    normal = turned @ turned.T
+    if np.linalg.cond(normal) > 1e10:
+        return 0.0, 0.0, False
+    weights = np.ones(len(heading))
+    for _ in range(10):
+        slope = np.linalg.solve((turned * weights) @ turned.T, (turned * weights) @ heading)
+        rest = heading - slope @ turned
+        spread = 1.483 * float(np.median(np.abs(rest))) + 1e-9
+        weights = 1.0 / (1.0 + np.square(rest / (3.0 * spread)))
+    std = spread * np.sqrt(np.diag(np.linalg.inv(normal)))
+    return float(slope[0]), float(slope[1]), bool(np.all(np.abs(slope) > CLEAR * std))
+
+
+def repaired(recording: Recording, fault: Fault) -> Recording:
+    """Return the recording with the fault of two wheels put right."""
+    left, right = recording.steps.turned_rad
+    turned = {
+        "swapped_wheels": (right, left),
+        "reversed_left": (-left, right),
+        "reversed_right": (left, -right),
+        "reversed_both": (-left, -right),
+    }[fault.code]
+    return recording.with_turned(np.stack(turned))
+
+
+def front_faults(recording: Recording, segments: Segments) -> tuple[Recording, tuple[Fault, ...]]:
+    """Return the recording with mirrored signs of front counts and steering put right, and what was wrong.
+
+    A wheel that counts backwards and a steering sensor of the other sign give mirrored solutions of the same residual:
+    a negative radius, a negative wheelbase. The one with positive lengths is the vehicle's.
+    """
+    faults: list[Fault] = []
+    steps = recording.steps
+    steer = steps.steer_rad
+    if steer is None:
+        return recording, ()
+    phi = steps.turned_rad[0]
+    ahead = _between((phi * np.cos(steer))[None], segments)[0]
+    seen = segments.seen.all(axis=1)
+    if float(np.sum(ahead[seen] * _chord_sense(segments.measured[seen]))) < 0.0:
+        faults.append(Fault("reversed_front", "the front counter runs backwards; correct its sign"))
+        steps = Steps(-steps.turned_rad, steer, steps.load_offset_N)
+    aside = _between((steps.turned_rad[0] * np.sin(steer))[None], segments)[0]
+    if float(np.sum(aside[seen] * segments.measured[seen, 2])) < 0.0:
+        faults.append(Fault("reversed_steering", "the steering angle has the other sign; left turns are positive"))
+        steps = Steps(steps.turned_rad, -steer, steps.load_offset_N)
+    return (replace(recording, steps=steps) if faults else recording), tuple(faults)
+
+
+def _chord_sense(measured: FloatArray) -> FloatArray:
+    """Return forward distance where the heading hardly turned, else nothing: only there its sign is that of the way."""
+    return np.where(np.abs(measured[:, 2]) < 1.5, measured[:, 0], 0.0)
+
+
+def factor_faults(nominal: Mapping[str, float], found: Mapping[str, float]) -> tuple[Fault, ...]:
+    """Return faults of the settings that leave a factor between nominal and found lengths."""
+    faults = []
+    for name, factors in (("track_m", TRACK_FACTORS), ("half_length_plus_half_width_m", TRACK_FACTORS)):
+        if name in found:
+            faults += _factor(name, found[name] / nominal[name], factors)
+    for name in ("radius_left_m", "radius_right_m", "front_radius_m", "wheel_radius_m"):
+        if name in found:
+            faults += _factor(name, found[name] / nominal[name], RADIUS_FACTORS)
+    return tuple(faults)
+
+
+def _factor(name: str, ratio: float, factors: dict[float, str]) -> list[Fault]:
+    return [
+        Fault(
+            "half_track" if meaning.endswith("the track") else "radius_factor",
+            f"{name} is {ratio:.3g} times the nominal value, {meaning}; correct the settings",
+        )
+        for factor, meaning in factors.items()
+        if abs(ratio / factor - 1.0) < NEAR
+    ]

@@ -1,0 +1,99 @@
+"""The pieces of a geometry's result: a parameter, a route, a recording left out, a path."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+from calib.arrays import FloatArray
+
+__all__ = ["CHANNELS", "Estimate", "RouteResidual", "RunPath", "Transfer"]
+
+#: residual channels and their units
+CHANNELS: Final = ("x_m", "y_m", "theta_rad")
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """One parameter: nominal value, estimate, standard deviation, 95 % interval and its degrees of freedom."""
+
+    name: str
+    nominal: float
+    value: float
+    std: float
+    ci95: tuple[float, float]
+    dof: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the estimate as plain values."""
+        return {
+            "value": self.value,
+            "sd": self.std,
+            "ci95": list(self.ci95),
+            "dof": self.dof,
+            "nominal": self.nominal,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class RouteResidual:
+    """Residuals of one kind of route: root mean squares before and after, and what is left on average.
+
+    Each triple is along, across (m) and in heading (rad).
+    """
+
+    kind: str
+    n: int
+    before_rms: tuple[float, float, float]
+    after_rms: tuple[float, float, float]
+    after_mean: tuple[float, float, float]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the row as plain values."""
+        return {
+            "kind": self.kind,
+            "n": self.n,
+            "before_rms": dict(zip(CHANNELS, self.before_rms, strict=True)),
+            "after_rms": dict(zip(CHANNELS, self.after_rms, strict=True)),
+            "after_mean": dict(zip(CHANNELS, self.after_mean, strict=True)),
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Transfer:
+    """End position error of runs that were left out of the estimate, before and after."""
+
+    left_out: str
+    n: int
+    before_rms_m: float
+    after_rms_m: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the row as plain values."""
+        return {
+            "left_out": self.left_out,
+            "n": self.n,
+            "before_rms_m": self.before_rms_m,
+            "after_rms_m": self.after_rms_m,
+        }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunPath:
+    """One run: its path by nominal and calibrated odometry and by the reference, in its own start frame.
+
+    Parameters
+    ----------
+    run_id, kind : str
+        Labels.
+    before, after : array of float, shape (n_samples, 2)
+        x and y in m.
+    reference : array of float, shape (n_poses, 2)
+        Along the way, or the end pose alone.
+    """
+
+    run_id: str
+    kind: str
+    before: FloatArray
+    after: FloatArray
+    reference: FloatArray

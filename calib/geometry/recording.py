@@ -1,0 +1,281 @@
+"""From a campaign to arrays: what the wheels turned, and what the reference saw, all runs laid end to end."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from calib.arrays import BoolArray, FloatArray, IntArray, StrArray
+from calib.errors import RefusedError
+from calib.geometry.drives import Steps
+
+if TYPE_CHECKING:
+    from calib.campaign.model import Campaign, Logs
+
+__all__ = ["WHEEL_COLUMNS", "Recording", "odometry_source", "recording_of"]
+
+#: what drives the odometry -> columns of the log with the counts of its wheels
+WHEEL_COLUMNS: Final = {
+    "rear": ("counts_left", "counts_right"),
+    "front": ("counts_front",),
+    "wheels": ("counts_front_left", "counts_front_right", "counts_rear_left", "counts_rear_right"),
+}
+REFERENCE: Final = ("ref_x_m", "ref_y_m", "ref_theta_rad")
+#: turn of a run of which only the end counts are known, up to which it is taken for one arc
+ONE_ARC_RAD: Final = 0.2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """Wheels and reference of a campaign's runs.
+
+    Parameters
+    ----------
+    run_id, session, kind : array of str, shape (n_runs,)
+        Labels of the runs.
+    offsets : array of int, shape (n_runs + 1,)
+        Samples of run i stand at ``offsets[i]:offsets[i + 1]``.
+    t_s : array of float, shape (n_samples,)
+        Time since the run's start.
+    steps : Steps
+        What the wheels did from sample to sample.
+    reference : array of float, shape (3, n_samples)
+        Pose by the reference at the samples, heading not wrapped; NaN where it has none.
+    end_pose : array of float, shape (n_runs, 3)
+        End pose against the start by the reference; NaN where it was not measured.
+    left_out : tuple of (str, str)
+        Runs that cannot be used: id and reason.
+    """
+
+    run_id: StrArray
+    session: StrArray
+    kind: StrArray
+    offsets: IntArray
+    t_s: FloatArray
+    steps: Steps
+    reference: FloatArray
+    end_pose: FloatArray
+    left_out: tuple[tuple[str, str], ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.run_id)
+
+    @property
+    def run(self) -> IntArray:
+        """Number of the run of each sample, shape (n_samples,)."""
+        return np.repeat(np.arange(len(self)), np.diff(self.offsets)).astype(np.int64)
+
+    @property
+    def travel_rad(self) -> FloatArray:
+        """Angle that the wheels turned on average since the run's start, without sign, shape (n_samples,)."""
+        total = np.cumsum(np.abs(self.steps.turned_rad).mean(axis=0))
+        return np.asarray(total - np.repeat(total[self.offsets[:-1]], np.diff(self.offsets)))
+
+    @property
+    def continuous(self) -> bool:
+        """Whether the reference follows the vehicle along the way, in half of the runs at least."""
+        has = np.isfinite(self.reference).all(axis=0)
+        counts = np.add.reduceat(has.astype(np.int64), self.offsets[:-1])
+        return bool(np.mean(counts >= MANY_POSES) >= 0.5)
+
+    def unwrapped(self, turn_rad: FloatArray) -> Recording:
+        """Return the recording with whole turns added to end headings, where the reference states them within a half.
+
+        Parameters
+        ----------
+        turn_rad : array of float, shape (n_runs,)
+            Turn of each run by its wheels.
+        """
+        heading = self.end_pose[:, 2]
+        within = np.abs(heading) <= np.pi + 1e-6
+        if not within[np.isfinite(heading)].all() or not np.any(np.abs(turn_rad[np.isfinite(heading)]) > 1.5 * np.pi):
+            return self
+        end_pose = self.end_pose.copy()
+        end_pose[:, 2] += 2.0 * np.pi * np.rint((turn_rad - heading) / (2.0 * np.pi))
+        return replace(self, end_pose=end_pose)
+
+    def with_turned(self, turned_rad: FloatArray) -> Recording:
+        """Return the recording with other wheel turns (sides swapped, say)."""
+        return replace(self, steps=replace(self.steps, turned_rad=turned_rad))
+
+
+#: poses of a run that make a reference a continuous one
+MANY_POSES: Final = 20
+
+
+def odometry_source(campaign: Campaign) -> str:
+    """Return what drives the odometry: ``rear``, ``front`` or ``wheels``; the settings' word, else what was logged."""
+    stated = campaign.odometry.source
+    if stated is not None:
+        return stated
+    if campaign.vehicle.drive == "mecanum":
+        return "wheels"
+    has = _has_columns(campaign.logs)
+    return (
+        "front" if not has["rear"] and has["front"] and np.isnan(campaign.runs.number("counts_left")).all() else "rear"
+    )
+
+
+def _has_columns(logs: Logs) -> dict[str, bool]:
+    return {
+        source: all(name in logs.columns and not np.isnan(logs.columns[name]).all() for name in names)
+        for source, names in WHEEL_COLUMNS.items()
+    }
+
+
+def recording_of(campaign: Campaign, source: str) -> Recording:
+    """Return wheels and reference of the runs that are not excluded.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        With logs; a straight run may have its end counts alone.
+    source : {"rear", "front", "wheels"}
+        Which wheels drive the odometry.
+
+    Raises
+    ------
+    RefusedError
+        Where no run has both wheels and a reference.
+    """
+    campaign = campaign.included()
+    per_rev = _counts_per_rev(campaign, source)
+    pieces: list[dict[str, Any]] = []
+    left_out: list[tuple[str, str]] = []
+    rows: list[int] = []
+    for row in range(len(campaign.runs)):
+        piece = _piece(campaign, row, source, per_rev)
+        if isinstance(piece, str):
+            left_out.append((str(campaign.runs.run_id[row]), piece))
+        else:
+            pieces.append(piece)
+            rows.append(row)
+    if not pieces:
+        reason = f"; the first, {left_out[0][0]}: {left_out[0][1]}" if left_out else ""
+        raise RefusedError(
+            f"geometry of {campaign.name!r}: found no run with wheels and a reference pose{reason}; expected logs with "
+            f"{', '.join(WHEEL_COLUMNS[source])} and end poses or ref_ columns; measure where runs end (ref_x_m, "
+            "ref_y_m, ref_theta_rad)"
+        )
+    runs = campaign.runs.select(np.array(rows))
+    lengths = np.array([piece["turned"].shape[1] for piece in pieces])
+    steer = [piece["steer"] for piece in pieces]
+    loads = [piece["loads"] for piece in pieces]
+    return Recording(
+        run_id=runs.run_id,
+        session=runs.label("session"),
+        kind=runs.label("kind"),
+        offsets=np.concatenate(([0], np.cumsum(lengths))).astype(np.int64),
+        t_s=np.concatenate([piece["t_s"] for piece in pieces]),
+        steps=Steps(
+            turned_rad=np.concatenate([piece["turned"] for piece in pieces], axis=1),
+            steer_rad=np.concatenate(steer) if all(one is not None for one in steer) else None,
+            load_offset_N=np.concatenate(loads, axis=1) if all(one is not None for one in loads) else None,
+        ),
+        reference=np.concatenate([piece["reference"] for piece in pieces], axis=1),
+        end_pose=np.stack([piece["end_pose"] for piece in pieces]),
+        left_out=tuple(left_out),
+    )
+
+
+def _counts_per_rev(campaign: Campaign, source: str) -> FloatArray:
+    encoder = campaign.encoder
+    left, right = encoder.counts_per_rev_left, encoder.counts_per_rev_right
+    return np.array({"rear": (left, right), "front": (encoder.front,), "wheels": (left, right, left, right)}[source])
+
+
+def _piece(campaign: Campaign, row: int, source: str, per_rev: FloatArray) -> dict[str, Any] | str:
+    """Return the arrays of one run, or why it cannot be used."""
+    log = campaign.logs.of(row)
+    names = WHEEL_COLUMNS[source]
+    runs = campaign.runs
+    end = np.array([runs.number(name)[row] for name in REFERENCE])
+    if not all(name in log for name in names):
+        return _end_counts(campaign, row, source, per_rev, end)
+    counts = np.stack([log[name] for name in names])
+    keep: BoolArray = np.asarray(np.isfinite(counts).all(axis=0))
+    steer = log.get("steer_rad") if source == "front" else None
+    if source == "front":
+        if steer is None:
+            return "its log has no steer_rad"
+        keep &= np.isfinite(steer)
+    if keep.sum() < 2:
+        return "its log has fewer than two samples with counts"
+    reference = np.full((3, len(keep)), np.nan)
+    for axis, name in enumerate(REFERENCE):
+        if name in log:
+            reference[axis] = _unwrapped(log[name]) if axis == 2 else log[name]
+    turned = 2.0 * np.pi * np.diff(counts[:, keep], axis=1, prepend=counts[:, keep][:, :1]) / per_rev[:, None]
+    reference = reference[:, keep]
+    if np.isnan(end).any():
+        end = _last_pose(reference)
+    if np.isnan(end[:2]).any() and not np.isfinite(reference[:2]).all(axis=0).any():
+        return "nothing says where it ended: no ref_ columns"
+    middle = None if steer is None else _middle(steer[keep])
+    return {
+        "t_s": log["t_s"][keep] - log["t_s"][keep][0],
+        "turned": turned,
+        "steer": middle,
+        "loads": _loads(campaign, row, log, keep),
+        "reference": reference,
+        "end_pose": end,
+    }
+
+
+def _end_counts(
+    campaign: Campaign, row: int, source: str, per_rev: FloatArray, end: FloatArray
+) -> dict[str, Any] | str:
+    """Return a run without log as one arc, where it is straight enough."""
+    if source != "rear":
+        return f"its log lacks {' or '.join(WHEEL_COLUMNS[source])}"
+    runs = campaign.runs
+    counts = np.array([runs.number(name)[row] for name in WHEEL_COLUMNS[source]])
+    if np.isnan(counts).any() or np.isnan(end).any():
+        return "it has no log, and no end counts with an end pose"
+    if abs(end[2]) > ONE_ARC_RAD:
+        return "it turns and has no log: its path cannot be computed from end counts"
+    turned = np.stack([np.zeros(2), 2.0 * np.pi * counts / per_rev], axis=1)
+    return {
+        "t_s": np.array([0.0, 1.0]),
+        "turned": turned,
+        "steer": None,
+        "loads": _loads(campaign, row, {}, np.ones(2, dtype=np.bool_)),
+        "reference": np.full((3, 2), np.nan),
+        "end_pose": end,
+    }
+
+
+def _loads(campaign: Campaign, row: int, log: dict[str, FloatArray], keep: BoolArray) -> FloatArray | None:
+    """Return the loads less the reference load: of the log, else of the run table."""
+    found = []
+    for name in ("load_left_N", "load_right_N"):
+        load = log[name][keep] if name in log else np.full(int(keep.sum()), campaign.runs.number(name)[row])
+        if np.isnan(load).any():
+            return None
+        found.append(load)
+    return np.stack(found) - campaign.model.reference_load_N
+
+
+def _middle(steer: FloatArray) -> FloatArray:
+    """Return the steering angle in the middle of each step."""
+    return np.concatenate([steer[:1], 0.5 * (steer[1:] + steer[:-1])])
+
+
+def _unwrapped(theta: FloatArray) -> FloatArray:
+    good = np.isfinite(theta)
+    unwrapped = theta.copy()
+    unwrapped[good] = np.unwrap(theta[good])
+    return unwrapped
+
+
+def _last_pose(reference: FloatArray) -> FloatArray:
+    """Return the last pose of a continuous reference in the frame of the first, where both stand at the run's ends."""
+    good = np.flatnonzero(np.isfinite(reference).all(axis=0))
+    if len(good) < 2 or good[0] != 0 or good[-1] != reference.shape[1] - 1:
+        return np.full(3, np.nan)
+    x, y, theta = reference[:, good[0]]
+    dx, dy = reference[0, good[-1]] - x, reference[1, good[-1]] - y
+    cosine, sine = np.cos(theta), np.sin(theta)
+    return np.array([cosine * dx + sine * dy, cosine * dy - sine * dx, reference[2, good[-1]] - theta])

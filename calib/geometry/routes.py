@@ -1,0 +1,48 @@
+"""How well each route is met before and after the calibration."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.arrays import FloatArray
+from calib.geometry.parts import RouteResidual
+from calib.geometry.recording import Recording
+from calib.geometry.segments import Segments
+
+__all__ = ["rms", "route_table"]
+
+
+def rms(residuals: FloatArray) -> tuple[float, float, float]:
+    """Return the root mean square of each channel, shape (n, 3) in, three numbers out."""
+    x, y, theta = np.sqrt(np.mean(np.square(residuals), axis=0)) if len(residuals) else np.zeros(3)
+    return float(x), float(y), float(theta)
+
+
+def route_table(
+    recording: Recording, segments: Segments, before: FloatArray, after: FloatArray
+) -> tuple[RouteResidual, ...]:
+    """Return the residuals by kind of route; where no kind is given, by the sense of the turn.
+
+    Parameters
+    ----------
+    recording : Recording
+        Labels of the runs.
+    segments : Segments
+        The stretches.
+    before, after : array of float, shape (n, 3)
+        Residuals of the nominal and the calibrated vehicle.
+    """
+    kind = recording.kind[segments.run]
+    if (kind == "").all():
+        turn = segments.measured[:, 2]
+        kind = np.where(turn > 1.0, "turns left", np.where(turn < -1.0, "turns right", "hardly turns"))
+    rows = []
+    for name in np.unique(kind):
+        part = kind == name
+        x, y, theta = after[part].mean(axis=0)
+        rows.append(
+            RouteResidual(
+                str(name), int(part.sum()), rms(before[part]), rms(after[part]), (float(x), float(y), float(theta))
+            )
+        )
+    return tuple(rows)

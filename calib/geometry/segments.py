@@ -1,0 +1,146 @@
+"""Stretches of runs whose displacement the reference measured: whole runs, or windows of several lengths."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+
+from calib.arrays import BoolArray, FloatArray, IntArray
+from calib.errors import RefusedError
+from calib.geometry.recording import Recording
+
+__all__ = ["LEVELS", "Segments", "end_pose_segments", "window_segments"]
+
+#: windows as parts of a block: whole, half, quarter
+LEVELS: Final = (1.0, 0.5, 0.25)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Segments:
+    """Stretches and what the reference says of them.
+
+    Parameters
+    ----------
+    run, first, last : array of int, shape (n,)
+        Number of the run, first and last sample.
+    measured : array of float, shape (n, 3)
+        Displacement of the sensor in its own frame at the start: forward, left, turn.
+    seen : array of bool, shape (n, 3)
+        Which of these were measured.
+    block : array of int, shape (n,)
+        Stretches of one block share their noise; they are nested in it.
+    level : array of int, shape (n,)
+        0 for the longest windows.
+    """
+
+    run: IntArray
+    first: IntArray
+    last: IntArray
+    measured: FloatArray
+    seen: BoolArray
+    block: IntArray
+    level: IntArray
+
+    def __len__(self) -> int:
+        return len(self.run)
+
+    def select(self, keep: BoolArray) -> Segments:
+        """Return the stretches that `keep` picks."""
+        return Segments(
+            self.run[keep],
+            self.first[keep],
+            self.last[keep],
+            self.measured[keep],
+            self.seen[keep],
+            self.block[keep],
+            self.level[keep],
+        )
+
+
+def end_pose_segments(recording: Recording) -> Segments:
+    """Return each run with an end pose as one stretch.
+
+    Raises
+    ------
+    RefusedError
+        Where no run has an end pose.
+    """
+    runs = np.flatnonzero(np.isfinite(recording.end_pose[:, :2]).all(axis=1))
+    if not len(runs):
+        raise RefusedError("end poses: found none; expected ref_x_m, ref_y_m, ref_theta_rad of some runs; measure them")
+    measured = recording.end_pose[runs]
+    return Segments(
+        run=runs,
+        first=recording.offsets[runs],
+        last=recording.offsets[runs + 1] - 1,
+        measured=np.nan_to_num(measured),
+        seen=np.isfinite(measured),
+        block=np.arange(len(runs)),
+        level=np.zeros(len(runs), dtype=np.int64),
+    )
+
+
+def window_segments(recording: Recording, blocks: int) -> Segments:
+    """Return windows of three lengths, nested in blocks of equal travel.
+
+    Parameters
+    ----------
+    recording : Recording
+        With a reference along the way.
+    blocks : int
+        How many blocks all runs together are cut into, about; a run is one at least.
+
+    Raises
+    ------
+    RefusedError
+        Where the reference follows the vehicle nowhere.
+
+    Notes
+    -----
+    The travel of the wheels, not the time, sets the length, so that a standing vehicle makes no windows. Shorter
+    windows overlap by half. No window reaches over the end of its block.
+    """
+    good: BoolArray = np.asarray(np.isfinite(recording.reference).all(axis=0))
+    travel = recording.travel_rad
+    ends = np.array([travel[stop - 1] for stop in recording.offsets[1:]])
+    length = float(ends.sum()) / max(blocks, 1)
+    pieces: list[tuple[IntArray, IntArray, IntArray, IntArray, IntArray]] = []
+    block = 0
+    for run in range(len(recording)):
+        samples = np.flatnonzero(good[recording.offsets[run] : recording.offsets[run + 1]]) + recording.offsets[run]
+        if len(samples) < 2 or length <= 0.0:
+            continue
+        n_blocks = max(1, round(float(ends[run]) / length))
+        edges = np.linspace(travel[samples[0]], travel[samples[-1]], n_blocks + 1)
+        for low, high in pairwise(edges):
+            for level, share in enumerate(LEVELS):
+                starts = np.arange(0.0, 1.0 - share + 1e-9, 0.5 * share if share < 1.0 else 1.0)
+                first = samples[_nearest(travel[samples], low + starts * (high - low))]
+                last = samples[_nearest(travel[samples], low + (starts + share) * (high - low))]
+                real = last > first
+                n = int(real.sum())
+                pieces.append((first[real], last[real], np.full(n, run), np.full(n, block), np.full(n, level)))
+            block += 1
+    if not pieces or not sum(len(piece[0]) for piece in pieces):
+        raise RefusedError(
+            "windows: found no reference along the way; expected ref_x_m, ref_y_m, ref_theta_rad in logs; "
+            "use end poses instead"
+        )
+    first, last, run_of, block_of, level_of = (np.concatenate(part) for part in zip(*pieces, strict=True))
+    measured = _measured(recording.reference, first, last)
+    return Segments(run_of, first, last, measured, np.ones(measured.shape, dtype=np.bool_), block_of, level_of)
+
+
+def _nearest(travel: FloatArray, wanted: FloatArray) -> IntArray:
+    """Return the samples where the travel is nearest to `wanted`."""
+    after = np.clip(np.searchsorted(travel, wanted), 1, len(travel) - 1)
+    return np.asarray(after - (wanted - travel[after - 1] < travel[after] - wanted))
+
+
+def _measured(reference: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
+    delta = reference[:, last] - reference[:, first]
+    cosine, sine = np.cos(reference[2, first]), np.sin(reference[2, first])
+    return np.stack([cosine * delta[0] + sine * delta[1], cosine * delta[1] - sine * delta[0], delta[2]], axis=1)

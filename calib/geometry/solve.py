@@ -1,0 +1,222 @@
+"""Robust least squares: parameters and noise together, by a multivariate Student t likelihood.
+
+The loss is that of a Student t distribution with five degrees of freedom over the displacement's components together.
+Why this one: its influence falls towards zero for a gross error (a failed scan match must not pull), it costs a few per
+cent of efficiency where the noise is normal, and being a likelihood it gives the scales of the noise by the same
+principle as the parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from calib.arrays import BoolArray, FloatArray, IntArray
+from calib.geometry.model import Model, Prediction
+from calib.geometry.noise import LEAST, covariances, kernels, update_scales
+from calib.geometry.parameters import Parameters
+
+__all__ = ["DEGREES", "Solution", "solve"]
+
+#: degrees of freedom of the Student t
+DEGREES: Final = 5.0
+#: linearisations; those in which the noise is estimated too; steps within one
+ROUNDS: Final = 15
+NOISE_ROUNDS: Final = 4
+INNER: Final = 40
+#: stretches from which the noise is estimated; more of them cost time and tell nothing new about four numbers
+NOISE_STRETCHES: Final = 1500
+#: a step below this part of a standard deviation ends the search; one below it squared ends the steps within
+CLOSE: Final = 1e-3
+#: a change of the noise's variances below this ends the inner steps, relative
+STEADY: Final = 1e-2
+#: strength of the pull to the nominal values, in parts of the information there is; only for solvability
+RIDGE: Final = 1e-10
+#: longest step, in spreads of what is possible
+LONGEST: Final = 3.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """Where the search ended.
+
+    Parameters
+    ----------
+    values : array of float, shape (n_parameters,)
+        All parameters; those not free at their nominal value.
+    prediction : Prediction
+        At `values`.
+    scales : array of float, shape (4,)
+        Variances of the noise's components.
+    whitener : array of float, shape (n, 3, 3)
+        Turns residuals into ones of unit covariance.
+    weights : array of float, shape (n,)
+        Robust weights.
+    squares : array of float, shape (n,)
+        Squared whitened residuals, rescaled so that their middle is where normal noise has it.
+    converged : bool
+        Whether the last step was small.
+    """
+
+    values: FloatArray
+    prediction: Prediction
+    scales: FloatArray
+    whitener: FloatArray
+    weights: FloatArray
+    squares: FloatArray
+    converged: bool
+
+
+def solve(model: Model, parameters: Parameters, start: FloatArray, scales: FloatArray) -> Solution:
+    """Return the parameters that the data make most likely.
+
+    Parameters
+    ----------
+    model : Model
+        Predicts displacements.
+    parameters : Parameters
+        Which are free.
+    start : array of float, shape (n_parameters,)
+        Where to begin.
+    scales : array of float, shape (4,)
+        Variances of the noise's components to begin with.
+    """
+    values, least = start.copy(), LEAST * scales
+    free, prior = parameters.free, parameters.prior_std
+    seen = model.segments.seen
+    size = seen.sum(axis=1)
+    prediction, converged = model.predict(values), False
+    for number in range(ROUNDS):
+        if number < NOISE_ROUNDS:
+            kernel = _kernel(model, prediction, values)
+        problem = _Linear(prediction.residuals, prediction.jacobian[:, :, free] * prior[free], seen, size)
+        if number < NOISE_ROUNDS:
+            some = slice(None, None, max(1, len(size) // NOISE_STRETCHES))
+            scales = _noise(problem.part(some), kernel[:, some], scales, least)
+            whitener = _inverse(kernel, scales, seen)[1]
+        found, sigmas = _settle(problem, whitener)
+        step = np.zeros(len(values))
+        step[free] = found * prior[free]
+        if number >= NOISE_ROUNDS - 1 and sigmas < CLOSE:
+            converged = True
+            break
+        values, prediction, moved = _advance(model, (values, prediction), step, prior, _judge(whitener, size))
+        if not moved:
+            break
+    weights, squares = _weights(whitener, prediction.residuals, size)
+    return Solution(values, prediction, scales, whitener, weights, _centred(squares, size), converged)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Linear:
+    """The problem made linear: residuals, derivatives by parameters in units of their spread, what was measured."""
+
+    residuals: FloatArray
+    jacobian: FloatArray
+    seen: BoolArray
+    size: IntArray
+
+    def part(self, some: slice) -> _Linear:
+        """Return the problem of some of the stretches."""
+        return _Linear(self.residuals[some], self.jacobian[some], self.seen[some], self.size[some])
+
+
+def _settle(problem: _Linear, whitener: FloatArray) -> tuple[FloatArray, float]:
+    """Return the step, in spreads, that the linear problem asks for at known noise, and its length in sigmas."""
+    step = np.zeros(problem.jacobian.shape[2])
+    jacobian = whitener @ problem.jacobian
+    residuals = np.einsum("nij,nj->ni", whitener, problem.residuals)
+    for _ in range(INNER):
+        squares = np.square(residuals - jacobian @ step).sum(axis=1)
+        before, step = step, _weighted(jacobian, residuals, (DEGREES + problem.size) / (DEGREES + squares))
+        if float(np.linalg.norm(jacobian @ (step - before))) < CLOSE**2:
+            break
+    return step, float(np.linalg.norm(jacobian @ step))
+
+
+def _weighted(jacobian: FloatArray, residuals: FloatArray, weights: FloatArray) -> FloatArray:
+    """Return the weighted least-squares solution of whitened equations."""
+    n_free = jacobian.shape[2]
+    root = np.sqrt(weights)[:, None]
+    flat = (jacobian * root[:, :, None]).reshape(-1, n_free)
+    normal = flat.T @ flat
+    normal[np.diag_indices_from(normal)] += RIDGE * max(float(np.trace(normal)) / max(n_free, 1), 1.0)
+    return np.asarray(np.linalg.solve(normal, flat.T @ (residuals * root).ravel()))
+
+
+def _noise(problem: _Linear, kernel: FloatArray, scales: FloatArray, least: FloatArray) -> FloatArray:
+    """Return the noise's variances that the linear problem asks for, together with its step."""
+    step = np.zeros(problem.jacobian.shape[2])
+    for _ in range(INNER):
+        inverse, whitener = _inverse(kernel, scales, problem.seen)
+        rest = problem.residuals - problem.jacobian @ step
+        weights = _weights(whitener, rest, problem.size)[0]
+        residuals = np.einsum("nij,nj->ni", whitener, problem.residuals)
+        step = _weighted(whitener @ problem.jacobian, residuals, weights)
+        rest = problem.residuals - problem.jacobian @ step
+        pulled = np.einsum("nij,nj->ni", inverse, rest) * np.sqrt(_weights(whitener, rest, problem.size)[0])[:, None]
+        better = np.maximum(update_scales(kernel, scales, inverse, pulled), least)
+        change = float(np.max(np.abs(np.log(better / scales))))
+        scales = better
+        if change < STEADY:
+            break
+    return scales
+
+
+def _kernel(model: Model, prediction: Prediction, values: FloatArray) -> FloatArray:
+    n_drive = len(values) - 4
+    body = model.drive.motion(values[:n_drive], model.recording.steps).body
+    return kernels(prediction.path, body, model.segments, float(values[-2]))
+
+
+def _inverse(kernel: FloatArray, scales: FloatArray, seen: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """Return inverse covariances and what whitens."""
+    root = np.linalg.cholesky(covariances(kernel, scales, seen))
+    whitener: FloatArray = np.asarray(np.linalg.inv(root), dtype=np.float64)
+    return whitener.transpose(0, 2, 1) @ whitener, whitener
+
+
+def _weights(whitener: FloatArray, residuals: FloatArray, size: IntArray) -> tuple[FloatArray, FloatArray]:
+    squares = np.square(np.einsum("nij,nj->ni", whitener, residuals)).sum(axis=1)
+    return (DEGREES + size) / (DEGREES + squares), squares
+
+
+def _judge(whitener: FloatArray, size: IntArray) -> Callable[[Prediction], float]:
+    """Return the loss as a function of a prediction, at fixed noise."""
+
+    def loss(prediction: Prediction) -> float:
+        squares = _weights(whitener, prediction.residuals, size)[1]
+        return float(np.sum(0.5 * (DEGREES + size) * np.log1p(squares / DEGREES)))
+
+    return loss
+
+
+def _advance(
+    model: Model,
+    here: tuple[FloatArray, Prediction],
+    step: FloatArray,
+    prior: FloatArray,
+    loss: Callable[[Prediction], float],
+) -> tuple[FloatArray, Prediction, bool]:
+    """Go as far along `step` as lowers the loss; return also whether that was anywhere."""
+    values, prediction = here
+    now, part = loss(prediction), min(1.0, LONGEST / float(np.max(np.abs(step / prior))))
+    for _ in range(12):
+        tried = values + part * step
+        there = model.predict(tried)
+        if loss(there) <= now * (1.0 + 1e-12):
+            return tried, there, True
+        part *= 0.4
+    return values, prediction, False
+
+
+def _centred(squares: FloatArray, size: IntArray) -> FloatArray:
+    """Return squares rescaled so that half of them lie below the median of chi squared."""
+    from scipy.stats import chi2
+
+    expected = chi2.median(np.maximum(size, 1))
+    ratio = float(np.median(squares / expected))
+    return squares / ratio if ratio > 0.0 else squares

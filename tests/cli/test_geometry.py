@@ -1,0 +1,69 @@
+"""`calib geometry` from a folder to coefficients that the other commands take."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.campaign.write import write_campaign
+from calib.cli.main import run
+from tests.geometry.campaigns import Truth, campaign, mixed
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("geometry") / "campaign"
+    write_campaign(campaign(mixed(3), Truth(), np.random.default_rng(1)), path)
+    return path
+
+
+def test_json_has_what_the_contract_names(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Values with sd and ci95, covariance with its names, residuals, outliers, UMBmark; nothing else on stdout."""
+    assert run(["geometry", str(folder), "--json", "-"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["drive"] == "differential" and told["n_runs"] == 15
+    for name in ("radius_left_m", "radius_right_m", "track_m"):
+        entry = told["parameters"][name]
+        assert entry["ci95"][0] < entry["value"] < entry["ci95"][1] and entry["sd"] > 0
+    assert np.shape(told["covariance"]["matrix"]) == (3, 3) and len(told["covariance"]["names"]) == 3
+    assert set(told["residual_rms"]) == {"x_m", "y_m", "theta_rad"}
+    assert told["umbmark"]["applies"] is True and told["mirrored_solution"] is False
+    assert told["outliers"] == [] and told["undetermined"] == []
+
+
+def test_its_coefficients_are_taken_by_export_diagnose_and_simulate(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One file from squares to the controller's parameters, to the model of a diagnosis and to a journey."""
+    coefficients = tmp_path / "coefficients.json"
+    assert run(["geometry", str(folder), "--output", str(coefficients), "--figures", str(tmp_path / "figures")]) == 0
+    assert (tmp_path / "figures" / "geometry_paths.svg").read_bytes().startswith(b"<?xml")
+    assert run(["export", str(coefficients), "--to", "ros2", "--output", str(tmp_path / "ros2")]) == 0
+    text = next((tmp_path / "ros2").iterdir()).read_text(encoding="utf-8")
+    assert "# calibrated" in text and "pose_covariance_diagonal" in text
+    capsys.readouterr()
+    run(["diagnose", str(folder), "--model", str(coefficients), "--json", "-"])
+    assert json.loads(capsys.readouterr().out)["verdict"] in {"no_gap", "undecided"}
+    assert run(["simulate", "journey", "square_ccw", "--law", str(coefficients), "--json", "-"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [(["--using", "window"], "end-poses, windows"), (["--kind", "rhombus"], "square_cw")],
+)
+def test_a_wrong_choice_is_one_line_that_names_the_right_ones(
+    folder: Path, arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["geometry", str(folder), *arguments]) == 2
+    line = capsys.readouterr().err
+    assert words in line and line.count("\n") == 1
+
+
+def test_half_a_track_is_status_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    wrong = campaign(mixed(2), Truth(), np.random.default_rng(2), nominal=(0.05, 0.05, 0.2))
+    write_campaign(wrong, tmp_path / "c")
+    assert run(["geometry", str(tmp_path / "c")]) == 1
+    assert "twice the track" in " ".join(capsys.readouterr().out.split())

@@ -1,0 +1,78 @@
+"""A geometry becomes a coefficient file that says what was found together, and old files still read."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.campaign.model import Campaign
+from calib.coefficients.export import export
+from calib.coefficients.file import CoefficientFile, load_coefficients
+from calib.coefficients.from_geometry import from_geometry
+from calib.coefficients.loads import LoadPair
+from calib.errors import RefusedError
+from calib.geometry.estimate import estimate_geometry
+from calib.geometry.result import Geometry
+from calib.motion.pose_covariance import parameter_covariance
+from tests.geometry.campaigns import Truth, campaign, mixed
+
+
+@pytest.fixture(scope="module")
+def made() -> Campaign:
+    return campaign(mixed(3), Truth(), np.random.default_rng(1))
+
+
+@pytest.fixture(scope="module")
+def geometry(made: Campaign) -> Geometry:
+    return estimate_geometry(made)
+
+
+def test_the_file_holds_radii_track_and_their_joint_covariance(made: Campaign, geometry: Geometry) -> None:
+    """The laws' joint covariance has the estimate's own terms, those that couple left, right and track among them."""
+    file = from_geometry(geometry, made)
+    assert file.law.left.radius_ref_m == geometry["radius_left_m"].value
+    assert file.geometry.track_m == geometry["track_m"].value
+    joint = parameter_covariance(file.law, track_std_m=file.vehicle.track_std.value)
+    np.testing.assert_allclose(joint[np.ix_([0, 2, 4], [0, 2, 4])], geometry.covariance, rtol=1e-12)
+    assert joint[0, 2] != 0.0
+
+
+def test_without_loads_the_slope_is_nought_and_its_ignorance_stated(made: Campaign, geometry: Geometry) -> None:
+    """A radius is the less certain the further its load is from the one driven."""
+    law = from_geometry(geometry, made).law.left
+    assert law.slope_m_per_N == 0.0
+    near, far = law.mean_std_m([law.reference_load_N, law.reference_load_N + 1000.0])
+    assert near == pytest.approx(geometry["radius_left_m"].std)
+    assert far == pytest.approx(np.hypot(near, 0.01 * law.radius_ref_m), rel=1e-6)
+
+
+def test_it_reads_back_as_it_was_written(made: Campaign, geometry: Geometry, tmp_path: Path) -> None:
+    file = from_geometry(geometry, made)
+    path = tmp_path / "coefficients.json"
+    path.write_bytes(file.to_bytes())
+    assert load_coefficients(path) == file
+
+
+def test_a_file_without_a_joint_geometry_is_as_it_was(file: CoefficientFile) -> None:
+    """No key is added to a file of two wheels that were fitted separately, and they stay independent."""
+    assert "joint_geometry" not in json.loads(file.to_bytes())
+    assert file.law.joint is None
+    assert parameter_covariance(file.law)[0, 2] == 0.0
+
+
+def test_ros2_writes_the_calibrated_separation_and_says_where_it_is_nominal(
+    made: Campaign, geometry: Geometry, file: CoefficientFile
+) -> None:
+    text = export(from_geometry(geometry, made), "ros2", [LoadPair(300.0, 300.0)])[0].data.decode()
+    assert f"wheel_separation: {geometry['track_m'].value!r}" in text
+    assert "# calibrated" in text
+    assert "# NOT calibrated: the nominal track" in export(file, "ros2")[0].data.decode()
+
+
+def test_a_gross_fault_reaches_no_vehicle(made: Campaign) -> None:
+    off = campaign(mixed(2), Truth(), np.random.default_rng(2), nominal=(0.05, 0.05, 0.2))
+    with pytest.raises(RefusedError, match="twice the track"):
+        from_geometry(estimate_geometry(off), off)

@@ -1,0 +1,156 @@
+"""Campaigns of known geometry, made by an integration of its own: small steps at the heading before each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.campaign.model import Campaign, Logs, RunTable
+from calib.campaign.settings import Encoder, Odometry, OdometryModel, Rangefinder, Reference
+from calib.vehicle import Vehicle
+
+Leg = tuple[float, float]  # way ahead in m, turn in rad
+
+#: fine enough that Euler's rule is good to micrometres
+FINE = 4000
+SAMPLES = 200
+
+
+def square(side_m: float, sense: int) -> list[Leg]:
+    """Four sides, each followed by a quarter turn on the spot."""
+    return [leg for _ in range(4) for leg in ((side_m, 0.0), (0.0, sense * np.pi / 2))]
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What the vehicle really is."""
+
+    radius_left_m: float = 0.0505
+    radius_right_m: float = 0.0498
+    track_m: float = 0.412
+    slope_left: float = 0.0
+    slope_right: float = 0.0
+    sensor: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    delay_s: float = 0.0
+
+
+def driven(legs: Sequence[Leg]) -> tuple[np.ndarray, np.ndarray]:
+    """Body motion (way, turn) in fine steps."""
+    way = np.concatenate([np.full(FINE // len(legs), leg[0] / (FINE // len(legs))) for leg in legs])
+    turn = np.concatenate([np.full(FINE // len(legs), leg[1] / (FINE // len(legs))) for leg in legs])
+    return way, turn
+
+
+def path(way: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    """x, y, heading at all fine steps, start included; each step straight at the heading in its middle."""
+    heading = np.concatenate(([0.0], np.cumsum(turn)))
+    middle = 0.5 * (heading[1:] + heading[:-1])
+    x = np.concatenate(([0.0], np.cumsum(way * np.cos(middle))))
+    y = np.concatenate(([0.0], np.cumsum(way * np.sin(middle))))
+    return np.stack([x, y, heading])
+
+
+def seen_from(pose: np.ndarray, sensor: tuple[float, float, float]) -> np.ndarray:
+    """Poses of a sensor on the vehicle, in the frame of its own first pose."""
+    sx, sy, yaw = sensor
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    x, y, theta = pose[0] + c * sx - s * sy, pose[1] + s * sx + c * sy, pose[2] + yaw
+    dx, dy = x - x[0], y - y[0]
+    c0, s0 = np.cos(theta[0]), np.sin(theta[0])
+    return np.stack([c0 * dx + s0 * dy, c0 * dy - s0 * dx, theta - theta[0]])
+
+
+def campaign(
+    routes: Sequence[tuple[str, Sequence[Leg]]],
+    truth: Truth,
+    rng: np.random.Generator,
+    *,
+    sigma: tuple[float, float] = (0.002, 0.001),
+    walk: float = 0.0,
+    loads: np.ndarray | None = None,
+    along: bool = False,
+    nominal: tuple[float, float, float] = (0.05, 0.05, 0.4),
+    duration_s: float = 20.0,
+) -> Campaign:
+    """Return a campaign of a two-wheeled vehicle.
+
+    `walk` is a random walk of the true heading (rad per root metre), `loads` one row of wheel loads a run, `along`
+    whether the reference follows along the way; the nominal radii and track are what the settings say.
+    """
+    per_rev = 20000.0
+    logs, ends = [], []
+    for number, (_, legs) in enumerate(routes):
+        way, turn = driven(legs)
+        load = np.zeros(2) if loads is None else loads[number] - 300.0
+        left = truth.radius_left_m + truth.slope_left * load[0]
+        right = truth.radius_right_m + truth.slope_right * load[1]
+        phi = np.stack([(way - 0.5 * truth.track_m * turn) / left, (way + 0.5 * truth.track_m * turn) / right])
+        noisy = turn + rng.normal(size=len(turn)) * walk * np.sqrt(np.abs(way) + 0.1 * np.abs(turn))
+        pose = seen_from(path(way, noisy), truth.sensor)
+        t = np.linspace(0.0, duration_s, len(way) + 1)
+        at = np.linspace(0, len(way), SAMPLES + 1).round().astype(int)
+        counts = np.rint(np.concatenate([np.zeros((2, 1)), np.cumsum(phi, axis=1)], axis=1) / (2 * np.pi) * per_rev)
+        log = {"t_s": t[at], "counts_left": counts[0, at], "counts_right": counts[1, at]}
+        noise = np.array([sigma[0], sigma[0], sigma[1]])
+        if along:
+            late = np.stack([np.interp(t[at] - truth.delay_s, t, axis) for axis in pose])
+            late = late + noise[:, None] * rng.normal(size=late.shape)
+            log |= dict(zip(("ref_x_m", "ref_y_m", "ref_theta_rad"), late, strict=True))
+        logs.append(log)
+        ends.append(pose[:, -1] + noise * rng.normal(size=3))
+    return _assembled(routes, logs, np.array(ends), sigma, nominal, loads, per_rev, along)
+
+
+def _assembled(
+    routes: Sequence[tuple[str, Sequence[Leg]]],
+    logs: list[dict[str, np.ndarray]],
+    ends: np.ndarray,
+    sigma: tuple[float, float],
+    nominal: tuple[float, float, float],
+    loads: np.ndarray | None,
+    per_rev: float,
+    along: bool,
+) -> Campaign:
+    n = len(routes)
+    numbers = {
+        "counts_left": np.array([log["counts_left"][-1] for log in logs]),
+        "counts_right": np.array([log["counts_right"][-1] for log in logs]),
+    }
+    if not along:
+        numbers |= dict(zip(("ref_x_m", "ref_y_m", "ref_theta_rad"), ends.T, strict=True))
+    if loads is not None:
+        numbers |= {"load_left_N": loads[:, 0], "load_right_N": loads[:, 1]}
+    labels = {
+        "run_id": np.array([f"r{number:03d}" for number in range(n)]),
+        "session": np.array(["s"] * n),
+        "kind": np.array([kind for kind, _ in routes]),
+    }
+    offsets = np.concatenate(([0], np.cumsum([len(log["t_s"]) for log in logs]))).astype(np.int64)
+    columns = {name: np.concatenate([log[name] for log in logs]) for name in logs[0]}
+    vehicle = Vehicle(track_m=nominal[2], wheel_radius_m=nominal[0], wheelbase_m=0.6, cog_x_m=0.1, drive="differential")
+    return Campaign(
+        root=None,
+        name="made",
+        simulated=True,
+        vehicle=vehicle,
+        encoder=Encoder(per_rev, per_rev),
+        model=OdometryModel(nominal[0], nominal[1], nominal[2], 300.0),
+        rangefinder=Rangefinder(),
+        reference=Reference(sigma_xy_m=sigma[0], sigma_theta_rad=sigma[1]),
+        runs=RunTable(labels, numbers, np.zeros(n, dtype=bool), np.arange(n) + 2),
+        logs=Logs(offsets, columns),
+        odometry=Odometry("rear"),
+    )
+
+
+def both_ways(n: int, side_m: float = 2.0) -> list[tuple[str, list[Leg]]]:
+    """N squares of each sense."""
+    return [("square_ccw", square(side_m, 1))] * n + [("square_cw", square(side_m, -1))] * n
+
+
+def mixed(n: int) -> list[tuple[str, list[Leg]]]:
+    """N runs each of squares both ways, arcs both ways, and a line."""
+    arcs = [("arc_left", [(3.0, np.pi)])] * n + [("arc_right", [(3.0, -np.pi)])] * n
+    return [*both_ways(n), *arcs, *([("line", [(4.0, 0.0)])] * n)]

@@ -1,0 +1,158 @@
+"""The estimate finds the geometry that runs were made with, says how well, and names what it cannot find."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.campaign.model import Campaign
+from calib.errors import RefusedError
+from calib.geometry.estimate import estimate_geometry
+from tests.geometry.campaigns import Truth, both_ways, campaign, mixed
+
+TRUTH = Truth()
+NAMES = ("radius_left_m", "radius_right_m", "track_m")
+#: a true value lies within this many standard deviations; one in 15,000 does not
+SIGMAS = 4.0
+#: fine steps of the generator and counts are good to this part of a length without noise
+EXACT = 2e-5
+
+
+def _swap(made: Campaign) -> Campaign:
+    numbers, columns = dict(made.runs.numbers), dict(made.logs.columns)
+    for table in (numbers, columns):
+        table["counts_left"], table["counts_right"] = table["counts_right"], table["counts_left"]
+    return replace(made, runs=replace(made.runs, numbers=numbers), logs=replace(made.logs, columns=columns))
+
+
+def test_without_noise_every_length_comes_back() -> None:
+    """Squares, arcs and lines determine both radii and the track, whatever the nominal values were."""
+    made = campaign(mixed(2), TRUTH, np.random.default_rng(1), sigma=(1e-7, 1e-7), nominal=(0.047, 0.053, 0.44))
+    found = estimate_geometry(made)
+    for name in NAMES:
+        assert found[name].value == pytest.approx(getattr(TRUTH, name), rel=EXACT)
+    assert found.passed and not found.undetermined
+
+
+def test_a_gross_error_is_named_and_hardly_moves_the_result() -> None:
+    """One end pose that is 0.3 m off is listed by its run id; the estimate stays within its interval."""
+    made = campaign(mixed(4), TRUTH, np.random.default_rng(2))
+    numbers = dict(made.runs.numbers)
+    numbers["ref_x_m"] = numbers["ref_x_m"] + 0.3 * (np.arange(len(made.runs)) == 5)
+    spoiled = replace(made, runs=replace(made.runs, numbers=numbers))
+    found = estimate_geometry(spoiled)
+    assert found.outliers == ("r005",)
+    for name in NAMES:
+        assert abs(found[name].value - getattr(TRUTH, name)) < SIGMAS * found[name].std
+
+
+def test_sensor_pose_and_delay_are_found_along_the_way() -> None:
+    """Windows determine where the sensor sits and how late its stamps are, together with the wheels."""
+    truth = Truth(sensor=(0.11, -0.04, 0.3), delay_s=0.12)
+    made = campaign(mixed(1), truth, np.random.default_rng(3), sigma=(5e-4, 3e-4), along=True)
+    made = replace(made, reference=replace(made.reference, sensor_yaw_rad=0.1))
+    found = estimate_geometry(made, using="windows")
+    wanted = {name: getattr(truth, name) for name in NAMES}
+    wanted |= dict(zip(("sensor_x_m", "sensor_y_m", "sensor_yaw_rad"), truth.sensor, strict=True))
+    wanted["delay_s"] = truth.delay_s
+    for name, value in wanted.items():
+        # five runs are few blocks: Student's t rather than sigmas
+        low, high = found[name].ci95
+        assert low - (high - low) < value < high + (high - low), name
+
+
+def test_straight_lines_leave_the_track_open_and_say_so() -> None:
+    """Without turns neither the track nor the lever arm can be known: they are named and left out."""
+    made = campaign([("line", [(4.0, 0.0)])] * 10, TRUTH, np.random.default_rng(4))
+    found = estimate_geometry(made, sensor=True)
+    assert {"track_m", "sensor_x_m", "sensor_y_m"} <= set(found.undetermined)
+    assert "track_m" not in found.to_dict()["parameters"]
+    assert found.values["track_m"] == pytest.approx(0.4)
+
+
+def test_swapped_columns_are_recognised() -> None:
+    """Left and right exchanged turn every turn round; the estimate says so and still finds the vehicle."""
+    made = _swap(campaign(mixed(2), TRUTH, np.random.default_rng(5)))
+    found = estimate_geometry(made)
+    assert [fault.code for fault in found.faults] == ["swapped_wheels"]
+    assert not found.passed
+    assert found["track_m"].value == pytest.approx(TRUTH.track_m, rel=5e-3)
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_a_counter_that_runs_backwards_is_recognised(side: str) -> None:
+    made = campaign(mixed(2), TRUTH, np.random.default_rng(6))
+    columns = dict(made.logs.columns)
+    columns[f"counts_{side}"] = -columns[f"counts_{side}"]
+    found = estimate_geometry(replace(made, logs=replace(made.logs, columns=columns)))
+    assert [fault.code for fault in found.faults] == [f"reversed_{side}"]
+
+
+@pytest.mark.parametrize(("nominal", "code"), [((0.05, 0.05, 0.2), "half_track"), ((0.1, 0.1, 0.4), "radius_factor")])
+def test_half_a_track_and_a_diameter_for_a_radius_are_said(nominal: tuple[float, float, float], code: str) -> None:
+    made = campaign(mixed(2), TRUTH, np.random.default_rng(7), nominal=nominal)
+    found = estimate_geometry(made)
+    assert {fault.code for fault in found.faults} == {code}
+    assert found["track_m"].value == pytest.approx(TRUTH.track_m, rel=1e-2)
+
+
+def test_umbmark_and_least_squares_agree_on_squares_both_ways() -> None:
+    """E_d and E_b of UMBmark are the ratio of the radii, and the track over the nominal one at the mean radius."""
+    made = campaign(both_ways(5), TRUTH, np.random.default_rng(8), sigma=(2e-4, 1e-4))
+    found = estimate_geometry(made).umbmark
+    assert found.applies and (found.n_cw, found.n_ccw) == (5, 5)
+    mean = 0.5 * (TRUTH.radius_left_m + TRUTH.radius_right_m)
+    # UMBmark is linear in small errors: its own terms of second order are a part of 1e-4 here
+    assert pytest.approx(TRUTH.radius_right_m / TRUTH.radius_left_m, abs=3e-4) == found.E_d
+    assert pytest.approx(TRUTH.track_m / 0.4 * 0.05 / mean, abs=3e-3) == found.E_b
+    assert found.c_left == pytest.approx(2 / (found.E_d + 1))
+
+
+def test_umbmark_does_not_apply_to_one_sense_alone() -> None:
+    made = campaign(mixed(2), TRUTH, np.random.default_rng(9))
+    ccw = made.select(made.runs.label("kind") != "square_cw")
+    found = estimate_geometry(ccw).umbmark
+    assert not found.applies and "clockwise" in found.why
+
+
+def test_loads_and_geometry_come_from_one_fit() -> None:
+    """Radius at the reference load, slope and track of both wheels, with the terms that couple left and right."""
+    truth = Truth(slope_left=2e-6, slope_right=-1e-6)
+    rng = np.random.default_rng(10)
+    loads = np.tile([[200.0, 250.0], [400.0, 300.0], [600.0, 700.0]], (10, 1))
+    found = estimate_geometry(campaign(mixed(6), truth, rng, loads=loads))
+    assert [estimate.name for estimate in found.estimates] == [*NAMES, "slope_left_m_per_N", "slope_right_m_per_N"]
+    for name, value in ((NAMES[2], truth.track_m), ("slope_left_m_per_N", 2e-6), ("slope_right_m_per_N", -1e-6)):
+        assert abs(found[name].value - value) < SIGMAS * found[name].std
+    assert abs(found.correlation()[0, 1]) > 0.3
+
+
+def test_a_route_that_pulls_alike_widens_the_intervals() -> None:
+    """What all runs of a route share is no noise that repeats would average: the routes become the groups."""
+    routes = [(f"arc{size}", [(3.0, size * 0.7)]) for size in (-4, -3, -2, 2, 3, 4) for _ in range(8)]
+    made = campaign(routes, TRUTH, np.random.default_rng(11), sigma=(1e-3, 1e-3))
+    plain = estimate_geometry(made)
+    numbers = dict(made.runs.numbers)
+    shift = dict(zip(dict.fromkeys(made.runs.label("kind")), (1, -1, 1, -1, 1, 1), strict=True))
+    sign = np.array([shift[kind] for kind in made.runs.label("kind")])
+    for name, size in (("ref_x_m", 0.02), ("ref_y_m", 0.03), ("ref_theta_rad", 0.02)):
+        numbers[name] = numbers[name] + size * sign
+    shared = estimate_geometry(replace(made, runs=replace(made.runs, numbers=numbers)))
+    assert (plain.clusters[0], shared.clusters[0]) == ("run", "route")
+    assert shared["track_m"].std > 3 * plain["track_m"].std
+
+
+def test_nothing_to_go_by_is_refused_in_one_line() -> None:
+    made = campaign(both_ways(2), TRUTH, np.random.default_rng(12))
+    numbers = {name: column for name, column in made.runs.numbers.items() if not name.startswith("ref_")}
+    with pytest.raises(RefusedError, match="found no run with wheels and a reference pose"):
+        estimate_geometry(replace(made, runs=replace(made.runs, numbers=numbers)))
+
+
+def test_recordings_left_out_are_met_better_than_before() -> None:
+    made = campaign(mixed(2), TRUTH, np.random.default_rng(13))
+    rows = estimate_geometry(made, leave_out="kind").transfer
+    assert {row.left_out for row in rows} == {"square_ccw", "square_cw", "arc_left", "arc_right", "line"}
+    assert all(row.after_rms_m < 0.4 * row.before_rms_m for row in rows)
