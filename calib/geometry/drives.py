@@ -10,7 +10,7 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.geometry.parameters import Parameter
 
-__all__ = ["DRIVES", "STEERING_SCALE", "Differential", "Drive", "FrontWheel", "Mecanum", "Motion", "Steps"]
+__all__ = ["DRIVES", "STEERING_SCALE", "Differential", "Drive", "FrontWheel", "MeanHeld", "Mecanum", "Motion", "Steps"]
 
 #: spread of a length about its nominal value, relative
 LENGTH_STD: Final = 0.10
@@ -123,6 +123,35 @@ class Differential:
             derivative[at_right, 0], derivative[at_right, 2] = 0.5 * other, other / track
         derivative[2, 2] = -turn / track
         return Motion(body, derivative)
+
+
+@dataclass(frozen=True, slots=True)
+class MeanHeld:
+    """Two wheels on one axle whose mean radius is held at its nominal value: what closed paths can determine.
+
+    A closed path closes at any scale: radii and track can all be larger alike. The left radius and the track remain;
+    the right radius is what the mean leaves.
+    """
+
+    wheels: Differential
+
+    @property
+    def mean_m(self) -> float:
+        """The mean radius."""
+        return 0.5 * (self.wheels.radius_left_m + self.wheels.radius_right_m)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Left radius and track."""
+        left, _, track = self.wheels.parameters
+        return left, track
+
+    def motion(self, values: FloatArray, steps: Steps) -> Motion:
+        """Return the motion of the axle's middle."""
+        left, track = values
+        full = self.wheels.motion(np.array([left, 2.0 * self.mean_m - left, track]), steps)
+        by_left = full.by_parameter[0] - full.by_parameter[1]
+        return Motion(full.body, np.stack([by_left, full.by_parameter[2]]))
 
 
 @dataclass(frozen=True, slots=True)

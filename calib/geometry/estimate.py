@@ -11,9 +11,9 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.errors import BadInputError, RefusedError
 from calib.geometry.clusters import ENOUGH_RUNS, Clustering, clustered
-from calib.geometry.drives import Differential, Drive, FrontWheel, Mecanum
+from calib.geometry.drives import Differential, Drive, FrontWheel, MeanHeld, Mecanum
 from calib.geometry.gross import Fault, factor_faults, front_faults, rear_faults, repaired
-from calib.geometry.identifiability import loosest, weakest
+from calib.geometry.identifiability import NOMINAL_STD, loosest, scale_is_open, scale_is_weakest, weakest
 from calib.geometry.model import Model
 from calib.geometry.noise import COMPONENTS
 from calib.geometry.parameters import SENSOR, Parameters, sensor_parameters
@@ -228,9 +228,15 @@ def _fit(campaign: Campaign, drive: Drive, recording: Recording, segments: Segme
             )
         solution = solve(model, parameters, values, scales)
         open_one = weakest(solution, parameters)
+        wheels = drive if isinstance(drive, Differential) and not drive.slopes and parameters.free[:3].all() else None
+        if open_one is not None and wheels is not None and scale_is_weakest(solution, parameters):
+            return _fit(campaign, MeanHeld(wheels), recording, segments, sensor)
         if open_one is None:
             clustering = clustered(solution, parameters.free, recording, segments)
             open_one = loosest(clustering.uncertainty.std, parameters)
+            covariance = clustering.uncertainty.covariance[:3, :3]
+            if wheels is not None and scale_is_open(covariance, solution.values[:3]):
+                return _fit(campaign, MeanHeld(wheels), recording, segments, sensor)
             if open_one is None:
                 return _Fitted(model, parameters, solution, clustering, tuple(dropped))
         dropped.append(open_one)
@@ -240,23 +246,10 @@ def _fit(campaign: Campaign, drive: Drive, recording: Recording, segments: Segme
 
 def _result(campaign: Campaign, fitted: _Fitted, source: str, using: Using, faults: tuple[Fault, ...]) -> Geometry:
     parameters, solution, model = fitted.parameters, fitted.solution, fitted.model
-    uncertainty = fitted.clustering.uncertainty
     nominal, values = parameters.nominal, solution.values
-    half = uncertainty.half_widths()
-    index = np.flatnonzero(parameters.free)
-    estimates = tuple(
-        Estimate(
-            parameters.names[at],
-            float(nominal[at]),
-            float(values[at]),
-            float(uncertainty.std[number]),
-            (float(values[at] - half[number]), float(values[at] + half[number])),
-            float(uncertainty.dof[number]),
-        )
-        for number, at in enumerate(index)
-    )
+    estimates, covariance = _estimates(fitted)
     found = {estimate.name: estimate.value for estimate in estimates}
-    faults = (*faults, *factor_faults(parameters.mapping(nominal), found))
+    faults = (*faults, *factor_faults({e.name: e.nominal for e in estimates}, found))
     whole = _whole(model)
     before, after = whole.predict(nominal), whole.predict(values)
     squares = (
@@ -273,10 +266,10 @@ def _result(campaign: Campaign, fitted: _Fitted, source: str, using: Using, faul
         n_runs=len(np.unique(model.segments.run)),
         n_segments=len(model.segments),
         estimates=estimates,
-        covariance=uncertainty.covariance,
-        undetermined=fitted.dropped,
+        covariance=covariance,
+        undetermined=(*fitted.dropped, *(("mean_radius_m",) if isinstance(model.drive, MeanHeld) else ())),
         held={name: float(nominal[at]) for at, name in enumerate(parameters.names) if not parameters.free[at]},
-        clusters=(fitted.clustering.name, uncertainty.clusters),
+        clusters=(fitted.clustering.name, fitted.clustering.uncertainty.clusters),
         noise=dict(zip(COMPONENTS, np.sqrt(solution.scales).tolist(), strict=True)),
         residual_rms=rms(after.residuals),
         outliers=_outliers(model, solution),
@@ -287,6 +280,33 @@ def _result(campaign: Campaign, fitted: _Fitted, source: str, using: Using, faul
         notes=_notes(fitted, model.recording),
         inputs=campaign.hashes,
     )
+
+
+def _estimates(fitted: _Fitted) -> tuple[tuple[Estimate, ...], FloatArray]:
+    """Return the estimates and their covariance; a right radius that the held mean left comes back as one of them."""
+    from scipy.special import stdtrit
+
+    parameters, uncertainty = fitted.parameters, fitted.clustering.uncertainty
+    index = np.flatnonzero(parameters.free)
+    names = [parameters.names[at] for at in index]
+    nominal, values = parameters.nominal[index], fitted.solution.values[index]
+    covariance, dof = uncertainty.covariance, uncertainty.dof
+    drive = fitted.model.drive
+    if isinstance(drive, MeanHeld) and names[0] == "radius_left_m":
+        spread = np.insert(np.eye(len(names)), 1, -np.eye(len(names))[0], axis=0)
+        names.insert(1, "radius_right_m")
+        nominal = np.insert(nominal, 1, drive.wheels.radius_right_m)
+        values, dof = np.insert(values, 1, 2.0 * drive.mean_m - values[0]), np.insert(dof, 1, dof[0])
+        scale = np.where(np.isin(names, ("radius_left_m", "radius_right_m", "track_m")), NOMINAL_STD * values, 0.0)
+        covariance = spread @ covariance @ spread.T + np.outer(scale, scale)
+    std = np.sqrt(np.diag(covariance))
+    half = std * stdtrit(dof, 0.975)
+    rows = zip(names, nominal, values, std, half, dof, strict=True)
+    estimates = tuple(
+        Estimate(name, float(before), float(value), float(sd), (float(value - wide), float(value + wide)), float(free))
+        for name, before, value, sd, wide, free in rows
+    )
+    return estimates, np.asarray(covariance)
 
 
 def _whole(model: Model) -> Model:
@@ -303,11 +323,11 @@ def _whole_runs(model: Model) -> bool:
 
 def _outliers(model: Model, solution: Solution) -> tuple[str, ...]:
     """Return the runs that the noise cannot explain: by their end pose, or by most of their windows."""
-    from scipy.stats import chi2
+    from scipy.special import chdtri
 
     size = np.maximum(model.segments.seen.sum(axis=1), 1)
     runs = np.unique(model.segments.run)
-    beyond = solution.squares > chi2.isf(OUTLIER_CHANCE / len(runs), size)
+    beyond = solution.squares > chdtri(size, OUTLIER_CHANCE / len(runs))
     return tuple(str(model.recording.run_id[run]) for run in runs if beyond[model.segments.run == run].mean() > 0.5)
 
 
@@ -318,6 +338,12 @@ def _notes(fitted: _Fitted, recording: Recording) -> tuple[str, ...]:
         notes.append(
             f"Runs of one {name} pull the parameters alike: the intervals take the {n} {name}s, not single runs, for "
             "independent. What they share is no noise; 'calib diagnose' looks for its cause."
+        )
+    if isinstance(fitted.model.drive, MeanHeld):
+        notes.append(
+            "These paths close, or nearly so, at any scale: the mean radius is not determined and was held at its "
+            f"nominal value within {100 * NOMINAL_STD:g} %. The ratio of the radii and the track over the mean radius "
+            "are determined; a straight run of known length would determine the scale."
         )
     if not fitted.solution.converged:
         notes.append("The search did not settle to the last digit; the values are good to a small part of their sd.")
@@ -338,7 +364,7 @@ def _transfer(campaign: Campaign, whole: Geometry, using: Using, sensor: bool, l
         rest, tried = recording_of(campaign.select(~away), source), recording_of(campaign.select(away), source)
         drive = drive_of(campaign, source, rest)
         fitted = _fit(campaign, drive, rest, _divisions(rest, using)[0], sensor)
-        model = Model(drive, tried, end_pose_segments(tried))
+        model = Model(fitted.model.drive, tried, end_pose_segments(tried))
         errors = [
             float(np.sqrt(np.mean(np.square(model.predict(values).residuals[:, :2]).sum(axis=1))))
             for values in (fitted.parameters.nominal, fitted.solution.values)

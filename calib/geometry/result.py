@@ -139,7 +139,7 @@ class Geometry:
         return self._derived("track over mean radius", {"track_m": 1.0}, {"radius_left_m": 0.5, "radius_right_m": 0.5})
 
     def _derived(self, name: str, over: Mapping[str, float], under: Mapping[str, float]) -> Estimate:
-        from scipy.stats import t
+        from scipy.special import stdtrit
 
         parts = [sum(weight * self[part].value for part, weight in side.items()) for side in (over, under)]
         nominal = [sum(weight * self[part].nominal for part, weight in side.items()) for side in (over, under)]
@@ -152,7 +152,7 @@ class Geometry:
         )
         std = float(np.sqrt(max(slope @ self.covariance @ slope, 0.0)))
         dof = min(self[part].dof for part in (*over, *under))
-        half = std * float(t.ppf(0.975, dof))
+        half = std * float(stdtrit(dof, 0.975))
         return Estimate(name, nominal[0] / nominal[1], value, std, (value - half, value + half), dof)
 
     def to_dict(self) -> dict[str, Any]:

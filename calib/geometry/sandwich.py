@@ -42,9 +42,9 @@ class Uncertainty:
 
     def half_widths(self, level: float = 0.95) -> FloatArray:
         """Return the half widths of intervals of probability `level`, shape (n_free,)."""
-        from scipy.stats import t
+        from scipy.special import stdtrit
 
-        return np.asarray(self.std * t.ppf(0.5 + 0.5 * level, self.dof))
+        return np.asarray(self.std * stdtrit(self.dof, 0.5 + 0.5 * level))
 
 
 def whitened(solution: Solution, free: BoolArray) -> tuple[FloatArray, FloatArray]:

@@ -215,8 +215,8 @@ def _advance(
 
 def _centred(squares: FloatArray, size: IntArray) -> FloatArray:
     """Return squares rescaled so that half of them lie below the median of chi squared."""
-    from scipy.stats import chi2
+    from scipy.special import chdtri
 
-    expected = chi2.median(np.maximum(size, 1))
+    expected = chdtri(np.maximum(size, 1), 0.5)
     ratio = float(np.median(squares / expected))
     return squares / ratio if ratio > 0.0 else squares

@@ -73,6 +73,7 @@ def campaign(
     along: bool = False,
     nominal: tuple[float, float, float] = (0.05, 0.05, 0.4),
     duration_s: float = 20.0,
+    samples: int = SAMPLES,
 ) -> Campaign:
     """Return a campaign of a two-wheeled vehicle.
 
@@ -90,7 +91,7 @@ def campaign(
         noisy = turn + rng.normal(size=len(turn)) * walk * np.sqrt(np.abs(way) + 0.1 * np.abs(turn))
         pose = seen_from(path(way, noisy), truth.sensor)
         t = np.linspace(0.0, duration_s, len(way) + 1)
-        at = np.linspace(0, len(way), SAMPLES + 1).round().astype(int)
+        at = np.linspace(0, len(way), samples + 1).round().astype(int)
         counts = np.rint(np.concatenate([np.zeros((2, 1)), np.cumsum(phi, axis=1)], axis=1) / (2 * np.pi) * per_rev)
         log = {"t_s": t[at], "counts_left": counts[0, at], "counts_right": counts[1, at]}
         noise = np.array([sigma[0], sigma[0], sigma[1]])
