@@ -30,13 +30,13 @@ def from_start(columns: Mapping[str, FloatArray], *, poses: bool, distance: bool
     rest = _rest(columns, first=True)
     if poses and all(name in out for name in _REFERENCE):
         x, y, theta = (out[name] for name in _REFERENCE)
-        x0, y0, theta0 = (float(_median(values[rest])) for values in (x, y, theta))
+        x0, y0, theta0 = (_start(values, rest) for values in (x, y, theta))
         cos, sin = np.cos(theta0), np.sin(theta0)
         out["ref_x_m"] = cos * (x - x0) + sin * (y - y0)
         out["ref_y_m"] = -sin * (x - x0) + cos * (y - y0)
         out["ref_theta_rad"] = theta - theta0
     if distance and "range_m" in out:
-        out["range_m"] = np.abs(out["range_m"] - _median(out["range_m"][rest]))
+        out["range_m"] = np.abs(out["range_m"] - _start(out["range_m"], rest))
     return out
 
 
@@ -50,8 +50,15 @@ def end_values(columns: Mapping[str, FloatArray]) -> dict[str, float]:
     """
     rest = _rest(columns, first=False)
     pairs = {"distance_m": "range_m", **{name: name for name in _REFERENCE}}
-    ends = {name: float(_median(columns[source][rest])) for name, source in pairs.items() if source in columns}
+    ends = {name: _median(columns[source][rest]) for name, source in pairs.items() if source in columns}
     return {name: value for name, value in ends.items() if np.isfinite(value)}
+
+
+def _start(values: FloatArray, rest: slice) -> float:
+    """Return the value at rest, or the first one known where the sensor starts later than the wheels."""
+    value = _median(values[rest])
+    known = values[np.isfinite(values)]
+    return float(known[0]) if np.isnan(value) and len(known) else value
 
 
 def _median(values: FloatArray) -> float:
