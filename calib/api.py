@@ -326,6 +326,7 @@ def export(
     target: Path | str | None = None,
     *,
     loads: Sequence[str] = (),
+    controllers: Sequence[str] = (),
     force: bool = False,
 ) -> Mapping[str, str]:
     """Return the coefficients as the vehicle needs them, and write them where a target is given.
@@ -340,6 +341,8 @@ def export(
         File, or folder where there are several files.
     loads : sequence of str
         Load points in N for ``ros2`` and ``csv``: ``"600"`` for both wheels or ``"500,700"``.
+    controllers : sequence of str
+        Names of ROS 2 controllers; none: those of the vehicle's drive.
     force : bool
         Replace existing files.
 
@@ -351,9 +354,11 @@ def export(
     from calib.coefficients.build import from_fit
     from calib.coefficients.export import export as rendered
     from calib.coefficients.export import parse_loads, place
+    from calib.coefficients.options import ExportOptions
 
     law = fit(source) if isinstance(source, Campaign) else source
-    artifacts = rendered(from_fit(law), to, parse_loads(loads))
+    options = ExportOptions(loads=parse_loads(loads), controllers=tuple(controllers))
+    artifacts = rendered(from_fit(law), to, options=options)
     if target is not None:
         place(artifacts, Path(target), force=force)
     return {artifact.name: artifact.data.decode("utf-8") for artifact in artifacts}

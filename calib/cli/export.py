@@ -41,16 +41,37 @@ def run(
     date: Annotated[
         str | None, typer.Option("--date", metavar="YYYY-MM-DD", help="Date written into the file.")
     ] = None,
+    controller: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--controller",
+            metavar="NAME",
+            help="ROS 2 controller, may be given again; without it those of the vehicle's drive.",
+        ),
+    ] = None,
+    velocity_feedback: Annotated[
+        bool, typer.Option("--velocity-feedback", help="ROS 2: the joints report velocities, not positions.")
+    ] = False,
+    open_loop: Annotated[
+        bool, typer.Option("--open-loop", help="ROS 2: odometry from the commands, not from the encoders.")
+    ] = False,
     json: JsonTarget = None,
     force: Force = False,
 ) -> None:
     """Write the coefficients as JSON, ROS 2 parameters, C99 header or look-up table."""
     from calib.coefficients.export import export, parse_loads, place
+    from calib.coefficients.options import ExportOptions
     from calib.coefficients.source import coefficients_of
 
     refuse_existing([json, output if output is not None and output.is_file() else None], force=force)
     found = coefficients_of(source, outside=outside, created=date)
-    artifacts = export(found.file, to, parse_loads(load or []))
+    options = ExportOptions(
+        loads=parse_loads(load or []),
+        controllers=tuple(controller or ()),
+        position_feedback=not velocity_feedback,
+        open_loop=open_loop,
+    )
+    artifacts = export(found.file, to, options=options)
     for text in found.notes:
         note(text)
     files: list[dict[str, Any]] = []

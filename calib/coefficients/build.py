@@ -216,6 +216,8 @@ def _vehicle(vehicle: Vehicle, track_std_m: float) -> dict[str, Any]:
         "cog_z": _q(vehicle.cog_z_m, "m"),
         "max_wheel_load": _q(vehicle.max_wheel_load_N, "N"),
         "gravity": _q(GRAVITY_MPS2, "m/s^2"),
+        "drive": vehicle.drive,
+        "front_wheel_radius": None if vehicle.front_wheel_radius_m is None else _q(vehicle.front_wheel_radius_m, "m"),
     }
 
 

@@ -5,17 +5,19 @@ from __future__ import annotations
 import hashlib
 import importlib
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
 from calib.coefficients.file import CoefficientFile
 from calib.coefficients.loads import Artifact, LoadPair
+from calib.coefficients.options import ExportOptions
 from calib.errors import BadInputError, would_overwrite
 from calib.files import write_bytes
 
 __all__ = ["FORMATS", "export", "parse_loads", "place"]
 
-#: name of the format -> module whose ``render(file, loads)`` makes its files
+#: name of the format -> module whose ``render(file, options)`` makes its files
 FORMATS: Final[dict[str, str]] = {
     "json": "calib.coefficients.formats.json_master",
     "ros2": "calib.coefficients.formats.ros2",
@@ -24,7 +26,9 @@ FORMATS: Final[dict[str, str]] = {
 }
 
 
-def export(file: CoefficientFile, to: str, loads: Sequence[LoadPair] = ()) -> tuple[Artifact, ...]:
+def export(
+    file: CoefficientFile, to: str, loads: Sequence[LoadPair] = (), *, options: ExportOptions | None = None
+) -> tuple[Artifact, ...]:
     """Return the files of a coefficient file in another format.
 
     Parameters
@@ -34,19 +38,28 @@ def export(file: CoefficientFile, to: str, loads: Sequence[LoadPair] = ()) -> tu
     to : str
         A name of `FORMATS`.
     loads : sequence of LoadPair
-        Load points, for formats that hold for single loads; none: the format's own choice.
+        Load points, for formats that hold for single loads; none: those of `options`, else the format's own choice.
+    options : ExportOptions, optional
+        What else was chosen.
 
     Raises
     ------
     BadInputError
-        Where there is no such format.
+        Where there is no such format, or a controller's choice is given for another format than ``ros2``.
     RefusedError
         Where the format cannot say what the file says.
     """
+    chosen = options or ExportOptions()
     module = FORMATS.get(to)
     if module is None:
         raise BadInputError(f"--to: found {to!r}; expected one of {', '.join(FORMATS)}; choose one of them")
-    artifacts: tuple[Artifact, ...] = importlib.import_module(module).render(file, loads)
+    if to != "ros2" and chosen.has_controller_choices:
+        raise BadInputError(
+            f"controllers, position feedback and open loop: found a choice of them for {to!r}; expected 'ros2', which "
+            "alone has them; leave them out"
+        )
+    chosen = replace(chosen, loads=tuple(loads) or chosen.loads)
+    artifacts: tuple[Artifact, ...] = importlib.import_module(module).render(file, chosen)
     return artifacts
 
 

@@ -38,6 +38,9 @@ FORMAT: Final = "calib-coefficients/1"
 
 Outside = Literal["refuse", "clamp"]
 
+#: what is not written into the section of the vehicle, since it is meant where nothing stands
+USUAL_VEHICLE: Final = {"drive": "tricycle", "front_wheel_radius": None}
+
 FILE_LIMIT_BYTES: Final = 16 << 20
 
 
@@ -91,6 +94,9 @@ class CoefficientFile(Section):
         if document["joint_geometry"] is None:
             # a file without it reads as files have always read
             del document["joint_geometry"]
+        for name, usual in USUAL_VEHICLE.items():
+            if document["vehicle"][name] == usual:
+                del document["vehicle"][name]
         return document
 
     def to_bytes(self) -> bytes:
@@ -127,12 +133,16 @@ class CoefficientFile(Section):
     def geometry(self) -> Vehicle:
         """The vehicle."""
         part, together = self.vehicle, self.joint_geometry
-        drive: dict[str, Any] = {}
+        radius = part.front_wheel_radius
+        drive: dict[str, Any] = {
+            "drive": part.drive,
+            "front_wheel_radius_m": None if radius is None else radius.value,
+        }
         if together is not None:
             lengths = {name: quantity.value for name, quantity in together.parameters.items()}
             drive = {
                 "drive": together.drive,
-                "front_wheel_radius_m": lengths.get("front_radius_m"),
+                "front_wheel_radius_m": lengths.get("front_radius_m", drive["front_wheel_radius_m"]),
                 "half_length_plus_half_width_m": lengths.get("half_length_plus_half_width_m"),
             }
         return Vehicle(

@@ -30,10 +30,15 @@ class LoadPair:
 
 
 def default_loads(file: CoefficientFile) -> tuple[LoadPair, ...]:
-    """Return the load points of the load table, or else both ends and the reference of the common valid range."""
+    """Return the load points of the load table, or else both ends and the reference of the common valid range.
+
+    One point where the radii do not follow the load.
+    """
     if file.load_table:
         return tuple(LoadPair(p.load_left.value, p.load_right.value, p.name) for p in file.load_table)
     left, right = file.wheels.left, file.wheels.right
+    if left.slope.value == 0.0 and right.slope.value == 0.0:
+        return (LoadPair(left.reference_load.value, right.reference_load.value, "any load"),)
     low = max(left.valid_load.min.value, right.valid_load.min.value)
     high = min(left.valid_load.max.value, right.valid_load.max.value)
     if low > high:

@@ -27,6 +27,7 @@ from calib.coefficients.quantities import (
     Section,
     Time,
 )
+from calib.vehicle import Drive
 
 __all__ = [
     "CovarianceEntry",
@@ -95,7 +96,10 @@ class WheelsSection(Section):
 
 
 class VehicleSection(Section):
-    """Geometry and mass, enough for the vehicle to compute its wheel loads from a payload (Eqs 1-2)."""
+    """Geometry and mass, enough for the vehicle to compute its wheel loads from a payload (Eqs 1-2).
+
+    `drive` and `front_wheel_radius` stand in the file only where they are not those of the usual tricycle.
+    """
 
     track: PositiveLength
     track_std: NonNegativeLength
@@ -107,6 +111,8 @@ class VehicleSection(Section):
     cog_z: Length
     max_wheel_load: Force
     gravity: GravityAcceleration
+    drive: Drive = "tricycle"
+    front_wheel_radius: PositiveLength | None = None
 
 
 class EncoderSection(Section):
@@ -165,7 +171,7 @@ class GeometrySection(Section):
     value.
     """
 
-    drive: Literal["tricycle", "differential", "mecanum"]
+    drive: Drive
     source: Literal["rear", "front", "wheels"]
     parameters: dict[str, Quantity]
     covariance: list[CovarianceEntry]

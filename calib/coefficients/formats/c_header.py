@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from importlib.resources import files
 from typing import Final
 
 from calib.coefficients.file import CoefficientFile
-from calib.coefficients.loads import Artifact, LoadPair, ascii_line
+from calib.coefficients.loads import Artifact, ascii_line
+from calib.coefficients.options import ExportOptions
 from calib.coefficients.sections import WheelSection
 from calib.errors import RefusedError
 
@@ -74,9 +74,9 @@ def fixed_point(wheel: WheelSection, side: str) -> FixedPoint:
     return FixedPoint(base, slope, shift, low, high, Fraction(1, 2) + max(missed))
 
 
-def render(file: CoefficientFile, loads: Sequence[LoadPair]) -> tuple[Artifact, ...]:
-    """Return the header of a coefficient file; it holds the whole law, so `loads` change nothing."""
-    del loads
+def render(file: CoefficientFile, options: ExportOptions) -> tuple[Artifact, ...]:
+    """Return the header of a coefficient file; it holds the whole law, so `options` change nothing."""
+    del options
     body = files("calib.coefficients.formats").joinpath(BODY_NAME).read_text(encoding="utf-8")
     return (Artifact("calib_coefficients.h", (_head(file) + body).encode("utf-8")),)
 
@@ -157,11 +157,14 @@ def _numbers(file: CoefficientFile) -> list[str]:
 
 def _wheel(wheel: WheelSection, side: str) -> list[str]:
     name, integer = f"CALIB_{side.upper()}", fixed_point(wheel, side)
+    radius, slope, load = (_c(part.value) for part in (wheel.radius_ref, wheel.slope, wheel.reference_load))
     return [
-        f"/* {side} wheel: radius = radius_ref + slope (load - reference_load) */",
-        f"#define {name}_RADIUS_REF_M {_c(wheel.radius_ref.value)}",
-        f"#define {name}_SLOPE_M_PER_N {_c(wheel.slope.value)}",
-        f"#define {name}_REFERENCE_LOAD_N {_c(wheel.reference_load.value)}",
+        # from the same text as the values, so that comment and code cannot part
+        f"/* {side} wheel: {radius} m at the reference load of {load} N, plus {slope} m for each N above it;",
+        " * radius = radius_ref + slope (load - reference_load) */",
+        f"#define {name}_RADIUS_REF_M {radius}",
+        f"#define {name}_SLOPE_M_PER_N {slope}",
+        f"#define {name}_REFERENCE_LOAD_N {load}",
         f"#define {name}_LOAD_MIN_N {_c(wheel.valid_load.min.value)}",
         f"#define {name}_LOAD_MAX_N {_c(wheel.valid_load.max.value)}",
         f"#define {name}_VAR_RADIUS_REF_M2 {_c(wheel.variance_radius_ref.value)}",

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 
 from calib.coefficients.file import CoefficientFile
-from calib.coefficients.loads import Artifact, LoadPair
+from calib.coefficients.loads import Artifact
+from calib.coefficients.options import ExportOptions
 from calib.errors import RefusedError
 from calib.radius.law import WheelLaw
 
@@ -22,8 +22,8 @@ ROWS: Final = 41
 CHECKSUM_DIGITS: Final = 23  # sha256: and 16 digits, enough to find the file
 
 
-def render(file: CoefficientFile, loads: Sequence[LoadPair]) -> tuple[Artifact, ...]:
-    """Return the table at `loads`, or at 41 loads over the valid ranges of both wheels.
+def render(file: CoefficientFile, options: ExportOptions) -> tuple[Artifact, ...]:
+    """Return the table at the loads chosen, or at 41 loads over the valid ranges of both wheels.
 
     Effects of the simulator's model that no radius holds are named in a column of their own, which is there only then.
     A cell stays empty where a wheel's law was not measured at that load and the file says refuse.
@@ -34,7 +34,7 @@ def render(file: CoefficientFile, loads: Sequence[LoadPair]) -> tuple[Artifact, 
         Where a load asked for is valid for neither wheel.
     """
     sides = {"left": file.law.left, "right": file.law.right}
-    pairs = [(pair.left_N, pair.right_N) for pair in loads]
+    pairs = [(pair.left_N, pair.right_N) for pair in options.loads]
     if not pairs:
         low = min(law.load_min_N for law in sides.values())
         high = max(law.load_max_N for law in sides.values())

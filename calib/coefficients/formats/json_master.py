@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from calib.coefficients.file import CoefficientFile
-from calib.coefficients.loads import Artifact, LoadPair
+from calib.coefficients.loads import Artifact
+from calib.coefficients.options import ExportOptions
 
 __all__ = ["render"]
 
 
-def render(file: CoefficientFile, loads: Sequence[LoadPair]) -> tuple[Artifact, ...]:
-    """Return the coefficient file; it holds the whole law, so `loads` change nothing."""
-    del loads
+def render(file: CoefficientFile, options: ExportOptions) -> tuple[Artifact, ...]:
+    """Return the coefficient file; it holds the whole law, so `options` change nothing."""
+    del options
     return (Artifact("coefficients.json", file.to_bytes()),)
