@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -43,3 +45,15 @@ def file(law: RadiusLaw) -> CoefficientFile:
         load_table={"empty": (300.0, 301.5), "full": (900.0, 1000.25)},
         inputs={"runs.csv": "a" * 64},
     )
+
+
+@pytest.fixture(scope="session")
+def loadless(law: RadiusLaw) -> CoefficientFile:
+    """What a geometry without loads leaves: slope 0 with a spread, all loads valid, no degrees of freedom."""
+    left, right = (
+        replace(
+            wheel, slope_m_per_N=0.0, covariance=np.diag([9e-12, 1e-12]), dof=0.0, load_min_N=0.0, load_max_N=5000.0
+        )
+        for wheel in (law.left, law.right)
+    )
+    return from_law(RadiusLaw(left, right), Vehicle(drive="differential"), Encoder(), name="squares", simulated=True)

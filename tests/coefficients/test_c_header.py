@@ -158,3 +158,30 @@ def test_a_law_that_32_bits_cannot_hold_is_refused(file: CoefficientFile) -> Non
     )
     with pytest.raises(RefusedError, match="32 bits"):
         fixed_point(wheel, "left")
+
+
+def test_the_comment_of_a_wheel_and_its_values_agree(file: CoefficientFile, tmp_path: Path) -> None:
+    """Reference load, radius and slope: as the comment says, as defined, and as the compiled law gives them."""
+    header = export(file, "c")[0].data.decode()
+    found = ask(build(file, tmp_path), np.array([300.0, 301.0]))
+    for column, side in ((4, "left"), (5, "right")):
+        said = re.search(
+            rf"/\* {side} wheel: (\S+) m at the reference load of (\S+) N, plus (\S+) m for each N above it", header
+        )
+        assert said
+        radius, load, slope = (float(part.strip("()")) for part in said.groups())
+        for name, value in (("RADIUS_REF_M", radius), ("REFERENCE_LOAD_N", load), ("SLOPE_M_PER_N", slope)):
+            defined = re.search(rf"#define CALIB_{side.upper()}_{name} (\S+)", header)
+            assert defined and float(defined[1].strip("()")) == value
+        assert load == 300.0
+        # rtol: a fused multiply-add; atol: the difference of two radii has lost their leading digits
+        assert found[0, column] == pytest.approx(radius, rel=1e-15)
+        assert found[1, column] - found[0, column] == pytest.approx(slope, rel=0, abs=1e-16)
+
+
+def test_a_law_that_no_load_changes_compiles_and_is_one_radius(loadless: CoefficientFile, tmp_path: Path) -> None:
+    """From no load to the most the vehicle may carry, in both forms."""
+    found = ask(build(loadless, tmp_path), np.array([0.0, 300.0, 5000.0]))
+    assert (found[:, :4] == 0).all()
+    assert (found[:, 4] == 0.0990).all() and (found[:, 5] == 0.0991).all()
+    assert (found[:, 7] == 99_000_000).all() and (found[:, 8] == 99_100_000).all()
