@@ -19,7 +19,15 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 #: pages in the order in which a reader meets them: later ones use what earlier commands wrote
 PAGES = tuple(
-    ROOT / name for name in ("README.md", "docs/start.md", "docs/verdicts.md", "docs/planning.md", "docs/commands.md")
+    ROOT / name
+    for name in (
+        "README.md",
+        "docs/start.md",
+        "docs/verdicts.md",
+        "docs/planning.md",
+        "docs/exports.md",
+        "docs/commands.md",
+    )
 )
 BLOCK = re.compile(r"(?<=^```console\n).*?(?=^```$)", re.MULTILINE | re.DOTALL)
 PROMPT = "$ "

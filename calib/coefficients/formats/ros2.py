@@ -63,7 +63,7 @@ def _head(file: CoefficientFile, pair: LoadPair) -> list[str]:
         lines.append("# The radii do not follow the load: no other loads were driven.")
     else:
         lines += [
-            "# The controllers read the geometry only when they are configured: they hold for this load alone.",
+            "# The controllers read the geometry once, when configured: these numbers hold for this load alone.",
             "# For a load that changes while driving use the load law itself (calib export --to c or json).",
         ]
     lines += [
