@@ -10,10 +10,10 @@ from calib.coefficients.formats import ros2_covariance as covariance
 from calib.coefficients.loads import LoadPair, number
 from calib.coefficients.options import ExportOptions
 from calib.errors import RefusedError
+from calib.geometry.drives import STEERING_SCALE
 
 __all__ = ["CONTROLLERS", "OF_DRIVE"]
 
-STEERING_SCALE: Final = "steering_scale"
 #: parameters that are the track, or make it
 TRACKS: Final = ("track_m", "half_length_plus_half_width_m")
 

@@ -19,6 +19,7 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.coefficients.file import CoefficientFile
 from calib.coefficients.loads import LoadPair
+from calib.geometry.drives import STEERING_SCALE
 from calib.radius.law import WheelLaw
 
 __all__ = [
@@ -120,7 +121,7 @@ def steered_diagonals(file: CoefficientFile, pair: LoadPair, *, traction: str) -
     traction : {"front", "rear"}
         Whether the front wheel's turning is measured, or that of the rear wheels.
     """
-    names = ("front_radius_m", "wheelbase_m", "steering_zero_rad", "steering_scale")
+    names = ("front_radius_m", "wheelbase_m", "steering_zero_rad", STEERING_SCALE)
     wheelbase, front = file.vehicle.wheelbase.value, _front_radius(file)
     usual = (LENGTH_STD * front, LENGTH_STD * wheelbase, STEERING_ZERO_STD_RAD, STEERING_SCALE_STD)
     covariance, assumed = _known(file, names, usual)
