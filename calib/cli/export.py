@@ -15,6 +15,27 @@ __all__ = ["EPILOG", "run"]
 
 EPILOG = "Example: calib export sample_runs/corridor --to ros2 --load 300 --load 500,700 --output params"
 
+Loads = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--load", metavar="N", help="Load point, N for both wheels or LEFT,RIGHT; may be given again (ros2, csv)."
+    ),
+]
+Controllers = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--controller",
+        metavar="NAME",
+        help="ROS 2 controller, may be given again; without it those of the vehicle's drive.",
+    ),
+]
+VelocityFeedback = Annotated[
+    bool, typer.Option("--velocity-feedback", help="ROS 2: the joints report velocities, not positions.")
+]
+OpenLoop = Annotated[
+    bool, typer.Option("--open-loop", help="ROS 2: odometry from the commands, not from the encoders.")
+]
+
 
 def run(
     source: Annotated[
@@ -28,12 +49,7 @@ def run(
         Path | None,
         typer.Option("--output", help="File, or folder where several files are made; without it: standard output."),
     ] = None,
-    load: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--load", metavar="N", help="Load point, N for both wheels or LEFT,RIGHT; may be given again (ros2, csv)."
-        ),
-    ] = None,
+    load: Loads = None,
     outside: Annotated[
         str | None,
         typer.Option("--outside", metavar="RULE", help="Loads that were not measured: refuse (the default) or clamp."),
@@ -41,20 +57,9 @@ def run(
     date: Annotated[
         str | None, typer.Option("--date", metavar="YYYY-MM-DD", help="Date written into the file.")
     ] = None,
-    controller: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--controller",
-            metavar="NAME",
-            help="ROS 2 controller, may be given again; without it those of the vehicle's drive.",
-        ),
-    ] = None,
-    velocity_feedback: Annotated[
-        bool, typer.Option("--velocity-feedback", help="ROS 2: the joints report velocities, not positions.")
-    ] = False,
-    open_loop: Annotated[
-        bool, typer.Option("--open-loop", help="ROS 2: odometry from the commands, not from the encoders.")
-    ] = False,
+    controller: Controllers = None,
+    velocity_feedback: VelocityFeedback = False,
+    open_loop: OpenLoop = False,
     json: JsonTarget = None,
     force: Force = False,
 ) -> None:
