@@ -77,4 +77,4 @@ class MissingExtraError(CalibError):
 
 def would_overwrite(path: Path | str) -> BadInputError:
     """Return the error for an output that already exists."""
-    return BadInputError(f"{path}: found an existing file; expected a new one; give --force to replace it")
+    return BadInputError(f"{path}: found an existing file; expected a new one; give force=True to replace it")

@@ -13,6 +13,7 @@ import typer
 
 from calib.cli.respell import respelled
 from calib.cli.terminal import KEPT
+from calib.cli.typed import as_typed
 from calib.errors import CalibError
 
 __all__ = ["app", "main"]
@@ -164,7 +165,7 @@ def run(arguments: list[str] | None = None) -> int:
         status = _invoke(sys.argv[1:] if arguments is None else arguments)
         sys.stdout.flush()
     except CalibError as error:
-        return _complain(str(error))
+        return _complain(as_typed(str(error), _options_typed(sys.argv[1:] if arguments is None else arguments)))
     except typer.TyperException as error:
         if type(error).__name__ == "NoArgsIsHelpError":
             sys.stderr.write(_message(error) + "\n")
@@ -225,6 +226,13 @@ def _usage(error: Exception) -> str:
     takers = [f"'calib {name}'" for name in others if option and option in _options(name)]
     message += f"; {' and '.join(takers)} {'has' if len(takers) == 1 else 'have'} it" if takers else ""
     return f"{message} (see '{context.command_path} --help')"
+
+
+def _options_typed(arguments: Sequence[str]) -> set[str]:
+    """Return the options of the command that was called."""
+    words = [word for word in respelled(arguments) if not word.startswith("-")]
+    name = next((name for name in COMMANDS if words[: len(name.split())] == name.split()), None)
+    return set() if name is None else _options(name)
 
 
 def _options(name: str) -> set[str]:

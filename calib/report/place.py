@@ -42,11 +42,11 @@ def place_of(name: str, into: Path | None, *, force: bool = False) -> Path:
     elif into.suffix.lower() == ".pdf" and not into.is_dir():
         path = into
     elif into.is_file():
-        raise BadInputError(f"{into}: found a file; expected a folder or a name ending in .pdf; choose another --into")
+        raise BadInputError(f"into: found the file {into}; expected a folder or a name ending in .pdf; choose another")
     else:
         path = into / file_name(name)
     if path.is_dir():
-        raise BadInputError(f"{path}: found a folder; expected a place for a file; choose another --into")
+        raise BadInputError(f"into: found the folder {path}; expected a place for a file; choose another")
     if path.exists() and not force:
         raise would_overwrite(path)
     return path

@@ -105,7 +105,7 @@ def issue_date(text: str | None) -> str:
     except ValueError:
         fine = False
     if not fine:
-        raise BadInputError(f"--date: found {text!r}; expected a date as YYYY-MM-DD; for example 2025-03-31")
+        raise BadInputError(f"date: found {text!r}; expected a date as YYYY-MM-DD; for example 2025-03-31")
     return text
 
 

@@ -112,7 +112,7 @@ def test_a_campaign_is_replaced_only_when_forced_and_other_files_stay(tmp_path: 
     folder = write_campaign(campaign(), tmp_path / "c")
     (folder / "notes.txt").write_text("mine")
     before = (folder / "runs.csv").read_bytes()
-    with pytest.raises(BadInputError, match="--force"):
+    with pytest.raises(BadInputError, match="force=True"):
         write_campaign(campaign(seed=6), folder)
     assert (folder / "runs.csv").read_bytes() == before
     write_campaign(campaign(seed=6, logs=False), folder, force=True)

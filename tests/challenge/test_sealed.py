@@ -138,7 +138,7 @@ def test_the_same_seeds_seal_the_same_truth(sealed: Path, tmp_path: Path) -> Non
 
 
 def test_a_set_is_not_overwritten_without_force(sealed: Path) -> None:
-    with pytest.raises(BadInputError, match="--force"):
+    with pytest.raises(BadInputError, match="force=True"):
         make(sealed.parent / "seeds.toml", sealed, workers=1)
 
 

@@ -11,6 +11,7 @@ import pytest
 
 from calib import __version__
 from calib.cli.main import COMMANDS, run
+from calib.cli.typed import as_typed
 
 
 @pytest.mark.parametrize("flag", ["-h", "--help"])
@@ -42,6 +43,22 @@ def test_what_is_misspelled_gets_a_suggestion(
     error = capsys.readouterr().err
     assert suggestion in error
     assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("message", "typed"),
+    [
+        ("draws: found 3; expected more", "--draws: found 3; expected more"),
+        ("payload_at: found x", "--payload-at: found x"),
+        ("path: found x", "path: found x"),
+        (
+            "a.csv: found an existing file; give force=True to replace it",
+            "a.csv: found an existing file; give --force to replace it",
+        ),
+    ],
+)
+def test_arguments_of_the_library_become_options(message: str, typed: str) -> None:
+    assert as_typed(message, {"--draws", "--payload-at", "--force"}) == typed
 
 
 def test_an_effect_that_is_misspelled_gets_a_suggestion(project_root: Path, capsys: pytest.CaptureFixture[str]) -> None:

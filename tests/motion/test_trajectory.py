@@ -56,7 +56,7 @@ def test_broken_lines_are_refused_with_their_number(tmp_path: Path, line: str) -
 
 def test_nothing_is_overwritten_and_nothing_infinite_written(tmp_path: Path) -> None:
     path = write_tum(tmp_path / "a.tum", [0.0], Poses.from_stacked([[0.0, 0.0, 0.0]]))
-    with pytest.raises(BadInputError, match="--force"):
+    with pytest.raises(BadInputError, match="force=True"):
         write_tum(path, [0.0], Poses.from_stacked([[0.0, 0.0, 0.0]]))
     with pytest.raises(BadInputError, match="not finite"):
         write_tum(tmp_path / "b.tum", [0.0], Poses.from_stacked([[0.0, math.nan, 0.0]]))

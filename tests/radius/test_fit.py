@@ -62,7 +62,7 @@ def test_result_folder_is_read_back_and_not_overwritten(fit: Fit, tmp_path: Path
     assert is_result(folder / "fit.json")
     assert read_result(folder).to_dict() == fit.to_dict()
     assert len((folder / "runs.csv").read_text(encoding="utf-8").splitlines()) == 61
-    with pytest.raises(BadInputError, match="--force"):
+    with pytest.raises(BadInputError, match="force=True"):
         write_result(fit, folder)
     write_result(fit, folder, force=True)
 

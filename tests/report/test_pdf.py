@@ -143,5 +143,5 @@ def test_every_figure_is_had_as_png_svg_and_pdf(report: Report, tmp_path: Path) 
         assert path.read_bytes().startswith(starts[path.suffix])
     from calib.errors import CalibError
 
-    with pytest.raises(CalibError, match="--force"):
+    with pytest.raises(CalibError, match="force=True"):
         write_figures(report, tmp_path / "figures")

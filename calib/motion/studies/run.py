@@ -150,7 +150,7 @@ def simulate(
         tuple(Case.of(which, ratio) for which in known.which for ratio in known.ratios) if known else ()
     )
     if not chosen and law is None:
-        raise BadInputError("custom study: found no radii; expected --real, --ratio or --law; give one of them")
+        raise BadInputError("custom study: found no radii; expected cases or a law; give one of them")
     figures = known.figures if known and not routes else tuple(f"route{k + 1}" for k in range(len(names)))
     sweeps = {
         figure: run_sweep(name, chosen or (Case.given(1.0, 1.0),), track_m=track_m, real_track_m=real_track_m)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -115,7 +115,7 @@ def gap_by_covariate(
     floor: float | None = None,
     group: StrArray | None = None,
 ) -> Figure:
-    """Draw one channel's gap against each covariate, with the mean of up to eight classes and its standard error.
+    """Draw one channel's gap against each covariate, with the mean of up to eight classes and its 95 % interval.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ def gap_by_covariate(
                       rasterized=len(gap) > MANY)  # fmt: skip
         if good.sum() >= 3:
             centre, mean, error = _classes(values[good], gap[good])
-            axis.errorbar(centre, mean, yerr=error, fmt="-", color=INK, lw=0.9, elinewidth=0.8, marker="s", ms=2.6)
+            axis.errorbar(centre, mean, yerr=error, fmt="s", color=INK, elinewidth=0.8, ms=2.6)
         axis.set_xlabel(_with_unit(title))
         axis.margins(x=0.06, y=0.08)
     for row in axes:
@@ -252,7 +252,12 @@ def _groups(group: StrArray | None, n: int) -> tuple[list[str], npt.NDArray[np.i
 
 
 def _classes(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return mean x, mean y and its standard error of classes: the values themselves where few, else equal counts."""
+    """Return mean x, mean y and half the 95 % interval of classes: the values themselves where few, else equal counts.
+
+    A class stands where its runs are: empty stretches between them hold none, and a class of one run has no interval.
+    """
+    from scipy.special import stdtrit
+
     distinct = np.unique(x)
     if len(distinct) <= 8:
         index = np.searchsorted(distinct, x)
@@ -262,15 +267,27 @@ def _classes(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, Floa
     rows: list[tuple[float, float, float]] = []
     for k in np.unique(index):
         on = index == k
-        error = float(np.std(y[on], ddof=1) / np.sqrt(on.sum())) if on.sum() > 1 else 0.0
-        rows.append((float(x[on].mean()), float(y[on].mean()), error))
-    made = np.array(rows)
-    return made[:, 0], made[:, 1], made[:, 2]
+        n = int(on.sum())
+        half = float(stdtrit(n - 1, 0.975) * np.std(y[on], ddof=1) / np.sqrt(n)) if n > 1 else 0.0
+        rows.append((float(x[on].mean()), float(y[on].mean()), half))
+    columns = np.array(rows)
+    return columns[:, 0], columns[:, 1], columns[:, 2]
+
+
+#: suffix of a name -> unit; and whole names whose unit is not their suffix
+_UNITS: Final = {
+    "mps": "m/s", "C": "°C", "kg": "kg", "N": "N", "rad": "rad", "m": "m", "s": "s", "km": "km", "min": "min",
+    "Hz": "Hz", "V": "V", "A": "A", "percent": "%",
+}  # fmt: skip
+_NAMED: Final = {
+    "minutes_under_load": "time under load (min)",
+    "turn": "turn (rad)",
+    "turn_absolute": "turn either way (rad)",
+}
 
 
 def _with_unit(name: str) -> str:
-    """Return ``speed_mps`` as ``speed (m/s)``; a name without a known suffix as it is."""
-    units: dict[str, Any] = {"mps": "m/s", "C": "°C", "kg": "kg", "N": "N", "rad": "rad", "m": "m", "s": "s"}
+    """Return ``speed_mps`` as ``speed (m/s)``; a name of unknown unit says that it is the column's own."""
     stem, _, suffix = name.rpartition("_")
-    text = f"{stem} ({units[suffix]})" if stem and suffix in units else name
-    return legible(text.replace("_", " "))
+    text = f"{stem} ({_UNITS[suffix]})" if stem and suffix in _UNITS else f"{name} (as in the table)"
+    return legible(_NAMED.get(name, text).replace("_", " "))

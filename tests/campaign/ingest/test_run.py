@@ -80,7 +80,7 @@ def test_a_campaign_is_not_overwritten_unless_forced(lab: Path, tmp_path: Path) 
     arguments = {"mapping": lab / "map.toml"}
     ingest([lab / "export.csv", lab / "logs"], tmp_path / "c", **arguments)
     before = _digests(tmp_path / "c")
-    with pytest.raises(BadInputError, match="--force"):
+    with pytest.raises(BadInputError, match="force=True"):
         ingest([lab / "export.csv"], tmp_path / "c", **arguments)
     assert _digests(tmp_path / "c") == before
     ingest([lab / "export.csv", lab / "logs"], tmp_path / "c", force=True, **arguments)
