@@ -10,6 +10,7 @@ import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
+from calib.challenge.ceiling import ceiling_of
 from calib.challenge.recipe import Recipe
 from calib.plant.design import Design
 from calib.plant.effects.form import Cause
@@ -17,7 +18,7 @@ from calib.plant.effects.registry import find
 from calib.plant.make import as_causes, make_campaigns, random_model
 from calib.plant.noise import Noise, random_noise
 from calib.plant.plans import good_design, poor_design
-from calib.plant.rivals import rivals
+from calib.plant.rivals import rivals, signatures
 from calib.plant.signal import to_signal
 
 __all__ = ["ONE_SIGN", "Truth", "campaigns_of", "case_design", "truth_of"]
@@ -68,6 +69,8 @@ class Truth:
         Of the case.
     n_runs : int
         Runs.
+    ceiling : tuple of float or None
+        What the best rule reaches on these runs at this signal, freely and behind the gate; None where there is none.
     """
 
     recipe: Recipe
@@ -82,6 +85,7 @@ class Truth:
     noise: Noise
     model: OdometryModel
     n_runs: int
+    ceiling: tuple[float, float] | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON values; an infinite tail as None."""
@@ -112,6 +116,7 @@ class Truth:
             noise=Noise(**noise),
             model=OdometryModel(**data["model"]),
             n_runs=data["n_runs"],
+            ceiling=None if data.get("ceiling") is None else (data["ceiling"][0], data["ceiling"][1]),
         )
 
 
@@ -167,12 +172,17 @@ def _draw(recipe: Recipe, seed: int, max_runs: int, redraw: int) -> Truth:
     signals: tuple[float | None, ...] = tuple(None for _ in causes)
     beside = signals
     near: tuple[tuple[str, float], ...] = ()
+    best: tuple[float, float] | None = None
     if causes and not gross:
-        scaled, noise, reached = to_signal(design, model, noise, causes, recipe.targets)
+        scaled, noise, shown = to_signal(design, model, noise, causes, recipe.targets)
         causes = scaled
-        signals, beside = tuple(round(v, 3) for v in reached.alone), tuple(round(v, 3) for v in reached.beside)
+        signals, beside = tuple(round(v, 3) for v in shown.alone), tuple(round(v, 3) for v in shown.beside)
         if len(causes) == 1 and not causes[0].effect.startswith("outside:") and recipe.group != "natural":
             near = tuple((r.effect, r.distance) for r in rivals(design, model, noise, causes[0])[:8])
+        if recipe.group == "single":
+            drawn = np.random.default_rng([seed, recipe.number, 3])
+            reached = ceiling_of(signatures(design, model, noise), recipe.targets[0], drawn, one_sign=ONE_SIGN)
+            best = None if reached is None else (round(reached.free, 3), round(reached.gated, 3))
     return Truth(
         recipe=recipe,
         seed=seed,
@@ -186,6 +196,7 @@ def _draw(recipe: Recipe, seed: int, max_runs: int, redraw: int) -> Truth:
         noise=noise,
         model=model,
         n_runs=len(design),
+        ceiling=best,
     )
 
 

@@ -63,6 +63,8 @@ class Judged:
         What the diagnosis took.
     error : str
         Why it failed.
+    ceiling : tuple of float or None
+        What the best rule reaches on its runs at its signal, freely and behind a gate; None where it was not taken.
     """
 
     case: str
@@ -89,6 +91,7 @@ class Judged:
     achieved: float | None
     seconds: float | None
     error: str = ""
+    ceiling: tuple[float, float] | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON values."""
@@ -165,6 +168,7 @@ def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
         achieved=tried.get("fraction"),
         seconds=extra.get("seconds"),
         error=str(given.get("error", "")),
+        ceiling=truth.ceiling,
     )
 
 

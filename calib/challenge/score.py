@@ -56,6 +56,9 @@ class Score:
         Stated probability against how often it was true, a bin each.
     confusion : mapping of str to mapping of str to int
         Truth -> what was named first (or the verdict) -> cases.
+    ceilings : mapping of str to mapping of str to float or None
+        Target signal -> ``free`` and ``gated``, the share that the best rule names on these campaigns, and
+        ``hits_over_gated``; None where the ceiling was not taken.
     summary : mapping
         Sizes of the 95 % sets, interval coverage, closure, seconds.
     """
@@ -65,6 +68,7 @@ class Score:
     cases: tuple[Judged, ...]
     board: Mapping[str, Share]
     by_signal: Mapping[str, Mapping[str, Share]]
+    ceilings: Mapping[str, Mapping[str, float | None]]
     reliability: tuple[Mapping[str, Any], ...]
     confusion: Mapping[str, Mapping[str, int]]
     summary: Mapping[str, Any]
@@ -97,6 +101,7 @@ class Score:
                 for name, line in self.board.items()
             },
             "by_signal": {s: {n: line.to_dict() for n, line in row.items()} for s, row in self.by_signal.items()},
+            "ceilings": {signal: dict(row) for signal, row in self.ceilings.items()},
             "reliability": [dict(line) for line in self.reliability],
             "confusion": {truth: dict(row) for truth, row in self.confusion.items()},
             "summary": dict(self.summary),
@@ -202,10 +207,21 @@ def score_of(cases: list[Judged], *, purpose: str = "", truth_sha256: str = "") 
         cases=tuple(cases),
         board=board,
         by_signal=by_signal,
+        ceilings={signal: _ceilings(_of(cases, "single"), float(signal)) for signal in by_signal},
         reliability=_reliability([statement for case in cases for statement in case.statements]),
         confusion=_confusion(cases),
         summary=_summary(cases),
     )
+
+
+def _ceilings(singles: list[Judged], signal: float) -> dict[str, float | None]:
+    """Return what the best rule reaches at a signal, and how much of it the verdicts do, on the same cases."""
+    both = [(case.ceiling, case.first) for case in singles if case.signal == signal and case.ceiling is not None]
+    if not both:
+        return {"free": None, "gated": None, "hits_over_gated": None}
+    free, gated = np.mean([ceiling for ceiling, _ in both], axis=0)
+    hits = float(np.mean([first for _, first in both]))
+    return {"free": float(free), "gated": float(gated), "hits_over_gated": hits / float(gated) if gated > 0 else None}
 
 
 def _of(cases: list[Judged], group: str) -> list[Judged]:

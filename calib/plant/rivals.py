@@ -6,15 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.arrays import FloatArray
 from calib.campaign.settings import OdometryModel
 from calib.plant.design import Design
 from calib.plant.effects.form import Cause
 from calib.plant.effects.registry import ALL
 from calib.plant.noise import Noise
 from calib.plant.plans import lacks
-from calib.plant.signal import is_calibration, strength, strengths
+from calib.plant.signal import is_calibration, strength, strengths, whiten
 
-__all__ = ["Rival", "rivals"]
+__all__ = ["Rival", "rivals", "signatures"]
 
 _EXPONENTS = {"hertz": 2 / 3, "root": 0.5, "quadratic": 2.0, "power": 0.87, "running_in": 0.8}
 _SKIPPED = ("encoder_gross", "integration_scheme", "path_weave", "floor_zone")
@@ -86,11 +87,7 @@ def rivals(design: Design, model: OdometryModel, noise: Noise, cause: Cause) -> 
     others = [other for other in _variants(design, model.slope_left_m_per_N) if other.effect != cause.effect]
     strong = strengths(design, model, noise, [cause, *others], step_s=0.08, weigh=False)
     truth = strong.change[0]
-    families: dict[tuple[str, str], list[int]] = {}
-    for number, other in enumerate(others, start=1):
-        # one wheel or the other, never both: alternatives, while the other variants of an effect add up
-        which = str(other.knobs["right"]) if "right" in other.knobs else ""
-        families.setdefault((other.effect, other.form + which), []).append(number)
+    families = _families(others, first=1)
     nearest: dict[str, float] = {}
     base = None if is_calibration(cause) else strong.absorbed
     for (effect, _), numbers in families.items():
@@ -100,3 +97,40 @@ def rivals(design: Design, model: OdometryModel, noise: Noise, cause: Cause) -> 
         nearest[effect] = min(nearest.get(effect, np.inf), distance)
     ordered = sorted(nearest.items(), key=lambda item: item[1])
     return tuple(Rival(effect, round(distance, 3)) for effect, distance in ordered)
+
+
+def _families(causes: list[Cause], first: int) -> dict[tuple[str, str], list[int]]:
+    """Return the numbers of the causes, from `first`, that add up to one form of one effect."""
+    families: dict[tuple[str, str], list[int]] = {}
+    for number, cause in enumerate(causes, start=first):
+        # one wheel or the other, never both: alternatives, while the other variants of an effect add up
+        which = str(cause.knobs["right"]) if "right" in cause.knobs else ""
+        families.setdefault((cause.effect, cause.form + which), []).append(number)
+    return families
+
+
+def signatures(design: Design, model: OdometryModel, noise: Noise) -> dict[str, list[FloatArray]]:
+    """Return what each effect can do on a design: whitened, a recalibration projected out.
+
+    Parameters
+    ----------
+    design, model, noise
+        The case.
+
+    Returns
+    -------
+    dict of str to list of array of float, each shape (n_rows, n_directions)
+        Effect -> its forms; calibration itself is left out.
+    """
+    causes = [cause for cause in _variants(design, model.slope_left_m_per_N) if not is_calibration(cause)]
+    strong = strengths(design, model, noise, causes, step_s=0.08, weigh=False)
+    columns = []
+    for change in strong.change:
+        white, absorbed = whiten(change, strong.cov, strong.absorbed)
+        if absorbed is not None:
+            white = white - absorbed @ np.linalg.lstsq(absorbed, white, rcond=1e-10)[0]
+        columns.append(white)
+    made: dict[str, list[FloatArray]] = {}
+    for (effect, _), numbers in _families(causes, first=0).items():
+        made.setdefault(effect, []).append(np.stack([columns[number] for number in numbers], axis=1))
+    return made

@@ -107,8 +107,8 @@ def challenge_own(campaign: Campaign, asked: Asked | None = None, tick: Tick | N
     asked = asked or Asked()
     began = time.monotonic()
     diagnosis = diagnose_in_full(campaign, seed=asked.seed, plan=False)
-    faults = {effect.id for effect in diagnosis.effects if effect.found_before_search}
-    if faults & {cause.effect for cause in diagnosis.verdict.causes}:
+    # what is named and stands in no library was found before the search: a gross fault
+    if {cause.effect for cause in diagnosis.verdict.causes} - {effect.id for effect in diagnosis.effects}:
         raise RefusedError(
             f"{campaign.name}: the counters have a gross fault ({diagnosis.verdict.sentence}); expected counts "
             "that are right to a few per cent; put the campaign's encoder settings right first"

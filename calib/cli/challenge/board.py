@@ -71,11 +71,18 @@ def _board(score: Score) -> Block:
 
 def _parts(score: Score) -> list[Block]:
     from calib.report.blocks import Column, Table
+    from calib.report.numbers import MISSING
 
     words = ("detected", "first", "in_group", "covered")
-    titles = ("Signal", "A gap seen", "Named first", "Named or in its group", "In the 95 % set")
+    titles = ("Signal", "A gap seen", "Named first", "Named or in its group", "In the 95 % set",
+              "Ceiling", "Behind the gate", "First over ceiling")  # fmt: skip
     by_signal = tuple(
-        (signal, *(f"{row[word].hits}/{row[word].total}" for word in words)) for signal, row in score.by_signal.items()
+        (
+            signal,
+            *(f"{row[word].hits}/{row[word].total}" for word in words),
+            *(MISSING if value is None else f"{value:.2f}" for value in score.ceilings[signal].values()),
+        )
+        for signal, row in score.by_signal.items()
     )
     reliability = tuple(
         (
