@@ -46,6 +46,9 @@ def run(
     figures: Annotated[
         Path | None, typer.Option("--figures", metavar="FOLDER", help="Write the pictures there as PNG, SVG and PDF.")
     ] = None,
+    html: Annotated[
+        Path | None, typer.Option("--html", metavar="FILE", help="Write one page to look into, with linked panels.")
+    ] = None,
     into: Annotated[
         Path | None, typer.Option("--into", metavar="FOLDER", help="Result folder: diagnosis.json.")
     ] = None,
@@ -65,7 +68,7 @@ def run(
     from calib.gap.verdict.paper_headline import headline
     from calib.gap.verdict.result import VerdictKind
 
-    refuse_existing([json, apply, None if into is None else into / RESULT_FILE], force=force)
+    refuse_existing([json, apply, html, None if into is None else into / RESULT_FILE], force=force)
     with waiting("diagnosing"):
         read, diagnosis, effects = _diagnosed(
             read_or_ingest(campaign, mapping=mapping), model, tuple(exclude or ()), seed
@@ -79,6 +82,11 @@ def run(
             say("The written model is not recommended: see above what speaks against it.", target=json)
     if into is not None:
         wrote([write_json(into / RESULT_FILE, document, force=force)], target=json)
+    if html is not None:
+        from calib.files import write_text
+        from calib.report.gap_page import diagnosis_page
+
+        wrote([write_text(html, diagnosis_page(diagnosis, read), force=force)], target=json)
     if figures is not None:
         from calib.report.figures.gap_files import write_gap_pictures
 

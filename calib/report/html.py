@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from dataclasses import dataclass
 from html import escape
 from importlib.resources import files
 from typing import Final
@@ -12,54 +13,108 @@ from calib.report.content import Report
 from calib.report.figures.style import render
 from calib.report.text import EQUATIONS
 
-__all__ = ["block_html", "to_html"]
+__all__ = ["Page", "block_html", "page_html", "to_html"]
 
+HOW_TO_LOOK: Final = (
+    "Choose runs by clicking or drawing a box in any panel, or a session or kind in the list: they light up in every "
+    "panel. Colours are kinds. The gap against what was driven can be shown for any channel and covariate."
+)
 _SMALL: Final = ' class="small"'
 _ALIGN: Final = {"left": "l", "right": "r", "center": "c"}
 
 
-def to_html(report: Report) -> str:
+@dataclass(frozen=True, slots=True)
+class Page:
+    """What a page says.
+
+    Parameters
+    ----------
+    kind, title, name : str
+        What it is, its title, and the campaign.
+    simulated : bool
+        The page says so.
+    head : tuple of (str, str)
+        Facts under the title.
+    sections : tuple of Section
+        What is said.
+    footer : str
+        Last line.
+    """
+
+    kind: str
+    title: str
+    name: str
+    simulated: bool
+    head: tuple[tuple[str, str], ...]
+    sections: tuple[Section, ...]
+    footer: str
+
+
+def to_html(report: Report, panels: tuple[str, str] = ("", "")) -> str:
     """Return a report as a self-contained page.
 
     Parameters
     ----------
     report : Report
         From `calib.report.content.compose`.
+    panels : tuple of str
+        Interactive panels (`calib.report.interactive.interactive_panels`): what goes into the head and into the body.
     """
+    page = Page(
+        kind=f"Calibration report {report.report_id}",
+        title=report.title,
+        name=report.name,
+        simulated=report.simulated,
+        head=report.head,
+        sections=report.sections,
+        footer=f"Issued {report.issued}; report {report.report_id}",
+    )
+    return page_html(page, panels)
+
+
+def page_html(page: Page, panels: tuple[str, str] = ("", "")) -> str:
+    """Return a page as markup that fetches nothing; see `to_html`."""
     style = (files("calib.report") / "page.css").read_text(encoding="utf-8")
-    head = block_html(Facts(report.head))
     simulated = (
         block_html(Notice("simulated", "Simulated data", "A program made these data. No vehicle was measured."))
-        if report.simulated
+        if page.simulated
         else ""
     )
     contents = "".join(
         f'<li><a href="#s{number}">{escape(section.title)}</a></li>'
-        for number, section in enumerate(report.sections, start=1)
+        for number, section in enumerate(page.sections, start=1)
     )
-    sections = "\n".join(_section(number, section) for number, section in enumerate(report.sections, start=1))
+    sections = "\n".join(_section(number, section) for number, section in enumerate(page.sections, start=1))
+    looking = (
+        f'<section id="look" class="panels">\n<h2>To look into</h2>\n{block_html(Text(HOW_TO_LOOK, small=True))}\n'
+        f"{panels[1]}\n<noscript>The panels need scripts; all that is said stands above.</noscript>\n</section>"
+        if panels[1]
+        else ""
+    )
     return f"""<!doctype html>
 <html lang="en">
 <head>
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{escape(report.title)} – {escape(report.name)}</title>
+<title>{escape(page.title)} – {escape(page.name)}</title>
 <style>
 {style}</style>
+{panels[0]}
 </head>
 <body>
 <header>
-<p class="kind">Calibration report {escape(report.report_id)}</p>
-<h1>{escape(report.title)}</h1>
-<p class="name">{escape(report.name)}</p>
+<p class="kind">{escape(page.kind)}</p>
+<h1>{escape(page.title)}</h1>
+<p class="name">{escape(page.name)}</p>
 {simulated}
-{head}
+{block_html(Facts(page.head))}
 </header>
 <nav><ol>{contents}</ol></nav>
 <main>
 {sections}
+{looking}
 </main>
-<footer>Issued {escape(report.issued)}; report {escape(report.report_id)}</footer>
+<footer>{escape(page.footer)}</footer>
 </body>
 </html>
 """

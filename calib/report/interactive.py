@@ -121,7 +121,9 @@ def _layout(data: PanelData) -> Model:
     tools = [widget for group in widgets for widget in group]
     return column(
         row(_session_choice(data, source), *tools),
-        gridplot([figures[k : k + 2] for k in range(0, len(figures), 2)], merge_tools=False),
+        gridplot(
+            [figures[k : k + 2] for k in range(0, len(figures), 2)], merge_tools=False, toolbar_options={"logo": None}
+        ),
         sizing_mode="stretch_width",
     )
 
@@ -167,13 +169,14 @@ def _source(data: PanelData) -> ColumnDataSource:
     if any(len(path) for path in data.along_m):
         columns["way"] = [np.round(path[:, 0], 4) if len(path) else np.zeros(0) for path in data.along_m]
         columns["way_gap"] = [_milli(path[:, 2]) if len(path) else np.zeros(0) for path in data.along_m]
-    return ColumnDataSource(columns)
+    return ColumnDataSource(columns, name="units")
 
 
 def _first_channel(data: PanelData) -> str:
     """Return the channel whose gap stands highest above its floor."""
-    with np.errstate(invalid="ignore", divide="ignore"):
-        ratio = np.nanmean((data.before / np.where(data.floor > 0, data.floor, np.nan)) ** 2, axis=0)
+    squares = (data.before / np.where(data.floor > 0, data.floor, np.nan)) ** 2
+    known = np.isfinite(squares)
+    ratio = np.where(known, squares, 0.0).sum(axis=0) / np.where(known.any(axis=0), known.sum(axis=0), np.nan)
     return data.channels[int(np.nanargmax(ratio))][0] if np.isfinite(ratio).any() else data.channels[0][0]
 
 
@@ -314,7 +317,7 @@ def _session_choice(data: PanelData, source: ColumnDataSource) -> Model:
     from bokeh.models import CustomJS, MultiChoice
 
     options = sorted({f"session {name}" for name in data.session} | {f"kind {name}" for name in data.kind})
-    choice = MultiChoice(title="light up", options=options, value=[], width=320)
+    choice = MultiChoice(name="choice", title="light up", options=options, value=[], width=320)
     choice.js_on_change("value", CustomJS(args={"source": source}, code=LIGHT))
     return choice
 
