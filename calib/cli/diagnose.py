@@ -82,18 +82,25 @@ def run(
             say("The written model is not recommended: see above what speaks against it.", target=json)
     if into is not None:
         wrote([write_json(into / RESULT_FILE, document, force=force)], target=json)
+    _draw(diagnosis, read, html, figures, json=json, force=force)
+    emit_json(document, json, force=force)
+    return 0 if verdict.kind in {VerdictKind.NO_GAP, VerdictKind.EXPLAINED} else 1
+
+
+def _draw(
+    diagnosis: Diagnosis, campaign: Campaign, html: Path | None, figures: Path | None, *, json: str | None, force: bool
+) -> None:
+    """Write the page and the figures that were asked for."""
     if html is not None:
         from calib.files import write_text
         from calib.report.gap_page import diagnosis_page
 
-        wrote([write_text(html, diagnosis_page(diagnosis, read), force=force)], target=json)
+        wrote([write_text(html, diagnosis_page(diagnosis, campaign), force=force)], target=json)
     if figures is not None:
         from calib.report.figures.gap_files import write_gap_pictures
 
         written = write_gap_pictures(diagnosis, figures, force=force)
         wrote(written, target=json, what=f"{len(written)} figure files to {figures}")
-    emit_json(document, json, force=force)
-    return 0 if verdict.kind in {VerdictKind.NO_GAP, VerdictKind.EXPLAINED} else 1
 
 
 def _diagnosed(
