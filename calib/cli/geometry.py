@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from calib.cli.options import Force, JsonTarget, refuse_existing
+from calib.cli.options import Force, JsonTarget, MappingOption, refuse_existing
 from calib.cli.terminal import emit_json, show, waiting, wrote
 from calib.cli.threads import one_blas_thread
 
@@ -27,7 +27,9 @@ FORMS = ("png", "svg", "pdf")
 
 
 def run(
-    campaign: Annotated[Path, typer.Argument(metavar="CAMPAIGN", help="Campaign with logs and a reference.")],
+    campaign: Annotated[
+        Path, typer.Argument(metavar="CAMPAIGN", help="Campaign with logs and a reference, or a recording.")
+    ],
     using: Annotated[
         str | None,
         typer.Option("--using", metavar="WHAT", help="end-poses or windows; without it what the campaign has."),
@@ -50,6 +52,7 @@ def run(
         Path | None,
         typer.Option("--figures", metavar="FOLDER", help="Draw the paths before and after, as PNG, SVG and PDF."),
     ] = None,
+    mapping: MappingOption = None,
     json: JsonTarget = None,
     force: Force = False,
 ) -> int:
@@ -60,7 +63,7 @@ def run(
     recognised: correct it first.
     """
     one_blas_thread()
-    from calib.campaign.read import read_campaign
+    from calib.campaign.ingest import read_or_ingest
     from calib.files import write_json
     from calib.geometry.estimate import estimate_geometry
     from calib.report.statements.geometry import geometry_content
@@ -70,7 +73,7 @@ def run(
     result = into / RESULT_FILE if into is not None else None
     refuse_existing([json, output, result, *pictures], force=force)
     with waiting("estimating"):
-        read = read_campaign(campaign)
+        read = read_or_ingest(campaign, mapping=mapping)
         estimated = estimate_geometry(read, using=way, kinds=kind or (), leave_out=left_out)
     show(geometry_content(estimated), target=json)
     document = estimated.to_dict()

@@ -35,12 +35,12 @@ def record(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> Reco
         gathered: dict[tuple[str, tuple[str, ...]], _Gathered] = {}
         with _decoding(shown):
             for connection, arrival, data in reader.messages(connections=known) if known else ():
-                message = reader.deserialize(data, connection.msgtype)
-                for suffix, names, numbers, stamp in parts(connection.msgtype, message):
-                    key = (connection.topic + suffix, names)
+                kind, topic = connection.msgtype, connection.topic
+                for suffix, names, numbers, stamp in parts(kind, reader.deserialize(data, kind)):
+                    key = (topic + suffix, names)
                     stream = gathered.get(key)
                     if stream is None:
-                        stream = gathered[key] = _Gathered(connection.topic + suffix, connection.msgtype, names, wanted)
+                        stream = gathered[key] = _Gathered(topic + suffix, kind, names, wanted)
                     stream.add(numbers, arrival, stamp)
         skipped = sorted({one.msgtype for one in reader.connections} - set(SUPPORTED))
     notes: list[Note] = []
@@ -85,10 +85,13 @@ class _Gathered:
         self.arrival.append(arrival)
         if stamp is None:
             self.unstamped += 1
-            self.stamp.append(arrival)
+            stamp = arrival
+        self.stamp.append(stamp)
+        if self.kept is None:
+            self.numbers.extend(numbers)
         else:
-            self.stamp.append(stamp)
-        self.numbers.extend(numbers if self.kept is None else [numbers[index] for index in self.kept])
+            for index in self.kept:
+                self.numbers.append(numbers[index])
 
     def stream(self, shown: str, notes: list[Note]) -> Stream:
         names = self.names if self.kept is None else tuple(self.names[index] for index in self.kept)

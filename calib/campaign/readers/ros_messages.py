@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
@@ -22,7 +23,7 @@ _TWIST: Final = ("v_x", "v_y", "omega")
 
 def _stamp(header: Any) -> int | None:
     stamp = header.stamp
-    nanoseconds = int(stamp.sec) * _NS + int(stamp.nanosec)
+    nanoseconds: int = stamp.sec * _NS + stamp.nanosec
     return nanoseconds or None
 
 
@@ -35,19 +36,23 @@ def _twist(twist: Any) -> tuple[float, ...]:
     return (twist.linear.x, twist.linear.y, twist.angular.z)
 
 
-def _joint_names(message: Any) -> tuple[str, ...]:
-    names = list(message.name) or [str(i) for i in range(max(len(message.position), len(message.velocity)))]
-    kinds = [kind for kind in ("position", "velocity", "effort") if len(getattr(message, kind)) == len(names)]
-    return tuple(f"{kind}.{name}" for kind in kinds for name in names)
+@lru_cache(maxsize=256)
+def _joint_columns(names: tuple[str, ...], lengths: tuple[int, ...]) -> tuple[tuple[str, ...], tuple[bool, ...]]:
+    """Return the columns of a JointState of such names and lengths, and which of its three fields they stand for."""
+    names = names or tuple(str(index) for index in range(max(lengths)))
+    there = tuple(length == len(names) for length in lengths)
+    fields = [field for field, given in zip(("position", "velocity", "effort"), there, strict=True) if given]
+    return tuple(f"{field}.{name}" for field in fields for name in names), there
 
 
 def _joint_state(message: Any) -> Iterator[Part]:
     position, velocity, effort = message.position, message.velocity, message.effort
-    names = _joint_names(message)
-    numbers: list[float] = []
-    for kind, values in (("position.", position), ("velocity.", velocity), ("effort.", effort)):
-        if any(name.startswith(kind) for name in names):
-            numbers += values.tolist()
+    names, there = _joint_columns(tuple(message.name), (len(position), len(velocity), len(effort)))
+    numbers: list[float] = position.tolist() if there[0] else []
+    if there[1]:
+        numbers += velocity.tolist()
+    if there[2]:
+        numbers += effort.tolist()
     yield "", names, numbers, _stamp(message.header)
 
 
