@@ -14,6 +14,8 @@ __all__ = ["APART", "Judged", "judge"]
 
 #: two causes nearer than this, in standard deviations of the noise, form one group: no diagnosis can tell them apart
 APART: Final = 3.0
+#: an effect of a crowded case that shows by so much has to be named
+STRONG: Final = 20.0
 _OPEN: Final = ("unknown", "partly_explained")
 
 
@@ -61,6 +63,8 @@ class Judged:
         Closure on held-out runs as stated, and on the fresh campaign.
     seconds : float or None
         What the diagnosis took.
+    strong : tuple of bool
+        In a crowded case, of each effect at a signal of `STRONG` and more, whether it is named or in a group with one.
     error : str
         Why it failed.
     ceiling : tuple of float or None
@@ -90,6 +94,7 @@ class Judged:
     predicted: float | None
     achieved: float | None
     seconds: float | None
+    strong: tuple[bool, ...] = ()
     error: str = ""
     ceiling: tuple[float, float] | None = None
 
@@ -116,9 +121,15 @@ def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
     given: Mapping[str, Any] = verdict if verdict is not None else {"verdict": "missing"}
     word = str(given.get("verdict", "missing"))
     effects = tuple(cause.effect for cause in truth.causes)
+    crowded = recipe.group == "crowded"
+    if crowded:
+        # the outside effect is there to disturb: it is the rest, and nobody can name it
+        effects = tuple(effect for effect in effects if not effect.startswith("outside:"))
     causes = [cause for cause in given.get("causes", []) if isinstance(cause, dict)]
     named = tuple(str(cause.get("effect", "")) for cause in causes)
     groups = [set(group) for group in given.get("indistinguishable", [])]
+    # a form of the named effect's own family that stays open is said beside the cause
+    groups += [{str(cause.get("effect", "")), *cause["forms_open"]} for cause in causes if cause.get("forms_open")]
     # an effect too near for any diagnosis to tell, and the exact aliases of the recipe
     near = {name for name, distance in truth.rivals if distance < APART} | set(recipe.aliases)
     in_library = recipe.group != "outside" and not recipe.deleted
@@ -137,6 +148,7 @@ def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
         "deleted": word in _OPEN or (bool(named) and named[0] in near),
         "alias": any(effects[0] in group and bool(group & set(recipe.aliases)) for group in groups if effects),
         "pair": set(effects) <= set(named),
+        "crowded": all(_grouped(effect, named, groups) for effect in _strong(truth)),
     }.get(recipe.group, first)
     closure = given.get("closure") or {}
     return Judged(
@@ -167,9 +179,19 @@ def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
         predicted=closure.get("fraction"),
         achieved=tried.get("fraction"),
         seconds=extra.get("seconds"),
+        strong=tuple(_grouped(effect, named, groups) for effect in _strong(truth)) if crowded else (),
         error=str(given.get("error", "")),
         ceiling=truth.ceiling,
     )
+
+
+def _strong(truth: Truth) -> list[str]:
+    """Return the library's effects that show strongly, and do so beside the others too."""
+    return [
+        cause.effect
+        for cause, signal, beside in zip(truth.causes, truth.signals, truth.beside, strict=True)
+        if not cause.effect.startswith("outside:") and min(signal or 0.0, beside or 0.0) >= STRONG
+    ]
 
 
 def _grouped(effect: str, named: tuple[str, ...], groups: list[set[str]]) -> bool:

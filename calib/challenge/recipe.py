@@ -16,7 +16,7 @@ from calib.plant.signal import CALIBRATION
 
 __all__ = ["GROUPS", "SEEDS", "Recipe", "Seeds", "read_seeds", "recipes"]
 
-GROUPS: Final = ("empty", "calibration", "single", "natural", "pair", "outside", "alias", "deleted")
+GROUPS: Final = ("empty", "calibration", "single", "natural", "pair", "outside", "alias", "deleted", "crowded")
 SEEDS: Final = Path(__file__).parent / "seeds"
 SIGNALS: Final = (3.0, 5.0, 10.0, 25.0)
 _FORMAT: Final = "calib-challenge-seeds/1"
@@ -213,6 +213,8 @@ def _of_group(group: str, count: int, rng: np.random.Generator) -> list[dict[str
             }
             for n, (name, design, others) in ((n, _ALIASES[n % len(_ALIASES)]) for n in range(count))
         ]
+    if group == "crowded":
+        return [_crowd(n, rng) for n in range(count)]
     names = [*_library(), *CALIBRATION]
     if count < len(names):
         names = list(map(str, rng.permutation(names)))
@@ -220,6 +222,17 @@ def _of_group(group: str, count: int, rng: np.random.Generator) -> list[dict[str
         {"effects": (names[n % len(names)],), "targets": (25.0,), "deleted": names[n % len(names)]}
         for n in range(count)
     ]
+
+
+def _crowd(number: int, rng: np.random.Generator) -> dict[str, Any]:
+    """Return three to six effects of the library at signals of 5 to 100, and an outside one at 5 to 15."""
+    drawn = rng.choice([*_PAIRED, "unequal_radii", "track_width"], 3 + number % 4, replace=False)
+    signals = np.exp(rng.uniform(np.log(5.0), np.log(100.0), len(drawn)))
+    strange = [form.effect for form in ALL if form.effect.startswith("outside:")]
+    return {
+        "effects": (*map(str, drawn), strange[number % len(strange)]),
+        "targets": (*(round(float(signal), 1) for signal in signals), float(rng.choice([5.0, 10.0, 15.0]))),
+    }
 
 
 def recipes(seeds: Seeds, limit: int | None = None) -> list[Recipe]:

@@ -31,6 +31,7 @@ TARGETS: Final[dict[str, tuple[float, str]]] = {
     "outside effects left open": (0.90, "at least"),
     "false unknowns at signal 25": (0.05, "at most"),
     "both of a pair": (0.90, "at least"),
+    "crowded: effects at signal >= 20 named": (0.90, "at least"),
     "exact aliases named": (1.0, "at least"),
     "wrong fixes": (0.02, "at most"),
 }
@@ -187,6 +188,10 @@ def score_of(cases: list[Judged], *, purpose: str = "", truth_sha256: str = "") 
         "false unknowns at signal 25": share([case.verdict == "unknown" for case in right_unknown]),
         "both of a pair": share([case.right for case in _of(cases, "pair")]),
         "both of a pair, or its group": share([case.in_group for case in _of(cases, "pair")]),
+        "crowded: effects at signal >= 20 named": share([hit for case in cases for hit in case.strong]),
+        "crowded: named causes that are true": share(
+            [true for case in _of(cases, "crowded") for _, true in case.statements]
+        ),
         "exact aliases named": share([case.right for case in _of(cases, "alias")]),
         "wrong fixes": share([case.wrong_fix for case in cases]),
         "fixes that made the fresh campaign worse": share([bool(case.harmful) for case in tried]),
@@ -252,7 +257,7 @@ def _reliability(statements: list[tuple[float, bool]]) -> tuple[Mapping[str, Any
 def _confusion(cases: list[Judged]) -> dict[str, dict[str, int]]:
     rows: dict[str, dict[str, int]] = {}
     for case in cases:
-        if case.group == "pair":
+        if case.group in ("pair", "crowded"):
             continue
         row = rows.setdefault(("deleted: " if case.deleted else "") + (case.truth[0] if case.truth else "nothing"), {})
         answer = case.named[0] if case.named else case.verdict

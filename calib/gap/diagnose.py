@@ -19,10 +19,11 @@ from calib.gap.effects.effect import Effect
 from calib.gap.effects.encoder_gross import corrected
 from calib.gap.effects.library import fault_before_search, library
 from calib.gap.evidence.fit import Fitted, fit
+from calib.gap.evidence.left_out import LeftOut
 from calib.gap.evidence.marginal import FLOOR_DOF
 from calib.gap.evidence.noise import Noise, estimate_noise
 from calib.gap.evidence.recalibration import judge_recalibration
-from calib.gap.evidence.search import Hypothesis, Search, Settings, search
+from calib.gap.evidence.search import Search, Settings, search
 from calib.gap.evidence.whitened import WhitenedSystem
 from calib.gap.plan.next_runs import next_runs, undetectable
 from calib.gap.predict.path import Path, predict
@@ -31,6 +32,7 @@ from calib.gap.verdict.closure import HeldOut, measure_closure
 from calib.gap.verdict.decide import decide
 from calib.gap.verdict.evidence import Evidence
 from calib.gap.verdict.result import BY_MODEL, BY_SIMULATOR, Verdict
+from calib.gap.verdict.transfer import trials
 from calib.gap.where.locate import locate
 
 if TYPE_CHECKING:
@@ -121,8 +123,9 @@ def diagnose_in_full(
     effects = library(observations, exclude=exclude, declared=declared)
     shifts = {effect.id: effect.shifts for effect in effects}
     noise, base, searched = _searched(nominal, effects, settings)
-    best = searched.hypotheses[0]
-    held_out = _held_out(nominal, noise, best, effects, rng)
+    best = searched.fitted
+    left_out = LeftOut(best, nominal, noise, searched.weighting)
+    held_out = _held_out(nominal, noise, searched, effects, left_out, rng)
     if fault is not None:
         held_out = replace(held_out, before=before)
     evidence = Evidence(
@@ -132,8 +135,9 @@ def diagnose_in_full(
         noise=noise,
         effects={effect.id: effect for effect in effects},
         search=searched,
-        recalibration=judge_recalibration(best.fitted, nominal, noise, settings, shifts),
+        recalibration=judge_recalibration(best, nominal, noise, settings, shifts, searched),
         held_out=held_out,
+        trials=trials(left_out, residuals(nominal, nominal)),
         where=locate(observations, nominal, noise, held_out.before, rng=rng, campaign=campaign),
         undetectable=undetectable(WhitenedSystem(base.path, nominal, noise), effects),
         fault=fault,
@@ -144,9 +148,9 @@ def diagnose_in_full(
     verdict = decide(evidence)
     ties = [group.effects for group in verdict.groups]
     if plan and ties:
-        advised = next_runs(campaign, effects, noise, ties, best.fitted, model=model)
+        advised = next_runs(campaign, effects, noise, ties, best, model=model)
         verdict = replace(verdict, next_runs=tuple(advised))
-    return Diagnosis(verdict, observations, noise, nominal, best.fitted, held_out, searched, tuple(effects))
+    return Diagnosis(verdict, observations, noise, nominal, best, held_out, searched, tuple(effects))
 
 
 def _observed(
@@ -169,26 +173,31 @@ def _searched(nominal: Path, effects: Sequence[Effect], settings: Settings) -> t
     noise, base = _settle(nominal)
     searched = search(nominal, noise, base, effects, settings)
     for _ in range(PASSES):
-        best = searched.hypotheses[0]
+        best = searched.fitted
         # what a large effect leaves within conditions is no noise: take the floor again without it, and ask again
-        again = estimate_noise(best.fitted.path, best.fitted.left) if best.effects else noise
+        again = estimate_noise(best.path, best.left) if best.forms else noise
         if again is noise or not _differ(noise, again):
             break
         noise, base = again, fit(nominal, again, start=base)
-        searched = search(nominal, noise, base, effects, settings)
+        searched = search(nominal, noise, base, effects, settings, start=searched)
     return noise, base, searched
 
 
 def _held_out(
-    nominal: Path, noise: Noise, best: Hypothesis, effects: Sequence[Effect], rng: np.random.Generator
+    nominal: Path,
+    noise: Noise,
+    searched: Search,
+    effects: Sequence[Effect],
+    left_out: LeftOut,
+    rng: np.random.Generator,
 ) -> HeldOut:
     """Return the gap before and after on runs left out: whole sessions, unless the cause is a step between them."""
     # where no cause is missing, what is left is noise, and its size the better estimate of the floor
-    n_rows = int(nominal.s.usable.sum())
-    factor = (FLOOR_DOF + best.fitted.chi_square) / (FLOOR_DOF + n_rows)
-    factor = 1.0 if best.unknown else min(factor, MOST_FLOOR)
-    sessions = not any(effect.per_session for effect in effects if effect.id in best.effects)
-    return measure_closure(nominal, noise, best.fitted, rng, sessions=sessions, floor_factor=factor)
+    best, n_rows = searched.fitted, int(nominal.s.usable.sum())
+    factor = (FLOOR_DOF + best.chi_square) / (FLOOR_DOF + n_rows)
+    factor = 1.0 if searched.rest > 0.5 else min(factor, MOST_FLOOR)
+    sessions = not any(effect.per_session for effect in effects if effect.id in searched.effects)
+    return measure_closure(nominal, noise, best, rng, sessions=sessions, floor_factor=factor, left_out=left_out)
 
 
 def _differ(before: Noise, after: Noise) -> bool:

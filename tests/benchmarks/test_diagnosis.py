@@ -22,10 +22,8 @@ from pytest_benchmark.fixture import BenchmarkFixture
 from calib.campaign.model import Campaign, Logs
 from calib.campaign.write import write_campaign
 from calib.gap import diagnose as whole
-from calib.gap.evidence import marginal as linear
-from calib.gap.evidence import noise
+from calib.gap.evidence import noise, system, whitened
 from calib.gap.evidence import search as searching
-from calib.gap.evidence import whitened as workbench
 from calib.plant.make import make_campaign
 from calib.plant.plans import good_design
 
@@ -80,13 +78,13 @@ def clocked() -> Iterator[Clock]:
     """Time the stages of a diagnosis as it calls them."""
     clock = Clock()
     places = [
-        (linear, "form_columns", "signatures"),
-        (workbench, "form_columns", "signatures"),
+        (system, "form_columns", "signatures"),
+        (whitened, "form_columns", "signatures"),
         (whole, "estimate_noise", "noise"),
         (whole, "search", "search"),
-        (searching, "evaluate", "evidence"),
-        (searching, "fit", "fits in the search"),
+        (searching, "log_weights", "evidence"),
         (whole, "measure_closure", "held-out fits"),
+        (whole, "trials", "transfer"),
         (whole, "locate", "where"),
         (whole, "undetectable", "undetectable"),
     ]

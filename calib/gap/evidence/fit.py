@@ -17,7 +17,11 @@ from calib.gap.predict.path import Path, predict
 from calib.gap.predict.push import Push
 from calib.gap.predict.residuals import residuals
 
-__all__ = ["Fitted", "calibration_pushes", "fit", "hypothesis_path"]
+__all__ = ["SIZE_SD", "Fitted", "calibration_pushes", "fit", "hypothesis_path"]
+
+
+#: prior standard deviation of each size in typical sizes; wide, it only keeps the solution finite
+SIZE_SD = 30.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,7 +104,7 @@ def fit(
     use: BoolArray | None = None,
     start: Fitted | None = None,
     steps: int = 10,
-    theta_sd: float = 30.0,
+    theta_sd: float = SIZE_SD,
 ) -> Fitted:
     """Fit a recalibration and effects by Gauss-Newton on the re-simulated path.
 

@@ -1,29 +1,50 @@
-"""Searching the hypotheses: single effects, pairs, triples, each beside a free recalibration, and "unknown"."""
+"""Searching sets of effects: one more, one less, one exchanged, by scalar products; re-linearised until settled."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from calib.arrays import FloatArray
 from calib.gap.effects.effect import Effect, Form
-from calib.gap.evidence.fit import Fitted, fit
-from calib.gap.evidence.marginal import (
-    CALIBRATION_SD,
-    Nuisance,
-    log_evidence,
-    log_marginal,
-    project,
-    ridge_solve,
-)
+from calib.gap.evidence.fit import Fitted, hypothesis_path
+from calib.gap.evidence.marginal import CALIBRATION_SD, rows
+from calib.gap.evidence.models import Columns, log_weights, model_sizes
 from calib.gap.evidence.noise import Noise
-from calib.gap.evidence.whitened import WhitenedSystem
+from calib.gap.evidence.system import LinearSystem, Sums
+from calib.gap.evidence.weighting import Weighting, prior_precision
 from calib.gap.predict.path import Path
+from calib.gap.predict.residuals import residuals
 
-__all__ = ["Hypothesis", "Search", "Settings", "search"]
+__all__ = ["Search", "Settings", "search"]
+
+#: forms of an effect that are kept beside the best
+_FORMS: Final = 2
+#: passes: linearise, search, fit
+_PASSES: Final = 7
+#: a step below this share of the standard uncertainty ends the passes
+_SETTLED: Final = 0.05
+#: moves of one pass
+_MOVES: Final = 24
+#: scales of the rest that are weighed while moving: those within so many nats of the best
+_ACTIVE_NATS: Final = 9.0
+#: causes that leave a small rest are preferred to fewer that leave a large one where they are less likely by so much
+_PREFERRED: Final = 4.0
+#: beside a larger rest, the search begins once more without one
+_SMALL_REST: Final = 1.0
+#: a rest this small is left out while moving
+_FINEST: Final = 0.3
+#: scales of the rest beside which the forms of each effect are ranked
+_RANKED_BY: Final = (3.0, 10.0)
+#: models whose neighbours are weighed at the end
+_CENTRES: Final = 4
+#: other models that the recalibration is judged beside, and how probable they are at least, over the best
+_RIVALS: Final = 4
+_LEAST_RIVAL: Final = 0.05
+Model = tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,172 +55,86 @@ class Settings:
     ----------
     prior_effect : float
         Prior odds of any one effect being at work.
-    prior_unknown : float
-        Prior odds of a cause outside the library.
+    prior_rest : float
+        Prior odds of a rest that no effect of the library explains.
     tolerance : float
         Share by which an effect may deviate from its assumed form, a condition.
     temper : float
         Power of the evidence; below 1 because the noise is never quite the one assumed.
-    singles, pairs, triples : int
-        How many of the best hypotheses of a size are re-simulated and fitted.
-    extended : int
-        How many of the fitted singles are extended to pairs about their own path.
-    beside_unknown : int
-        Beside how many of the best hypotheses a rest of unknown cause is weighed.
+    most_effects : int
+        Effects named at once, at most.
+    pairs : int
+        Pairs tried that neither of them shows alone.
     """
 
     prior_effect: float = 0.02
-    prior_unknown: float = 0.08
+    prior_rest: float = 0.15
     tolerance: float = 0.15
     temper: float = 0.9
-    singles: int = 8
-    pairs: int = 8
-    triples: int = 4
-    extended: int = 5
-    beside_unknown: int = 6
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Hypothesis:
-    """A hypothesis with its evidence.
-
-    Parameters
-    ----------
-    effects : tuple of str
-        Ids of its effects, sorted; empty is "a recalibration at most".
-    unknown : bool
-        Whether a rest of unknown cause is part of it.
-    fitted : Fitted
-        Its fit (that of the named effects).
-    log_evidence : float
-        Natural logarithm of the evidence, tempered.
-    log_prior : float
-        Natural logarithm of its prior odds.
-    """
-
-    effects: tuple[str, ...]
-    unknown: bool
-    fitted: Fitted
-    log_evidence: float
-    log_prior: float
-
-    @property
-    def log_weight(self) -> float:
-        """Logarithm of evidence times prior."""
-        return self.log_evidence + self.log_prior
+    most_effects: int = 6
+    pairs: int = 400
 
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """All that was tried.
+    """What was found.
 
     Parameters
     ----------
-    hypotheses : tuple of Hypothesis
-        Best first.
+    fitted : Fitted
+        The best hypothesis, a recalibration free beside it.
     base : Fitted
         The recalibration alone.
-    nominal : Path
-        The model alone.
-    noise : Noise
-        Noise of the units.
+    system : LinearSystem
+        About the best hypothesis' path, with every effect's best forms.
     forms : mapping of str to list of Form
         Forms of each effect on this campaign.
-    signal : mapping of str to float
-        Whitened norm of each effect's best single fit after projection.
+    models : tuple of tuple of str
+        Sets of effects weighed, best first.
+    probabilities : array of float, shape (n_models,)
+        Of each set.
+    rivals : tuple of (tuple of int, float)
+        The best other models, by their forms' numbers in `system`, each with its probability over the best one's.
+    rest : float
+        Probability of a rest beside whatever else is.
+    weighting : Weighting
+        The most probable rest beside the best hypothesis, and what its effects may deviate by.
+    nothing : float
+        Probability that neither an effect nor a rest is there, a recalibration left free.
     """
 
-    hypotheses: tuple[Hypothesis, ...]
+    fitted: Fitted
     base: Fitted
-    nominal: Path
-    noise: Noise
+    system: LinearSystem
     forms: dict[str, list[Form]]
-    signal: dict[str, float] = field(default_factory=dict)
+    models: tuple[tuple[str, ...], ...]
+    probabilities: FloatArray
+    rivals: tuple[tuple[Model, float], ...]
+    rest: float
+    weighting: Weighting
+    nothing: float
 
-    def probabilities(self) -> FloatArray:
-        """Posterior probability of each hypothesis, shape (n_hypotheses,)."""
-        weight = np.array([h.log_weight for h in self.hypotheses])
-        weight = np.exp(weight - weight.max())
-        made: FloatArray = weight / weight.sum()
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Effects of the best hypothesis, sorted."""
+        return tuple(sorted(form.effect for form in self.fitted.forms))
+
+    def inclusion(self) -> dict[str, float]:
+        """Return the probability of each effect being at work."""
+        made: dict[str, float] = {}
+        for model, p in zip(self.models, self.probabilities, strict=True):
+            for name in model:
+                made[name] = made.get(name, 0.0) + float(p)
         return made
 
 
-def _marginal(columns: FloatArray, y: FloatArray) -> float:
-    """Return the log evidence of y under I + X X^T, both times a factor that is hardly known."""
-    nuisance = Nuisance.of(columns)
-    square = nuisance.scalar(y[:, None], y[:, None])[0, 0]
-    return float(log_marginal(square, nuisance.log_det, len(y)))
-
-
-UNKNOWN_SCALES: Final = (0.3, 0.7, 1.5, 3.0, 7.0, 15.0, 40.0, 120.0)
-
-
-def effect_scale(sizes: FloatArray, form: Form) -> float:
-    """Return the prior scale of a form in typical sizes: its fitted size, from a tenth to what is plausible at most."""
-    size = float(np.sqrt(np.mean(sizes**2))) if len(sizes) else 1.0
-    most = max([3.0, *(p.largest / p.typical for p in form.parameters)])
-    return float(np.clip(size, 0.1, most))
-
-
-def wrong_sign(form: Form, sizes: FloatArray) -> bool:
-    """Return whether a parameter that can only have one sign came out with the other."""
-    return any(p.sign * size < 0 for p, size in zip(form.parameters, sizes, strict=True))
-
-
-#: what choosing the prior's scale by the fitted size costs, in nats
-SCALE_COST: Final = float(np.log(4.0))
-
-
-def evaluate(
-    fitted: Fitted, nominal: Path, noise: Noise, settings: Settings, *, unknown: bool = False
-) -> tuple[float, float]:
-    """Return the log evidence of a fitted hypothesis without and with a rest of unknown cause.
-
-    The second is minus infinity unless `unknown` asks for it.
-    """
-    bench = WhitenedSystem(fitted.path, nominal, noise)
-    y = bench.gap + bench.calibration @ (fitted.calibration / CALIBRATION_SD)
-    columns = [bench.calibration]
-    cost = 0.0
-    for form, theta in zip(fitted.forms, fitted.theta, strict=True):
-        signature = bench.columns(form)
-        sizes = theta / form.typical
-        contribution = signature @ sizes
-        y = y + contribution
-        columns += [signature * effect_scale(sizes, form), settings.tolerance * bench.by_condition(contribution)]
-        # half of the prior lies on the sign that a parameter cannot have
-        cost += SCALE_COST - np.log(2.0) * sum(p.sign != 0 for p in form.parameters)
-    base = np.concatenate(columns, axis=1)
-    plain = _marginal(base, y) - cost
-    if not unknown:
-        return plain, -np.inf
-    return plain, _unknown_evidence(bench, base, y) - cost
-
-
-def _unknown_evidence(bench: WhitenedSystem, base: FloatArray, y: FloatArray) -> float:
-    """Return the evidence with offsets by condition added, averaged over their kind and scale."""
-    found = []
-    nuisance = Nuisance.of(base)
-    square = nuisance.scalar(y[:, None], y[:, None])[0, 0]
-    for columns in bench.unknown_columns():
-        gram = nuisance.scalar(columns, columns)
-        right = nuisance.scalar(columns, y[:, None])[:, 0]
-        eigen, vectors = np.linalg.eigh(gram)
-        turned = (vectors.T @ right) ** 2
-        eigen = np.maximum(eigen, 0.0)
-        for scale in UNKNOWN_SCALES:
-            variance = scale**2
-            left = square - (turned * variance / (1.0 + variance * eigen)).sum()
-            found.append(float(log_marginal(left, nuisance.log_det + np.log1p(variance * eigen).sum(), len(y))))
-    if not found:
-        # nothing was driven twice, nothing varied: an unknown cause could not be told from noise
-        return -np.inf
-    top = max(found)
-    return float(top + np.log(np.mean(np.exp(np.array(found) - top))))
-
-
 def search(
-    nominal: Path, noise: Noise, base: Fitted, effects: Sequence[Effect], settings: Settings | None = None
+    nominal: Path,
+    noise: Noise,
+    base: Fitted,
+    effects: Sequence[Effect],
+    settings: Settings | None = None,
+    start: Search | None = None,
 ) -> Search:
     """Search the library.
 
@@ -215,176 +150,279 @@ def search(
         The library; the calibration's own three are left to the recalibration.
     settings : Settings, optional
         What is taken for granted.
-
-    Returns
-    -------
-    Search
+    start : Search, optional
+        Where to begin, beside another floor; the recalibration alone by default.
     """
     settings = settings or Settings()
-    s = nominal.s
-    forms = {e.id: e.forms(s) for e in effects if not e.calibration}
-    forms = {name: made for name, made in forms.items() if made}
-    bench = WhitenedSystem(base.path, nominal, noise)
-    start = Nuisance.of(bench.calibration)
-    ranking, signal = _screen(bench, start, forms, ())
-    hypotheses: dict[tuple[str, ...], Hypothesis] = {}
-
-    def add(chosen: tuple[Form, ...], begin: Fitted) -> Fitted:
-        fitted = fit(nominal, noise, chosen, start=begin) if chosen else base
-        if any(wrong_sign(form, theta) for form, theta in zip(fitted.forms, fitted.theta, strict=True)):
-            return fitted
-        key = _key(chosen)
-        value, _ = evaluate(fitted, nominal, noise, settings)
-        prior = float(sum(np.log(settings.prior_effect / f.tries) for f in chosen))
-        made = Hypothesis(key, False, fitted, settings.temper * value, prior)
-        have = hypotheses.get(key)
-        if have is None or made.log_weight > have.log_weight:
-            hypotheses[key] = made
-        return fitted
-
-    add((), base)
-    singles = _best(ranking, settings.singles)
-    fitted_singles = [(chosen, add(chosen, base)) for chosen in singles]
-    fitted_singles = [item for item in fitted_singles if _key(item[0]) in hypotheses]
-    fitted_singles.sort(key=lambda item: -hypotheses[_key(item[0])].log_weight)
-    pairs = _extend(fitted_singles[: settings.extended], nominal, noise, forms, settings, settings.pairs)
-    pairs += _blind_pairs(bench, start, forms, ranking, settings, base)
-    fitted_pairs = [(chosen, add(chosen, begin)) for chosen, begin in _distinct(pairs, hypotheses)]
-    fitted_pairs = [item for item in fitted_pairs if _key(item[0]) in hypotheses]
-    fitted_pairs.sort(key=lambda item: -hypotheses[_key(item[0])].log_weight)
-    triples = _extend(fitted_pairs[:3], nominal, noise, forms, settings, settings.triples)
-    for chosen, begin in _distinct(triples, hypotheses):
-        add(chosen, begin)
-    ordered = sorted(hypotheses.values(), key=lambda h: -h.log_weight)
-    # a rest of unknown cause is weighed beside the best of them, and beside a mere recalibration
-    beside = ordered[: settings.beside_unknown]
-    beside += [h for h in ordered[settings.beside_unknown :] if not h.effects]
-    for h in beside:
-        value = evaluate(h.fitted, nominal, noise, settings, unknown=True)[1]
-        prior = h.log_prior + float(np.log(settings.prior_unknown))
-        ordered.append(Hypothesis(h.effects, True, h.fitted, settings.temper * value, prior))
-    ordered.sort(key=lambda h: -h.log_weight)
-    return Search(tuple(ordered), base, nominal, noise, forms, signal)
+    if start is None:
+        forms = {e.id: e.forms(nominal.s) for e in effects if not e.calibration}
+        forms = {name: made for name, made in forms.items() if made}
+    else:
+        forms = start.forms
+    every = [form for made in forms.values() for form in made]
+    nothing = _Room(base, nominal, noise, every, settings).nothing()
+    room, fitted = _settle(base if start is None else start.fitted, nominal, noise, every, settings)
+    if room.weighting().scale > _SMALL_REST:
+        # several causes together may leave little where each alone leaves a large rest: begin once without one
+        other, other_fitted = _settle(base, nominal, noise, every, settings, most=_SMALL_REST)
+        if other.evidence() > room.evidence() - _PREFERRED:
+            room, fitted = other, other_fitted
+    models, weight = room.posterior()
+    total = np.exp(weight - weight.max())
+    total /= total.sum()
+    by_set: dict[tuple[str, ...], float] = {}
+    for column, model in enumerate(models):
+        key = tuple(sorted(room.columns.forms[f].effect for f in model))
+        by_set[key] = by_set.get(key, 0.0) + float(total[:, column].sum())
+    order = sorted(by_set, key=lambda key: -by_set[key])
+    return Search(
+        fitted=fitted,
+        base=base,
+        system=room.system,
+        forms=forms,
+        models=tuple(order),
+        probabilities=np.array([by_set[key] for key in order]),
+        rivals=room.rivals(models, total.sum(axis=0)),
+        rest=float(total[1:].sum()),
+        weighting=room.weighting(),
+        nothing=nothing,
+    )
 
 
-def _key(chosen: Sequence[Form]) -> tuple[str, ...]:
-    return tuple(sorted(form.effect for form in chosen))
-
-
-Ranking = list[tuple[float, tuple[Form, ...]]]
-
-
-def _screen(
-    bench: WhitenedSystem, nuisance: Nuisance, forms: dict[str, list[Form]], held: tuple[str, ...]
-) -> tuple[Ranking, dict[str, float]]:
-    """Rank all forms by their evidence beside a nuisance, best first, and say each effect's projected signal."""
-    ranking: Ranking = []
-    signal: dict[str, float] = {}
-    gap = project(nuisance, bench.gap[:, None])[:, 0]
-    for name, made in forms.items():
-        if name in held:
-            continue
-        for form in made:
-            columns = project(nuisance, bench.columns(form))
-            gram, right = columns.T @ columns, columns.T @ gap
-            sizes = ridge_solve(gram, right, 1e-2)
-            if wrong_sign(form, sizes):
-                continue
-            scale = effect_scale(sizes, form)
-            value = float(log_evidence(gram, right, np.full(len(gram), scale**2)))
-            ranking.append((value - SCALE_COST - np.log(form.tries), (form,)))
-            signal[name] = max(signal.get(name, 0.0), float(np.sqrt(max(float(sizes @ gram @ sizes), 0.0))))
-    ranking.sort(key=lambda item: -item[0])
-    return ranking, signal
-
-
-def _best(ranking: Ranking, count: int) -> list[tuple[Form, ...]]:
-    """Return the best form of each of the `count` best effects."""
-    seen: dict[str, tuple[Form, ...]] = {}
-    for _, chosen in ranking:
-        seen.setdefault(chosen[0].effect, chosen)
-        if len(seen) == count:
-            break
-    return list(seen.values())
-
-
-def _extend(
-    fitted: Sequence[tuple[tuple[Form, ...], Fitted]],
+def _settle(
+    fitted: Fitted,
     nominal: Path,
     noise: Noise,
-    forms: dict[str, list[Form]],
+    every: Sequence[Form],
     settings: Settings,
-    count: int,
-) -> list[tuple[float, tuple[Form, ...], Fitted]]:
-    """Rank what could be added to fitted hypotheses, each about its own re-simulated path."""
-    found: list[tuple[float, tuple[Form, ...], Fitted]] = []
-    for chosen, begin in fitted:
-        bench = WhitenedSystem(begin.path, nominal, noise)
-        columns = [bench.calibration]
-        for form, theta in zip(begin.forms, begin.theta, strict=True):
-            signature = bench.columns(form)
-            sizes = theta / form.typical
-            columns += [3.0 * signature, settings.tolerance * bench.by_condition(signature @ sizes)]
-        nuisance = Nuisance.of(np.concatenate(columns, axis=1))
-        ranking, _ = _screen(bench, nuisance, forms, tuple(f.effect for f in chosen))
-        base = -0.5 * nuisance.scalar(bench.gap[:, None], bench.gap[:, None])[0, 0] - 0.5 * nuisance.log_det
-        names: set[str] = set()
-        for value, extra in ranking:
-            if extra[0].effect in names:
-                continue
-            names.add(extra[0].effect)
-            found.append((base + value, chosen + extra, begin))
-            if len(names) == count:
+    most: float = np.inf,
+) -> tuple[_Room, Fitted]:
+    """Linearise, search and fit until settled; `most` is the largest scale of the rest while searching."""
+    for number in range(_PASSES):
+        room = _Room(fitted, nominal, noise, every, settings)
+        # two hypotheses that are as good must not take turns for ever: the last passes keep the set
+        if number < _PASSES - 2:
+            room.most = most
+            room.climb()
+            room.most = np.inf
+        before, fitted = fitted, room.fitted()
+        if _step(before, fitted) < _SETTLED:
+            break
+    return room, fitted
+
+
+class _Room:
+    """One linearisation: the forms kept, the hypothesis at hand, and the sums under what its effects may deviate by."""
+
+    def __init__(self, fitted: Fitted, nominal: Path, noise: Noise, every: Sequence[Form], settings: Settings) -> None:
+        self.settings, self.most = settings, np.inf
+        whole = LinearSystem(fitted, nominal, noise, every)
+        held = [next(k for k, form in enumerate(every) if form is own) for own in fitted.forms]
+        sizes = [theta / form.typical for form, theta in zip(fitted.forms, fitted.theta, strict=True)]
+        kept = self._worth_offering(whole, held, sizes)
+        self.system = whole.only(kept)
+        self.columns = Columns.from_forms(self.system.forms, settings.prior_effect)
+        self.current: Model = tuple(range(len(held)))
+        self.sizes = dict(enumerate(sizes))
+        self.sums = self._summed()
+        self.offered = list(range(len(kept)))
+
+    def _worth_offering(self, whole: LinearSystem, held: list[int], sizes: list[FloatArray]) -> list[int]:
+        """Return the forms at hand, then of each effect the best few beside them."""
+        columns = Columns.from_forms(whole.forms, self.settings.prior_effect)
+        deviations = self._deviations(whole, dict(zip(held, sizes, strict=True)))
+        sums = whole.sums(
+            whole.columns,
+            whole.calibration,
+            deviations,
+            prior_rest=self.settings.prior_rest,
+            scales=_RANKED_BY,
+            interactions=False,
+        )
+        models = []
+        for number, form in enumerate(whole.forms):
+            others = tuple(k for k in held if whole.forms[k].effect != form.effect)
+            models.append((*others, number))
+        value = _total(log_weights(sums, columns, models, self.settings.temper))
+        kept, count = list(held), dict[str, int]()
+        for number in np.argsort(-value, kind="stable"):
+            name = whole.forms[int(number)].effect
+            if int(number) not in held and count.get(name, 0) < _FORMS:
+                count[name] = count.get(name, 0) + 1
+                kept.append(int(number))
+        return kept
+
+    def _deviations(self, system: LinearSystem, sizes: Mapping[int, FloatArray]) -> FloatArray:
+        """Return by what each condition may deviate from the forms at hand, shape (n_rows, n_forms)."""
+        deviations = [self.settings.tolerance * (system.of(k) @ size) for k, size in sizes.items()]
+        return np.stack(deviations, axis=1) if deviations else np.zeros((len(system.gap), 0))
+
+    def _summed(self) -> Sums:
+        at_hand = {k: self.sizes[k] for k in self.current}
+        return self.system.sums(
+            self.system.columns,
+            self.system.calibration,
+            self._deviations(self.system, at_hand),
+            prior_rest=self.settings.prior_rest,
+        )
+
+    def forms_of(self, model: Model) -> tuple[Form, ...]:
+        """Return the forms of a model."""
+        return tuple(self.columns.forms[k] for k in model)
+
+    def weigh(self, models: Sequence[Model], sums: Sums | None = None) -> FloatArray:
+        """Return the log weights of models, shape (n_scales, n_models)."""
+        return log_weights(sums or self.sums, self.columns, models, self.settings.temper)
+
+    def active(self) -> Sums:
+        """Return the sums at the scales that matter for the hypothesis at hand."""
+        weight = self.weigh([self.current])[:, 0]
+        common = np.array([kind.is_interaction for kind in self.system.kinds] + [False])[self.sums.kind]
+        matters = (~common & (self.sums.scale != _FINEST)) | (weight > weight.max() - _ACTIVE_NATS)
+        return self.sums.pick(matters & (self.sums.scale <= self.most))
+
+    def evidence(self) -> float:
+        """Return the log weight of the hypothesis at hand, all scales of the rest together."""
+        return float(_total(self.weigh([self.current]))[0])
+
+    def weighting(self) -> Weighting:
+        """Return the most probable rest beside the hypothesis at hand."""
+        best = int(np.argmax(self.weigh([self.current])[:, 0]))
+        deviations = self._deviations(self.system, {k: self.sizes[k] for k in self.current})
+        return Weighting.from_rest(self.system, int(self.sums.kind[best]), float(self.sums.scale[best]), deviations)
+
+    def fitted(self) -> Fitted:
+        """Return the hypothesis at hand, fitted beside the most probable scale of the rest, re-simulated."""
+        system, model = self.system, self.current
+        forms = self.forms_of(model)
+        columns = np.concatenate([system.calibration, *(system.of(k) for k in model)], axis=1)
+        sizes, covariance = self.weighting().solve(columns, prior_precision(columns.shape[1]))
+        units = np.concatenate([CALIBRATION_SD, *(form.typical for form in forms)])
+        calibration = np.where(system.path.s.usable[:, 4:].any() | (np.arange(4) < 3), sizes[:4], 0.0) * CALIBRATION_SD
+        cuts = np.cumsum([4, *(len(form.parameters) for form in forms)])
+        theta = tuple(
+            sizes[first:last] * form.typical for first, last, form in zip(cuts[:-1], cuts[1:], forms, strict=True)
+        )
+        path = hypothesis_path(system.path.s, calibration, forms, theta, system.path)
+        left = residuals(path, system.nominal)
+        white = rows(path, system.noise, left[:, :, None])[:, 0]
+        return Fitted(
+            forms=forms,
+            theta=theta,
+            calibration=calibration,
+            covariance=covariance * np.outer(units, units),
+            path=path,
+            chi_square=float(white @ white),
+            left=left,
+        )
+
+    def neighbours(self, model: Model) -> list[Model]:
+        """Return the models one effect more, one less or one exchanged away, this one first."""
+        name = {k: self.columns.forms[k].effect for k in (*self.offered, *model)}
+        held = {name[k] for k in model}
+        made = [model]
+        made += [tuple(j for j in model if j != k) for k in model]
+        fresh = [k for k in self.offered if name[k] not in held]
+        if len(model) < self.settings.most_effects:
+            made += [(*model, k) for k in fresh]
+        for own in model:
+            rest = tuple(j for j in model if j != own)
+            made += [(*rest, k) for k in self.offered if k != own and (name[k] not in held or name[k] == name[own])]
+        return made
+
+    def _pairs(self) -> list[Model]:
+        """Return pairs of effects by their best forms, which neither shows alone."""
+        best: dict[str, int] = {}
+        for k in self.offered:
+            best.setdefault(self.columns.forms[k].effect, k)
+        numbers = [k for k in best.values() if len(self.columns.forms[k].parameters) <= 4]
+        return [(a, b) for i, a in enumerate(numbers) for b in numbers[i + 1 :]]
+
+    def climb(self) -> Model:
+        """Move to the best neighbour until none is better; return the model reached.
+
+        A move has to pay beside what the effects before it may deviate by, and beside what those after it may: else two
+        hypotheses would take turns.
+        """
+        refused: set[frozenset[int]] = set()
+        for _ in range(_MOVES):
+            models = self.neighbours(self.current)
+            if not self.current:
+                models += self._pairs()
+            models = [self.current, *(m for m in models[1:] if frozenset(m) not in refused)]
+            value = _total(self.weigh(models, self.active()))
+            best = int(np.argmax(value))
+            if best == 0 or value[best] < value[0] + 1e-6:
                 break
-    found.sort(key=lambda item: -item[0])
-    return found[: 2 * count]
+            before = self.current, dict(self.sizes), self.sums
+            self._move(models[best])
+            value = _total(self.weigh([self.current, before[0]], self.active()))
+            if value[0] <= value[1]:
+                refused.add(frozenset(self.current))
+                self.current, self.sizes, self.sums = before
+        return self.current
+
+    def _move(self, model: Model) -> None:
+        """Take a model as the one at hand, new effects at the sizes that suit it."""
+        active = self.active()
+        weight = self.weigh([model], active)[:, 0]
+        share = np.exp(weight - weight.max())
+        sizes = model_sizes(active, self.columns, model, share / share.sum())
+        cuts = np.cumsum([0, *(len(self.columns.forms[k].parameters) for k in model)])
+        for k, first, last in zip(model, cuts[:-1], cuts[1:], strict=True):
+            if k not in self.current:
+                self.sizes[k] = sizes[first:last]
+        self.current = model
+        self.sums = self._summed()
+
+    def posterior(self) -> tuple[list[Model], FloatArray]:
+        """Return the models about the best ones, and their log weights (n_scales, n_models)."""
+        models = dict.fromkeys(tuple(sorted(m)) for m in self.neighbours(self.current))
+        self.current = tuple(sorted(self.current))
+        listed = list(models)
+        value = _total(self.weigh(listed, self.active()))
+        for place in np.argsort(-value)[1:_CENTRES]:
+            models.update(dict.fromkeys(tuple(sorted(m)) for m in self.neighbours(listed[int(place)])))
+        if () not in models:
+            models[()] = None
+        listed = list(models)
+        return listed, self.weigh(listed)
+
+    def rivals(self, models: Sequence[Model], probability: FloatArray) -> tuple[tuple[Model, float], ...]:
+        """Return the best models beside the one at hand, each with its probability over that one's."""
+        own = float(probability[models.index(self.current)])
+        held = {self.columns.forms[k].effect for k in self.current}
+        others = [
+            (models[int(n)], float(probability[n]) / max(own, 1e-12))
+            for n in np.argsort(-probability)
+            if {self.columns.forms[k].effect for k in models[int(n)]} != held
+        ]
+        return tuple(one for one in others[:_RIVALS] if one[1] > _LEAST_RIVAL)
+
+    def nothing(self) -> float:
+        """Return the probability that there is neither an effect nor a rest."""
+        models = self.neighbours(()) + self._pairs()
+        weight = self.weigh(models)
+        total = np.exp(weight - weight.max())
+        return float(total[0, 0] / total.sum())
 
 
-def _blind_pairs(
-    bench: WhitenedSystem,
-    nuisance: Nuisance,
-    forms: dict[str, list[Form]],
-    ranking: Ranking,
-    settings: Settings,
-    base: Fitted,
-) -> list[tuple[float, tuple[Form, ...], Fitted]]:
-    """Rank all pairs of effects (each by its best forms) about the recalibrated path, found by neither alone."""
-    best = [chosen[0] for chosen in _best(ranking, len(forms))]
-    kept = [form for form in best if len(form.parameters) <= 4]
-    gap = project(nuisance, bench.gap[:, None])[:, 0]
-    columns = [project(nuisance, bench.columns(form)) for form in kept]
-    cuts = np.cumsum([0, *(c.shape[1] for c in columns)])
-    whole = np.concatenate(columns, axis=1) if columns else np.zeros((len(gap), 0))
-    gram, right = whole.T @ whole, whole.T @ gap
-    width = 8
-    pairs = [(a, b) for a in range(len(kept)) for b in range(a + 1, len(kept))]
-    if not pairs:
-        return []
-    index = np.full((len(pairs), width), -1)
-    for number, (a, b) in enumerate(pairs):
-        both = np.concatenate([np.arange(cuts[a], cuts[a + 1]), np.arange(cuts[b], cuts[b + 1])])
-        index[number, : len(both)] = both
-    there = index >= 0
-    small = gram[index[:, :, None], index[:, None, :]] * (there[:, :, None] & there[:, None, :])
-    small = small + np.eye(width) * np.where(there, 0.0, 1.0)[:, None, :]
-    rhs = right[index] * there
-    sizes = ridge_solve(small, rhs, 1e-2)
-    variance = np.where(there, np.clip(sizes**2, 0.01, 100.0), 1e-12)
-    value = log_evidence(small, rhs, variance)
-    order = np.argsort(-value)[: settings.pairs]
-    chosen = [pairs[int(number)] for number in order]
-    return [(float(value[n]), (kept[a], kept[b]), base) for n, (a, b) in zip(order, chosen, strict=True)]
+def _step(before: Fitted, after: Fitted) -> float:
+    """Return the largest change in standard uncertainties; infinite where the forms differ."""
+    if [id(form) for form in before.forms] != [id(form) for form in after.forms]:
+        return np.inf
+    change = np.concatenate(
+        [
+            after.calibration - before.calibration,
+            *(new - old for new, old in zip(after.theta, before.theta, strict=True)),
+        ]
+    )
+    return float(np.abs(change / np.sqrt(np.diag(after.covariance))).max())
 
 
-def _distinct(
-    found: list[tuple[float, tuple[Form, ...], Fitted]], have: dict[tuple[str, ...], Hypothesis]
-) -> list[tuple[tuple[Form, ...], Fitted]]:
-    """Leave out hypotheses that were fitted already or that are listed twice."""
-    seen = set(have)
-    made = []
-    for _, chosen, begin in found:
-        key = _key(chosen)
-        if key not in seen:
-            seen.add(key)
-            made.append((chosen, begin))
-    return made
+def _total(weight: FloatArray) -> FloatArray:
+    """Return the log of the weights summed over the scales of the rest, shape (n_models,)."""
+    top = weight.max(axis=0)
+    top = np.where(np.isfinite(top), top, 0.0)
+    with np.errstate(divide="ignore"):
+        return np.asarray(top + np.log(np.exp(weight - top).sum(axis=0)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -12,18 +13,15 @@ from calib.arrays import FloatArray
 from calib.gap.effects.calibration import NAMES
 from calib.gap.effects.effect import Form
 from calib.gap.evidence.determined import said_of_undetermined, undetermined
-from calib.gap.evidence.marginal import Nuisance, rows
-from calib.gap.evidence.sizes import size_spreads
-from calib.gap.predict.residuals import residuals
+from calib.gap.evidence.marginal import Nuisance
 from calib.gap.verdict.evidence import Evidence
+from calib.gap.verdict.rest import explained_share
 from calib.gap.verdict.result import Cause, Quantity
 
 __all__ = ["causes_of"]
 
-#: a cause that shows by less than this share of the strongest one may be that one's deviation from its assumed form
-WEAK: Final = 0.4
-#: by what its probability is cut
-WEAKENED: Final = 0.6
+#: probabilities nearer than this order nothing: the signal does
+ALIKE: Final = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,7 +35,9 @@ class _Sized:
     signal: float
 
 
-def causes_of(evidence: Evidence, probabilities: Mapping[str, float]) -> list[Cause]:
+def causes_of(
+    evidence: Evidence, probabilities: Mapping[str, float], forms_open: Mapping[str, tuple[str, ...]]
+) -> list[Cause]:
     """Return the causes of the best hypothesis and of the recalibration, most probable first.
 
     Parameters
@@ -46,44 +46,36 @@ def causes_of(evidence: Evidence, probabilities: Mapping[str, float]) -> list[Ca
         What was measured.
     probabilities : mapping of str to float
         Of each effect, from `calib.gap.verdict.odds.effect_probabilities`.
+    forms_open : mapping of str to tuple of str
+        For each named effect, others of its family that these runs cannot tell it from.
     """
     from scipy.special import stdtrit
 
-    system, fitted = evidence.system, evidence.best.fitted
+    system, fitted = evidence.system, evidence.fitted
     coverage = float(stdtrit(max(evidence.noise.dof, 3.0), 0.975))
     free = max(len(system.gap) - len(fitted.parameters) - 4, 1)
-    inflation = float(np.sqrt(max(1.0, fitted.chi_square / free)))
+    # beside a rest the spread has what is left in it already
+    inflation = 1.0 if evidence.search.weighting.name else float(np.sqrt(max(1.0, fitted.chi_square / free)))
     causes = [
         _cause(evidence, sized, inflation, coverage, probabilities.get(sized.form.effect, 0.0))
         for sized in _sized(evidence)
     ]
-    strongest = max((cause.signal for cause in causes), default=0.0)
     # what the named causes explain together is divided by their squares
-    explained, total = _explained(evidence), max(sum(cause.share for cause in causes), 1e-12)
+    explained, total = explained_share(evidence), max(sum(cause.share for cause in causes), 1e-12)
     causes = [
-        replace(
-            cause,
-            probability=cause.probability * (WEAKENED if cause.signal < WEAK * strongest else 1.0),
-            share=explained * cause.share / total,
-        )
+        replace(cause, share=explained * cause.share / total, forms_open=forms_open.get(cause.effect, ()))
         for cause in causes
     ]
-    return sorted(causes, key=lambda cause: (-round(cause.probability, 2), -cause.signal))
-
-
-def _explained(evidence: Evidence) -> float:
-    """Return the share of the gap beyond its floor that the best hypothesis explains, 0 to 1."""
-    nominal, chi_square = evidence.nominal, evidence.best.fitted.chi_square
-    before = rows(nominal, evidence.noise, residuals(nominal, nominal)[:, :, None])[:, 0]
-    excess = max(float(before @ before) - len(before), 1.0)
-    return float(np.clip(1.0 - max(chi_square - len(before), 0.0) / excess, 0.0, 1.0))
+    return sorted(causes, key=lambda cause: (-round(cause.probability / ALIKE), -cause.signal))
 
 
 def _sized(evidence: Evidence) -> list[_Sized]:
     """Return the forms of the named effects, calibration parameters last."""
-    system, fitted, recalibration = evidence.system, evidence.best.fitted, evidence.recalibration
+    system, fitted, recalibration = evidence.system, evidence.fitted, evidence.recalibration
     nuisance = Nuisance.of(system.calibration)
-    spreads = size_spreads(system, fitted, evidence.settings.tolerance)
+    cuts = np.cumsum([4, *(len(theta) for theta in fitted.theta)])
+    deviation = np.sqrt(np.diag(fitted.covariance))
+    spreads = [deviation[first:last] for first, last in pairwise(cuts)]
     sized = []
     for form, theta, sd in zip(fitted.forms, fitted.theta, spreads, strict=True):
         whitened = evidence.contribution(form, theta)
@@ -133,7 +125,7 @@ def _cause(evidence: Evidence, sized: _Sized, inflation: float, coverage: float,
 
 def _scaled_covariance(evidence: Evidence, sized: _Sized) -> FloatArray:
     """Return the covariance of a form's parameters: correlated as in the fit, as uncertain as stated."""
-    fitted, first = evidence.best.fitted, 4
+    fitted, first = evidence.fitted, 4
     for form in fitted.forms:
         last = first + len(form.parameters)
         if form is sized.form:

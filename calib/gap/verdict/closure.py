@@ -7,20 +7,25 @@ from typing import Final
 
 import numpy as np
 
-from calib.arrays import FloatArray, IntArray
+from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.gap.data.channels import N_CHANNELS, POSE, Channel
 from calib.gap.data.observations import Observations
-from calib.gap.evidence.fit import Fitted, fit
+from calib.gap.evidence.fit import Fitted
+from calib.gap.evidence.left_out import LeftOut
 from calib.gap.evidence.marginal import rows
 from calib.gap.evidence.noise import Noise
 from calib.gap.predict.path import Path
 from calib.gap.predict.residuals import residuals
 from calib.gap.verdict.result import Closure
 
-__all__ = ["HeldOut", "closure_of", "folds", "measure_closure"]
+__all__ = ["HeldOut", "closure_of", "end_rms_m", "folds", "measure_closure"]
 
 BOOTSTRAPS: Final = 400
 MAX_FOLDS: Final = 6
+#: sessions are left out whole where there are so many
+FEWEST_SESSIONS: Final = 3
+#: fewer conditions cannot foretell one another
+FEWEST_CONDITIONS: Final = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,11 +60,17 @@ class HeldOut:
 
 def folds(observations: Observations, *, sessions: bool = True) -> tuple[IntArray, str]:
     """Return the number of the fold that each unit is left out in, shape (n_units,), and what the folds are."""
+    number = np.arange(len(observations))
     labels, session = np.unique(observations.labels["session"], return_inverse=True)
-    if sessions and len(labels) >= 3:
+    if sessions and len(labels) >= FEWEST_SESSIONS:
         return np.asarray(session % 8), "session"
+    if sessions:
+        # in the order driven: neighbours in time are left out together, as sessions are
+        return number * MAX_FOLDS // len(observations), "run"
     names, condition = np.unique(observations.condition, return_inverse=True)
-    return np.asarray(condition % min(MAX_FOLDS, len(names))), "condition"
+    if len(names) >= FEWEST_CONDITIONS:
+        return np.asarray(condition % min(MAX_FOLDS, len(names))), "condition"
+    return number % MAX_FOLDS, "run"
 
 
 def measure_closure(
@@ -70,6 +81,7 @@ def measure_closure(
     *,
     sessions: bool = True,
     floor_factor: float = 1.0,
+    left_out: LeftOut | None = None,
 ) -> HeldOut:
     """Fit on the other folds, predict the one left out, and compare with the model alone.
 
@@ -87,22 +99,21 @@ def measure_closure(
         Leave sessions out where there are three or more; else conditions.
     floor_factor : float
         By which the floor's variance is larger than `noise` says, where what the fit leaves is held to be noise.
+    left_out : LeftOut, optional
+        What leaves runs out of the fit; by default beside no rest.
 
     Returns
     -------
     HeldOut
     """
     observations = nominal.s
-    fold, left_out = folds(observations, sessions=sessions)
+    fold, by = folds(observations, sessions=sessions)
+    left_out = left_out or LeftOut(fitted, nominal, noise)
     before = residuals(nominal, nominal)
     after = np.zeros_like(before)
     for number in np.unique(fold):
         out = fold == number
-        if out.all():
-            after[out] = fitted.left[out]
-            continue
-        trained = fit(nominal, noise, fitted.forms, use=~out, start=fitted, steps=2)
-        after[out] = trained.left[out]
+        after[out] = left_out.after(out)[out]
     usable = observations.usable
     white = rows(nominal, noise, np.stack([before, after], axis=2))
     unit = np.repeat(np.arange(len(observations))[:, None], N_CHANNELS, axis=1)[usable]
@@ -127,7 +138,7 @@ def measure_closure(
         if on.any():
             scaled = np.stack([before[on, channel], after[on, channel]], axis=1) / floor[on, channel, None]
             by_channel[channel] = _fraction(scaled**2, np.ones(int(on.sum())))
-    return HeldOut(before, after, np.where(usable, floor, 0.0), fraction, ci95, by_channel, left_out)
+    return HeldOut(before, after, np.where(usable, floor, 0.0), fraction, ci95, by_channel, by)
 
 
 def _fraction(squares: FloatArray, dims: FloatArray) -> float | None:
@@ -149,22 +160,34 @@ def closure_of(held_out: HeldOut, observations: Observations) -> Closure:
     observations : Observations
         The same units.
     """
-    on = observations.usable
-    pose = on[:, POSE].all(axis=1)
-
-    def rms(values: FloatArray) -> float | None:
-        if pose.any():
-            return float(np.sqrt(np.mean((values[pose][:, POSE] ** 2).sum(axis=1))))
-        if on[:, Channel.DISTANCE].any():
-            return float(np.sqrt(np.mean(values[on[:, Channel.DISTANCE], Channel.DISTANCE] ** 2)))
-        return None
-
+    everything = np.ones(len(observations), dtype=bool)
     return Closure(
-        before_rms_m=rms(held_out.before),
-        after_rms_m=rms(held_out.after),
-        floor_rms_m=rms(held_out.floor),
+        before_rms_m=end_rms_m(held_out.before, observations, everything),
+        after_rms_m=end_rms_m(held_out.after, observations, everything),
+        floor_rms_m=end_rms_m(held_out.floor, observations, everything),
         fraction=held_out.fraction,
         ci95=held_out.ci95,
         held_out=held_out.left_out,
         by_channel=dict(held_out.by_channel),
     )
+
+
+def end_rms_m(values: FloatArray, observations: Observations, units: BoolArray) -> float | None:
+    """Return the root mean square of end positions, else of distances, of some units; None where neither was measured.
+
+    Parameters
+    ----------
+    values : array of float, shape (n_units, n_channels)
+        Residuals, or a floor.
+    observations : Observations
+        The same units.
+    units : array of bool, shape (n_units,)
+        Which of them.
+    """
+    on = observations.usable & units[:, None]
+    pose = on[:, POSE].all(axis=1)
+    if pose.any():
+        return float(np.sqrt(np.mean((values[pose][:, POSE] ** 2).sum(axis=1))))
+    if on[:, Channel.DISTANCE].any():
+        return float(np.sqrt(np.mean(values[on[:, Channel.DISTANCE], Channel.DISTANCE] ** 2)))
+    return None

@@ -6,27 +6,35 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
+from calib.gap.verdict.agreement import agreement_m
+from calib.gap.verdict.calibrated import calibrated
 from calib.gap.verdict.causes import causes_of
 from calib.gap.verdict.closure import closure_of
 from calib.gap.verdict.evidence import Evidence
 from calib.gap.verdict.gross import gross_cause
 from calib.gap.verdict.groups import groups_of
-from calib.gap.verdict.odds import credible_sets, effect_probabilities, gap_probability, imitation, rest_left
+from calib.gap.verdict.odds import credible_sets, effect_probabilities, gap_probability
+from calib.gap.verdict.rest import rest_of
 from calib.gap.verdict.result import SURE, Cause, Closure, Fix, Group, NoiseSummary, Verdict, VerdictKind
 from calib.gap.verdict.sentence import sentence
+from calib.gap.verdict.transfer import Trial
 
 __all__ = ["Balance", "decide", "kind_of", "recommended"]
 
 #: a gap is said to exist where the probability that anything is off reaches this
-DETECTION: Final = 0.7
-#: an unknown cause alone is called one where its probability reaches this
-UNKNOWN: Final = 0.85
+DETECTION: Final = 0.6
 #: closure on held-out runs below which a fix is not recommended, and an explanation not believed
 CLOSES: Final = 0.7
 #: closure below which nothing is explained, not even in part
 HELPS: Final = 0.3
-#: named causes that imitate one outside the library with this probability do not explain the gap
-IMITATES: Final = 0.5
+#: closure from which on a gap counts as explained; below, a rest is left
+EXPLAINS: Final = 0.9
+#: a rest that carries a larger share is part of the verdict
+SMALL_REST: Final = 0.05
+#: a rest without any named cause is called one where it is so probable
+UNKNOWN: Final = 0.85
+#: corrections nearer than this many floors are alike
+ALIKE: Final = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,64 +45,88 @@ class Balance:
     ----------
     gap : float
         Probability that anything is off.
-    unknown : float
-        Probability of a cause outside the library.
-    n_effects, n_calibration : int
+    n_named : int
         Effects and calibration parameters that would be named.
-    rest : bool
-        Whether the best hypothesis has a rest of unknown cause.
+    unknown : float
+        Probability of a rest.
+    rest : float or None
+        Share of the gap that a rest carries; None where no rest is probable.
     denied : bool
         Whether a calibration parameter is off that the library was denied.
     tied : bool
-        Whether a named effect has one that these runs cannot tell it from.
+        Whether a named effect has one of another family that these runs cannot tell it from.
     fraction : float or None
         Closure on runs left out.
     ci95 : tuple of float or None
         Its interval.
+    carries : bool
+        Whether the correction closes the gap on whatever was left out.
+    supported : bool
+        Whether the runs support a floor at all.
     """
 
     gap: float
-    unknown: float
-    n_effects: int
-    n_calibration: int = 0
-    rest: bool = False
+    n_named: int
+    unknown: float = 0.0
+    rest: float | None = None
     denied: bool = False
     tied: bool = False
     fraction: float | None = None
     ci95: tuple[float, float] | None = None
+    carries: bool = True
+    supported: bool = True
 
 
 def kind_of(balance: Balance) -> VerdictKind:
     """Return which verdict it is."""
+    if not balance.supported:
+        return VerdictKind.UNDECIDED
     if balance.gap < DETECTION:
         return VerdictKind.NO_GAP
-    if balance.n_effects + balance.n_calibration == 0:
-        sure = balance.denied or balance.unknown >= UNKNOWN
-        return VerdictKind.UNKNOWN if sure else VerdictKind.NO_GAP
-    rest = balance.rest or balance.denied
+    rest = balance.rest is not None or balance.denied
+    if balance.n_named == 0:
+        return VerdictKind.UNKNOWN if balance.denied or balance.unknown >= UNKNOWN else VerdictKind.NO_GAP
     if rest and (balance.fraction is None or balance.fraction < HELPS):
         return VerdictKind.UNKNOWN
     if balance.ci95 is not None and balance.ci95[1] < CLOSES:
         return VerdictKind.PARTLY_EXPLAINED if balance.ci95[0] > HELPS else VerdictKind.UNKNOWN
-    imitated = imitation(balance.n_effects, balance.n_calibration) >= IMITATES
-    if rest or imitated or rest_left(balance.fraction):
+    left = balance.fraction is not None and balance.fraction < EXPLAINS
+    if left or balance.denied or not balance.carries or (balance.rest is not None and balance.rest > SMALL_REST):
         return VerdictKind.PARTLY_EXPLAINED
     return VerdictKind.AMBIGUOUS if balance.tied else VerdictKind.EXPLAINED
 
 
-def recommended(kind: VerdictKind, causes: Sequence[Cause], closure: Closure) -> bool:
-    """Return whether the fix is for a gap whose cause is known, and holds on runs left out.
+def recommended(
+    causes: Sequence[Cause],
+    certain: Sequence[float],
+    closure: Closure,
+    trials: Sequence[Trial] = (),
+    agreement: float | None = None,
+) -> bool:
+    """Return whether the fix helps on runs left out, and everywhere it is tried.
 
-    Where a rest is left, the rest may be what the fix imitates.
+    Parameters
+    ----------
+    causes : sequence of Cause
+        What is named.
+    certain : sequence of float
+        Of each, the probability that it or one that stands in for it is at work.
+    closure : Closure
+        On runs left out.
+    trials : sequence of Trial
+        Kinds, speeds, loads, directions and sessions left out in turn.
+    agreement : float or None
+        How far the corrections of causes that cannot be told apart differ, in metres; None where nothing is tied.
     """
-    return (
-        kind is VerdictKind.EXPLAINED
-        and all(cause.probability >= SURE for cause in causes)
-        and closure.fraction is not None
-        and closure.fraction >= CLOSES
-        and closure.ci95 is not None
-        and closure.ci95[0] > 0.5 * CLOSES
-    )
+    if not causes or any(p < SURE for p in certain):
+        return False
+    if closure.fraction is None or closure.fraction < CLOSES or closure.ci95 is None:
+        return False
+    if closure.ci95[0] <= 0.5 * CLOSES or any(trial.harms for trial in trials):
+        return False
+    if agreement is not None and agreement > ALIKE * (closure.floor_rms_m or 0.0):
+        return False
+    return not any(trial.fails for trial in trials)
 
 
 def decide(evidence: Evidence) -> Verdict:
@@ -105,11 +137,24 @@ def decide(evidence: Evidence) -> Verdict:
     evidence : Evidence
         What the stages before have measured.
     """
-    groups = groups_of(evidence)
-    kind = kind_of(_balance(evidence, groups)) if evidence.noise.supported else VerdictKind.UNDECIDED
+    alike = groups_of(evidence)
+    groups, forms_open = _by_family(evidence, alike)
+    rest = rest_of(evidence)
+    kind = kind_of(_balance(evidence, groups, None if rest is None else rest.share))
     nothing_named = kind in {VerdictKind.NO_GAP, VerdictKind.UNKNOWN, VerdictKind.UNDECIDED}
-    probabilities = effect_probabilities(evidence, groups)
-    causes = [] if nothing_named else causes_of(evidence, probabilities)
+    raw = effect_probabilities(evidence, alike)
+    probabilities = {name: p if name == "unknown" else calibrated(p) for name, p in raw.items()}
+    causes = [] if nothing_named else causes_of(evidence, probabilities, forms_open)
+    tied = [] if nothing_named else [group for group in groups if len(group) > 1]
+    closure = closure_of(evidence.held_out, evidence.observations)
+    agreement = agreement_m(evidence, tied)
+    certain = [_certain(cause.effect, raw, alike) for cause in causes]
+    fix = Fix(
+        recommended=kind is not VerdictKind.UNDECIDED
+        and recommended(causes, certain, closure, evidence.trials, agreement),
+        agreement_m=agreement,
+        transfer=() if nothing_named else tuple(trial.transfer for trial in evidence.trials),
+    )
     if evidence.fault is not None:
         # where the rest is no gap or unknown, the fault alone is named
         causes = [gross_cause(evidence.fault), *causes]
@@ -118,17 +163,17 @@ def decide(evidence: Evidence) -> Verdict:
             VerdictKind.UNKNOWN: VerdictKind.PARTLY_EXPLAINED,
             VerdictKind.UNDECIDED: VerdictKind.PARTLY_EXPLAINED,
         }.get(kind, kind)
-    closure = closure_of(evidence.held_out, evidence.observations)
     verdict = Verdict(
         kind=kind,
         sentence="",
         causes=tuple(causes),
-        credible_sets=credible_sets(evidence, () if nothing_named else groups),
-        groups=() if nothing_named else tuple(Group(tuple(group)) for group in groups if len(group) > 1),
+        credible_sets=credible_sets(evidence, () if nothing_named else alike),
+        groups=tuple(Group(tuple(group)) for group in tied),
         undetectable=evidence.undetectable,
         where=evidence.where,
         closure=closure,
-        fix=Fix(recommended=recommended(kind, causes, closure)),
+        rest=None if kind is VerdictKind.NO_GAP else rest,
+        fix=fix,
         notes=(*evidence.observations.notes, *evidence.notes),
         noise=NoiseSummary.about(evidence.noise),
         probabilities=probabilities,
@@ -139,15 +184,40 @@ def decide(evidence: Evidence) -> Verdict:
     return replace(verdict, sentence=sentence(verdict))
 
 
-def _balance(evidence: Evidence, groups: Sequence[Sequence[str]]) -> Balance:
+def _by_family(
+    evidence: Evidence, alike: Sequence[Sequence[str]]
+) -> tuple[list[list[str]], dict[str, tuple[str, ...]]]:
+    """Return the groups without what is of the named effect's own family, and those forms that are open by effect."""
+    groups, forms_open = [], {}
+    for group in alike:
+        named = [name for name in group if name in evidence.named]
+        families = {evidence.effects[name].family for name in named}
+        own = tuple(n for n in group if n not in named and evidence.effects[n].family in families)
+        groups.append([name for name in group if name not in own])
+        for name in named:
+            forms_open[name] = own
+    return groups, forms_open
+
+
+def _certain(effect: str, raw: dict[str, float], alike: Sequence[Sequence[str]]) -> float:
+    """Return the probability that an effect or one that stands in for it is at work."""
+    names = {effect}
+    for group in alike:
+        if effect in group:
+            names |= set(group)
+    return min(1.0, sum(raw.get(name, 0.0) for name in names))
+
+
+def _balance(evidence: Evidence, groups: Sequence[Sequence[str]], rest: float | None) -> Balance:
     return Balance(
         gap=gap_probability(evidence),
-        unknown=evidence.probability(lambda hypothesis: hypothesis.unknown),
-        n_effects=len(evidence.best.effects),
-        n_calibration=len(evidence.calibration),
-        rest=evidence.best.unknown,
+        n_named=len(evidence.named),
+        unknown=evidence.search.rest,
+        rest=rest,
         denied=evidence.denied,
         tied=any(len(group) > 1 for group in groups),
         fraction=evidence.held_out.fraction,
         ci95=evidence.held_out.ci95,
+        carries=not any(trial.fails for trial in evidence.trials),
+        supported=bool(getattr(evidence.noise, "supported", True)),
     )

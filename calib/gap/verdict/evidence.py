@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -13,14 +13,16 @@ from calib.gap.data.observations import Observations
 from calib.gap.effects.calibration import DIRECTIONS, NAMES
 from calib.gap.effects.effect import Effect, Form
 from calib.gap.effects.encoder_gross import GrossFault
+from calib.gap.evidence.fit import Fitted
 from calib.gap.evidence.marginal import CALIBRATION_SD
 from calib.gap.evidence.noise import Noise
 from calib.gap.evidence.recalibration import Recalibration
-from calib.gap.evidence.search import Hypothesis, Search, Settings
+from calib.gap.evidence.search import Search, Settings
 from calib.gap.evidence.whitened import WhitenedSystem
 from calib.gap.predict.path import Path
 from calib.gap.verdict.closure import HeldOut
 from calib.gap.verdict.result import BY_MODEL, Detectable
+from calib.gap.verdict.transfer import Trial
 from calib.gap.where.result import Where
 
 __all__ = ["Evidence"]
@@ -43,11 +45,13 @@ class Evidence:
     effects : mapping of str to Effect
         The library, by id.
     search : Search
-        All hypotheses tried, best first.
+        Sets of effects and their probabilities.
     recalibration : Recalibration
         Which calibration parameters are off beside the best hypothesis' effects.
     held_out : HeldOut
         The gap before and after on runs left out, for the best hypothesis.
+    trials : tuple of Trial
+        What the correction does on kinds, speeds, loads, directions and sessions left out in turn.
     where : Where
         Where the gap lies.
     undetectable : tuple of Detectable
@@ -70,6 +74,7 @@ class Evidence:
     search: Search
     recalibration: Recalibration
     held_out: HeldOut
+    trials: tuple[Trial, ...] = ()
     where: Where = field(default_factory=Where)
     undetectable: tuple[Detectable, ...] = ()
     fault: GrossFault | None = None
@@ -83,15 +88,9 @@ class Evidence:
         return self.nominal.s
 
     @property
-    def best(self) -> Hypothesis:
-        """The hypothesis with the largest weight."""
-        return self.search.hypotheses[0]
-
-    @cached_property
-    def probabilities(self) -> FloatArray:
-        """Posterior probability of each hypothesis, shape (n_hypotheses,)."""
-        weights: FloatArray = self.search.probabilities()
-        return weights
+    def fitted(self) -> Fitted:
+        """The best hypothesis, a recalibration free beside it."""
+        return self.search.fitted
 
     @cached_property
     def calibration(self) -> tuple[str, ...]:
@@ -106,23 +105,18 @@ class Evidence:
     @property
     def named(self) -> tuple[str, ...]:
         """Effects of the best hypothesis, and calibration parameters that are off."""
-        return (*self.best.effects, *self.calibration)
+        return (*self.search.effects, *self.calibration)
 
     @cached_property
     def system(self) -> WhitenedSystem:
         """The whitened system about the best hypothesis' path."""
-        return WhitenedSystem(self.best.fitted.path, self.nominal, self.noise)
+        return WhitenedSystem(self.fitted.path, self.nominal, self.noise)
 
     @cached_property
     def per_unit(self) -> FloatArray:
         """What a relative change of each calibration parameter does, whitened, shape (n_rows, 4)."""
         columns: FloatArray = self.system.calibration / CALIBRATION_SD
         return columns
-
-    def probability(self, holds: Callable[[Hypothesis], bool]) -> float:
-        """Return the probability of the hypotheses for which something holds."""
-        pairs = zip(self.search.hypotheses, self.probabilities, strict=True)
-        return float(sum(probability for hypothesis, probability in pairs if holds(hypothesis)))
 
     def contribution(self, form: Form, theta: FloatArray) -> FloatArray:
         """Return what a form does at a size (n_parameters,), whitened, shape (n_rows,)."""

@@ -24,7 +24,7 @@ CALIBRATION_FREE: Final = 0.03
 def groups_of(evidence: Evidence) -> list[list[str]]:
     """Return, for each named effect, the group that these runs cannot tell it from (itself first)."""
     groups = _groups_of_effects(evidence)
-    fitted, system, calibration = evidence.best.fitted, evidence.system, evidence.calibration
+    fitted, system, calibration = evidence.fitted, evidence.system, evidence.calibration
     beside = [system.calibration[:, 3:], *(OTHERS_FREE * system.columns(form) for form in fitted.forms)]
     if len(calibration) > 1:
         # one cause may look like two calibration parameters off at once (counts lost on one wheel)
@@ -45,13 +45,14 @@ def groups_of(evidence: Evidence) -> list[list[str]]:
                 others.append(way * (CALIBRATION_FREE if other in calibration else unseen))
         nuisance = Nuisance.of(np.concatenate([*beside, *others], axis=1))
         near = aliases_of(system, nuisance, evidence.calibration_contribution([name]), offered, evidence.named)
-        groups.append([name, *sorted(near, key=lambda alias: near[alias])])
+        instead = [alias for alias in evidence.recalibration.instead.get(name, ()) if alias not in near]
+        groups.append([name, *sorted(near, key=lambda alias: near[alias]), *instead])
     return groups
 
 
 def _groups_of_effects(evidence: Evidence) -> list[list[str]]:
     """Return the group of each effect of the best hypothesis."""
-    fitted, system = evidence.best.fitted, evidence.system
+    fitted, system = evidence.fitted, evidence.system
     groups = []
     for form, theta in zip(fitted.forms, fitted.theta, strict=True):
         rest = [system.calibration]
@@ -67,12 +68,15 @@ def _groups_of_effects(evidence: Evidence) -> list[list[str]]:
 
 def _as_likely(evidence: Evidence, effect: str) -> list[str]:
     """Return the effects that, put in the place of one of the best hypothesis, are nearly as likely."""
-    best = evidence.best
-    rest = tuple(name for name in best.effects if name != effect)
+    best, search = evidence.search.effects, evidence.search
+    probability = dict(zip(search.models, search.probabilities, strict=True))
+    others = {name for name in best if name != effect}
+    least = probability.get(best, 0.0) * np.exp(-LIKELY_NATS)
     alike = []
-    for hypothesis in evidence.search.hypotheses:
-        if hypothesis.unknown == best.unknown and hypothesis.log_weight > best.log_weight - LIKELY_NATS:
-            instead = [name for name in hypothesis.effects if name not in rest]
-            if len(hypothesis.effects) == len(best.effects) and len(instead) == 1 and instead[0] != effect:
-                alike += instead
+    for model, p in probability.items():
+        instead = set(model) - others
+        # two effects that are as likely at work together do not stand in for one another
+        together = probability.get(tuple(sorted({*best, *instead})), 0.0)
+        if p > max(least, together) and len(model) == len(best) and others <= set(model) and effect not in model:
+            alike += list(instead)
     return alike

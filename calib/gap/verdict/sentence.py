@@ -39,14 +39,21 @@ def _sentence(verdict: Verdict) -> str:
     titles = {cause.effect: cause.title for cause in verdict.causes}
     if verdict.kind is VerdictKind.PARTLY_EXPLAINED:
         return (
-            f"The gap is partly explained by {_listed(verdict.causes)}{_alternatives(verdict, titles)}; a rest of "
-            f"unknown cause remains{_depends(verdict.where.rest)}{_shrinks(verdict)}."
+            f"The gap is partly explained by {_listed(verdict.causes)}{_alternatives(verdict, titles)}; "
+            f"{_left(verdict)}{_shrinks(verdict)}."
         )
     if verdict.kind is VerdictKind.AMBIGUOUS:
         words = _ambiguous(verdict, titles)
     else:
         words = f"The gap is explained by {_listed(verdict.causes)}"
     return f"{words}{_shrinks(verdict)}.{_hidden(verdict)}{_implausible(verdict)}"
+
+
+def _left(verdict: Verdict) -> str:
+    """Return what the named causes leave."""
+    if verdict.rest is None:
+        return "they do not carry over to all runs left out"
+    return f"a rest of unknown cause remains{_depends(verdict.where.rest)}"
 
 
 def advice(verdict: Verdict) -> str:

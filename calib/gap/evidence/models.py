@@ -1,0 +1,167 @@
+"""The evidence of many hypotheses at once: sets of forms, weighed by scalar products alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from calib.arrays import FloatArray, IntArray
+from calib.gap.effects.effect import Form
+from calib.gap.evidence.marginal import log_marginal, ridge_solve
+from calib.gap.evidence.system import Sums
+
+__all__ = ["Columns", "log_weights", "model_sizes"]
+
+#: what choosing the prior's scale by the fitted size costs, in nats
+SCALE_COST: Final = float(np.log(4.0))
+#: hypotheses weighed at a time
+_BATCH: Final = 400
+#: classes of width, in columns
+_WIDTHS: Final = (0, 1, 2, 3, 4, 6, 8, 12, 20)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Columns:
+    """What the weighing has to know of each form and column.
+
+    Parameters
+    ----------
+    forms : tuple of Form
+        Forms on offer.
+    cuts : array of int, shape (n_forms + 1,)
+        Columns of form f stand at ``cuts[f]:cuts[f + 1]``.
+    most : array of float, shape (p,)
+        Largest prior scale of each column, in typical sizes.
+    sign : array of int, shape (p,)
+        1 where only positive sizes have a meaning, else 0.
+    log_prior : array of float, shape (n_forms,)
+        Of each form being at work, the search over forms and scales paid for.
+    """
+
+    forms: tuple[Form, ...]
+    cuts: IntArray
+    most: FloatArray
+    sign: IntArray
+    log_prior: FloatArray
+
+    @staticmethod
+    def from_forms(forms: Sequence[Form], prior: float) -> Columns:
+        """Make it of forms, each with a prior probability of its effect."""
+        sizes = [len(form.parameters) for form in forms]
+        most = [max([3.0, *(p.largest / p.typical for p in form.parameters)]) for form in forms]
+        sign = [p.sign for form in forms for p in form.parameters]
+        # half of the prior lies on the sign that a parameter cannot have
+        log_prior = [
+            np.log(prior / form.tries) - SCALE_COST + np.log(2.0) * sum(p.sign != 0 for p in form.parameters)
+            for form in forms
+        ]
+        return Columns(
+            tuple(forms),
+            np.cumsum([0, *sizes]),
+            np.repeat(most, sizes) if forms else np.zeros(0),
+            np.array(sign, dtype=np.int64),
+            np.array(log_prior),
+        )
+
+    def index(self, models: Sequence[tuple[int, ...]]) -> tuple[IntArray, IntArray]:
+        """Return the columns of each model and the form of each, both (n_models, width), -1 where there is none."""
+        width = max((int(sum(self.cuts[f + 1] - self.cuts[f] for f in model)) for model in models), default=0)
+        columns = np.full((len(models), width), -1)
+        owner = np.full((len(models), width), -1)
+        for row, model in enumerate(models):
+            at = 0
+            for form in model:
+                count = int(self.cuts[form + 1] - self.cuts[form])
+                columns[row, at : at + count] = np.arange(self.cuts[form], self.cuts[form + 1])
+                owner[row, at : at + count] = form
+                at += count
+        return columns, owner
+
+
+def log_weights(sums: Sums, columns: Columns, models: Sequence[tuple[int, ...]], temper: float) -> FloatArray:
+    """Return log evidence plus log prior of each model at each scale of the rest, shape (n_scales, n_models).
+
+    Minus infinity where a parameter that can only have one sign comes out with the other.
+    """
+    value = np.full((len(sums.square), len(models)), -np.inf)
+    widths = np.array([int(sum(columns.cuts[f + 1] - columns.cuts[f] for f in model)) for model in models])
+    # models of like width together: padding a narrow one to the widest would cost the cube of it
+    group = np.searchsorted(_WIDTHS, widths)
+    for number in np.unique(group):
+        places = np.flatnonzero(group == number)
+        for first in range(0, len(places), _BATCH):
+            some = places[first : first + _BATCH]
+            value[:, some] = _batch(sums, columns, [models[k] for k in some], temper)
+    return value
+
+
+def _batch(sums: Sums, columns: Columns, models: Sequence[tuple[int, ...]], temper: float) -> FloatArray:
+    index, owner = columns.index(models)
+    prior = np.array([columns.log_prior[list(model)].sum() for model in models])
+    base = sums.log_prior[:, None] + prior[None, :]
+    if index.shape[1] == 0:
+        empty: FloatArray = base + temper * log_marginal(sums.square, sums.log_det, sums.n_rows)[:, None]
+        return empty
+    there = index >= 0
+    gram = sums.gram[:, index[:, :, None], index[:, None, :]] * (there[:, :, None] & there[:, None, :])
+    gram = gram + np.eye(index.shape[1]) * np.where(there, 0.0, 1.0)[:, None, :]
+    right = sums.right[:, index] * there
+    sizes = ridge_solve(gram, right, 1e-2)
+    variance = np.where(there, prior_scale(sizes, owner, columns.most[index]) ** 2, 1e-12)
+    bayes, gain = log_evidence_parts(gram, right, variance)
+    square = np.maximum(sums.square[:, None] - gain, 1e-9)
+    value = temper * log_marginal(square, sums.log_det[:, None] + bayes, sums.n_rows)
+    wrong = ((columns.sign[index] * sizes < 0) & there).any(axis=2)
+    return np.where(wrong, -np.inf, base + value)
+
+
+def prior_scale(sizes: FloatArray, owner: IntArray, most: FloatArray) -> FloatArray:
+    """Return the prior scale of each column: its form's root mean square size, from a tenth to what is plausible."""
+    alike = (owner[:, :, None] == owner[:, None, :]).astype(np.float64)
+    alike /= alike.sum(axis=2, keepdims=True)
+    mean_square = np.einsum("mab,...mb->...ma", alike, sizes**2)
+    return np.asarray(np.clip(np.sqrt(mean_square), 0.1, most))
+
+
+def effect_scale(sizes: FloatArray, form: Form) -> float:
+    """Return the prior scale of a form in typical sizes: its fitted size, from a tenth to what is plausible at most."""
+    size = float(np.sqrt(np.mean(sizes**2))) if len(sizes) else 1.0
+    most = max([3.0, *(p.largest / p.typical for p in form.parameters)])
+    return float(np.clip(size, 0.1, most))
+
+
+def log_evidence_parts(gram: FloatArray, right: FloatArray, variance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return log |I + S G| and g^T (S^-1 + G)^-1 g, each shape (...)."""
+    root = np.sqrt(variance)
+    inner = root[..., :, None] * gram * root[..., None, :] + np.eye(gram.shape[-1])
+    size = np.sqrt(np.diagonal(inner, axis1=-2, axis2=-1))
+    lower = np.linalg.cholesky(inner / (size[..., :, None] * size[..., None, :]) + 1e-11 * np.eye(gram.shape[-1]))
+    solved = np.linalg.solve(lower, (root * right / size)[..., None])[..., 0]
+    log_det = 2 * (np.log(np.diagonal(lower, axis1=-2, axis2=-1)) + np.log(size)).sum(axis=-1)
+    return log_det, (solved**2).sum(axis=-1)
+
+
+def model_sizes(sums: Sums, columns: Columns, model: tuple[int, ...], weight: FloatArray) -> FloatArray:
+    """Return the sizes of a model's columns in typical sizes, averaged over the scales of the rest, shape (k,).
+
+    Parameters
+    ----------
+    sums : Sums
+        Scalar products.
+    columns : Columns
+        Of the forms.
+    model : tuple of int
+        Its forms.
+    weight : array of float, shape (n_scales,)
+        Probability of each scale.
+    """
+    if not model:
+        return np.zeros(0)
+    index, _ = columns.index([model])
+    place = index[0]
+    gram = sums.gram[:, place[:, None], place[None, :]]
+    sizes: FloatArray = np.einsum("s,sk->k", weight, ridge_solve(gram, sums.right[:, place], 1e-2))
+    return sizes

@@ -1,0 +1,155 @@
+"""The rest: what no named cause explains, as random effects beside every hypothesis.
+
+y = C beta + sum_k S_k theta_k + R + noise. R is an offset of each channel, or of the calibration, that each condition
+(or each cell of it) has of its own, or a trend on the surroundings that no effect describes; its scale is averaged over
+a grid that includes nought.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from calib.arrays import BoolArray, FloatArray, IntArray
+from calib.gap.data.observations import Observations
+from calib.gap.evidence.marginal import CALIBRATION_SD, rows
+from calib.gap.evidence.noise import Noise, interactions, surroundings
+from calib.gap.predict.path import Path
+
+__all__ = ["REST_SCALES", "Blocks", "RestKind", "blocks_of", "rest_kinds"]
+
+INTERACTION: Final = "interaction"
+#: offsets of fewer conditions than this are no sample of a rest: a recalibration and an effect make them as well
+FEWEST_CELLS: Final = 4
+#: standard deviation of the rest, in floors of one unit
+REST_SCALES: Final = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Blocks:
+    """The rows of the whitened system, ordered so that a condition's rows stand together.
+
+    Parameters
+    ----------
+    order : array of int, shape (n_rows,)
+        Place of each ordered row among the usable (unit, channel) rows.
+    starts : array of int, shape (n_blocks + 1,)
+        Rows of block b stand at ``starts[b]:starts[b + 1]``.
+    unit, channel : array of int, shape (n_rows,)
+        Of each ordered row.
+    """
+
+    order: IntArray
+    starts: IntArray
+    unit: IntArray
+    channel: IntArray
+
+    def __len__(self) -> int:
+        return len(self.starts) - 1
+
+    def slices(self) -> list[slice]:
+        """Return the rows of each block."""
+        return [slice(int(a), int(b)) for a, b in zip(self.starts[:-1], self.starts[1:], strict=True)]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RestKind:
+    """One kind of rest.
+
+    Parameters
+    ----------
+    name : str
+        What varies, and from where to where.
+    by_block : tuple of array, each shape (n_rows of the block, q_b), or None
+        Whitened columns that each block has of its own, scaled to about the floor of one unit.
+    common : array of float, shape (n_rows, q), or None
+        Whitened columns common to all blocks.
+    """
+
+    name: str
+    by_block: tuple[FloatArray, ...] | None = None
+    common: FloatArray | None = None
+
+    @property
+    def is_interaction(self) -> bool:
+        """Whether it is a trend under other loads, speeds or turns, which is looked for last."""
+        return self.name == INTERACTION
+
+
+def blocks_of(s: Observations) -> Blocks:
+    """Return the rows of a campaign by condition."""
+    usable = s.usable
+    unit = np.repeat(np.arange(len(s))[:, None], usable.shape[1], axis=1)[usable]
+    channel = np.repeat(np.arange(usable.shape[1])[None, :], len(s), axis=0)[usable]
+    condition = s.condition[unit]
+    order = np.argsort(condition, kind="stable")
+    _, first = np.unique(condition[order], return_index=True)
+    return Blocks(order, np.append(first, len(order)), unit[order], channel[order])
+
+
+def rest_kinds(path: Path, noise: Noise, blocks: Blocks) -> list[RestKind]:
+    """Return the kinds of rest that these runs could show.
+
+    What was driven once has no offset of its own: that would be noise by another name.
+
+    Parameters
+    ----------
+    path : Path
+        Where to linearise.
+    noise : Noise
+        Covariance of each unit.
+    blocks : Blocks
+        Order of the rows.
+    """
+    s = path.s
+    n_channels = s.usable.shape[1]
+    calibration = rows(path, noise, path.calibration * CALIBRATION_SD)[:, :3]
+    norm = np.sqrt((calibration**2).sum(axis=0) / max(len(s), 1))
+    present = np.flatnonzero(s.usable.any(axis=0))
+    wide = np.zeros((len(s), n_channels, len(present)))
+    wide[:, present, np.arange(len(present))] = noise.floor[:, present]
+    own = (calibration / np.maximum(norm, 1e-12))[blocks.order]
+    white = rows(path, noise, wide)[blocks.order]
+    offsets = {
+        "calibration": own,
+        "radii": own[:, :2],
+        "track": own[:, 2:],
+        "channels": white,
+        "heading": white[:, present == 3],
+        "position": white[:, present < 3],
+    }
+    kinds = []
+    for grouping, cells in (("condition", s.condition), ("cell", s.cell)):
+        repeated = np.bincount(cells)[cells] > 1
+        if len(np.unique(cells[repeated])) < FEWEST_CELLS or (
+            grouping == "cell" and np.array_equal(_ranks(s.cell), _ranks(s.condition))
+        ):
+            continue
+        for name, columns in offsets.items():
+            if not columns.any() or (grouping == "cell" and name not in ("calibration", "channels")):
+                continue
+            parts = tuple(
+                _spread(columns[rows_b], cells[blocks.unit[rows_b]], repeated[blocks.unit[rows_b]])
+                for rows_b in blocks.slices()
+            )
+            kinds.append(RestKind(f"{name} by {grouping}", by_block=parts))
+    for number, trend in enumerate((surroundings(path), *interactions(path))):
+        if trend.shape[2]:
+            white = rows(path, noise, trend)[blocks.order]
+            scaled = white / np.maximum(np.sqrt((white**2).mean(axis=0)), 1e-12)
+            kinds.append(RestKind("surroundings" if number == 0 else INTERACTION, common=scaled))
+    return kinds
+
+
+def _ranks(labels: IntArray) -> IntArray:
+    return np.unique(labels, return_inverse=True)[1]
+
+
+def _spread(columns: FloatArray, cells: IntArray, repeated: BoolArray) -> FloatArray:
+    """Give each repeated cell columns of its own, shape (n_rows, n_cells * k)."""
+    labels, index = np.unique(cells[repeated], return_inverse=True)
+    made = np.zeros((len(columns), len(labels), columns.shape[1]))
+    made[np.flatnonzero(repeated), index] = columns[repeated]
+    return made.reshape(len(columns), -1)

@@ -1,0 +1,239 @@
+"""The whitened linear system about one path, and its sums under every scale of the rest.
+
+After the signatures a hypothesis needs only scalar products of columns. They are sums over conditions, so a rest that
+each condition has of its own is taken out condition by condition.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.arrays import BoolArray, FloatArray, IntArray
+from calib.gap.effects.effect import Form
+from calib.gap.evidence.fit import Fitted
+from calib.gap.evidence.marginal import CALIBRATION_SD, form_columns, rows
+from calib.gap.evidence.noise import Noise
+from calib.gap.evidence.rest import REST_SCALES, Blocks, RestKind, blocks_of, rest_kinds
+from calib.gap.predict.path import Path
+from calib.gap.predict.residuals import residuals
+
+__all__ = ["LinearSystem", "Sums"]
+
+#: prior odds that something is left that no named cause explains
+PRIOR_REST = 0.15
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sums:
+    """Scalar products of columns and of the gap, one set for each scale of the rest; nuisances taken out.
+
+    Parameters
+    ----------
+    gram : array of float, shape (n_scales, p, p)
+        Of the columns.
+    right : array of float, shape (n_scales, p)
+        Of the columns with the gap.
+    square : array of float, shape (n_scales,)
+        Of the gap with itself.
+    log_det : array of float, shape (n_scales,)
+        Of the covariance, nuisances included.
+    log_prior : array of float, shape (n_scales,)
+        Of the scale; the first is no rest at all.
+    kind : array of int, shape (n_scales,)
+        Number of the rest's kind among the system's; -1 where there is none.
+    scale : array of float, shape (n_scales,)
+        Standard deviation of the rest, in floors of one unit.
+    n_rows : int
+        Length of the gap.
+    """
+
+    gram: FloatArray
+    right: FloatArray
+    square: FloatArray
+    log_det: FloatArray
+    log_prior: FloatArray
+    kind: IntArray
+    scale: FloatArray
+    n_rows: int
+
+    def pick(self, scales: BoolArray) -> Sums:
+        """Return some scales only."""
+        return Sums(
+            self.gram[scales],
+            self.right[scales],
+            self.square[scales],
+            self.log_det[scales],
+            self.log_prior[scales],
+            self.kind[scales],
+            self.scale[scales],
+            self.n_rows,
+        )
+
+
+class LinearSystem:
+    """Gap, recalibration and signatures of forms about one path, whitened, ordered by condition.
+
+    Parameters
+    ----------
+    fitted : Fitted
+        The hypothesis about whose path all is linear.
+    nominal : Path
+        The model alone.
+    noise : Noise
+        Covariance of each unit.
+    forms : sequence of Form
+        Forms to offer; those of `fitted` must be among them.
+    """
+
+    def __init__(self, fitted: Fitted, nominal: Path, noise: Noise, forms: Sequence[Form]) -> None:
+        path = fitted.path
+        self.path, self.nominal, self.noise, self.fitted = path, nominal, noise, fitted
+        self.forms = tuple(forms)
+        self.blocks: Blocks = blocks_of(path.s)
+        order = self.blocks.order
+        self.calibration = rows(path, noise, path.calibration * CALIBRATION_SD)[order]
+        parts = [rows(path, noise, form_columns(path, form))[order] for form in self.forms]
+        self.cuts = np.cumsum([0, *(part.shape[1] for part in parts)])
+        self.columns = np.concatenate(parts, axis=1) if parts else np.zeros((len(order), 0))
+        gap = rows(path, noise, residuals(path, nominal)[:, :, None])[order, 0]
+        self.left = gap
+        gap = gap + self.calibration @ (fitted.calibration / CALIBRATION_SD)
+        for form, theta in zip(fitted.forms, fitted.theta, strict=True):
+            number = next(k for k, offered in enumerate(self.forms) if offered is form)
+            gap = gap + self.of(number) @ (theta / form.typical)
+        self.gap = gap
+        self.kinds: list[RestKind] = rest_kinds(path, noise, self.blocks)
+
+    def only(self, numbers: Sequence[int]) -> LinearSystem:
+        """Return the system with some of its forms, in the order given."""
+        made = copy(self)
+        made.forms = tuple(self.forms[k] for k in numbers)
+        parts = [self.of(k) for k in numbers]
+        made.cuts = np.cumsum([0, *(part.shape[1] for part in parts)])
+        made.columns = np.concatenate(parts, axis=1) if parts else np.zeros((len(self.gap), 0))
+        return made
+
+    def of(self, number: int) -> FloatArray:
+        """Return the columns of a form, shape (n_rows, n_parameters)."""
+        return self.columns[:, self.cuts[number] : self.cuts[number + 1]]
+
+    def place(self, number: int) -> range:
+        """Return the columns' numbers of a form."""
+        return range(int(self.cuts[number]), int(self.cuts[number + 1]))
+
+    def sums(
+        self,
+        columns: FloatArray,
+        nuisance: FloatArray,
+        deviations: FloatArray,
+        *,
+        prior_rest: float = PRIOR_REST,
+        scales: Sequence[float] = REST_SCALES,
+        interactions: bool = True,
+    ) -> Sums:
+        """Return scalar products of columns and gap under each scale of the rest.
+
+        Parameters
+        ----------
+        columns : array of float, shape (n_rows, p)
+            Whitened columns of hypotheses.
+        nuisance : array of float, shape (n_rows, m)
+            Columns that are free beside each of them, scaled to unit prior variance.
+        deviations : array of float, shape (n_rows, k)
+            What each condition may have of its own, scaled to unit prior variance: an effect's deviation from its form.
+        prior_rest : float
+            Prior odds of a rest.
+        scales : sequence of float
+            Of the rest.
+        interactions : bool
+            Weigh interactions of the surroundings too.
+        """
+        kinds = [(k, kind) for k, kind in enumerate(self.kinds) if interactions or not kind.is_interaction]
+        common = [kind.common for _, kind in kinds if kind.common is not None]
+        whole = np.concatenate([nuisance, columns, self.gap[:, None], *common], axis=1)
+        reduced = _Reduced(whole, deviations, self.blocks)
+        m, p = nuisance.shape[1], columns.shape[1] + 1
+        core = m + p
+        grams, log_dets, weights = [reduced.gram[:core, :core]], [reduced.log_det], [0.0]
+        labels = [(-1, 0.0)]
+        share = np.log(prior_rest / max(len(kinds) * len(scales), 1))
+        place = core
+        for number, kind in kinds:
+            if kind.by_block is not None:
+                eigen, turned = reduced.of_blocks(kind.by_block, core)
+            else:
+                assert kind.common is not None
+                where = slice(place, place + kind.common.shape[1])
+                place = where.stop
+                eigen, vectors = np.linalg.eigh(reduced.gram[where, where])
+                turned = vectors.T @ reduced.gram[where, :core]
+            eigen = np.maximum(eigen, 0.0)
+            for scale in scales:
+                shrink = scale**2 / (1.0 + scale**2 * eigen)
+                grams.append(grams[0] - (turned * shrink[:, None]).T @ turned)
+                log_dets.append(reduced.log_det + float(np.log1p(scale**2 * eigen).sum()))
+                weights.append(float(share))
+                labels.append((number, scale))
+        gram, log_det = np.stack(grams), np.array(log_dets)
+        # the nuisances' own scale is one: (I + N^T N) on a unit diagonal
+        inner = gram[:, :m, :m] + np.eye(m)
+        root = np.sqrt(np.diagonal(inner, axis1=1, axis2=2))
+        lower = np.linalg.cholesky(inner / (root[:, :, None] * root[:, None, :]) + 1e-11 * np.eye(m))
+        cross = np.linalg.solve(lower, gram[:, :m, m:] / root[:, :, None])
+        log_det = log_det + 2 * (np.log(np.diagonal(lower, axis1=1, axis2=2)) + np.log(root)).sum(axis=1)
+        left = gram[:, m:, m:] - cross.transpose(0, 2, 1) @ cross
+        return Sums(
+            gram=left[:, :-1, :-1],
+            right=left[:, :-1, -1],
+            square=left[:, -1, -1],
+            log_det=log_det,
+            log_prior=np.array(weights),
+            kind=np.array([number for number, _ in labels]),
+            scale=np.array([scale for _, scale in labels]),
+            n_rows=len(self.gap),
+        )
+
+
+class _Reduced:
+    """Scalar products with what each block may have of its own taken out."""
+
+    def __init__(self, whole: FloatArray, deviations: FloatArray, blocks: Blocks) -> None:
+        self.whole, self.blocks = whole, blocks
+        self.gram = whole.T @ whole
+        self.log_det = 0.0
+        self.factors: list[FloatArray] = []
+        if deviations.shape[1]:
+            taken = []
+            for rows_b in blocks.slices():
+                own = deviations[rows_b]
+                lower = np.linalg.cholesky(np.eye(own.shape[1]) + own.T @ own)
+                self.log_det += 2 * float(np.log(np.diag(lower)).sum())
+                factor = np.linalg.solve(lower, own.T)
+                self.factors.append(factor)
+                taken.append(factor @ whole[rows_b])
+            stacked = np.concatenate(taken)
+            self.gram = self.gram - stacked.T @ stacked
+
+    def of_blocks(self, parts: Sequence[FloatArray], core: int) -> tuple[FloatArray, FloatArray]:
+        """Return eigenvalues (q,) of the parts' scalar products and the turned products (q, core) with the columns."""
+        eigens, turned = [], []
+        for number, (rows_b, part) in enumerate(zip(self.blocks.slices(), parts, strict=True)):
+            if not part.shape[1]:
+                continue
+            own, cross = part.T @ part, part.T @ self.whole[rows_b, :core]
+            if self.factors:
+                factor = self.factors[number]
+                with_part = factor @ part
+                own = own - with_part.T @ with_part
+                cross = cross - with_part.T @ (factor @ self.whole[rows_b, :core])
+            eigen, vectors = np.linalg.eigh(own)
+            keep = eigen > 1e-9 * max(float(eigen[-1]), 1e-12)
+            eigens.append(eigen[keep])
+            turned.append(vectors[:, keep].T @ cross)
+        if not eigens:
+            return np.zeros(0), np.zeros((0, core))
+        return np.concatenate(eigens), np.concatenate(turned)

@@ -1,0 +1,60 @@
+"""What no named cause explains: its share of the gap, how strongly it shows, and where."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from calib.gap.data.channels import Channel
+from calib.gap.evidence.marginal import rows
+from calib.gap.predict.residuals import residuals
+from calib.gap.verdict.evidence import Evidence
+from calib.gap.verdict.result import Rest
+
+__all__ = ["explained_share", "rest_of"]
+
+#: a rest is stated where it is at least so probable
+STATED: Final = 0.5
+#: a mean residual this many standard deviations from nought says where
+SHOWS: Final = 4.0
+#: places named at most
+MOST_PLACES: Final = 3
+
+
+def explained_share(evidence: Evidence) -> float:
+    """Return the share of the gap beyond its floor that the best hypothesis explains, 0 to 1."""
+    nominal, chi_square = evidence.nominal, evidence.fitted.chi_square
+    before = rows(nominal, evidence.noise, residuals(nominal, nominal)[:, :, None])[:, 0]
+    excess = max(float(before @ before) - len(before), 1.0)
+    return float(np.clip(1.0 - max(chi_square - len(before), 0.0) / excess, 0.0, 1.0))
+
+
+def rest_of(evidence: Evidence) -> Rest | None:
+    """Return the rest beside the named causes; None where none is probable."""
+    if evidence.search.rest < STATED:
+        return None
+    n_rows = int(evidence.observations.usable.sum())
+    signal = float(np.sqrt(max(evidence.fitted.chi_square - n_rows, 0.0)))
+    share = 1.0 - explained_share(evidence)
+    return Rest(share=share, signal=signal, where=_places(evidence)) if signal > 0 else None
+
+
+def _places(evidence: Evidence) -> tuple[str, ...]:
+    """Return the kinds and channels whose mean residual stands out, and what the rest goes with."""
+    observations, left = evidence.observations, evidence.fitted.left
+    kinds = observations.labels["kind"]
+    found = []
+    for kind in np.unique(kinds):
+        for channel in Channel:
+            on = (kinds == kind) & observations.usable[:, channel]
+            if on.sum() > 1:
+                scaled = left[on, channel] / evidence.noise.floor[on, channel]
+                mean = float(scaled.mean() * np.sqrt(on.sum()))
+                found.append((abs(mean), f"kind {kind}, {channel.label}" if kind else channel.label))
+    found.sort(reverse=True)
+    places = [words for size, words in found[:MOST_PLACES] if size > SHOWS]
+    rest = evidence.where.rest
+    if rest is not None:
+        places += [line.name.replace("_", " ") for line in rest.significant[:2]]
+    return tuple(dict.fromkeys(places))
