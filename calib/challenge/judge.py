@@ -120,16 +120,10 @@ def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
     recipe = truth.recipe
     given: Mapping[str, Any] = verdict if verdict is not None else {"verdict": "missing"}
     word = str(given.get("verdict", "missing"))
-    effects = tuple(cause.effect for cause in truth.causes)
-    crowded = recipe.group == "crowded"
-    if crowded:
-        # the outside effect is there to disturb: it is the rest, and nobody can name it
-        effects = tuple(effect for effect in effects if not effect.startswith("outside:"))
+    effects = _to_be_named(truth)
     causes = [cause for cause in given.get("causes", []) if isinstance(cause, dict)]
     named = tuple(str(cause.get("effect", "")) for cause in causes)
-    groups = [set(group) for group in given.get("indistinguishable", [])]
-    # a form of the named effect's own family that stays open is said beside the cause
-    groups += [{str(cause.get("effect", "")), *cause["forms_open"]} for cause in causes if cause.get("forms_open")]
+    groups = _groups_of(given, causes)
     # an effect too near for any diagnosis to tell, and the exact aliases of the recipe
     near = {name for name, distance in truth.rivals if distance < APART} | set(recipe.aliases)
     in_library = recipe.group != "outside" and not recipe.deleted
@@ -140,8 +134,6 @@ def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
     recommended = bool(given.get("recommended", False))
     extra = given.get("challenge") or {}
     tried = extra.get("achieved") or {}
-    before, after = tried.get("before_over_floor"), tried.get("after_over_floor")
-    harmful = None if not recommended or before is None or after is None else bool(after > before)
     target = recipe.targets[0] if recipe.targets else float("nan")
     right = {
         "outside": word in _OPEN,
@@ -169,7 +161,7 @@ def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
         rival=f"{truth.rivals[0][0]} {truth.rivals[0][1]:.1f}" if truth.rivals else "",
         recommended=recommended,
         wrong_fix=recommended and bool(sure or not effects),
-        harmful=harmful,
+        harmful=_harmful(tried) if recommended else None,
         statements=tuple(
             (float(cause["probability"]), effect in effects)
             for cause, effect in zip(causes, named, strict=True)
@@ -179,14 +171,38 @@ def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
         predicted=closure.get("fraction"),
         achieved=tried.get("fraction"),
         seconds=extra.get("seconds"),
-        strong=tuple(_grouped(effect, named, groups) for effect in _strong(truth)) if crowded else (),
+        strong=tuple(_grouped(effect, named, groups) for effect in _strong(truth)),
         error=str(given.get("error", "")),
         ceiling=truth.ceiling,
     )
 
 
+def _to_be_named(truth: Truth) -> tuple[str, ...]:
+    """Return the true effects; in a crowd the outside one is there to disturb: it is the rest, and none can name it."""
+    effects = tuple(cause.effect for cause in truth.causes)
+    if truth.recipe.group != "crowded":
+        return effects
+    return tuple(effect for effect in effects if not effect.startswith("outside:"))
+
+
+def _groups_of(given: Mapping[str, Any], causes: list[dict[str, Any]]) -> list[set[str]]:
+    """Return what cannot be told apart: the groups, and the forms that each cause's own family leaves open."""
+    groups = [set(group) for group in given.get("indistinguishable", [])]
+    return groups + [
+        {str(cause.get("effect", "")), *cause["forms_open"]} for cause in causes if cause.get("forms_open")
+    ]
+
+
+def _harmful(tried: Mapping[str, Any]) -> bool | None:
+    """Return whether a fix made the fresh campaign worse; None where it was not tried."""
+    before, after = tried.get("before_over_floor"), tried.get("after_over_floor")
+    return None if before is None or after is None else bool(after > before)
+
+
 def _strong(truth: Truth) -> list[str]:
-    """Return the library's effects that show strongly, and do so beside the others too."""
+    """Return the library's effects of a crowd that show strongly, and do so beside the others too."""
+    if truth.recipe.group != "crowded":
+        return []
     return [
         cause.effect
         for cause, signal, beside in zip(truth.causes, truth.signals, truth.beside, strict=True)

@@ -34,7 +34,7 @@ def effect_probabilities(evidence: Evidence, groups: Sequence[Sequence[str]]) ->
         if name in evidence.effects:
             raw[name] = evidence.recalibration.probability(name) * kept.get(name, 1.0)
     if evidence.fault is not None:
-        raw["encoder_gross"] = 1.0
+        raw[evidence.fault.effect.id] = 1.0
     raw["unknown"] = evidence.search.rest
     ordered = sorted(raw.items(), key=lambda item: -item[1])
     return {name: value for name, value in ordered if value > LISTED or name == "unknown"}
@@ -63,7 +63,7 @@ def _most_likely_form(evidence: Evidence, name: str) -> float:
 def credible_sets(evidence: Evidence, groups: Sequence[Sequence[str]]) -> tuple[tuple[str, ...], ...]:
     """Return the most probable sets of causes that together hold 95 %, and what could stand in for the best."""
     weights: dict[tuple[str, ...], float] = {}
-    gross = () if evidence.fault is None else ("encoder_gross",)
+    gross = () if evidence.fault is None else (evidence.fault.effect.id,)
     recalibration, search = evidence.recalibration, evidence.search
     for effects, p in zip(search.models, search.probabilities, strict=True):
         for subset, q in zip(recalibration.subsets, recalibration.probabilities, strict=True):

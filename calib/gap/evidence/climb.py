@@ -1,0 +1,271 @@
+"""One linearisation of the search: moving between sets of effects that differ by one, by scalar products alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from calib.arrays import FloatArray
+from calib.gap.effects.effect import Form
+from calib.gap.evidence.fit import Fitted, hypothesis_path
+from calib.gap.evidence.marginal import CALIBRATION_SD, rows
+from calib.gap.evidence.models import Columns, log_weights, model_sizes
+from calib.gap.evidence.noise import Noise
+from calib.gap.evidence.system import LinearSystem, Sums
+from calib.gap.evidence.weighting import Weighting, prior_precision
+from calib.gap.predict.path import Path
+from calib.gap.predict.residuals import residuals
+
+__all__ = ["Climb", "Model", "Settings"]
+
+#: forms of an effect that are kept beside the best
+_FORMS: Final = 2
+#: moves of one pass
+_MOVES: Final = 24
+#: scales of the rest that are weighed while moving: those within so many nats of the best
+_ACTIVE_NATS: Final = 9.0
+#: a rest this small is left out while moving
+_FINEST: Final = 0.3
+#: scales of the rest beside which the forms of each effect are ranked
+_RANKED_BY: Final = (3.0, 10.0)
+#: models whose neighbours are weighed at the end
+_CENTRES: Final = 4
+#: other models that the recalibration is judged beside, and how probable they are at least, over the best
+_RIVALS: Final = 4
+_LEAST_RIVAL: Final = 0.05
+Model = tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What the search takes for granted; fixed on development cases, never on scored ones.
+
+    Parameters
+    ----------
+    prior_effect : float
+        Prior odds of any one effect being at work.
+    prior_rest : float
+        Prior odds of a rest that no effect of the library explains.
+    tolerance : float
+        Share by which an effect may deviate from its assumed form, a condition.
+    temper : float
+        Power of the evidence; below 1 because the noise is never quite the one assumed.
+    most_effects : int
+        Effects named at once, at most.
+    pairs : int
+        Pairs tried that neither of them shows alone.
+    """
+
+    prior_effect: float = 0.02
+    prior_rest: float = 0.15
+    tolerance: float = 0.15
+    temper: float = 0.9
+    most_effects: int = 6
+    pairs: int = 400
+
+
+class Climb:
+    """One linearisation: the forms kept, the hypothesis at hand, and the sums under what its effects may deviate by."""
+
+    def __init__(self, fitted: Fitted, nominal: Path, noise: Noise, every: Sequence[Form], settings: Settings) -> None:
+        self.settings, self.most = settings, np.inf
+        whole = LinearSystem(fitted, nominal, noise, every)
+        held = [next(k for k, form in enumerate(every) if form is own) for own in fitted.forms]
+        sizes = [theta / form.typical for form, theta in zip(fitted.forms, fitted.theta, strict=True)]
+        kept = self._worth_offering(whole, held, sizes)
+        self.system = whole.only(kept)
+        self.columns = Columns.from_forms(self.system.forms, settings.prior_effect)
+        self.current: Model = tuple(range(len(held)))
+        self.sizes = dict(enumerate(sizes))
+        self.sums = self._summed()
+        self.offered = list(range(len(kept)))
+
+    def _worth_offering(self, whole: LinearSystem, held: list[int], sizes: list[FloatArray]) -> list[int]:
+        """Return the forms at hand, then of each effect the best few beside them."""
+        columns = Columns.from_forms(whole.forms, self.settings.prior_effect)
+        deviations = self._deviations(whole, dict(zip(held, sizes, strict=True)))
+        sums = whole.sums(
+            whole.columns,
+            whole.calibration,
+            deviations,
+            prior_rest=self.settings.prior_rest,
+            scales=_RANKED_BY,
+            interactions=False,
+        )
+        models = []
+        for number, form in enumerate(whole.forms):
+            others = tuple(k for k in held if whole.forms[k].effect != form.effect)
+            models.append((*others, number))
+        value = _total(log_weights(sums, columns, models, self.settings.temper))
+        kept, count = list(held), dict[str, int]()
+        for number in np.argsort(-value, kind="stable"):
+            name = whole.forms[int(number)].effect
+            if int(number) not in held and count.get(name, 0) < _FORMS:
+                count[name] = count.get(name, 0) + 1
+                kept.append(int(number))
+        return kept
+
+    def _deviations(self, system: LinearSystem, sizes: Mapping[int, FloatArray]) -> FloatArray:
+        """Return by what each condition may deviate from the forms at hand, shape (n_rows, n_forms)."""
+        deviations = [self.settings.tolerance * (system.of(k) @ size) for k, size in sizes.items()]
+        return np.stack(deviations, axis=1) if deviations else np.zeros((len(system.gap), 0))
+
+    def _summed(self) -> Sums:
+        at_hand = {k: self.sizes[k] for k in self.current}
+        return self.system.sums(
+            self.system.columns,
+            self.system.calibration,
+            self._deviations(self.system, at_hand),
+            prior_rest=self.settings.prior_rest,
+        )
+
+    def forms_of(self, model: Model) -> tuple[Form, ...]:
+        """Return the forms of a model."""
+        return tuple(self.columns.forms[k] for k in model)
+
+    def weigh(self, models: Sequence[Model], sums: Sums | None = None) -> FloatArray:
+        """Return the log weights of models, shape (n_scales, n_models)."""
+        return log_weights(sums or self.sums, self.columns, models, self.settings.temper)
+
+    def active(self) -> Sums:
+        """Return the sums at the scales that matter for the hypothesis at hand."""
+        weight = self.weigh([self.current])[:, 0]
+        common = np.array([kind.is_interaction for kind in self.system.kinds] + [False])[self.sums.kind]
+        matters = (~common & (self.sums.scale != _FINEST)) | (weight > weight.max() - _ACTIVE_NATS)
+        return self.sums.pick(matters & (self.sums.scale <= self.most))
+
+    def evidence(self) -> float:
+        """Return the log weight of the hypothesis at hand, all scales of the rest together."""
+        return float(_total(self.weigh([self.current]))[0])
+
+    def weighting(self) -> Weighting:
+        """Return the most probable rest beside the hypothesis at hand."""
+        best = int(np.argmax(self.weigh([self.current])[:, 0]))
+        deviations = self._deviations(self.system, {k: self.sizes[k] for k in self.current})
+        return Weighting.from_rest(self.system, int(self.sums.kind[best]), float(self.sums.scale[best]), deviations)
+
+    def fitted(self) -> Fitted:
+        """Return the hypothesis at hand, fitted beside the most probable scale of the rest, re-simulated."""
+        system, model = self.system, self.current
+        forms = self.forms_of(model)
+        columns = np.concatenate([system.calibration, *(system.of(k) for k in model)], axis=1)
+        sizes, covariance = self.weighting().solve(columns, prior_precision(columns.shape[1]))
+        units = np.concatenate([CALIBRATION_SD, *(form.typical for form in forms)])
+        calibration = np.where(system.path.s.usable[:, 4:].any() | (np.arange(4) < 3), sizes[:4], 0.0) * CALIBRATION_SD
+        cuts = np.cumsum([4, *(len(form.parameters) for form in forms)])
+        theta = tuple(
+            sizes[first:last] * form.typical for first, last, form in zip(cuts[:-1], cuts[1:], forms, strict=True)
+        )
+        path = hypothesis_path(system.path.s, calibration, forms, theta, system.path)
+        left = residuals(path, system.nominal)
+        white = rows(path, system.noise, left[:, :, None])[:, 0]
+        return Fitted(
+            forms=forms,
+            theta=theta,
+            calibration=calibration,
+            covariance=covariance * np.outer(units, units),
+            path=path,
+            chi_square=float(white @ white),
+            left=left,
+        )
+
+    def neighbours(self, model: Model) -> list[Model]:
+        """Return the models one effect more, one less or one exchanged away, this one first."""
+        name = {k: self.columns.forms[k].effect for k in (*self.offered, *model)}
+        held = {name[k] for k in model}
+        made = [model]
+        made += [tuple(j for j in model if j != k) for k in model]
+        fresh = [k for k in self.offered if name[k] not in held]
+        if len(model) < self.settings.most_effects:
+            made += [(*model, k) for k in fresh]
+        for own in model:
+            rest = tuple(j for j in model if j != own)
+            made += [(*rest, k) for k in self.offered if k != own and (name[k] not in held or name[k] == name[own])]
+        return made
+
+    def _pairs(self) -> list[Model]:
+        """Return pairs of effects by their best forms, which neither shows alone."""
+        best: dict[str, int] = {}
+        for k in self.offered:
+            best.setdefault(self.columns.forms[k].effect, k)
+        numbers = [k for k in best.values() if len(self.columns.forms[k].parameters) <= 4]
+        return [(a, b) for i, a in enumerate(numbers) for b in numbers[i + 1 :]]
+
+    def climb(self) -> Model:
+        """Move to the best neighbour until none is better; return the model reached.
+
+        A move has to pay beside what the effects before it may deviate by, and beside what those after it may: else two
+        hypotheses would take turns.
+        """
+        refused: set[frozenset[int]] = set()
+        for _ in range(_MOVES):
+            models = self.neighbours(self.current)
+            if not self.current:
+                models += self._pairs()
+            models = [self.current, *(m for m in models[1:] if frozenset(m) not in refused)]
+            value = _total(self.weigh(models, self.active()))
+            best = int(np.argmax(value))
+            if best == 0 or value[best] < value[0] + 1e-6:
+                break
+            before = self.current, dict(self.sizes), self.sums
+            self._move(models[best])
+            value = _total(self.weigh([self.current, before[0]], self.active()))
+            if value[0] <= value[1]:
+                refused.add(frozenset(self.current))
+                self.current, self.sizes, self.sums = before
+        return self.current
+
+    def _move(self, model: Model) -> None:
+        """Take a model as the one at hand, new effects at the sizes that suit it."""
+        active = self.active()
+        weight = self.weigh([model], active)[:, 0]
+        share = np.exp(weight - weight.max())
+        sizes = model_sizes(active, self.columns, model, share / share.sum())
+        cuts = np.cumsum([0, *(len(self.columns.forms[k].parameters) for k in model)])
+        for k, first, last in zip(model, cuts[:-1], cuts[1:], strict=True):
+            if k not in self.current:
+                self.sizes[k] = sizes[first:last]
+        self.current = model
+        self.sums = self._summed()
+
+    def posterior(self) -> tuple[list[Model], FloatArray]:
+        """Return the models about the best ones, and their log weights (n_scales, n_models)."""
+        models = dict.fromkeys(tuple(sorted(m)) for m in self.neighbours(self.current))
+        self.current = tuple(sorted(self.current))
+        listed = list(models)
+        value = _total(self.weigh(listed, self.active()))
+        for place in np.argsort(-value)[1:_CENTRES]:
+            models.update(dict.fromkeys(tuple(sorted(m)) for m in self.neighbours(listed[int(place)])))
+        if () not in models:
+            models[()] = None
+        listed = list(models)
+        return listed, self.weigh(listed)
+
+    def rivals(self, models: Sequence[Model], probability: FloatArray) -> tuple[tuple[Model, float], ...]:
+        """Return the best models beside the one at hand, each with its probability over that one's."""
+        own = float(probability[models.index(self.current)])
+        held = {self.columns.forms[k].effect for k in self.current}
+        others = [
+            (models[int(n)], float(probability[n]) / max(own, 1e-12))
+            for n in np.argsort(-probability)
+            if {self.columns.forms[k].effect for k in models[int(n)]} != held
+        ]
+        return tuple(one for one in others[:_RIVALS] if one[1] > _LEAST_RIVAL)
+
+    def nothing(self) -> float:
+        """Return the probability that there is neither an effect nor a rest."""
+        models = self.neighbours(()) + self._pairs()
+        weight = self.weigh(models)
+        total = np.exp(weight - weight.max())
+        return float(total[0, 0] / total.sum())
+
+
+def _total(weight: FloatArray) -> FloatArray:
+    """Return the log of the weights summed over the scales of the rest, shape (n_models,)."""
+    top = weight.max(axis=0)
+    top = np.where(np.isfinite(top), top, 0.0)
+    with np.errstate(divide="ignore"):
+        return np.asarray(top + np.log(np.exp(weight - top).sum(axis=0)))
