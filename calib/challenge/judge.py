@@ -187,10 +187,12 @@ def _to_be_named(truth: Truth) -> tuple[str, ...]:
 
 def _groups_of(given: Mapping[str, Any], causes: list[dict[str, Any]]) -> list[set[str]]:
     """Return what cannot be told apart: the groups, and the forms that each cause's own family leaves open."""
-    groups = [set(group) for group in given.get("indistinguishable", [])]
-    return groups + [
-        {str(cause.get("effect", "")), *cause["forms_open"]} for cause in causes if cause.get("forms_open")
+    open_forms = {str(cause.get("effect", "")): set(cause["forms_open"]) for cause in causes if cause.get("forms_open")}
+    groups = [
+        set(group).union(*(open_forms.get(name, set()) for name in group))
+        for group in given.get("indistinguishable", [])
     ]
+    return groups + [{name, *others} for name, others in open_forms.items()]
 
 
 def _harmful(tried: Mapping[str, Any]) -> bool | None:

@@ -21,7 +21,7 @@ from calib.gap.verdict.result import Cause, Quantity
 __all__ = ["causes_of"]
 
 #: probabilities nearer than this order nothing: the signal does
-ALIKE: Final = 0.05
+ALIKE: Final = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from calib.gap.verdict.agreement import agreement_m
-from calib.gap.verdict.calibrated import calibrated
 from calib.gap.verdict.causes import causes_of
 from calib.gap.verdict.closure import closure_of
 from calib.gap.verdict.evidence import Evidence
@@ -142,13 +141,12 @@ def decide(evidence: Evidence) -> Verdict:
     rest = rest_of(evidence)
     kind = kind_of(_balance(evidence, groups, None if rest is None else rest.share))
     nothing_named = kind in {VerdictKind.NO_GAP, VerdictKind.UNKNOWN, VerdictKind.UNDECIDED}
-    raw = effect_probabilities(evidence, alike)
-    probabilities = {name: p if name == "unknown" else calibrated(p) for name, p in raw.items()}
+    probabilities = effect_probabilities(evidence, alike)
     causes = [] if nothing_named else causes_of(evidence, probabilities, forms_open)
     tied = [] if nothing_named else [group for group in groups if len(group) > 1]
     closure = closure_of(evidence.held_out, evidence.observations)
     agreement = agreement_m(evidence, tied)
-    certain = [_certain(cause.effect, raw, alike) for cause in causes]
+    certain = [_certain(cause.effect, probabilities, alike) for cause in causes]
     fix = Fix(
         recommended=kind is not VerdictKind.UNDECIDED
         and recommended(causes, certain, closure, evidence.trials, agreement),
@@ -199,13 +197,13 @@ def _by_family(
     return groups, forms_open
 
 
-def _certain(effect: str, raw: dict[str, float], alike: Sequence[Sequence[str]]) -> float:
+def _certain(effect: str, probabilities: dict[str, float], alike: Sequence[Sequence[str]]) -> float:
     """Return the probability that an effect or one that stands in for it is at work."""
     names = {effect}
     for group in alike:
         if effect in group:
             names |= set(group)
-    return min(1.0, sum(raw.get(name, 0.0) for name in names))
+    return min(1.0, sum(probabilities.get(name, 0.0) for name in names))
 
 
 def _balance(evidence: Evidence, groups: Sequence[Sequence[str]], rest: float | None) -> Balance:
@@ -219,5 +217,5 @@ def _balance(evidence: Evidence, groups: Sequence[Sequence[str]], rest: float | 
         fraction=evidence.held_out.fraction,
         ci95=evidence.held_out.ci95,
         carries=not any(trial.fails for trial in evidence.trials),
-        supported=bool(getattr(evidence.noise, "supported", True)),
+        supported=evidence.noise.supported,
     )

@@ -7,6 +7,7 @@ from typing import Final
 
 from calib.gap.effects.calibration import NAMES
 from calib.gap.evidence.recalibration import PRIOR
+from calib.gap.verdict.calibrated import calibrated
 from calib.gap.verdict.evidence import Evidence
 
 __all__ = ["credible_sets", "effect_probabilities", "gap_probability"]
@@ -27,12 +28,16 @@ def gap_probability(evidence: Evidence) -> float:
 
 
 def effect_probabilities(evidence: Evidence, groups: Sequence[Sequence[str]]) -> dict[str, float]:
-    """Return the probability of each effect being at work, and that of an unknown rest, largest first."""
-    raw = evidence.search.inclusion()
+    """Return the probability of each effect being at work, and that of an unknown rest, largest first.
+
+    The probability of a calibration parameter is divided with the effects that look like it by their prior odds, after
+    what the model says of both together has been brought to how often such statements hold.
+    """
+    raw = {name: calibrated(p) for name, p in evidence.search.inclusion().items()}
     kept = _kept_beside_aliases(evidence, groups)
     for name in NAMES:
         if name in evidence.effects:
-            raw[name] = evidence.recalibration.probability(name) * kept.get(name, 1.0)
+            raw[name] = calibrated(evidence.recalibration.probability(name)) * kept.get(name, 1.0)
     if evidence.fault is not None:
         raw[evidence.fault.effect.id] = 1.0
     raw["unknown"] = evidence.search.rest
