@@ -148,7 +148,9 @@ def decide(evidence: Evidence) -> Verdict:
     agreement = agreement_m(evidence, tied)
     certain = [_certain(cause.effect, probabilities, alike) for cause in causes]
     fix = Fix(
+        # what steps from session to session says nothing of those to come, however alike the corrections are now
         recommended=kind is not VerdictKind.UNDECIDED
+        and not any(evidence.effects[name].per_session for group in tied for name in group)
         and recommended(causes, certain, closure, evidence.trials, agreement),
         agreement_m=agreement,
         transfer=() if nothing_named else tuple(trial.transfer for trial in evidence.trials),
