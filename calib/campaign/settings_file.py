@@ -233,12 +233,12 @@ def _encoder(section: Sections, notes: list[Note], shown: str) -> Encoder:
             )
         )
     bits = values.get("wrap_bits")
-    if bits is not None and bits not in {8, 12, 16, 20, 24, 32}:
+    if bits is not None and bits not in {8, 12, 13, 16, 20, 24, 32}:
         raise BadFileError(
             shown,
             column="encoder.wrap_bits",
             found=f"{bits:g}",
-            expected="16 or 32 (8, 12, 20, 24 are read too)",
+            expected="16 or 32 (8, 12, 13, 20, 24 are read too)",
             remedy="give the width of the counter, or remove the key where it does not wrap",
         )
     return Encoder(

@@ -1,4 +1,4 @@
-"""Undo the overflow of 16- and 32-bit counters, in logs and in totals."""
+"""Undo the overflow of counters of 13, 16 and 32 bits, in logs and in totals."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from calib.arrays import FloatArray, IntArray
 __all__ = ["detect_wrap_bits", "rewrap_total", "unwrap"]
 
 #: widths that are looked for where the settings name none
-WIDTHS: Final = (16, 32)
+WIDTHS: Final = (13, 16, 32)
 
 
 def detect_wrap_bits(counts: FloatArray, offsets: IntArray) -> int | None:
@@ -30,7 +30,7 @@ def detect_wrap_bits(counts: FloatArray, offsets: IntArray) -> int | None:
     Returns
     -------
     int or None
-        16 or 32, or None where nothing overflows.
+        13, 16 or 32, or None where nothing overflows.
     """
     if not len(counts) or np.isnan(counts).all():
         return None

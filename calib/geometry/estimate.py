@@ -310,8 +310,12 @@ def _estimates(fitted: _Fitted) -> tuple[tuple[Estimate, ...], FloatArray]:
 
 
 def _whole(model: Model) -> Model:
-    """Return the model of whole runs where their end poses are known, else of the longest windows."""
-    if np.isfinite(model.recording.end_pose[:, :2]).all(axis=1).any():
+    """Return the model of whole runs where many end poses are known, else of the longest windows.
+
+    The end of one long recording says little: what heading noise has gathered by then is all that it shows.
+    """
+    many = int(np.isfinite(model.recording.end_pose[:, :2]).all(axis=1).sum()) >= ENOUGH_RUNS
+    if many or _whole_runs(model):
         return Model(model.drive, model.recording, end_pose_segments(model.recording))
     return Model(model.drive, model.recording, model.segments.select(model.segments.level == 0))
 

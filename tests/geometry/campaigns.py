@@ -155,3 +155,41 @@ def mixed(n: int) -> list[tuple[str, list[Leg]]]:
     """N runs each of squares both ways, arcs both ways, and a line."""
     arcs = [("arc_left", [(3.0, np.pi)])] * n + [("arc_right", [(3.0, -np.pi)])] * n
     return [*both_ways(n), *arcs, *([("line", [(4.0, 0.0)])] * n)]
+
+
+def tricycle(rng: np.random.Generator, *, sign_front: float = 1.0, sign_steer: float = 1.0) -> Campaign:
+    """A steered front wheel of radius 0.102 m, wheelbase 1.03 m, zero 0.012 rad: lines, arcs both ways, weaves."""
+    radius, wheelbase, zero, per_rev = 0.102, 1.03, 0.012, 4096.0
+    logs, ends = [], []
+    kinds = [("line", 0.0), ("left", 0.5), ("right", -0.5), ("weave", 0.3)] * 3
+    for kind, angle in kinds:
+        phi = np.full(FINE, 6.0 / radius / FINE)
+        angles = angle * (np.sin(np.linspace(0.0, 4 * np.pi, FINE)) if kind == "weave" else np.ones(FINE))
+        pose = path(radius * phi * np.cos(angles), radius * phi * np.sin(angles) / wheelbase)
+        at = np.linspace(0, FINE, SAMPLES + 1).round().astype(int)
+        counts = np.rint(np.concatenate(([0.0], np.cumsum(phi))) / (2 * np.pi) * per_rev)
+        steer = np.concatenate((angles[:1], angles)) - zero
+        logs.append({"t_s": at * 0.005, "counts_front": sign_front * counts[at], "steer_rad": sign_steer * steer[at]})
+        ends.append(pose[:, -1] + np.array([0.002, 0.002, 0.001]) * rng.normal(size=3))
+    n = len(logs)
+    labels = {"run_id": np.array([f"r{at:03d}" for at in range(n)]), "kind": np.array([kind for kind, _ in kinds])}
+    labels["session"] = np.array(["s"] * n)
+    offsets = np.concatenate(([0], np.cumsum([len(log["t_s"]) for log in logs]))).astype(np.int64)
+    return Campaign(
+        root=None,
+        name="tricycle",
+        simulated=True,
+        vehicle=Vehicle(wheelbase_m=1.0, front_wheel_radius_m=0.1, drive="tricycle"),
+        encoder=Encoder(per_rev, per_rev, counts_per_rev_front=per_rev),
+        model=OdometryModel(0.1, 0.1, 0.7, 300.0),
+        rangefinder=Rangefinder(),
+        reference=Reference(sigma_xy_m=0.002, sigma_theta_rad=0.001),
+        runs=RunTable(
+            labels,
+            dict(zip(("ref_x_m", "ref_y_m", "ref_theta_rad"), np.array(ends).T, strict=True)),
+            np.zeros(n, dtype=bool),
+            np.arange(n) + 2,
+        ),
+        logs=Logs(offsets, {name: np.concatenate([log[name] for log in logs]) for name in logs[0]}),
+        odometry=Odometry("front"),
+    )
