@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -272,6 +273,7 @@ def report(
     *,
     date: str | None = None,
     diagnosis: bool = False,
+    accept_implausible: str = "",
     force: bool = False,
 ) -> Path:
     """Write the report on a campaign or on its fit as PDF.
@@ -286,6 +288,8 @@ def report(
         Date of issue as YYYY-MM-DD, which fixes the bytes of the PDF; without it today.
     diagnosis : bool
         Add the diagnosis of the gap; needs the campaign.
+    accept_implausible : str
+        Why a law beyond the bounds of its vehicle is passed on all the same; written into the file.
     force : bool
         Replace an existing file.
 
@@ -310,12 +314,12 @@ def report(
 
     issued = issue_date(date)
     if isinstance(source, Campaign):
-        content = from_campaign(source, issued=issued)
+        content = from_campaign(source, issued=issued, accept=accept_implausible)
         content = with_diagnosis(content, source) if diagnosis else content
     elif diagnosis:
         raise BadInputError("report: found a fit; expected a campaign, which a diagnosis needs; give the campaign")
     else:
-        content = source_of_fit(source, issued=issued)
+        content = source_of_fit(replace(source, accepted=accept_implausible), issued=issued)
     path = place_of(content.fit.name, Path(target), force=force)
     return write_bytes(path, to_pdf(compose(content)), force=force)
 
@@ -327,6 +331,7 @@ def export(
     *,
     loads: Sequence[str] = (),
     controllers: Sequence[str] = (),
+    accept_implausible: str = "",
     force: bool = False,
 ) -> Mapping[str, str]:
     """Return the coefficients as the vehicle needs them, and write them where a target is given.
@@ -343,6 +348,8 @@ def export(
         Load points in N for ``ros2`` and ``csv``: ``"600"`` for both wheels or ``"500,700"``.
     controllers : sequence of str
         Names of ROS 2 controllers; none: those of the vehicle's drive.
+    accept_implausible : str
+        Why a law beyond the bounds of its vehicle is passed on all the same; written into the file.
     force : bool
         Replace existing files.
 
@@ -358,7 +365,7 @@ def export(
 
     law = fit(source) if isinstance(source, Campaign) else source
     options = ExportOptions(loads=parse_loads(loads), controllers=tuple(controllers))
-    artifacts = rendered(from_fit(law), to, options=options)
+    artifacts = rendered(from_fit(replace(law, accepted=accept_implausible)), to, options=options)
     if target is not None:
         place(artifacts, Path(target), force=force)
     return {artifact.name: artifact.data.decode("utf-8") for artifact in artifacts}

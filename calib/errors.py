@@ -5,9 +5,18 @@ A message says where (file, row, column), what was found, what was expected and 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
-__all__ = ["BadFileError", "BadInputError", "CalibError", "MissingExtraError", "RefusedError", "would_overwrite"]
+__all__ = [
+    "BadFileError",
+    "BadInputError",
+    "CalibError",
+    "ImplausibleError",
+    "MissingExtraError",
+    "RefusedError",
+    "would_overwrite",
+]
 
 
 class CalibError(Exception):
@@ -55,6 +64,23 @@ class BadFileError(BadInputError):
 
 class RefusedError(CalibError):
     """The question cannot be answered from these data; the text says why and what would answer it."""
+
+
+class ImplausibleError(CalibError):
+    """Numbers that cannot be: a check has failed, and what rests on them is refused.
+
+    Parameters
+    ----------
+    name : str
+        Name of the campaign.
+    findings : sequence of str
+        What is beyond its bounds, each with the likely unit or setting.
+    """
+
+    def __init__(self, name: str, findings: Sequence[str]) -> None:
+        more = f" (and {len(findings) - 1} more)" if len(findings) > 1 else ""
+        super().__init__(f"{name}: FAILED: {findings[0]}{more}; put it right, or accept it with a reason")
+        self.findings = tuple(findings)
 
 
 class MissingExtraError(CalibError):

@@ -5,13 +5,27 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import tempfile
+import stat
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from calib.errors import BadFileError, BadInputError, would_overwrite
+from calib.inputs import refuse_input
+from calib.leftovers import sweep, temporary_beside
 
-__all__ = ["inside", "sha256_file", "to_json", "write_bytes", "write_json", "write_text"]
+__all__ = [
+    "inside",
+    "refuse_existing",
+    "sha256_file",
+    "spreadsheet_cell",
+    "to_json",
+    "write_bytes",
+    "write_json",
+    "write_text",
+]
+
+_STREAMS: Final = frozenset({"/dev/stdout", "/dev/stderr"})
 
 
 def write_bytes(path: Path, data: bytes, *, force: bool = False) -> Path:
@@ -34,37 +48,134 @@ def write_bytes(path: Path, data: bytes, *, force: bool = False) -> Path:
     Raises
     ------
     BadInputError
-        Where the file exists and `force` is False, or the folder cannot be written.
+        Where the path is an input of the command at work, the file exists and `force` is False, or the folder cannot be
+        written. A device or a FIFO is written to and never replaced.
     """
     path = Path(path)
-    if path.exists() and not force:
-        raise would_overwrite(path)
     try:
+        refuse_input(path)
+        if _is_stream(path):
+            _pour(path, data)
+            return path
+        if path.is_dir():
+            raise BadInputError(f"{path}: found a folder; expected a file to write; name a file in it")
+        if os.path.lexists(path) and not force:
+            raise would_overwrite(path)
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".tmp")
+        sweep(path)
+        temporary = temporary_beside(path)
         try:
-            with os.fdopen(handle, "wb") as out:
+            with temporary.open("xb") as out:
                 out.write(data)
-            Path(name).chmod(0o644)
-            Path(name).replace(path)
-        except BaseException:
-            Path(name).unlink(missing_ok=True)
-            raise
-    except OSError as error:
-        raise BadInputError(
-            f"{path}: found {error.strerror}; expected a writable place; choose another path"
-        ) from error
+            temporary.chmod(0o644)
+            _put(temporary, path, force=force)
+        finally:
+            temporary.unlink(missing_ok=True)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise BadInputError(f"{path}: found {reason}; expected a writable place; choose another path") from error
     return path
+
+
+def _put(temporary: Path, path: Path, *, force: bool) -> None:
+    """Give a whole file its name; without `force` a file that another writer put there meanwhile is kept."""
+    if force:
+        temporary.replace(path)
+        return
+    try:
+        os.link(temporary, path)
+    except FileExistsError:
+        raise would_overwrite(path) from None
+    except OSError:
+        # a file system without links
+        temporary.replace(path)
+
+
+def _is_stream(path: Path) -> bool:
+    """Return whether a path is a device, a FIFO, or an open stream of this process, which is written to as it is."""
+    if str(path) in _STREAMS or path.parent == Path("/dev/fd"):
+        return True
+    try:
+        mode = path.stat().st_mode
+    except OSError:
+        return False
+    return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
+
+
+def _pour(path: Path, data: bytes) -> None:
+    # appended, so that a file behind /dev/stdout keeps what it holds
+    with path.open("ab", buffering=0) as out:
+        view = memoryview(data)
+        while view:
+            view = view[out.write(view) :]
+
+
+def refuse_existing(targets: Iterable[Path | str | None], *, force: bool = False) -> None:
+    """Refuse targets that cannot be written, before the work is done.
+
+    Parameters
+    ----------
+    targets : iterable of Path, str or None
+        Where files will go; None and ``-`` are no files.
+    force : bool
+        Allow existing files; never those that the command at work was given to read.
+
+    Raises
+    ------
+    BadInputError
+        Where a target is an input, or exists and `force` is False.
+    """
+    for target in targets:
+        if target is None or str(target) == "-":
+            continue
+        path = Path(target)
+        refuse_input(path)
+        try:
+            taken = os.path.lexists(path) and not _is_stream(path)
+        except ValueError as error:
+            raise BadInputError(f"{path}: found {error}; expected a path; correct it") from error
+        if taken and not force:
+            raise would_overwrite(path)
 
 
 def write_text(path: Path, text: str, *, force: bool = False) -> Path:
     """Write UTF-8 `text` to `path` whole; see `write_bytes`."""
-    return write_bytes(path, text.encode("utf-8"), force=force)
+    return write_bytes(path, text.encode("utf-8", "backslashreplace"), force=force)
 
 
-def to_json(value: Any) -> str:
-    """Return `value` as indented JSON with a final newline; NaN and infinity are refused, never written."""
-    return json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False, default=_plain) + "\n"
+def to_json(value: Any, *, ascii_only: bool = False) -> str:
+    """Return `value` as indented JSON with a final newline; NaN and infinity are refused, never written.
+
+    Parameters
+    ----------
+    value : object
+        Plain values, numpy's among them.
+    ascii_only : bool
+        Write other characters as escapes, as is always done where one has no UTF-8 (half a pair).
+    """
+    text = json.dumps(value, indent=2, ensure_ascii=ascii_only, allow_nan=False, default=_plain) + "\n"
+    try:
+        text.encode("utf-8")
+    except UnicodeEncodeError:
+        return to_json(value, ascii_only=True)
+    return text
+
+
+def spreadsheet_cell(value: Any) -> Any:
+    """Return a cell that a spreadsheet shows and never computes: a text that begins like a formula gets a quote.
+
+    Parameters
+    ----------
+    value : object
+        Of a table meant for spreadsheets. Numbers stay numbers, also those written as texts.
+    """
+    if not isinstance(value, str) or not value.startswith(("=", "+", "-", "@", "\t", "\r")):
+        return value
+    try:
+        float(value)
+    except ValueError:
+        return f"'{value}"
+    return value
 
 
 def _plain(value: Any) -> Any:

@@ -19,6 +19,7 @@ from calib.campaign.settings_file import Settings, read_settings
 from calib.campaign.wraps import rewrap_total
 from calib.errors import BadFileError
 from calib.files import inside, sha256_file
+from calib.folders import settle
 from calib.vehicle import Vehicle, wheel_loads_N
 
 __all__ = ["loads_from_payload", "log_totals", "read_campaign"]
@@ -62,6 +63,7 @@ def read_campaign(folder: Path, *, logs: bool = True, lenient: bool = False) -> 
             expected="a campaign folder",
             remedy="give the folder that holds campaign.toml",
         )
+    settle(folder)
     border = Border(lenient=lenient)
     hashes: dict[str, str] = {}
     path = inside(folder, SETTINGS, named_in=folder)

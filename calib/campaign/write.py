@@ -5,8 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import re
-import shutil
-import tempfile
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
@@ -18,20 +16,28 @@ from calib.arrays import FloatArray
 from calib.campaign.model import LABEL_COLUMNS, LOG_COLUMNS, NUMERIC_COLUMNS, Campaign, RunTable
 from calib.campaign.settings_file import FORMAT
 from calib.campaign.toml_text import to_toml
-from calib.errors import BadInputError, would_overwrite
+from calib.errors import BadInputError
+from calib.folders import write_folder
 
 __all__ = ["write_campaign"]
 
-_OURS: Final = ("campaign.toml", "runs.csv", "logs")
+#: what a campaign folder is made of; ``ingest`` adds its record and the recordings it cut
+_OURS: Final = ("campaign.toml", "runs.csv", "logs", "ingest.json")
+_RECORDINGS: Final = "recordings"
 _INTEGER: Final = 2.0**53
 #: keys that are written only where they differ from their default, so that a plain campaign stays plain
 _WHERE_GIVEN: Final = frozenset({"drive", "sensor_x_m", "sensor_y_m", "sensor_yaw_rad"})
 
 
 def write_campaign(
-    campaign: Campaign, folder: Path, *, force: bool = False, log_decimals: Mapping[str, int] | None = None
+    campaign: Campaign,
+    folder: Path,
+    *,
+    force: bool = False,
+    log_decimals: Mapping[str, int] | None = None,
+    beside: Mapping[str, bytes] | None = None,
 ) -> Path:
-    """Write ``campaign.toml``, ``runs.csv`` and ``logs/<run_id>.csv``, all of them or none.
+    """Write ``campaign.toml``, ``runs.csv`` and ``logs/<run_id>.csv``, all of them or none, of one generation.
 
     Parameters
     ----------
@@ -44,6 +50,8 @@ def write_campaign(
     log_decimals : mapping of str to int, optional
         Decimals of log columns, for example ``{"range_m": 4}``. Without it every number is written so that it reads
         back exactly, and times to the nanosecond.
+    beside : mapping of str to bytes, optional
+        Further files of the same generation by their name in the folder: ``ingest.json``, ``recordings/...``.
 
     Returns
     -------
@@ -55,33 +63,17 @@ def write_campaign(
     BadInputError
         Where a campaign stands there and `force` is False, or the folder cannot be written.
     """
-    folder = Path(folder)
-    for name in _OURS:
-        if (folder / name).exists() and not force:
-            raise would_overwrite(folder / name)
-    try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}.", suffix=".tmp") as made:
-            _write_into(campaign, Path(made), log_decimals or {})
-            _move(Path(made), folder)
-    except OSError as error:
-        raise BadInputError(
-            f"{folder}: found {error.strerror}; expected a writable folder; choose another place"
-        ) from error
-    return folder
 
+    def fill(made: Path) -> None:
+        _write_into(campaign, made, log_decimals or {})
+        for name, data in (beside or {}).items():
+            (made / name).parent.mkdir(parents=True, exist_ok=True)
+            (made / name).write_bytes(data)
 
-def _move(made: Path, folder: Path) -> None:
-    folder.mkdir(exist_ok=True)
-    for name in _OURS:
-        old, new = folder / name, made / name
-        if old.is_dir() and not old.is_symlink():
-            # renamed away first, so that a logs folder is never half old and half new
-            shutil.move(old, made / f"{name}.old")
-        if new.exists():
-            new.replace(old)
-        elif old.is_symlink() or old.exists():
-            old.unlink()
+    ingested = (Path(folder) / _OURS[-1]).is_file() or any(name.startswith(_RECORDINGS) for name in beside or ())
+    # a folder of that name which no ingestion made is the user's own
+    names = (*_OURS, _RECORDINGS) if ingested else _OURS
+    return write_folder(folder, names, fill, force=force)
 
 
 def _write_into(campaign: Campaign, folder: Path, log_decimals: Mapping[str, int]) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.challenge.intervals import Share, wilson
 from calib.challenge.score import TARGETS, Score
-from calib.errors import BadInputError, would_overwrite
+from calib.errors import BadInputError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -176,13 +176,12 @@ def save(figure: Figure, path: Path, *, force: bool = False) -> Path:
     """
     from io import BytesIO
 
-    from calib.files import write_bytes
+    from calib.files import refuse_existing, write_bytes
 
     path = Path(path)
     if path.suffix.lower() not in _SUFFIXES:
         raise BadInputError(f"{path}: found {path.suffix!r}; expected .png, .svg or .pdf; choose one of these")
-    if path.exists() and not force:
-        raise would_overwrite(path)
+    refuse_existing([path], force=force)
     stream = BytesIO()
     # no date in the file: the same score gives the same bytes
     bare = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(path.suffix.lower())

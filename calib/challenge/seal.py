@@ -15,8 +15,8 @@ from typing import Any, Final, TypeVar
 from calib.campaign.write import write_campaign
 from calib.challenge.cases import Truth, campaigns_of, truth_of
 from calib.challenge.recipe import Recipe, read_seeds, recipes
-from calib.errors import BadFileError, would_overwrite
-from calib.files import sha256_file, to_json, write_text
+from calib.errors import BadFileError
+from calib.files import refuse_existing, sha256_file, to_json, write_text
 
 __all__ = ["PUBLIC", "Sealed", "make", "read_public", "truth_path", "workers_of"]
 
@@ -152,9 +152,7 @@ def make(
     """
     folder = Path(folder)
     truth_file = Path(truth_file) if truth_file else truth_path(folder)
-    for path in (folder / PUBLIC, truth_file):
-        if path.exists() and not force:
-            raise would_overwrite(path)
+    refuse_existing([folder / PUBLIC, truth_file], force=force)
     seeds = read_seeds(seeds_file)
     wanted = recipes(seeds, limit)
     report: Tick = tick or (lambda _stage, _done, _total: None)

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from calib.cli.options import Force, JsonTarget, refuse_existing
+from calib.cli.options import AcceptImplausible, Force, JsonTarget, refuse_existing
 from calib.cli.terminal import emit_json, note, wants_stdout, wrote
 
 __all__ = ["EPILOG", "run"]
@@ -60,6 +60,7 @@ def run(
     controller: Controllers = None,
     velocity_feedback: VelocityFeedback = False,
     open_loop: OpenLoop = False,
+    accept_implausible: AcceptImplausible = "",
     json: JsonTarget = None,
     force: Force = False,
 ) -> None:
@@ -69,7 +70,7 @@ def run(
     from calib.coefficients.source import coefficients_of
 
     refuse_existing([json, output if output is not None and output.is_file() else None], force=force)
-    found = coefficients_of(source, outside=outside, created=date)
+    found = coefficients_of(source, outside=outside, created=date, accept=accept_implausible.strip())
     options = ExportOptions(
         loads=parse_loads(load or []),
         controllers=tuple(controller or ()),

@@ -7,18 +7,23 @@ import os
 import signal
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any, Final
 
 import typer
 
+from calib.cli.guard import Application
 from calib.cli.respell import respelled
-from calib.cli.terminal import KEPT
+from calib.cli.terminal import KEPT, visible
 from calib.cli.typed import as_typed
-from calib.errors import CalibError
+from calib.errors import CalibError, ImplausibleError
 
 __all__ = ["app", "main"]
 
 EXIT_FINE: Final = 0
+EXIT_FAILED: Final = 1
+#: characters of the one line about an error; a message that quotes data may hold much of it
+LONGEST_LINE: Final = 2000
 EXIT_BAD_INPUT: Final = 2
 EXIT_BUG: Final = 3
 EXIT_INTERRUPTED: Final = 128 + signal.SIGINT
@@ -97,7 +102,7 @@ def build(arguments: Sequence[str] | None = None) -> typer.Typer:
         With a command's name in it, only that command is imported; with none, names and summaries alone. Without
         arguments every command is there in full. A command's heavy imports happen inside its body.
     """
-    application = typer.Typer(
+    application = Application(
         name="calib",
         no_args_is_help=True,
         add_completion=True,
@@ -116,10 +121,10 @@ def build(arguments: Sequence[str] | None = None) -> typer.Typer:
             raise typer.Exit
 
     words = None if arguments is None else [word for word in arguments if not word.startswith("-")]
-    groups: dict[str, typer.Typer] = {}
+    groups: dict[str, Application] = {}
     for name in sorted(COMMANDS, key=lambda one: list(SUMMARIES).index(one) if one in SUMMARIES else len(SUMMARIES)):
         group, _, inner = name.rpartition(" ")
-        parent = application
+        parent: typer.Typer = application
         if group:
             if group not in groups:
                 groups[group] = _group(group)
@@ -132,8 +137,8 @@ def build(arguments: Sequence[str] | None = None) -> typer.Typer:
     return application
 
 
-def _group(name: str) -> typer.Typer:
-    return typer.Typer(no_args_is_help=True, rich_markup_mode=None, help=SUMMARIES[name], epilog=EXAMPLES.get(name, ""))
+def _group(name: str) -> Application:
+    return Application(no_args_is_help=True, rich_markup_mode=None, help=SUMMARIES[name], epilog=EXAMPLES.get(name, ""))
 
 
 def _register(parent: typer.Typer, name: str, module: Any) -> None:
@@ -159,36 +164,70 @@ def main(arguments: list[str] | None = None) -> None:
 
 def run(arguments: list[str] | None = None) -> int:
     """Run the command line and return its exit status."""
+    if sys.stdout is None or sys.stderr is None:
+        _reopen()
+    # figures go to files only, whatever window system the environment asks for
+    os.environ["MPLBACKEND"] = "agg"
     kept: list[str] = []
     KEPT.set(kept)
+    given = sys.argv[1:] if arguments is None else arguments
     try:
-        status = _invoke(sys.argv[1:] if arguments is None else arguments)
+        status = _invoke(given)
         sys.stdout.flush()
-    except CalibError as error:
-        return _complain(as_typed(str(error), _options_typed(sys.argv[1:] if arguments is None else arguments)))
-    except typer.TyperException as error:
-        if type(error).__name__ == "NoArgsIsHelpError":
-            sys.stderr.write(_message(error) + "\n")
-            return EXIT_BAD_INPUT
-        return _complain(_usage(error))
     except (typer.Abort, KeyboardInterrupt):
         held = f"kept: {'; '.join(kept)}" if kept else "nothing was written"
         return _complain(f"interrupted; {held}, and nothing half-written is left", EXIT_INTERRUPTED)
-    except BrokenPipeError:
-        return _pipe_closed()
     except SystemExit as error:
         # the printing libraries end the program with 1 where nobody reads on
         if isinstance(error.__context__, BrokenPipeError):
             return _pipe_closed()
         raise
-    except MemoryError:
-        return _complain("out of memory; expected a campaign that fits; give fewer runs or shorter logs")
     except Exception as error:
-        if os.environ.get("CALIB_TRACEBACK"):
-            raise
-        message = f"bug in calib, please report: {type(error).__name__}: {error} (CALIB_TRACEBACK=1 shows where)"
-        return _complain(message, EXIT_BUG)
+        return _told(error, given)
     return status
+
+
+def _told(error: Exception, given: list[str]) -> int:
+    """Say in one line what went wrong, and return the status for it."""
+    if isinstance(error, ImplausibleError):
+        return _complain(f"{error} ('calib export' and 'calib report' take --accept-implausible REASON)", EXIT_FAILED)
+    if isinstance(error, CalibError):
+        return _complain(as_typed(str(error), _options_typed(given)))
+    if isinstance(error, typer.TyperException):
+        if type(error).__name__ == "NoArgsIsHelpError":
+            sys.stderr.write(_message(error) + "\n")
+            return EXIT_BAD_INPUT
+        return _complain(_usage(error))
+    if isinstance(error, BrokenPipeError):
+        return _pipe_closed()
+    return _told_of_the_world(error)
+
+
+def _told_of_the_world(error: Exception) -> int:
+    """Say what the machine or the size of a number refused; what is left is a bug."""
+    if os.environ.get("CALIB_TRACEBACK"):
+        raise error
+    if isinstance(error, UnicodeEncodeError):
+        lacking = f"found characters that the encoding {error.encoding} lacks"
+        return _complain(f"output: {lacking}; expected UTF-8; set PYTHONUTF8=1")
+    if isinstance(error, OverflowError | RecursionError):
+        beyond = f"found a number or a nesting beyond all bounds ({error})"
+        return _complain(f"{beyond}; expected numbers of ordinary size; correct the input")
+    if isinstance(error, OSError):
+        where = os.fsdecode(error.filename) if isinstance(error.filename, str | bytes) else "output"
+        return _complain(f"{where}: found {error.strerror or error}; expected a place that works; choose another")
+    if isinstance(error, MemoryError):
+        return _complain("out of memory; expected a campaign that fits; give fewer runs or shorter logs")
+    message = f"bug in calib, please report: {type(error).__name__}: {error} (CALIB_TRACEBACK=1 shows where)"
+    return _complain(message, EXIT_BUG)
+
+
+def _reopen() -> None:
+    """Give a program that was started with closed streams streams that lead nowhere."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            # open for as long as the program runs
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w", encoding="utf-8"))
 
 
 def _invoke(arguments: list[str]) -> int:
@@ -236,7 +275,7 @@ def _options_typed(arguments: Sequence[str]) -> set[str]:
 
 
 def _options(name: str) -> set[str]:
-    application = typer.Typer(add_completion=False)
+    application = Application(add_completion=False)
     application.command(name)(importlib.import_module(f"calib.cli.{COMMANDS[name]}").run)
     return {option for parameter in typer.main.get_command(application).params for option in parameter.opts}
 
@@ -247,7 +286,13 @@ def _message(error: Exception) -> str:
 
 
 def _complain(message: str, status: int = EXIT_BAD_INPUT) -> int:
-    sys.stderr.write("calib: " + " ".join(message.split()) + "\n")
+    text = visible("calib: " + " ".join(message.split()))
+    if len(text) > LONGEST_LINE:
+        text = f"{text[: LONGEST_LINE - 4]} ..."
+    with suppress(OSError, AttributeError):
+        # a closed or full standard error has nobody to tell
+        encoding = sys.stderr.encoding or "utf-8"
+        sys.stderr.write(text.encode(encoding, "backslashreplace").decode(encoding) + "\n")
     return status
 
 

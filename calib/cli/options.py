@@ -10,9 +10,10 @@ from typing import Annotated
 
 import typer
 
-from calib.errors import BadInputError, would_overwrite
+from calib.errors import BadInputError
+from calib.files import refuse_existing
 
-__all__ = ["Force", "JsonTarget", "MappingOption", "Seed", "nearest", "numbers", "refuse_existing"]
+__all__ = ["AcceptImplausible", "Force", "JsonTarget", "MappingOption", "Seed", "nearest", "numbers", "refuse_existing"]
 
 JsonTarget = Annotated[
     str | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON to FILE; '-' is standard output.")
@@ -22,6 +23,14 @@ MappingOption = Annotated[
     typer.Option("--mapping", metavar="FILE", help="TOML that maps a recording or table, read as if ingested."),
 ]
 Force = Annotated[bool, typer.Option("--force", help="Replace existing output files.")]
+AcceptImplausible = Annotated[
+    str,
+    typer.Option(
+        "--accept-implausible",
+        metavar="REASON",
+        help="Pass on a law that is beyond the bounds of its vehicle; the reason is written into the file.",
+    ),
+]
 Seed = Annotated[int, typer.Option("--seed", metavar="N", help="Seed of everything that is drawn.")]
 
 
@@ -56,16 +65,3 @@ def nearest(word: str, known: Iterable[str]) -> str:
     """Return ``; did you mean 'x'?`` for the known words that are near, else an empty text."""
     near = difflib.get_close_matches(word, list(known), n=3, cutoff=0.5)
     return f"; did you mean {' or '.join(repr(name) for name in near)}?" if near else ""
-
-
-def refuse_existing(targets: Iterable[Path | str | None], *, force: bool) -> None:
-    """Refuse targets that exist, before the work is done; None and ``-`` are no files.
-
-    Raises
-    ------
-    BadInputError
-        Where a target exists and `force` is False.
-    """
-    for target in targets:
-        if target is not None and str(target) != "-" and Path(target).exists() and not force:
-            raise would_overwrite(target)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from calib.cli.options import Force, JsonTarget, refuse_existing
+from calib.cli.options import AcceptImplausible, Force, JsonTarget, refuse_existing
 from calib.cli.terminal import emit_json, say, waiting, wrote
 from calib.cli.threads import one_blas_thread
 from calib.errors import BadInputError, RefusedError
@@ -50,6 +50,7 @@ def run(
         bool, typer.Option("--diagnosis", help="Add the diagnosis of the gap between measured and simulated motion.")
     ] = False,
     seed: Annotated[int, typer.Option("--seed", metavar="N", help="Seed of the diagnosis.")] = 0,
+    accept_implausible: AcceptImplausible = "",
     json: JsonTarget = None,
     force: Force = False,
 ) -> int:
@@ -69,7 +70,8 @@ def run(
     refuse_existing([json, html], force=force)
     issued = issue_date(date)
     with waiting("writing the report"):
-        report, target = _report(source, into, issued, seed=seed, diagnosis=diagnosis, force=force)
+        accept = accept_implausible.strip()
+        report, target = _report(source, into, issued, accept, seed=seed, diagnosis=diagnosis, force=force)
         drawn = [] if figures is None else write_figures(report, figures, force=force)
         write_bytes(target, to_pdf(report), force=force)
     marked = ", simulated data" if report.simulated else ""
@@ -86,7 +88,7 @@ def run(
 
 
 def _report(
-    path: Path, into: Path | None, issued: str, *, seed: int, diagnosis: bool, force: bool
+    path: Path, into: Path | None, issued: str, accept: str, *, seed: int, diagnosis: bool, force: bool
 ) -> tuple[Report, Path]:
     """Return the report and its file; runs that allow no law give one of the diagnosis alone, where asked for."""
     from calib.campaign.read import read_campaign
@@ -97,7 +99,7 @@ def _report(
     from calib.report.source import source_of
 
     try:
-        source, campaign = source_of(path, issued=issued)
+        source, campaign = source_of(path, issued=issued, accept=accept)
     except RefusedError as error:
         if not diagnosis:
             raise

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -16,7 +17,19 @@ from calib.errors import BadInputError
 if TYPE_CHECKING:
     from calib.report.blocks import Block, Section
 
-__all__ = ["KEPT", "emit_json", "keep", "note", "progress", "say", "show", "waiting", "wants_stdout", "wrote"]
+__all__ = [
+    "KEPT",
+    "emit_json",
+    "keep",
+    "note",
+    "progress",
+    "say",
+    "show",
+    "visible",
+    "waiting",
+    "wants_stdout",
+    "wrote",
+]
 
 #: what the command at work has written so far, for the line after an interruption
 KEPT: Final[ContextVar[list[str]]] = ContextVar("kept")
@@ -31,6 +44,11 @@ _ASCII: Final = str.maketrans(
     {"µ": "u", "±": "+-", "–": "-", "—": "-", "…": "...", "°": "deg ", "─": "-", "₀": "0", "ₒ": "_O", "²": "^2",
      "χ": "chi", "λ": "lambda", "π": "pi", "ν": "dof", "×": "x", "∞": "inf"}
 )  # fmt: skip
+
+#: C0 and C1 controls, the line's own end not among them; shown as escapes
+_CONTROLS: Final = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160))}
+#: overrides of direction, separators that break lines, invisible marks, half pairs of names that are no UTF-8
+_STEERING: Final = re.compile("[\u200b\u200e\u200f\u2028-\u202e\u2060\u2066-\u2069\ufeff\ud800-\udfff]")
 
 
 def wants_stdout(target: str | None) -> bool:
@@ -49,7 +67,10 @@ def emit_json(value: Any, target: str | None, *, force: bool) -> None:
             text = to_json(value)
         except ValueError as error:
             raise BadInputError(f"the result holds a number that JSON cannot say ({error})") from error
-        sys.stdout.write(text)
+        try:
+            sys.stdout.write(text)
+        except UnicodeEncodeError:
+            sys.stdout.write(to_json(value, ascii_only=True))
         sys.stdout.flush()
     else:
         write_json(Path(target), value, force=force)
@@ -67,7 +88,7 @@ def show(blocks: Iterable[Block | Section], *, target: str | None = None) -> Non
 
         console = Console(file=stream, highlight=False, soft_wrap=True)
         for line in lines:
-            console.print(Text(line.text, style=_STYLES.get(line.style, "")))
+            console.print(Text(visible(line.text), style=_STYLES.get(line.style, "")))
         return
     for line in lines:
         _write(stream, line.text.rstrip())
@@ -118,7 +139,7 @@ def progress(what: str) -> Iterator[Callable[[int, int, str], None]]:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         tasks: dict[str, Any] = {}
 
@@ -150,7 +171,18 @@ def _is_coloured(stream: Any) -> bool:
     return bool(stream.isatty()) and "NO_COLOR" not in os.environ and os.environ.get("TERM") != "dumb"
 
 
+def visible(text: str) -> str:
+    """Return a text in which nothing steers the terminal: controls, overrides of direction and half pairs as escapes.
+
+    What stands in data is data: a run id with an escape sequence is shown as it is written, not obeyed.
+    """
+    return _STEERING.sub(
+        lambda found: found.group().encode("ascii", "backslashreplace").decode("ascii"), text
+    ).translate(_CONTROLS)
+
+
 def _write(stream: Any, text: str) -> None:
+    text = visible(text)
     try:
         stream.write(text + "\n")
     except UnicodeEncodeError:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from calib import __version__
 from calib.coefficients.file import FORMAT, CoefficientFile, Outside, sealed
 from calib.coefficients.sections import EffectSection
-from calib.errors import BadInputError
+from calib.errors import BadInputError, ImplausibleError
 from calib.radius.law import RadiusLaw, WheelLaw
 from calib.units import GRAVITY_MPS2
 from calib.vehicle import Vehicle
@@ -64,14 +64,18 @@ def from_fit(
     ------
     BadInputError
         Where the fit lacks vehicle and encoder, or its provenance is damaged.
+    ImplausibleError
+        Where the fit is beyond the bounds of its vehicle and nobody accepted that.
     """
+    if fit.implausible and not fit.accepted:
+        raise ImplausibleError(fit.name, fit.implausible)
     hashes = fit.provenance.get("inputs", {}) if inputs is None else inputs
     if fit.setup is None or not isinstance(hashes, Mapping):
         raise BadInputError(
             f"fit of {fit.name!r}: found no vehicle, encoder and input hashes; expected those of its campaign; "
             "make it anew with 'calib fit CAMPAIGN --into FOLDER'"
         )
-    return from_law(
+    file = from_law(
         fit.law,
         fit.setup.vehicle,
         fit.setup.encoder,
@@ -83,6 +87,9 @@ def from_fit(
         inputs=hashes,
         effects=effects,
     )
+    if not fit.implausible:
+        return file
+    return file.changed(accepted_implausible={"reason": fit.accepted, "findings": list(fit.implausible)})
 
 
 def load_points(load_left_N: npt.ArrayLike, load_right_N: npt.ArrayLike) -> dict[str, tuple[float, float]]:

@@ -12,8 +12,9 @@ from typing import Any, Final
 from calib.coefficients.file import CoefficientFile
 from calib.coefficients.loads import Artifact, LoadPair
 from calib.coefficients.options import ExportOptions
-from calib.errors import BadInputError, would_overwrite
-from calib.files import write_bytes
+from calib.errors import BadInputError
+from calib.files import refuse_existing, write_bytes
+from calib.folders import write_files
 
 __all__ = ["FORMATS", "export", "parse_loads", "place"]
 
@@ -109,13 +110,12 @@ def place(artifacts: Sequence[Artifact], output: Path, *, force: bool) -> list[d
     """
     single = len(artifacts) == 1 and not output.is_dir() and output.suffix != ""
     targets = [output if single else output / artifact.name for artifact in artifacts]
-    for target in targets:
-        if target.exists() and not force:
-            raise would_overwrite(target)
+    refuse_existing(targets, force=force)
+    if single:
+        write_bytes(output, artifacts[0].data, force=force)
+    else:
+        write_files(output, {artifact.name: artifact.data for artifact in artifacts}, force=force)
     return [
-        {
-            "path": str(write_bytes(target, artifact.data, force=force)),
-            "sha256": hashlib.sha256(artifact.data).hexdigest(),
-        }
+        {"path": str(target), "sha256": hashlib.sha256(artifact.data).hexdigest()}
         for target, artifact in zip(targets, artifacts, strict=True)
     ]

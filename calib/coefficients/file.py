@@ -13,9 +13,9 @@ import numpy.typing as npt
 from pydantic import Field, ValidationError, model_validator
 
 from calib.arrays import FloatArray
-from calib.coefficients.canonical import checksum
 from calib.coefficients.quantities import Section
 from calib.coefficients.sections import (
+    AcceptedSection,
     EffectSection,
     EncoderSection,
     GeometrySection,
@@ -30,6 +30,7 @@ from calib.coefficients.sections import (
 from calib.errors import BadFileError, BadInputError, RefusedError
 from calib.files import to_json
 from calib.radius.law import JOINT, RadiusLaw, WheelLaw
+from calib.seal import checksum
 from calib.vehicle import Vehicle
 
 __all__ = ["FORMAT", "CoefficientFile", "Outside", "load_coefficients", "sealed"]
@@ -66,6 +67,7 @@ class CoefficientFile(Section):
     effects: list[EffectSection] = Field(default_factory=list)
     joint_geometry: GeometrySection | None = None
     inputs: list[InputFile] = Field(default_factory=list)
+    accepted_implausible: AcceptedSection | None = None
     checksum: Annotated[str, Field(pattern="^sha256:[0-9a-f]{64}$")]
 
     @model_validator(mode="after")
@@ -91,9 +93,10 @@ class CoefficientFile(Section):
     def to_dict(self) -> dict[str, Any]:
         """Return the document as plain Python values, in the order of the file."""
         document = self.model_dump(mode="json")
-        if document["joint_geometry"] is None:
-            # a file without it reads as files have always read
-            del document["joint_geometry"]
+        for name in ("joint_geometry", "accepted_implausible"):
+            if document[name] is None:
+                # a file without it reads as files have always read
+                del document[name]
         for name, usual in USUAL_VEHICLE.items():
             if document["vehicle"][name] == usual:
                 del document["vehicle"][name]

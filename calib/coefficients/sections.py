@@ -30,6 +30,7 @@ from calib.coefficients.quantities import (
 from calib.vehicle import Drive
 
 __all__ = [
+    "AcceptedSection",
     "CovarianceEntry",
     "EffectSection",
     "EncoderSection",
@@ -182,6 +183,13 @@ class GeometrySection(Section):
         if not names <= set(self.parameters):
             raise ValueError(f"covariance names {', '.join(sorted(names - set(self.parameters)))}, which have no value")
         return self
+
+
+class AcceptedSection(Section):
+    """Findings beyond the bounds of the vehicle that the user passed on, and why."""
+
+    reason: str
+    findings: list[str]
 
 
 class InputFile(Section):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import date
 from pathlib import Path
 
@@ -21,7 +21,9 @@ class Source:
     notes: tuple[str, ...] = ()
 
 
-def coefficients_of(path: Path | str, *, outside: str | None = None, created: str | None = None) -> Source:
+def coefficients_of(
+    path: Path | str, *, outside: str | None = None, created: str | None = None, accept: str = ""
+) -> Source:
     """Return the coefficients of a campaign (fitted now), a result folder or its ``fit.json``, or a coefficient file.
 
     Parameters
@@ -32,6 +34,8 @@ def coefficients_of(path: Path | str, *, outside: str | None = None, created: st
         What happens outside the valid load range; None: as the coefficient file says, else refuse.
     created : str, optional
         Date as YYYY-MM-DD; None: as the coefficient file says, else none.
+    accept : str
+        Why a law beyond the bounds of its vehicle is passed on all the same; empty: it is refused.
 
     Raises
     ------
@@ -69,6 +73,7 @@ def coefficients_of(path: Path | str, *, outside: str | None = None, created: st
 
         campaign = read_campaign(path)
         fit, inputs = fit_campaign(campaign), campaign.hashes
+    fit = replace(fit, accepted=accept)
     master = from_fit(fit, outside=wanted or "refuse", created=created, inputs=inputs)
     notes = tuple(
         f"{name} wheel, check {check.name} failed: {check.sentence}"

@@ -7,11 +7,13 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Any, Final
 
-__all__ = ["FAILED", "NOTE", "OK", "Check"]
+__all__ = ["FAILED", "NOTE", "OK", "PLAUSIBLE", "Check"]
 
 OK: Final = "ok"
 NOTE: Final = "note"
 FAILED: Final = "failed"
+#: name of the check that holds a fit against its nominal vehicle and physical bounds
+PLAUSIBLE: Final = "plausible"
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +24,7 @@ class Check:
     ----------
     name : str
         Stable name: ``design``, ``lack_of_fit``, ``curvature``, ``equal_scatter``, ``influence``, ``session``,
-        ``normality``, ``direction``, ``range``.
+        ``normality``, ``direction``, ``range``, ``plausible``.
     level : str
         ``ok``; ``note`` where the reader has to know something but the result stands; ``failed`` where the law should
         not be used as it is.

@@ -11,6 +11,7 @@ from calib.campaign.model import Campaign
 from calib.errors import BadInputError, RefusedError
 from calib.radius.effective import Component, EffectiveRadii, effective_radii
 from calib.radius.fitted import Fit, Setup
+from calib.radius.plausible import held_against_bounds, refuse_implausible
 from calib.radius.regression import WheelFit, fit_wheel
 from calib.radius.residual_checks import checked
 from calib.radius.systematic import declared_sources, systematic_components, with_systematic
@@ -85,17 +86,18 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -
     ------
     RefusedError
         Where fewer than three runs can be used.
+    ImplausibleError
+        Where that is so because of units or settings that cannot be.
     """
     reference = campaign.model.reference_load_N if reference_load_N is None else reference_load_N
     if not np.isfinite(reference) or reference < 0:
         raise BadInputError(f"reference load: found {reference:g} N; expected a load of zero or more; correct it")
-    radii = effective_radii(campaign)
-    fit = fit_law(
-        radii,
-        reference_load_N=reference,
-        name=campaign.name,
-        simulated=campaign.simulated,
-    )
+    try:
+        radii = effective_radii(campaign)
+        fit = fit_law(radii, reference_load_N=reference, name=campaign.name, simulated=campaign.simulated)
+    except RefusedError:
+        refuse_implausible(campaign)
+        raise
     sources = declared_sources(campaign)
     fit = replace(
         fit,
@@ -103,6 +105,7 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -
         right=with_systematic(fit.right, fit.radii, sources),
         radii=replace(fit.radii, budget=(*fit.radii.budget, *systematic_components(fit.wheels, fit.radii, sources))),
     )
+    fit = held_against_bounds(fit, campaign)
     static, notes = _static(campaign, reference)
     used = campaign.select(np.isin(campaign.runs.run_id, radii.run_id)).runs
     conditions = {}

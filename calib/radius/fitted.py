@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
 from calib.errors import BadInputError
+from calib.radius.checks import PLAUSIBLE
 from calib.radius.document import pair, radii_from_rows, rows_of, wheel_from_dict, wheel_to_dict
 from calib.radius.effective import Component, EffectiveRadii
 from calib.radius.law import RadiusLaw
 from calib.radius.regression import WheelFit
 from calib.radius.summary import repr_html, summary_lines
 from calib.radius.usable import LeftOut
+from calib.seal import CHECKSUM_KEY, checksum
 from calib.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -85,6 +87,8 @@ class Fit:
         ``version`` of calib, ``inputs`` (path -> sha256), ``arguments``; filled by the command line.
     setup : Setup or None
         Vehicle, instruments and conditions; None where the radii came from elsewhere than a campaign.
+    accepted : str
+        Why the user passes on what the check ``plausible`` failed; empty where nobody does.
     """
 
     name: str
@@ -96,6 +100,7 @@ class Fit:
     notes: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
     setup: Setup | None = None
+    accepted: str = ""
 
     @property
     def law(self) -> RadiusLaw:
@@ -111,6 +116,12 @@ class Fit:
     def passed(self) -> bool:
         """Whether every check lets the law be used."""
         return all(check.passed for wheel in (self.left, self.right) for check in wheel.checks)
+
+    @property
+    def implausible(self) -> tuple[str, ...]:
+        """What is beyond the bounds of a vehicle, in sentences; nothing of this kind is passed on unasked."""
+        checks = [check for wheel in (self.left, self.right) for check in wheel.checks]
+        return tuple(dict.fromkeys(check.sentence for check in checks if check.name == PLAUSIBLE and not check.passed))
 
     @property
     def table(self) -> DataFrame:
@@ -131,7 +142,7 @@ class Fit:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fit as plain values: the keys of ``calib fit --json`` and everything `from_dict` needs."""
-        return {
+        document = {
             "format": FORMAT,
             "campaign": self.name,
             "simulated": self.simulated,
@@ -145,6 +156,7 @@ class Fit:
             "provenance": dict(self.provenance),
             "passed": self.passed,
         }
+        return document | {CHECKSUM_KEY: checksum(document)}
 
     @staticmethod
     def from_dict(value: Mapping[str, Any]) -> Fit:

@@ -10,14 +10,19 @@ from pathlib import Path
 from typing import Any, Final
 
 from calib.campaign.model import Campaign
-from calib.errors import BadFileError, CalibError, would_overwrite
-from calib.files import sha256_file, write_json, write_text
+from calib.errors import BadFileError, CalibError
+from calib.files import sha256_file, spreadsheet_cell, to_json
+from calib.folders import settle, write_files
 from calib.radius.fitted import Fit
+from calib.seal import CHECKSUM_KEY, checksum
 
 __all__ = ["FIT_FILE", "RUNS_FILE", "is_result", "provenance", "read_result", "write_result"]
 
 FIT_FILE: Final = "fit.json"
 RUNS_FILE: Final = "runs.csv"
+#: what ``calib fit --json`` adds for other programs; nothing here reads it
+_ADDED: Final = ("model_comparison",)
+REMEDY: Final = "make it with 'calib fit CAMPAIGN --into FOLDER'"
 
 
 def provenance(campaign: Campaign, *, version: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
@@ -67,17 +72,32 @@ def write_result(fit: Fit, folder: Path, *, force: bool = False) -> Path:
         Where the folder holds a result and `force` is False, or cannot be written.
     """
     folder = Path(folder)
-    for name in (FIT_FILE, RUNS_FILE):
-        if (folder / name).exists() and not force:
-            raise would_overwrite(folder / name)
     document = fit.to_dict()
     rows = document["runs"]
     text = io.StringIO()
     writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
     writer.writeheader()
-    writer.writerows(rows)
-    write_text(folder / RUNS_FILE, text.getvalue(), force=force)
-    return write_json(folder / FIT_FILE, document, force=force)
+    writer.writerows({key: spreadsheet_cell(cell) for key, cell in row.items()} for row in rows)
+    files = {RUNS_FILE: text.getvalue().encode("utf-8"), FIT_FILE: to_json(document).encode("utf-8")}
+    write_files(folder, files, force=force)
+    return folder / FIT_FILE
+
+
+def _check_seal(file: Path, value: dict[str, Any]) -> None:
+    """Refuse a fit that is not as it was written: report and export compute nothing again, and would pass it on."""
+    stated = value.get(CHECKSUM_KEY)
+    try:
+        computed = checksum({key: part for key, part in value.items() if key not in _ADDED})
+    except (ValueError, OverflowError, RecursionError) as error:
+        raise BadFileError(file, found=f"a number that is none ({error})", expected="a fit", remedy=REMEDY) from error
+    if stated != computed:
+        raise BadFileError(
+            file,
+            column=CHECKSUM_KEY,
+            found="no checksum" if stated is None else f"{str(stated)[:80]!r}",
+            expected=f"{computed}, which its content has; the file was changed, or made by an older version",
+            remedy=REMEDY,
+        )
 
 
 def is_result(path: Path) -> bool:
@@ -92,20 +112,22 @@ def read_result(path: Path) -> Fit:
     Raises
     ------
     BadFileError
-        Where the file is missing, is not JSON, or is not a fit.
+        Where the file is missing, is not JSON, is not a fit, or has been changed since it was written.
     """
     path = Path(path)
+    if path.is_dir():
+        settle(path)
     file = path / FIT_FILE if path.is_dir() else path
-    remedy = "make it with 'calib fit CAMPAIGN --into FOLDER'"
     try:
         value = json.loads(file.read_text(encoding="utf-8"))
     except OSError as error:
-        raise BadFileError(file, found=str(error.strerror), expected="a fit", remedy=remedy) from error
+        raise BadFileError(file, found=str(error.strerror), expected="a fit", remedy=REMEDY) from error
     except (ValueError, RecursionError) as error:
-        raise BadFileError(file, found=f"no JSON ({error})", expected="a fit", remedy=remedy) from error
+        raise BadFileError(file, found=f"no JSON ({error})", expected="a fit", remedy=REMEDY) from error
     if not isinstance(value, dict):
-        raise BadFileError(file, found=f"a JSON {type(value).__name__}", expected="a fit", remedy=remedy)
+        raise BadFileError(file, found=f"a JSON {type(value).__name__}", expected="a fit", remedy=REMEDY)
+    _check_seal(file, value)
     try:
         return Fit.from_dict(value)
     except CalibError as error:
-        raise BadFileError(file, found=str(error), expected="a fit", remedy=remedy) from error
+        raise BadFileError(file, found=str(error), expected="a fit", remedy=REMEDY) from error

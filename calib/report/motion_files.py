@@ -12,8 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from calib.campaign.model import Campaign
-from calib.errors import would_overwrite
-from calib.files import write_json, write_text
+from calib.files import refuse_existing, write_json, write_text
 from calib.motion.odometry.integrate import integrate
 from calib.motion.odometry.loaded import loads_in_steps, radii_under_load, travel_from_counts
 from calib.motion.poses import Poses
@@ -53,9 +52,7 @@ def write_simulation(simulation: Simulation, folder: Path, *, force: bool) -> li
         law_figures, law_tables = _law_files(simulation.law)
         figures, tables = figures | law_figures, tables | law_tables
     document = folder / f"{simulation.study}.json"
-    for target in (document, *(folder / f"{name}.csv" for name in tables)):
-        if target.exists() and not force:
-            raise would_overwrite(target)
+    refuse_existing([document, *(folder / f"{name}.csv" for name in tables)], force=force)
     written = write_figures(figures, folder, force=force)
     written += [_csv(folder / f"{name}.csv", rows, force=force) for name, rows in tables.items()]
     return [write_json(document, simulation.document(), force=force), *written]

@@ -6,7 +6,8 @@ import re
 from pathlib import Path
 from typing import Final
 
-from calib.errors import BadInputError, would_overwrite
+from calib.errors import BadInputError
+from calib.files import refuse_existing
 
 __all__ = ["DEFAULT_FOLDER", "file_name", "place_of"]
 
@@ -47,6 +48,5 @@ def place_of(name: str, into: Path | None, *, force: bool = False) -> Path:
         path = into / file_name(name)
     if path.is_dir():
         raise BadInputError(f"into: found the folder {path}; expected a place for a file; choose another")
-    if path.exists() and not force:
-        raise would_overwrite(path)
+    refuse_existing([path], force=force)
     return path

@@ -109,7 +109,7 @@ def issue_date(text: str | None) -> str:
     return text
 
 
-def source_of(path: Path | str, *, issued: str) -> tuple[Source, Campaign | None]:
+def source_of(path: Path | str, *, issued: str, accept: str = "") -> tuple[Source, Campaign | None]:
     """Return what a report on a campaign folder or a result folder is made from.
 
     Parameters
@@ -118,6 +118,8 @@ def source_of(path: Path | str, *, issued: str) -> tuple[Source, Campaign | None
         A campaign's folder, which is fitted now, or a result folder or ``fit.json``, which is only read.
     issued : str
         Date of issue, YYYY-MM-DD.
+    accept : str
+        Why a law beyond the bounds of its vehicle is passed on all the same; empty: it is refused.
 
     Returns
     -------
@@ -142,12 +144,12 @@ def source_of(path: Path | str, *, issued: str) -> tuple[Source, Campaign | None
             remedy="give the path of one",
         )
     if is_result(path):
-        source = source_of_fit(read_result(path), issued=issued, where=path)
+        source = source_of_fit(replace(read_result(path), accepted=accept), issued=issued, where=path)
         return replace(source, known_verdict=_verdict_beside(path, source.fit.name)), None
     from calib.campaign.read import read_campaign
 
     campaign = read_campaign(path)
-    source = from_campaign(campaign, issued=issued)
+    source = from_campaign(campaign, issued=issued, accept=accept)
     return replace(source, known_verdict=_verdict_beside(path, campaign.name)), campaign
 
 
@@ -178,9 +180,9 @@ def source_of_fit(fit: Fit, *, issued: str, where: Path | str = "fit") -> Source
     return Source(fit, from_fit(fit, created=issued), issued, stated)
 
 
-def from_campaign(campaign: Campaign, *, issued: str) -> Source:
+def from_campaign(campaign: Campaign, *, issued: str, accept: str = "") -> Source:
     """Return what a report on `campaign`, fitted now, is made from; see `source_of`."""
     fit = fit_campaign(campaign)
-    fit = replace(fit, provenance=provenance(campaign, version=__version__, arguments={}))
+    fit = replace(fit, provenance=provenance(campaign, version=__version__, arguments={}), accepted=accept)
     made = from_fit(fit, created=issued, inputs=campaign.hashes)
     return Source(fit, made, issued, stated_of(campaign), logo=logo_of(campaign))

@@ -11,6 +11,7 @@ from calib.errors import BadInputError
 from calib.radius.fit import fit_campaign
 from calib.radius.fitted import Fit
 from calib.radius.result import is_result, read_result, write_result
+from calib.seal import checksum
 from tests.radius.coverage import DESIGNS, campaign_of
 from tests.radius.making import straight
 
@@ -83,13 +84,27 @@ def test_a_missing_part_of_a_result_is_bad_input(fit: Fit, tmp_path: Path) -> No
     for key in list(document):
         if key in {"passed"}:
             continue
-        cut = {name: value for name, value in document.items() if name != key}
+        cut = {name: value for name, value in document.items() if name not in {key, "checksum"}}
+        if key != "checksum":
+            cut["checksum"] = checksum(cut)
         (tmp_path / "fit.json").write_text(json.dumps(cut), encoding="utf-8")
         if key == "setup":
             assert read_result(tmp_path).setup is None
             continue
         with pytest.raises(BadInputError):
             read_result(tmp_path)
+
+
+def test_a_changed_result_is_refused(fit: Fit, tmp_path: Path) -> None:
+    """Report and export compute nothing again, so that a changed number would go to the vehicle; spacing may change."""
+    file = write_result(fit, tmp_path / "result")
+    document = json.loads(file.read_text(encoding="utf-8"))
+    file.write_text(json.dumps(dict(reversed(document.items()))), encoding="utf-8")
+    assert read_result(file).to_dict() == fit.to_dict()
+    document["wheels"]["left"]["radius_ref_m"] *= 1.0 + 1e-12
+    file.write_text(json.dumps(document), encoding="utf-8")
+    with pytest.raises(BadInputError, match="checksum"):
+        read_result(file)
 
 
 def test_the_static_radius_is_fitted_beside_the_moving_one() -> None:

@@ -12,9 +12,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from calib.coefficients.canonical import checksum
 from calib.coefficients.file import CoefficientFile
 from calib.runtime import CoefficientError, Coefficients, Odometer, OdometerFault, Status
+from calib.seal import checksum
 
 
 @pytest.fixture

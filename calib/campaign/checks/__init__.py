@@ -7,6 +7,7 @@ from typing import Final
 
 from calib.campaign.checks import assumed, counts, design, distances, loads, logs, repeats
 from calib.campaign.model import Campaign, Note
+from calib.campaign.plausible import implausible
 
 __all__ = ["CHECKS", "Check"]
 
@@ -34,4 +35,5 @@ CHECKS: Final[dict[str, Check]] = {
     "load_and_session": design.load_and_session,
     "few_loads": design.few_loads,
     "model_against_vehicle": design.model_against_vehicle,
+    "implausible": implausible,
 }

@@ -24,8 +24,8 @@ from calib.campaign.settings import Encoder
 from calib.campaign.settings_file import Settings, parse_settings
 from calib.campaign.wraps import detect_wrap_bits
 from calib.campaign.write import write_campaign
-from calib.errors import BadInputError, would_overwrite
-from calib.files import sha256_file, write_bytes, write_json
+from calib.errors import BadInputError
+from calib.files import refuse_existing, sha256_file, to_json
 
 __all__ = ["Ingested", "ingest"]
 
@@ -111,8 +111,8 @@ def ingest(
         raise BadInputError("sources: found none; expected the run table first, then logs; name the files")
     paths = [Path(source) for source in sources]
     _keep_apart([*paths, *([mapping] if mapping else [])], into)
-    if (into / "campaign.toml").exists() and not force and not dry_run:
-        raise would_overwrite(into / "campaign.toml")
+    if not dry_run:
+        refuse_existing([into / "campaign.toml"], force=force)
     read = read_mapping(mapping)
     settings = parse_settings(read.settings, read.shown, into.name or "campaign")
     work = _Work(read, settings, Border(lenient=False))
@@ -122,10 +122,9 @@ def ingest(
         work.hashes[read.shown] = sha256_file(mapping)
     campaign = _campaign(paths, work)
     if not dry_run:
-        write_campaign(campaign, into, force=force)
-        for name, log in work.whole.items():
-            write_bytes(into / RECORDINGS / f"{name}.csv", _csv(log.columns), force=True)
-        write_json(into / RECORD, _record(work), force=True)
+        beside = {f"{RECORDINGS}/{name}.csv": _csv(log.columns) for name, log in work.whole.items()}
+        beside[RECORD] = to_json(_record(work)).encode("utf-8")
+        write_campaign(campaign, into, force=force, beside=beside)
     n_logs = int(campaign.logs.present.sum())
     notes = tuple(work.border.notes)
     return Ingested(into, len(campaign.runs), n_logs, work.hashes, notes, campaign, tuple(work.cuts))

@@ -8,8 +8,9 @@ from typing import Final
 
 from matplotlib.figure import Figure
 
-from calib.errors import BadInputError, would_overwrite
-from calib.files import write_bytes
+from calib.errors import BadInputError
+from calib.files import refuse_existing
+from calib.folders import write_files
 from calib.report.figures.style import render
 
 __all__ = ["FORMS", "write_figures"]
@@ -42,10 +43,7 @@ def write_figures(figures: Mapping[str, Figure], folder: Path, *, force: bool = 
     folder = Path(folder)
     if folder.exists() and not folder.is_dir():
         raise BadInputError(f"{folder}: found a file; expected a folder for the figures; choose another path")
-    targets = {folder / f"{name}.{form}": (figure, form) for name, figure in figures.items() for form in FORMS}
-    for target in targets:
-        if target.exists() and not force:
-            raise would_overwrite(target)
-    for target, (figure, form) in targets.items():
-        write_bytes(target, render(figure, form), force=force)
-    return list(targets)
+    targets = {f"{name}.{form}": (figure, form) for name, figure in figures.items() for form in FORMS}
+    refuse_existing([folder / name for name in targets], force=force)
+    drawn = {name: render(figure, form) for name, (figure, form) in targets.items()}
+    return write_files(folder, drawn, force=force) if drawn else []

@@ -66,6 +66,12 @@ def usable_notice(fit: Fit) -> Notice:
         for check in wheel.checks
         if not check.passed
     ]
+    if fit.implausible and fit.accepted:
+        return Notice(
+            "bad",
+            "Implausible, and passed on by the user all the same",
+            f"Reason given: {prose(fit.accepted)}. Findings: {' '.join(prose(text) for text in fit.implausible)}",
+        )
     if failed:
         return Notice(
             "bad",

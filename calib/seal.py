@@ -1,4 +1,4 @@
-"""The checksum of a coefficient file: SHA-256 over a canonical form that survives re-indenting and re-ordering."""
+"""The checksum of calib's own files: SHA-256 over a canonical form that survives re-indenting and re-ordering."""
 
 from __future__ import annotations
 

@@ -1,0 +1,60 @@
+"""What stands around every command: its inputs are kept from being written over, and are files, no devices."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import typer
+from typer.core import TyperCommand
+
+from calib.errors import BadInputError
+from calib.inputs import inputs_kept, refuse_special
+
+__all__ = ["Application", "Guarded"]
+
+#: parameters that say where something is written; every other path is an input
+OUTPUTS: Final = frozenset({"into", "output", "json", "json_target", "figures", "apply", "html", "tum", "plot"})
+#: commands with further outputs: what one makes, another reads
+ALSO: Final[dict[str, frozenset[str]]] = {"make": frozenset({"truth"})}
+
+
+class Guarded(TyperCommand):
+    """A command whose path arguments are held sacred while it runs."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command with its inputs kept."""
+        paths = list(dict.fromkeys(_inputs(ctx.params, OUTPUTS | ALSO.get(str(ctx.info_name), frozenset()))))
+        for path in paths:
+            refuse_special(path)
+        seed = ctx.params.get("seed")
+        if isinstance(seed, int) and not 0 <= seed < 2**63:
+            raise BadInputError(f"--seed: found {seed}; expected a whole number from 0 on; choose another")
+        with inputs_kept(paths):
+            return super().invoke(ctx)
+
+
+class Application(typer.Typer):
+    """A group whose commands are guarded, so that none has to think of it."""
+
+    def command(self, *args: Any, **kwargs: Any) -> Any:
+        """Add a command; see `typer.Typer.command`."""
+        kwargs.setdefault("cls", Guarded)
+        return super().command(*args, **kwargs)
+
+
+def _inputs(parameters: dict[str, Any], outputs: frozenset[str]) -> Iterator[Path]:
+    for name, value in parameters.items():
+        if name in outputs:
+            continue
+        for part in value if isinstance(value, list | tuple) else [value]:
+            if isinstance(part, Path) or (isinstance(part, str) and part and _exists(part)):
+                yield Path(part)
+
+
+def _exists(text: str) -> bool:
+    try:
+        return Path(text).exists()
+    except (OSError, ValueError):
+        return False

@@ -1,0 +1,68 @@
+"""A fuzz that stays: damaged files and options of every kind end in one helpful line, never in a traceback."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from tests.fuzz.inputs import OPTION_VALUES, damaged, outcome, outcomes, prepared
+
+#: inputs of the suite, in parts so that a fault names its part; the script takes as many as it is given
+PARTS, OF_A_PART = 8, 225
+#: examples that hypothesis adds
+TEXTS, NUMBERS = 100, 100
+
+
+@pytest.fixture(scope="module")
+def base(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    yield prepared(tmp_path_factory.mktemp("fuzz") / "base")
+
+
+@pytest.mark.parametrize("part", range(PARTS))
+def test_damage_ends_in_one_line(part: int, base: Path) -> None:
+    """Exit 0, 1, 2 or 130, no traceback, no more than ten seconds, one line about what to do."""
+    faults = [
+        f"input {number} of seed {part}: {result.arguments}: {result.fault}"
+        for number, result in outcomes(base, OF_A_PART, seed=part)
+        if result.fault
+    ]
+    assert not faults, "\n".join(faults)
+
+
+@given(text=st.text(min_size=0, max_size=40))
+@settings(max_examples=TEXTS, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_any_text_as_a_run_id_is_data(text: str, base: Path) -> None:
+    """What stands in a cell is shown as it stands, and steers nothing."""
+    folder = base / "text"
+    folder.mkdir(exist_ok=True)
+    (folder / "campaign.toml").write_bytes((base / "C" / "campaign.toml").read_bytes())
+    header, *rows = (base / "C" / "runs.csv").read_text(encoding="utf-8").splitlines()
+    quoted = '"' + text.replace('"', '""') + '"'
+    first = ",".join([quoted, *rows[0].split(",")[1:-1], ""])
+    (folder / "runs.csv").write_text(
+        "\n".join([header, first, *rows[3:]]), encoding="utf-8", errors="surrogatepass", newline=""
+    )
+    result = outcome(["check", str(folder)])
+    assert not result.fault
+    assert "\x1b" not in result.error
+
+
+@given(
+    command=st.sampled_from(["loads", "deviation", "fit", "check"]), values=st.lists(st.text(max_size=20), max_size=4)
+)
+@settings(max_examples=NUMBERS)
+def test_any_words_are_refused_in_one_line(command: str, values: list[str]) -> None:
+    """Arguments that nobody meant."""
+    result = outcome([command, *values])
+    assert not result.fault, result.fault
+
+
+def test_the_damage_is_the_same_for_the_same_number() -> None:
+    """So that a fault can be looked at again."""
+    assert damaged(b"abc" * 50, random.Random(3)) == damaged(b"abc" * 50, random.Random(3))
+    assert len(set(OPTION_VALUES)) == len(OPTION_VALUES)

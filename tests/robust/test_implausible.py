@@ -1,0 +1,73 @@
+"""Absurd is refused: units and settings wrong by factors fail ``check`` and ``fit``, and are not passed on unasked."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from calib.campaign.plausible import implausible
+from calib.campaign.read import read_campaign
+from calib.cli.main import run
+from tests.robust.spoilt import FAILED, ROOT, SILENT, Case, answered, answers, cases
+
+CASES = {case.name: case for case in cases()}
+#: one of each kind; the whole table is ``python -m tests.robust.spoilt``
+SHOWN = [
+    "counts per revolution times 4",
+    "counts of the left wheel times 2",
+    "distance in mm",
+    "distances shifted by 1 row(s)",
+    "all distances 40 m",
+    "wheel loads in kN",
+    "wheel loads in kg",
+    "wheel loads in N, negative",
+    "vehicle.track_m in mm",
+    "temperature in Fahrenheit",
+    "end headings in degrees, loops",
+    "end headings in degrees, corridor",
+]
+
+
+def test_the_table_is_as_long_as_promised() -> None:
+    """At least 90 spoilt campaigns, and few of which it is said beforehand that nothing notices them."""
+    assert len(CASES) >= 90
+    assert sum(case.wanted == SILENT for case in CASES.values()) <= 12
+
+
+@pytest.mark.parametrize("name", SHOWN)
+def test_no_command_passes_on_what_cannot_be(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """``check`` and ``fit`` fail, ``export`` and ``report`` write nothing."""
+    case: Case = CASES[name]
+    assert answered(answers(case, tmp_path / "spoilt")) == FAILED
+    assert not (tmp_path / "spoilt" / "c.json").exists()
+    assert not (tmp_path / "spoilt" / "r.pdf").exists()
+    capsys.readouterr()
+
+
+@pytest.mark.parametrize("name", ["corridor", "corridor_crossed", "yard"])
+def test_sound_campaigns_are_within_all_bounds(name: str) -> None:
+    assert not list(implausible(read_campaign(ROOT / "sample_runs" / name)))
+
+
+def test_the_likely_setting_is_named_and_a_reason_is_written_into_the_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "C"
+    shutil.copytree(ROOT / "sample_runs" / "corridor", folder)
+    CASES["counts per revolution times 4"].spoil(folder)
+    arguments = ["export", str(folder), "--to", "json", "--output", str(tmp_path / "c.json")]
+    assert run(arguments) == 1
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert "times nominal: counts are quadrature edges" in err
+    assert run([*arguments, "--accept-implausible", "  "]) == 1
+    assert run([*arguments, "--accept-implausible", "wheel of the test stand"]) == 0
+    document = json.loads((tmp_path / "c.json").read_text(encoding="utf-8"))
+    assert document["accepted_implausible"]["reason"] == "wheel of the test stand"
+    assert "times nominal" in document["accepted_implausible"]["findings"][0]
+    # the file that carries the reason may be turned into other forms
+    assert run(["export", str(tmp_path / "c.json"), "--to", "c", "--output", str(tmp_path / "c.h")]) == 0
+    capsys.readouterr()
