@@ -356,6 +356,14 @@ def _reference(campaign: Campaign) -> Iterator[Note]:
                 f"the end poses of straight runs lie {np.median(away[straight] / distance[straight]):.3g} of the "
                 "distance away; expected the distance; check the unit (km, or distance_m in mm?)",
             )
+        straight &= np.isfinite(theta) & (np.abs(y) < 0.05 * np.abs(x)) & (away > 0.5 * distance)
+        askew = float(np.median(np.abs(theta[straight]))) if straight.sum() >= _LEAST_RUNS else 0.0
+        if askew > 0.15 and campaign.reference.frame != "map":
+            yield _note(
+                "runs, column ref_theta_rad",
+                f"straight runs that end on their line are turned by {askew:.3g} rad (median); expected below 0.15; "
+                "are the headings in degrees?",
+            )
     turned = (arcs[1] - arcs[0]) / campaign.vehicle.track_m
     yield from _headings(theta, turned, distance)
 
@@ -363,7 +371,8 @@ def _reference(campaign: Campaign) -> Iterator[Note]:
 def _headings(theta: FloatArray, turned: FloatArray, distance: FloatArray) -> Iterator[Note]:
     """Hold headings against those of the counts; unequal wheels turn the vehicle in proportion to the distance."""
     good = np.isfinite(theta) & np.isfinite(turned) & np.isfinite(distance)
-    if good.sum() < 2 * _LEAST_RUNS:
+    if good.sum() < 2 * _LEAST_RUNS or np.median(np.abs(turned[good])) < 1.0:
+        # nearly straight runs: their headings tell unequal wheels, not units
         return
     design = np.column_stack([turned, distance])[good]
     coefficients, _, rank, _ = np.linalg.lstsq(design, theta[good], rcond=1e-9)

@@ -75,18 +75,24 @@ def from_fit(
             f"fit of {fit.name!r}: found no vehicle, encoder and input hashes; expected those of its campaign; "
             "make it anew with 'calib fit CAMPAIGN --into FOLDER'"
         )
-    file = from_law(
-        fit.law,
-        fit.setup.vehicle,
-        fit.setup.encoder,
-        name=fit.name,
-        simulated=fit.simulated,
-        outside=outside,
-        created=created,
-        load_table=load_points(fit.radii.load_left_N, fit.radii.load_right_N),
-        inputs=hashes,
-        effects=effects,
-    )
+    try:
+        file = from_law(
+            fit.law,
+            fit.setup.vehicle,
+            fit.setup.encoder,
+            name=fit.name,
+            simulated=fit.simulated,
+            outside=outside,
+            created=created,
+            load_table=load_points(fit.radii.load_left_N, fit.radii.load_right_N),
+            inputs=hashes,
+            effects=effects,
+        )
+    except (TypeError, OverflowError) as error:
+        raise BadInputError(
+            f"fit of {fit.name!r}: found a value that is no number ({error}); expected those of a fit; make it anew "
+            "with 'calib fit CAMPAIGN --into FOLDER'"
+        ) from error
     if not fit.implausible:
         return file
     return file.changed(accepted_implausible={"reason": fit.accepted, "findings": list(fit.implausible)})
