@@ -277,8 +277,11 @@ def _summary(cases: list[Judged]) -> dict[str, Any]:
         (case.predicted, case.achieved) for case in cases if case.predicted is not None and case.achieved is not None
     ]
     explained = [case.predicted for case in cases if case.verdict == "explained" and case.predicted is not None]
+    crowded = [statement for case in _of(cases, "crowded") for statement in case.statements]
+    stated_minus_true = float(np.mean([p - hit for p, hit in crowded])) if crowded else None
     return {
         "cases": len(cases),
+        "crowded_stated_minus_true": stated_minus_true,
         "median_set_size": median([float(case.set_size) for case in cases if case.set_size]),
         "interval_coverage": share([low <= truth <= high for _, truth, low, high in intervals]).to_dict(),
         "interval_coverage_by_parameter": {name: share(found).to_dict() for name, found in sorted(hits.items())},

@@ -173,3 +173,17 @@ def test_the_truth_survives_its_file() -> None:
     assert Truth.from_dict(made.to_dict()) == made
     heavy = replace(made, noise=Noise(tail=float("inf")))
     assert Truth.from_dict(heavy.to_dict()).noise.tail == float("inf")
+
+
+def test_the_ceiling_stands_beside_the_hits_of_the_same_cases() -> None:
+    """By hand: one hit of two cases whose ceilings are 0.9 and 0.7 behind the gate: 0.5 / 0.8."""
+    truths = [replace(truth("single", "wear", signal=5.0), ceiling=ceiling) for ceiling in ((1.0, 0.9), (0.8, 0.7))]
+    answers = [verdict("explained", ("wear", 0.9)), verdict("no_gap")]
+    row = score_of([judge(*each) for each in zip(truths, answers, strict=True)]).ceilings["5"]
+    assert row == pytest.approx({"free": 0.9, "gated": 0.8, "hits_over_gated": 0.625})
+
+
+def test_what_crowded_cases_state_is_held_against_what_is_true() -> None:
+    """By hand: 0.9 and 0.5 are stated, the first is true: 0.7 stated on average, 0.5 true."""
+    case = judge(truth("crowded", "wear", "track_width"), verdict("explained", ("wear", 0.9), ("load_radius", 0.5)))
+    assert score_of([case]).summary["crowded_stated_minus_true"] == pytest.approx(0.2)

@@ -185,7 +185,7 @@ def main(folder: str, names: Sequence[str]) -> None:
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
         for name, base, own, covariance in pool.map(_base_of, [(name, folder) for name in names or BASES]):
             before = ", ".join(cause["effect"] for cause in own["causes"])
-            fix = ", a fix recommended: a false alarm" if own["recommended"] else ""
+            fix = ", a fix recommended" if own["recommended"] else ""
             sys.stdout.write(f"{name}, calibrated, nothing planted: {own['verdict']}: {before}{fix}\n")
             sys.stdout.flush()
             jobs = [(name, base, own, covariance, number) for number in range(len(BASES[name][1]))]

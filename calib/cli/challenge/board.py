@@ -32,6 +32,11 @@ def score_content(score: Score) -> list[Block]:
     if summary["closure_compared"]:
         difference = summary["closure_predicted_minus_achieved_median"]
         sentences.append(f"closure, predicted against achieved: {difference:.3f} apart (median)")
+    if summary["crowded_stated_minus_true"] is not None:
+        sentences.append(
+            "crowded cases: stated probabilities less the share that is true: "
+            f"{summary['crowded_stated_minus_true']:+.3f} (wanted within 0.05)"
+        )
     return [_board(score), *_parts(score), Items(tuple(sentences)), _misses(score)]
 
 
