@@ -22,8 +22,7 @@ from pytest_benchmark.fixture import BenchmarkFixture
 from calib.campaign.model import Campaign, Logs
 from calib.campaign.write import write_campaign
 from calib.gap import diagnose as whole
-from calib.gap.evidence import noise, system, whitened
-from calib.gap.evidence import search as searching
+from calib.gap.evidence import climb, noise, system, whitened
 from calib.plant.make import make_campaign
 from calib.plant.plans import good_design
 
@@ -82,7 +81,7 @@ def clocked() -> Iterator[Clock]:
         (whitened, "form_columns", "signatures"),
         (whole, "estimate_noise", "noise"),
         (whole, "search", "search"),
-        (searching, "log_weights", "evidence"),
+        (climb, "log_weights", "evidence"),
         (whole, "measure_closure", "held-out fits"),
         (whole, "trials", "transfer"),
         (whole, "locate", "where"),

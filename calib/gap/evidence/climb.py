@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -225,9 +226,8 @@ class Climb:
         share = np.exp(weight - weight.max())
         sizes = model_sizes(active, self.columns, model, share / share.sum())
         cuts = np.cumsum([0, *(len(self.columns.forms[k].parameters) for k in model)])
-        for k, first, last in zip(model, cuts[:-1], cuts[1:], strict=True):
-            if k not in self.current:
-                self.sizes[k] = sizes[first:last]
+        fresh = {k: sizes[first:last] for k, (first, last) in zip(model, pairwise(cuts), strict=True)}
+        self.sizes = {**fresh, **{k: self.sizes[k] for k in self.current}}
         self.current = model
         self.sums = self._summed()
 

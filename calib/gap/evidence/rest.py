@@ -22,7 +22,7 @@ __all__ = ["REST_SCALES", "Blocks", "RestKind", "blocks_of", "rest_kinds"]
 
 INTERACTION: Final = "interaction"
 #: offsets of fewer conditions than this are no sample of a rest: a recalibration and an effect make them as well
-FEWEST_CELLS: Final = 4
+FEWEST_CELLS: Final = 8
 #: standard deviation of the rest, in floors of one unit
 REST_SCALES: Final = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import Final
 
@@ -22,7 +23,7 @@ __all__ = ["Search", "Settings", "search"]
 #: passes: linearise, search, fit
 _PASSES: Final = 7
 #: a step below this share of the standard uncertainty ends the passes
-_SETTLED: Final = 0.05
+_SETTLED: Final = 0.2
 #: causes that leave a small rest are preferred to fewer that leave a large one where they are less likely by so much
 _PREFERRED: Final = 4.0
 #: beside a larger rest, the search begins once more without one
@@ -114,11 +115,12 @@ def search(
     else:
         forms = start.forms
     every = [form for made in forms.values() for form in made]
-    nothing = Climb(base, nominal, noise, every, settings).nothing()
-    room, fitted = _settle(base if start is None else start.fitted, nominal, noise, every, settings)
+    begun = Climb(base, nominal, noise, every, settings)
+    first = copy(begun) if start is None else Climb(start.fitted, nominal, noise, every, settings)
+    room, fitted = _settle(first, noise, every, settings)
     if room.weighting().scale > _SMALL_REST:
         # several causes together may leave little where each alone leaves a large rest: begin once without one
-        other, other_fitted = _settle(base, nominal, noise, every, settings, most=_SMALL_REST)
+        other, other_fitted = _settle(copy(begun), noise, every, settings, most=_SMALL_REST)
         if other.evidence() > room.evidence() - _PREFERRED:
             room, fitted = other, other_fitted
     models, weight = room.posterior()
@@ -139,29 +141,25 @@ def search(
         rivals=room.rivals(models, total.sum(axis=0)),
         rest=float(total[1:].sum()),
         weighting=room.weighting(),
-        nothing=nothing,
+        nothing=begun.nothing(),
     )
 
 
 def _settle(
-    fitted: Fitted,
-    nominal: Path,
-    noise: Noise,
-    every: Sequence[Form],
-    settings: Settings,
-    most: float = np.inf,
+    room: Climb, noise: Noise, every: Sequence[Form], settings: Settings, most: float = np.inf
 ) -> tuple[Climb, Fitted]:
-    """Linearise, search and fit until settled; `most` is the largest scale of the rest while searching."""
+    """Search, fit and linearise anew until settled; `most` is the largest scale of the rest while searching."""
     for number in range(_PASSES):
-        room = Climb(fitted, nominal, noise, every, settings)
         # two hypotheses that are as good must not take turns for ever: the last passes keep the set
         if number < _PASSES - 2:
             room.most = most
             room.climb()
             room.most = np.inf
-        before, fitted = fitted, room.fitted()
+        before, fitted = room.system.fitted, room.fitted()
         if _step(before, fitted) < _SETTLED:
             break
+        if number < _PASSES - 1:
+            room = Climb(fitted, room.system.nominal, noise, every, settings)
     return room, fitted
 
 

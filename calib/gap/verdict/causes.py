@@ -20,8 +20,8 @@ from calib.gap.verdict.result import Cause, Quantity
 
 __all__ = ["causes_of"]
 
-#: probabilities nearer than this order nothing: the signal does
-ALIKE: Final = 0.1
+#: within one of these classes of probability the order is by the signal
+CLASSES: Final = (0.3, 0.6, 0.8)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,7 +66,7 @@ def causes_of(
         replace(cause, share=explained * cause.share / total, forms_open=forms_open.get(cause.effect, ()))
         for cause in causes
     ]
-    return sorted(causes, key=lambda cause: (-round(cause.probability / ALIKE), -cause.signal))
+    return sorted(causes, key=lambda cause: (-int(np.digitize(cause.probability, CLASSES)), -cause.signal))
 
 
 def _sized(evidence: Evidence) -> list[_Sized]:
