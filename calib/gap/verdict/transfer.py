@@ -114,11 +114,13 @@ def _quantities(observations: Observations) -> dict[str, StrArray]:
     rolled = 0.5 * (np.abs(observations.travel_left_m) + np.abs(observations.travel_right_m))
     with np.errstate(divide="ignore", invalid="ignore"):
         # of the wheels, so that a turn on the spot has one too; as a mean over their way, as effects feel it
-        speed = observations.total(rolled * rolled / observations.duration_s) / observations.total(rolled)
+        speed = np.nan_to_num(
+            observations.total(rolled * rolled / observations.duration_s) / observations.total(rolled)
+        )
     load = np.nan_to_num(observations.number("load_left_N") + observations.number("load_right_N"))
     quantities = {
         "kind": _routes(observations),
-        "speed": _binned(np.nan_to_num(speed), 0.1 * max(float(np.nanmax(speed)), 1e-3), "{:.2f} m/s"),
+        "speed": _binned(speed, 0.1 * max(float(speed.max()), 1e-3), "{:.2f} m/s"),
         "load": _binned(load, 0.1 * max(float(load.max()), 1.0), "{:.0f} N"),
         "direction": observations.labels["direction"],
         "session": observations.labels["session"],
