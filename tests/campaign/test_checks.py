@@ -181,6 +181,8 @@ FAULTS: list[tuple[str, str, str, Fault, str]] = [
         "",
     ),
     ("assumed_values", "assumed", "suspicious", lambda m: replace(m, assumed=("vehicle.track_m",)), ""),
+    ("implausible", "implausible", "wrong", _scaled(4), ""),
+    ("implausible", "implausible", "wrong", _number("load_left_N", lambda _: -5.0, 4), ""),
     ("assumed_values", "assumed", "info", lambda m: replace(m, assumed=("rangefinder.sigma_m",)), ""),
 ]
 
