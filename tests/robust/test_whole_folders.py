@@ -32,7 +32,7 @@ def test_a_generation_goes_when_the_next_comes_and_the_rest_stays(tmp_path: Path
     folder = tmp_path / "r"
     write_files(folder, OLD)
     (folder / "notes.txt").write_text("mine")
-    with pytest.raises(BadInputError, match="--force"):
+    with pytest.raises(BadInputError, match="existing file"):
         write_files(folder, NEW)
     assert texts(folder) == {**OLD, "notes.txt": b"mine"}
     write_files(folder, NEW, force=True)
