@@ -149,5 +149,5 @@ def test_a_law_beyond_its_loads_says_so() -> None:
 def test_unknown_studies_and_empty_ones_are_refused() -> None:
     with pytest.raises(BadInputError, match="symmetric"):
         simulate("sideways", track_m=0.7, rng=np.random.default_rng(0))
-    with pytest.raises(BadInputError, match="--real"):
+    with pytest.raises(BadInputError, match="cases or a law"):
         simulate("custom", track_m=0.7, rng=np.random.default_rng(0))
