@@ -31,7 +31,7 @@ def run(
     from dataclasses import asdict
 
     from calib.campaign.check import check_campaign
-    from calib.campaign.ingest import read_or_ingest
+    from calib.campaign.opening import read_or_ingest
     from calib.report.statements.check import check_content
 
     refuse_existing([json], force=force)

@@ -62,7 +62,7 @@ def run(
     in part only, or its cause is unknown. 2: bad input.
     """
     one_blas_thread()
-    from calib.campaign.ingest import read_or_ingest
+    from calib.campaign.opening import read_or_ingest
     from calib.files import write_bytes, write_json
     from calib.gap.apply import applied_model
     from calib.gap.verdict.paper_headline import headline

@@ -53,7 +53,7 @@ def run(
     from dataclasses import replace
 
     from calib import __version__
-    from calib.campaign.ingest import read_or_ingest
+    from calib.campaign.opening import read_or_ingest
     from calib.coefficients.source import coefficients_of, effects_left_out
     from calib.radius.comparison import compare_laws
     from calib.radius.fit import fit_campaign

@@ -63,7 +63,7 @@ def run(
     recognised: correct it first.
     """
     one_blas_thread()
-    from calib.campaign.ingest import read_or_ingest
+    from calib.campaign.opening import read_or_ingest
     from calib.files import write_json
     from calib.geometry.estimate import estimate_geometry
     from calib.report.statements.geometry import geometry_content

@@ -78,6 +78,6 @@ def test_weighed_wheels_give_the_payload_back(capsys: pytest.CaptureFixture[str]
 
 def test_tables_are_for_people(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["loads", "--payload", "50", "--x", "0.2"]) == 0
-    assert "   50  0.2000  0.0000" in capsys.readouterr().out
+    assert "50  0.2000  0.0000" in capsys.readouterr().out
     assert run(["loads", "--weighed", "800,500,420"]) == 0
     assert "not given" in capsys.readouterr().out

@@ -2,7 +2,6 @@
 
 from calib.campaign.ingest.describe import Description, describe
 from calib.campaign.ingest.gathered import gathered
-from calib.campaign.ingest.opening import read_or_ingest
 from calib.campaign.ingest.run import Ingested, ingest
 
-__all__ = ["Description", "Ingested", "describe", "gathered", "ingest", "read_or_ingest"]
+__all__ = ["Description", "Ingested", "describe", "gathered", "ingest"]

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from calib.radius.fitted import Fit
 from calib.report.blocks import Column, Picture, Table, Text
-from calib.report.figures.budget import budget_bars
 from calib.report.numbers import aligned, fixed, left, prose, two_digits
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 __all__ = ["budget_picture", "declared_text", "law_budget", "radius_budget", "scatter_text"]
 
@@ -64,8 +66,15 @@ def budget_picture(fit: Fit) -> Picture:
         "budget",
         "Contributions to the standard uncertainty of a single effective radius, and all of them combined.",
         f"Bars of the uncertainty budget; the largest contribution is {largest.name.replace('_', ' ')}",
-        partial(budget_bars, fit.radii.budget),
+        partial(_bars, fit),
     )
+
+
+def _bars(fit: Fit) -> Figure:
+    # drawn where a page is made; a terminal does not pay for the import
+    from calib.report.figures.budget import budget_bars
+
+    return budget_bars(fit.radii.budget)
 
 
 def declared_text(fit: Fit) -> Text:

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from calib.arrays import FloatArray
 from calib.report.blocks import Picture
-from calib.report.figures import gap as figures
 from calib.report.gap_findings import GapFindings
 from calib.report.numbers import length
 from calib.report.statements.causes import effect_name
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 __all__ = ["before_after_picture", "covariate_picture", "map_picture"]
 
@@ -26,7 +29,7 @@ def map_picture(gap: GapFindings) -> list[Picture]:
             "gap-map",
             "The gap on the floor plan: paths driven, and arrows from the simulated to the measured end of each run.",
             f"Floor plan of {len(gap.paths_m)} runs with the gap at their ends, at most {length(largest)}",
-            partial(figures.gap_map, gap.paths_m, gap.offset_m, gap.group),
+            partial(_drawn, "gap_map", gap.paths_m, gap.offset_m, gap.group),
         )
     ]
 
@@ -57,7 +60,14 @@ def covariate_picture(gap: GapFindings) -> list[Picture]:
     varied = dict(sorted(varied.items(), key=lambda item: rank.get(item[0], len(rank))))
     floor_value = None if gap.floor is None else _rms(gap.floor[:, worst])
     draw = partial(
-        figures.gap_by_covariate, gap.before[:, worst], title, unit, varied, floor=floor_value, group=gap.group
+        _drawn,
+        "gap_by_covariate",
+        gap.before[:, worst],
+        title,
+        unit,
+        varied,
+        floor=floor_value,
+        group=gap.group,
     )
     return [
         Picture(
@@ -86,9 +96,17 @@ def before_after_picture(gap: GapFindings) -> list[Picture]:
             "The gap of every run before and after, channel by channel, on runs that the fit has not seen; bars "
             "are root mean squares, the grey band is the floor.",
             "Gap before and after by channel: " + "; ".join(sizes),
-            partial(figures.before_after, channels, gap.before, gap.after, gap.floor),
+            partial(_drawn, "before_after", channels, gap.before, gap.after, gap.floor),
         )
     ]
+
+
+def _drawn(name: str, *values: Any, **settings: Any) -> Figure:
+    # drawn where a page is made; a terminal does not pay for the import
+    from calib.report.figures import gap
+
+    figure: Figure = getattr(gap, name)(*values, **settings)
+    return figure
 
 
 def _rms(values: FloatArray) -> float:

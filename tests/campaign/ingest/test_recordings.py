@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.campaign.ingest import ingest, read_or_ingest
+from calib.campaign.ingest import ingest
+from calib.campaign.opening import read_or_ingest
 from calib.campaign.read import read_campaign
 from calib.errors import BadInputError
 from tests.campaign.ingest.driven import LOGS, Recorded, mapping_text, recorded, write

@@ -6,7 +6,6 @@ import tempfile
 from dataclasses import replace
 from pathlib import Path
 
-from calib.campaign.ingest.run import ingest
 from calib.campaign.model import Campaign
 from calib.campaign.read import SETTINGS, read_campaign
 from calib.campaign.readers import is_bag_folder
@@ -46,6 +45,8 @@ def read_or_ingest(path: Path, *, mapping: Path | None = None, lenient: bool = F
         return read_campaign(path, lenient=lenient, logs=logs)
     if not path.exists():
         return read_campaign(path, lenient=lenient, logs=logs)
+    from calib.campaign.ingest.run import ingest
+
     with tempfile.TemporaryDirectory(prefix="calib-") as place:
         folder = Path(place) / (path.stem or "campaign")
         made = ingest([path], folder, mapping=mapping)
