@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from calib.cli.options import Force, JsonTarget, MappingOption, refuse_existing
 from calib.cli.terminal import emit_json, show, waiting, wants_stdout, wrote
 from calib.errors import BadInputError
+
+if TYPE_CHECKING:
+    from calib.radius.fitted import Fit
 
 __all__ = ["EPILOG", "run"]
 
@@ -41,6 +44,10 @@ def run(
         ),
     ] = None,
     runs: Annotated[bool, typer.Option("--runs", help="List the radius of every run.")] = False,
+    figures: Annotated[
+        Path | None,
+        typer.Option("--figures", metavar="FOLDER", help="Write the report's figures there as PNG, SVG and PDF."),
+    ] = None,
     mapping: MappingOption = None,
     json: JsonTarget = None,
     force: Force = False,
@@ -60,7 +67,8 @@ def run(
     from calib.radius.result import FIT_FILE, RUNS_FILE, provenance, write_result
     from calib.report.statements.fit import comparison_content, fit_content
 
-    refuse_existing([json, *((into / FIT_FILE, into / RUNS_FILE) if into else ())], force=force)
+    results = (into / FIT_FILE, into / RUNS_FILE) if into else ()
+    refuse_existing([json, *results, *_pictures(figures)], force=force)
     believed = None
     if model is not None:
         if reference_load is not None:
@@ -86,5 +94,27 @@ def run(
         show(content)
     if into is not None:
         wrote([write_result(fitted, into, force=force)], target=json)
+    if figures is not None:
+        _draw(fitted, figures, json, force=force)
     emit_json(document, json, force=force)
     return 0 if fitted.passed else 1
+
+
+def _pictures(folder: Path | None) -> list[Path]:
+    """Return the files of the figures, so that existing ones are refused before the work."""
+    if folder is None:
+        return []
+    from calib.report.figures.files import figure_paths
+    from calib.report.statements.fit_pictures import FIT_PICTURES
+
+    return figure_paths(folder, FIT_PICTURES)
+
+
+def _draw(fitted: Fit, folder: Path, json: str | None, *, force: bool) -> None:
+    from calib.report.figures.files import write_figures
+    from calib.report.statements.fit_pictures import fit_pictures
+
+    with waiting("drawing"):
+        drawn = {picture.name: picture.draw() for picture in fit_pictures(fitted)}
+        written = write_figures(drawn, folder, force=force)
+    wrote(written, target=json, what=f"{len(written)} figure files to {folder}")

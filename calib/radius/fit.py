@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from calib.campaign.checks.assumed import stand_ins
 from calib.campaign.model import Campaign
 from calib.errors import BadInputError, RefusedError
 from calib.radius.effective import Component, EffectiveRadii, effective_radii
@@ -124,6 +125,7 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -
             rangefinder=campaign.rangefinder,
             reference=campaign.reference,
             conditions=conditions,
+            assumed=stand_ins(campaign),
         ),
     )
 

@@ -44,6 +44,8 @@ class Setup:
         Sections of ``campaign.toml``.
     conditions : mapping of str to (float, float)
         Smallest and largest value over the runs used, by column of the run table.
+    assumed : mapping of str to str
+        Keys of ``campaign.toml`` that nobody stated and that matter for these runs, with the values that stand in.
     """
 
     vehicle: Vehicle
@@ -52,17 +54,23 @@ class Setup:
     rangefinder: Rangefinder
     reference: Reference
     conditions: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    assumed: Mapping[str, str] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the setup as plain values, section by section."""
         sections = {name: asdict(getattr(self, name)) for name in _SECTIONS}
-        return {**sections, "conditions": {name: list(span) for name, span in self.conditions.items()}}
+        conditions = {name: list(span) for name, span in self.conditions.items()}
+        return {**sections, "conditions": conditions, "assumed": dict(self.assumed)}
 
     @staticmethod
     def from_dict(value: Mapping[str, Any]) -> Setup:
         """Return the setup that `to_dict` wrote."""
         sections: dict[str, Any] = {name: kind(**value[name]) for name, kind in _SECTIONS.items()}
-        return Setup(**sections, conditions={name: pair(span) for name, span in value["conditions"].items()})
+        return Setup(
+            **sections,
+            conditions={name: pair(span) for name, span in value["conditions"].items()},
+            assumed={str(key): str(text) for key, text in value.get("assumed", {}).items()},
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

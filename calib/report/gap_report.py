@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 
 from calib import __version__
+from calib.campaign.checks.assumed import stand_ins
 from calib.campaign.model import Campaign
 from calib.files import to_json
 from calib.gap.diagnose import diagnose_in_full
@@ -14,6 +15,7 @@ from calib.report.gap_source import findings_of
 from calib.report.numbers import prose
 from calib.report.pages.diagnosis import gap_section
 from calib.report.stated import logo_of, signatures_of, stated_of
+from calib.report.statements.assumed import assumed_text
 
 __all__ = ["diagnosis_report"]
 
@@ -55,6 +57,7 @@ def diagnosis_report(campaign: Campaign, *, issued: str, why: str, seed: int = 0
                     "The verdict holds for the vehicle, routes, loads and conditions of these runs.",
                 )
             ),
+            assumed_text(stand_ins(campaign)),
         ),
     )
     reason = Section("Radius law", (Notice("note", "These runs give no radius law", prose(why.rstrip(".")) + "."),))

@@ -6,9 +6,13 @@ from pathlib import Path
 
 import pytest
 
+from calib.campaign.read import read_campaign
 from calib.campaign.write import write_campaign
 from calib.cli.main import run
 from calib.radius.result import read_result
+from calib.report.content import compose
+from calib.report.source import from_campaign
+from calib.report.statements.fit_pictures import FIT_PICTURES
 from tests.campaign.making import campaign
 
 
@@ -122,3 +126,19 @@ def test_too_few_runs_are_refused_in_one_line(
 def test_help_shows_an_example(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["fit", "--help"]) == 0
     assert "calib fit sample_runs/corridor" in capsys.readouterr().out
+
+
+def test_the_figures_are_those_of_the_report(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Every picture of the report's pages, no other; existing ones are refused before anything is fitted."""
+    # how a figure becomes bytes has its own tests
+    monkeypatch.setattr("calib.report.figures.files.render", lambda _figure, form: form.encode())
+    assert run(["fit", str(folder), "--figures", str(tmp_path / "f")]) == 0
+    shown = compose(from_campaign(read_campaign(folder), issued="2026-01-01")).pictures
+    assert {path.stem for path in (tmp_path / "f").iterdir()} == {picture.name for picture in shown}
+    assert tuple(picture.name for picture in shown) == FIT_PICTURES
+    capsys.readouterr()
+    assert run(["fit", str(folder), "--figures", str(tmp_path / "f")]) == 2
+    out, err = capsys.readouterr()
+    assert (out, err.count("existing file")) == ("", 1)

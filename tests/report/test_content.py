@@ -10,6 +10,7 @@ import pytest
 
 from calib.campaign.model import Campaign
 from calib.errors import CalibError
+from calib.radius.fitted import Fit
 from calib.report.blocks import Facts, Items, Notice, Section, Table, Text
 from calib.report.content import Report, compose
 from calib.report.pages import PAGES
@@ -189,3 +190,26 @@ def test_rows_and_columns_agree() -> None:
 
 def test_text_blocks_are_plain_values() -> None:
     assert Text("a").to_dict() == {"kind": "text", "text": "a", "small": False}
+
+
+def test_what_nobody_stated_stands_in_the_report(source: Source) -> None:
+    """Small assumptions beside the instruments; those that every result scales with on the first page, too."""
+    assert source.fit.setup is not None
+    told = "none is assumed"
+    assert told in words(section(compose(source), "Instruments and conditions"))
+    assumed = {"rangefinder.sigma_m": "0.0015", "vehicle.track_m": "0.7"}
+    fit = replace(source.fit, setup=replace(source.fit.setup, assumed=assumed))
+    report = compose(replace(source, fit=fit))
+    conditions, first = words(section(report, "Instruments and conditions")), words(section(report, "Result"))
+    assert "rangefinder.sigma_m = 0.0015, vehicle.track_m = 0.7" in conditions
+    assert "vehicle.track_m = 0.7" in first
+    assert "rangefinder.sigma_m" not in first
+
+
+def test_assumptions_survive_the_result_folder(source: Source) -> None:
+    """A report on a result folder has no campaign to ask."""
+    assert source.fit.setup is not None
+    fit = replace(source.fit, setup=replace(source.fit.setup, assumed={"vehicle.track_m": "0.7"}))
+    again = Fit.from_dict(fit.to_dict())
+    assert again.setup is not None
+    assert dict(again.setup.assumed) == {"vehicle.track_m": "0.7"}

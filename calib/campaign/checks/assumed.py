@@ -7,10 +7,10 @@ from typing import Final
 
 from calib.campaign.model import Campaign, Note
 
-__all__ = ["assumed_values", "relevant"]
+__all__ = ["WEIGHTY", "assumed_values", "relevant", "stand_ins"]
 
 #: keys that every radius or path scales with
-_WEIGHTY: Final = ("vehicle.track_m", "vehicle.wheel_radius_m", "encoder.counts_per_rev")
+WEIGHTY: Final = ("vehicle.track_m", "vehicle.wheel_radius_m", "encoder.counts_per_rev")
 #: section -> columns of the run table or of logs that make its values matter
 _NEEDED_BY: Final = {"rangefinder": ("distance_m",), "reference": ("ref_x_m", "ref_y_m", "ref_theta_rad")}
 
@@ -25,6 +25,11 @@ def relevant(campaign: Campaign) -> tuple[str, ...]:
     )
 
 
+def stand_ins(campaign: Campaign) -> dict[str, str]:
+    """Return the assumed keys that matter, each with the value that stands in."""
+    return {key: value_of(campaign, key) for key in relevant(campaign)}
+
+
 def value_of(campaign: Campaign, key: str) -> str:
     """Return an assumed value as text; empty where the key is none of the campaign's."""
     section, _, name = key.partition(".")
@@ -35,12 +40,12 @@ def value_of(campaign: Campaign, key: str) -> str:
 
 def assumed_values(campaign: Campaign) -> Iterator[Note]:
     """Name what nobody stated, with the values that stand in."""
-    keys = relevant(campaign)
+    keys = stand_ins(campaign)
     if not keys:
         return
-    listed = ", ".join(f"{key} = {value_of(campaign, key)}" for key in keys)
+    listed = ", ".join(f"{key} = {value}" for key, value in keys.items())
     yield Note(
-        "suspicious" if any(key in _WEIGHTY for key in keys) else "info",
+        "suspicious" if any(key in WEIGHTY for key in keys) else "info",
         "campaign.toml",
         f"assumed, since nobody stated: {listed}; give the vehicle's and the instruments' own and take them out of "
         "'assumed'",

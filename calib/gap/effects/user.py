@@ -15,7 +15,7 @@ from calib.gap.effects.effect import Centre, Effect, Form, Parameter, varies
 from calib.gap.effects.family import Family
 from calib.gap.predict.push import Push
 
-__all__ = ["ACTS_ON", "GROUP", "Declared", "declared_effects", "entry_point_effects"]
+__all__ = ["ACTS_ON", "GROUP", "Declared", "declared_effects", "entry_point_effects", "entry_point_origins"]
 
 #: group of entry points under which packages offer classes of effects
 GROUP: Final = "calib.effects"
@@ -193,7 +193,23 @@ def entry_point_effects(taken: Collection[str], points: Sequence[EntryPoint] | N
     BadInputError
         Where an entry point cannot be loaded, is no subclass of `Effect`, or its id is in use.
     """
-    made: list[Effect] = []
+    return [effect for _, effect in _offered(taken, points)]
+
+
+def entry_point_origins(points: Sequence[EntryPoint] | None = None) -> dict[str, str]:
+    """Return which package each effect of an entry point comes from, by its id; see `entry_point_effects`."""
+    origins = {}
+    for point, effect in _offered((), points):
+        package = (
+            "an installed package" if point.dist is None else f"the package {point.dist.name} {point.dist.version}"
+        )
+        origins[effect.id] = f"{package} ({point.name} = {point.value})"
+    return origins
+
+
+def _offered(taken: Collection[str], points: Sequence[EntryPoint] | None) -> list[tuple[EntryPoint, Effect]]:
+    """Return the installed effects, each with its entry point."""
+    made: list[tuple[EntryPoint, Effect]] = []
     used = set(taken)
     for point in entry_points(group=GROUP) if points is None else points:
         where = f"entry point {point.name} = {point.value} of group {GROUP}"
@@ -211,6 +227,6 @@ def entry_point_effects(taken: Collection[str], points: Sequence[EntryPoint] | N
         name = getattr(effect, "id", None)
         if not isinstance(name, str) or not name or name in used:
             raise BadInputError(f"{where}: found the id {name!r}; expected one that no other effect has; {remedy}")
-        made.append(effect)
+        made.append((point, effect))
         used.add(name)
     return made

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Final
 
@@ -13,9 +13,14 @@ from calib.files import refuse_existing
 from calib.folders import write_files
 from calib.report.figures.style import render
 
-__all__ = ["FORMS", "write_figures"]
+__all__ = ["FORMS", "figure_paths", "write_figures"]
 
 FORMS: Final = ("png", "svg", "pdf")
+
+
+def figure_paths(folder: Path | None, names: Iterable[str]) -> list[Path]:
+    """Return the files that figures of these names are written to; none without a folder."""
+    return [] if folder is None else [folder / f"{name}.{form}" for name in names for form in FORMS]
 
 
 def write_figures(figures: Mapping[str, Figure], folder: Path, *, force: bool = False) -> list[Path]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from calib.report.blocks import Facts, Section, Text
 from calib.report.numbers import span
 from calib.report.source import Source
+from calib.report.statements.assumed import assumed_text
 
 __all__ = ["section"]
 
@@ -55,6 +56,8 @@ def section(source: Source) -> Section:
         "report."
     )
     blocks.append(Text(traceable + " The standard uncertainties of the instruments are as stated by the campaign."))
+    if setup is not None:
+        blocks.append(assumed_text(setup.assumed))
     if "remarks" in source.stated:
         blocks.append(Text(f"Remarks: {source.stated['remarks']}"))
     return Section("Instruments and conditions", tuple(blocks))

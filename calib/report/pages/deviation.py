@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Final
 
 import numpy as np
 
 from calib.radius.deviation import allowed_amplitude_m, radius_error
-from calib.report.blocks import Block, Column, Picture, Section, Table, Text
-from calib.report.figures import radius as figures
+from calib.report.blocks import Block, Column, Section, Table, Text
 from calib.report.numbers import fixed, left, plural
 from calib.report.source import Source
+from calib.report.statements.fit_pictures import deviation_picture
 
 __all__ = ["section"]
 
@@ -46,14 +45,7 @@ def section(source: Source) -> Section:
             f"shorter. The radii of this report are corrected for it; the largest correction of a run is {worst:.0f} "
             "ppm."
         ),
-        Picture(
-            "path-deviation",
-            "Left: excess of a weaving path over the straight distance, by amplitude and wavelength over whole "
-            "periods, and the runs of this campaign. Right: correction of each run's radius for weave and turn.",
-            f"Excess of the path by amplitude for five wavelengths with {int(known.sum())} runs; corrections of all "
-            f"runs up to {worst:.0f} ppm",
-            partial(figures.path_deviation, radii),
-        ),
+        deviation_picture(source.fit),
     ]
     counted = {name: int((radii.path_source == name).sum()) for name in dict.fromkeys(radii.path_source.tolist())}
     rows = []

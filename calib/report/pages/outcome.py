@@ -5,6 +5,7 @@ from __future__ import annotations
 from calib.report.blocks import Notice, Section, Text
 from calib.report.numbers import prose
 from calib.report.source import Source
+from calib.report.statements.assumed import assumed_notice
 from calib.report.statements.checks import usable_notice
 from calib.report.statements.diagnosis import TITLES, verdict_notice
 from calib.report.statements.law import law_table, single_run_text
@@ -22,7 +23,8 @@ def section(source: Source) -> Section:
         f"The law holds for {loads}. It comes from {len(fit.radii)} runs along a straight corridor. The same law, with "
         "its covariance, is attached to this PDF as coefficients.json."
     )
-    return Section("Result", (law_table(fit), holds, single_run_text(fit), usable_notice(fit), *_gap(source)))
+    assumed = () if fit.setup is None else assumed_notice(fit.setup.assumed)
+    return Section("Result", (law_table(fit), holds, single_run_text(fit), usable_notice(fit), *assumed, *_gap(source)))
 
 
 def _gap(source: Source) -> tuple[Notice, ...]:

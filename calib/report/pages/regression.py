@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 
 from calib.radius.regression import WheelFit
-from calib.report.blocks import Block, Column, Picture, Section, Table, Text
-from calib.report.figures import radius as figures
+from calib.report.blocks import Block, Column, Section, Table, Text
 from calib.report.numbers import aligned, fixed, places, two_digits
 from calib.report.source import Source
+from calib.report.statements.fit_pictures import regressions_picture
 from calib.report.statements.law import quality_text
 
 __all__ = ["section"]
@@ -25,13 +23,7 @@ def section(source: Source) -> Section:
             "prediction band holds the radius of one further run, driven in a session of its own: it answers how far "
             "off the next journey can be. Both have a coverage of 95 % at each load."
         ),
-        Picture(
-            "regressions",
-            "Effective radius against wheel load with the law and both bands; below, the same as deviation from the "
-            "law.",
-            "Regression of the radius on the load: " + "; ".join(_said(wheel) for wheel in fit.wheels.values()),
-            partial(figures.regressions, fit.left, fit.right, fit.radii.session),
-        ),
+        regressions_picture(fit),
         Table(
             "The law at loads of the valid range, with the half widths of both bands.",
             (
@@ -47,14 +39,6 @@ def section(source: Source) -> Section:
         Text(" ".join(quality_text(wheel) for wheel in fit.wheels.values())),
     ]
     return Section("Regression on load", tuple(blocks))
-
-
-def _said(wheel: WheelFit) -> str:
-    law = wheel.law
-    if wheel.model != "line":
-        return f"{wheel.wheel} wheel: constant radius {1e3 * law.radius_ref_m:.4f} mm"
-    way = "grows" if law.slope_m_per_N > 0 else "shrinks"
-    return f"{wheel.wheel} wheel: the radius {way} by {abs(1e6 * law.slope_m_per_N):.3g} µm for each newton"
 
 
 def _rows(left: WheelFit, right: WheelFit) -> tuple[tuple[str, ...], ...]:

@@ -1,0 +1,106 @@
+"""`calib effects`: the library of causes, what each needs and leaves, and effects that users add."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from calib.cli.options import Force, JsonTarget, nearest, refuse_existing
+from calib.cli.terminal import emit_json, progress, show, waiting, wrote
+from calib.cli.threads import one_blas_thread
+from calib.errors import BadInputError
+
+if TYPE_CHECKING:
+    from calib.gap.effects.catalogue import Entry
+    from calib.gap.predict.path import Path as DrivenPath
+
+__all__ = ["EPILOG", "run"]
+
+EPILOG = "Example: calib effects track_width --figures pictures"
+
+DEMONSTRATION = "demonstration runs (corridor both ways, squares, curves)"
+
+
+def run(
+    effect: Annotated[
+        str | None, typer.Argument(metavar="ID", help="An effect, of which all is said; without it a list.")
+    ] = None,
+    campaign: Annotated[
+        Path | None,
+        typer.Option(
+            "--campaign",
+            metavar="CAMPAIGN",
+            help="Judge on this campaign's runs; its columns and declared effects are listed, too.",
+        ),
+    ] = None,
+    figures: Annotated[
+        Path | None,
+        typer.Option("--figures", metavar="FOLDER", help="Draw the signatures there as PNG, SVG and PDF."),
+    ] = None,
+    json: JsonTarget = None,
+    force: Force = False,
+) -> None:
+    """List the effects that may cause a gap, or say of one what it needs, what separates it, and what it leaves.
+
+    Effects of installed packages (entry points of the group calib.effects) are listed with the package; those that
+    campaign.toml declares, and further columns of the run table, with --campaign.
+    """
+    one_blas_thread()
+    refuse_existing([json], force=force)
+    with waiting("looking"):
+        nominal, entries, runs = _catalogued(effect, campaign)
+    if figures is not None:
+        from calib.report.figures.files import figure_paths
+
+        drawable = [_file_name(entry) for entry in entries if entry.signature is not None]
+        refuse_existing(figure_paths(figures, drawable), force=force)
+    from calib.report.statements.effects import effect_content, effects_content
+
+    show(effects_content(entries, runs) if effect is None else effect_content(entries[0], runs), target=json)
+    if figures is not None:
+        _draw(entries, nominal, figures, json, force=force)
+    emit_json({"runs": runs, "effects": [entry.to_dict() for entry in entries]}, json, force=force)
+
+
+def _catalogued(effect: str | None, campaign: Path | None) -> tuple[DrivenPath, list[Entry], str]:
+    """Return the runs, the effects asked for, and the runs' name."""
+    from calib.campaign.read import read_campaign
+    from calib.gap.data.from_campaign import observations_of
+    from calib.gap.effects.catalogue import catalogue
+    from calib.gap.effects.library import every_effect
+    from calib.gap.plan.demonstration import demonstration
+    from calib.gap.predict.path import predict
+
+    read = demonstration() if campaign is None else read_campaign(campaign)
+    declared = read.extra.get("effects", ())
+    nominal = predict(observations_of(read))
+    if effect is not None:
+        known = every_effect(nominal.s, declared=declared)
+        if effect not in known:
+            near = nearest(effect, known)
+            raise BadInputError(
+                f"found the effect {effect!r}; expected one that 'calib effects' lists{near or '; choose one of it'}"
+            )
+    runs = DEMONSTRATION if campaign is None else f"the runs of {read.name}"
+    return nominal, catalogue(nominal, declared, () if effect is None else (effect,)), runs
+
+
+def _file_name(entry: Entry) -> str:
+    return f"signature-{entry.effect.id}".replace(":", "-")
+
+
+def _draw(entries: list[Entry], nominal: DrivenPath, folder: Path, json: str | None, *, force: bool) -> None:
+    from calib.report.figures.files import write_figures
+    from calib.report.figures.signature import signature_figure
+
+    drawable = [entry for entry in entries if entry.signature is not None]
+    written = []
+    with progress("drawing") as tick:
+        for number, entry in enumerate(drawable):
+            tick(number, len(drawable), "signatures")
+            assert entry.signature is not None
+            figure = signature_figure(entry.signature, nominal)
+            written += write_figures({_file_name(entry): figure}, folder, force=force)
+    wrote(written, target=json, what=f"{len(written)} figure files to {folder}" if written else "no figure")
