@@ -1,27 +1,22 @@
-"""Read the logs of all runs and lay them end to end."""
+"""Read a log."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 
 from calib.arrays import FloatArray, IntArray
 from calib.campaign.columns import Recognised, converted, recognise
 from calib.campaign.faults import Border
-from calib.campaign.model import LOG_COLUMNS, WHEEL_SETS, Logs
+from calib.campaign.model import LOG_COLUMNS, WHEEL_SETS
 from calib.campaign.readers import Layout, read_table
-from calib.campaign.settings import Encoder
-from calib.campaign.wraps import detect_wrap_bits, unwrap
 from calib.errors import BadFileError
 
-__all__ = ["LogFile", "Renames", "laid_end_to_end", "log_column", "read_log", "read_logs", "refuse_incomplete"]
-
-_COUNTS: Final = tuple(name for name in LOG_COLUMNS if name.startswith("counts_"))
+__all__ = ["LogFile", "Renames", "log_column", "read_log", "refuse_incomplete"]
 
 #: run number, run id, path, and its name in messages
 LogFile = tuple[int, str, Path, str]
@@ -143,109 +138,3 @@ def refuse_incomplete(columns: Mapping[str, FloatArray], shown: str, line: IntAr
                 expected="a number in every row",
                 remedy="remove the row; a gap in time is found and said",
             )
-
-
-def read_logs(
-    files: Sequence[LogFile], n_runs: int, encoder: Encoder, border: Border, renames: Renames | None = None
-) -> Logs:
-    """Read the logs of a campaign and undo the overflow of their counters.
-
-    Parameters
-    ----------
-    files : sequence of LogFile
-        Logs there are, in the order of the runs.
-    n_runs : int
-        Rows of the run table.
-    encoder : Encoder
-        ``wrap_bits`` where the settings name it; else overflows are looked for.
-    border : Border
-        Takes notes and faults; a log that cannot be used is a fault.
-    renames : mapping of str to (str, float), optional
-        See `read_log`.
-
-    Returns
-    -------
-    Logs
-        Of all runs, end to end.
-    """
-    parts: dict[int, dict[str, FloatArray]] = {}
-    for index, run_id, path, name in files:
-        try:
-            parts[index] = read_log(path, name, border, renames)
-        except BadFileError as error:
-            border.fault(error, "unreadable_log", run_id)
-    names = {index: (run_id, name) for index, run_id, _, name in files}
-    return laid_end_to_end(parts, n_runs, encoder, names, border)
-
-
-def laid_end_to_end(
-    parts: dict[int, dict[str, FloatArray]],
-    n_runs: int,
-    encoder: Encoder,
-    names: Mapping[int, tuple[str, str]],
-    border: Border,
-) -> Logs:
-    """Return the logs of a campaign as one, with the overflow of their counters undone.
-
-    Parameters
-    ----------
-    parts : dict of int to dict of str to array
-        Columns of the log of each run that has one; they are taken out of it, so that logs are never held twice.
-    n_runs : int
-        Rows of the run table.
-    encoder : Encoder
-        ``wrap_bits`` where the settings name it; else overflows are looked for.
-    names : mapping of int to (str, str)
-        Run id and name of the log, for messages.
-    border : Border
-        Takes notes.
-
-    Returns
-    -------
-    Logs
-        Of all runs, end to end.
-    """
-    lengths = np.zeros(n_runs, dtype=np.int64)
-    for index, part in parts.items():
-        lengths[index] = len(part["t_s"])
-    offsets = np.concatenate(([0], np.cumsum(lengths))).astype(np.int64)
-    columns: dict[str, FloatArray] = {}
-    for name in LOG_COLUMNS:
-        if not any(name in part for part in parts.values()):
-            continue
-        column = np.full(int(offsets[-1]), np.nan)
-        for index, part in parts.items():
-            values = part.pop(name, None)
-            if values is not None:
-                column[offsets[index] : offsets[index + 1]] = values
-        columns[name] = column
-    for name in _COUNTS:
-        if name in columns:
-            columns[name] = _continuous(columns[name], offsets, name, encoder, names, border)
-    return Logs(offsets=offsets, columns=columns)
-
-
-def _continuous(
-    counts: FloatArray,
-    offsets: IntArray,
-    column: str,
-    encoder: Encoder,
-    names: Mapping[int, tuple[str, str]],
-    border: Border,
-) -> FloatArray:
-    if not len(counts):
-        return counts
-    bits = encoder.wrap_bits or detect_wrap_bits(counts, offsets)
-    if bits is None:
-        return counts
-    counts, wraps = unwrap(counts, offsets, bits)
-    how = "as the settings say" if encoder.wrap_bits else "found in the jumps; give encoder.wrap_bits to make it sure"
-    for index in np.flatnonzero(wraps):
-        run_id, shown = names[int(index)]
-        border.say(
-            f"{shown}, column {column}",
-            f"{int(wraps[index])} overflow(s) of a {bits}-bit counter were undone ({how})",
-            "wrap",
-            run_id=run_id,
-        )
-    return counts

@@ -219,10 +219,21 @@ class Logs:
         """Return the logs of the runs that `keep` (bool mask or indices) picks."""
         index = np.asarray(keep)
         index = np.flatnonzero(index) if index.dtype == bool else index
-        lengths = self.lengths[index]
-        offsets = np.concatenate(([0], np.cumsum(lengths))).astype(np.int64)
-        rows = np.arange(offsets[-1]) + np.repeat(self.offsets[index] - offsets[:-1], lengths)
-        return Logs(offsets=offsets, columns={name: column[rows] for name, column in self.columns.items()})
+        if np.array_equal(index, np.arange(len(self.lengths))):
+            return self
+        offsets = np.concatenate(([0], np.cumsum(self.lengths[index]))).astype(np.int64)
+        # runs that stand together are copied together
+        breaks = np.flatnonzero(np.diff(index) != 1) + 1
+        stretches = [
+            slice(int(self.offsets[runs[0]]), int(self.offsets[runs[-1] + 1]))
+            for runs in np.split(index, breaks)
+            if len(runs)
+        ]
+        columns = {
+            name: np.concatenate([column[:0], *(column[stretch] for stretch in stretches)])
+            for name, column in self.columns.items()
+        }
+        return Logs(offsets=offsets, columns=columns)
 
     @staticmethod
     def empty(n_runs: int) -> Logs:

@@ -11,7 +11,8 @@ import numpy as np
 
 from calib.arrays import BoolArray, FloatArray
 from calib.campaign.faults import Border
-from calib.campaign.logs_file import LogFile, read_logs
+from calib.campaign.log_reading import read_logs
+from calib.campaign.logs_file import LogFile
 from calib.campaign.model import Campaign, Logs, RunTable
 from calib.campaign.readers import READERS, read_table
 from calib.campaign.runs_file import run_table
@@ -79,10 +80,8 @@ def read_campaign(folder: Path, *, logs: bool = True, lenient: bool = False) -> 
     found_logs = Logs.empty(len(runs))
     if logs:
         files = _log_files(folder, runs, shown, border)
-        found_logs = read_logs(files, len(runs), settings.encoder, border)
-        for _, _, log_path, name in files:
-            if not lenient or _is_file(log_path):
-                hashes[name] = sha256_file(log_path)
+        found_logs, of_logs = read_logs(files, len(runs), settings.encoder, border)
+        hashes |= of_logs
     numbers = _filled_from_logs(runs, found_logs, shown, border)
     numbers = _totals_unwrapped(runs, numbers, found_logs, settings, shown, border)
     numbers = _filled_loads(settings.vehicle, runs, numbers, shown, border)

@@ -8,6 +8,7 @@ unequal radii, and only the weave about it counts as path; a heading measured at
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -143,7 +144,7 @@ def fit_headings(rolled_m: FloatArray, heading_rad: FloatArray) -> FloatArray:
     """
     n, m = heading_rad.shape
     u = np.broadcast_to(np.linspace(0.0, 1.0, m), (n, m))
-    periods = _best_periods(heading_rad, u[0], np.minimum(rolled_m, MAX_PERIODS))
+    periods = _best_periods(heading_rad, np.minimum(rolled_m, MAX_PERIODS))
     line, wave = np.zeros((2, n)), np.zeros((2, n))
     x, angle = u, 2 * np.pi * periods[:, None] * u
     for number in range(ROUNDS):
@@ -206,8 +207,18 @@ def _progress(heading: FloatArray) -> FloatArray:
     return np.asarray(out / (heading.shape[1] - 1))
 
 
-def _best_periods(heading: FloatArray, u: FloatArray, most: FloatArray) -> FloatArray:
+def _best_periods(heading: FloatArray, most: FloatArray) -> FloatArray:
     """Return the number of periods, from a grid, whose sine with a trend explains each heading best, shape (n,)."""
+    grid, first, second = _sines(heading.shape[1])
+    power = (heading @ first) ** 2 + (heading @ second) ** 2
+    power = np.where(grid[None, :] <= np.maximum(most, 2.0)[:, None], power, -1.0)
+    return np.asarray(grid[np.argmax(power, axis=1)])
+
+
+@lru_cache(maxsize=2)
+def _sines(m: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return a grid of numbers of periods, and for each the two waves on `m` steps, free of trends and unit vectors."""
+    u = np.linspace(0.0, 1.0, m)
     grid = np.arange(MIN_PERIODS, MAX_PERIODS + PERIOD_STEP / 2, PERIOD_STEP)
     trend, _ = np.linalg.qr(np.column_stack((np.ones_like(u), u)))
     angle = 2 * np.pi * np.outer(u, grid)
@@ -217,6 +228,4 @@ def _best_periods(heading: FloatArray, u: FloatArray, most: FloatArray) -> Float
     second = second - trend @ (trend.T @ second)
     second = second - first * np.sum(first * second, axis=0)
     second = second / np.linalg.norm(second, axis=0)
-    power = (heading @ first) ** 2 + (heading @ second) ** 2
-    power = np.where(grid[None, :] <= np.maximum(most, 2.0)[:, None], power, -1.0)
-    return np.asarray(grid[np.argmax(power, axis=1)])
+    return grid, first, second

@@ -17,8 +17,8 @@ from calib.campaign.ingest.pieces import Part, cut_recordings
 from calib.campaign.ingest.poses import end_values
 from calib.campaign.ingest.streams import MappedLog, read_mapped
 from calib.campaign.ingest.table import mapped_runs, names_runs
-from calib.campaign.logs_file import laid_end_to_end
-from calib.campaign.model import Campaign, Logs, Note, RunTable
+from calib.campaign.log_stack import LogStack
+from calib.campaign.model import Campaign, Note, RunTable
 from calib.campaign.readers import RawTable, holds_recording, read_table
 from calib.campaign.settings import Encoder
 from calib.campaign.settings_file import Settings, parse_settings
@@ -259,10 +259,10 @@ def _ends(runs: RunTable, parts: Mapping[int, Part]) -> tuple[RunTable, dict[int
 def _assembled(runs: RunTable, parts: Mapping[int, Part], work: _Work) -> Campaign:
     encoder = _with_wrap(parts, work)
     names = {index: (str(runs.run_id[index]), part.shown) for index, part in parts.items()}
-    columns = {
-        index: {name: values for name, values in part.columns.items() if name != "cut"} for index, part in parts.items()
-    }
-    logs = laid_end_to_end(columns, len(runs), encoder, names, work.border) if columns else Logs.empty(len(runs))
+    stack = LogStack(len(runs))
+    for index in sorted(parts):
+        stack.add(index, {name: values for name, values in parts[index].columns.items() if name != "cut"})
+    logs = stack.finished(encoder, names, work.border)
     return replace(work.settings, encoder=encoder).campaign(runs, logs, notes=tuple(work.border.notes))
 
 

@@ -62,7 +62,8 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
 
 def _begin(data: bytes, layout: Layout, shown: str) -> tuple[str, int]:
     """Return the separator and how many rows stand before the header."""
-    lines = data[:_HEAD].decode("utf-8", errors="ignore").splitlines()[: LOOKED_AT + (layout.header_row or 0)]
+    most = LOOKED_AT + (layout.header_row or 0)
+    lines = _first_lines(data, most).decode("utf-8", errors="ignore").splitlines()[:most]
     first = lines[0] if lines else ""
     usual = ";" if ";" in first else "\t" if "\t" in first else ","
     if layout.header_row is not None:
@@ -74,15 +75,23 @@ def _begin(data: bytes, layout: Layout, shown: str) -> tuple[str, int]:
                 remedy="correct header_row of the mapping",
             )
         return find_delimiter(lines[layout.header_row - 1 :]), layout.header_row - 1
+    found = find_header(_split(lines, usual))
+    if found == 0:
+        return usual, 0
     delimiter = find_delimiter(lines)
-    for candidate in (usual, delimiter):
-        rows = _split(lines, candidate)
-        found = find_header(rows)
-        if found == 0 and candidate == usual:
-            return usual, 0
-        if found and candidate == delimiter:
-            return delimiter, found
-    return usual, 0
+    if delimiter != usual:
+        found = find_header(_split(lines, delimiter))
+    return (delimiter, found) if found else (usual, 0)
+
+
+def _first_lines(data: bytes, lines: int) -> bytes:
+    """Return the bytes up to a line feed that hold so many lines, or those in which the header is looked for."""
+    at = 0
+    for _ in range(lines):
+        at = data.find(b"\n", at, _HEAD) + 1
+        if not at:
+            return data[:_HEAD]
+    return data[:at]
 
 
 def _split(lines: list[str], delimiter: str) -> list[list[str]]:
@@ -167,14 +176,14 @@ def _fast(
             low_memory=False,
             na_values=["-"],
         )
-        columns = {}
-        for name, position in zip(keep, positions, strict=True):
-            values = frame[position].to_numpy()
-            if values.dtype.kind not in "iuf":
-                return None
-            columns[name] = values.astype(np.float64)
-            if np.fmax.reduce(values) > LARGEST or np.fmin.reduce(values) < -LARGEST:
-                return None
+        if any(dtype.kind not in "iuf" for dtype in frame.dtypes):
+            return None
+        # all columns at once: asking for each costs more than its numbers
+        values = frame.to_numpy(np.float64)
+        if np.fmax.reduce(values, axis=None) > LARGEST or np.fmin.reduce(values, axis=None) < -LARGEST:
+            return None
+        at = {position: place for place, position in enumerate(frame.columns)}
+        columns = {name: values[:, at[position]] for name, position in zip(keep, positions, strict=True)}
     except (ValueError, OverflowError):
         return None
     return (columns, rows, comma) if len(frame) == rows else None
