@@ -235,15 +235,15 @@ def simulate(
     return extended(Simulation, simulation)
 
 
-def replay(campaign: Campaign, law: radius_fitted.Fit, *, scheme: str = "exact", seed: int = 0) -> Replay:
+def replay(campaign: Campaign, law: radius_fitted.Fit | Geometry, *, scheme: str = "exact", seed: int = 0) -> Replay:
     """Replay the logged runs of a campaign through odometry, with and without the load correction.
 
     Parameters
     ----------
     campaign : Campaign
         Runs with logs, wheel loads and reference end poses.
-    law : Fit
-        The law that corrects; best of a campaign other than this one.
+    law : Fit or Geometry
+        The law that corrects, or the geometry; best of a campaign other than this one.
     scheme : {"exact", "mid_point", "euler", "end_point"}
         How a step is drawn.
     seed : int
@@ -262,9 +262,12 @@ def replay(campaign: Campaign, law: radius_fitted.Fit, *, scheme: str = "exact",
     from numpy.random import default_rng
 
     from calib.coefficients.build import from_fit
+    from calib.coefficients.from_geometry import from_geometry
+    from calib.geometry import result as estimated
     from calib.motion.studies.replay import replay as run
 
-    return extended(Replay, run(campaign, from_fit(law), rng=default_rng(seed), scheme=scheme))
+    file = from_geometry(law, campaign) if isinstance(law, estimated.Geometry) else from_fit(law)
+    return extended(Replay, run(campaign, file, rng=default_rng(seed), scheme=scheme))
 
 
 def report(
@@ -339,7 +342,7 @@ def export(
     Parameters
     ----------
     source : Campaign or Fit
-        A campaign is fitted first.
+        A campaign is fitted first; one without rear encoders has the coefficients of its geometry.
     to : {"json", "ros2", "c", "csv"}
         The form; ``json`` is the master that `calib.runtime` reads.
     target : Path or str, optional
@@ -358,14 +361,20 @@ def export(
     mapping of str to str
         Text of each file by its name.
     """
+    from calib.campaign.wheels import without_rear_wheels
     from calib.coefficients.build import from_fit
     from calib.coefficients.export import export as rendered
     from calib.coefficients.export import parse_loads, place
+    from calib.coefficients.from_geometry import from_geometry
     from calib.coefficients.options import ExportOptions
 
-    law = fit(source) if isinstance(source, Campaign) else source
     options = ExportOptions(loads=parse_loads(loads), controllers=tuple(controllers))
-    artifacts = rendered(from_fit(replace(law, accepted=accept_implausible)), to, options=options)
+    if isinstance(source, Campaign) and without_rear_wheels(source):
+        master = from_geometry(geometry(source), source)
+    else:
+        law = fit(source) if isinstance(source, Campaign) else source
+        master = from_fit(replace(law, accepted=accept_implausible))
+    artifacts = rendered(master, to, options=options)
     if target is not None:
         place(artifacts, Path(target), force=force)
     return {artifact.name: artifact.data.decode("utf-8") for artifact in artifacts}

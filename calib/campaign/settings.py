@@ -5,7 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final, Literal, get_args
 
-__all__ = ["FRAMES", "ODOMETRY_SOURCES", "Encoder", "Odometry", "OdometryModel", "Rangefinder", "Reference"]
+from calib.vehicle import Vehicle
+
+__all__ = [
+    "FRAMES",
+    "ODOMETRY_SOURCES",
+    "Encoder",
+    "FrontModel",
+    "MecanumModel",
+    "Odometry",
+    "OdometryModel",
+    "OdometrySource",
+    "Rangefinder",
+    "Reference",
+]
 
 Frame = Literal["start", "map"]
 OdometrySource = Literal["rear", "front", "wheels"]
@@ -42,8 +55,35 @@ class Encoder:
 
 
 @dataclass(frozen=True, slots=True)
+class FrontModel:
+    """What the simulator believes of a steered front wheel; the true angle is scale times the sensor's, plus zero."""
+
+    radius_m: float
+    wheelbase_m: float
+    zero_rad: float = 0.0
+    scale: float = 1.0
+
+    @staticmethod
+    def of(vehicle: Vehicle) -> FrontModel:
+        """Return the nominal front wheel of a vehicle."""
+        return FrontModel(vehicle.front_radius_m, vehicle.wheelbase_m)
+
+
+@dataclass(frozen=True, slots=True)
+class MecanumModel:
+    """What the simulator believes of four mecanum wheels: their radius, and half the length plus half the width."""
+
+    radius_m: float
+    arm_m: float
+
+
+@dataclass(frozen=True, slots=True)
 class OdometryModel:
-    """What the simulator believes of the wheels: r = radius + slope (F - reference_load), and the track."""
+    """What the simulator believes of the wheels: r = radius + slope (F - reference_load), and the track.
+
+    `front` and `mecanum` are what it believes of a front wheel or of four wheels that alone drive the odometry; None
+    where that is the nominal vehicle.
+    """
 
     radius_left_m: float
     radius_right_m: float
@@ -51,6 +91,8 @@ class OdometryModel:
     reference_load_N: float
     slope_left_m_per_N: float = 0.0
     slope_right_m_per_N: float = 0.0
+    front: FrontModel | None = None
+    mecanum: MecanumModel | None = None
 
 
 @dataclass(frozen=True, slots=True)

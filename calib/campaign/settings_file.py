@@ -29,7 +29,7 @@ FORMAT: Final = "calib-campaign/1"
 
 _VEHICLE: Final = tuple(field.name for field in fields(Vehicle) if field.name != "drive")
 _REFERENCE: Final = tuple(field.name for field in fields(Reference) if field.name != "frame")
-_MODEL: Final = tuple(field.name for field in fields(OdometryModel))
+_MODEL: Final = tuple(field.name for field in fields(OdometryModel) if field.name not in {"front", "mecanum"})
 _ENCODER: Final = ("counts_per_rev", "counts_per_rev_left", "counts_per_rev_right", "counts_per_rev_front", "wrap_bits")
 
 #: what a laboratory has to state, by section; results lean on each of them
@@ -122,7 +122,7 @@ def parse_settings(document: dict[str, Any], shown: str, default_name: str) -> S
     vehicle = Vehicle(**geometry)
     encoder = _encoder(section, notes, shown)
     believed = section.numbers("model", _MODEL)
-    nominal = {
+    nominal: dict[str, Any] = {
         "radius_left_m": vehicle.wheel_radius_m,
         "radius_right_m": vehicle.wheel_radius_m,
         "track_m": vehicle.track_m,

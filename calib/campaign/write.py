@@ -124,7 +124,7 @@ def _plain(section: Any) -> dict[str, float | str]:
     return {
         name: value if isinstance(value, str) else float(value)
         for name, (value, default) in values.items()
-        if value is not None and (name not in _WHERE_GIVEN or value != default)
+        if isinstance(value, (str, int, float)) and (name not in _WHERE_GIVEN or value != default)
     }
 
 

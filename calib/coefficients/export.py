@@ -12,7 +12,7 @@ from typing import Any, Final
 from calib.coefficients.file import CoefficientFile
 from calib.coefficients.loads import Artifact, LoadPair
 from calib.coefficients.options import ExportOptions
-from calib.errors import BadInputError
+from calib.errors import BadInputError, RefusedError
 from calib.files import refuse_existing, write_bytes
 from calib.folders import write_files
 
@@ -25,6 +25,8 @@ FORMATS: Final[dict[str, str]] = {
     "c": "calib.coefficients.formats.c_header",
     "csv": "calib.coefficients.formats.csv_table",
 }
+#: formats that know the laws of two wheels on one axle and nothing else
+AXLE_ONLY: Final = ("c", "csv")
 
 
 def export(
@@ -58,6 +60,13 @@ def export(
         raise BadInputError(
             f"controllers, position feedback and open loop: found a choice of them for {to!r}; expected 'ros2', which "
             "alone has them; leave them out"
+        )
+    together = file.joint_geometry
+    if to in AXLE_ONLY and together is not None and together.source != "rear":
+        wheels = "the front wheel" if together.source == "front" else "four wheels"
+        raise RefusedError(
+            f"--to {to}: found odometry from {wheels}; expected two wheels on one axle, which alone this format has; "
+            "export to ros2 or json"
         )
     chosen = replace(chosen, loads=tuple(loads) or chosen.loads)
     artifacts: tuple[Artifact, ...] = importlib.import_module(module).render(file, chosen)

@@ -6,9 +6,13 @@ import json
 from dataclasses import dataclass, replace
 from datetime import date
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from calib.coefficients.file import FORMAT, CoefficientFile, Outside, load_coefficients
 from calib.errors import BadFileError, BadInputError
+
+if TYPE_CHECKING:
+    from calib.campaign.model import Campaign
 
 __all__ = ["Source", "coefficients_of", "effects_left_out"]
 
@@ -25,6 +29,8 @@ def coefficients_of(
     path: Path | str, *, outside: str | None = None, created: str | None = None, accept: str = ""
 ) -> Source:
     """Return the coefficients of a campaign (fitted now), a result folder or its ``fit.json``, or a coefficient file.
+
+    A campaign whose odometry has no rear wheels, a front wheel or four of them alone, has those of its geometry.
 
     Parameters
     ----------
@@ -69,9 +75,12 @@ def coefficients_of(
         fit = read_result(path)
     else:
         from calib.campaign.read import read_campaign
+        from calib.campaign.wheels import without_rear_wheels
         from calib.radius.fit import fit_campaign
 
         campaign = read_campaign(path)
+        if without_rear_wheels(campaign):
+            return _by_geometry(campaign, wanted or "refuse", created)
         fit, inputs = fit_campaign(campaign), campaign.hashes
     fit = replace(fit, accepted=accept)
     master = from_fit(fit, outside=wanted or "refuse", created=created, inputs=inputs)
@@ -82,6 +91,16 @@ def coefficients_of(
         if not check.passed
     )
     return Source(master, notes)
+
+
+def _by_geometry(campaign: Campaign, outside: Outside, created: str | None) -> Source:
+    """Return the coefficients of a vehicle without rear encoders: there is no law of a load, but a geometry."""
+    from calib.coefficients.from_geometry import from_geometry
+    from calib.geometry.estimate import estimate_geometry
+
+    geometry = estimate_geometry(campaign)
+    file = from_geometry(geometry, campaign, outside=outside, created=created)
+    return Source(file, (*geometry.notes, "no rear wheel was counted: radii and lengths are those of 'calib geometry'"))
 
 
 def effects_left_out(file: CoefficientFile, what: str) -> tuple[str, ...]:

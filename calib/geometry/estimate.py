@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final, Literal
 import numpy as np
 
 from calib.arrays import FloatArray
+from calib.campaign.wheels import odometry_source
 from calib.errors import BadInputError, RefusedError
 from calib.geometry.clusters import ENOUGH_RUNS, Clustering, clustered
 from calib.geometry.drives import Differential, Drive, FrontWheel, MeanHeld, Mecanum
@@ -18,7 +19,7 @@ from calib.geometry.model import Model
 from calib.geometry.noise import COMPONENTS
 from calib.geometry.parameters import SENSOR, Parameters, sensor_parameters
 from calib.geometry.parts import Estimate, Transfer
-from calib.geometry.recording import Recording, odometry_source, recording_of
+from calib.geometry.recording import Recording, recording_of
 from calib.geometry.result import Geometry
 from calib.geometry.routes import rms, route_table
 from calib.geometry.segments import Segments, end_pose_segments, window_segments

@@ -8,20 +8,15 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from calib.arrays import BoolArray, FloatArray, IntArray, StrArray
+from calib.campaign.wheels import WHEEL_COLUMNS
 from calib.errors import RefusedError
 from calib.geometry.drives import Steps
 
 if TYPE_CHECKING:
-    from calib.campaign.model import Campaign, Logs
+    from calib.campaign.model import Campaign
 
-__all__ = ["WHEEL_COLUMNS", "Recording", "odometry_source", "recording_of"]
+__all__ = ["Recording", "recording_of"]
 
-#: what drives the odometry -> columns of the log with the counts of its wheels
-WHEEL_COLUMNS: Final = {
-    "rear": ("counts_left", "counts_right"),
-    "front": ("counts_front",),
-    "wheels": ("counts_front_left", "counts_front_right", "counts_rear_left", "counts_rear_right"),
-}
 REFERENCE: Final = ("ref_x_m", "ref_y_m", "ref_theta_rad")
 #: turn of a run of which only the end counts are known, up to which it is taken for one arc
 ONE_ARC_RAD: Final = 0.2
@@ -103,26 +98,6 @@ class Recording:
 
 #: poses of a run that make a reference a continuous one
 MANY_POSES: Final = 20
-
-
-def odometry_source(campaign: Campaign) -> str:
-    """Return what drives the odometry: ``rear``, ``front`` or ``wheels``; the settings' word, else what was logged."""
-    stated = campaign.odometry.source
-    if stated is not None:
-        return stated
-    if campaign.vehicle.drive == "mecanum":
-        return "wheels"
-    has = _has_columns(campaign.logs)
-    return (
-        "front" if not has["rear"] and has["front"] and np.isnan(campaign.runs.number("counts_left")).all() else "rear"
-    )
-
-
-def _has_columns(logs: Logs) -> dict[str, bool]:
-    return {
-        source: all(name in logs.columns and not np.isnan(logs.columns[name]).all() for name in names)
-        for source, names in WHEEL_COLUMNS.items()
-    }
 
 
 def recording_of(campaign: Campaign, source: str) -> Recording:

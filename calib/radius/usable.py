@@ -9,6 +9,7 @@ import numpy as np
 
 from calib.arrays import FloatArray
 from calib.campaign.model import Campaign
+from calib.campaign.wheels import odometry_source, without_rear_wheels
 from calib.errors import RefusedError
 
 __all__ = ["LeftOut", "usable_runs"]
@@ -51,6 +52,7 @@ def usable_runs(campaign: Campaign, *, need_load: bool = True) -> tuple[Campaign
     RefusedError
         Where no run can be used.
     """
+    _refuse_without_rear_wheels(campaign)
     runs, notes = campaign.runs, []
     loads = {side: runs.number(f"load_{side}_N") for side in ("left", "right")}
     if need_load and not any(np.isfinite(load).any() for load in loads.values()):
@@ -104,6 +106,18 @@ def usable_runs(campaign: Campaign, *, need_load: bool = True) -> tuple[Campaign
         )
     numbers = {**runs.numbers, **{f"load_{side}_N": load for side, load in loads.items()}}
     return replace(campaign, runs=replace(runs, numbers=numbers)).select(keep), left_out, notes
+
+
+def _refuse_without_rear_wheels(campaign: Campaign) -> None:
+    """Refuse odometry from a front wheel or from four wheels; say what a law of the load needs."""
+    if not without_rear_wheels(campaign):
+        return
+    wheels = "the front wheel" if odometry_source(campaign) == "front" else "four wheels"
+    raise RefusedError(
+        f"{campaign.root or campaign.name}: found odometry from {wheels} alone; expected counts_left and counts_right "
+        "of two wheels on one axle, with distance_m and wheel loads; log them for a law of the load, or run "
+        "'calib geometry' for the radius and the lengths of this vehicle"
+    )
 
 
 def _apparent_turn_rad(campaign: Campaign) -> FloatArray:

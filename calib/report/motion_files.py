@@ -11,15 +11,19 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from calib.arrays import FloatArray
 from calib.campaign.model import Campaign
+from calib.campaign.wheels import without_rear_wheels
+from calib.coefficients.believed import believed_model
+from calib.coefficients.file import CoefficientFile
 from calib.files import refuse_existing, write_json, write_text
 from calib.motion.odometry.integrate import integrate
 from calib.motion.odometry.loaded import loads_in_steps, radii_under_load, travel_from_counts
 from calib.motion.poses import Poses
 from calib.motion.studies.replay import Replay
 from calib.motion.studies.run import SHOWN, LawPart, Simulation
+from calib.motion.studies.stood_in import stood_in
 from calib.motion.trajectory import write_tum
-from calib.radius.law import RadiusLaw
 from calib.report.figures.files import write_figures
 
 __all__ = ["replay_trajectories", "simulation_trajectories", "write_replay", "write_simulation"]
@@ -108,17 +112,15 @@ def write_replay(replay: Replay, folder: Path, document: Mapping[str, Any], *, f
     return [write_json(folder / "replay.json", document, force=force), *written, table]
 
 
-def replay_trajectories(campaign: Campaign, law: RadiusLaw, track_m: float, folder: Path, *, force: bool) -> list[Path]:
+def replay_trajectories(campaign: Campaign, coefficients: CoefficientFile, folder: Path, *, force: bool) -> list[Path]:
     """Write the odometry of each logged run with its radii under load, and its reference where logged, as TUM files.
 
     Parameters
     ----------
     campaign : Campaign
         The runs and logs.
-    law : RadiusLaw
-        Radii under load.
-    track_m : float
-        Track.
+    coefficients : CoefficientFile
+        Radii under load and track, or front wheel, or four wheels.
     folder : Path
         Where to.
     force : bool
@@ -128,23 +130,34 @@ def replay_trajectories(campaign: Campaign, law: RadiusLaw, track_m: float, fold
     runs = campaign.runs
     for run in np.flatnonzero(campaign.logs.present).tolist():
         log = campaign.logs.of(run)
-        if not {"t_s", "counts_left", "counts_right"} <= log.keys():
+        driven = _driven(campaign.select([run]), log, coefficients)
+        if driven is None:
             continue
-        loads = (
-            loads_in_steps([runs.number(name)[run]], log.get(name), [0, len(log["t_s"])])
-            for name in ("load_left_N", "load_right_N")
-        )
-        radii = radii_under_load(law, *loads)
-        if not np.isfinite(radii).all():
-            continue
-        left, right = travel_from_counts(log["counts_left"], log["counts_right"], campaign.encoder, *radii)
         stem = "".join(c if c.isalnum() or c in "-_" else "_" for c in str(runs.run_id[run]))
-        made.append(write_tum(folder / f"{stem}.tum", log["t_s"], integrate(left, right, track_m), force=force))
+        made.append(write_tum(folder / f"{stem}.tum", log["t_s"], driven, force=force))
         if {"ref_x_m", "ref_y_m", "ref_theta_rad"} <= log.keys():
             poses = Poses(log["ref_x_m"], log["ref_y_m"], log["ref_theta_rad"])
             fine = np.isfinite(poses.stacked()).all(axis=1)
             made.append(write_tum(folder / f"{stem}_ref.tum", log["t_s"][fine], poses[fine], force=force))
     return made
+
+
+def _driven(one: Campaign, log: Mapping[str, FloatArray], coefficients: CoefficientFile) -> Poses | None:
+    """Return the odometry of a campaign of one run; None where its counts or its loads are not known."""
+    if without_rear_wheels(one):
+        poses, _ = stood_in(one, believed_model(coefficients, one.model.reference_load_N))
+        return poses if np.isfinite(poses.stacked()).all() else None
+    if not {"t_s", "counts_left", "counts_right"} <= log.keys():
+        return None
+    loads = (
+        loads_in_steps(one.runs.number(name), log.get(name), one.logs.offsets)
+        for name in ("load_left_N", "load_right_N")
+    )
+    radii = radii_under_load(coefficients.law, *loads)
+    if not np.isfinite(radii).all():
+        return None
+    left, right = travel_from_counts(log["counts_left"], log["counts_right"], one.encoder, *radii)
+    return integrate(left, right, coefficients.geometry.track_m)
 
 
 def _csv(path: Path, rows: Sequence[Mapping[str, Any]], *, force: bool) -> Path:

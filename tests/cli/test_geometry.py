@@ -37,7 +37,7 @@ def test_json_has_what_the_contract_names(folder: Path, capsys: pytest.CaptureFi
 def test_its_coefficients_are_taken_by_export_diagnose_and_simulate(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """One file from squares to the controller's parameters, to the model of a diagnosis and to a journey."""
+    """One file from squares to the controller's parameters, to the model of a diagnosis, a journey and a replay."""
     coefficients = tmp_path / "coefficients.json"
     assert run(["geometry", str(folder), "--output", str(coefficients), "--figures", str(tmp_path / "figures")]) == 0
     assert (tmp_path / "figures" / "geometry_paths.svg").read_bytes().startswith(b"<?xml")
@@ -48,6 +48,12 @@ def test_its_coefficients_are_taken_by_export_diagnose_and_simulate(
     run(["diagnose", str(folder), "--model", str(coefficients), "--json", "-"])
     assert json.loads(capsys.readouterr().out)["verdict"] in {"no_gap", "undecided"}
     assert run(["simulate", "journey", "square_ccw", "--law", str(coefficients), "--json", "-"]) == 0
+    capsys.readouterr()
+    # no wheel was weighed: the law holds at any load, and a replay says what it took
+    assert run(["simulate", "replay", str(folder), "--law", str(coefficients), "--json", "-"]) == 0
+    replayed = json.loads(capsys.readouterr().out)
+    assert replayed["rms_m"]["corrected"] < 0.2 * replayed["rms_m"]["model"]
+    assert replayed["runtime"]["largest_difference_m"] < 1e-9 and "no wheel load" in " ".join(replayed["notes"])
 
 
 @pytest.mark.parametrize(

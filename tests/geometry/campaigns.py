@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.campaign.model import Campaign, Logs, RunTable
-from calib.campaign.settings import Encoder, Odometry, OdometryModel, Rangefinder, Reference
+from calib.campaign.settings import Encoder, Odometry, OdometryModel, OdometrySource, Rangefinder, Reference
+from calib.campaign.wheels import WHEEL_COLUMNS
 from calib.vehicle import Vehicle
 
 Leg = tuple[float, float]  # way ahead in m, turn in rad
@@ -171,25 +172,77 @@ def tricycle(rng: np.random.Generator, *, sign_front: float = 1.0, sign_steer: f
         steer = np.concatenate((angles[:1], angles)) - zero
         logs.append({"t_s": at * 0.005, "counts_front": sign_front * counts[at], "steer_rad": sign_steer * steer[at]})
         ends.append(pose[:, -1] + np.array([0.002, 0.002, 0.001]) * rng.normal(size=3))
+    vehicle = Vehicle(wheelbase_m=1.0, front_wheel_radius_m=0.1, drive="tricycle")
+    return _posed("tricycle", vehicle, "front", per_rev, [kind for kind, _ in kinds], logs, np.array(ends))
+
+
+def mecanum(rng: np.random.Generator) -> Campaign:
+    """Four mecanum wheels of radius 0.068 m with l + w = 0.36 m: lines, strafes, diagonals, spins, arcs."""
+    radius, arm, per_rev = 0.068, 0.36, 20000.0
+    motions = {
+        "line": (3.0, 0.0, 0.0),
+        "strafe_left": (0.0, 2.0, 0.0),
+        "strafe_right": (0.0, -2.0, 0.0),
+        "diagonal": (2.0, 2.0, 0.0),
+        "spin_left": (0.0, 0.0, 6.0),
+        "spin_right": (0.0, 0.0, -6.0),
+        "arc_left": (2.0, 0.5, 2.0),
+        "arc_right": (2.0, -0.5, -2.0),
+    }
+    kinds, logs, ends = list(motions) * 3, [], []
+    for kind in kinds:
+        ahead, aside, turn = (np.full(FINE, total / FINE) for total in motions[kind])
+        heading = np.concatenate(([0.0], np.cumsum(turn)))
+        middle = 0.5 * (heading[1:] + heading[:-1])
+        end = np.array(
+            [
+                np.sum(ahead * np.cos(middle) - aside * np.sin(middle)),
+                np.sum(ahead * np.sin(middle) + aside * np.cos(middle)),
+                heading[-1],
+            ]
+        )
+        # front left, front right, rear left, rear right
+        rolled = [ahead - aside - arm * turn, ahead + aside + arm * turn, ahead + aside - arm * turn]
+        rolled.append(ahead - aside + arm * turn)
+        at = np.linspace(0, FINE, SAMPLES + 1).round().astype(int)
+        counts = [np.rint(np.concatenate(([0.0], np.cumsum(w))) / radius / (2 * np.pi) * per_rev)[at] for w in rolled]
+        logs.append({"t_s": at * 0.005, **dict(zip(WHEEL_COLUMNS["wheels"], counts, strict=True))})
+        ends.append(end + np.array([0.002, 0.002, 0.001]) * rng.normal(size=3))
+    vehicle = Vehicle(
+        wheel_radius_m=0.07, half_length_plus_half_width_m=0.369, track_m=0.738, cog_x_m=0.2, drive="mecanum"
+    )
+    return _posed("mecanum", vehicle, "wheels", per_rev, kinds, logs, np.array(ends))
+
+
+def _posed(
+    name: str,
+    vehicle: Vehicle,
+    source: OdometrySource,
+    per_rev: float,
+    kinds: list[str],
+    logs: list[dict[str, np.ndarray]],
+    ends: np.ndarray,
+) -> Campaign:
+    """Runs with logs and end poses of a vehicle without rear encoders, judged against its nominal lengths."""
     n = len(logs)
-    labels = {"run_id": np.array([f"r{at:03d}" for at in range(n)]), "kind": np.array([kind for kind, _ in kinds])}
+    labels = {"run_id": np.array([f"r{at:03d}" for at in range(n)]), "kind": np.array(kinds)}
     labels["session"] = np.array(["s"] * n)
     offsets = np.concatenate(([0], np.cumsum([len(log["t_s"]) for log in logs]))).astype(np.int64)
     return Campaign(
         root=None,
-        name="tricycle",
+        name=name,
         simulated=True,
-        vehicle=Vehicle(wheelbase_m=1.0, front_wheel_radius_m=0.1, drive="tricycle"),
+        vehicle=vehicle,
         encoder=Encoder(per_rev, per_rev, counts_per_rev_front=per_rev),
-        model=OdometryModel(0.1, 0.1, 0.7, 300.0),
+        model=OdometryModel(vehicle.wheel_radius_m, vehicle.wheel_radius_m, vehicle.track_m, 300.0),
         rangefinder=Rangefinder(),
         reference=Reference(sigma_xy_m=0.002, sigma_theta_rad=0.001),
         runs=RunTable(
             labels,
-            dict(zip(("ref_x_m", "ref_y_m", "ref_theta_rad"), np.array(ends).T, strict=True)),
+            dict(zip(("ref_x_m", "ref_y_m", "ref_theta_rad"), ends.T, strict=True)),
             np.zeros(n, dtype=bool),
             np.arange(n) + 2,
         ),
         logs=Logs(offsets, {name: np.concatenate([log[name] for log in logs]) for name in logs[0]}),
-        odometry=Odometry("front"),
+        odometry=Odometry(source),
     )

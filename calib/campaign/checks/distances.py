@@ -8,6 +8,7 @@ import numpy as np
 
 from calib.campaign.checks.common import listed, note
 from calib.campaign.model import Campaign, Note
+from calib.campaign.wheels import WHEEL_COLUMNS, odometry_source, without_rear_wheels
 
 __all__ = ["distance_against_log", "distance_span", "missing_values"]
 
@@ -15,13 +16,19 @@ __all__ = ["distance_against_log", "distance_span", "missing_values"]
 def missing_values(campaign: Campaign) -> Iterator[Note]:
     """Say which runs lack counts, and which lack both a distance and an end pose."""
     runs = campaign.runs
-    for name in ("counts_left", "counts_right"):
-        lacking = np.isnan(runs.number(name))
+    source = odometry_source(campaign) if without_rear_wheels(campaign) else "rear"
+    needed = (*WHEEL_COLUMNS[source], *(("steer_rad",) if source == "front" else ()))
+    logged = [campaign.logs.of(run) for run in range(len(runs))] if source != "rear" else []
+    for name in needed:
+        lacking = np.asarray([name not in log for log in logged]) if logged else np.isnan(runs.number(name))
         if lacking.any():
             yield Note(
                 "suspicious",
-                f"runs, column {name}",
-                f"{int(lacking.sum())} run(s) have no counts in table or log ({listed(runs.run_id[lacking])}); "
+                f"logs, column {name}" if logged else f"runs, column {name}",
+                f"{int(lacking.sum())} run(s) have no {name} in their log ({listed(runs.run_id[lacking])}); "
+                "they cannot be used"
+                if logged
+                else f"{int(lacking.sum())} run(s) have no counts in table or log ({listed(runs.run_id[lacking])}); "
                 "they cannot be used",
                 "missing_counts",
             )

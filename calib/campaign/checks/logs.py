@@ -9,6 +9,7 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.campaign.checks.common import note
 from calib.campaign.model import Campaign, Note
+from calib.campaign.wheels import odometry_source, on_one_axle
 
 __all__ = ["clock", "count_jumps", "log_speed"]
 
@@ -101,8 +102,14 @@ def count_jumps(campaign: Campaign) -> Iterator[Note]:
                 )
 
 
+def _can_stand_in(campaign: Campaign) -> bool:
+    """Return whether wheels on one axle can stand in for others: mecanum wheels need their l + w."""
+    return odometry_source(campaign) != "wheels" or campaign.vehicle.half_length_plus_half_width_m is not None
+
+
 def log_speed(campaign: Campaign) -> Iterator[Note]:
     """Compare the set speed with what the log's counts say while driving."""
+    campaign = on_one_axle(campaign) if _can_stand_in(campaign) else campaign
     logs, speed = campaign.logs, campaign.runs.number("speed_mps")
     ratios = np.full(len(speed), np.nan)
     per_count = 2 * np.pi * campaign.vehicle.wheel_radius_m / campaign.encoder.counts_per_rev_left

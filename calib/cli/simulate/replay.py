@@ -52,7 +52,7 @@ def run(
         read = read_campaign(campaign)
         source = coefficients_of(law if law is not None else campaign)
         replayed = replay(read, source.file, rng=np.random.default_rng(seed), scheme=scheme)
-    notes = [*source.notes, *effects_left_out(source.file, "not simulated")]
+    notes = [*source.notes, *effects_left_out(source.file, "not simulated"), *replayed.notes]
     if law is None:
         notes.append(
             "the law was fitted to this same campaign: give --law for a judgement on runs that it has not seen"
@@ -66,7 +66,7 @@ def run(
     }
     written = [] if output is None else write_replay(replayed, output, document, force=force)
     if tum is not None:
-        written += replay_trajectories(read, source.file.law, source.file.geometry.track_m, tum, force=force)
+        written += replay_trajectories(read, source.file, tum, force=force)
     emit_json(document | {"files": [str(path) for path in written]}, json, force=force)
     if not wants_stdout(json):
         content = replay_content(replayed, name=read.name, simulated=read.simulated)

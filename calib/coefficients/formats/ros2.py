@@ -10,7 +10,7 @@ import re
 from typing import Final
 
 from calib.coefficients.file import CoefficientFile
-from calib.coefficients.formats.ros2_controllers import CONTROLLERS, OF_DRIVE
+from calib.coefficients.formats.ros2_controllers import CONTROLLERS, OF_DRIVE, OF_FRONT
 from calib.coefficients.loads import Artifact, LoadPair, ascii_line, default_loads
 from calib.coefficients.options import ExportOptions
 from calib.errors import BadInputError
@@ -30,7 +30,9 @@ def render(file: CoefficientFile, options: ExportOptions) -> tuple[Artifact, ...
     RefusedError
         Where a load lies outside the valid range and the file says refuse.
     """
-    controllers = options.controllers or OF_DRIVE[file.geometry.drive]
+    together = file.joint_geometry
+    steered = together is not None and together.source == "front"
+    controllers = options.controllers or (OF_FRONT if steered else OF_DRIVE[file.geometry.drive])
     unknown = [name for name in controllers if name not in CONTROLLERS]
     if unknown:
         raise BadInputError(

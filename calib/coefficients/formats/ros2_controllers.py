@@ -12,7 +12,7 @@ from calib.coefficients.options import ExportOptions
 from calib.errors import RefusedError
 from calib.geometry.drives import STEERING_SCALE
 
-__all__ = ["CONTROLLERS", "OF_DRIVE"]
+__all__ = ["CONTROLLERS", "OF_DRIVE", "OF_FRONT"]
 
 #: parameters that are the track, or make it
 TRACKS: Final = ("track_m", "half_length_plus_half_width_m")
@@ -92,6 +92,8 @@ OF_DRIVE: Final[dict[str, tuple[str, ...]]] = {
     "differential": ("diff_drive_controller",),
     "mecanum": ("mecanum_drive_controller",),
 }
+#: where the front wheel alone drives the odometry, nothing was said of rear wheels
+OF_FRONT: Final = ("tricycle_controller",)
 
 
 def _flag(value: bool) -> str:

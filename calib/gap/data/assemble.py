@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -70,6 +71,7 @@ def assemble(
     *,
     in_map: bool,
     notes: Sequence[str],
+    stands_in: bool = False,
 ) -> Observations:
     """Lay units end to end and settle which channels each of them has and which were driven alike.
 
@@ -87,6 +89,8 @@ def assemble(
         Whether the reference's poses stand in one frame for all runs.
     notes : sequence of str
         What was said on the way here.
+    stands_in : bool
+        Whether the two wheels stand in for a front wheel or for four wheels.
 
     Returns
     -------
@@ -100,8 +104,7 @@ def assemble(
     measured, usable = _measured(units, path, turn, steps.logged, said)
     led, sigma_led = _led_straight(campaign, steps, measured, index, said)
     measured[led, 3], usable[led, 3] = 0.0, True
-    usable[:, 4:] = (np.isfinite(steps.total(front)) & np.isfinite(steps.total(steer)))[:, None]
-    measured[usable[:, 4], 4:] = 0.0
+    _front_channels(measured, usable, steps.total(front + steer), stands_in)
     simulated = _simulated(units, usable, said)
     numbers = _numbers(campaign, index, path, said)
     labels = {name: campaign.runs.label(name)[index] for name in _LABELS}
@@ -112,9 +115,7 @@ def assemble(
         starts=steps.starts,
         roll_left_rad=steps.roll_left,
         roll_right_rad=steps.roll_right,
-        phase_left_rad=np.concatenate([u.left_rad[1:] for u in units]),
-        phase_right_rad=np.concatenate([u.right_rad[1:] for u in units]),
-        time_s=np.concatenate([u.time_s[1:] for u in units]),
+        **_at_step_ends(units),
         duration_s=steps.duration,
         front_roll_rad=front,
         steer_rad=steer,
@@ -142,6 +143,8 @@ def assemble(
         led_straight=led,
         sigmas_assumed=_sigmas_assumed(campaign, usable),
         notes=tuple(said),
+        by_front=stands_in and bool(np.isfinite(front).any()),
+        aside_m=_aside(units),
     )
 
 
@@ -166,6 +169,27 @@ def _front(units: Sequence[Unit]) -> tuple[FloatArray, FloatArray, FloatArray]:
         steer.append(nothing if u.steer_rad is None else 0.5 * (u.steer_rad[1:] + u.steer_rad[:-1]))
         change.append(nothing if u.steer_rad is None else np.diff(u.steer_rad))
     return np.concatenate(roll), np.concatenate(steer), np.concatenate(change)
+
+
+def _front_channels(measured: FloatArray, usable: BoolArray, known: FloatArray, stands_in: bool) -> None:
+    """Set the channels of the front wheel; one that drives the odometry itself cannot be compared with it."""
+    usable[:, 4:] = (np.isfinite(known) & (not stands_in))[:, None]
+    measured[usable[:, 4], 4:] = 0.0
+
+
+def _at_step_ends(units: Sequence[Unit]) -> dict[str, Any]:
+    """Return the wheels' angles and the time at the end of each step, each (n_steps,)."""
+    return {
+        "phase_left_rad": np.concatenate([u.left_rad[1:] for u in units]),
+        "phase_right_rad": np.concatenate([u.right_rad[1:] for u in units]),
+        "time_s": np.concatenate([u.time_s[1:] for u in units]),
+    }
+
+
+def _aside(units: Sequence[Unit]) -> FloatArray | None:
+    """Return what the wheels roll to the left in each step; None for wheels that cannot."""
+    parts = [u.aside_m for u in units if u.aside_m is not None]
+    return np.concatenate([np.diff(part) for part in parts]) if parts and len(parts) == len(units) else None
 
 
 def _stated(units: Sequence[Unit], name: str, campaign: Campaign) -> FloatArray:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from calib.arrays import FloatArray, IntArray
 from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
+from calib.campaign.wheels import on_one_axle, without_rear_wheels
 from calib.errors import RefusedError
 from calib.gap.data.assemble import assemble
 from calib.gap.data.observations import Observations
@@ -55,14 +57,20 @@ def observations_of(campaign: Campaign, model: OdometryModel | None = None) -> O
     """
     campaign = campaign.included()
     model = model or campaign.model
+    stands_in = without_rear_wheels(campaign)
+    if stands_in:
+        # wheels that stand in for others do not carry a load of their own
+        model = replace(model, slope_left_m_per_N=0.0, slope_right_m_per_N=0.0)
+        campaign = on_one_axle(campaign, model)
     per_rad = CountsPerRadian.from_encoder(campaign.encoder)
     in_map = poses_are_in_a_map(campaign)
     recorded = [_recorded(run, campaign, model, per_rad, in_map) for run in range(len(campaign.runs))]
     with_counts = [run for run in recorded if run is not None]
     few = len(recorded) < FEW_RUNS
-    observations = _arranged(with_counts, campaign, model, per_rad, in_map, into_windows=few)
+    arranged = partial(_arranged, with_counts, campaign, model, per_rad, in_map, stands_in=stands_in)
+    observations = arranged(into_windows=few)
     if not few and any(run.reference is not None for run in with_counts) and _n_repeated(observations) < FEW_REPEATED:
-        observations = _arranged(with_counts, campaign, model, per_rad, in_map, into_windows=True)
+        observations = arranged(into_windows=True)
     return observations
 
 
@@ -79,9 +87,10 @@ def _arranged(
     in_map: bool,
     *,
     into_windows: bool,
+    stands_in: bool,
 ) -> Observations:
     """Return the observations of all runs, whole or cut into windows."""
-    units, notes = _units(recorded, campaign, model, per_rad, into_windows=into_windows)
+    units, notes = _units(recorded, campaign, model, per_rad, into_windows=into_windows, keep_front=stands_in)
     without_counts = len(campaign.runs) - len(recorded)
     if without_counts:
         notes.insert(0, f"{without_counts} runs have no encoder counts and were left out")
@@ -91,7 +100,7 @@ def _arranged(
             f"{campaign.name}: no run has both encoder counts and a measured distance or end pose; "
             "nothing can be said of a gap; measure distance_m or ref_x_m, ref_y_m, ref_theta_rad"
         )
-    return assemble(campaign, model, units, per_rad, in_map=in_map, notes=notes)
+    return assemble(campaign, model, units, per_rad, in_map=in_map, stands_in=stands_in, notes=notes)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,6 +142,7 @@ def _units(
     per_rad: CountsPerRadian,
     *,
     into_windows: bool,
+    keep_front: bool,
 ) -> tuple[list[Unit], list[str]]:
     """Return the units of all runs, long recordings cut into windows, and what has to be said of it."""
     rolled = sum(float(run.reference.travelled_m[-1]) for run in recorded if run.reference is not None)
@@ -143,7 +153,7 @@ def _units(
         windows = (
             []
             if run.reference is None or not into_windows
-            else cut(run.unit.run, run.log, run.reference, campaign.reference, per_rad, length_m)
+            else cut(run.unit.run, run.log, run.reference, campaign.reference, per_rad, length_m, keep_front=keep_front)
         )
         n_cut += bool(windows)
         units.extend(windows or [_by_log(run, campaign, per_rad)])

@@ -85,6 +85,10 @@ class Observations:
         Whether a program filled in an instrument's uncertainty because nobody stated it.
     notes : tuple of str
         What had to be left out or assumed, in sentences.
+    by_front : bool
+        Whether the front wheel alone drives the odometry: the two wheels stand in for it.
+    aside_m : array of float, shape (n_steps,), optional
+        What mecanum wheels roll to the left in each step.
     """
 
     vehicle: Vehicle
@@ -122,6 +126,8 @@ class Observations:
     led_straight: BoolArray
     sigmas_assumed: bool = False
     notes: tuple[str, ...] = ()
+    by_front: bool = False
+    aside_m: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.starts) - 1

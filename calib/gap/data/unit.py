@@ -11,6 +11,7 @@ import numpy as np
 from calib.arrays import FloatArray, IntArray
 from calib.campaign.model import RunTable
 from calib.campaign.settings import Encoder
+from calib.campaign.wheels import ASIDE
 
 __all__ = ["MAX_STEPS", "CountsPerRadian", "Unit", "log_rows", "thinned", "unit_from_log", "unit_from_row"]
 
@@ -55,6 +56,8 @@ class Unit:
         Time since the run's start and angles of the wheels by their counters.
     front_rad, steer_rad : array of float, shape (n_steps + 1,), optional
         Angle of the front wheel and its steering angle.
+    aside_m : array of float, shape (n_steps + 1,), optional
+        What mecanum wheels rolled to the left.
     from_log : bool
         False where the steps were made up from the totals.
     measured, simulated : array of float, shape (4,)
@@ -76,6 +79,7 @@ class Unit:
     right_rad: FloatArray
     front_rad: FloatArray | None = None
     steer_rad: FloatArray | None = None
+    aside_m: FloatArray | None = None
     from_log: bool = True
     measured: FloatArray = field(default_factory=lambda: _nan(4))
     simulated: FloatArray = field(default_factory=lambda: _nan(4))
@@ -130,7 +134,7 @@ def unit_from_log(
         Nothing measured yet. The front wheel counts where all of its samples are there.
     """
     index = thinned(rows)
-    front, steer = (None if name not in log else log[name][index] for name in ("counts_front", "steer_rad"))
+    front, steer, aside = (log[name][index] if name in log else None for name in ("counts_front", "steer_rad", ASIDE))
     return Unit(
         run=run,
         window=window,
@@ -139,6 +143,7 @@ def unit_from_log(
         right_rad=log["counts_right"][index] / per_rad.right,
         front_rad=None if front is None or np.isnan(front).any() else front / per_rad.front,
         steer_rad=None if steer is None or np.isnan(steer).any() else steer,
+        aside_m=aside,
     )
 
 

@@ -49,6 +49,8 @@ def cut(
     settings: Reference,
     per_rad: CountsPerRadian,
     length_m: float,
+    *,
+    keep_front: bool = False,
 ) -> list[Unit]:
     """Cut a recording into windows of about a length.
 
@@ -66,6 +68,8 @@ def cut(
         Scales of the encoders.
     length_m : float
         Length of a window, by what the wheels roll.
+    keep_front : bool
+        Keep the front wheel, which drives the odometry; else it is compared over whole runs only.
 
     Returns
     -------
@@ -82,7 +86,8 @@ def cut(
         inside = rows[(rows >= reference.rows[first]) & (rows <= reference.rows[last])]
         if len(inside) < FEWEST_SAMPLES:
             continue
-        unit = replace(unit_from_log(run, log, inside, per_rad, window=len(windows)), front_rad=None, steer_rad=None)
+        unit = unit_from_log(run, log, inside, per_rad, window=len(windows))
+        unit = unit if keep_front else replace(unit, front_rad=None, steer_rad=None)
         windows.append(_between(unit, reference, int(first), int(last), settings))
     return windows if len(windows) > 1 else []
 

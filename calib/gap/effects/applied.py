@@ -12,6 +12,7 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
+from calib.coefficients.believed import believed_model
 from calib.coefficients.file import load_coefficients
 from calib.coefficients.quantities import Quantity
 from calib.coefficients.sections import EffectSection
@@ -45,16 +46,7 @@ def model_of(path: FilePath | str, campaign: Campaign) -> tuple[OdometryModel, t
         Where the file cannot be used.
     """
     file = load_coefficients(path)
-    law, load = file.law, campaign.model.reference_load_N
-    model = OdometryModel(
-        radius_left_m=float(law.left.radius_m(load)),
-        radius_right_m=float(law.right.radius_m(load)),
-        track_m=file.geometry.track_m,
-        reference_load_N=load,
-        slope_left_m_per_N=law.left.slope_m_per_N,
-        slope_right_m_per_N=law.right.slope_m_per_N,
-    )
-    return model, tuple(file.effects)
+    return believed_model(file, campaign.model.reference_load_N), tuple(file.effects)
 
 
 def with_effects(

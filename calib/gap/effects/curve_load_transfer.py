@@ -27,6 +27,7 @@ class CurveLoadTransfer(Effect):
     title: ClassVar[str] = "load that moves to the outer wheel in fast turns"
     implausible: ClassVar[str] = "a track other than believed, or side slip"
     family: ClassVar[Family] = Family.TURNING
+    of_rear_wheels: ClassVar[bool] = True
     needs: ClassVar[str] = "turns at known speeds"
     separates: ClassVar[str] = "the same turn at two speeds and two loads"
 

@@ -23,6 +23,7 @@ class CurveScrub(Effect):
     title: ClassVar[str] = "scrubbing in turns that widens the track"
     implausible: ClassVar[str] = "a track other than believed, or load transfer in fast turns"
     family: ClassVar[Family] = Family.TURNING
+    of_rear_wheels: ClassVar[bool] = True
     needs: ClassVar[str] = "turns of several curvatures"
     separates: ClassVar[str] = "turns of several radii at one speed"
     shifts: ClassVar[tuple[str, ...]] = ("track_width",)

@@ -10,8 +10,7 @@ from calib.arrays import FloatArray
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Centre, Effect, Form, Parameter
 from calib.gap.effects.family import Family
-from calib.gap.effects.steering import front_travel_m, has_front
-from calib.gap.predict.push import Push
+from calib.gap.effects.steering import excess, front_travel_m, has_front
 
 __all__ = ["DriveSlip"]
 
@@ -76,10 +75,8 @@ class DriveSlip(Effect):
                 share = centre.deviations(force)[s.unit]
             pushes = []
             for part in parts:
-                reading = np.zeros((len(s), 6))
-                reading[:, 4] = s.total(front * part * share * s.steer_cos)
-                reading[:, 5] = s.total(front * part * share * s.steer_sin) / s.vehicle.wheelbase_m
-                pushes.append(Push(reading=reading))
+                slipped = front * part * share
+                pushes.append(excess(s, slipped * s.steer_cos, slipped * s.steer_sin / s.vehicle.wheelbase_m))
             return Form(
                 self.id,
                 label,

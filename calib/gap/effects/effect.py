@@ -136,6 +136,9 @@ class Effect(ABC):
         Whether its parameters ``slope_left`` and ``slope_right`` are the slopes of the radius law.
     per_session : bool
         Whether it has parameters for each session, so that it says nothing of a session left out.
+    of_rear_wheels : bool
+        Whether it is about two wheels on one axle, so that it does not apply where a front wheel alone drives the
+        odometry.
     found_before_search : bool
         Whether it is so large that it is found by trial before the search; it offers no forms.
     shifts : tuple of str
@@ -155,6 +158,7 @@ class Effect(ABC):
     is_load_law: ClassVar[bool] = False
     carries_law_slope: ClassVar[bool] = False
     per_session: ClassVar[bool] = False
+    of_rear_wheels: ClassVar[bool] = False
     found_before_search: ClassVar[bool] = False
 
     @property

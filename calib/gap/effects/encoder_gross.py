@@ -120,8 +120,8 @@ def find_gross(s: Observations, nominal: Path) -> GrossFault | None:
     now = float(np.mean(misfit(nominal)))
     if now < GROSS:
         return None
-    tried = [
-        (float(np.mean(misfit(predict(corrected(s, fault))))), number) for number, fault in enumerate(_candidates())
-    ]
+    # a front wheel that drives the odometry has no other side
+    candidates = [c for c in _candidates() if not s.by_front or (c.left == c.right and not c.swapped)]
+    tried = [(float(np.mean(misfit(predict(corrected(s, fault))))), number) for number, fault in enumerate(candidates)]
     best, number = min(tried)
-    return _candidates()[number] if best < CLOSES * now and best < GROSS else None
+    return candidates[number] if best < CLOSES * now and best < GROSS else None

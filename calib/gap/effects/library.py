@@ -113,7 +113,7 @@ def library(s: Observations, *, exclude: Collection[str] = (), declared: object 
     registered, covariates, own = _all(s, declared)
     spoken_for = {effect.column for effect in own if isinstance(effect, Declared) and effect.id not in exclude}
     covariates = [effect for effect in covariates if effect.column not in spoken_for]
-    searched = [effect for effect in registered if not effect.found_before_search]
+    searched = [e for e in registered if not (e.found_before_search or (s.by_front and e.of_rear_wheels))]
     return [effect for effect in (*searched, *covariates, *own) if effect.id not in exclude]
 
 

@@ -25,6 +25,7 @@ class LoadCreep(Effect):
     title: ClassVar[str] = "wheel bands that creep under the load"
     implausible: ClassVar[str] = "the load itself, or a temperature that rose meanwhile"
     family: ClassVar[Family] = Family.LOAD
+    of_rear_wheels: ClassVar[bool] = True
     needs: ClassVar[str] = "minutes_under_load that vary"
     separates: ClassVar[str] = "the same load after 0, 10 and 60 minutes, put on and taken off"
     shifts: ClassVar[tuple[str, ...]] = ("radius_scale", "unequal_radii")

@@ -21,6 +21,7 @@ class LoadDependentTrack(Effect):
     title: ClassVar[str] = "a track that follows the load"
     implausible: ClassVar[str] = "load transfer in turns, or misreported payloads"
     family: ClassVar[Family] = Family.TURNING
+    of_rear_wheels: ClassVar[bool] = True
     needs: ClassVar[str] = "turns under two loads"
     separates: ClassVar[str] = "the same slow turn under two loads"
     shifts: ClassVar[tuple[str, ...]] = ("track_width",)

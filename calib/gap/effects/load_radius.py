@@ -20,6 +20,7 @@ class LoadRadius(Effect):
     title: ClassVar[str] = "wheel radii that follow the load"
     implausible: ClassVar[str] = "misreported payloads, or a wheel that has come loose from its rim"
     family: ClassVar[Family] = Family.LOAD
+    of_rear_wheels: ClassVar[bool] = True
     needs: ClassVar[str] = "two payloads or places of it, with distances or end poses"
     separates: ClassVar[str] = "two loads and more, some of them off the middle"
     is_load_law: ClassVar[bool] = True

@@ -25,6 +25,7 @@ class LoadRadiusNonlinear(Effect):
     title: ClassVar[str] = "wheel radii that follow the load by a curved law"
     implausible: ClassVar[str] = "misreported payloads, or a wheel that has come loose from its rim"
     family: ClassVar[Family] = Family.LOAD
+    of_rear_wheels: ClassVar[bool] = True
     needs: ClassVar[str] = "three payloads, with distances or end poses"
     separates: ClassVar[str] = "three loads and more, far apart"
     is_load_law: ClassVar[bool] = True

@@ -26,6 +26,7 @@ class LostCounts(Effect):
     title: ClassVar[str] = "counts lost by one encoder"
     implausible: ClassVar[str] = "the radius of that wheel, or a wrong count per revolution"
     family: ClassVar[Family] = Family.COUNTS
+    of_rear_wheels: ClassVar[bool] = True
     needs: ClassVar[str] = "headings or distances; two speeds for a share that grows"
     separates: ClassVar[str] = "the front wheel as a second counter, at several speeds"
     shifts: ClassVar[tuple[str, ...]] = ("radius_scale", "unequal_radii")

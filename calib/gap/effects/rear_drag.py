@@ -25,6 +25,7 @@ class RearDrag(Effect):
     title: ClassVar[str] = "a rear wheel that drags one way"
     implausible: ClassVar[str] = "unequal radii, or a brake that does not release"
     family: ClassVar[Family] = Family.DIRECTION
+    of_rear_wheels: ClassVar[bool] = True
     needs: ClassVar[str] = "runs forward and backward"
     separates: ClassVar[str] = "the same way forward and backward"
     shifts: ClassVar[tuple[str, ...]] = ("radius_scale", "unequal_radii")

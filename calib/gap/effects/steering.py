@@ -11,11 +11,13 @@ from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Form, Parameter
 from calib.gap.predict.push import Push
 
-__all__ = ["error_form", "front_travel_m", "has_front", "steer_rad"]
+__all__ = ["error_form", "excess", "front_travel_m", "has_front", "steer_rad"]
 
 
 def has_front(s: Observations) -> BoolArray:
     """Return which units have the front wheel's counts and steering angle, shape (n_units,)."""
+    if s.by_front:
+        return np.asarray(np.isfinite(s.total(s.front_roll_rad)) & np.isfinite(s.total(s.steer_rad)))
     return s.usable[:, 5]
 
 
@@ -27,6 +29,26 @@ def front_travel_m(s: Observations) -> FloatArray:
 def steer_rad(s: Observations) -> FloatArray:
     """Return the logged steering angle of each step, 0 where it was not logged, shape (n_steps,)."""
     return np.nan_to_num(s.steer_rad)
+
+
+def excess(s: Observations, ahead_m: FloatArray, turn_rad: FloatArray) -> Push:
+    """Return what it does that the front wheel says more than is true.
+
+    Where rear wheels drive the odometry, the front channels are what these say less what the front wheel says, and grow
+    by the excess. Where the front wheel alone drives it, the vehicle moves less than it says.
+
+    Parameters
+    ----------
+    s : Observations
+        Units and steps.
+    ahead_m, turn_rad : array of float, shape (n_steps,)
+        Excess of the way and of the turn in each step.
+    """
+    if s.by_front:
+        return Push(along_m=-ahead_m, heading_rad=-turn_rad)
+    reading = np.zeros((len(s), 6))
+    reading[:, 4], reading[:, 5] = s.total(ahead_m), s.total(turn_rad)
+    return Push(reading=reading)
 
 
 def error_form(
@@ -61,8 +83,6 @@ def error_form(
         Quantities of the form that are not fitted.
     """
     front = front_travel_m(s)
-    reading = np.zeros((len(s), 6))
-    reading[:, 4] = -s.total(front * s.steer_sin * error_rad)
-    reading[:, 5] = s.total(front * s.steer_cos * error_rad) / s.vehicle.wheelbase_m
-    pushes: Sequence[Push] = [Push(reading=reading)]
+    ahead, turn = -front * s.steer_sin * error_rad, front * s.steer_cos * error_rad / s.vehicle.wheelbase_m
+    pushes: Sequence[Push] = [excess(s, ahead, turn)]
     return Form(effect, label, (parameter,), lambda _: pushes, tries=tries, settings=settings or {})

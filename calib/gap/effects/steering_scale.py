@@ -9,7 +9,7 @@ import numpy as np
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.family import Family
-from calib.gap.effects.steering import error_form, front_travel_m, has_front, steer_rad
+from calib.gap.effects.steering import error_form, excess, front_travel_m, has_front, steer_rad
 from calib.gap.predict.path import Path
 from calib.gap.predict.push import Push
 
@@ -33,11 +33,11 @@ class SteeringScale(Effect):
             return []
         parameter = Parameter("relative", "1", typical=1e-2, largest=1e-1)
         # the distance by the front wheel knows nothing of the wheelbase
-        reading = np.zeros((len(s), 6))
-        reading[:, 5] = s.total(front_travel_m(s) * s.steer_sin) / s.vehicle.wheelbase_m
+        turn = front_travel_m(s) * s.steer_sin / s.vehicle.wheelbase_m
+        pushes = [excess(s, np.zeros_like(turn), turn)]
 
         def longer(_: Path) -> list[Push]:
-            return [Push(reading=reading)]
+            return pushes
 
         return [
             error_form(s, self.id, "scale of the angle", parameter, angle, tries=2),

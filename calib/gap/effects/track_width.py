@@ -21,6 +21,7 @@ class TrackWidth(Effect):
     title: ClassVar[str] = "a track other than believed"
     implausible: ClassVar[str] = "the reference's scale, or scrubbing in tight turns"
     family: ClassVar[Family] = Family.CALIBRATION
+    of_rear_wheels: ClassVar[bool] = True
     needs: ClassVar[str] = "headings after turns"
     separates: ClassVar[str] = "turns of several curvatures at several speeds"
     hides_in: ClassVar[str] = "the track width"

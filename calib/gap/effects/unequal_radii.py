@@ -21,6 +21,7 @@ class UnequalRadii(Effect):
     title: ClassVar[str] = "rear wheels of unequal radius"
     implausible: ClassVar[str] = "swapped or different encoders"
     family: ClassVar[Family] = Family.CALIBRATION
+    of_rear_wheels: ClassVar[bool] = True
     needs: ClassVar[str] = "headings or lateral positions at the end of straight runs"
     separates: ClassVar[str] = "unladen runs, and squares both ways round"
     hides_in: ClassVar[str] = "the ratio of the wheel radii"

@@ -27,6 +27,7 @@ class WheelEccentricity(Effect):
     title: ClassVar[str] = "an eccentric wheel"
     implausible: ClassVar[str] = "a slipping encoder coupling"
     family: ClassVar[Family] = Family.COUNTS
+    of_rear_wheels: ClassVar[bool] = True
     needs: ClassVar[str] = "logs"
     separates: ClassVar[str] = "the log within a run"
 

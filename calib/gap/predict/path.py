@@ -105,6 +105,10 @@ class Path:
         """
         s = self.s
         ones = np.ones(len(s))
+        if s.by_front:
+            # one wheel: it has a radius, which both that stand in for it share; wheelbase and zero are the steering's
+            both = 0.5 * signature(self, Push(left=ones, right=ones), by_steps=True)
+            return np.stack([both, both, np.zeros_like(both), np.zeros_like(both)], axis=2)
         columns = [
             signature(self, Push(left=ones), by_steps=True),
             signature(self, Push(right=ones), by_steps=True),
@@ -163,6 +167,8 @@ def predict(s: Observations, pushes: list[Push] | None = None) -> Path:
     ds = 0.5 * (left + right) + wide(push.along_m)
     turn = (right - left) / track + wide(push.heading_rad)
     slip = np.broadcast_to(np.asarray(wide(push.lateral_m), dtype=np.float64), ds.shape)
+    if s.aside_m is not None:
+        slip = slip + s.aside_m * (1.0 + 0.5 * (wide(push.left) + wide(push.right)))
     heading = s.cumulative(turn)
     mid = heading - 0.5 * turn + _bend(s, turn)
     half = 0.5 * turn
@@ -283,9 +289,13 @@ def _along_path(path: Path, wide: dict[str, FloatArray], push: Push) -> FloatArr
         ds = ds + push.along_m
     dx = ds * path.cos + turn * path.lever_x
     dy = ds * path.sin + turn * path.lever_y
-    if push.lateral_m is not None:
-        dx -= push.lateral_m * path.sin
-        dy += push.lateral_m * path.cos
+    aside = push.lateral_m
+    if s.aside_m is not None:
+        mean = 0.5 * (wide.get("left", np.zeros(1)) + wide.get("right", np.zeros(1)))
+        aside = s.aside_m * mean + (0.0 if aside is None else aside)
+    if aside is not None:
+        dx -= aside * path.sin
+        dy += aside * path.cos
     x, y = s.total(dx), s.total(dy)
     made = np.zeros((len(s), N_CHANNELS))
     c, sn = np.cos(path.frame), np.sin(path.frame)

@@ -10,6 +10,7 @@ import numpy as np
 
 from calib.arrays import FloatArray
 from calib.campaign.model import Campaign
+from calib.campaign.wheels import on_one_axle
 from calib.gap.data.observations import Observations
 from calib.gap.effects.shapes import MOVING_MPS
 
@@ -74,6 +75,10 @@ def traces_of(campaign: Campaign, observations: Observations) -> list[Trace]:
     observations : Observations
         The same runs; its model drives the odometry.
     """
+    if observations.aside_m is not None:
+        # two wheels on one axle cannot follow a vehicle that goes sideways
+        return []
+    campaign = on_one_axle(campaign, observations.model)
     first = {str(name): unit for unit, name in reversed(list(enumerate(observations.labels["run_id"])))}
     encoder, runs = campaign.encoder, campaign.runs
     kinds, directions = runs.label("kind"), runs.label("direction")

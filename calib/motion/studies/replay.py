@@ -14,12 +14,16 @@ import numpy as np
 
 from calib.arrays import BoolArray, FloatArray, StrArray
 from calib.campaign.model import Campaign
+from calib.campaign.wheels import WHEEL_COLUMNS, odometry_source, without_rear_wheels
+from calib.coefficients.believed import believed_model
 from calib.coefficients.file import CoefficientFile
 from calib.errors import RefusedError
 from calib.motion.odometry.integrate import end_poses
 from calib.motion.odometry.loaded import loads_in_steps, radii_of_model, radii_under_load, travel_from_counts
 from calib.motion.poses import PoseErrors, Poses, pose_errors
-from calib.motion.studies.runtime_check import RuntimeCheck, runtime_check
+from calib.motion.studies.filled import with_end_poses, with_loads
+from calib.motion.studies.runtime_check import NOT_FED, RuntimeCheck, runtime_check
+from calib.motion.studies.stood_in import of_vehicle, stood_in
 from calib.radius.law import RadiusLaw
 
 __all__ = ["METHODS", "Replay", "RuntimeCheck", "replay", "runtime_check"]
@@ -55,6 +59,11 @@ class Replay:
         The vehicle's own code on the same logs.
     left_out : dict of str to int
         Runs that could not be compared, by reason.
+    by_geometry : bool
+        Whether a front wheel or four wheels drive the odometry: no law of a load, so that ``constant`` is
+        ``corrected``, and nothing for the runtime, which reads two wheels on one axle.
+    notes : tuple of str
+        What had to be assumed.
     """
 
     run_id: StrArray
@@ -72,6 +81,8 @@ class Replay:
     ratio_ci95: tuple[float, float]
     runtime: RuntimeCheck
     left_out: dict[str, int]
+    by_geometry: bool = False
+    notes: tuple[str, ...] = ()
 
     def document(self) -> dict[str, Any]:
         """Return everything, ready for JSON; the runtime's differences are null where no sample could be compared."""
@@ -137,7 +148,7 @@ def replay(
     RefusedError
         Where no run has a log, a reference end pose and wheel loads within the valid range.
     """
-    chosen, left_out = _usable(campaign)
+    chosen, left_out, notes = _usable(campaign, coefficients.law)
     if not len(chosen.runs):
         reasons = ", ".join(f"{count} {reason}" for reason, count in left_out.items() if count) or "no runs"
         raise RefusedError(
@@ -150,10 +161,12 @@ def replay(
         loads_in_steps(loads[0], logs.columns.get("load_left_N"), logs.offsets),
         loads_in_steps(loads[1], logs.columns.get("load_right_N"), logs.offsets),
     )
+    by_geometry = without_rear_wheels(chosen)
     reference = Poses(runs.number("ref_x_m"), runs.number("ref_y_m"), runs.number("ref_theta_rad"))
+    reference = of_vehicle(reference, coefficients) if by_geometry else reference
     ends, travelled = _driven(chosen, coefficients, carried, scheme)
     errors = {method: pose_errors(end, reference) for method, end in ends.items()}
-    in_range = np.logical_and.reduceat(_in_range(law, *carried), logs.offsets[:-1])
+    in_range = np.logical_and.reduceat(_in_range(law, *carried) | by_geometry, logs.offsets[:-1])
     if not in_range.any():
         raise RefusedError(
             f"{campaign.name}: no run's wheel loads lie within the range that the law was measured in; "
@@ -180,8 +193,10 @@ def replay(
         },
         ratio=rms["constant"] / rms["corrected"],
         ratio_ci95=(float(low), float(high)),
-        runtime=runtime_check(chosen, coefficients, runs=runtime_runs),
+        runtime=NOT_FED if by_geometry else runtime_check(chosen, coefficients, runs=runtime_runs),
         left_out=left_out,
+        by_geometry=by_geometry,
+        notes=notes,
     )
 
 
@@ -189,6 +204,8 @@ def _driven(
     campaign: Campaign, coefficients: CoefficientFile, carried_N: tuple[FloatArray, FloatArray], scheme: str
 ) -> tuple[dict[str, Poses], FloatArray]:
     """Return the end poses by each of `METHODS`, and the way by the corrected one, under the loads of the steps."""
+    if without_rear_wheels(campaign):
+        return _stood_in(campaign, coefficients, scheme)
     unladen = np.full(len(campaign.runs), coefficients.geometry.unladen_load_N)
     track_m, offsets, columns = coefficients.geometry.track_m, campaign.logs.offsets, campaign.logs.columns
     believed = {
@@ -206,13 +223,29 @@ def _driven(
     return ends, np.add.reduceat(0.5 * np.abs(left + right), offsets[:-1])
 
 
-def _usable(campaign: Campaign) -> tuple[Campaign, dict[str, int]]:
-    """Return the runs with log, reference end pose and loads, and how many were left out and why."""
+def _stood_in(campaign: Campaign, coefficients: CoefficientFile, scheme: str) -> tuple[dict[str, Poses], FloatArray]:
+    """Return the same for odometry from a front wheel or from four wheels."""
+    offsets = campaign.logs.offsets
+    calibrated = believed_model(coefficients, campaign.model.reference_load_N)
+    before, _ = stood_in(campaign, campaign.model, scheme=scheme)
+    after, rolled = stood_in(campaign, calibrated, scheme=scheme)
+    last = offsets[1:] - 1
+    return {"model": before[last], "constant": after[last], "corrected": after[last]}, np.add.reduceat(
+        rolled, offsets[:-1]
+    )
+
+
+def _usable(campaign: Campaign, law: RadiusLaw) -> tuple[Campaign, dict[str, int], tuple[str, ...]]:
+    """Return the runs with log, reference end pose and loads, how many were left out and why, and what was assumed."""
+    campaign, notes = with_loads(with_end_poses(campaign), law)
     runs, logs = campaign.runs, campaign.logs
+    source = odometry_source(campaign)
+    needed = (*WHEEL_COLUMNS[source if without_rear_wheels(campaign) else "rear"], "t_s")
+    needed = (*needed, "steer_rad") if "counts_front" in needed else needed
     posed = np.isfinite(np.stack([runs.number(c) for c in ("ref_x_m", "ref_y_m", "ref_theta_rad")])).all(axis=0)
     loaded = np.isfinite(runs.number("load_left_N")) & np.isfinite(runs.number("load_right_N"))
     counted = logs.present.copy()
-    for name in ("counts_left", "counts_right", "t_s"):
+    for name in needed:
         column = logs.columns.get(name)
         if column is None:
             counted[:] = False
@@ -226,7 +259,7 @@ def _usable(campaign: Campaign) -> tuple[Campaign, dict[str, int]]:
         "without a reference end pose": int((~excluded & counted & ~posed).sum()),
         "without wheel loads": int((~excluded & counted & posed & ~loaded).sum()),
     }
-    return campaign.select(~excluded & counted & posed & loaded), left_out
+    return campaign.select(~excluded & counted & posed & loaded), left_out, notes
 
 
 def _in_range(law: RadiusLaw, load_left_N: FloatArray, load_right_N: FloatArray) -> BoolArray:

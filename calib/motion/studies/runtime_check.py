@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from calib.motion.odometry.integrate import integrate
 from calib.motion.odometry.loaded import loads_in_steps, radii_under_load, travel_from_counts
 from calib.runtime import Coefficients, Odometer, OdometerFault, Status
 
-__all__ = ["RuntimeCheck", "runtime_check"]
+__all__ = ["NOT_FED", "RuntimeCheck", "runtime_check"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,6 +37,10 @@ class RuntimeCheck:
     largest_difference_m: float
     largest_difference_rad: float
     faults: dict[str, int]
+
+
+#: of a vehicle that the runtime, which reads two wheels on one axle, cannot follow
+NOT_FED: Final = RuntimeCheck(0, 0, float("nan"), float("nan"), {})
 
 
 def runtime_check(campaign: Campaign, coefficients: CoefficientFile, *, runs: int) -> RuntimeCheck:

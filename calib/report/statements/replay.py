@@ -15,6 +15,8 @@ _RADII: Final = {
     "constant": "law's radii, unladen, kept",
     "corrected": "law's radii at the load carried",
 }
+#: where a front wheel or four wheels drive the odometry
+_BY_GEOMETRY: Final = {"model": "as the simulator believes", "corrected": "the coefficients' radii and lengths"}
 
 
 def replay_content(replay: Replay, *, name: str, simulated: bool) -> tuple[Block, ...]:
@@ -34,9 +36,13 @@ def replay_content(replay: Replay, *, name: str, simulated: bool) -> tuple[Block
         (left("Radii"), Column("rms", "m"), Column("rms heading", "mrad")),
         tuple(
             (title, fixed(replay.rms_m[key], 4), fixed(1e3 * replay.rms_heading_rad[key], 2))
-            for key, title in _RADII.items()
+            for key, title in (_BY_GEOMETRY if replay.by_geometry else _RADII).items()
         ),
     )
+    left_out = [Text(f"{count} runs left out: {reason}.") for reason, count in replay.left_out.items() if count]
+    if replay.by_geometry:
+        runtime = Text("The vehicle's runtime reads two wheels on one axle; it was not fed.")
+        return (table, runtime, *left_out)
     low, high = replay.ratio_ci95
     check = replay.runtime
     blocks: list[Block] = [
@@ -51,5 +57,4 @@ def replay_content(replay: Replay, *, name: str, simulated: bool) -> tuple[Block
         ),
     ]
     blocks += [Text(f"The runtime refused {count} times: {status}.") for status, count in check.faults.items()]
-    blocks += [Text(f"{count} runs left out: {reason}.") for reason, count in replay.left_out.items() if count]
-    return tuple(blocks)
+    return (*blocks, *left_out)
