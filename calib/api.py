@@ -122,7 +122,12 @@ def geometry(
 
 
 def diagnose(
-    campaign: Campaign, *, model: Path | str | None = None, exclude: Sequence[str] = (), seed: int = 0
+    campaign: Campaign,
+    *,
+    model: Path | str | None = None,
+    exclude: Sequence[str] = (),
+    seed: int = 0,
+    journeys: Path | str | None = None,
 ) -> Diagnosis:
     """Find out where simulated and measured motion differ, and which unmodelled effect causes it.
 
@@ -136,6 +141,8 @@ def diagnose(
         Effects to leave out of the library.
     seed : int
         Seed of the bootstraps.
+    journeys : Path or str, optional
+        A plan of runs still to come, on which the corrections of causes that cannot be told apart are compared.
 
     Returns
     -------
@@ -151,11 +158,15 @@ def diagnose(
     from calib.gap.diagnose import diagnose_in_full
     from calib.gap.effects.applied import model_of
     from calib.gap.effects.library import check_excluded
+    from calib.gap.plan.plan_file import read_plan
 
     if exclude:
         check_excluded(exclude, observations_of(campaign), campaign.extra.get("effects", ()))
     believed, effects = (None, ()) if model is None else model_of(Path(model), campaign)
-    full = diagnose_in_full(campaign, seed=seed, exclude=tuple(exclude), model=believed, applied=effects)
+    to_come = None if journeys is None else read_plan(Path(journeys))
+    full = diagnose_in_full(
+        campaign, seed=seed, exclude=tuple(exclude), model=believed, applied=effects, journeys=to_come
+    )
     return extended(Diagnosis, full)
 
 

@@ -52,6 +52,10 @@ def run(
     into: Annotated[
         Path | None, typer.Option("--into", metavar="FOLDER", help="Result folder: diagnosis.json.")
     ] = None,
+    journeys: Annotated[
+        Path | None,
+        typer.Option("--journeys", metavar="PLAN", help="Runs to come, to compare the corrections of tied causes on."),
+    ] = None,
     mapping: MappingOption = None,
     json: JsonTarget = None,
     force: Force = False,
@@ -71,7 +75,7 @@ def run(
     refuse_existing([json, apply, html, None if into is None else into / RESULT_FILE], force=force)
     with waiting("diagnosing"):
         read, diagnosis, effects = _diagnosed(
-            read_or_ingest(campaign, mapping=mapping), model, tuple(exclude or ()), seed
+            read_or_ingest(campaign, mapping=mapping), model, tuple(exclude or ()), seed, journeys
         )
     verdict = diagnosis.verdict
     document = verdict.to_dict() | {"headline": headline(verdict)}
@@ -104,17 +108,26 @@ def _draw(
 
 
 def _diagnosed(
-    campaign: Campaign, model: Path | None, exclude: tuple[str, ...], seed: int
+    campaign: Campaign, model: Path | None, exclude: tuple[str, ...], seed: int, journeys: Path | None
 ) -> tuple[Campaign, Diagnosis, tuple[EffectSection, ...]]:
     """Return the campaign, its diagnosis, and the effects that the model has already."""
     from calib.gap.diagnose import diagnose_in_full
     from calib.gap.effects.applied import model_of
+    from calib.gap.plan.plan_file import read_plan
 
     if exclude:
         _check_excluded(exclude, campaign)
     believed, effects = (None, ()) if model is None else model_of(model, campaign)
     name = "" if model is None else model.name
-    diagnosis = diagnose_in_full(campaign, seed=seed, exclude=exclude, model=believed, applied=effects, model_name=name)
+    diagnosis = diagnose_in_full(
+        campaign,
+        seed=seed,
+        exclude=exclude,
+        model=believed,
+        applied=effects,
+        model_name=name,
+        journeys=None if journeys is None else read_plan(journeys),
+    )
     return campaign, diagnosis, tuple(effects)
 
 

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calib.arrays import FloatArray
 from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
 from calib.coefficients.build import from_law, load_points
@@ -16,13 +15,9 @@ from calib.coefficients.file import CoefficientFile
 from calib.coefficients.quantities import Quantity
 from calib.coefficients.sections import EffectSection
 from calib.errors import RefusedError
-from calib.gap.data.from_campaign import observations_of
-from calib.gap.effects.applied import section_of, with_effects
+from calib.gap.effects.applied import section_of
 from calib.gap.effects.library import effect_class
-from calib.gap.evidence.fit import Fitted, fit
-from calib.gap.evidence.noise import estimate_noise
-from calib.gap.predict.path import predict
-from calib.gap.predict.residuals import residuals
+from calib.gap.evidence.fit import Fitted
 from calib.gap.verdict.result import VerdictKind
 from calib.radius.law import RadiusLaw, WheelLaw
 
@@ -71,22 +66,13 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[Effe
     model = observations.model
     line, sections = _line_and_sections(model, fitted, verdict.causes)
     sections = [*given, *sections]
-    believed = OdometryModel(
-        radius_left_m=line.radius_m["left"],
-        radius_right_m=line.radius_m["right"],
-        track_m=model.track_m * (1 + float(fitted.calibration[2])),
-        reference_load_N=model.reference_load_N,
-        slope_left_m_per_N=line.slope_m_per_N["left"],
-        slope_right_m_per_N=line.slope_m_per_N["right"],
-    )
-    scale = _settled(campaign, believed, sections)
     loads = {side: observations.number(f"load_{side}_N") for side in SIDES}
     scatter = float(diagnosis.noise.scales.get("radius_scatter", 0.0))
     laws = {
         side: WheelLaw(
             reference_load_N=model.reference_load_N,
-            radius_ref_m=line.radius_m[side] * float(scale[number]),
-            slope_m_per_N=line.slope_m_per_N[side] * float(scale[number]),
+            radius_ref_m=line.radius_m[side],
+            slope_m_per_N=line.slope_m_per_N[side],
             covariance=np.diag(
                 [fitted.covariance[number, number] * line.radius_m[side] ** 2, line.slope_variance[side]]
             ),
@@ -100,7 +86,7 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[Effe
     }
     return from_law(
         RadiusLaw(left=laws["left"], right=laws["right"]),
-        replace(observations.vehicle, track_m=believed.track_m * float(scale[2])),
+        replace(observations.vehicle, track_m=model.track_m * (1.0 + float(fitted.calibration[2]))),
         campaign.encoder,
         name=campaign.name,
         simulated=campaign.simulated,
@@ -160,14 +146,3 @@ def _line_and_sections(
                 EffectSection(effect=cause.effect, form=cause.form, settings=settings, parameters=parameters)
             )
     return line, sections
-
-
-def _settled(campaign: Campaign, model: OdometryModel, sections: Sequence[EffectSection]) -> FloatArray:
-    """Return by which factors left radius, right radius and track still move, shape (3,), once the gap is gone.
-
-    The floor was taken about a path that a large effect bent; without the gap it is finer, and weighs runs otherwise.
-    """
-    observations, _ = with_effects(observations_of(campaign, model), sections, campaign.extra.get("effects", ()))
-    nominal = predict(observations)
-    base = fit(nominal, estimate_noise(nominal, residuals(nominal, nominal)))
-    return np.asarray(1.0 + base.calibration[:3])

@@ -26,6 +26,7 @@ from calib.gap.evidence.recalibration import judge_recalibration
 from calib.gap.evidence.search import Search, Settings, search
 from calib.gap.evidence.whitened import WhitenedSystem
 from calib.gap.plan.next_runs import next_runs, undetectable
+from calib.gap.plan.planned_runs import joined
 from calib.gap.predict.path import Path, predict
 from calib.gap.predict.residuals import residuals
 from calib.gap.verdict.closure import HeldOut, measure_closure
@@ -73,6 +74,7 @@ def diagnose_in_full(
     plan: bool = True,
     model_name: str = "",
     observations: Observations | None = None,
+    journeys: Campaign | None = None,
 ) -> Diagnosis:
     """Diagnose the gap of a campaign.
 
@@ -97,6 +99,9 @@ def diagnose_in_full(
     observations : Observations, optional
         What was observed on the campaign, in place of its own files: planted effects, drawn noise. `model` and
         `applied` are in it already.
+    journeys : Campaign, optional
+        Runs still to be driven, of `calib.gap.plan.plan_file.read_plan`: where causes cannot be told apart, their
+        corrections are compared on these instead of on the runs driven.
 
     Returns
     -------
@@ -138,12 +143,14 @@ def diagnose_in_full(
         recalibration=judge_recalibration(best, nominal, noise, settings, shifts, searched),
         held_out=held_out,
         trials=trials(left_out, residuals(nominal, nominal)),
-        where=locate(observations, nominal, noise, held_out.before, rng=rng, campaign=campaign),
+        where=locate(observations, nominal, noise, held_out.before, rng=rng, floor=held_out.floor, campaign=campaign),
         undetectable=undetectable(WhitenedSystem(base.path, nominal, noise), effects),
         fault=fault,
         settings=settings,
         notes=notes,
         judged_against=judged_against,
+        journeys=None if journeys is None else observations_of(joined(campaign, journeys), observations.model),
+        declared=declared,
     )
     verdict = decide(evidence)
     ties = [group.effects for group in verdict.groups]

@@ -15,6 +15,7 @@ from calib.campaign.read import read_campaign
 from calib.errors import RefusedError
 from calib.gap.diagnose import diagnose, diagnose_in_full
 from calib.gap.diagnosis import Diagnosis
+from calib.gap.plan.plan_file import read_plan
 from calib.gap.verdict.result import VerdictKind
 from calib.radius.fit import fit_campaign
 from tests.gap.effects.making import Motion, Run, campaign, rich_runs
@@ -75,6 +76,39 @@ def sound() -> Diagnosis:
 @pytest.fixture(scope="module")
 def faulty() -> Diagnosis:
     return diagnose_in_full(made(factor=4.0, warmth=WARMTH))
+
+
+def test_the_corrections_of_load_and_session_part_on_journeys_as_the_load_law_says(
+    corridor: Diagnosis, project_root: Path, tmp_path: Path
+) -> None:
+    """On sessions to come a step of the old ones does nothing: 200 kg more move the two apart as the law moves ends."""
+    plan = (project_root / "sample_runs/plan.toml").read_text("utf-8")
+    head = plan[: plan.index("[[runs]]")]
+    campaign = read_campaign(project_root / "sample_runs/corridor")
+    apart = []
+    for payload in (0, 200):
+        file = tmp_path / f"{payload}.toml"
+        file.write_text(f'{head}[[runs]]\nkind = "corridor"\npayload_kg = {payload}\npayload_x_m = 0.0\n', "utf-8")
+        fix = diagnose_in_full(campaign, journeys=read_plan(file), plan=False).verdict.fix
+        assert fix.agreement_on == "journeys" and fix.agreement_m is not None
+        apart.append(fix.agreement_m)
+    slopes = {cause.effect: cause for cause in corridor.verdict.causes}["load_radius"].parameters
+    way_m, track_m, load_N = 40.0, 0.7, 200 * 9.81 / 2
+    left, right = (way_m * slopes[f"slope_{side}"].value * load_N / 0.1 for side in ("left", "right"))
+    moved_m = float(np.hypot((left + right) / 2, way_m * (right - left) / track_m / 2))
+    # the triangle of the two distances and what the load moves; a path bent by metres is no straight line: 5 %
+    assert abs(apart[1] - apart[0]) <= 1.05 * moved_m
+    assert apart[0] + apart[1] >= 0.95 * moved_m
+
+
+def test_a_share_lies_in_its_interval_and_a_sole_cause_carries_what_is_explained(crossed: Diagnosis) -> None:
+    """The share's uncertainty is that of the sizes and of the floor's chance; alone, a cause has all that is closed."""
+    (cause,) = crossed.verdict.causes
+    assert cause.share_ci95 is not None
+    low, high = cause.share_ci95
+    assert 0.0 <= low <= cause.share <= high <= 1.0
+    # a gap of 70 floors: what noise adds to its squares is less than a hundredth of them
+    assert high - low < 0.02
 
 
 def test_one_load_a_session_leaves_load_and_session_tied(corridor: Diagnosis) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from calib.gap.data.channels import Channel
 from calib.gap.verdict.result import (
     Cause,
+    ChannelClosure,
     Closure,
     Detectable,
     Group,
@@ -70,7 +71,15 @@ def findings(seed: int = 0, n: int = 48) -> GapFindings:
             covariates=(CovariateLine("turn_rad", Channel.HEADING, 0.9, (0.8, 0.95), 1e-9, significant=True),),
             runs=(RunLine("r_004", Channel.LATERAL, 0.034, 0.008, 4.2),),
         ),
-        closure=Closure(0.061, 0.0041, 0.004, 0.99, (0.97, 1.0), "session"),
+        closure=Closure(
+            0.061,
+            0.0041,
+            0.004,
+            0.99,
+            (0.97, 1.0),
+            "session",
+            (ChannelClosure(Channel.LATERAL, 0.061, 0.0041, 0.004, 0.99),),
+        ),
         next_runs=(PlannedRunAdvice("square_ccw", "tells the two apart", payload_kg=200, speed_mps=0.3),),
         campaign="yard",
     )

@@ -1,29 +1,51 @@
-"""How far the corrections of causes that these runs cannot tell apart differ on the runs driven."""
+"""How far the corrections of causes that cannot be told apart differ, on the runs driven or on other journeys."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from calib.arrays import FloatArray
+from calib.gap.data.observations import Observations
+from calib.gap.effects.applied import applied_pushes, section_of
 from calib.gap.effects.calibration import DIRECTIONS, NAMES
 from calib.gap.effects.effect import Form
-from calib.gap.evidence.fit import hypothesis_path
+from calib.gap.evidence.fit import calibration_pushes, hypothesis_path
 from calib.gap.evidence.marginal import CALIBRATION_SD
 from calib.gap.evidence.system import LinearSystem
 from calib.gap.evidence.weighting import Weighting, prior_precision
-from calib.gap.predict.path import Path
+from calib.gap.predict.path import Path, predict
 from calib.gap.verdict.evidence import Evidence
 
 __all__ = ["agreement_m"]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Correction:
+    """A recalibration, shape (4,), and forms with their sizes."""
+
+    calibration: FloatArray
+    forms: Sequence[Form]
+    theta: Sequence[FloatArray]
+
+    def ends_as_driven(self, about: Path) -> FloatArray:
+        """Return the end poses (n_units, 3) of the runs that it was fitted on."""
+        return hypothesis_path(about.s, self.calibration, self.forms, self.theta, about).end
+
+    def ends_on(self, journeys: Observations, declared: object) -> FloatArray:
+        """Return the end poses (n_units, 3) of other runs; what has nothing to act on there does nothing."""
+        sections = [section_of(form, sizes) for form, sizes in zip(self.forms, self.theta, strict=True)]
+        pushes, _ = applied_pushes(journeys, sections, declared=declared)
+        return predict(journeys, [*calibration_pushes(journeys, self.calibration, None), *pushes]).end
+
+
 def agreement_m(evidence: Evidence, groups: Sequence[Sequence[str]]) -> float | None:
     """Return the root mean square distance of end positions under causes that stand in for one another, the largest.
 
-    An instrument that reads wrongly moves no vehicle: its correction and that of a radius lie as far apart as the
-    radius moves the ends.
+    The ends are those of the journeys that the evidence asks about, else of the runs driven. An instrument that reads
+    wrongly moves no vehicle: its correction and that of a radius lie as far apart as the radius moves the ends.
 
     Parameters
     ----------
@@ -37,36 +59,43 @@ def agreement_m(evidence: Evidence, groups: Sequence[Sequence[str]]) -> float | 
     float or None
         None where nothing is tied.
     """
+    fitted = evidence.fitted
+    best = _Correction(fitted.calibration, fitted.forms, fitted.theta)
     apart = []
     for group in groups:
         own = [name for name in group if name in evidence.named]
         for other in group:
-            if other not in own:
-                ends = _ends_under(evidence, own, other)
-                if ends is not None:
-                    apart.append(float(np.sqrt(np.mean(((ends - evidence.fitted.path.end)[:, :2] ** 2).sum(axis=1)))))
+            exchanged = None if other in own else _exchanged(evidence, own, other)
+            if exchanged is not None:
+                apart.append(_distance_m(evidence, best, exchanged))
     return max(apart, default=None)
 
 
-def _ends_under(evidence: Evidence, own: Sequence[str], other: str) -> FloatArray | None:
-    """Return the end poses (n_units, 3) with some named causes exchanged for another; None where it has no form."""
-    fitted = evidence.fitted
-    kept = [form for form in fitted.forms if form.effect not in own]
+def _distance_m(evidence: Evidence, one: _Correction, other: _Correction) -> float:
+    if evidence.journeys is None:
+        # about the path of the fit, where the pushes of both were taken
+        here, there = evidence.fitted.path.end, other.ends_as_driven(evidence.fitted.path)
+    else:
+        # beside the runs driven, so that what the two differ in varies
+        to_come = ~np.isin(evidence.journeys.labels["run_id"], evidence.observations.labels["run_id"])
+        here, there = (each.ends_on(evidence.journeys, evidence.declared)[to_come] for each in (one, other))
+    return float(np.sqrt(np.mean(((there - here)[:, :2] ** 2).sum(axis=1))))
+
+
+def _exchanged(evidence: Evidence, own: Sequence[str], other: str) -> _Correction | None:
+    """Return the correction with some named causes exchanged for another, fitted anew; None where it has no form."""
+    kept = [form for form in evidence.fitted.forms if form.effect not in own]
     if other in NAMES:
         candidates = [kept]
     else:
         candidates = [[*kept, form] for form in evidence.search.forms.get(other, ())]
     held = [NAMES.index(name) for name in own if name in NAMES]
-    best: tuple[float, FloatArray] | None = None
-    for forms in candidates:
-        left, path = _exchanged(evidence, forms, held)
-        if best is None or left < best[0]:
-            best = left, path.end
-    return None if best is None else best[1]
+    refitted = [_refitted(evidence, forms, held) for forms in candidates]
+    return min(refitted, key=lambda tried: tried[0])[1] if refitted else None
 
 
-def _exchanged(evidence: Evidence, forms: Sequence[Form], held: Sequence[int]) -> tuple[float, Path]:
-    """Return the whitened squares that forms leave, some directions of the calibration held at nought, and the path."""
+def _refitted(evidence: Evidence, forms: Sequence[Form], held: Sequence[int]) -> tuple[float, _Correction]:
+    """Return what forms leave in whitened squares, some directions of the calibration held at nought, and the fit."""
     fitted = evidence.fitted
     every = [*fitted.forms, *(form for form in forms if all(form is not own for own in fitted.forms))]
     system = LinearSystem(fitted, evidence.nominal, evidence.noise, every)
@@ -82,4 +111,4 @@ def _exchanged(evidence: Evidence, forms: Sequence[Form], held: Sequence[int]) -
     change = directions @ sizes[: len(free)] * CALIBRATION_SD[0]
     cuts = np.cumsum([len(free), *(len(form.parameters) for form in forms)])
     theta = [sizes[a:b] * form.typical for a, b, form in zip(cuts[:-1], cuts[1:], forms, strict=True)]
-    return float(left @ left), hypothesis_path(fitted.path.s, change, forms, theta, fitted.path)
+    return float(left @ left), _Correction(change, forms, theta)

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from calib.arrays import FloatArray
-from calib.gap.effects.calibration import NAMES
+from calib.gap.effects.calibration import DIRECTIONS, NAMES
 from calib.gap.effects.effect import Form
 from calib.gap.evidence.determined import said_of_undetermined, undetermined
 from calib.gap.evidence.marginal import Nuisance
@@ -26,13 +26,26 @@ CLASSES: Final = (0.3, 0.6, 0.8)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Sized:
-    """A form at its fitted size: standard uncertainty, whitened contribution (n_rows,) and the signal of that."""
+    """A form at its fitted size: standard uncertainty, whitened columns per unit (n_rows, n_parameters), and signal."""
 
     form: Form
     theta: FloatArray
     sd: FloatArray
-    contribution: FloatArray
+    columns: FloatArray
     signal: float
+
+    @property
+    def squares(self) -> float:
+        """Squares of what it does, whitened."""
+        contribution = self.columns @ self.theta
+        return float(contribution @ contribution)
+
+    def squares_sd(self, covariance: FloatArray) -> float:
+        """Return the standard uncertainty of `squares` for normal errors of the size (n_parameters, n_parameters)."""
+        gram = self.columns.T @ self.columns
+        spread = gram @ covariance
+        along = gram @ self.theta
+        return float(np.sqrt(4.0 * along @ covariance @ along + 2.0 * np.trace(spread @ spread)))
 
 
 def causes_of(
@@ -56,17 +69,36 @@ def causes_of(
     free = max(len(system.gap) - len(fitted.parameters) - 4, 1)
     # beside a rest the spread has what is left in it already
     inflation = 1.0 if evidence.search.weighting.name else float(np.sqrt(max(1.0, fitted.chi_square / free)))
+    every = _sized(evidence)
+    shares, half_widths = _shares(evidence, every, inflation, coverage)
     causes = [
-        _cause(evidence, sized, inflation, coverage, probabilities.get(sized.form.effect, 0.0))
-        for sized in _sized(evidence)
-    ]
-    # what the named causes explain together is divided by their squares
-    explained, total = explained_share(evidence), max(sum(cause.share for cause in causes), 1e-12)
-    causes = [
-        replace(cause, share=explained * cause.share / total, forms_open=forms_open.get(cause.effect, ()))
-        for cause in causes
+        replace(
+            _cause(evidence, sized, inflation, coverage, probabilities.get(sized.form.effect, 0.0)),
+            share=share,
+            share_ci95=(max(share - half, 0.0), min(share + half, 1.0)),
+            forms_open=forms_open.get(sized.form.effect, ()),
+        )
+        for sized, share, half in zip(every, shares, half_widths, strict=True)
     ]
     return sorted(causes, key=lambda cause: (-int(np.digitize(cause.probability, CLASSES)), -cause.signal))
+
+
+def _shares(
+    evidence: Evidence, every: list[_Sized], inflation: float, coverage: float
+) -> tuple[list[float], list[float]]:
+    """Return what each cause carries of the gap beyond the floor, and half its 95 % interval.
+
+    What the named causes explain together is divided by their squares; the errors of their sizes are propagated to
+    that ratio to first order, those of different causes as independent.
+    """
+    explained, explained_sd = explained_share(evidence)
+    squares = np.array([sized.squares for sized in every])
+    sd = np.array([inflation**2 * sized.squares_sd(_scaled_covariance(evidence, sized)) for sized in every])
+    total = max(float(squares.sum()), 1e-12)
+    ratio = squares / total
+    slopes = (np.eye(len(every)) - ratio[:, None]) / total
+    half = coverage * np.sqrt(explained**2 * (slopes**2) @ sd**2 + (ratio * explained_sd) ** 2)
+    return (explained * ratio).tolist(), half.tolist()
 
 
 def _sized(evidence: Evidence) -> list[_Sized]:
@@ -78,20 +110,21 @@ def _sized(evidence: Evidence) -> list[_Sized]:
     spreads = [deviation[first:last] for first, last in pairwise(cuts)]
     sized = []
     for form, theta, sd in zip(fitted.forms, fitted.theta, spreads, strict=True):
-        whitened = evidence.contribution(form, theta)
-        signal = float(np.sqrt(nuisance.scalar(whitened[:, None], whitened[:, None])[0, 0]))
-        sized.append(_Sized(form, theta, sd, whitened, signal))
+        columns = system.columns(form) / form.typical
+        whitened = (columns @ theta)[:, None]
+        signal = float(np.sqrt(nuisance.scalar(whitened, whitened)[0, 0]))
+        sized.append(_Sized(form, theta, sd, columns, signal))
     for name in evidence.calibration:
         k = NAMES.index(name)
         form = evidence.effects[name].forms(evidence.observations)[0]
-        whitened = evidence.calibration_contribution([name])
+        columns = (evidence.per_unit @ DIRECTIONS[k])[:, None]
         value, sd = recalibration.values[[k]], recalibration.sd[[k]]
-        sized.append(_Sized(form, value, sd, whitened, float(recalibration.signal[k])))
+        sized.append(_Sized(form, value, sd, columns, float(recalibration.signal[k])))
     return sized
 
 
 def _cause(evidence: Evidence, sized: _Sized, inflation: float, coverage: float, probability: float) -> Cause:
-    """Return a cause whose share is still the square of its contribution."""
+    """Return a cause, its share aside."""
     form, effect = sized.form, evidence.effects[sized.form.effect]
     spread = sized.sd * inflation
     quantities = {
@@ -112,7 +145,7 @@ def _cause(evidence: Evidence, sized: _Sized, inflation: float, coverage: float,
         title=effect.title,
         form=form.label,
         probability=probability,
-        share=float(sized.contribution @ sized.contribution),
+        share=0.0,
         signal=sized.signal,
         parameters=quantities,
         plausible=bool(times <= 1.0) and len(not_told) < len(form.parameters),

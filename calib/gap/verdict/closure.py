@@ -16,7 +16,7 @@ from calib.gap.evidence.marginal import rows
 from calib.gap.evidence.noise import Noise
 from calib.gap.predict.path import Path
 from calib.gap.predict.residuals import residuals
-from calib.gap.verdict.result import Closure
+from calib.gap.verdict.result import ChannelClosure, Closure
 
 __all__ = ["HeldOut", "closure_of", "end_rms_m", "folds", "measure_closure"]
 
@@ -164,6 +164,12 @@ def closure_of(held_out: HeldOut, observations: Observations) -> Closure:
         The same units.
     """
     everything = np.ones(len(observations), dtype=bool)
+    residuals_of = (held_out.before, held_out.after, held_out.floor)
+    channels = []
+    for channel, fraction in held_out.by_channel.items():
+        on = observations.usable[:, channel]
+        before, after, floor = (float(np.sqrt(np.mean(values[on, channel] ** 2))) for values in residuals_of)
+        channels.append(ChannelClosure(channel, before, after, floor, fraction))
     return Closure(
         before_rms_m=end_rms_m(held_out.before, observations, everything),
         after_rms_m=end_rms_m(held_out.after, observations, everything),
@@ -171,7 +177,7 @@ def closure_of(held_out: HeldOut, observations: Observations) -> Closure:
         fraction=held_out.fraction,
         ci95=held_out.ci95,
         held_out=held_out.left_out,
-        by_channel=dict(held_out.by_channel),
+        channels=tuple(channels),
     )
 
 

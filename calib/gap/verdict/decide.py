@@ -13,6 +13,7 @@ from calib.gap.verdict.evidence import Evidence
 from calib.gap.verdict.gross import gross_cause
 from calib.gap.verdict.groups import groups_of
 from calib.gap.verdict.odds import credible_sets, effect_probabilities, gap_probability
+from calib.gap.verdict.outcome import DRIVEN, JOURNEYS
 from calib.gap.verdict.rest import rest_of
 from calib.gap.verdict.result import SURE, Cause, Closure, Fix, Group, NoiseSummary, Verdict, VerdictKind
 from calib.gap.verdict.sentence import sentence
@@ -153,6 +154,7 @@ def decide(evidence: Evidence) -> Verdict:
         and not any(evidence.effects[name].per_session for group in tied for name in group)
         and recommended(causes, certain, closure, evidence.trials, agreement),
         agreement_m=agreement,
+        agreement_on=DRIVEN if evidence.journeys is None else JOURNEYS,
         transfer=() if nothing_named else tuple(trial.transfer for trial in evidence.trials),
     )
     if evidence.fault is not None:

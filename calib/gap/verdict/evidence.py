@@ -64,6 +64,11 @@ class Evidence:
         What had to be assumed on the way.
     judged_against : str
         What the gap was judged against.
+    journeys : Observations, optional
+        The runs driven and, after them, runs to come, on which the corrections of causes that cannot be told apart are
+        compared.
+    declared : object
+        The ``[[effects]]`` tables of the campaign.
     """
 
     campaign: str
@@ -81,6 +86,8 @@ class Evidence:
     settings: Settings = field(default_factory=Settings)
     notes: tuple[str, ...] = ()
     judged_against: str = BY_MODEL
+    journeys: Observations | None = None
+    declared: object = ()
 
     @property
     def observations(self) -> Observations:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -12,6 +12,9 @@ from calib.gap.data.channels import Channel
 from calib.gap.evidence.noise import Noise
 
 __all__ = [
+    "DRIVEN",
+    "JOURNEYS",
+    "ChannelClosure",
     "Closure",
     "Detectable",
     "Fix",
@@ -22,6 +25,10 @@ __all__ = [
     "Transfer",
     "json_number",
 ]
+
+#: on which runs corrections are compared
+DRIVEN: Final = "runs driven"
+JOURNEYS: Final = "journeys"
 
 
 def json_number(value: float) -> float | None:
@@ -61,6 +68,38 @@ class Detectable:
 
 
 @dataclass(frozen=True, slots=True)
+class ChannelClosure:
+    """How far the gap shrinks in one channel, on runs that the fit has not seen.
+
+    Parameters
+    ----------
+    channel : Channel
+        Which channel.
+    before_rms, after_rms, floor_rms : float
+        Root mean square of the gap without and with the causes, and of the floor, in the channel's unit.
+    fraction : float or None
+        Of the squares beyond the floor that is closed, every unit weighed by its floor; None where the channel's gap is
+        below half its floor: it did not move.
+    """
+
+    channel: Channel
+    before_rms: float
+    after_rms: float
+    floor_rms: float
+    fraction: float | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain JSON values."""
+        return {
+            "before_rms": self.before_rms,
+            "after_rms": self.after_rms,
+            "floor_rms": self.floor_rms,
+            "unit": self.channel.unit,
+            "fraction": self.fraction,
+        }
+
+
+@dataclass(frozen=True, slots=True)
 class Closure:
     """How far the gap shrinks on runs that the fit has not seen.
 
@@ -76,8 +115,8 @@ class Closure:
         Its interval.
     held_out : str
         What was left out in turn: ``session`` or ``condition``.
-    by_channel : mapping of Channel to float or None
-        The fraction of each channel.
+    channels : tuple of ChannelClosure
+        The same channel by channel, each in its own unit and against its own floor.
     """
 
     before_rms_m: float | None = None
@@ -86,7 +125,13 @@ class Closure:
     fraction: float | None = None
     ci95: tuple[float, float] | None = None
     held_out: str = "condition"
-    by_channel: Mapping[Channel, float | None] = field(default_factory=dict)
+    channels: tuple[ChannelClosure, ...] = ()
+
+    @property
+    def moved(self) -> tuple[ChannelClosure, ...]:
+        """Channels whose gap stands above the floor, furthest first."""
+        beyond = [line for line in self.channels if line.fraction is not None]
+        return tuple(sorted(beyond, key=lambda line: -line.before_rms / line.floor_rms))
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON values."""
@@ -97,7 +142,8 @@ class Closure:
             "fraction": self.fraction,
             "ci95": None if self.ci95 is None else list(self.ci95),
             "held_out": self.held_out,
-            "by_channel": {channel.label: fraction for channel, fraction in self.by_channel.items()},
+            "by_channel": {line.channel.label: line.fraction for line in self.channels},
+            "channels": {line.channel.label: line.to_dict() for line in self.channels},
         }
 
 
@@ -152,13 +198,16 @@ class Fix:
     recommended : bool
         Whether to apply it.
     agreement_m : float or None
-        By how much the corrections of causes that cannot be told apart differ; None where that was not asked.
+        By how much the corrections of causes that cannot be told apart differ at the end; None where nothing is tied.
+    agreement_on : str
+        On which runs: ``runs driven`` or ``journeys``.
     transfer : tuple of Transfer
         What it did where it was tried.
     """
 
     recommended: bool = False
     agreement_m: float | None = None
+    agreement_on: str = DRIVEN
     transfer: tuple[Transfer, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
@@ -166,6 +215,7 @@ class Fix:
         return {
             "recommended": self.recommended,
             "agreement_m": self.agreement_m,
+            "agreement_on": self.agreement_on,
             "transfer": [trial.to_dict() for trial in self.transfer],
         }
 

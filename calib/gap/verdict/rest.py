@@ -22,12 +22,14 @@ SHOWS: Final = 4.0
 MOST_PLACES: Final = 3
 
 
-def explained_share(evidence: Evidence) -> float:
-    """Return the share of the gap beyond its floor that the best hypothesis explains, 0 to 1."""
+def explained_share(evidence: Evidence) -> tuple[float, float]:
+    """Return the share of the gap beyond its floor that the best hypothesis explains, 0 to 1, and its uncertainty."""
     nominal, chi_square = evidence.nominal, evidence.fitted.chi_square
     before = rows(nominal, evidence.noise, residuals(nominal, nominal)[:, :, None])[:, 0]
     excess = max(float(before @ before) - len(before), 1.0)
-    return float(np.clip(1.0 - max(chi_square - len(before), 0.0) / excess, 0.0, 1.0))
+    share = float(np.clip(1.0 - max(chi_square - len(before), 0.0) / excess, 0.0, 1.0))
+    # what noise alone leaves scatters as chi-square does
+    return share, float(np.sqrt(2.0 * len(before)) / excess)
 
 
 def rest_of(evidence: Evidence) -> Rest | None:
@@ -36,7 +38,7 @@ def rest_of(evidence: Evidence) -> Rest | None:
         return None
     n_rows = int(evidence.observations.usable.sum())
     signal = float(np.sqrt(max(evidence.fitted.chi_square - n_rows, 0.0)))
-    share = 1.0 - explained_share(evidence)
+    share = 1.0 - explained_share(evidence)[0]
     return Rest(share=share, signal=signal, where=_places(evidence)) if signal > 0 else None
 
 

@@ -8,6 +8,7 @@ from enum import StrEnum
 from typing import Any, Final
 
 from calib.gap.verdict.outcome import (
+    ChannelClosure,
     Closure,
     Detectable,
     Fix,
@@ -26,6 +27,7 @@ __all__ = [
     "FORMAT",
     "SURE",
     "Cause",
+    "ChannelClosure",
     "Closure",
     "Detectable",
     "Fix",
@@ -203,6 +205,11 @@ class Verdict:
     judged_against: str = BY_MODEL
     campaign: str = ""
     simulated: bool = False
+
+    @property
+    def against(self) -> str:
+        """What the gap was judged against, in words."""
+        return "the campaign's own model" if self.judged_against == BY_MODEL else self.judged_against
 
     @property
     def recommended(self) -> bool:

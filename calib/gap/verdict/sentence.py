@@ -7,11 +7,15 @@ from typing import Final
 
 from calib.gap.effects.calibration import HIDES_IN
 from calib.gap.effects.library import title_of
-from calib.gap.verdict.result import SURE, Cause, Verdict, VerdictKind
+from calib.gap.verdict.result import SURE, Cause, ChannelClosure, Verdict, VerdictKind
 from calib.gap.where.result import PlaceLine, Where
 
 __all__ = ["advice", "sentence"]
 
+#: channels that the headline names
+MOST_CHANNELS: Final = 3
+#: metres or radians from which on nobody wants thousandths
+LARGE: Final = 1.0
 #: a group of more effects than this tells nothing of the cause
 TELLING: Final = 6
 
@@ -19,8 +23,9 @@ TELLING: Final = 6
 def sentence(verdict: Verdict) -> str:
     """Return the verdict in words; a floor far above the stated sigmas is said first.
 
-    Says what causes the gap or that this cannot be said, which causes cannot be told apart, how far the gap shrinks on
-    runs left out, and whether a plain recalibration would do or would hide the cause.
+    Leads with the channels that moved, each against its own floor, and what they were judged against; then says what
+    causes the gap or that this cannot be said, which causes cannot be told apart, and whether a plain recalibration
+    would do or would hide the cause.
     """
     finding = verdict.noise.finding
     return f"{finding} {_sentence(verdict)}" if finding else _sentence(verdict)
@@ -28,25 +33,33 @@ def sentence(verdict: Verdict) -> str:
 
 def _sentence(verdict: Verdict) -> str:
     if verdict.kind is VerdictKind.NO_GAP:
-        return "No gap: measured and simulated motion differ by no more than repeats of the same run do."
+        return (
+            f"No gap: measured motion and that by {verdict.against} differ by no more than repeats of the same run do."
+        )
     if verdict.kind is VerdictKind.UNDECIDED:
         return (
             f"These runs cannot show whether there is a gap: their noise floor rests on {verdict.noise.support}. "
             "Drive one route several times over, alike: repeats decide it."
         )
     if verdict.kind is VerdictKind.UNKNOWN:
-        return f"There is a gap, but no effect of the library explains it{_depends(verdict.where)}."
+        cause = f"There is a gap, but no effect of the library explains it{_depends(verdict.where)}."
+        return f"{_channels(verdict)}{cause}"
+    return f"{_channels(verdict)}{_explained(verdict)}"
+
+
+def _explained(verdict: Verdict) -> str:
+    """Return what the causes are, or between which these runs cannot tell."""
     titles = {cause.effect: cause.title for cause in verdict.causes}
     if verdict.kind is VerdictKind.PARTLY_EXPLAINED:
         return (
             f"The gap is partly explained by {_listed(verdict.causes)}{_alternatives(verdict, titles)}; "
-            f"{_left(verdict)}{_shrinks(verdict)}."
+            f"{_left(verdict)}."
         )
     if verdict.kind is VerdictKind.AMBIGUOUS:
         words = _ambiguous(verdict, titles)
     else:
         words = f"The gap is explained by {_listed(verdict.causes)}"
-    return f"{words}{_shrinks(verdict)}.{_hidden(verdict)}{_implausible(verdict)}"
+    return f"{words}.{_hidden(verdict)}{_implausible(verdict)}"
 
 
 def _left(verdict: Verdict) -> str:
@@ -60,6 +73,8 @@ def advice(verdict: Verdict) -> str:
     """Return whether the fix is recommended, and if not why; empty without a cause."""
     if not verdict.causes:
         return ""
+    if verdict.recommended and verdict.groups:
+        return "Recommended: whichever of the causes it is, their corrections are alike; either way, apply this."
     if verdict.recommended:
         return "Recommended: the fix holds on runs it has not seen."
     if verdict.groups:
@@ -136,17 +151,27 @@ def _place(line: PlaceLine) -> str:
     return f"between {low:.1f} and {high:.1f} m ({line.coordinate}, {line.route})"
 
 
-def _shrinks(verdict: Verdict) -> str:
+def _channels(verdict: Verdict) -> str:
+    """Return the gap of the channels that moved, without and with the causes, each against its own floor."""
     closure = verdict.closure
-    before, after, floor = closure.before_rms_m, closure.after_rms_m, closure.floor_rms_m
-    if before is None or after is None or closure.fraction is None:
+    lines = closure.moved or tuple(sorted(closure.channels, key=_ratio)[-1:])
+    if not lines:
         return ""
-    end = f" (noise floor {_length(floor)})" if floor is not None else ""
-    return f"; on runs left out it shrinks from {_length(before)} to {_length(after)}{end}"
+    named = bool(verdict.causes)
+    parts = [_channel(line, both=named) for line in lines[:MOST_CHANNELS]]
+    return f"Against {verdict.against}{', on runs left out' if named else ''}: {'; '.join(parts)}. "
 
 
-def _length(value_m: float) -> str:
-    return f"{value_m:.3g} m" if abs(value_m) >= 0.9995 else f"{1e3 * value_m:.3g} mm"
+def _ratio(line: ChannelClosure) -> float:
+    return line.before_rms / line.floor_rms if line.floor_rms > 0.0 else 0.0
+
+
+def _channel(line: ChannelClosure, *, both: bool) -> str:
+    """Return ``distance 6.1 -> 1.9 mm (floor 2.3)``, all in the unit in which the gap reads well."""
+    unit = line.channel.unit
+    factor, unit = (1.0, unit) if line.before_rms >= LARGE else (1e3, f"m{unit}")
+    before, after, floor = (f"{factor * value:.3g}" for value in (line.before_rms, line.after_rms, line.floor_rms))
+    return f"{line.channel.label} {before}{f' -> {after}' if both else ''} {unit} (floor {floor})"
 
 
 def _hidden(verdict: Verdict) -> str:

@@ -34,6 +34,7 @@ def locate(
     gap: FloatArray,
     *,
     rng: np.random.Generator,
+    floor: FloatArray | None = None,
     campaign: Campaign | None = None,
 ) -> Where:
     """Say where the gap lies.
@@ -54,6 +55,8 @@ def locate(
         Measured minus simulated; 0 where a unit lacks the channel.
     rng : numpy.random.Generator
         For the bootstrap.
+    floor : array of float, shape (n_units, n_channels), optional
+        What the gap is shown against; that of `noise` where not given.
     campaign : Campaign, optional
         The same runs with their logs: without it, no places inside runs.
 
@@ -74,16 +77,17 @@ def locate(
     notes: tuple[str, ...] = ("no logs were given: nothing can be said of places inside the runs",)
     if campaign is not None:
         places, notes = find_places(campaign, observations, rng)
+    shown = noise.floor if floor is None else floor
     return Where(
-        channels=_by_channel(observations, noise, gap),
+        channels=_by_channel(observations, shown, gap),
         covariates=held_to_one_error(lines),
-        runs=_by_run(observations, noise, gap),
+        runs=_by_run(observations, shown, gap),
         places=places,
         notes=notes,
     )
 
 
-def _by_channel(observations: Observations, noise: Noise, gap: FloatArray) -> tuple[ChannelGap, ...]:
+def _by_channel(observations: Observations, floor: FloatArray, gap: FloatArray) -> tuple[ChannelGap, ...]:
     gaps = []
     for channel in Channel:
         on = observations.usable[:, channel]
@@ -92,7 +96,7 @@ def _by_channel(observations: Observations, noise: Noise, gap: FloatArray) -> tu
                 ChannelGap(
                     channel=channel,
                     rms=float(np.sqrt(np.mean(gap[on, channel] ** 2))),
-                    floor=float(np.sqrt(np.mean(noise.floor[on, channel] ** 2))),
+                    floor=float(np.sqrt(np.mean(floor[on, channel] ** 2))),
                     mean=float(np.mean(gap[on, channel])),
                     n_units=int(on.sum()),
                 )
@@ -100,9 +104,9 @@ def _by_channel(observations: Observations, noise: Noise, gap: FloatArray) -> tu
     return tuple(gaps)
 
 
-def _by_run(observations: Observations, noise: Noise, gap: FloatArray) -> tuple[RunLine, ...]:
+def _by_run(observations: Observations, floor: FloatArray, gap: FloatArray) -> tuple[RunLine, ...]:
     """Return the units that deviate most, each in the channel where it does."""
-    z = np.where(observations.usable, gap / noise.floor, 0.0)
+    z = np.divide(gap, floor, out=np.zeros_like(gap), where=observations.usable)
     worst = np.abs(z).argmax(axis=1)
     size = np.abs(z)[np.arange(len(observations)), worst]
     return tuple(
@@ -110,7 +114,7 @@ def _by_run(observations: Observations, noise: Noise, gap: FloatArray) -> tuple[
             run_id=str(observations.labels["run_id"][unit]),
             channel=Channel(int(worst[unit])),
             value=float(gap[unit, worst[unit]]),
-            floor=float(noise.floor[unit, worst[unit]]),
+            floor=float(floor[unit, worst[unit]]),
             z=float(z[unit, worst[unit]]),
         )
         for unit in np.argsort(-size, kind="stable")[:MOST_RUNS]

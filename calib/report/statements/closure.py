@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from calib.gap.data.channels import POSE
 from calib.gap.verdict.result import Verdict
 from calib.gap.verdict.sentence import advice
 from calib.report.blocks import Block, Column, Items, Table, Text
-from calib.report.numbers import left, length, percent, prose
+from calib.report.numbers import MISSING, aligned, left, length, percent, prose, readable, three_digits
 
 __all__ = ["closure_blocks"]
 
@@ -24,7 +25,9 @@ def closure_blocks(verdict: Verdict, headline: Mapping[str, Any] | None = None) 
         The paper's headline beside it; from `calib.gap.verdict.paper_headline.headline`.
     """
     blocks: list[Block] = []
-    sentence = _sentence(verdict)
+    if verdict.causes and verdict.closure.channels:
+        blocks.append(_by_channel(verdict))
+    sentence = _sentence(verdict) if verdict.causes else ""
     advised = advice(verdict)
     if sentence or advised:
         blocks.append(Text(" ".join(part for part in (sentence, prose(advised)) if part)))
@@ -35,7 +38,7 @@ def closure_blocks(verdict: Verdict, headline: Mapping[str, Any] | None = None) 
         blocks.append(
             Text(
                 "The corrections of the causes that cannot be told apart differ by at most "
-                f"{length(fix.agreement_m)} on the runs asked about."
+                f"{length(fix.agreement_m)} at the end of the {fix.agreement_on}."
             )
         )
     if fix.transfer:
@@ -48,27 +51,40 @@ def closure_blocks(verdict: Verdict, headline: Mapping[str, Any] | None = None) 
     return blocks
 
 
+def _by_channel(verdict: Verdict) -> Table:
+    closure = verdict.closure
+    rows = []
+    for line in closure.channels:
+        factor, unit = readable(line.channel.unit, line.before_rms)
+        sizes = (three_digits(factor * value) for value in (line.before_rms, line.after_rms, line.floor_rms))
+        rows.append((line.channel.label, unit, *sizes, percent(line.fraction)))
+    if closure.before_rms_m is not None and any(line.channel in POSE for line in closure.channels):
+        factor, unit = readable("m", closure.before_rms_m)
+        ends = (closure.before_rms_m, closure.after_rms_m or 0.0, closure.floor_rms_m or 0.0)
+        rows.append(("end position", unit, *(three_digits(factor * value) for value in ends), MISSING))
+    return Table(
+        f"How far: the gap by channel on runs left out, each {closure.held_out} in turn; root mean square with the "
+        "model alone, with the causes added, and of the floor. Closed is the share of the squares beyond the floor.",
+        (left("Channel"), left("Unit"), Column("Before"), Column("After"), Column("Floor"), Column("Closed")),
+        aligned(rows, 2, 3, 4),
+    )
+
+
 def _sentence(verdict: Verdict) -> str:
     closure = verdict.closure
-    if closure.before_rms_m is None or closure.after_rms_m is None:
-        return ""
-    text = (
-        f"How far: on runs left out (each {closure.held_out} in turn) the gap is {length(closure.before_rms_m)} with "
-        f"the model alone and {length(closure.after_rms_m)} with the cause added"
-    )
-    text += "." if closure.floor_rms_m is None else f"; the floor is {length(closure.floor_rms_m)}."
     if closure.fraction is None:
-        return text
-    text += f" Every run and channel weighed by its noise, that closes {percent(closure.fraction)} of the gap"
+        return ""
+    text = f"Every run and channel weighed by its noise, {percent(closure.fraction)} of the gap above the floor closes"
     if closure.ci95 is None:
-        return f"{text} above the floor."
+        return f"{text}."
     low, high = closure.ci95
-    return f"{text} above the floor (95 % interval {percent(low)} to {percent(high)})."
+    return f"{text} (95 % interval {percent(low)} to {percent(high)})."
 
 
 def _transfer(verdict: Verdict) -> Table:
     return Table(
-        "What the fix does on conditions that it was not fitted on, each left out in turn.",
+        "What the fix does to the end position (else the distance), root mean square, on conditions that it was not "
+        "fitted on, each left out in turn.",
         (left("Left out"), left("Which"), Column("Before"), Column("After")),
         tuple(
             (trial.left_out, trial.value.replace("_", " "), length(trial.before_rms_m), length(trial.after_rms_m))

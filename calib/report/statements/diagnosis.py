@@ -46,8 +46,8 @@ def diagnosis_content(gap: GapFindings) -> tuple[Block, ...]:
     blocks: list[Block] = [
         verdict_notice(verdict),
         Text(
-            f"The gap is measured minus simulated motion, run by run, judged against {_against(verdict)}. The floor is "
-            "what repeats of the same run scatter; no model gets below it.",
+            "The gap is measured minus simulated motion, run by run. The floor is what repeats of a run scatter; "
+            "no model gets below it.",
             small=True,
         ),
         *map_picture(gap),
@@ -63,7 +63,3 @@ def diagnosis_content(gap: GapFindings) -> tuple[Block, ...]:
         blocks.append(next_runs_table([run.to_dict() for run in verdict.next_runs]))
     notes = tuple(prose(note) for note in verdict.notes)
     return (*blocks, *((Items(notes),) if notes else ()))
-
-
-def _against(verdict: Verdict) -> str:
-    return "the campaign's own model" if verdict.judged_against == "model" else verdict.judged_against

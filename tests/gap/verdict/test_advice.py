@@ -18,6 +18,7 @@ def verdict(kind: str, *causes: tuple[str, float], recommended: bool = False, ti
     ("given", "words"),
     [
         (verdict("explained", ("load_radius", 0.9), recommended=True), "Recommended: the fix holds"),
+        (verdict("ambiguous", ("load_radius", 0.5), recommended=True, tied=True), "either way, apply this"),
         (verdict("ambiguous", ("load_radius", 0.5), tied=True), "other causes would explain"),
         (verdict("partly_explained", ("load_radius", 0.5)), "a rest of the gap is left"),
         (verdict("explained", ("load_radius", 0.9), ("wear", 0.4)), "too little speaks for wear (0.40)"),

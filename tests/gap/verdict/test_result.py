@@ -10,6 +10,7 @@ from calib.gap.data.channels import Channel
 from calib.gap.verdict.result import (
     BY_MODEL,
     Cause,
+    ChannelClosure,
     Closure,
     Detectable,
     Fix,
@@ -45,9 +46,17 @@ FULL = Verdict(
         Detectable("wear", "hidden in the calibration", never=True),
         Detectable("side_slip", "0.06 s2/m (slip per acceleration)"),
     ),
-    closure=Closure(0.061, 0.004, 0.004, 0.99, (0.97, 1.0), "session", {Channel.HEADING: 0.9, Channel.LATERAL: None}),
+    closure=Closure(
+        0.061,
+        0.004,
+        0.004,
+        0.99,
+        (0.97, 1.0),
+        "session",
+        (ChannelClosure(Channel.HEADING, 0.02, 0.004, 0.003, 0.9), ChannelClosure(Channel.LATERAL, 0.01, 0.01, 0.01)),
+    ),
     rest=Rest(0.04, 9.0, ("kind spin_left",)),
-    fix=Fix(True, 0.002, (Transfer("kind", "square_cw", 0.07, 0.02),)),
+    fix=Fix(True, 0.002, transfer=(Transfer("kind", "square_cw", 0.07, 0.02),)),
     next_runs=(PlannedRunAdvice("square_ccw", "tells them apart", payload_kg=0.0, speed_mps=0.3),),
 )
 
@@ -67,11 +76,14 @@ def test_the_fields_are_those_of_the_contract() -> None:
         "wear": "never: hidden in the calibration",
         "side_slip": "0.06 s2/m (slip per acceleration)",
     }
+    heading = {"before_rms": 0.02, "after_rms": 0.004, "floor_rms": 0.003, "unit": "rad", "fraction": 0.9}
+    assert document["closure"]["channels"]["heading"] == heading
     assert document["closure"]["by_channel"] == {"heading": 0.9, "lateral": None}
     assert document["rest"] == {"share": 0.04, "signal": 9.0, "where": ["kind spin_left"]}
     assert document["fix"] == {
         "recommended": True,
         "agreement_m": 0.002,
+        "agreement_on": "runs driven",
         "transfer": [{"left_out": "kind", "value": "square_cw", "before_rms_m": 0.07, "after_rms_m": 0.02}],
     }
     assert document["recommended"] is document["fix"]["recommended"]
