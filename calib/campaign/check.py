@@ -9,6 +9,7 @@ import numpy as np
 from calib.arrays import BoolArray, FloatArray
 from calib.campaign.checks import CHECKS
 from calib.campaign.model import Campaign, Note
+from calib.progress import Progress, silent, stepped
 
 __all__ = ["CheckReport", "Found", "check_campaign", "summarise"]
 
@@ -75,13 +76,15 @@ class CheckReport:
         return not self.wrong
 
 
-def check_campaign(campaign: Campaign) -> CheckReport:
+def check_campaign(campaign: Campaign, progress: Progress = silent) -> CheckReport:
     """Run every check; nothing is changed or deleted.
 
     Parameters
     ----------
     campaign : Campaign
         Read leniently, so that faults of single runs are among its notes.
+    progress : callable
+        See `calib.progress.Progress`.
 
     Returns
     -------
@@ -92,7 +95,7 @@ def check_campaign(campaign: Campaign) -> CheckReport:
     kept = campaign.included()
     notes = [note for note in campaign.notes if note.level != "suspicious" or note.run_id not in excluded]
     if len(kept.runs):
-        for check in CHECKS.values():
+        for check in stepped(CHECKS.values(), progress, "checks"):
             notes.extend(check(kept))
     levels = {
         level: tuple(dict.fromkeys(note for note in notes if note.level == level))

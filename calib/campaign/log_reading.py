@@ -18,6 +18,7 @@ from calib.campaign.model import Logs, Note
 from calib.campaign.settings import Encoder
 from calib.errors import BadFileError
 from calib.files import sha256_file
+from calib.progress import Progress, silent, stepped
 
 __all__ = ["read_logs"]
 
@@ -38,7 +39,13 @@ class _Outcome:
 
 
 def read_logs(
-    files: Sequence[LogFile], n_runs: int, encoder: Encoder, border: Border, renames: Renames | None = None
+    files: Sequence[LogFile],
+    n_runs: int,
+    encoder: Encoder,
+    border: Border,
+    renames: Renames | None = None,
+    *,
+    progress: Progress = silent,
 ) -> tuple[Logs, dict[str, str]]:
     """Read the logs of a campaign and undo the overflow of their counters.
 
@@ -54,6 +61,8 @@ def read_logs(
         Takes notes and faults in the order of the runs; a log that cannot be used is a fault.
     renames : mapping of str to (str, float), optional
         See `calib.campaign.logs_file.read_log`.
+    progress : callable
+        See `calib.progress.Progress`.
 
     Returns
     -------
@@ -64,7 +73,9 @@ def read_logs(
     """
     stack = LogStack(n_runs)
     hashes: dict[str, str] = {}
-    for (index, run_id, _, name), outcome in zip(files, _outcomes(files, renames), strict=True):
+    for (index, run_id, _, name), outcome in zip(
+        stepped(files, progress, "logs"), _outcomes(files, renames), strict=True
+    ):
         border.notes.extend(outcome.notes)
         if outcome.sha256:
             hashes[name] = outcome.sha256

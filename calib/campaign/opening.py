@@ -10,11 +10,19 @@ from calib.campaign.model import Campaign
 from calib.campaign.read import SETTINGS, read_campaign
 from calib.campaign.readers import is_bag_folder
 from calib.errors import BadInputError
+from calib.progress import Progress, silent
 
 __all__ = ["read_or_ingest"]
 
 
-def read_or_ingest(path: Path, *, mapping: Path | None = None, lenient: bool = False, logs: bool = True) -> Campaign:
+def read_or_ingest(
+    path: Path,
+    *,
+    mapping: Path | None = None,
+    lenient: bool = False,
+    logs: bool = True,
+    progress: Progress = silent,
+) -> Campaign:
     """Read a campaign folder, or make a campaign out of a recording or table as `ingest` would, and read that.
 
     Parameters
@@ -25,6 +33,8 @@ def read_or_ingest(path: Path, *, mapping: Path | None = None, lenient: bool = F
         The mapping of a file; a campaign folder takes none.
     lenient, logs : bool
         As for `read_campaign`.
+    progress : callable
+        See `calib.progress.Progress`.
 
     Returns
     -------
@@ -42,15 +52,15 @@ def read_or_ingest(path: Path, *, mapping: Path | None = None, lenient: bool = F
             raise BadInputError(
                 f"{path}: found a campaign and a mapping; expected a mapping only with a recording; leave it out"
             )
-        return read_campaign(path, lenient=lenient, logs=logs)
+        return read_campaign(path, lenient=lenient, logs=logs, progress=progress)
     if not path.exists():
-        return read_campaign(path, lenient=lenient, logs=logs)
+        return read_campaign(path, lenient=lenient, logs=logs, progress=progress)
     from calib.campaign.ingest.run import ingest
 
     with tempfile.TemporaryDirectory(prefix="calib-") as place:
         folder = Path(place) / (path.stem or "campaign")
-        made = ingest([path], folder, mapping=mapping)
-        campaign = read_campaign(folder, lenient=lenient, logs=logs)
+        made = ingest([path], folder, mapping=mapping, progress=progress)
+        campaign = read_campaign(folder, lenient=lenient, logs=logs, progress=progress)
     known = {(note.code, note.text) for note in campaign.notes}
     notes = (*(note for note in made.notes if (note.code, note.text) not in known), *campaign.notes)
     return replace(campaign, root=None, notes=notes)

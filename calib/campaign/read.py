@@ -21,6 +21,7 @@ from calib.campaign.wraps import rewrap_total
 from calib.errors import BadFileError
 from calib.files import inside, sha256_file
 from calib.folders import settle
+from calib.progress import Progress, silent
 from calib.vehicle import Vehicle, wheel_loads_N
 
 __all__ = ["loads_from_payload", "log_totals", "read_campaign"]
@@ -31,7 +32,7 @@ _MAX_PATH: Final = 500
 _SAME_COUNTS: Final = 50.0
 
 
-def read_campaign(folder: Path, *, logs: bool = True, lenient: bool = False) -> Campaign:
+def read_campaign(folder: Path, *, logs: bool = True, lenient: bool = False, progress: Progress = silent) -> Campaign:
     """Read a campaign.
 
     Parameters
@@ -44,6 +45,8 @@ def read_campaign(folder: Path, *, logs: bool = True, lenient: bool = False) -> 
     lenient : bool
         Keep faults of single runs (a run id twice, a log missing or damaged) as notes of level ``wrong`` instead of
         raising the first, for a check that names them all.
+    progress : callable
+        See `calib.progress.Progress`.
 
     Returns
     -------
@@ -80,7 +83,7 @@ def read_campaign(folder: Path, *, logs: bool = True, lenient: bool = False) -> 
     found_logs = Logs.empty(len(runs))
     if logs:
         files = _log_files(folder, runs, shown, border)
-        found_logs, of_logs = read_logs(files, len(runs), settings.encoder, border)
+        found_logs, of_logs = read_logs(files, len(runs), settings.encoder, border, progress=progress)
         hashes |= of_logs
     numbers = _filled_from_logs(runs, found_logs, shown, border)
     numbers = _totals_unwrapped(runs, numbers, found_logs, settings, shown, border)

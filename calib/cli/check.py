@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from calib.cli.options import Force, JsonTarget, MappingOption, refuse_existing
-from calib.cli.terminal import emit_json, show, waiting, wants_stdout
+from calib.cli.terminal import emit_json, progress, show, wants_stdout
 
 __all__ = ["EPILOG", "run"]
 
@@ -35,8 +35,8 @@ def run(
     from calib.report.statements.check import check_content
 
     refuse_existing([json], force=force)
-    with waiting("checking"):
-        report = check_campaign(read_or_ingest(campaign, mapping=mapping, lenient=True))
+    with progress("checking") as tick:
+        report = check_campaign(read_or_ingest(campaign, mapping=mapping, lenient=True, progress=tick), tick)
     document = {
         "campaign": report.campaign,
         "simulated": report.simulated,

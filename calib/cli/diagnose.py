@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from calib.cli.options import Force, JsonTarget, MappingOption, nearest, refuse_existing
-from calib.cli.terminal import emit_json, say, show, waiting, wrote
+from calib.cli.terminal import emit_json, progress, say, show, waiting, wrote
 from calib.cli.threads import one_blas_thread
 from calib.errors import BadInputError
 
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from calib.coefficients.sections import EffectSection
     from calib.gap.diagnosis import Diagnosis
     from calib.gap.verdict.result import Verdict
+    from calib.progress import Progress
 
 __all__ = ["EPILOG", "run"]
 
@@ -73,10 +74,9 @@ def run(
     from calib.gap.verdict.result import VerdictKind
 
     refuse_existing([json, apply, html, None if into is None else into / RESULT_FILE], force=force)
-    with waiting("diagnosing"):
-        read, diagnosis, effects = _diagnosed(
-            read_or_ingest(campaign, mapping=mapping), model, tuple(exclude or ()), seed, journeys
-        )
+    with progress("diagnosing") as tick:
+        read = read_or_ingest(campaign, mapping=mapping, progress=tick)
+        diagnosis, effects = _diagnosed(read, model, tuple(exclude or ()), seed, journeys, tick)
     verdict = diagnosis.verdict
     document = verdict.to_dict() | {"headline": headline(verdict)}
     _show(verdict, target=json)
@@ -99,18 +99,21 @@ def _draw(
         from calib.files import write_text
         from calib.report.gap_page import diagnosis_page
 
-        wrote([write_text(html, diagnosis_page(diagnosis, campaign), force=force)], target=json)
+        with waiting("making the page"):
+            page = diagnosis_page(diagnosis, campaign)
+        wrote([write_text(html, page, force=force)], target=json)
     if figures is not None:
         from calib.report.figures.gap_files import write_gap_pictures
 
-        written = write_gap_pictures(diagnosis, figures, force=force)
+        with progress("drawing") as tick:
+            written = write_gap_pictures(diagnosis, figures, force=force, progress=tick)
         wrote(written, target=json, what=f"{len(written)} figure files to {figures}")
 
 
 def _diagnosed(
-    campaign: Campaign, model: Path | None, exclude: tuple[str, ...], seed: int, journeys: Path | None
-) -> tuple[Campaign, Diagnosis, tuple[EffectSection, ...]]:
-    """Return the campaign, its diagnosis, and the effects that the model has already."""
+    campaign: Campaign, model: Path | None, exclude: tuple[str, ...], seed: int, journeys: Path | None, tick: Progress
+) -> tuple[Diagnosis, tuple[EffectSection, ...]]:
+    """Return the diagnosis, and the effects that the model has already."""
     from calib.gap.diagnose import diagnose_in_full
     from calib.gap.effects.applied import model_of
     from calib.gap.plan.plan_file import read_plan
@@ -127,8 +130,9 @@ def _diagnosed(
         applied=effects,
         model_name=name,
         journeys=None if journeys is None else read_plan(journeys),
+        progress=tick,
     )
-    return campaign, diagnosis, tuple(effects)
+    return diagnosis, tuple(effects)
 
 
 def _check_excluded(exclude: tuple[str, ...], campaign: Campaign) -> None:

@@ -92,14 +92,14 @@ def _file_name(entry: Entry) -> str:
 
 
 def _draw(entries: list[Entry], nominal: DrivenPath, folder: Path, json: str | None, *, force: bool) -> None:
+    from calib.progress import stepped
     from calib.report.figures.files import write_figures
     from calib.report.figures.signature import signature_figure
 
     drawable = [entry for entry in entries if entry.signature is not None]
     written = []
     with progress("drawing") as tick:
-        for number, entry in enumerate(drawable):
-            tick(number, len(drawable), "signatures")
+        for entry in stepped(drawable, tick, "signatures"):
             assert entry.signature is not None
             figure = signature_figure(entry.signature, nominal)
             written += write_figures({_file_name(entry): figure}, folder, force=force)

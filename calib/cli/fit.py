@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from calib.cli.options import Force, JsonTarget, MappingOption, refuse_existing
-from calib.cli.terminal import emit_json, show, waiting, wants_stdout, wrote
+from calib.cli.terminal import emit_json, progress, show, wants_stdout, wrote
 from calib.errors import BadInputError
 
 if TYPE_CHECKING:
@@ -78,8 +78,8 @@ def run(
             )
         believed = coefficients_of(model)
         reference_load = believed.file.law.left.reference_load_N
-    with waiting("fitting"):
-        read = read_or_ingest(campaign, mapping=mapping)
+    with progress("fitting") as tick:
+        read = read_or_ingest(campaign, mapping=mapping, progress=tick)
         fitted = fit_campaign(read, reference_load_N=reference_load)
     arguments = {"campaign": campaign.name, "reference_load_N": reference_load}
     fitted = replace(fitted, provenance=provenance(read, version=__version__, arguments=arguments))
@@ -114,7 +114,7 @@ def _draw(fitted: Fit, folder: Path, json: str | None, *, force: bool) -> None:
     from calib.report.figures.files import write_figures
     from calib.report.statements.fit_pictures import fit_pictures
 
-    with waiting("drawing"):
+    with progress("drawing") as tick:
         drawn = {picture.name: picture.draw() for picture in fit_pictures(fitted)}
-        written = write_figures(drawn, folder, force=force)
+        written = write_figures(drawn, folder, force=force, progress=tick)
     wrote(written, target=json, what=f"{len(written)} figure files to {folder}")

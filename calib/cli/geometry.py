@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from calib.cli.options import Force, JsonTarget, MappingOption, refuse_existing
-from calib.cli.terminal import emit_json, show, waiting, wrote
+from calib.cli.terminal import emit_json, progress, show, wrote
 from calib.cli.threads import one_blas_thread
 
 if TYPE_CHECKING:
@@ -72,9 +72,9 @@ def run(
     pictures = [figures / f"{PICTURE}.{form}" for form in FORMS] if figures is not None else []
     result = into / RESULT_FILE if into is not None else None
     refuse_existing([json, output, result, *pictures], force=force)
-    with waiting("estimating"):
-        read = read_or_ingest(campaign, mapping=mapping)
-        estimated = estimate_geometry(read, using=way, kinds=kind or (), leave_out=left_out)
+    with progress("estimating") as tick:
+        read = read_or_ingest(campaign, mapping=mapping, progress=tick)
+        estimated = estimate_geometry(read, using=way, kinds=kind or (), leave_out=left_out, progress=tick)
     show(geometry_content(estimated), target=json)
     document = estimated.to_dict()
     if result is not None:

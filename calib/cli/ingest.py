@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from calib.cli.options import Force, JsonTarget, refuse_existing
-from calib.cli.terminal import emit_json, say, waiting, wants_stdout
+from calib.cli.terminal import emit_json, progress, say, waiting, wants_stdout
 
 if TYPE_CHECKING:
     from calib.campaign.ingest import Ingested
@@ -57,8 +57,8 @@ def run(
         )
     from calib.campaign.ingest import gathered, ingest
 
-    with waiting("reading"):
-        made = ingest(sources, into, mapping=mapping, force=force, dry_run=dry_run)
+    with progress("reading") as tick:
+        made = ingest(sources, into, mapping=mapping, force=force, dry_run=dry_run, progress=tick)
     document = {
         "campaign": str(made.folder),
         "n_runs": made.n_runs,

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from calib.cli.options import Force, JsonTarget, refuse_existing
-from calib.cli.terminal import emit_json, say, show, waiting, wrote
+from calib.cli.terminal import emit_json, progress, say, show, wrote
 from calib.cli.threads import one_blas_thread
 from calib.errors import BadInputError
 
@@ -66,10 +66,10 @@ def _next(campaign: Path, candidates: Path | None, most: int, seed: int, json: s
     from calib.gap.plan.plan_file import read_candidates
     from calib.report.statements.plan import next_runs_table
 
-    with waiting("planning"):
-        read = read_campaign(campaign)
+    with progress("planning") as tick:
+        read = read_campaign(campaign, progress=tick)
         offered = None if candidates is None else read_candidates(candidates)
-        diagnosis = diagnose_in_full(read, seed=seed, plan=False)
+        diagnosis = diagnose_in_full(read, seed=seed, plan=False, progress=tick)
         verdict = diagnosis.verdict
         ties = [group.effects for group in verdict.groups]
         runs = [
@@ -97,9 +97,9 @@ def _judge(source: Path, figures: Path | None, json: str | None, *, force: bool)
 
     stem = "plan-matrix"
     refuse_existing([figures / f"{stem}.{form}" for form in FORMS] if figures else (), force=force)
-    with waiting("judging the plan"):
+    with progress("judging the plan") as tick:
         planned = read_plan(source)
-        outlook = outlook_of(planned)
+        outlook = outlook_of(planned, progress=tick)
     show(outlook_content(planned.name, len(planned.runs), outlook), target=json)
     if figures is not None:
         from calib.report.figures.plan import plan_matrix

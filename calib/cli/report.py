@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from calib.cli.options import AcceptImplausible, Force, JsonTarget, refuse_existing
-from calib.cli.terminal import emit_json, say, waiting, wrote
+from calib.cli.terminal import emit_json, progress, say, wrote
 from calib.cli.threads import one_blas_thread
 from calib.errors import BadInputError, RefusedError
 
 if TYPE_CHECKING:
+    from calib.campaign.model import Campaign
+    from calib.gap.diagnosis import Diagnosis
+    from calib.progress import Progress
     from calib.report.content import Report
 
 __all__ = ["EPILOG", "run"]
@@ -44,7 +48,10 @@ def run(
         typer.Option("--figures", metavar="FOLDER", help="Write every figure there, too, as PNG, SVG and PDF."),
     ] = None,
     html: Annotated[
-        Path | None, typer.Option("--html", metavar="FILE", help="Write the same as one HTML page, too.")
+        Path | None,
+        typer.Option(
+            "--html", metavar="FILE", help="Write the same as one HTML page, too; with --diagnosis, to look into."
+        ),
     ] = None,
     diagnosis: Annotated[
         bool, typer.Option("--diagnosis", help="Add the diagnosis of the gap between measured and simulated motion.")
@@ -63,21 +70,24 @@ def run(
     if diagnosis:
         one_blas_thread()
     from calib.files import write_bytes, write_text
-    from calib.report.html import to_html
     from calib.report.pdf import to_pdf, write_figures
+    from calib.report.place import place_of
     from calib.report.source import issue_date
 
     refuse_existing([json, html], force=force)
     issued = issue_date(date)
-    with waiting("writing the report"):
-        accept = accept_implausible.strip()
-        report, target = _report(source, into, issued, accept, seed=seed, diagnosis=diagnosis, force=force)
-        drawn = [] if figures is None else write_figures(report, figures, force=force)
-        write_bytes(target, to_pdf(report), force=force)
+    _refuse_targets(source, into, figures, force=force)
+    with progress("report") as tick:
+        content = _content(source, issued, accept_implausible.strip(), seed if diagnosis else None, tick)
+        report = content.report
+        target = place_of(report.name, into, force=force)
+        drawn = [] if figures is None else write_figures(report, figures, force=force, progress=tick)
+        page = "" if html is None else _page(content, tick)
+        write_bytes(target, to_pdf(report, tick), force=force)
     marked = ", simulated data" if report.simulated else ""
     wrote([], target=json, what=f"{target} (report {report.report_id}{marked})")
     if html is not None:
-        wrote([write_text(html, to_html(report), force=force)], target=json)
+        wrote([write_text(html, page, force=force)], target=json)
     if figures is not None:
         wrote([], target=json, what=f"{len(drawn)} figure files to {figures}")
     if not report.passed:
@@ -87,31 +97,64 @@ def run(
     return 0 if report.passed else 1
 
 
-def _report(
-    path: Path, into: Path | None, issued: str, accept: str, *, seed: int, diagnosis: bool, force: bool
-) -> tuple[Report, Path]:
-    """Return the report and its file; runs that allow no law give one of the diagnosis alone, where asked for."""
+@dataclass(frozen=True, slots=True)
+class _Content:
+    """A report, and the diagnosis with its campaign where one was asked for."""
+
+    report: Report
+    diagnosis: Diagnosis | None = None
+    campaign: Campaign | None = None
+
+
+def _refuse_targets(source: Path, into: Path | None, figures: Path | None, *, force: bool) -> None:
+    """Refuse existing targets before the work, as far as their names are known before it."""
+    from calib.campaign.settings_file import read_settings
+    from calib.report.figures.files import figure_paths
+    from calib.report.place import place_of
+    from calib.report.statements.fit_pictures import FIT_PICTURES
+    from calib.report.statements.gap_pictures import GAP_PICTURES
+
+    settings = source / "campaign.toml"
+    if settings.is_file():
+        place_of(read_settings(settings, str(settings)).name, into, force=force)
+    refuse_existing(figure_paths(figures, (*FIT_PICTURES, *GAP_PICTURES)), force=force)
+
+
+def _content(path: Path, issued: str, accept: str, seed: int | None, tick: Progress) -> _Content:
+    """Return the report; runs that allow no law give one of the diagnosis alone, where it is asked for by its seed."""
     from calib.campaign.read import read_campaign
+    from calib.gap.diagnose import diagnose_in_full
     from calib.report.content import compose
     from calib.report.gap_report import diagnosis_report
-    from calib.report.gap_source import with_diagnosis
-    from calib.report.place import place_of
+    from calib.report.gap_source import findings_of
     from calib.report.source import source_of
 
     try:
-        source, campaign = source_of(path, issued=issued, accept=accept)
+        source, campaign = source_of(path, issued=issued, accept=accept, progress=tick)
     except RefusedError as error:
-        if not diagnosis:
+        if seed is None:
             raise
-        read = read_campaign(path)
-        target = place_of(read.name, into, force=force)
-        return diagnosis_report(read, issued=issued, why=str(error).removeprefix(f"{path}: "), seed=seed), target
-    target = place_of(source.fit.name, into, force=force)
-    if diagnosis:
-        if campaign is None:
-            raise BadInputError(
-                f"{path}: found the result of a fit; expected a campaign folder, which a diagnosis needs; give the "
-                "campaign"
-            )
-        source = with_diagnosis(source, campaign, seed=seed)
-    return compose(source), target
+        read = read_campaign(path, progress=tick)
+        diagnosis = diagnose_in_full(read, seed=seed, progress=tick)
+        why = str(error).removeprefix(f"{path}: ")
+        return _Content(diagnosis_report(read, findings_of(diagnosis), issued=issued, why=why), diagnosis, read)
+    if seed is None:
+        return _Content(compose(source))
+    if campaign is None:
+        raise BadInputError(
+            f"{path}: found the result of a fit; expected a campaign folder, which a diagnosis needs; give the campaign"
+        )
+    diagnosis = diagnose_in_full(campaign, seed=seed, progress=tick)
+    return _Content(compose(replace(source, gap=findings_of(diagnosis))), diagnosis, campaign)
+
+
+def _page(content: _Content, tick: Progress) -> str:
+    """Return the page, with linked panels where there is a diagnosis to look into."""
+    from calib.report.html import to_html
+
+    tick(0, 0, "page")
+    if content.diagnosis is None or content.campaign is None:
+        return to_html(content.report)
+    from calib.report.gap_page import linked_panels
+
+    return to_html(content.report, linked_panels(content.diagnosis, content.campaign))

@@ -38,6 +38,8 @@ KEPT: Final[ContextVar[list[str]]] = ContextVar("kept")
 WIDEST: Final = 110
 NARROWEST: Final = 40
 DEFAULT: Final = 80
+#: columns of a progress bar; with the longest stage it fits into 80
+BAR: Final = 24
 _STYLES: Final = {"heading": "bold", "caption": "bold", "dim": "dim", "good": "green", "note": "yellow", "bad": "red",
                   "simulated": "magenta"}  # fmt: skip
 _ASCII: Final = str.maketrans(
@@ -132,21 +134,33 @@ def keep(text: str) -> None:
 
 @contextmanager
 def progress(what: str) -> Iterator[Callable[[int, int, str], None]]:
-    """Give a function ``(done, total, stage)`` that shows progress on standard error, where that is a terminal."""
+    """Give a function ``(done, total, stage)`` that shows progress on standard error, where that is a terminal.
+
+    Before the first stage is named, a sign of life alone is shown; a total of 0 means that nobody knows it.
+    """
     if not sys.stderr.isatty():
         yield lambda _done, _total, _stage: None
         return
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    columns = (
+        SpinnerColumn(),
+        TextColumn("{task.description}", markup=False),
+        BarColumn(bar_width=BAR),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+    )
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        tasks: dict[str, Any] = {}
+        task = bar.add_task(what, total=None)
+        at: list[str] = [""]
 
         def tick(done: int, total: int, stage: str) -> None:
-            if stage not in tasks:
-                tasks[stage] = bar.add_task(f"{what} {stage}", total=total)
-            bar.update(tasks[stage], completed=done)
+            if stage != at[0]:
+                # one line, which says the stage at work
+                at[0] = stage
+                bar.reset(task, description=f"{what}: {stage}", total=total or None, completed=done)
+            bar.update(task, completed=done, total=total or None)
 
         yield tick
 

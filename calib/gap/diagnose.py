@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import count
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -35,6 +36,7 @@ from calib.gap.verdict.evidence import Evidence
 from calib.gap.verdict.result import BY_MODEL, BY_SIMULATOR, Verdict
 from calib.gap.verdict.transfer import trials
 from calib.gap.where.locate import locate
+from calib.progress import Progress, silent
 
 if TYPE_CHECKING:
     from calib.coefficients.sections import EffectSection
@@ -45,6 +47,8 @@ __all__ = ["diagnose", "diagnose_in_full"]
 MOST_FLOOR: Final = 1.5
 #: how often at most the floor is taken again once a large effect is known
 PASSES: Final = 3
+#: what follows the search, for whoever waits
+JUDGED: Final = ("runs left out", "verdict", "next runs")
 
 
 def diagnose(
@@ -75,6 +79,7 @@ def diagnose_in_full(
     model_name: str = "",
     observations: Observations | None = None,
     journeys: Campaign | None = None,
+    progress: Progress = silent,
 ) -> Diagnosis:
     """Diagnose the gap of a campaign.
 
@@ -102,6 +107,8 @@ def diagnose_in_full(
     journeys : Campaign, optional
         Runs still to be driven, of `calib.gap.plan.plan_file.read_plan`: where causes cannot be told apart, their
         corrections are compared on these instead of on the runs driven.
+    progress : callable
+        See `calib.progress.Progress`.
 
     Returns
     -------
@@ -127,12 +134,14 @@ def diagnose_in_full(
         nominal = predict(observations)
     effects = library(observations, exclude=exclude, declared=declared)
     shifts = {effect.id: effect.shifts for effect in effects}
-    noise, base, searched = _searched(nominal, effects, settings)
+    noise, base, searched = _searched(nominal, effects, settings, progress)
     best = searched.fitted
+    progress(0, len(JUDGED), JUDGED[0])
     left_out = LeftOut(best, nominal, noise, searched.weighting)
     held_out = _held_out(nominal, noise, searched, effects, left_out, rng)
     if fault is not None:
         held_out = replace(held_out, before=before)
+    progress(1, len(JUDGED), JUDGED[1])
     evidence = Evidence(
         campaign=campaign.name,
         simulated=campaign.simulated,
@@ -153,6 +162,7 @@ def diagnose_in_full(
         declared=declared,
     )
     verdict = decide(evidence)
+    progress(2, len(JUDGED), JUDGED[2])
     ties = [group.effects for group in verdict.groups]
     if plan and ties:
         advised = next_runs(campaign, effects, noise, ties, best, model=model)
@@ -175,10 +185,18 @@ def _observed(
     return with_effects(observations, applied, declared=campaign.extra.get("effects", ()))
 
 
-def _searched(nominal: Path, effects: Sequence[Effect], settings: Settings) -> tuple[Noise, Fitted, Search]:
+def _searched(
+    nominal: Path, effects: Sequence[Effect], settings: Settings, progress: Progress
+) -> tuple[Noise, Fitted, Search]:
     """Return the floor, the recalibration alone, and the hypotheses tried; the floor is that of the best of them."""
+    passes = count(1)
+
+    def passed() -> None:
+        # how many passes it takes, the data decide
+        progress(next(passes), 0, "search of causes")
+
     noise, base = _settle(nominal)
-    searched = search(nominal, noise, base, effects, settings)
+    searched = search(nominal, noise, base, effects, settings, passed=passed)
     for _ in range(PASSES):
         best = searched.fitted
         # what a large effect leaves within conditions is no noise: take the floor again without it, and ask again
@@ -186,7 +204,7 @@ def _searched(nominal: Path, effects: Sequence[Effect], settings: Settings) -> t
         if again is noise or not _differ(noise, again):
             break
         noise, base = again, fit(nominal, again, start=base)
-        searched = search(nominal, noise, base, effects, settings, start=searched)
+        searched = search(nominal, noise, base, effects, settings, start=searched, passed=passed)
     return noise, base, searched
 
 

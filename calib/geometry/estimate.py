@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Final, Literal, cast
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from calib.geometry.routes import rms, route_table
 from calib.geometry.segments import Segments, end_pose_segments, window_segments
 from calib.geometry.solve import Solution, solve
 from calib.geometry.umbmark import Umbmark, umbmark
+from calib.progress import Progress, silent, stepped
 
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign
@@ -75,6 +76,7 @@ def estimate_geometry(
     kinds: Sequence[str] = (),
     sensor: bool | None = None,
     leave_out: Literal["session", "kind", "run_id"] | None = None,
+    progress: Progress = silent,
 ) -> Geometry:
     """Estimate radii and track, or what the drive has in their place, together with the reference's sensor.
 
@@ -91,6 +93,8 @@ def estimate_geometry(
         Estimate the sensor's pose on the vehicle and its delay; None: with windows.
     leave_out : {"session", "kind", "run_id"}, optional
         Leave each of these out in turn and say the end position error of the runs left out, before and after.
+    progress : callable
+        See `calib.progress.Progress`.
 
     Returns
     -------
@@ -111,14 +115,14 @@ def estimate_geometry(
     recording, faults = _put_right(recording, divisions[0], source)
     drive = drive_of(campaign, source, recording)
     estimated = (way == "windows") if sensor is None else sensor
-    fits = [_fit(campaign, drive, recording, segments, estimated) for segments in divisions]
+    fits = [_fit(campaign, drive, recording, segments, estimated) for segments in stepped(divisions, progress, "fits")]
     chosen = fits[0]
     for other in fits[1:]:
         if other.spread < chosen.spread + np.log(AS_GOOD):
             chosen = other
     geometry = _result(campaign, chosen, source, way, faults)
     if leave_out is not None:
-        transfer = _transfer(campaign, geometry, way, estimated, leave_out)
+        transfer = _transfer(campaign, geometry, estimated, leave_out, progress)
         geometry = replace(geometry, transfer=transfer)
     return geometry
 
@@ -358,17 +362,19 @@ def _notes(fitted: _Fitted, recording: Recording) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _transfer(campaign: Campaign, whole: Geometry, using: Using, sensor: bool, leave_out: str) -> tuple[Transfer, ...]:
+def _transfer(
+    campaign: Campaign, whole: Geometry, sensor: bool, leave_out: str, progress: Progress
+) -> tuple[Transfer, ...]:
     """Return the end position errors of runs left out in turn."""
     source = whole.source
     campaign = campaign.included()
     labels = campaign.runs.label(leave_out)
     rows = []
-    for label in dict.fromkeys(labels):
+    for label in stepped(dict.fromkeys(labels), progress, "left out in turn"):
         away = labels == label
         rest, tried = recording_of(campaign.select(~away), source), recording_of(campaign.select(away), source)
         drive = drive_of(campaign, source, rest)
-        fitted = _fit(campaign, drive, rest, _divisions(rest, using)[0], sensor)
+        fitted = _fit(campaign, drive, rest, _divisions(rest, cast(Using, whole.using))[0], sensor)
         model = Model(fitted.model.drive, tried, end_pose_segments(tried))
         errors = [
             float(np.sqrt(np.mean(np.square(model.predict(values).residuals[:, :2]).sum(axis=1))))

@@ -15,7 +15,7 @@ from calib.report.html import Page, page_html
 from calib.report.interactive import CauseBar, PanelData, interactive_panels
 from calib.report.statements.diagnosis import diagnosis_content
 
-__all__ = ["diagnosis_page", "panels_of"]
+__all__ = ["diagnosis_page", "linked_panels", "panels_of"]
 
 #: samples of a gap along a run that are drawn at most
 WAY_POINTS = 120
@@ -49,7 +49,12 @@ def diagnosis_page(diagnosis: Diagnosis, campaign: Campaign) -> str:
         sections=(Section("What was found", statements),),
         footer=f"Campaign {verdict.campaign}",
     )
-    return page_html(page, interactive_panels(panels_of(diagnosis, campaign, findings)))
+    return page_html(page, linked_panels(diagnosis, campaign, findings))
+
+
+def linked_panels(diagnosis: Diagnosis, campaign: Campaign, findings: GapFindings | None = None) -> tuple[str, str]:
+    """Return the linked panels of a diagnosis, for the head and for the body of a page; see `panels_of`."""
+    return interactive_panels(panels_of(diagnosis, campaign, findings))
 
 
 def panels_of(diagnosis: Diagnosis, campaign: Campaign, findings: GapFindings | None = None) -> PanelData:

@@ -8,10 +8,9 @@ from calib import __version__
 from calib.campaign.checks.assumed import stand_ins
 from calib.campaign.model import Campaign
 from calib.files import to_json
-from calib.gap.diagnose import diagnose_in_full
 from calib.report.blocks import Items, Notice, Section
 from calib.report.content import Attachment, Report, head_of
-from calib.report.gap_source import findings_of
+from calib.report.gap_findings import GapFindings
 from calib.report.numbers import prose
 from calib.report.pages.diagnosis import gap_section
 from calib.report.stated import logo_of, signatures_of, stated_of
@@ -20,31 +19,25 @@ from calib.report.statements.assumed import assumed_text
 __all__ = ["diagnosis_report"]
 
 
-def diagnosis_report(campaign: Campaign, *, issued: str, why: str, seed: int = 0) -> Report:
+def diagnosis_report(campaign: Campaign, gap: GapFindings, *, issued: str, why: str) -> Report:
     """Return the report on what a diagnosis found, without a law.
 
     Parameters
     ----------
     campaign : Campaign
         For example loops alone, from which no effective radius follows.
+    gap : GapFindings
+        From `calib.report.gap_source.findings_of`.
     issued : str
         Date of issue, YYYY-MM-DD.
     why : str
         Why there is no law, a sentence without its full stop.
-    seed : int
-        For the diagnosis.
 
     Returns
     -------
     Report
         The verdict is attached as ``diagnosis.json``.
-
-    Raises
-    ------
-    RefusedError
-        Where the campaign cannot be diagnosed either.
     """
-    gap = findings_of(diagnose_in_full(campaign, seed=seed))
     content = {"inputs": dict(campaign.hashes), "campaign": campaign.name, "version": __version__, "gap": gap.to_dict()}
     number = "CR-" + hashlib.sha256(to_json(content).encode()).hexdigest()[:12].upper()
     stated = stated_of(campaign)

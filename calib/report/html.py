@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 from importlib.resources import files
 from typing import Final
@@ -11,6 +11,7 @@ from typing import Final
 from calib.report.blocks import Block, Column, Equation, Facts, Heading, Items, Notice, Picture, Section, Table, Text
 from calib.report.content import Report
 from calib.report.figures.style import render
+from calib.report.statements.gap_pictures import GAP_PICTURES
 from calib.report.text import EQUATIONS
 
 __all__ = ["Page", "block_html", "page_html", "to_html"]
@@ -59,17 +60,28 @@ def to_html(report: Report, panels: tuple[str, str] = ("", "")) -> str:
         From `calib.report.content.compose`.
     panels : tuple of str
         Interactive panels (`calib.report.interactive.interactive_panels`): what goes into the head and into the body.
+        They take the place of the diagnosis' figures, which keeps the page light.
     """
+    sections = report.sections
+    if panels[1]:
+        sections = tuple(
+            replace(section, blocks=tuple(block for block in section.blocks if not _in_panels(block)))
+            for section in sections
+        )
     page = Page(
         kind=f"Calibration report {report.report_id}",
         title=report.title,
         name=report.name,
         simulated=report.simulated,
         head=report.head,
-        sections=report.sections,
+        sections=sections,
         footer=f"Issued {report.issued}; report {report.report_id}",
     )
     return page_html(page, panels)
+
+
+def _in_panels(block: Block) -> bool:
+    return isinstance(block, Picture) and block.name in GAP_PICTURES
 
 
 def page_html(page: Page, panels: tuple[str, str] = ("", "")) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import gzip
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
@@ -10,6 +12,7 @@ import numpy as np
 
 from calib.arrays import FloatArray, StrArray
 from calib.errors import MissingExtraError
+from calib.report.axis_names import with_unit
 
 if TYPE_CHECKING:
     from bokeh.models import ColumnDataSource, Model
@@ -88,7 +91,8 @@ def interactive_panels(data: PanelData) -> tuple[str, str]:
     Returns
     -------
     head, body : str
-        Both self-contained: nothing is fetched when the page is opened.
+        Both self-contained: nothing is fetched when the page is opened. Scripts are packed, so that a page can be sent
+        by mail; the browser unpacks them.
 
     Raises
     ------
@@ -101,15 +105,23 @@ def interactive_panels(data: PanelData) -> tuple[str, str]:
     except ImportError as error:
         raise MissingExtraError("an interactive page", "bokeh", "html") from error
     resources = Resources(mode="inline", components=["bokeh", "bokeh-widgets"])
-    script, div = components(_layout(data))
-    return resources.render(), f"{div}\n{script}"
+    script, div = components(_layout(data), wrap_script=False)
+    packed = "\n".join(map(_packed, [*resources.js_raw, script]))
+    return "", f"{div}\n{packed}\n<script>{UNPACK}</script>"
+
+
+def _packed(script: str) -> str:
+    """Return a script as packed text, the same for the same script."""
+    data = base64.b64encode(gzip.compress(script.encode("utf-8"), 9, mtime=0)).decode("ascii")
+    return f'<script type="application/gzip">{data}</script>'
 
 
 def _layout(data: PanelData) -> Model:
     from bokeh.layouts import column, gridplot, row
 
     source = _source(data)
-    panels = [_covariate_panel(data, source), _before_after_panel(data, source)]
+    after, band = _before_after_panel(data, source)
+    panels = [_covariate_panel(data, source, after.figure, band), after]
     if data.paths_m and data.offset_m is not None:
         panels.insert(0, _map_panel(data, source))
     if any(len(path) for path in data.along_m):
@@ -238,12 +250,11 @@ def _map_panel(data: PanelData, source: ColumnDataSource) -> _Panel:
     return _Panel(plot, (slider,))
 
 
-def _covariate_panel(data: PanelData, source: ColumnDataSource) -> _Panel:
-    """Draw one channel's gap against one covariate; both can be chosen."""
+def _covariate_panel(data: PanelData, source: ColumnDataSource, after: figure, band: Model) -> _Panel:
+    """Draw one channel's gap against one covariate; both can be chosen, the channel for the panel `after`, too."""
     from bokeh.models import CustomJS, Select
 
-    first = _first_channel(data)
-    units = {name: _unit(unit) for name, unit in _present(data)}
+    first, units = _first_channel(data), _units(data)
     plot = _figure("The gap against what was driven", "order driven", f"{first}, {units[first]}")
     points = plot.scatter("x", "y", source=source, size=7, color="colour", alpha=0.8, nonselection_alpha=FADED)
     _hover(plot, points)
@@ -258,6 +269,11 @@ def _covariate_panel(data: PanelData, source: ColumnDataSource) -> _Panel:
             "x": plot.xaxis[0],
             "y": plot.yaxis[0],
             "units": units,
+            "labels": {"order driven": "order driven"} | {name: with_unit(name) for name in data.covariates},
+            "b": after.xaxis[0],
+            "a": after.yaxis[0],
+            "band": band,
+            "floors": _floors(data),
         },
         code=CHOOSE,
     )
@@ -266,20 +282,34 @@ def _covariate_panel(data: PanelData, source: ColumnDataSource) -> _Panel:
     return _Panel(plot, (channel, by))
 
 
-def _before_after_panel(data: PanelData, source: ColumnDataSource) -> _Panel:
+def _before_after_panel(data: PanelData, source: ColumnDataSource) -> tuple[_Panel, Model]:
     """Draw what is left after the fix against what was there before; the floor as a band, the diagonal as a line."""
     from bokeh.models import BoxAnnotation, Slope
 
     first = _first_channel(data)
-    index = [name for name, _ in data.channels].index(first)
-    unit = _unit(data.channels[index][1])
+    unit, floor = _units(data)[first], _floors(data)[first]
     plot = _figure("Before and after the fix, on runs left out", f"{first} before, {unit}", f"{first} after, {unit}")
-    floor = 2e3 * float(np.sqrt(np.nanmean(data.floor[:, index] ** 2)))
-    plot.add_layout(BoxAnnotation(bottom=-floor, top=floor, fill_alpha=0.08, fill_color="#009E73"))
+    band = BoxAnnotation(bottom=-floor, top=floor, fill_alpha=0.08, fill_color="#009E73")
+    plot.add_layout(band)
     plot.add_layout(Slope(gradient=1.0, y_intercept=0.0, line_dash="dashed", line_color="#999999"))
     points = plot.scatter("b", "a", source=source, size=7, color="colour", alpha=0.8, nonselection_alpha=FADED)
     _hover(plot, points)
-    return _Panel(plot)
+    return _Panel(plot), band
+
+
+def _units(data: PanelData) -> dict[str, str]:
+    """Return the unit that each channel is drawn in, by its name."""
+    return {name: _unit(unit) for name, unit in _present(data)}
+
+
+def _floors(data: PanelData) -> dict[str, float]:
+    """Return two standard deviations of the floor of each channel in the unit that it is drawn in, by its name."""
+    names = [name for name, _ in data.channels]
+    squares = {name: data.floor[:, names.index(name)] ** 2 for name in _units(data)}
+    return {
+        name: 2e3 * float(np.sqrt(np.nanmean(square))) if np.isfinite(square).any() else 0.0
+        for name, square in squares.items()
+    }
 
 
 def _along_panel(source: ColumnDataSource) -> _Panel:
@@ -333,12 +363,37 @@ for (let k = 0; k < source.data.run.length; k++) {
 source.selected.indices = rows;
 """
 
+#: unpacks the scripts in their order and runs them
+UNPACK: Final = """
+(async () => {
+  const place = document.currentScript ? document.currentScript.parentNode : document.body;
+  if (typeof DecompressionStream === "undefined") {
+    place.append("The panels need a browser of 2023 or later; all that is said stands above.");
+    return;
+  }
+  for (const packed of document.querySelectorAll('script[type="application/gzip"]')) {
+    const bytes = Uint8Array.from(atob(packed.textContent), (sign) => sign.charCodeAt(0));
+    const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
+    const script = document.createElement("script");
+    script.textContent = await new Response(stream).text();
+    document.head.append(script);
+  }
+})();
+"""
+
 #: shows another channel or covariate
 CHOOSE: Final = """
 source.data.x = source.data["by " + by.value];
 source.data.y = source.data["before " + channel.value];
-x.axis_label = by.value;
-y.axis_label = channel.value + ", " + units[channel.value];
+source.data.b = source.data["before " + channel.value];
+source.data.a = source.data["after " + channel.value];
+x.axis_label = labels[by.value];
+const unit = ", " + units[channel.value];
+y.axis_label = channel.value + unit;
+b.axis_label = channel.value + " before" + unit;
+a.axis_label = channel.value + " after" + unit;
+band.bottom = -floors[channel.value];
+band.top = floors[channel.value];
 source.change.emit();
 """
 

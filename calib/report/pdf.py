@@ -12,6 +12,7 @@ from typing import Final
 
 from calib.errors import CalibError
 from calib.files import to_json
+from calib.progress import Progress, silent, stepped
 from calib.report.content import Report
 from calib.report.figures.files import FORMS
 from calib.report.figures.files import write_figures as files_of
@@ -25,13 +26,15 @@ STANDARD: Final = "a-3a"
 MOST_SIGNS: Final = 24
 
 
-def to_pdf(report: Report) -> bytes:
+def to_pdf(report: Report, progress: Progress = silent) -> bytes:
     """Return the report as PDF/A-3a.
 
     Parameters
     ----------
     report : Report
         From `calib.report.content.compose`.
+    progress : callable
+        See `calib.progress.Progress`.
 
     Returns
     -------
@@ -48,7 +51,7 @@ def to_pdf(report: Report) -> bytes:
         "main.typ": (files("calib.report") / "page.typ").read_bytes(),
         "data.json": to_json(report.to_dict()).encode("utf-8"),
     }
-    for picture in report.pictures:
+    for picture in stepped(report.pictures, progress, "figures of the PDF"):
         sources[f"{picture.name}.svg"] = render(picture.draw(), "svg")
     for attachment in report.attachments:
         sources[attachment.name] = attachment.data
@@ -118,6 +121,8 @@ def _compiled(folder: Path, report: Report, *, system_fonts: bool) -> bytes:
     return bytes(compiled)
 
 
-def write_figures(report: Report, folder: Path, *, force: bool = False) -> list[Path]:
+def write_figures(report: Report, folder: Path, *, force: bool = False, progress: Progress = silent) -> list[Path]:
     """Write every figure of a report as PNG, SVG and PDF; see `calib.report.figures.files.write_figures`."""
-    return files_of({picture.name: picture.draw() for picture in report.pictures}, folder, force=force)
+    return files_of(
+        {picture.name: picture.draw() for picture in report.pictures}, folder, force=force, progress=progress
+    )

@@ -17,6 +17,7 @@ from calib.coefficients.file import CoefficientFile
 from calib.errors import BadFileError, BadInputError, RefusedError
 from calib.files import to_json
 from calib.gap.verdict.result import VerdictKind
+from calib.progress import Progress, silent
 from calib.radius.fit import fit_campaign
 from calib.radius.fitted import Fit
 from calib.radius.result import is_result, provenance, read_result
@@ -109,7 +110,9 @@ def issue_date(text: str | None) -> str:
     return text
 
 
-def source_of(path: Path | str, *, issued: str, accept: str = "") -> tuple[Source, Campaign | None]:
+def source_of(
+    path: Path | str, *, issued: str, accept: str = "", progress: Progress = silent
+) -> tuple[Source, Campaign | None]:
     """Return what a report on a campaign folder or a result folder is made from.
 
     Parameters
@@ -120,6 +123,8 @@ def source_of(path: Path | str, *, issued: str, accept: str = "") -> tuple[Sourc
         Date of issue, YYYY-MM-DD.
     accept : str
         Why a law beyond the bounds of its vehicle is passed on all the same; empty: it is refused.
+    progress : callable
+        See `calib.progress.Progress`.
 
     Returns
     -------
@@ -148,7 +153,7 @@ def source_of(path: Path | str, *, issued: str, accept: str = "") -> tuple[Sourc
         return replace(source, known_verdict=_verdict_beside(path, source.fit.name)), None
     from calib.campaign.read import read_campaign
 
-    campaign = read_campaign(path)
+    campaign = read_campaign(path, progress=progress)
     source = from_campaign(campaign, issued=issued, accept=accept)
     return replace(source, known_verdict=_verdict_beside(path, campaign.name)), campaign
 

@@ -18,6 +18,7 @@ ORDER: Mapping[str, tuple[str, ...]] = {
         "arrays",
         "errors",
         "units",
+        "progress",
         "seal",
         "inputs",
         "leftovers",

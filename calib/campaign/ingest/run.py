@@ -26,6 +26,7 @@ from calib.campaign.wraps import detect_wrap_bits
 from calib.campaign.write import write_campaign
 from calib.errors import BadInputError
 from calib.files import refuse_existing, sha256_file, to_json
+from calib.progress import Progress, silent, stepped
 
 __all__ = ["Ingested", "ingest"]
 
@@ -72,6 +73,7 @@ class _Work:
     hashes: dict[str, str] = field(default_factory=dict)
     whole: dict[str, MappedLog] = field(default_factory=dict)
     cuts: list[dict[str, Any]] = field(default_factory=list)
+    progress: Progress = silent
 
 
 def ingest(
@@ -81,6 +83,7 @@ def ingest(
     mapping: Path | None = None,
     force: bool = False,
     dry_run: bool = False,
+    progress: Progress = silent,
 ) -> Ingested:
     """Make a campaign folder; the sources are only read, and their hashes recorded in ``ingest.json``.
 
@@ -96,6 +99,8 @@ def ingest(
         Replace a campaign that stands there.
     dry_run : bool
         Do everything but write.
+    progress : callable
+        See `calib.progress.Progress`.
 
     Returns
     -------
@@ -115,7 +120,7 @@ def ingest(
         refuse_existing([into / "campaign.toml"], force=force)
     read = read_mapping(mapping)
     settings = parse_settings(read.settings, read.shown, into.name or "campaign")
-    work = _Work(read, settings, Border(lenient=False))
+    work = _Work(read, settings, Border(lenient=False), progress=progress)
     # a mapping is no campaign.toml: it names no format, and what it leaves out is written as assumed
     work.border.notes.extend(note for note in settings.notes if note.code not in {"format", "default_vehicle"})
     if mapping:
@@ -180,9 +185,8 @@ def _cut(
 ) -> tuple[RunTable, dict[int, Part]]:
     if not recordings:
         raise BadInputError("sources: found no recording to cut; expected one beside the run table; name it")
-    runs, parts, whole, cuts = cut_recordings(
-        runs, table, {path: _read(path, work) for path in recordings}, work.mapping, work.settings, work.border
-    )
+    read = {path: _read(path, work) for path in stepped(recordings, work.progress, "recordings")}
+    runs, parts, whole, cuts = cut_recordings(runs, table, read, work.mapping, work.settings, work.border)
     work.whole, work.cuts = whole, cuts
     return runs, parts
 
@@ -194,7 +198,8 @@ def _a_run_a_file(files: Sequence[Path], work: _Work) -> tuple[RunTable, dict[in
     raw = RawTable({"run_id": cells}, np.arange(1, len(files) + 1, dtype=np.int64))
     runs = mapped_runs(raw, work.mapping, "the files given", work.border)
     parts = {
-        index: Part.of(_read(path, work), str(path), work.mapping, work.settings) for index, path in enumerate(files)
+        index: Part.of(_read(path, work), str(path), work.mapping, work.settings)
+        for index, path in enumerate(stepped(files, work.progress, "logs"))
     }
     return runs, parts
 
@@ -202,7 +207,8 @@ def _a_run_a_file(files: Sequence[Path], work: _Work) -> tuple[RunTable, dict[in
 def _matched(runs: RunTable, files: Sequence[Path], shown: str, work: _Work) -> tuple[RunTable, dict[int, Part]]:
     matched, missing = match_logs(runs, files, work.mapping.log_files, shown, work.border)
     parts = {
-        index: Part.of(_read(path, work), str(path), work.mapping, work.settings) for index, path in matched.items()
+        index: Part.of(_read(path, work), str(path), work.mapping, work.settings)
+        for index, path in stepped(matched.items(), work.progress, "logs")
     }
     if not missing:
         return runs, parts

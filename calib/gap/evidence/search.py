@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass
 from typing import Final
@@ -90,6 +90,7 @@ def search(
     effects: Sequence[Effect],
     settings: Settings | None = None,
     start: Search | None = None,
+    passed: Callable[[], None] | None = None,
 ) -> Search:
     """Search the library.
 
@@ -107,6 +108,8 @@ def search(
         What is taken for granted.
     start : Search, optional
         Where to begin, beside another floor; the recalibration alone by default.
+    passed : callable, optional
+        Called before each pass.
     """
     settings = settings or Settings()
     if start is None:
@@ -117,10 +120,10 @@ def search(
     every = [form for made in forms.values() for form in made]
     begun = Climb(base, nominal, noise, every, settings)
     first = copy(begun) if start is None else Climb(start.fitted, nominal, noise, every, settings)
-    room, fitted = _settle(first, noise, every, settings)
+    room, fitted = _settle(first, noise, every, settings, passed)
     if room.weighting().scale > _SMALL_REST:
         # several causes together may leave little where each alone leaves a large rest: begin once without one
-        other, other_fitted = _settle(copy(begun), noise, every, settings, most=_SMALL_REST)
+        other, other_fitted = _settle(copy(begun), noise, every, settings, passed, most=_SMALL_REST)
         if other.evidence() > room.evidence() - _PREFERRED:
             room, fitted = other, other_fitted
     models, weight = room.posterior()
@@ -146,10 +149,17 @@ def search(
 
 
 def _settle(
-    room: Climb, noise: Noise, every: Sequence[Form], settings: Settings, most: float = np.inf
+    room: Climb,
+    noise: Noise,
+    every: Sequence[Form],
+    settings: Settings,
+    passed: Callable[[], None] | None,
+    most: float = np.inf,
 ) -> tuple[Climb, Fitted]:
     """Search, fit and linearise anew until settled; `most` is the largest scale of the rest while searching."""
     for number in range(_PASSES):
+        if passed is not None:
+            passed()
         # two hypotheses that are as good must not take turns for ever: the last passes keep the set
         if number < _PASSES - 2:
             room.most = most

@@ -26,6 +26,7 @@ from calib.gap.plan.separability import SEEN, Signatures, noise_at
 from calib.gap.predict.path import predict
 from calib.gap.verdict.alternatives import NEAR
 from calib.gap.verdict.result import Detectable, PlannedRunAdvice
+from calib.progress import Progress, silent, stepped
 
 __all__ = ["Outlook", "next_runs", "outlook_of", "undetectable"]
 
@@ -85,7 +86,7 @@ class Outlook:
         }
 
 
-def outlook_of(campaign: Campaign, scales: Mapping[str, float] | None = None) -> Outlook:
+def outlook_of(campaign: Campaign, scales: Mapping[str, float] | None = None, progress: Progress = silent) -> Outlook:
     """Return what the runs of a campaign, driven or not, can show of the whole library.
 
     Parameters
@@ -94,6 +95,8 @@ def outlook_of(campaign: Campaign, scales: Mapping[str, float] | None = None) ->
         The runs; of `calib.gap.plan.planned_runs.drive` where they are only planned.
     scales : mapping of str to float, optional
         Scales of the noise; prior medians where missing.
+    progress : callable
+        See `calib.progress.Progress`.
     """
     s = observations_of(campaign)
     path = predict(s)
@@ -108,7 +111,7 @@ def outlook_of(campaign: Campaign, scales: Mapping[str, float] | None = None) ->
         absent=tuple(name for name, found in forms.items() if not found),
         signal=signal,
         distance=distance,
-        smallest=_smallest(bench, effects, only_blind=False),
+        smallest=_smallest(bench, effects, only_blind=False, progress=progress),
     )
 
 
@@ -130,10 +133,12 @@ def undetectable(bench: WhitenedSystem, effects: Sequence[Effect]) -> tuple[Dete
     return tuple(_smallest(bench, effects, only_blind=True).values())
 
 
-def _smallest(bench: WhitenedSystem, effects: Sequence[Effect], *, only_blind: bool) -> dict[str, Detectable]:
+def _smallest(
+    bench: WhitenedSystem, effects: Sequence[Effect], *, only_blind: bool, progress: Progress = silent
+) -> dict[str, Detectable]:
     s = bench.path.s
     limits: dict[str, Detectable] = {}
-    for effect in effects:
+    for effect in stepped(effects, progress, "effects"):
         forms = effect.forms(s)
         if not forms:
             why = "nothing that it acts through is measured, or varies, in these runs"

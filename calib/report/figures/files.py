@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from calib.errors import BadInputError
 from calib.files import refuse_existing
 from calib.folders import write_files
+from calib.progress import Progress, silent, stepped
 from calib.report.figures.style import render
 
 __all__ = ["FORMS", "figure_paths", "write_figures"]
@@ -23,7 +24,9 @@ def figure_paths(folder: Path | None, names: Iterable[str]) -> list[Path]:
     return [] if folder is None else [folder / f"{name}.{form}" for name in names for form in FORMS]
 
 
-def write_figures(figures: Mapping[str, Figure], folder: Path, *, force: bool = False) -> list[Path]:
+def write_figures(
+    figures: Mapping[str, Figure], folder: Path, *, force: bool = False, progress: Progress = silent
+) -> list[Path]:
     """Write figures in every format of `FORMS`; the same figure gives the same bytes.
 
     Parameters
@@ -34,6 +37,8 @@ def write_figures(figures: Mapping[str, Figure], folder: Path, *, force: bool = 
         Made where it is missing.
     force : bool
         Replace existing files.
+    progress : callable
+        See `calib.progress.Progress`.
 
     Returns
     -------
@@ -50,5 +55,6 @@ def write_figures(figures: Mapping[str, Figure], folder: Path, *, force: bool = 
         raise BadInputError(f"{folder}: found a file; expected a folder for the figures; choose another path")
     targets = {f"{name}.{form}": (figure, form) for name, figure in figures.items() for form in FORMS}
     refuse_existing([folder / name for name in targets], force=force)
-    drawn = {name: render(figure, form) for name, (figure, form) in targets.items()}
+    parts = stepped(targets.items(), progress, "figure files")
+    drawn = {name: render(figure, form) for name, (figure, form) in parts}
     return write_files(folder, drawn, force=force) if drawn else []

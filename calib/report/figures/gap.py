@@ -10,6 +10,7 @@ import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from calib.arrays import FloatArray, StrArray
+from calib.report.axis_names import with_unit
 from calib.report.figures.style import (
     BLUE,
     GREY,
@@ -160,7 +161,7 @@ def gap_by_covariate(
         if good.sum() >= 3:
             centre, mean, error = _classes(values[good], gap[good])
             axis.errorbar(centre, mean, yerr=error, fmt="s", color=INK, elinewidth=0.8, ms=2.6)
-        axis.set_xlabel(_with_unit(title))
+        axis.set_xlabel(legible(with_unit(title)))
         axis.margins(x=0.06, y=0.08)
     for row in axes:
         row[0].set_ylabel(f"{channel} ({name})")
@@ -272,22 +273,3 @@ def _classes(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, Floa
         rows.append((float(x[on].mean()), float(y[on].mean()), half))
     columns = np.array(rows)
     return columns[:, 0], columns[:, 1], columns[:, 2]
-
-
-#: suffix of a name -> unit; and whole names whose unit is not their suffix
-_UNITS: Final = {
-    "mps": "m/s", "C": "°C", "kg": "kg", "N": "N", "rad": "rad", "m": "m", "s": "s", "km": "km", "min": "min",
-    "Hz": "Hz", "V": "V", "A": "A", "percent": "%",
-}  # fmt: skip
-_NAMED: Final = {
-    "minutes_under_load": "time under load (min)",
-    "turn": "turn (rad)",
-    "turn_absolute": "turn either way (rad)",
-}
-
-
-def _with_unit(name: str) -> str:
-    """Return ``speed_mps`` as ``speed (m/s)``; a name of unknown unit says that it is the column's own."""
-    stem, _, suffix = name.rpartition("_")
-    text = f"{stem} ({_UNITS[suffix]})" if stem and suffix in _UNITS else f"{name} (as in the table)"
-    return legible(_NAMED.get(name, text).replace("_", " "))

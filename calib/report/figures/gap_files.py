@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from calib.arrays import FloatArray
 from calib.gap.diagnosis import Diagnosis
 from calib.gap.where.covariates import covariate_values
+from calib.progress import Progress, silent
 from calib.report.figures.files import write_figures
 from calib.report.figures.gap import before_after, gap_by_covariate, gap_map
 from calib.report.gap_source import findings_of
@@ -54,6 +55,8 @@ def _telling(diagnosis: Diagnosis, channel: str, numeric: dict[str, FloatArray])
     ]
 
 
-def write_gap_pictures(diagnosis: Diagnosis, folder: Path, *, force: bool = False) -> list[Path]:
+def write_gap_pictures(
+    diagnosis: Diagnosis, folder: Path, *, force: bool = False, progress: Progress = silent
+) -> list[Path]:
     """Write every figure of a diagnosis as PNG, SVG and PDF; see `calib.report.figures.files.write_figures`."""
-    return write_figures(gap_pictures(diagnosis), folder, force=force)
+    return write_figures(gap_pictures(diagnosis), folder, force=force, progress=progress)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -16,7 +16,10 @@ from calib.report.statements.causes import effect_name
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["before_after_picture", "covariate_picture", "map_picture"]
+__all__ = ["GAP_PICTURES", "before_after_picture", "covariate_picture", "map_picture"]
+
+#: names of all of them
+GAP_PICTURES: Final = ("gap-map", "gap-by-covariate", "gap-before-after")
 
 
 def map_picture(gap: GapFindings) -> list[Picture]:

@@ -1,0 +1,25 @@
+"""Columns as axes are called: in words, with their unit."""
+
+from __future__ import annotations
+
+from typing import Final
+
+__all__ = ["with_unit"]
+
+#: suffix of a name -> unit; and whole names whose unit is not their suffix
+_UNITS: Final = {
+    "mps": "m/s", "C": "°C", "kg": "kg", "N": "N", "rad": "rad", "m": "m", "s": "s", "km": "km", "min": "min",
+    "Hz": "Hz", "V": "V", "A": "A", "percent": "%",
+}  # fmt: skip
+_NAMED: Final = {
+    "minutes_under_load": "time under load (min)",
+    "turn": "turn (rad)",
+    "turn_absolute": "turn either way (rad)",
+}
+
+
+def with_unit(name: str) -> str:
+    """Return ``speed_mps`` as ``speed (m/s)``; a name of unknown unit says that it is the column's own."""
+    stem, _, suffix = name.rpartition("_")
+    text = f"{stem} ({_UNITS[suffix]})" if stem and suffix in _UNITS else f"{name} (as in the table)"
+    return _NAMED.get(name, text).replace("_", " ")
