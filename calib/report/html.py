@@ -17,8 +17,8 @@ from calib.report.text import EQUATIONS
 __all__ = ["Page", "block_html", "page_html", "to_html"]
 
 HOW_TO_LOOK: Final = (
-    "Choose runs by clicking or drawing a box in any panel, or a session or kind in the list: they light up in every "
-    "panel. Colours are kinds. The gap against what was driven can be shown for any channel and covariate."
+    "Choose runs by clicking or drawing a box in any panel, or a session, kind or run in the list: they light up in "
+    "every panel. Colours are kinds. The gap can be shown for any channel, and against any covariate."
 )
 _SMALL: Final = ' class="small"'
 _ALIGN: Final = {"left": "l", "right": "r", "center": "c"}

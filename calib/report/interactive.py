@@ -6,6 +6,7 @@ import base64
 import gzip
 from collections.abc import Mapping
 from dataclasses import dataclass
+from html import escape
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -27,6 +28,8 @@ FADED: Final = 0.12
 PATH_POINTS: Final = 60
 WIDTH: Final = 540
 HEIGHT: Final = 380
+#: gap along the way -> its column in `PanelData.along_m`
+ALONG: Final = {"way, mm": 1, "heading, mrad": 2}
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,8 +63,8 @@ class PanelData:
     offset_m : array of float, shape (n_units, 2), optional
         Measured minus predicted end point, in the frame of the paths.
     along_m : tuple of array of float, each shape (n_samples, 3)
-        Distance on the way, and the gap along and left of the path there, for units with a continuous reference; an
-        empty array for the others.
+        Distance on the way, and the gap in the way (m) and in heading (rad) there, NaN where not measured, for units
+        with a reference or a range all along; an empty array for the others.
     causes : tuple of CauseBar
         What the verdict names.
     """
@@ -124,8 +127,9 @@ def _layout(data: PanelData) -> Model:
     panels = [_covariate_panel(data, source, after.figure, band), after]
     if data.paths_m and data.offset_m is not None:
         panels.insert(0, _map_panel(data, source))
-    if any(len(path) for path in data.along_m):
-        panels.append(_along_panel(source))
+    for name, place in ALONG.items():
+        if any(np.isfinite(path[:, place]).any() for path in data.along_m if len(path)):
+            panels.append(_along_panel(source, name))
     if data.causes:
         panels.append(_cause_panel(data.causes))
     widgets = [panel.widgets for panel in panels]
@@ -133,6 +137,7 @@ def _layout(data: PanelData) -> Model:
     tools = [widget for group in widgets for widget in group]
     return column(
         row(_session_choice(data, source), *tools),
+        _legend(data),
         gridplot(
             [figures[k : k + 2] for k in range(0, len(figures), 2)], merge_tools=False, toolbar_options={"logo": None}
         ),
@@ -180,7 +185,8 @@ def _source(data: PanelData) -> ColumnDataSource:
         columns["off_x"], columns["off_y"] = data.offset_m[:, 0], data.offset_m[:, 1]
     if any(len(path) for path in data.along_m):
         columns["way"] = [np.round(path[:, 0], 4) if len(path) else np.zeros(0) for path in data.along_m]
-        columns["way_gap"] = [_milli(path[:, 2]) if len(path) else np.zeros(0) for path in data.along_m]
+        for name, column in ALONG.items():
+            columns[f"way {name}"] = [_milli(path[:, column]) if len(path) else np.zeros(0) for path in data.along_m]
     return ColumnDataSource(columns, name="units")
 
 
@@ -312,11 +318,11 @@ def _floors(data: PanelData) -> dict[str, float]:
     }
 
 
-def _along_panel(source: ColumnDataSource) -> _Panel:
-    """Draw the lateral gap along the way, where the log has a reference all along."""
-    plot = _figure("The gap along the run", "distance on the way, m", "left of the path, mm")
+def _along_panel(source: ColumnDataSource, name: str) -> _Panel:
+    """Draw how the gap grows along the way, where the log has a reference or a range all along."""
+    plot = _figure(f"The gap along the run: {name.partition(',')[0]}", "distance on the way, m", name)
     lines = plot.multi_line(
-        "way", "way_gap", source=source, line_color="colour", line_alpha=0.6, nonselection_line_alpha=FADED
+        "way", f"way {name}", source=source, line_color="colour", line_alpha=0.6, nonselection_line_alpha=FADED
     )
     _hover(plot, lines)
     return _Panel(plot)
@@ -342,22 +348,35 @@ def _cause_panel(causes: tuple[CauseBar, ...]) -> _Panel:
     return _Panel(plot)
 
 
+def _legend(data: PanelData) -> Model:
+    """Return the colours of the kinds in words."""
+    from bokeh.models import Div
+
+    names = [str(name) or "(none)" for name in np.unique(data.kind)]
+    marks = (
+        f'<span style="color:{COLOURS[number % len(COLOURS)]}">&#9679;</span> {escape(name)}'
+        for number, name in enumerate(names)
+    )
+    return Div(text=" &emsp; ".join(marks), sizing_mode="stretch_width")
+
+
 def _session_choice(data: PanelData, source: ColumnDataSource) -> Model:
-    """Return a list of sessions and kinds whose choice selects their runs in every panel."""
+    """Return a list of sessions, kinds and runs whose choice lights their runs up in every panel."""
     from bokeh.models import CustomJS, MultiChoice
 
-    options = sorted({f"session {name}" for name in data.session} | {f"kind {name}" for name in data.kind})
+    labels = (("session", data.session), ("kind", data.kind), ("run", data.run_id))
+    options = [f"{title} {name}" for title, names in labels for name in sorted({str(one) for one in names})]
     choice = MultiChoice(name="choice", title="light up", options=options, value=[], width=320)
     choice.js_on_change("value", CustomJS(args={"source": source}, code=LIGHT))
     return choice
 
 
-#: selects the units of the chosen sessions and kinds
+#: selects the units of the chosen sessions, kinds and runs
 LIGHT: Final = """
 const rows = [];
 const wanted = cb_obj.value;
 for (let k = 0; k < source.data.run.length; k++) {
-  const labels = ["session " + source.data.session[k], "kind " + source.data.kind[k]];
+  const labels = ["session " + source.data.session[k], "kind " + source.data.kind[k], "run " + source.data.run[k]];
   if (labels.some((label) => wanted.includes(label))) rows.push(k);
 }
 source.selected.indices = rows;

@@ -15,12 +15,17 @@ from calib.gap.diagnosis import Diagnosis
 
 pytest.importorskip("bokeh", reason="the extra html is not installed")
 
-from calib.report.gap_page import diagnosis_page
+from calib.report.gap_page import diagnosis_page, linked_panels
+from calib.report.gap_report import diagnosis_report
+from calib.report.gap_source import findings_of
+from calib.report.html import to_html
+from calib.report.statements.gap_pictures import GAP_PICTURES
 
 ROOT = Path(__file__).resolve().parents[2]
 #: what a page of the samples may weigh: it is sent by mail
 MOST_BYTES = 2_000_000
 BROWSER_S = 90
+BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 #: selects the units of the first session through the list of sessions and says how many every panel's table then has
 CHOOSE = """<script>
 window.addEventListener("load", () => setTimeout(() => {
@@ -63,17 +68,35 @@ def test_the_words_stand_outside_the_scripts(page: str, diagnosis: Diagnosis) ->
     assert all(cause.effect in text for cause in diagnosis.verdict.causes)
 
 
-def test_choosing_a_session_lights_it_everywhere(page: str, diagnosis: Diagnosis, tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def report_page(diagnosis: Diagnosis) -> str:
+    """The page of a report that carries the diagnosis."""
+    campaign = read_campaign(ROOT / "sample_runs" / "yard")
+    report = diagnosis_report(campaign, findings_of(diagnosis), issued="2026-01-01", why="asked for")
+    assert {picture.name for picture in report.pictures} == set(GAP_PICTURES)
+    return to_html(report, linked_panels(diagnosis, campaign))
+
+
+def test_a_report_carries_the_panels_of_its_diagnosis(report_page: str) -> None:
+    """In place of the figures of the same things."""
+    assert report_page.count('<script type="application/gzip">') >= 3  # Bokeh, its widgets, the panels
+    assert "data:image/svg" not in report_page
+    assert len(report_page.encode()) < MOST_BYTES
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no Chromium here")
+@pytest.mark.parametrize("name", ["page", "report_page"])
+def test_choosing_a_session_lights_it_everywhere(
+    name: str, diagnosis: Diagnosis, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
     """In a real browser: all panels share one table, and the choice of a session selects its runs in it."""
-    browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    if browser is None:
-        pytest.skip("no Chromium here")
+    page: str = request.getfixturevalue(name)
     path = tmp_path / "page.html"
     # the last end of a body: Bokeh's own script holds the words, too
     before, end, after = page.rpartition("</body>")
     path.write_text(before + CHOOSE + end + after, encoding="utf-8")
     flags = "--headless --no-sandbox --disable-gpu --no-first-run --disable-background-networking --disable-sync"
-    command = [browser, *flags.split(), f"--user-data-dir={tmp_path / 'profile'}", "--virtual-time-budget=10000"]
+    command = [str(BROWSER), *flags.split(), f"--user-data-dir={tmp_path / 'profile'}", "--virtual-time-budget=10000"]
     done = subprocess.run(
         [*command, "--dump-dom", path.as_uri()], capture_output=True, text=True, timeout=BROWSER_S, check=False
     )
