@@ -84,17 +84,23 @@ def run(
         drawn = [] if figures is None else write_figures(report, figures, force=force, progress=tick)
         page = "" if html is None else _page(content, tick)
         write_bytes(target, to_pdf(report, tick), force=force)
-    marked = ", simulated data" if report.simulated else ""
-    wrote([], target=json, what=f"{target} (report {report.report_id}{marked})")
     if html is not None:
-        wrote([write_text(html, page, force=force)], target=json)
-    if figures is not None:
-        wrote([], target=json, what=f"{len(drawn)} figure files to {figures}")
-    if not report.passed:
-        say("A check failed: the law should not be used as it is; the report says why.", target=json)
+        write_text(html, page, force=force)
+    _tell(report, target, html, f"{len(drawn)} figure files to {figures}" if drawn else "", json)
     document: dict[str, Any] = {"file": str(target), "figures": [str(path) for path in drawn], **report.to_dict()}
     emit_json(document, json, force=force)
     return 0 if report.passed else 1
+
+
+def _tell(report: Report, target: Path, html: Path | None, drawn: str, json: str | None) -> None:
+    """Say what was written, and whether the law can be used."""
+    marked = ", simulated data" if report.simulated else ""
+    wrote([], target=json, what=f"{target} (report {report.report_id}{marked})")
+    wrote([] if html is None else [html], target=json)
+    if drawn:
+        wrote([], target=json, what=drawn)
+    if not report.passed:
+        say("A check failed: the law should not be used as it is; the report says why.", target=json)
 
 
 @dataclass(frozen=True, slots=True)
