@@ -8,11 +8,13 @@ import signal
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
+from pathlib import Path
 from typing import Any, Final
 
 import typer
 
 from calib.cli.guard import Application
+from calib.cli.options import nearest
 from calib.cli.respell import respelled
 from calib.cli.terminal import KEPT, visible
 from calib.cli.typed import as_typed
@@ -194,7 +196,7 @@ def _told(error: Exception, given: list[str]) -> int:
     if isinstance(error, ImplausibleError):
         return _complain(f"{error} ('calib export' and 'calib report' take --accept-implausible REASON)", EXIT_FAILED)
     if isinstance(error, CalibError):
-        return _complain(as_typed(str(error), _options_typed(given)))
+        return _complain(as_typed(str(error), _options_typed(given)) + _meant(str(error), given))
     if isinstance(error, typer.TyperException):
         if type(error).__name__ == "NoArgsIsHelpError":
             sys.stderr.write(_message(error) + "\n")
@@ -203,6 +205,16 @@ def _told(error: Exception, given: list[str]) -> int:
     if isinstance(error, BrokenPipeError):
         return _pipe_closed()
     return _told_of_the_world(error)
+
+
+def _meant(message: str, given: list[str]) -> str:
+    """Return ``; did you mean 'x'?`` where the message speaks of a path that is not there and one beside it is near."""
+    for word in given:
+        path = Path(word)
+        with suppress(OSError, ValueError):
+            if path.name and message.startswith(f"{path}: found no") and path.parent.is_dir() and not path.exists():
+                return nearest(path.name, (beside.name for beside in path.parent.iterdir()))
+    return ""
 
 
 def _told_of_the_world(error: Exception) -> int:

@@ -195,6 +195,11 @@ def _equal_scatter(runs: _Runs) -> Check:
     return Check("equal_scatter", OK if p_value >= NOTE_BELOW else NOTE, sentence, statistic, "chi2(1)", p_value)
 
 
+def _times(ratio: float) -> str:
+    """Return a ratio as people say it; beyond a thousand the digits mean nothing."""
+    return f"{ratio:.1f}" if ratio < 1000.0 else "over 1000"
+
+
 def _influence(runs: _Runs) -> Check | None:
     n, dof = len(runs.x), runs.dof
     total = float(runs.rest @ runs.rest)
@@ -211,7 +216,7 @@ def _influence(runs: _Runs) -> Check | None:
     label = f"largest studentised residual of {n}"
     if p_value < NOTE_BELOW:
         sentence = (
-            f"Run {runs.run_id[worst]} lies {UM * runs.rest[worst]:+.0f} um off, {studentised[worst]:.1f} standard "
+            f"Run {runs.run_id[worst]} lies {UM * runs.rest[worst]:+.0f} um off, {_times(studentised[worst])} standard "
             "deviations of the others: look at it with 'calib check', and exclude it with a reason or repeat it."
         )
     elif cook > 1:

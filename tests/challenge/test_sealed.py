@@ -14,13 +14,13 @@ import pytest
 from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
 from calib.challenge.cases import Truth
-from calib.challenge.figures import board_figure, confusion_figure, save
 from calib.challenge.recipe import GROUPS, SEEDS, Seeds, read_seeds, recipes
 from calib.challenge.run import run
 from calib.challenge.score import open_truth, score
 from calib.challenge.seal import HASH, PUBLIC, make, truth_path
 from calib.errors import BadFileError, BadInputError
 from calib.plant.effects.registry import effects
+from calib.report.figures.challenge import board_figure, confusion_figure, save
 
 ROOT = Path(__file__).resolve().parents[2]
 SMALL = """

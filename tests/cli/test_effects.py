@@ -78,8 +78,12 @@ def test_an_unknown_effect_is_one_line_with_the_nearest(capsys: pytest.CaptureFi
     assert "did you mean 'track_width'?" in capsys.readouterr().err
 
 
-def test_a_signature_is_drawn_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_signature_is_drawn_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Three forms of one picture; an existing one is refused."""
+    # how a figure becomes bytes has its own tests
+    monkeypatch.setattr("calib.report.figures.files.render", lambda _figure, form: form.encode())
     assert run(["effects", "curve_scrub", "--figures", str(tmp_path)]) == 0
     names = sorted(path.name for path in tmp_path.iterdir())
     assert names == [f"signature-curve_scrub.{form}" for form in ("pdf", "png", "svg")]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 import subprocess
@@ -13,7 +14,7 @@ import pytest
 from calib.campaign.ingest import describe
 from calib.cli.main import run
 from calib.runtime import Coefficients, Odometer, Status
-from tests.campaign.ingest.lab import SWAPPED, Lab, german
+from tests.campaign.ingest.lab import N_RUNS, SWAPPED, Lab, german, plain
 from tests.campaign.ingest.test_lab import edited
 
 DRIVER = Path(__file__).parents[1] / "runtime" / "driver.c"
@@ -23,12 +24,23 @@ DISTANCE_M = 0.01
 SAME_M = 1e-9
 
 
-@pytest.fixture(scope="module")
-def exported(tmp_path_factory: pytest.TempPathFactory) -> tuple[Lab, Path]:
+#: what the laboratory writes, and what it calls a run
+VARIANTS = {"german": (german, "Lauf {}"), "plain": (plain, "run{:02}")}
+#: radius at 300 N and slope of the wheels that the export was made of
+TRUE = {"left": (0.0990, 1.3e-6), "right": (0.0993, 1.2e-6)}
+#: lines of a mapping at most, remarks and empty ones left out
+MOST_LINES = 30
+
+
+@pytest.fixture(scope="module", params=VARIANTS)
+def exported(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Lab, Path]:
     """One description, one edited mapping, one ingestion; then fit, report and export."""
     folder = tmp_path_factory.mktemp("lab")
-    lab = german(folder)
-    text = edited(describe([lab.table, lab.logs])).replace("[log]", f'[log]\nswapped = ["Lauf {SWAPPED}"] #')
+    write, name = VARIANTS[request.param]
+    lab = write(folder)
+    text = edited(describe([lab.table, lab.logs]))
+    text = text.replace("[log]", f'[log]\nswapped = ["{name.format(SWAPPED)}"] #')
+    assert sum(bool(line.strip()) and not line.startswith("#") for line in text.splitlines()) <= MOST_LINES
     (folder / "m.toml").write_text(text, encoding="utf-8")
     mapping, campaign, fit = folder / "m.toml", folder / "c", folder / "f"
     assert run(["ingest", str(lab.table), str(lab.logs), "--mapping", str(mapping), "--into", str(campaign)]) == 0
@@ -41,6 +53,9 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> tuple[Lab, Path]:
 
 def _samples(folder: Path, number: int) -> list[tuple[float, int, int]]:
     """A logger's file as the vehicle counts: 16 bits, overflowing."""
+    if (folder / "runs").is_dir():
+        rows = [line.split(",") for line in (folder / "runs" / f"run{number:02}.csv").read_text().splitlines()[1:]]
+        return [(1e-3 * float(ms), int(left), int(right)) for ms, left, right in rows]
     lines = (folder / "logger" / f"Lauf_{number:02}.csv").read_text(encoding="cp1252").splitlines()[7:]
     cells = [line.split(";") for line in lines]
     seconds = [float(time[17:23]) + 60 * float(time[14:16]) + 3600 * float(time[11:13]) for time, *_ in cells]
@@ -48,7 +63,17 @@ def _samples(folder: Path, number: int) -> list[tuple[float, int, int]]:
 
 
 def test_the_header_has_the_width_and_the_report_is_there(exported: tuple[Lab, Path]) -> None:
-    _, folder = exported
+    lab, folder = exported
+    fitted = json.loads((folder / "f" / "fit.json").read_text())
+    # the run without a log is left out; the one with exchanged wheels was put right
+    assert fitted["wheels"]["left"]["n_runs"] == N_RUNS - 1
+    for side in ("left", "right"):
+        low, high = fitted["wheels"][side]["radius_ref_ci95_m"]
+        at = fitted["wheels"][side]["reference_load_N"]
+        radius = TRUE[side][0] + TRUE[side][1] * (at - 300.0)
+        margin = 0.5 * (high - low)  # the interval doubled: a fixed seed
+        assert low - margin <= radius <= high + margin
+    assert lab.table.is_file()
     assert re.search(r"#define CALIB_WRAP_BITS 16\b", (folder / "calib_coefficients.h").read_text())
     assert (folder / "report.pdf").read_bytes().startswith(b"%PDF")
 

@@ -32,7 +32,8 @@ ALLOWED: dict[str, set[str]] = {
     "coefficients": GROUND | {"__init__", "campaign", "radius", "geometry"},
     "motion": GROUND | {"campaign", "radius", "coefficients", "runtime"},
     "gap": GROUND | {"campaign", "radius", "coefficients", "motion"},
-    "report": GROUND | {"__init__", "campaign", "radius", "geometry", "coefficients", "motion", "gap", "fleet"},
+    "report": GROUND
+    | {"__init__", "campaign", "radius", "geometry", "coefficients", "motion", "gap", "fleet", "challenge"},
     "fleet": GROUND | {"campaign", "radius", "gap"},
     "runtime": set(),
     "plant": GROUND | {"campaign"},

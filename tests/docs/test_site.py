@@ -12,6 +12,7 @@ import pytest
 
 from calib.campaign import settings
 from calib.campaign.model import LABEL_COLUMNS, LOG_COLUMNS, NUMERIC_COLUMNS
+from calib.cli.main import COMMANDS
 from calib.gap.effects.library import REGISTRY
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -29,6 +30,8 @@ def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert "WARNING" not in done.stderr
     assert (tmp_path / "site" / "start.html").is_file()
+    commands = (tmp_path / "site" / "commands.html").read_text(encoding="utf-8")
+    assert {name for name in COMMANDS if f"Usage: calib {name} [OPTIONS]" not in commands} == set()
 
 
 @pytest.mark.parametrize("name", [*LABEL_COLUMNS, *NUMERIC_COLUMNS, *LOG_COLUMNS])

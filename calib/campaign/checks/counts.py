@@ -167,7 +167,7 @@ def swapped_wheels(campaign: Campaign) -> Iterator[Note]:
             "counts_left, counts_right",
             f"right over left is {math.exp(value):.5f} where the other runs ask for "
             f"{math.exp(usual):.5f}; left and right "
-            "look swapped; check the columns of this run",
+            "look swapped; check the columns of this run (when it is ingested: swapped = [...] in the mapping's [log])",
             "swapped_wheels",
         )
 

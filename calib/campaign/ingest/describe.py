@@ -171,7 +171,8 @@ def _column_lines(column: ColumnFound, alike: Sequence[ColumnFound]) -> list[str
     text = f"{column.name}: "
     if column.kind == "number":
         low, high = min(c.low for c in alike if c.low is not None), max(c.high for c in alike if c.high is not None)
-        text += f"{_short(low)} to {_short(high)}" + (f" {column.unit}" if column.unit else "")
+        ends = dict.fromkeys((_short(low), _short(high)))
+        text += " to ".join(ends) + (f" {column.unit}" if column.unit else "")
     elif column.kind == "time":
         spans = [c.high for c in alike if c.high]
         span = f", {min(spans):.4g} to {max(spans):.4g} s long" if spans else ""

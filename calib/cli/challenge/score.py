@@ -37,7 +37,7 @@ def run(
     scored = score(folder, truth_file=truth)
     show(score_content(scored), target=json)
     if plot is not None and beside is not None:
-        from calib.challenge.figures import board_figure, confusion_figure, save
+        from calib.report.figures.challenge import board_figure, confusion_figure, save
 
         save(board_figure(scored), plot, force=force)
         save(confusion_figure(scored), beside, force=force)

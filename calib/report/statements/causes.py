@@ -13,6 +13,8 @@ __all__ = ["apart_blocks", "cause_blocks", "effect_name", "limit_blocks"]
 
 #: most rows of a table made from a verdict
 _MOST: Final = 24
+#: sets that hold the cause, named in one sentence; the JSON has them all
+_SETS: Final = 8
 
 
 def effect_name(effect: str) -> str:
@@ -83,7 +85,8 @@ def apart_blocks(verdict: Verdict) -> list[Block]:
         ]
     sets = [" + ".join(names) or "none" for names in verdict.credible_sets]
     if len(sets) > 1:
-        blocks.append(Text(f"With 95 % probability the cause is one of: {'; '.join(sets[:_MOST])}."))
+        more = f"; and {len(sets) - _SETS} more" if len(sets) > _SETS else ""
+        blocks.append(Text(f"With 95 % probability the cause is one of: {'; '.join(sets[:_SETS])}{more}."))
     return blocks
 
 

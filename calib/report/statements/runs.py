@@ -9,7 +9,7 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.radius.fitted import Fit
 from calib.report.blocks import Column, Table
-from calib.report.numbers import fixed, left
+from calib.report.numbers import fixed, left, listed
 
 __all__ = ["MOST_ROWS", "left_out_table", "runs_table", "sessions_table"]
 
@@ -18,14 +18,16 @@ MOST_ROWS: Final = 200
 
 
 def left_out_table(fit: Fit) -> Table:
-    """Return one row a reason, since a campaign of many routes leaves dozens of runs out for the same."""
+    """Return one row a reason, since a campaign of many routes leaves hundreds of runs out for the same.
+
+    A dozen of them are named; the fit's JSON names them all.
+    """
     by_reason: dict[str, list[str]] = {}
     for run in fit.radii.left_out:
         by_reason.setdefault(run.reason, []).append(run.run_id)
     rows = []
     for reason, names in list(by_reason.items())[:MOST_ROWS]:
-        shown = ", ".join(names[:MOST_ROWS]) + (f" and {len(names) - MOST_ROWS} more" if len(names) > MOST_ROWS else "")
-        rows.append((reason, str(len(names)), shown))
+        rows.append((reason, str(len(names)), listed(names)))
     columns = (left("Reason", wide=True), Column("Number"), left("Runs", wide=True))
     return Table("Runs that were not used.", columns, tuple(rows), dense=True)
 

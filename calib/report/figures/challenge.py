@@ -3,32 +3,31 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from calib.challenge.intervals import Share, wilson
 from calib.challenge.score import TARGETS, Score
 from calib.errors import BadInputError
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from calib.files import refuse_existing, write_bytes
+from calib.report.figures.files import FORMS
+from calib.report.figures.style import BLUE, GREY, INK, ORANGE, PALETTE, canvas, figure_title, render, styled
 
 __all__ = ["board_figure", "confusion_figure", "save"]
 
-_BLUE: Final = "#0072b2"
-_ORANGE: Final = "#d55e00"
-_GREEN: Final = "#009e73"
-_GREY: Final = "#666666"
-_SUFFIXES: Final = (".png", ".svg", ".pdf")
+GREEN: Final = PALETTE[2]
+#: the board is a page of its own, wider than the report's text
+BOARD_CM: Final = (24.0, 19.0)
 
 
+@styled
 def board_figure(score: Score) -> Figure:
     """Draw the board against its targets, detection by signal, reliability of probabilities, and closure."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(13, 9.5), layout="constrained")
+    width_cm, height_cm = BOARD_CM
+    figure = canvas(height_cm, width_cm)
     halves = figure.add_gridspec(2, 1, height_ratios=(1.25, 1.0))
     _board(figure.add_subfigure(halves[0]).add_subplot(), score)
     lower = figure.add_subfigure(halves[1])
@@ -37,7 +36,7 @@ def board_figure(score: Score) -> Figure:
     _reliability(middle, score)
     _closure(right, score)
     about = f"{len(score.cases)} sealed cases ({score.purpose or 'unnamed'} seeds), truth {score.truth_sha256[:12]}"
-    figure.suptitle(about, fontsize=11, color=_GREY)
+    figure_title(figure, about)
     return figure
 
 
@@ -46,27 +45,22 @@ def _board(axes: Axes, score: Score) -> None:
     for row, (name, one) in enumerate(reversed(lines)):
         low, high = wilson(one.hits, one.total)
         met = score.meets(name)
-        color = _GREY if met is None else _GREEN if met else _ORANGE
+        color = GREY if met is None else GREEN if met else ORANGE
         axes.plot([low, high], [row, row], color=color, lw=2.5, solid_capstyle="butt")
         axes.plot([one.rate or 0.0], [row], "o", color=color, ms=6)
         if name in TARGETS:
             wanted, sense = TARGETS[name]
-            axes.plot([wanted], [row], "|", color="black", ms=16, mew=1.5)
-            axes.annotate(
-                "≥" if sense == "at least" else "≤", (wanted, row), (-10, 5), textcoords="offset points", fontsize=8
-            )
-        axes.annotate(
-            f"{one.hits}/{one.total}", (1.005, row), xycoords=("axes fraction", "data"), va="center", fontsize=8.5
-        )
-    axes.set_yticks(range(len(lines)), [name for name, _ in reversed(lines)], fontsize=9)
+            axes.plot([wanted], [row], "|", color=INK, ms=14, mew=1.5)
+            axes.annotate("≥" if sense == "at least" else "≤", (wanted, row), (-10, 5), textcoords="offset points")
+        axes.annotate(f"{one.hits}/{one.total}", (1.005, row), xycoords=("axes fraction", "data"), va="center")
+    axes.set_yticks(range(len(lines)), [name for name, _ in reversed(lines)])
     axes.set_xlim(-0.01, 1.01)
     axes.set_ylim(-0.7, len(lines) - 0.3)
     axes.set_xlabel("share of cases, with Wilson's 95 % interval; black bar: target")
-    axes.grid(axis="x", alpha=0.3)
 
 
 def _signals(axes: Axes, score: Score) -> None:
-    styles = {"detected": (_GREY, "s"), "first": (_BLUE, "o"), "in_group": (_GREEN, "^"), "covered": (_ORANGE, "v")}
+    styles = {"detected": (GREY, "s"), "first": (BLUE, "o"), "in_group": (GREEN, "^"), "covered": (ORANGE, "v")}
     words = {
         "detected": "a gap seen",
         "first": "named first",
@@ -86,10 +80,9 @@ def _signals(axes: Axes, score: Score) -> None:
     axes.set_ylim(-0.02, 1.02)
     axes.set_xlabel("signal (whitened norm after recalibration)")
     axes.set_ylabel("share of single-effect cases")
-    axes.set_title("Detection by signal", loc="left", fontsize=10)
-    axes.grid(alpha=0.3)
+    axes.set_title("Detection by signal")
     if axes.lines:
-        axes.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=2)
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=2)
 
 
 def _with_bars(axes: Axes, x: np.ndarray, shares: list[Share], *, color: str, marker: str, label: str) -> None:
@@ -100,20 +93,19 @@ def _with_bars(axes: Axes, x: np.ndarray, shares: list[Share], *, color: str, ma
 
 
 def _reliability(axes: Axes, score: Score) -> None:
-    axes.plot([0, 1], [0, 1], color=_GREY, lw=1)
-    axes.fill_between([0, 1], [-0.05, 0.95], [0.05, 1.05], color=_GREY, alpha=0.15, lw=0)
+    axes.plot([0, 1], [0, 1], color=GREY, lw=1)
+    axes.fill_between([0, 1], [-0.05, 0.95], [0.05, 1.05], color=GREY, alpha=0.15, lw=0)
     if score.reliability:
         stated = np.array([line["stated"] for line in score.reliability])
         shares = [Share(line["true"]["hits"], line["true"]["total"]) for line in score.reliability]
-        _with_bars(axes, stated, shares, color=_BLUE, marker="o", label="")
+        _with_bars(axes, stated, shares, color=BLUE, marker="o", label="")
         for x, line in zip(stated, shares, strict=True):
-            axes.annotate(str(line.total), (x, 0.02), ha="center", fontsize=7.5, color=_GREY)
+            axes.annotate(str(line.total), (x, 0.02), ha="center", color=GREY)
     axes.set_xlim(0, 1.02)
     axes.set_ylim(0, 1.02)
     axes.set_xlabel("stated probability of a named cause (below: statements)")
     axes.set_ylabel("share that is true")
-    axes.set_title("Reliability", loc="left", fontsize=10)
-    axes.grid(alpha=0.3)
+    axes.set_title("Reliability")
 
 
 def _closure(axes: Axes, score: Score) -> None:
@@ -122,25 +114,23 @@ def _closure(axes: Axes, score: Score) -> None:
         for case in score.cases
         if case.predicted is not None and case.achieved is not None
     ]
-    axes.set_title("Closure", loc="left", fontsize=10)
+    axes.set_title("Closure")
     if pairs:
         values = np.clip(np.array(pairs), -0.5, 1.1)
-        axes.plot([-0.5, 1.1], [-0.5, 1.1], color=_GREY, lw=1)
-        axes.plot(values[:, 0], values[:, 1], "o", color=_BLUE, ms=4, alpha=0.6)
+        axes.plot([-0.5, 1.1], [-0.5, 1.1], color=GREY, lw=1)
+        axes.plot(values[:, 0], values[:, 1], "o", color=BLUE, ms=4, alpha=0.6)
         axes.set_xlabel("predicted on held-out runs")
         axes.set_ylabel("achieved on a fresh campaign")
     else:
         stated = [case.predicted for case in score.cases if case.predicted is not None]
-        axes.hist(np.clip(stated, -0.5, 1.1), bins=np.linspace(-0.5, 1.1, 17).tolist(), color=_BLUE)
+        axes.hist(np.clip(stated, -0.5, 1.1), bins=np.linspace(-0.5, 1.1, 17).tolist(), color=BLUE)
         axes.set_xlabel("closure stated by the verdicts")
         axes.set_ylabel("cases")
-    axes.grid(alpha=0.3)
 
 
+@styled
 def confusion_figure(score: Score) -> Figure:
     """Draw what was named first for each truth; the diagonal is right."""
-    from matplotlib.figure import Figure
-
     truths = list(score.confusion)
     answers = {name for row in score.confusion.values() for name in row}
     plain = [name for name in truths if not name.startswith(("deleted: ", "outside:", "nothing"))]
@@ -149,18 +139,19 @@ def confusion_figure(score: Score) -> Figure:
     rows = plain + [name for name in truths if name not in plain]
     counts = np.array([[score.confusion[truth].get(name, 0) for name in columns] for truth in rows], dtype=np.float64)
     counts = counts.reshape(len(rows), len(columns))
-    figure = Figure(figsize=(3.5 + 0.27 * len(columns), 2.5 + 0.2 * len(rows)), layout="constrained")
+    figure = canvas(6.0 + 0.42 * len(rows), 8.0 + 0.5 * len(columns))
     axes = figure.add_subplot()
+    axes.grid(visible=False)
     total = np.maximum(counts.sum(axis=1, keepdims=True), 1)
-    axes.imshow(counts / total, cmap="Blues", vmin=0, vmax=1.3, aspect="auto")
+    axes.imshow(counts / total, cmap="Blues", vmin=0, vmax=2.2, aspect="auto")
     for row, column in zip(*np.nonzero(counts), strict=True):
         hidden = rows[row].startswith(("deleted: ", "outside:"))
         wanted = "unknown" if hidden else "no_gap" if rows[row] == "nothing" else rows[row]
         fine = columns[column] == wanted
         text = f"{counts[row, column]:.0f}"
-        axes.text(column, row, text, ha="center", va="center", fontsize=7, color="black" if fine else _ORANGE)
-    axes.set_xticks(range(len(columns)), columns, rotation=90, fontsize=7)
-    axes.set_yticks(range(len(rows)), rows, fontsize=7)
+        axes.text(column, row, text, ha="center", va="center", color=INK if fine else ORANGE)
+    axes.set_xticks(range(len(columns)), columns, rotation=90)
+    axes.set_yticks(range(len(rows)), rows)
     axes.set_xlabel("named first, or the verdict")
     axes.set_ylabel("truth")
     return figure
@@ -174,16 +165,9 @@ def save(figure: Figure, path: Path, *, force: bool = False) -> Path:
     BadInputError
         Where the suffix is another, or the file exists and `force` is False.
     """
-    from io import BytesIO
-
-    from calib.files import refuse_existing, write_bytes
-
     path = Path(path)
-    if path.suffix.lower() not in _SUFFIXES:
+    form = path.suffix.lower()[1:]
+    if form not in FORMS:
         raise BadInputError(f"{path}: found {path.suffix!r}; expected .png, .svg or .pdf; choose one of these")
     refuse_existing([path], force=force)
-    stream = BytesIO()
-    # no date in the file: the same score gives the same bytes
-    bare = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(path.suffix.lower())
-    figure.savefig(stream, format=path.suffix.lower()[1:], dpi=150, metadata=bare)
-    return write_bytes(path, stream.getvalue(), force=force)
+    return write_bytes(path, render(figure, form), force=force)
