@@ -1,8 +1,8 @@
 # ruff: noqa: T201  (a script shows what it does)
 """Take the pictures of screens and pages that the site shows: ``python docs/screens.py``.
 
-Terminal screens are taken at 80 columns from a pseudo-terminal and kept as SVG; pages of the PDF by ``pdftoppm`` (Debian:
-poppler-utils), the panels of the HTML page by a headless Chromium.
+Terminal screens are taken at 80 columns from a pseudo-terminal and kept as SVG; pages of the PDF by ``pdftoppm`` (of
+Debian's poppler-utils), the panels of the HTML page by a headless Chromium.
 """
 
 from __future__ import annotations
@@ -38,18 +38,24 @@ WINDOW = (1250, 1180)
 
 def screen(command: str) -> str:
     """Return what a command prints on a terminal of 80 columns, colours included."""
-    taken = io.BytesIO()
-
-    def read(source: int) -> bytes:
-        data = os.read(source, 65536)
-        taken.write(data)
-        return b""
-
-    environment = {"COLUMNS": str(COLUMNS), "TERM": "xterm-256color", "PYTHONPATH": str(ROOT)}
-    os.environ.update(environment)
-    os.chdir(ROOT)
-    pty.spawn(["bash", "-c", f"{' '.join(CALIB)} {command} 2>/dev/null"], read)
-    return taken.getvalue().decode().replace("\r\n", "\n")
+    ours, theirs = pty.openpty()
+    environment = {**os.environ, "COLUMNS": str(COLUMNS), "TERM": "xterm-256color", "PYTHONPATH": str(ROOT)}
+    running = subprocess.Popen(
+        [*CALIB, *command.split()], cwd=ROOT, env=environment, stdout=theirs, stderr=subprocess.DEVNULL
+    )
+    os.close(theirs)
+    taken = b""
+    while True:
+        try:
+            data = os.read(ours, 65536)
+        except OSError:
+            # the other end is closed
+            break
+        if not data:
+            break
+        taken += data
+    running.wait()
+    return taken.decode().replace("\r\n", "\n")
 
 
 def drawn(command: str, text: str, lines: int) -> str:

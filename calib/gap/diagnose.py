@@ -47,8 +47,6 @@ __all__ = ["diagnose", "diagnose_in_full"]
 MOST_FLOOR: Final = 1.5
 #: how often at most the floor is taken again once a large effect is known
 PASSES: Final = 3
-#: what follows the search, for whoever waits
-JUDGED: Final = ("runs left out", "verdict", "next runs")
 
 
 def diagnose(
@@ -122,9 +120,8 @@ def diagnose_in_full(
     settings = settings or Settings()
     rng = np.random.default_rng(seed)
     declared = campaign.extra.get("effects", ())
-    notes: tuple[str, ...] = ()
-    if observations is None:
-        observations, notes = _observed(campaign, model, applied)
+    observed = _observed(campaign, model, applied) if observations is None else (observations, ())
+    observations, notes = observed
     judged_against = BY_SIMULATOR if np.isfinite(observations.simulated).any() else (model_name or BY_MODEL)
     nominal = predict(observations)
     before = residuals(nominal, nominal)
@@ -136,12 +133,11 @@ def diagnose_in_full(
     shifts = {effect.id: effect.shifts for effect in effects}
     noise, base, searched = _searched(nominal, effects, settings, progress)
     best = searched.fitted
-    progress(0, len(JUDGED), JUDGED[0])
+    progress(0, 0, "verdict")
     left_out = LeftOut(best, nominal, noise, searched.weighting)
     held_out = _held_out(nominal, noise, searched, effects, left_out, rng)
     if fault is not None:
         held_out = replace(held_out, before=before)
-    progress(1, len(JUDGED), JUDGED[1])
     evidence = Evidence(
         campaign=campaign.name,
         simulated=campaign.simulated,
@@ -162,11 +158,10 @@ def diagnose_in_full(
         declared=declared,
     )
     verdict = decide(evidence)
-    progress(2, len(JUDGED), JUDGED[2])
-    ties = [group.effects for group in verdict.groups]
-    if plan and ties:
-        advised = next_runs(campaign, effects, noise, ties, best, model=model)
-        verdict = replace(verdict, next_runs=tuple(advised))
+    if plan and verdict.groups:
+        progress(0, 0, "next runs")
+        ties = [group.effects for group in verdict.groups]
+        verdict = replace(verdict, next_runs=tuple(next_runs(campaign, effects, noise, ties, best, model=model)))
     return Diagnosis(verdict, observations, noise, nominal, best, held_out, searched, tuple(effects))
 
 
