@@ -130,7 +130,7 @@ def _texts(cells: npt.NDArray[Any], column: str, shown: str, line: npt.NDArray[n
     out = []
     for index, cell in enumerate(cells):
         text = "" if cell is None else cell.strip() if isinstance(cell, str) else _plain(cell)
-        if any(ord(letter) < 32 for letter in text):
+        if not text.isprintable() and any(ord(letter) < 32 for letter in text):
             raise BadFileError(
                 shown,
                 row=int(line[index]),

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from calib.campaign.model import Campaign
 from calib.errors import CalibError, RefusedError
 from calib.fleet.members import Member
 from calib.fleet.part_sums import campaign_of
+
+if TYPE_CHECKING:
+    from calib.gap.verdict.result import Cause
 
 __all__ = ["MEMBER_TASKS", "MemberRecord", "key_of"]
 
@@ -86,7 +89,29 @@ def _diagnose(member: Member) -> dict[str, Any]:
     return {
         "verdict": str(verdict.kind),
         "sentence": verdict.sentence,
-        "causes": [{"effect": cause.effect, "probability": cause.probability} for cause in verdict.causes],
+        "causes": [
+            {"effect": cause.effect, "probability": cause.probability}
+            | ({"x_m": cause.settings["x_m"], "size_m": cause.settings["size_m"]} if _has_place(cause) else {})
+            for cause in verdict.causes
+        ],
+    }
+
+
+def _has_place(cause: Cause) -> bool:
+    """Return whether a cause lies at a place on the floor."""
+    return {"x_m", "size_m"} <= set(cause.settings)
+
+
+def _geometry(member: Member) -> dict[str, Any]:
+    from calib.geometry.estimate import estimate_geometry
+
+    geometry = estimate_geometry(_campaign(member))
+    return {
+        "passed": geometry.passed,
+        "using": geometry.using,
+        "estimates": {estimate.name: estimate.to_dict() for estimate in geometry.estimates},
+        "undetermined": list(geometry.undetermined),
+        "wrong": [fault.code for fault in geometry.faults],
     }
 
 
@@ -107,6 +132,11 @@ def check_members(members: Sequence[Member]) -> list[MemberRecord]:
     return _run(_check, members)
 
 
+def geometry_members(members: Sequence[Member]) -> list[MemberRecord]:
+    """Estimate radii, track and sensor of vehicles."""
+    return _run(_geometry, members)
+
+
 def diagnose_members(members: Sequence[Member]) -> list[MemberRecord]:
     """Diagnose vehicles: verdict and causes of each."""
     return _run(_diagnose, members)
@@ -115,5 +145,6 @@ def diagnose_members(members: Sequence[Member]) -> list[MemberRecord]:
 #: task -> function of some members; a new task is a function and a line here
 MEMBER_TASKS: Final[dict[str, Callable[[Sequence[Member]], list[MemberRecord]]]] = {
     "check": check_members,
+    "geometry": geometry_members,
     "diagnose": diagnose_members,
 }

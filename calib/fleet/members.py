@@ -12,7 +12,7 @@ from calib.campaign.readers import READERS, read_table
 from calib.errors import BadFileError
 from calib.files import inside
 
-__all__ = ["Member", "Part", "labels_of", "members_of"]
+__all__ = ["Member", "Part", "any_simulated", "labels_of", "members_of"]
 
 SETTINGS: Final = "campaign.toml"
 LABELS: Final = "vehicles.csv"
@@ -126,6 +126,21 @@ def _day_of(partition: str) -> float | None:
     if month is None or not 1 <= int(month[2]) <= 12:
         return None
     return float((date(int(month[1]), int(month[2]), 15) - date(1970, 1, 1)).days)
+
+
+def any_simulated(folder: Path) -> bool:
+    """Return whether the settings of any vehicle of a fleet say that a program made its data."""
+    import tomllib
+
+    for settings in {part.settings for member in members_of(folder) for part in member.parts}:
+        try:
+            with (settings / SETTINGS).open("rb") as stream:
+                if tomllib.load(stream).get("simulated") is True:
+                    return True
+        except (OSError, ValueError):
+            # a vehicle whose settings cannot be read is listed as failed
+            continue
+    return False
 
 
 def labels_of(folder: Path, vehicles: tuple[str, ...]) -> dict[str, dict[str, str]]:

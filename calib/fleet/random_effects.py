@@ -9,12 +9,14 @@ import numpy as np
 
 from calib.arrays import BoolArray, FloatArray
 
-__all__ = ["Population", "false_discovery", "outlying", "population"]
+__all__ = ["Population", "any_false", "false_discovery", "outlying", "population"]
 
 COVERAGE: Final = 0.95
 #: of those named, this share may be named wrongly (Benjamini and Hochberg); a vehicle named costs a visit, and at a
 #: hundredth a list of twenty holds a wrong one in one fleet of five
 FALSE_SHARE: Final = 0.01
+#: chance that any of a short list is named wrongly (Holm): one wrong name among five is no small share
+FALSE_CHANCE: Final = 0.01
 #: median of |z| of a standard normal
 MEDIAN_ABS: Final = 0.6744897501960817
 #: robust standard deviations from which on a vehicle has no say in the fleet's mean and spread; a median deviation of
@@ -176,3 +178,25 @@ def false_discovery(p_values: FloatArray, share: float = FALSE_SHARE) -> BoolArr
     below = np.flatnonzero(ordered <= bound)
     limit = ordered[below[-1]] if len(below) else -1.0
     return np.asarray((known & (flat <= limit)).reshape(np.shape(p_values)))
+
+
+def any_false(p_values: FloatArray, chance: float = FALSE_CHANCE) -> BoolArray:
+    """Return which of many findings stand with a controlled chance of any false one (Holm 1979).
+
+    Parameters
+    ----------
+    p_values : array of float, shape (n,)
+        Of each finding.
+    chance : float
+        Highest chance that any that stands is false.
+
+    Returns
+    -------
+    array of bool, shape (n,)
+    """
+    p = np.asarray(p_values, dtype=np.float64)
+    order = np.argsort(p, kind="stable")
+    below = p[order] <= chance / np.arange(len(p), 0, -1)
+    stands = np.zeros(len(p), dtype=np.bool_)
+    stands[order] = np.logical_and.accumulate(below)
+    return stands

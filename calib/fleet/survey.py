@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,69 +11,26 @@ import numpy as np
 
 from calib.errors import BadInputError
 from calib.fleet.engines import run_tasks
+from calib.fleet.findings import SharedCause, shared_causes
 from calib.fleet.member_tasks import MEMBER_TASKS, MemberRecord, key_of
 from calib.fleet.members import Member, labels_of, members_of
-from calib.fleet.random_effects import false_discovery
+from calib.fleet.quantities import Quantities, quantities_of
 from calib.fleet.run import Progress
 from calib.fleet.store import Store
 
-__all__ = ["SharedCause", "Survey", "survey_fleet"]
-
-#: fewest vehicles that share a cause before it is said of them together
-FEWEST = 3
-
-
-@dataclass(frozen=True, slots=True)
-class SharedCause:
-    """A finding that many vehicles share, of the whole fleet or of those with one label.
-
-    Parameters
-    ----------
-    what : str
-        Effect of a diagnosis, or code of a check.
-    label, value : str
-        Column of ``vehicles.csv`` and its value; both empty for the whole fleet.
-    n_showing, n_vehicles : int
-        How many of how many.
-    p_value : float
-        Of Fisher's exact test against the other vehicles; 1 for the whole fleet.
-    """
-
-    what: str
-    label: str
-    value: str
-    n_showing: int
-    n_vehicles: int
-    p_value: float = 1.0
-
-    @property
-    def sentence(self) -> str:
-        """What a person reads."""
-        whose = f"vehicles with {self.label} {self.value}" if self.label else "vehicles"
-        return f"{self.n_showing} of {self.n_vehicles} {whose}: {self.what}"
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return it as plain JSON values."""
-        return {
-            "what": self.what,
-            "label": self.label,
-            "value": self.value,
-            "n_showing": self.n_showing,
-            "n_vehicles": self.n_vehicles,
-            "p_value": self.p_value,
-            "sentence": self.sentence,
-        }
+__all__ = ["Survey", "survey_fleet"]
 
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """A task's records, by vehicle, and what they share."""
+    """A task's records, by vehicle, and what they share; `quantities` where the task estimates some."""
 
     what: str
     records: tuple[MemberRecord, ...]
     shared: tuple[SharedCause, ...]
     n_done: int
     n_kept: int
+    quantities: Quantities | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON values: ``vehicles``, one each, and ``fleet``."""
@@ -87,6 +43,8 @@ class Survey:
             "n_failed": failed,
             "shared": [cause.to_dict() for cause in self.shared],
         }
+        if self.quantities is not None:
+            fleet |= self.quantities.to_dict()
         return {"format": "calib-fleet/1", "what": self.what, "vehicles": vehicles, "fleet": fleet}
 
     def summary(self) -> str:
@@ -94,6 +52,9 @@ class Survey:
         failed = [record for record in self.records if record.status == "failed"]
         lines = [f"{self.what}: {len(self.records) - len(failed)} of {len(self.records)} vehicles done"]
         lines += [f"  {cause.sentence}" for cause in self.shared]
+        if self.quantities is not None:
+            lines += [f"  {difference.sentence}" for difference in self.quantities.differences]
+            lines += [f"  outlier {outlier.vehicle}: {outlier.why}" for outlier in self.quantities.outliers]
         lines += [f"  failed {record.name}: {record.why}" for record in failed]
         return "\n".join(lines)
 
@@ -143,7 +104,8 @@ def survey_fleet(
     store.rewrite(kept.values())
     records = tuple(kept[member.vehicle] for member in members)
     labels = labels_of(folder, tuple(member.vehicle for member in members))
-    return Survey(what, records, _shared(records, labels), len(todo), n_kept)
+    shared = shared_causes(records, labels)
+    return Survey(what, records, shared, len(todo), n_kept, _quantities(records, labels))
 
 
 def _valid(member: Member, kept: Mapping[str, MemberRecord]) -> bool:
@@ -159,40 +121,17 @@ def _given_up(member: Member, why: str) -> MemberRecord:
     return MemberRecord(member.vehicle, "", why=why)
 
 
-def _findings(record: MemberRecord) -> set[str]:
-    """Return what a vehicle's record names: causes of a diagnosis, codes of a check."""
-    values = record.values
-    causes = {str(cause["effect"]) for cause in values.get("causes", ())}
-    return causes | {str(code) for level in ("wrong", "suspicious") for code in values.get(level, ())}
-
-
-def _shared(records: Sequence[MemberRecord], labels: Mapping[str, Mapping[str, str]]) -> tuple[SharedCause, ...]:
-    """Return what many vehicles share, the whole fleet first, then labels that stand out (Fisher's exact test)."""
-    done = [record for record in records if record.status == "done"]
-    names = [record.name for record in done]
-    findings = [_findings(record) for record in done]
-    counted = Counter(what for found in findings for what in found)
-    whole = [SharedCause(what, "", "", count, len(done)) for what, count in counted.most_common() if count >= FEWEST]
-    by_label: list[SharedCause] = []
-    for what, count in sorted(counted.items()):
-        if count < FEWEST:
-            continue
-        shows = np.array([what in found for found in findings])
-        for label, of_vehicle in sorted(labels.items()):
-            mine = np.array([of_vehicle.get(name, "") for name in names])
-            values = np.unique(mine[mine != ""])
-            by_label += [_compared(what, label, str(value), shows, mine == value) for value in values]
-    stands = false_discovery(np.array([cause.p_value for cause in by_label])) if by_label else ()
-    special = [cause for cause, stand in zip(by_label, stands, strict=True) if stand]
-    return (*whole, *sorted(special, key=lambda cause: (cause.p_value, cause.what, cause.value)))
-
-
-def _compared(what: str, label: str, value: str, shows: Any, inside: Any) -> SharedCause:
-    from scipy.stats import fisher_exact
-
-    table = [
-        [int((shows & inside).sum()), int((~shows & inside).sum())],
-        [int((shows & ~inside).sum()), int((~shows & ~inside).sum())],
-    ]
-    p_value = float(fisher_exact(table, alternative="greater").pvalue)
-    return SharedCause(what, label, value, table[0][0], int(inside.sum()), p_value)
+def _quantities(records: Sequence[MemberRecord], labels: Mapping[str, Mapping[str, str]]) -> Quantities | None:
+    """Return what the fleet shows in the vehicles' estimates; None where the task makes none."""
+    done = [record for record in records if "estimates" in record.values]
+    if not done:
+        return None
+    names = list(dict.fromkeys(name for record in done for name in record.values["estimates"]))
+    table = {
+        key: {
+            name: np.array([record.values["estimates"].get(name, {}).get(key, np.nan) for record in done])
+            for name in names
+        }
+        for key in ("value", "sd")
+    }
+    return quantities_of([record.name for record in done], table["value"], table["sd"], labels)

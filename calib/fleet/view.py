@@ -9,7 +9,8 @@ from typing import Any, Final
 import numpy as np
 
 from calib.arrays import FloatArray
-from calib.fleet.random_effects import Population, false_discovery, outlying, population
+from calib.fleet.quantities import FEWEST, difference_of
+from calib.fleet.random_effects import Population, any_false, false_discovery, outlying, population
 from calib.fleet.vehicle import WHEELS, VehicleRecord
 
 __all__ = ["CommonCause", "DriftingVehicle", "FleetView", "Outlier", "view_of"]
@@ -17,9 +18,6 @@ __all__ = ["CommonCause", "DriftingVehicle", "FleetView", "Outlier", "view_of"]
 #: relative change of a radius from which on a vehicle is due for recalibration: the share by which the deviation check
 #: of a single radius is held (0.05 %), 5 mm over 10 m
 DUE_RELATIVE: Final = 5e-4
-#: fewest vehicles that a label or a cause must have in common
-FEWEST: Final = 5
-
 _QUANTITIES: Final = tuple((side, kind) for side in WHEELS for kind in ("radius_ref_m", "slope_m_per_N"))
 
 
@@ -86,7 +84,8 @@ class FleetView:
     n_vehicles, n_fitted, n_failed : int
         Counts.
     populations : mapping of str to Population
-        By quantity, for example ``slope_left_m_per_N``; outliers left out.
+        By quantity, for example ``slope_left_m_per_N``; without outliers and vehicles that drift, what a
+        label's vehicles share taken off: it has its own line.
     outliers : tuple of Outlier
         One a vehicle: what is farthest off.
     drifting : tuple of DriftingVehicle
@@ -161,12 +160,14 @@ def view_of(records: Sequence[VehicleRecord], labels: Mapping[str, Mapping[str, 
     drifting = _drifting(fitted)
     # what drifts is named as drifting: where it has got to is not a second finding
     steady = {record.vehicle for record in fitted} - {one.vehicle for one in drifting}
-    apart = _outliers(fitted, *_without_common(fitted, values, std, common, labels or {}))
+    own = _without_common(fitted, values, common, labels or {})
+    apart = _outliers(fitted, own, std)
     outliers = tuple(outlier for outlier in apart if outlier.vehicle in steady)
-    keep = ~np.isin([record.vehicle for record in fitted], [one.vehicle for one in apart])
+    left_out = {outlier.vehicle for outlier in apart} | {one.vehicle for one in drifting}
+    keep = np.array([record.vehicle not in left_out for record in fitted], dtype=np.bool_)
     populations = {}
     for k, (side, kind) in enumerate(_QUANTITIES):
-        found = population(values[keep, k], std[keep, k])
+        found = population(own[keep, k], std[keep, k])
         if found is not None:
             stem, unit = kind.split("_", 1)
             populations[f"{stem}_{side}_{unit}"] = found
@@ -220,7 +221,7 @@ def _drifting(fitted: Sequence[VehicleRecord]) -> tuple[DriftingVehicle, ...]:
         return ()
     p = np.array([2.0 * stdtr(drift.dof, -abs(drift.per_day_m) / drift.std_m) for _, _, drift in lines])
     drifting: dict[str, DriftingVehicle] = {}
-    for (record, side, drift), stands in zip(lines, false_discovery(p), strict=True):
+    for (record, side, drift), stands in zip(lines, any_false(p), strict=True):
         if not stands:
             continue
         radius = getattr(record, side).radius_ref_m
@@ -237,8 +238,6 @@ def _common(
     fitted: Sequence[VehicleRecord], values: FloatArray, labels: Mapping[str, Mapping[str, str]]
 ) -> tuple[CommonCause, ...]:
     """Return the labels whose vehicles differ from the others in a quantity (Welch's test on clipped values)."""
-    from scipy.stats import ttest_ind
-
     candidates: list[tuple[CommonCause, float]] = []
     for label, of_vehicle in sorted(labels.items()):
         mine = np.array([of_vehicle.get(record.vehicle, "") for record in fitted])
@@ -248,25 +247,20 @@ def _common(
                 # what the larger part has in common is the fleet's own
                 continue
             for k, (side, kind) in enumerate(_QUANTITIES):
-                clipped = _clipped(values[:, k], inside)
-                test = ttest_ind(clipped[inside], clipped[~inside], equal_var=False)
-                low, high = test.confidence_interval(0.95)
-                size = float(clipped[inside].mean() - clipped[~inside].mean())
-                away = values[inside, k] - float(np.median(values[~inside, k]))
-                showing = int((np.sign(size) * away > 0.5 * abs(size)).sum())
-                what = f"{side} {kind.split('_', 1)[0]} {_amount(size, kind)} from the others'"
+                found = difference_of(values[:, k], inside)
+                what = f"{side} {kind.split('_', 1)[0]} {_amount(found.size, kind)} from the others'"
                 cause = CommonCause(
                     label,
                     str(value),
                     what,
-                    showing,
+                    found.n_showing,
                     int(inside.sum()),
-                    size,
-                    (float(low), float(high)),
-                    float(test.pvalue),
+                    found.size,
+                    found.ci95,
+                    found.p_value,
                 )
-                candidates.append((cause, float(test.pvalue)))
-    stands = false_discovery(np.array([p for _, p in candidates])) if candidates else ()
+                candidates.append((cause, found.p_value))
+    stands = any_false(np.array([p for _, p in candidates])) if candidates else ()
     return tuple(
         sorted(
             (cause for (cause, _), stand in zip(candidates, stands, strict=True) if stand),
@@ -275,23 +269,12 @@ def _common(
     )
 
 
-def _clipped(values: FloatArray, inside: Any) -> FloatArray:
-    """Return values with those far from their side's median drawn in, so that no vehicle speaks for all."""
-    clipped = values.copy()
-    for part in (inside, ~inside):
-        median = float(np.median(values[part]))
-        width = 4.0 * max(float(np.median(np.abs(values[part] - median))), 1e-300)
-        clipped[part] = np.clip(values[part], median - width, median + width)
-    return clipped
-
-
 def _without_common(
     fitted: Sequence[VehicleRecord],
     values: FloatArray,
-    std: FloatArray,
     common: Sequence[CommonCause],
     labels: Mapping[str, Mapping[str, str]],
-) -> tuple[FloatArray, FloatArray]:
+) -> FloatArray:
     """Return the quantities with what a label's vehicles have in common taken out: the label's fault is not theirs."""
     values = values.copy()
     for k, (side, kind) in enumerate(_QUANTITIES):
@@ -302,7 +285,7 @@ def _without_common(
         of_vehicle = labels[strongest.label]
         inside = np.array([of_vehicle.get(record.vehicle, "") == strongest.value for record in fitted])
         values[inside, k] -= strongest.size
-    return values, std
+    return values
 
 
 def _amount(size: float, kind: str) -> str:

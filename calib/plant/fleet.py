@@ -12,7 +12,10 @@ import numpy as np
 from calib.arrays import FloatArray, IntArray
 from calib.errors import MissingExtraError
 
-__all__ = ["FleetTruth", "make_fleet"]
+__all__ = ["FleetSize", "FleetTruth", "PlannedFleet", "make_fleet", "plan_fleet"]
+
+#: a run table: its columns
+Table = dict[str, FloatArray | IntArray | list[str]]
 
 COUNTS_PER_REV: Final = 4096
 FIRST_MONTH: Final = (2025, 1)
@@ -59,48 +62,71 @@ class FleetTruth:
     common: tuple[str, ...]
 
 
-def make_fleet(
-    folder: Path,
-    rng: np.random.Generator,
-    *,
-    n_vehicles: int = 400,
-    n_runs: int = 60,
-    n_months: int = 6,
-    n_outliers: int = 20,
-    n_drifting: int = 5,
-    n_common: int = 40,
-) -> FleetTruth:
-    """Write a fleet as a Parquet dataset ``vehicle=ID/month=YYYY-MM/runs.parquet``, with ``truth.json`` beside it.
+@dataclass(frozen=True, slots=True)
+class FleetSize:
+    """How large a fleet is, and how many of its vehicles get what; see `FleetTruth`."""
+
+    n_vehicles: int = 400
+    n_runs: int = 60
+    n_months: int = 6
+    n_outliers: int = 20
+    n_drifting: int = 5
+    n_common: int = 40
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlannedFleet:
+    """A fleet drawn, its journeys still to be driven.
 
     Parameters
     ----------
-    folder : Path
-        New folder.
+    size : FleetSize
+        As asked for.
+    truth : FleetTruth
+        What was planted.
+    names : tuple of str
+        Ids.
+    radius_m, slope_m_per_N, rate_m_per_day : array of float, shape (n_vehicles, 2)
+        Of the left and right wheel: radius at 300 N, its change with load and with time.
+    in_hall : array of int, shape (n_common,)
+        Numbers of the vehicles in hall B.
+    """
+
+    size: FleetSize
+    truth: FleetTruth
+    names: tuple[str, ...]
+    radius_m: FloatArray
+    slope_m_per_N: FloatArray
+    rate_m_per_day: FloatArray
+    in_hall: IntArray
+
+    @property
+    def labels(self) -> dict[str, dict[str, str]]:
+        """For the column ``hall``, the hall of each vehicle."""
+        hall = np.where(np.isin(np.arange(len(self.names)), self.in_hall), "B", "A")
+        return {"hall": dict(zip(self.names, hall.tolist(), strict=True))}
+
+    def months(self, rng: np.random.Generator, row: int) -> list[Table]:
+        """Drive the journeys of vehicle number `row`: a run table a month; vehicles are driven in their order."""
+        n_runs, n_months = self.size.n_runs, self.size.n_months
+        return _months(rng, self.radius_m[row], self.slope_m_per_N[row], self.rate_m_per_day[row], n_runs, n_months)
+
+
+def plan_fleet(rng: np.random.Generator, size: FleetSize) -> PlannedFleet:
+    """Draw a fleet: who is odd, who drifts, who is in hall B, and every wheel's radius and slope.
+
+    Parameters
+    ----------
     rng : numpy.random.Generator
         Chance.
-    n_vehicles, n_runs, n_months : int
-        Size; the runs of a vehicle are spread over the months, two sessions in each.
-    n_outliers, n_drifting, n_common : int
-        How many vehicles get what.
-
-    Returns
-    -------
-    FleetTruth
-
-    Raises
-    ------
-    MissingExtraError
-        Without pyarrow.
+    size : FleetSize
+        How many.
     """
-    try:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-    except ImportError as error:
-        raise MissingExtraError("a Parquet dataset", "pyarrow", "parquet") from error
-    names = [f"v{k:05d}" for k in range(n_vehicles)]
+    n_vehicles, n_outliers, n_drifting = size.n_vehicles, size.n_outliers, size.n_drifting
+    names = tuple(f"v{k:05d}" for k in range(n_vehicles))
     order = rng.permutation(n_vehicles)
     odd, drifting = order[:n_outliers], order[n_outliers : n_outliers + n_drifting]
-    in_hall = rng.permutation(n_vehicles)[:n_common]
+    in_hall = rng.permutation(n_vehicles)[: size.n_common]
     truth = FleetTruth(
         radius_mean_m=0.0995,
         radius_spread_m=6e-5,
@@ -120,27 +146,56 @@ def make_fleet(
     radius[in_hall, 1] += 2.0 * truth.radius_spread_m
     rate = np.zeros((n_vehicles, 2))
     rate[drifting, rng.integers(0, 2, n_drifting)] = -rng.uniform(1.5e-6, 3e-6, n_drifting)
+    return PlannedFleet(size, truth, names, radius, slope, rate, in_hall)
+
+
+def make_fleet(folder: Path, rng: np.random.Generator, size: FleetSize) -> FleetTruth:
+    """Write a fleet as a Parquet dataset ``vehicle=ID/month=YYYY-MM/runs.parquet``, with ``truth.json`` beside it.
+
+    Parameters
+    ----------
+    folder : Path
+        New folder.
+    rng : numpy.random.Generator
+        Chance.
+    size : FleetSize
+        How many; the runs of a vehicle are spread over the months, two sessions in each.
+
+    Returns
+    -------
+    FleetTruth
+
+    Raises
+    ------
+    MissingExtraError
+        Without pyarrow.
+    """
+    try:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+    except ImportError as error:
+        raise MissingExtraError("a Parquet dataset", "pyarrow", "parquet") from error
+    fleet = plan_fleet(rng, size)
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    for row, name in enumerate(names):
-        for month, table in enumerate(_months(rng, radius[row], slope[row], rate[row], n_runs, n_months)):
+    for row, name in enumerate(fleet.names):
+        for month, table in enumerate(fleet.months(rng, row)):
             year, number = divmod(FIRST_MONTH[1] - 1 + month, 12)
             where = folder / f"vehicle={name}" / f"month={FIRST_MONTH[0] + year}-{number + 1:02d}"
             where.mkdir(parents=True, exist_ok=True)
             pq.write_table(pa.table(table), where / "runs.parquet")
     (folder / "campaign.toml").write_text(SETTINGS, encoding="utf-8")
-    hall = np.where(np.isin(np.arange(n_vehicles), in_hall), "B", "A")
-    lines = ["vehicle,hall", *(f"{name},{place}" for name, place in zip(names, hall, strict=True))]
+    lines = ["vehicle,hall", *(f"{name},{hall}" for name, hall in fleet.labels["hall"].items())]
     (folder / "vehicles.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    (folder / "truth.json").write_text(json.dumps(asdict(truth), indent=2) + "\n", encoding="utf-8")
-    return truth
+    (folder / "truth.json").write_text(json.dumps(asdict(fleet.truth), indent=2) + "\n", encoding="utf-8")
+    return fleet.truth
 
 
 def _months(
     rng: np.random.Generator, radius: FloatArray, slope: FloatArray, rate: FloatArray, n_runs: int, n_months: int
-) -> list[dict[str, FloatArray | IntArray | list[str]]]:
+) -> list[Table]:
     """Return the run table of each month of a vehicle; `radius`, `slope`, `rate` are those of the left, right wheel."""
-    tables: list[dict[str, FloatArray | IntArray | list[str]]] = []
+    tables: list[Table] = []
     for month, share in enumerate(np.array_split(np.arange(n_runs), n_months)):
         n = len(share)
         day = 30.0 * month + np.sort(rng.integers(0, 28, 2))[np.arange(n) * 2 // max(n, 1)]

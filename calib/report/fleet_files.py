@@ -3,19 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from calib.files import write_bytes, write_json, write_text
 from calib.fleet.run import Fleet
 from calib.fleet.survey import Survey
+from calib.report.blocks import Block
+from calib.report.statements.fleet import fleet_content, survey_content
 
-__all__ = ["write_fleet", "write_survey"]
+__all__ = ["Heads", "write_fleet", "write_survey"]
 
 FORMS = ("png", "svg")
 
 
-def write_fleet(fleet: Fleet, into: Path) -> list[Path]:
+@dataclass(frozen=True, slots=True)
+class Heads:
+    """What the pages of a fleet say beside its result: name, date of issue (YYYY-MM-DD), whether data are simulated."""
+
+    name: str
+    issued: str
+    simulated: bool
+
+
+def write_fleet(fleet: Fleet, into: Path, heads: Heads | None = None) -> list[Path]:
     """Write a fleet's result; what an earlier run of the same folder wrote is replaced.
 
     Parameters
@@ -24,6 +36,8 @@ def write_fleet(fleet: Fleet, into: Path) -> list[Path]:
         From `calib.fleet.run.fit_fleet`.
     into : Path
         Result folder.
+    heads : Heads, optional
+        For ``fleet.pdf`` and ``fleet.html``; without it they are not written.
 
     Returns
     -------
@@ -46,12 +60,30 @@ def write_fleet(fleet: Fleet, into: Path) -> list[Path]:
             if figure is not None
             for form in FORMS
         ]
-    return written
+    return written + _pages(fleet_content(fleet, pictures=True), document, into, "fleet", heads)
 
 
-def write_survey(survey: Survey, into: Path) -> list[Path]:
+def write_survey(survey: Survey, into: Path, heads: Heads | None = None) -> list[Path]:
     """Write the result of a task over a fleet; see `write_fleet`."""
-    return [write_json(into / f"{survey.what}.json", survey.to_dict(), force=True)]
+    document = survey.to_dict()
+    written = [write_json(into / f"{survey.what}.json", document, force=True)]
+    return written + _pages(survey_content(survey, page=True), document, into, survey.what, heads)
+
+
+def _pages(
+    blocks: Sequence[Block], document: Mapping[str, Any], into: Path, stem: str, heads: Heads | None
+) -> list[Path]:
+    if heads is None:
+        return []
+    from calib.report.fleet_report import fleet_report
+    from calib.report.html import to_html
+    from calib.report.pdf import to_pdf
+
+    report = fleet_report(heads.name, blocks, document, issued=heads.issued, simulated=heads.simulated)
+    return [
+        write_bytes(into / f"{stem}.pdf", to_pdf(report), force=True),
+        write_text(into / f"{stem}.html", to_html(report), force=True),
+    ]
 
 
 def _table(vehicles: Sequence[Mapping[str, Any]]) -> str:

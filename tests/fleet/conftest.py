@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.plant.fleet import FleetTruth, make_fleet
+from calib.plant.fleet import FleetSize, FleetTruth, make_fleet
 
 pytest.importorskip("pyarrow", reason="the extra parquet is not installed")
 
@@ -17,4 +17,4 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, FleetTruth]:
     """Forty vehicles of two months, four odd ones."""
     folder = tmp_path_factory.mktemp("fleets") / "small"
     rng = np.random.default_rng(11)
-    return folder, make_fleet(folder, rng, n_vehicles=40, n_runs=24, n_months=2, n_outliers=4, n_drifting=0, n_common=0)
+    return folder, make_fleet(folder, rng, FleetSize(40, n_runs=24, n_months=2, n_outliers=4, n_drifting=0, n_common=0))

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import os
 import shutil
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from calib.campaign.read import read_campaign
 from calib.files import to_json
+from calib.fleet import run
+from calib.fleet.engines import run_tasks
 from calib.fleet.run import Fleet, fit_fleet
 from calib.fleet.store import SUMS
 from calib.plant.fleet import FleetTruth
@@ -42,6 +46,21 @@ def test_workers_and_order_change_nothing(small: tuple[Path, FleetTruth], tmp_pa
     shared = fit_fleet(small[0], tmp_path / "two", workers=2)
     assert _bytes(alone) == _bytes(shared)
     assert (tmp_path / "one" / SUMS).read_bytes() == (tmp_path / "two" / SUMS).read_bytes()
+
+
+def test_partitions_shuffled_give_the_same_bytes(
+    small: tuple[Path, FleetTruth], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Files handed out in any order: result and kept sums are those of the order of names."""
+    straight = fit_fleet(small[0], tmp_path / "straight")
+
+    def shuffled(task: Any, items: Sequence[Any], given_up: Any, **options: Any) -> Iterator[Any]:
+        order = np.random.default_rng(6).permutation(len(items))
+        return run_tasks(task, [items[k] for k in order], given_up, **options)
+
+    monkeypatch.setattr(run, "run_tasks", shuffled)
+    assert _bytes(fit_fleet(small[0], tmp_path / "shuffled")) == _bytes(straight)
+    assert (tmp_path / "shuffled" / SUMS).read_bytes() == (tmp_path / "straight" / SUMS).read_bytes()
 
 
 def test_an_interrupted_run_goes_on_where_it_was(small: tuple[Path, FleetTruth], tmp_path: Path) -> None:
@@ -101,8 +120,6 @@ def _dies_at_seven(batch: list[int]) -> list[int]:
 
 def test_a_worker_that_dies_costs_its_own_task_only() -> None:
     """The item that kills its worker is given up after two tries; every other has its result."""
-    from calib.fleet.engines import run_tasks
-
     results = run_tasks(_dies_at_seven, list(range(40)), lambda item, why: -item, workers=2)
     assert sorted(results) == sorted([*(k * k for k in range(40) if k != 7), -7])
 

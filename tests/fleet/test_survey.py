@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 import shutil
+from html import escape
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
-from calib.errors import BadInputError
+from calib.campaign.read import read_campaign
+from calib.errors import BadInputError, CalibError
+from calib.fleet import member_tasks
+from calib.fleet.findings import shared_causes
+from calib.fleet.member_tasks import MemberRecord
+from calib.fleet.members import Member
 from calib.fleet.survey import survey_fleet
+from calib.geometry.estimate import estimate_geometry
+from calib.report.fleet_files import Heads, write_survey
 
 ROOT = Path(__file__).resolve().parents[2]
 N_VEHICLES = 12
@@ -54,6 +63,64 @@ def test_a_vehicle_that_fails_is_listed_and_the_others_are_done(fleet: Path, tmp
     assert "campaign.toml" in failed[0].why
     again = survey_fleet(folder, tmp_path / "out", "check")
     assert again.to_dict() == survey.to_dict()
+
+
+def test_geometry_of_a_fleet_has_populations_and_what_a_hall_shares(
+    fleet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Estimates drawn about known means: hall B's track 2 mm wider is said of the hall, an odd vehicle is named."""
+    rng = np.random.default_rng(8)
+
+    def estimated(member: Member) -> dict[str, object]:
+        number = int(member.vehicle[1:])
+        track = 0.7 + (2e-3 if number % 2 == 0 else 0.0) + 1e-4 * rng.standard_normal()
+        radius = 0.1 + 1e-5 * rng.standard_normal() + (1e-3 if number == 5 else 0.0)
+        values = {"track_m": (track, 2e-5), "radius_left_m": (radius, 2e-6)}
+        return {"estimates": {name: {"value": value, "sd": sd} for name, (value, sd) in values.items()}, "wrong": []}
+
+    monkeypatch.setattr(member_tasks, "_geometry", estimated)
+    survey = survey_fleet(fleet, tmp_path / "out", "geometry")
+    assert survey.quantities is not None
+    assert [outlier.vehicle for outlier in survey.quantities.outliers] == ["v05"]
+    shared = [(one.label, one.value, one.quantity) for one in survey.quantities.differences]
+    assert shared == [("hall", "A", "track_m"), ("hall", "B", "track_m")]
+    low, high = survey.quantities.populations["radius_left_m"].mean_ci95
+    assert low < 0.1 < high
+    page = Heads("halls", "2026-01-31", True)
+    written = {path.name: path for path in write_survey(survey, tmp_path / "out", page)}
+    assert written["geometry.pdf"].read_bytes().startswith(b"%PDF")
+    text = written["geometry.html"].read_text(encoding="utf-8")
+    assert "v05, radius left" in text
+    assert all(escape(difference.sentence) in text for difference in survey.quantities.differences)
+
+
+def test_the_geometry_of_a_vehicle_is_that_of_its_campaign(fleet: Path, tmp_path: Path) -> None:
+    """One vehicle through the fleet, and its campaign alone: the same values."""
+    shutil.copytree(ROOT / "sample_runs" / "corridor_crossed", tmp_path / "fleet" / "v1")
+    record = survey_fleet(tmp_path / "fleet", tmp_path / "out", "geometry").records[0]
+    try:
+        alone = estimate_geometry(read_campaign(tmp_path / "fleet" / "v1"))
+    except CalibError as error:
+        assert record.why == " ".join(str(error).split())
+        return
+    assert record.values["estimates"] == {estimate.name: estimate.to_dict() for estimate in alone.estimates}
+
+
+def test_a_zone_that_a_hall_shares_is_said_with_its_place() -> None:
+    """Seven of eight vehicles of hall B name neighbouring cells of one zone; one of hall A names another place."""
+    labels = {"hall": {f"v{k}": "B" if k < 8 else "A" for k in range(24)}}
+    records = []
+    for k in range(24):
+        causes: list[dict[str, object]] = [{"effect": "track_width", "probability": 0.9}]
+        if k < 7:
+            causes.append({"effect": "floor_zone", "probability": 0.9, "x_m": (12.0, 12.0, 11.0)[k % 3], "size_m": 2.0})
+        if k == 20:
+            causes.append({"effect": "floor_zone", "probability": 0.9, "x_m": 4.0, "size_m": 2.0})
+        records.append(MemberRecord(f"v{k}", "key", {"verdict": "explained", "causes": causes}))
+    sentences = [cause.sentence for cause in shared_causes(records, labels)]
+    assert "7 of 8 vehicles with hall B: floor zone at x = 12 m" in sentences
+    assert "24 of 24 vehicles: track_width" in sentences
+    assert not any("x = 4" in sentence for sentence in sentences)
 
 
 def test_an_unknown_task_is_refused(fleet: Path, tmp_path: Path) -> None:

@@ -19,22 +19,30 @@ EPILOG = "Example: calib fleet run vehicles --into fleet --workers 2"
 def run(
     folder: Annotated[Path, typer.Argument(help="One campaign folder a vehicle, or a dataset partitioned by vehicle.")],
     into: Annotated[Path, typer.Option("--into", metavar="FOLDER", help="Result folder; a later run goes on there.")],
-    what: Annotated[str, typer.Option("--what", help="fit, check or diagnose.")] = "fit",
+    what: Annotated[str, typer.Option("--what", help="fit, check, geometry or diagnose.")] = "fit",
     workers: Annotated[int, typer.Option("--workers", min=1, help="Processes of this machine.")] = 1,
     scheduler: Annotated[str, typer.Option("--scheduler", metavar="TCP", help="Dask scheduler, tcp://host:port.")] = "",
+    date: Annotated[
+        str | None,
+        typer.Option("--date", metavar="YYYY-MM-DD", help="Date of issue of the PDF and page; without it: today."),
+    ] = None,
     json: JsonTarget = None,
     force: Force = False,
 ) -> int:
-    """Do a task for every vehicle of a fleet: fit its radii, check it, or diagnose it; then say what the fleet shows.
+    """Do a task for every vehicle of a fleet: fit, check, geometry or diagnosis; then say what the fleet shows.
 
-    The result folder holds what was read, vehicles.csv, fleet.json and, for a fit, figures. Only files that are new or
-    have changed are read again; an interrupted run goes on where it was. Exit status 1: a vehicle failed.
+    The result folder holds what was read, the result as JSON, PDF and HTML page, and, for a fit, vehicles.csv and
+    figures. Only files that are new or have changed are read again; an interrupted run goes on where it was. Exit
+    status 1: a vehicle failed.
     """
     one_blas_thread()
-    from calib.report.fleet_files import write_fleet, write_survey
+    from calib.fleet.members import any_simulated
+    from calib.report.fleet_files import Heads, write_fleet, write_survey
+    from calib.report.source import issue_date
     from calib.report.statements.fleet import fleet_content, survey_content
 
     refuse_existing([json], force=force)
+    issued = issue_date(date)
     keep(f"what was read so far, in {into}; the same command goes on")
     with progress("fleet") as tick:
         if what == "fit":
@@ -43,14 +51,16 @@ def run(
             fleet = fit_fleet(
                 folder, into, workers=workers, scheduler=scheduler, progress=lambda done, n: tick(done, n, "files")
             )
-            document, blocks, written = fleet.to_dict(), fleet_content(fleet), write_fleet(fleet, into)
+            heads = Heads(folder.resolve().name, issued, any_simulated(folder))
+            document, blocks, written = fleet.to_dict(), fleet_content(fleet), write_fleet(fleet, into, heads)
         else:
             from calib.fleet.survey import survey_fleet
 
             survey = survey_fleet(
                 folder, into, what, workers=workers, scheduler=scheduler, progress=lambda k, n: tick(k, n, "vehicles")
             )
-            document, blocks, written = survey.to_dict(), survey_content(survey), write_survey(survey, into)
+            heads = Heads(folder.resolve().name, issued, any_simulated(folder))
+            document, blocks, written = survey.to_dict(), survey_content(survey), write_survey(survey, into, heads)
     emit_json(document, json, force=force)
     if not wants_stdout(json):
         show(blocks)

@@ -35,19 +35,12 @@ def run(
 
     from numpy.random import default_rng
 
-    from calib.plant.fleet import make_fleet
+    from calib.plant.fleet import FleetSize, make_fleet
 
     refuse_existing([into, json], force=force)
     with waiting("driving"):
-        truth = make_fleet(
-            into,
-            default_rng(seed),
-            n_vehicles=vehicles,
-            n_runs=runs,
-            n_months=months,
-            n_outliers=min(outliers, vehicles),
-            n_drifting=min(drifting, vehicles - min(outliers, vehicles)),
-            n_common=min(common, vehicles),
-        )
+        odd = min(outliers, vehicles)
+        size = FleetSize(vehicles, runs, months, odd, min(drifting, vehicles - odd), min(common, vehicles))
+        truth = make_fleet(into, default_rng(seed), size)
     wrote([into], target=json)
     emit_json(asdict(truth), json, force=force)

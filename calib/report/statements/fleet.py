@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
+from calib.fleet.quantities import shown_quantity
+from calib.fleet.random_effects import Population
 from calib.fleet.run import Fleet
 from calib.fleet.survey import Survey
 from calib.report.blocks import Block, Column, Facts, Heading, Items, Picture, Table, Text
@@ -20,14 +24,16 @@ def fleet_content(fleet: Fleet, *, pictures: bool = False) -> tuple[Block, ...]:
     fleet : Fleet
         From `calib.fleet.run.fit_fleet`.
     pictures : bool
-        Add the figures, for a page.
+        For a page: with the figures, without what was read now.
     """
     view = fleet.view
     counts = f"{view.n_fitted} of {view.n_vehicles} fitted, {view.n_failed} failed"
     read = f"{fleet.n_read} read now, {fleet.n_kept} kept from before"
-    blocks: list[Block] = [Heading("Fleet"), Facts((("vehicles", counts), ("files", read)))]
+    # a page is the same however often the command was interrupted
+    facts = (("vehicles", counts),) if pictures else (("vehicles", counts), ("files", read))
+    blocks: list[Block] = [Heading("Fleet"), Facts(facts)]
     if view.populations:
-        blocks.append(_populations(fleet))
+        blocks.append(_population_table(view.populations))
     if pictures:
         blocks += _pictures(fleet)
     if view.outliers:
@@ -47,26 +53,25 @@ def fleet_content(fleet: Fleet, *, pictures: bool = False) -> tuple[Block, ...]:
         ]
     blocks.append(
         Text(
-            "Vehicles that stand apart, drift and share something are named so that of all those named about one in a "
-            "hundred is named wrongly (Benjamini and Hochberg).",
+            "Vehicles that stand apart are named so that of all those named about one in a hundred is named wrongly "
+            "(Benjamini and Hochberg); those that drift or share something so that in one fleet of a hundred any is "
+            "(Holm). Mean and spread are those of the others, what a label's vehicles share taken off.",
             small=True,
         )
     )
     return tuple(blocks)
 
 
-def _populations(fleet: Fleet) -> Table:
+def _population_table(populations: Mapping[str, Population]) -> Table:
     rows = []
-    for name, population in fleet.view.populations.items():
-        scale, unit = (1e3, "mm") if name.startswith("radius") else (1e9, "nm/N")
-        digits = 4 if unit == "mm" else 1
+    for name, population in populations.items():
+        shown, scale, unit = shown_quantity(name)
+        digits = 1 if unit == "nm/N" else 4
         half = 0.5 * (population.mean_ci95[1] - population.mean_ci95[0])
         low, high = (scale * end for end in population.spread_ci95)
         rows.append(
             (
-                name.rsplit("_", 3)[0].replace("_", " ")
-                if unit == "nm/N"
-                else name.rsplit("_", 2)[0].replace("_", " "),
+                shown.removesuffix(" ref"),
                 f"{scale * population.mean:.{digits}f} ± {scale * half:.{digits}f}",
                 f"{scale * population.spread:.{digits}f}",
                 f"{low:.{digits}f} to {high:.{digits}f}",
@@ -133,23 +138,32 @@ def _pictures(fleet: Fleet) -> list[Picture]:
     return pictures
 
 
-def survey_content(survey: Survey) -> tuple[Block, ...]:
+def survey_content(survey: Survey, *, page: bool = False) -> tuple[Block, ...]:
     """Return what a task over a fleet says.
 
     Parameters
     ----------
     survey : Survey
         From `calib.fleet.survey.survey_fleet`.
+    page : bool
+        For a page: without what was done now.
     """
     failed = [record for record in survey.records if record.status == "failed"]
     done = len(survey.records) - len(failed)
-    facts = (
-        ("vehicles", f"{done} of {len(survey.records)} done, {len(failed)} failed"),
-        ("now", f"{survey.n_done} done now, {survey.n_kept} kept from before"),
-    )
-    blocks: list[Block] = [Heading(f"Fleet: {survey.what}"), Facts(facts)]
-    if survey.shared:
-        blocks += [Heading("What many share"), Items(tuple(cause.sentence for cause in survey.shared[:MOST]))]
+    facts = [("vehicles", f"{done} of {len(survey.records)} done, {len(failed)} failed")]
+    if not page:
+        facts.append(("now", f"{survey.n_done} done now, {survey.n_kept} kept from before"))
+    blocks: list[Block] = [Heading(f"Fleet: {survey.what}"), Facts(tuple(facts))]
+    quantities = survey.quantities
+    if quantities is not None and quantities.populations:
+        blocks.append(_population_table(quantities.populations))
+    if quantities is not None and quantities.outliers:
+        lines = tuple(f"{outlier.vehicle}, {outlier.why}" for outlier in quantities.outliers[:MOST])
+        blocks += [Heading(f"Vehicles that stand apart ({len(quantities.outliers)})"), Items(lines)]
+    shared = [cause.sentence for cause in survey.shared]
+    shared += [difference.sentence for difference in quantities.differences] if quantities is not None else []
+    if shared:
+        blocks += [Heading("What many share"), Items(tuple(shared[:MOST]))]
     if failed:
         lines = tuple(f"{record.name}: {record.why}" for record in failed[:MOST])
         blocks += [Heading(f"Failed ({len(failed)})"), Items(lines)]

@@ -1,0 +1,127 @@
+"""Engines side by side, and what befalls them: a command killed and resumed, workers killed in the middle.
+
+``python -m tests.fleet.hardship --vehicles 2000 FOLDER`` makes a fleet in FOLDER where it is not there yet. Ratios of
+wall-clock seconds mean something on a quiet machine only; the load is printed beside them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from calib.files import to_json
+from calib.fleet.run import fit_fleet
+from calib.fleet.store import SUMS
+from calib.plant.fleet import FleetSize, make_fleet
+
+
+def _say(text: str) -> None:
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()
+
+
+def _timed(what: str, work: Callable[[], str]) -> tuple[str, float]:
+    load, begun, cpu = os.getloadavg()[0], time.perf_counter(), time.process_time()
+    answer = work()
+    took = time.perf_counter() - begun
+    _say(f"{what}: {took:.2f} s ({time.process_time() - cpu:.2f} s of this process), load {load:.1f}")
+    return answer, took
+
+
+def _fit(folder: Path, into: Path, **options: object) -> str:
+    shutil.rmtree(into, ignore_errors=True)
+    return to_json(fit_fleet(folder, into, **options).to_dict())  # type: ignore[arg-type]
+
+
+def _lines(path: Path) -> int:
+    return path.read_bytes().count(b"\n") if path.is_file() else 0
+
+
+def killed_command(folder: Path, into: Path, n_files: int) -> bytes:
+    """Kill the command (no signal that it could catch) when a third is done, run it again, and return its result."""
+    shutil.rmtree(into, ignore_errors=True)
+    command = [sys.executable, "-m", "calib", "fleet", "run", str(folder), "--into", str(into), "--date", "2026-01-31"]
+    process = subprocess.Popen([*command, "--workers", "2"], stdout=subprocess.DEVNULL, start_new_session=True)
+    while process.poll() is None and _lines(into / SUMS) < n_files // 3:
+        time.sleep(0.01)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    _say(f"killed with {_lines(into / SUMS)} of {n_files} files done")
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    _say(next(line.strip() for line in done.stdout.splitlines() if "read now" in line))
+    return (into / "fleet.json").read_bytes()
+
+
+def killed_worker(folder: Path, into: Path) -> str:
+    """Kill one of the pool's workers once some files are done."""
+
+    def kill() -> None:
+        while _lines(into / SUMS) < 20:
+            time.sleep(0.01)
+        worker = multiprocessing.active_children()[0]
+        _say(f"worker killed after {_lines(into / SUMS)} files")
+        os.kill(worker.pid or 0, signal.SIGKILL)
+
+    shutil.rmtree(into, ignore_errors=True)
+    killer = threading.Thread(target=kill)
+    killer.start()
+    answer = _fit(folder, into, workers=2)
+    killer.join()
+    return answer
+
+
+def main() -> None:
+    """Run it all and say what came of it."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--vehicles", type=int, default=2000)
+    given = parser.parse_args()
+    fleet, into = given.folder / f"fleet{given.vehicles}", given.folder / "out"
+    if not (fleet / "campaign.toml").is_file():
+        size = FleetSize(given.vehicles, n_months=1, n_outliers=given.vehicles // 20, n_common=given.vehicles // 10)
+        make_fleet(fleet, np.random.default_rng(5), size)
+    n_files = sum(1 for _ in fleet.rglob("*.parquet"))
+    cpu = time.process_time()
+    alone, one = _timed("one process", lambda: _fit(fleet, into))
+    cpu = time.process_time() - cpu
+    _say(f"  {given.vehicles / cpu:.0f} vehicles a second of the processor")
+    pooled, two = _timed("two workers", lambda: _fit(fleet, into, workers=2))
+    _say(f"  two workers are {one / two:.2f} times one; same bytes: {pooled == alone}")
+    import distributed
+
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1"
+    ) as cluster:
+        address = cluster.scheduler_address
+        shared, dask = _timed("Dask, two workers", lambda: _fit(fleet, into, scheduler=address))
+        _say(f"  Dask is {two / dask:.2f} of the pool's speed; same bytes: {shared == alone}")
+
+        def kill() -> None:
+            while _lines(into / SUMS) < 20:
+                time.sleep(0.01)
+            os.kill(next(iter(cluster.workers.values())).process.pid, signal.SIGKILL)
+
+        shutil.rmtree(into, ignore_errors=True)
+        killer = threading.Thread(target=kill)
+        killer.start()
+        _say(f"Dask, a worker killed: same bytes: {_fit(fleet, into, scheduler=address) == alone}")
+        killer.join()
+    _say(f"a pool's worker killed: same bytes: {killed_worker(fleet, into) == alone}")
+    resumed = json.loads(killed_command(fleet, into, n_files))
+    _say(f"command killed and run again: same result: {resumed == json.loads(alone)}")
+
+
+if __name__ == "__main__":
+    main()
