@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-__all__ = ["with_unit"]
+__all__ = ["in_words", "with_unit"]
 
 #: suffix of a name -> unit; and whole names whose unit is not their suffix
 _UNITS: Final = {
@@ -20,6 +20,12 @@ _NAMED: Final = {
 
 def with_unit(name: str) -> str:
     """Return ``speed_mps`` as ``speed (m/s)``; a name of unknown unit says that it is the column's own."""
+    words = in_words(name)
+    return words if words.endswith(")") else f"{words} (as in the table)"
+
+
+def in_words(name: str) -> str:
+    """Return ``speed_mps`` as ``speed (m/s)``, and a name of no or unknown unit without its underscores."""
     stem, _, suffix = name.rpartition("_")
-    text = f"{stem} ({_UNITS[suffix]})" if stem and suffix in _UNITS else f"{name} (as in the table)"
+    text = f"{stem} ({_UNITS[suffix]})" if stem and suffix in _UNITS else name
     return _NAMED.get(name, text).replace("_", " ")

@@ -26,6 +26,8 @@ def cause_blocks(verdict: Verdict) -> list[Block]:
     """Return the ranking of the named causes, their sizes, and remarks on these."""
     if not verdict.causes:
         return []
+    named = verdict.causes[:_MOST]
+    doubtful = not all(cause.plausible for cause in named)
     ranking = Table(
         "Which: the named causes, most probable first; the share is that of the gap above its floor.",
         (
@@ -35,7 +37,7 @@ def cause_blocks(verdict: Verdict) -> list[Block]:
             Column("Share"),
             Column("from", group="95 % interval"),
             Column("to", group="95 % interval"),
-            left("Plausible"),
+            *((left("Plausible"),) if doubtful else ()),
         ),
         tuple(
             (
@@ -44,9 +46,9 @@ def cause_blocks(verdict: Verdict) -> list[Block]:
                 percent(cause.probability),
                 percent(cause.share),
                 *(percent(end) for end in cause.share_ci95 or (None, None)),
-                "yes" if cause.plausible else "NO",
+                *(("yes" if cause.plausible else "NO",) if doubtful else ()),
             )
-            for cause in verdict.causes[:_MOST]
+            for cause in named
         ),
     )
     rows = tuple(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from calib.gap.where.result import PlaceLine, RunLine, Where
+from calib.report.axis_names import in_words
 from calib.report.blocks import Block, Column, Items, Table, Text
 from calib.report.numbers import MISSING, fixed, left, probability, prose, readable, three_digits
 
@@ -47,7 +48,7 @@ def _channels(where: Where) -> Table:
 def _covariates(where: Where) -> Table:
     rows = tuple(
         (
-            line.name.replace("_", " "),
+            in_words(line.name),
             line.channel_label,
             f"{line.share:.2f}",
             MISSING if line.ci95 is None else f"{line.ci95[0]:.2f}",
@@ -74,7 +75,7 @@ def _covariates(where: Where) -> Table:
 
 def _run(line: RunLine) -> str:
     milli = 1e3 * line.value
-    shown = f"{milli:+.3g}" if abs(milli) < 999.5 else f"{milli:+.0f}"
+    shown = ("+" if milli >= 0 else "−") + three_digits(abs(milli))
     return f"{line.run_id}: {line.channel.label} {shown} m{line.channel.unit}, {abs(line.z):.0f} times its floor"
 
 
