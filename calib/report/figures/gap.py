@@ -163,6 +163,8 @@ def gap_by_covariate(
             axis.errorbar(centre, mean, yerr=error, fmt="s", color=INK, elinewidth=0.8, ms=2.6)
         axis.set_xlabel(legible(with_unit(title)))
         axis.margins(x=0.06, y=0.08)
+        # numbers with many decimals would run into each other
+        axis.locator_params(axis="x", nbins=4)
     for row in axes:
         row[0].set_ylabel(f"{channel} ({name})")
     if 1 < len(names) <= LEGEND_LIMIT:

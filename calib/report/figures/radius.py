@@ -164,7 +164,9 @@ def path_deviation(radii: EffectiveRadii) -> Figure:
         excess = 100 * whole_period_excess(grid, value)
         chart.plot(grid, excess, color=shade, lw=0.9)
         chart.annotate(
-            f"λ = {value:g} m", (grid[-1], float(excess[-1])), xytext=(3, 0), textcoords="offset points", fontsize=6,
+            # the lines run together where the weave is steep: their names are held apart
+            f"λ = {value:g} m", (grid[-1], float(excess[-1])), xytext=(3, 3 * (2 - number)),
+            textcoords="offset points", fontsize=6,
             va="center", color=shade, annotation_clip=False,
         )  # fmt: skip
     if len(amplitude):
