@@ -15,7 +15,7 @@ from calib.errors import BadInputError
 if TYPE_CHECKING:
     from calib.motion.studies.run import Simulation
 
-__all__ = ["DRAWS", "SPEED_MPS", "Draws", "Output", "Routes", "Speed", "Targets", "Track", "Tum", "finish"]
+__all__ = ["DRAWS", "SPEED_MPS", "Draws", "Law", "Output", "Routes", "Speed", "Targets", "Track", "Tum", "finish"]
 
 SPEED_MPS: Final = 0.5
 DRAWS: Final = 20_000
@@ -27,6 +27,10 @@ Routes = Annotated[
         help="corridor, straight15, paper_route (the default), square_cw, square_ccw, figure8, or a .toml or .tum "
         "file.",
     ),
+]
+Law = Annotated[
+    Path | None,
+    typer.Option("--law", "--model", metavar="PATH", help="A campaign, a result of calib fit, or a coefficient file."),
 ]
 Track = Annotated[
     float | None, typer.Option("--track", metavar="M", help="Track that the odometry believes (0.7, or the law's).")

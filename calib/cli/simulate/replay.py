@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from calib.cli.options import Force, JsonTarget, Seed, refuse_existing
-from calib.cli.simulate.common import Output, Tum
+from calib.cli.simulate.common import Law, Output, Tum
 from calib.cli.terminal import emit_json, show, waiting, wants_stdout, wrote
 
 __all__ = ["EPILOG", "run"]
@@ -18,15 +18,7 @@ EPILOG = "Example: calib simulate replay sample_runs/corridor_crossed --law coef
 
 def run(
     campaign: Annotated[Path, typer.Argument(metavar="CAMPAIGN", help="Campaign with logs and end poses.")],
-    law: Annotated[
-        Path | None,
-        typer.Option(
-            "--law",
-            "--model",
-            metavar="PATH",
-            help="Campaign, result folder of calib fit, or coefficient file; without it the campaign's own fit.",
-        ),
-    ] = None,
+    law: Law = None,
     scheme: Annotated[str, typer.Option("--scheme", help="exact, mid_point, euler or end_point.")] = "exact",
     seed: Seed = 0,
     output: Output = None,

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from calib.cli.options import Force, JsonTarget, Seed, nearest, numbers, refuse_existing
-from calib.cli.simulate.common import DRAWS, SPEED_MPS, Draws, Output, Speed, Targets, Track, Tum, finish
+from calib.cli.simulate.common import DRAWS, SPEED_MPS, Draws, Law, Output, Speed, Targets, Track, Tum, finish
 from calib.cli.terminal import waiting
 from calib.errors import BadInputError
 
@@ -19,15 +18,7 @@ EPILOG = "Example: calib simulate study corrected --law sample_runs/corridor --o
 
 def run(
     name: Annotated[str, typer.Argument(metavar="STUDY", help="symmetric, asymmetric or corrected.")],
-    law: Annotated[
-        Path | None,
-        typer.Option(
-            "--law",
-            "--model",
-            metavar="PATH",
-            help="Drive the same journeys under this law, too: campaign, result of calib fit, or coefficient file.",
-        ),
-    ] = None,
+    law: Law = None,
     load: Annotated[
         list[str] | None,
         typer.Option("--load", metavar="L,R", help="With --law: wheel loads in place of the study's, N."),

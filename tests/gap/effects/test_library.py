@@ -192,34 +192,9 @@ def test_a_campaign_of_equal_straight_runs_has_forms_only_where_something_can_sh
 
     s = situation([Run(STRAIGHT, front=False) for _ in range(12)])
     offered = {effect.id for effect in library(s) if effect.forms(s)}
-    assert offered.isdisjoint(
-        [
-            "load_radius",
-            "load_radius_nonlinear",
-            "load_creep",
-            "curve_load_transfer",
-            "load_dependent_track",
-            "speed_radius",
-            "temperature_radius",
-            "session_step",
-            "rear_drag",
-            "travel_direction",
-            "side_slip",
-            "curve_scrub",
-            "steering_zero",
-            "steering_scale",
-            "steering_backlash",
-            "steering_delay",
-            "drive_slip",
-            "payload_mass",
-            "payload_position",
-            "floor_slope",
-            "path_weave",
-            "integration_scheme",
-            "floor_undulation",
-            "reference_lever_arm",
-        ]
-    )
+    wheels = {"radius_scale", "unequal_radii", "track_width", "wheel_eccentricity", "braking_skid", "wear"}
+    readings = {"lost_counts", "encoder_gross", "rangefinder_scale", "rangefinder_offset", "beam_misalignment"}
+    assert offered <= {*wheels, *readings, "reference_yaw", "reference_latency", "floor_zone"}
 
 
 @pytest.mark.parametrize("missing", ["temperature_C", "minutes_under_load", "speed_mps", "payload_kg", "load_left_N"])
