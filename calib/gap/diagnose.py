@@ -17,8 +17,9 @@ from calib.gap.data.observations import Observations
 from calib.gap.diagnosis import Diagnosis
 from calib.gap.effects.applied import with_effects
 from calib.gap.effects.effect import Effect
-from calib.gap.effects.encoder_gross import corrected
-from calib.gap.effects.library import fault_before_search, library
+from calib.gap.effects.encoder_gross import GrossFault, corrected
+from calib.gap.effects.library import fault_before_search, library, turned_before_search
+from calib.gap.effects.turned_reference import TurnedReference
 from calib.gap.evidence.fit import Fitted, fit
 from calib.gap.evidence.left_out import LeftOut
 from calib.gap.evidence.marginal import FLOOR_DOF
@@ -120,13 +121,21 @@ def diagnose_in_full(
     settings = settings or Settings()
     rng = np.random.default_rng(seed)
     declared = campaign.extra.get("effects", ())
-    observed = _observed(campaign, model, applied) if observations is None else (observations, ())
-    observations, notes = observed
+    faults: list[GrossFault | TurnedReference] = []
+    notes: tuple[str, ...] = ()
+    if observations is None:
+        observations, notes = _observed(campaign, model, applied)
+        turned = turned_before_search(predict(observations), exclude)
+        if turned is not None:
+            faults.append(turned)
+            campaign = turned.put_right(campaign)
+            observations, notes = _observed(campaign, model, applied)
     judged_against = BY_SIMULATOR if np.isfinite(observations.simulated).any() else (model_name or BY_MODEL)
     nominal = predict(observations)
     before = residuals(nominal, nominal)
     fault = fault_before_search(observations, nominal, exclude)
     if fault is not None:
+        faults.append(fault)
         observations = corrected(observations, fault)
         nominal = predict(observations)
     effects = library(observations, exclude=exclude, declared=declared)
@@ -150,7 +159,7 @@ def diagnose_in_full(
         trials=trials(left_out, residuals(nominal, nominal)),
         where=locate(observations, nominal, noise, held_out.before, rng=rng, floor=held_out.floor, campaign=campaign),
         undetectable=undetectable(WhitenedSystem(base.path, nominal, noise), effects),
-        fault=fault,
+        faults=tuple(faults),
         settings=settings,
         notes=notes,
         judged_against=judged_against,

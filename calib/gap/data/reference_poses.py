@@ -229,6 +229,11 @@ def _of_vehicle(sensor: FloatArray, reference: Reference, *, in_map: bool) -> Fl
     x, y, yaw = reference.sensor_x_m, reference.sensor_y_m, reference.sensor_yaw_rad
     if (x, y, yaw) == (0.0, 0.0, 0.0):
         return sensor
+    if (x, y) == (0.0, 0.0) and not in_map:
+        # on the axle its position is the vehicle's, with or without a heading
+        c, s = np.cos(yaw), np.sin(yaw)
+        turned = (c * sensor[:, 0] - s * sensor[:, 1], s * sensor[:, 0] + c * sensor[:, 1])
+        return np.stack([*turned, sensor[:, 2]], axis=1)
     moved = sensor
     if not in_map:
         c, s = np.cos(yaw), np.sin(yaw)

@@ -57,6 +57,11 @@ class GrossFault:
     swapped: bool = False
 
     @property
+    def sizes(self) -> Mapping[str, tuple[float, tuple[float, float], str]]:
+        """Value, 95 % interval and unit of each factor: plain numbers that are sure."""
+        return {name: (factor, (factor, factor), "1") for name, factor in self.factors.items()}
+
+    @property
     def factors(self) -> dict[str, float]:
         """What the counts are multiplied by, as the parameters that a verdict and a coefficient file show."""
         return {"factor_left": self.left, "factor_right": self.right}

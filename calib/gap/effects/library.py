@@ -11,6 +11,7 @@ from calib.gap.data.observations import Observations
 from calib.gap.effects.covariate import Covariate, column_of, covariate_effects
 from calib.gap.effects.effect import Effect
 from calib.gap.effects.encoder_gross import GrossFault, find_gross
+from calib.gap.effects.turned_reference import TurnedReference, find_turned
 from calib.gap.effects.user import Declared, declared_effects, entry_point_effects
 from calib.gap.predict.path import Path
 
@@ -22,6 +23,7 @@ __all__ = [
     "fault_before_search",
     "library",
     "title_of",
+    "turned_before_search",
 ]
 
 #: id -> class; the order is the order of listings
@@ -151,6 +153,19 @@ def fault_before_search(s: Observations, nominal: Path, exclude: Collection[str]
         Ids of effects to leave out.
     """
     return None if GrossFault.effect.id in exclude else find_gross(s, nominal)
+
+
+def turned_before_search(nominal: Path, exclude: Collection[str] = ()) -> TurnedReference | None:
+    """Return by how much the reference's sensor is turned where that is far from small; None else.
+
+    Parameters
+    ----------
+    nominal : Path
+        The model alone.
+    exclude : collection of str
+        Ids of effects to leave out.
+    """
+    return None if TurnedReference.effect.id in exclude else find_turned(nominal)
 
 
 def _all(s: Observations, declared: object) -> tuple[list[Effect], list[Covariate], list[Effect]]:

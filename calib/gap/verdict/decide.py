@@ -157,9 +157,9 @@ def decide(evidence: Evidence) -> Verdict:
         agreement_on=DRIVEN if evidence.journeys is None else JOURNEYS,
         transfer=() if nothing_named else tuple(trial.transfer for trial in evidence.trials),
     )
-    if evidence.fault is not None:
+    if evidence.faults:
         # where the rest is no gap or unknown, the fault alone is named
-        causes = [gross_cause(evidence.fault), *causes]
+        causes = [*map(gross_cause, evidence.faults), *causes]
         kind = {
             VerdictKind.NO_GAP: VerdictKind.EXPLAINED,
             VerdictKind.UNKNOWN: VerdictKind.PARTLY_EXPLAINED,

@@ -13,6 +13,7 @@ from calib.gap.data.observations import Observations
 from calib.gap.effects.calibration import DIRECTIONS, NAMES
 from calib.gap.effects.effect import Effect, Form
 from calib.gap.effects.encoder_gross import GrossFault
+from calib.gap.effects.turned_reference import TurnedReference
 from calib.gap.evidence.fit import Fitted
 from calib.gap.evidence.marginal import CALIBRATION_SD
 from calib.gap.evidence.noise import Noise
@@ -56,8 +57,8 @@ class Evidence:
         Where the gap lies.
     undetectable : tuple of Detectable
         Effects that these runs could not have shown.
-    fault : GrossFault, optional
-        A gross fault of the encoders, found and put right before the search.
+    faults : tuple of GrossFault or TurnedReference
+        Gross faults of the encoders and of the reference's mounting, found and put right before the search.
     settings : Settings
         What the search took for granted.
     notes : tuple of str
@@ -82,7 +83,7 @@ class Evidence:
     trials: tuple[Trial, ...] = ()
     where: Where = field(default_factory=Where)
     undetectable: tuple[Detectable, ...] = ()
-    fault: GrossFault | None = None
+    faults: tuple[GrossFault | TurnedReference, ...] = ()
     settings: Settings = field(default_factory=Settings)
     notes: tuple[str, ...] = ()
     judged_against: str = BY_MODEL

@@ -1,15 +1,16 @@
-"""A gross fault of the counts as a cause that a verdict names."""
+"""What is so gross that it is found, and put right, before the search, as a cause that a verdict names."""
 
 from __future__ import annotations
 
 from calib.gap.effects.encoder_gross import GrossFault
+from calib.gap.effects.turned_reference import TurnedReference
 from calib.gap.verdict.result import Cause, Quantity
 
 __all__ = ["gross_cause"]
 
 
-def gross_cause(fault: GrossFault) -> Cause:
-    """Return a gross fault as a cause: sure, the whole gap, its factors on the counts plain numbers."""
+def gross_cause(fault: GrossFault | TurnedReference) -> Cause:
+    """Return a gross fault as a cause: sure, and the whole gap."""
     return Cause(
         effect=fault.effect.id,
         title=fault.effect.title,
@@ -17,7 +18,7 @@ def gross_cause(fault: GrossFault) -> Cause:
         probability=1.0,
         share=1.0,
         signal=float("inf"),
-        parameters={name: Quantity(factor, (factor, factor), "1") for name, factor in fault.factors.items()},
+        parameters={name: Quantity(*size) for name, size in fault.sizes.items()},
         remark=fault.remark,
         family=fault.effect.family.value,
     )

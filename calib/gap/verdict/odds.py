@@ -38,8 +38,7 @@ def effect_probabilities(evidence: Evidence, groups: Sequence[Sequence[str]]) ->
     for name in NAMES:
         if name in evidence.effects:
             raw[name] = calibrated(evidence.recalibration.probability(name)) * kept.get(name, 1.0)
-    if evidence.fault is not None:
-        raw[evidence.fault.effect.id] = 1.0
+    raw |= {fault.effect.id: 1.0 for fault in evidence.faults}
     raw["unknown"] = evidence.search.rest
     ordered = sorted(raw.items(), key=lambda item: -item[1])
     return {name: value for name, value in ordered if value > LISTED or name == "unknown"}
@@ -68,7 +67,7 @@ def _most_likely_form(evidence: Evidence, name: str) -> float:
 def credible_sets(evidence: Evidence, groups: Sequence[Sequence[str]]) -> tuple[tuple[str, ...], ...]:
     """Return the most probable sets of causes that together hold 95 %, and what could stand in for the best."""
     weights: dict[tuple[str, ...], float] = {}
-    gross = () if evidence.fault is None else (evidence.fault.effect.id,)
+    gross = tuple(fault.effect.id for fault in evidence.faults)
     recalibration, search = evidence.recalibration, evidence.search
     for effects, p in zip(search.models, search.probabilities, strict=True):
         for subset, q in zip(recalibration.subsets, recalibration.probabilities, strict=True):
