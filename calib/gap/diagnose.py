@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import count
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from calib.arrays import FloatArray
 from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
 from calib.errors import RefusedError
@@ -121,23 +122,10 @@ def diagnose_in_full(
     settings = settings or Settings()
     rng = np.random.default_rng(seed)
     declared = campaign.extra.get("effects", ())
-    faults: list[GrossFault | TurnedReference] = []
-    notes: tuple[str, ...] = ()
-    if observations is None:
-        observations, notes = _observed(campaign, model, applied)
-        turned = turned_before_search(predict(observations), exclude)
-        if turned is not None:
-            faults.append(turned)
-            campaign = turned.put_right(campaign)
-            observations, notes = _observed(campaign, model, applied)
+    situation = _situation(campaign, model, applied, exclude, observations)
+    campaign, observations = situation.campaign, situation.observations
     judged_against = BY_SIMULATOR if np.isfinite(observations.simulated).any() else (model_name or BY_MODEL)
     nominal = predict(observations)
-    before = residuals(nominal, nominal)
-    fault = fault_before_search(observations, nominal, exclude)
-    if fault is not None:
-        faults.append(fault)
-        observations = corrected(observations, fault)
-        nominal = predict(observations)
     effects = library(observations, exclude=exclude, declared=declared)
     shifts = {effect.id: effect.shifts for effect in effects}
     noise, base, searched = _searched(nominal, effects, settings, progress)
@@ -145,8 +133,8 @@ def diagnose_in_full(
     progress(0, 0, "verdict")
     left_out = LeftOut(best, nominal, noise, searched.weighting)
     held_out = _held_out(nominal, noise, searched, effects, left_out, rng)
-    if fault is not None:
-        held_out = replace(held_out, before=before)
+    if situation.as_counted is not None:
+        held_out = replace(held_out, before=situation.as_counted)
     evidence = Evidence(
         campaign=campaign.name,
         simulated=campaign.simulated,
@@ -159,9 +147,9 @@ def diagnose_in_full(
         trials=trials(left_out, residuals(nominal, nominal)),
         where=locate(observations, nominal, noise, held_out.before, rng=rng, floor=held_out.floor, campaign=campaign),
         undetectable=undetectable(WhitenedSystem(base.path, nominal, noise), effects),
-        faults=tuple(faults),
+        faults=situation.faults,
         settings=settings,
-        notes=notes,
+        notes=situation.notes,
         judged_against=judged_against,
         journeys=None if journeys is None else observations_of(joined(campaign, journeys), observations.model),
         declared=declared,
@@ -172,6 +160,41 @@ def diagnose_in_full(
         ties = [group.effects for group in verdict.groups]
         verdict = replace(verdict, next_runs=tuple(next_runs(campaign, effects, noise, ties, best, model=model)))
     return Diagnosis(verdict, observations, noise, nominal, best, held_out, searched, tuple(effects))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Situation:
+    """What was driven, gross faults put right; and the gap with the counts as they were, where they were wrong."""
+
+    campaign: Campaign
+    observations: Observations
+    notes: tuple[str, ...]
+    faults: tuple[GrossFault | TurnedReference, ...]
+    as_counted: FloatArray | None
+
+
+def _situation(
+    campaign: Campaign,
+    model: OdometryModel | None,
+    applied: Sequence[EffectSection],
+    exclude: tuple[str, ...],
+    observations: Observations | None,
+) -> _Situation:
+    faults: list[GrossFault | TurnedReference] = []
+    notes: tuple[str, ...] = ()
+    if observations is None:
+        observations, notes = _observed(campaign, model, applied)
+        turned = turned_before_search(predict(observations), exclude)
+        if turned is not None:
+            faults.append(turned)
+            campaign = turned.put_right(campaign)
+            observations, notes = _observed(campaign, model, applied)
+    nominal = predict(observations)
+    fault = fault_before_search(observations, nominal, exclude)
+    if fault is None:
+        return _Situation(campaign, observations, notes, tuple(faults), None)
+    as_counted = residuals(nominal, nominal)
+    return _Situation(campaign, corrected(observations, fault), notes, (*faults, fault), as_counted)
 
 
 def _observed(
