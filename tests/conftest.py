@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 # small matrices gain nothing from threads, and tests that run side by side lose by them; before numpy is imported
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -11,6 +14,10 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 
 import pytest
 from hypothesis import settings
+
+if TYPE_CHECKING:
+    from calib.campaign.model import Campaign
+    from calib.gap.diagnosis import Diagnosis
 
 # the same examples every time, so that one commit has one outcome; HYPOTHESIS_PROFILE=explore looks further.
 # No deadline: a busy machine is no fault of the code.
@@ -34,3 +41,17 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"real recordings are not here: {folder.relative_to(ROOT.parent)} does not exist")
     return folder
+
+
+@pytest.fixture(scope="session")
+def diagnosed_sample(project_root: Path) -> Callable[[str], tuple[Campaign, Diagnosis]]:
+    """A sample campaign by name and its diagnosis, made once; nobody changes either."""
+    from calib.campaign.read import read_campaign
+    from calib.gap.diagnose import diagnose_in_full
+
+    @cache
+    def diagnosed(name: str) -> tuple[Campaign, Diagnosis]:
+        campaign = read_campaign(project_root / "sample_runs" / name)
+        return campaign, diagnose_in_full(campaign)
+
+    return diagnosed

@@ -91,7 +91,7 @@ def test_without_any_reference_it_is_refused_and_says_what_to_measure() -> None:
 
 
 def test_without_counts_it_is_refused() -> None:
-    counts = {"counts_left", "counts_right"}
+    counts = {"counts_left", "counts_right", "counts_front"}
     with pytest.raises(RefusedError, match="encoder counts"):
         diagnose(without(driven(0), counts, set(), counts))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from calib.gap.verdict.result import VerdictKind
 from calib.radius.fit import fit_campaign
 from tests.gap.effects.making import Motion, Run, campaign, rich_runs
 
+Diagnosed = Callable[[str], tuple[Campaign, Diagnosis]]
 FIELDS = {
     "verdict": str,
     "causes": list,
@@ -54,18 +56,18 @@ def made(seed: int = 1, warmth: float = 0.0, factor: float = 1.0) -> Campaign:
 
 
 @pytest.fixture(scope="module")
-def corridor(project_root: Path) -> Diagnosis:
-    return diagnose_in_full(read_campaign(project_root / "sample_runs/corridor"))
+def corridor(diagnosed_sample: Diagnosed) -> Diagnosis:
+    return diagnosed_sample("corridor")[1]
 
 
 @pytest.fixture(scope="module")
-def crossed_campaign(project_root: Path) -> Campaign:
-    return read_campaign(project_root / "sample_runs/corridor_crossed")
+def crossed_campaign(diagnosed_sample: Diagnosed) -> Campaign:
+    return diagnosed_sample("corridor_crossed")[0]
 
 
 @pytest.fixture(scope="module")
-def crossed(crossed_campaign: Campaign) -> Diagnosis:
-    return diagnose_in_full(crossed_campaign)
+def crossed(diagnosed_sample: Diagnosed) -> Diagnosis:
+    return diagnosed_sample("corridor_crossed")[1]
 
 
 @pytest.fixture(scope="module")

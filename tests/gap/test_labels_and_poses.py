@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
 from calib.campaign.model import Campaign
-from calib.campaign.read import read_campaign
 from calib.gap.diagnose import diagnose
+from calib.gap.diagnosis import Diagnosis
 from calib.gap.verdict.result import Verdict
 from calib.radius.fit import fit_campaign
 
+Diagnosed = Callable[[str], tuple[Campaign, Diagnosis]]
 POSES = ("ref_x_m", "ref_y_m", "ref_theta_rad")
 
 
@@ -36,31 +36,21 @@ def outcome(verdict: Verdict) -> tuple[str, list[str]]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(
-            "corridor",
-            marks=pytest.mark.xfail(strict=True, reason="without sessions no session step is tied: explained"),
-        ),
-        "corridor_crossed",
-        "yard",
-    ],
-)
-def test_a_verdict_does_not_hang_on_labels(name: str, project_root: Path) -> None:
-    """Without kinds and sessions a sample ends as with them."""
-    campaign = read_campaign(project_root / "sample_runs" / name)
+@pytest.mark.parametrize("name", ["corridor", "corridor_crossed", "yard"])
+def test_a_verdict_does_not_hang_on_labels(name: str, diagnosed_sample: Diagnosed) -> None:
+    """Without kinds and sessions a sample ends as with them; stretches under one load stand in for sessions."""
+    campaign, diagnosis = diagnosed_sample(name)
     bare = without(campaign, labels=("kind", "session"))
-    assert outcome(diagnose(bare, plan=False)) == outcome(diagnose(campaign, plan=False))
+    assert outcome(diagnose(bare, plan=False)) == outcome(diagnosis.verdict)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["corridor", "corridor_crossed"])
-def test_a_corridor_without_end_poses_still_has_two_wheels(name: str, project_root: Path) -> None:
+def test_a_corridor_without_end_poses_still_has_two_wheels(name: str, diagnosed_sample: Diagnosed) -> None:
     """Distance and counts alone end as with poses, with slopes inside the fit's intervals, wheel by wheel."""
-    campaign = read_campaign(project_root / "sample_runs" / name)
+    campaign, diagnosis = diagnosed_sample(name)
     verdict = diagnose(without(campaign, columns=POSES), plan=False)
-    assert outcome(verdict) == outcome(diagnose(campaign, plan=False))
+    assert outcome(verdict) == outcome(diagnosis.verdict)
     wheels = fit_campaign(campaign).to_dict()["wheels"]
     for side, wheel in wheels.items():
         low, high = wheel["slope_ci95_m_per_N"]

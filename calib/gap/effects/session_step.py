@@ -9,6 +9,7 @@ import numpy as np
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.family import Family
+from calib.gap.effects.shapes import sessions
 from calib.gap.predict.push import Push
 
 __all__ = ["SessionStep"]
@@ -28,7 +29,7 @@ class SessionStep(Effect):
 
     def forms(self, s: Observations) -> list[Form]:
         """Return the single form, a left and a right step a session but the first; none with one session."""
-        session = s.labels["session"]
+        session = sessions(s)
         names, first = np.unique(session, return_index=True)
         names = names[np.argsort(first)]
         if len(names) < 2:

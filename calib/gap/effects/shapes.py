@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.arrays import BoolArray, FloatArray, IntArray
+from calib.arrays import BoolArray, FloatArray, IntArray, StrArray
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Form, Parameter
 from calib.gap.predict.path import Path
@@ -17,6 +17,7 @@ __all__ = [
     "driven_speed_mps",
     "end_motion",
     "laser_share",
+    "sessions",
     "shows_curves",
     "stands_mps",
     "start_motion",
@@ -25,12 +26,34 @@ __all__ = [
 
 #: slower than this counts as standing still
 MOVING_MPS = 0.05
+#: loads that differ by less are one load
+SAME_LOAD_N = 5.0
+#: fewer runs under one load are no stretch of their own
+FEWEST_ALIKE = 3
 #: the motion at the end is judged over twice this time
 _END_S = 0.3
 #: an end speed below this is a halt, seen through the counter's steps
 _STANDS_MPS = 0.05
 #: or below this share of the driven speed, for vehicles that creep
 _SLOW = 0.2
+
+
+def sessions(s: Observations) -> StrArray:
+    """Return the session of each unit, shape (n_units,).
+
+    Where nobody wrote sessions down, a stretch of runs under one load is taken for one: what changed with the load may
+    have been anything else that changed just then. Loads that change more often than that leave a single session.
+    """
+    session = s.labels["session"]
+    if np.any(session != session[:1]):
+        return session
+    loads = np.stack([s.number("load_left_N"), s.number("load_right_N")], axis=1)
+    changes = np.flatnonzero(np.abs(np.diff(loads, axis=0)).max(axis=1, initial=0.0) > SAME_LOAD_N) + 1
+    lengths = np.diff(np.concatenate(([0], changes, [len(s)])))
+    if not len(changes) or lengths.min() < FEWEST_ALIKE:
+        return session
+    number = np.repeat(np.arange(1, len(lengths) + 1), lengths)
+    return np.array([f"stretch_{k}" for k in number])
 
 
 def driven_speed_mps(s: Observations) -> FloatArray:

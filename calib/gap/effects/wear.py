@@ -10,6 +10,7 @@ from calib.arrays import FloatArray
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Centre, Effect, Form, Parameter, varies
 from calib.gap.effects.family import Family
+from calib.gap.effects.shapes import sessions
 from calib.gap.predict.push import Push
 
 __all__ = ["Wear"]
@@ -32,7 +33,7 @@ class Wear(Effect):
         km = s.number("travelled_km")
         if varies(km, 1e-3):
             found.append(("per km", "1/km", km, 1e-5, 1e-4))
-        session = s.labels["session"]
+        session = sessions(s)
         names, first, of = np.unique(session, return_index=True, return_inverse=True)
         if len(names) > 1:
             rank = np.argsort(np.argsort(first))
