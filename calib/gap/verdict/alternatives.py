@@ -23,14 +23,16 @@ STRETCH: Final = 2.0
 def distance(system: WhitenedSystem, nuisance: Nuisance, contribution: FloatArray, form: Form) -> float:
     """Return how far a contribution (n_rows,) lies from what a form could do, in standard deviations.
 
-    The form's parameters are free within what is physically plausible.
+    The form's parameters are free within what is physically plausible, their allowed signs included.
     """
     target = project(nuisance, contribution[:, None])[:, 0]
     columns = project(nuisance, system.columns(form))
     bound = np.array([p.largest / p.typical for p in form.parameters]) * STRETCH
     gram = columns.T @ columns
     sizes = np.linalg.solve(gram + np.diag(1e-9 + 1.0 / (10 * bound) ** 2), columns.T @ target)
-    sizes = np.clip(sizes, -bound, bound)
+    sign = np.array([p.sign for p in form.parameters])
+    # what can only be of one sign (counts are lost, not won) stands in for nothing of the other
+    sizes = np.clip(sizes, np.where(sign > 0, 0.0, -bound), np.where(sign < 0, 0.0, bound))
     left = target - columns @ sizes
     return float(np.sqrt(left @ left))
 

@@ -54,6 +54,8 @@ def test_a_constant_share_of_lost_counts_is_that_wheels_radius(
     other = next(form for form in constant if form is not mine)
     assert distance(bench, front(bench), radius, mine) < NOTHING
     assert distance(bench, front(bench), radius, other) > NEAR
+    # counts are lost, never won: a wheel that travels less than counted is no counter's doing
+    assert distance(bench, front(bench), -radius, mine) > NEAR
 
 
 def test_the_scale_and_the_angle_of_a_laser_are_alike(bench: WhitenedSystem, forms: dict[str, list[Form]]) -> None:
