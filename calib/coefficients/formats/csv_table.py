@@ -18,7 +18,10 @@ __all__ = ["COLUMNS", "render"]
 
 #: for each wheel: radius, standard uncertainty of the mean, half widths of the 95 % bands of mean and of a single run
 COLUMNS: Final = ("radius_{}_m", "radius_{}_std_m", "radius_{}_mean_u95_m", "radius_{}_prediction_u95_m")
+#: significant digits of each: a radius to less than a nanometre, its uncertainties to a part in a million
+DIGITS: Final = (10, 6, 6, 6)
 ROWS: Final = 41
+LOAD_DECIMALS: Final = 3
 CHECKSUM_DIGITS: Final = 23  # sha256: and 16 digits, enough to find the file
 
 
@@ -38,7 +41,9 @@ def render(file: CoefficientFile, options: ExportOptions) -> tuple[Artifact, ...
     if not pairs:
         low = min(law.load_min_N for law in sides.values())
         high = max(law.load_max_N for law in sides.values())
-        pairs = [(float(load), float(load)) for load in np.unique(np.linspace(low, high, ROWS))]
+        # the ends as they are valid, the loads between them as people write them
+        between = np.round(np.linspace(low, high, ROWS)[1:-1], LOAD_DECIMALS)
+        pairs = [(float(load), float(load)) for load in np.unique([low, *between, high])]
     columns = {f"load_{side}_N": [pair[at] for pair in pairs] for at, side in enumerate(sides)}
     cells: dict[str, list[str]] = {name: [repr(value) for value in values] for name, values in columns.items()}
     for side, law in sides.items():
@@ -74,7 +79,8 @@ def _wheel(
     shown = (used == loads) | clamp
     return {
         name.format(side): [
-            repr(float(value)) if keep and np.isfinite(value) else "" for value, keep in zip(column, shown, strict=True)
+            f"{float(value):.{digits}g}" if keep and np.isfinite(value) else ""
+            for value, keep in zip(column, shown, strict=True)
         ]
-        for name, column in zip(COLUMNS, numbers, strict=True)
+        for name, column, digits in zip(COLUMNS, numbers, DIGITS, strict=True)
     }
