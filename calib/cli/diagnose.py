@@ -73,7 +73,7 @@ def run(
     from calib.gap.verdict.paper_headline import headline
     from calib.gap.verdict.result import VerdictKind
 
-    refuse_existing([json, apply, html, None if into is None else into / RESULT_FILE], force=force)
+    refuse_existing([json, apply, html, None if into is None else into / RESULT_FILE, *_pictures(figures)], force=force)
     with progress("diagnosing") as tick:
         read = read_or_ingest(campaign, mapping=mapping, progress=tick)
         diagnosis, effects = _diagnosed(read, model, tuple(exclude or ()), seed, journeys, tick)
@@ -89,6 +89,16 @@ def run(
     _draw(diagnosis, read, html, figures, json=json, force=force)
     emit_json(document, json, force=force)
     return 0 if verdict.kind in {VerdictKind.NO_GAP, VerdictKind.EXPLAINED} else 1
+
+
+def _pictures(folder: Path | None) -> list[Path]:
+    """Return the files that figures may be written to, so that existing ones are refused before the work."""
+    if folder is None:
+        return []
+    from calib.report.figures.files import figure_paths
+    from calib.report.figures.gap_files import GAP_FILES
+
+    return figure_paths(folder, GAP_FILES)
 
 
 def _draw(

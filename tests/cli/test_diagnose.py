@@ -97,3 +97,10 @@ def test_an_excluded_effect_is_not_named(project_root: Path, capsys: pytest.Capt
     run(["diagnose", campaign, "--exclude", "session_step", "--json", "-"])
     document = json.loads(capsys.readouterr().out)
     assert "session_step" not in {one for group in document["indistinguishable"] for one in group}
+
+
+def test_an_existing_figure_is_refused_before_the_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Not even the campaign is looked at: there is none."""
+    (tmp_path / "gap-by-covariate-along.png").touch()
+    assert run(["diagnose", str(tmp_path / "absent"), "--figures", str(tmp_path)]) == 2
+    assert "existing file" in capsys.readouterr().err
