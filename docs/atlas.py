@@ -93,16 +93,22 @@ def index_of(effects: list[Effect]) -> str:
     return "\n".join([*lines, ""])
 
 
-def pages(nominal: DrivenPath) -> dict[Path, bytes]:
-    """Return all files of the atlas."""
-    effects = [kind() for kind in map(effect_class, REGISTRY) if kind is not None]
+def pages(effects: list[Effect], nominal: DrivenPath) -> dict[Path, bytes]:
+    """Return the pages of the atlas."""
     files = {FOLDER / "index.md": index_of(effects).encode()}
     for effect in effects:
-        signature = signature_of(effect, nominal)
-        files[FOLDER / f"{effect.id}.md"] = page_of(effect, signature).encode()
-        if signature is not None:
-            files[FOLDER / f"{effect.id}.png"] = render(signature_figure(signature, nominal), "png")
+        files[FOLDER / f"{effect.id}.md"] = page_of(effect, signature_of(effect, nominal)).encode()
     return files
+
+
+def pictures(effects: list[Effect], nominal: DrivenPath) -> dict[Path, bytes]:
+    """Return the pictures of the atlas."""
+    signatures = [signature_of(effect, nominal) for effect in effects]
+    return {
+        FOLDER / f"{effect.id}.png": render(signature_figure(signature, nominal), "png")
+        for effect, signature in zip(effects, signatures, strict=True)
+        if signature is not None
+    }
 
 
 def main() -> int:
@@ -110,13 +116,16 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--check", action="store_true", help="write nothing; status 1 where a page would change")
     given = parser.parse_args()
-    files = pages(predict(observations_of(yard())))
-    FOLDER.mkdir(parents=True, exist_ok=True)
-    # pictures hang on the last digits of a machine's arithmetic: the words are what is checked
-    stale = [path for path, data in files.items() if path.suffix == ".md" and not _same(path, data)]
+    nominal = predict(observations_of(yard()))
+    effects = [kind() for kind in map(effect_class, REGISTRY) if kind is not None]
+    files = pages(effects, nominal)
     if given.check:
+        # pictures hang on the last digits of a machine's arithmetic: the words are what is checked
+        stale = [path for path, data in files.items() if not _same(path, data)]
         print(f"out of date: {', '.join(path.name for path in stale)}" if stale else "the atlas is up to date")
         return int(bool(stale))
+    FOLDER.mkdir(parents=True, exist_ok=True)
+    files |= pictures(effects, nominal)
     for path, data in files.items():
         path.write_bytes(data)
     print(f"wrote {len(files)} files to docs/effects")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+from html import unescape
 from pathlib import Path
 
 import pytest
@@ -63,7 +64,7 @@ def test_a_page_fetches_nothing(page: str) -> None:
 
 def test_the_words_stand_outside_the_scripts(page: str, diagnosis: Diagnosis) -> None:
     """Sentence and causes can be read where no script runs."""
-    text = re.sub(r"<[^>]+>", "", re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL))
+    text = unescape(re.sub(r"<[^>]+>", "", re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL)))
     assert diagnosis.verdict.sentence.split(";")[0] in text
     assert all(cause.effect in text for cause in diagnosis.verdict.causes)
 
