@@ -85,6 +85,11 @@ class Path:
         return np.where(np.isfinite(measured), measured, self.end[:, 2])
 
     @cached_property
+    def way_sign(self) -> FloatArray:
+        """Sign of the way along: -1 for a unit driven backwards, shape (n_units,)."""
+        return np.asarray(np.sign(self.s.total(self.ds_m)))
+
+    @cached_property
     def weave_cos(self) -> FloatArray:
         """Cosine of the heading about its own straight trend in each unit, shape (n_steps,)."""
         s = self.s
@@ -268,27 +273,38 @@ def signature(path: Path, push: Push, *, by_steps: bool = False) -> FloatArray:
     return made
 
 
+def _added(first: FloatArray | None, second: FloatArray) -> FloatArray:
+    """Return the sum of two step arrays of which neither is needed any more."""
+    if first is None:
+        return second
+    first += second
+    return first
+
+
 def _along_path(path: Path, wide: dict[str, FloatArray], push: Push) -> FloatArray:
     """Integrate what varies along the path: shape (n_units, n_channels)."""
     s = path.s
-    ds = np.zeros(len(s.unit))
-    turn = np.zeros(len(s.unit))
+    # most pushes turn the vehicle or move it, not both: what is nought everywhere is not multiplied out
+    ds: FloatArray | None = None
+    turn: FloatArray | None = None
     if "left" in wide:
         change = path.ds_left_m * wide["left"]
-        ds += 0.5 * change
-        turn -= change / path.track_m
+        ds, turn = 0.5 * change, -(change / path.track_m)
     if "right" in wide:
         change = path.ds_right_m * wide["right"]
-        ds += 0.5 * change
-        turn += change / path.track_m
+        ds, turn = _added(ds, 0.5 * change), _added(turn, change / path.track_m)
     if "track" in wide:
-        turn -= (path.ds_right_m - path.ds_left_m) / path.track_m * wide["track"]
+        turn = _added(turn, -((path.ds_right_m - path.ds_left_m) / path.track_m * wide["track"]))
     if push.heading_rad is not None:
-        turn = turn + push.heading_rad
+        turn = push.heading_rad if turn is None else turn + push.heading_rad
     if push.along_m is not None:
-        ds = ds + push.along_m
-    dx = ds * path.cos + turn * path.lever_x
-    dy = ds * path.sin + turn * path.lever_y
+        ds = push.along_m if ds is None else ds + push.along_m
+    moved = None if ds is None else (ds * path.cos, ds * path.sin)
+    turned = None if turn is None else (turn * path.lever_x, turn * path.lever_y)
+    if moved is None or turned is None:
+        dx, dy = moved or turned or (np.zeros(len(s.unit)), np.zeros(len(s.unit)))
+    else:
+        dx, dy = _added(moved[0], turned[0]), _added(moved[1], turned[1])
     aside = push.lateral_m
     if s.aside_m is not None:
         mean = 0.5 * (wide.get("left", np.zeros(1)) + wide.get("right", np.zeros(1)))
@@ -300,12 +316,14 @@ def _along_path(path: Path, wide: dict[str, FloatArray], push: Push) -> FloatArr
     made = np.zeros((len(s), N_CHANNELS))
     c, sn = np.cos(path.frame), np.sin(path.frame)
     made[:, Channel.ALONG], made[:, Channel.LATERAL] = c * x + sn * y, c * y - sn * x
-    made[:, Channel.HEADING] = s.total(turn)
+    if turn is not None:
+        made[:, Channel.HEADING] = s.total(turn)
     with np.errstate(invalid="ignore", divide="ignore"):
         chord = np.nan_to_num((path.end[:, 0] * x + path.end[:, 1] * y) / np.hypot(path.end[:, 0], path.end[:, 1]))
-    line = s.total(ds * path.weave_cos) * np.sign(s.total(path.ds_m))
+    line = np.zeros(len(s)) if ds is None else s.total(ds * path.weave_cos) * path.way_sign
     made[:, Channel.DISTANCE] = np.where(s.axis == 1, x, np.where(s.axis == 2, chord, line))
     if s.usable[:, Channel.FRONT :].any():
-        made[:, Channel.FRONT] = s.total(ds)
+        if ds is not None:
+            made[:, Channel.FRONT] = s.total(ds)
         made[:, Channel.STEERING] = made[:, Channel.HEADING]
     return made
