@@ -47,13 +47,11 @@ void integrate(const double *left, const double *right, double track, size_t run
 Loop = Callable[[np.ndarray, np.ndarray, Poses], None]
 
 
-@pytest.fixture(scope="module")
-def compiled(tmp_path_factory: pytest.TempPathFactory) -> Loop:
-    """The plain loop, compiled with -O2."""
+def compiled_loop(folder: Path) -> Loop | None:
+    """Return the plain loop, compiled with -O2 in a folder; None without a C compiler."""
     compiler = shutil.which("cc")
     if compiler is None:
-        pytest.skip("no C compiler")
-    folder: Path = tmp_path_factory.mktemp("loop")
+        return None
     (folder / "loop.c").write_text(LOOP, encoding="utf-8")
     library = folder / "loop.so"
     subprocess.run([compiler, "-O2", "-shared", "-fPIC", "-o", str(library), str(folder / "loop.c"), "-lm"], check=True)
@@ -68,6 +66,15 @@ def compiled(tmp_path_factory: pytest.TempPathFactory) -> Loop:
         function(left.ctypes.data, right.ctypes.data, TRACK_M, runs, n, *(a.ctypes.data for a in arrays))
 
     return run
+
+
+@pytest.fixture(scope="module")
+def compiled(tmp_path_factory: pytest.TempPathFactory) -> Loop:
+    """The plain loop, compiled with -O2."""
+    loop = compiled_loop(tmp_path_factory.mktemp("loop"))
+    if loop is None:
+        pytest.skip("no C compiler")
+    return loop
 
 
 def travel(shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:

@@ -1,0 +1,176 @@
+"""One table for the documentation: every command against a named reference in the same run, and growth with size.
+
+``python -m tests.benchmarks.table`` prints Markdown. Times are seconds of the processor, children and threads included,
+the least of several turns taken with the reference's; a busy machine stretches both.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from calib.campaign.model import Campaign
+from calib.campaign.write import write_campaign
+from calib.motion.odometry.integrate import integrate
+from calib.motion.poses import Poses
+from calib.plant.fleet import FleetSize, make_fleet
+from tests.benchmarks import reading_bag, test_odometry
+from tests.benchmarks.test_diagnosis import campaign_of, of_rows
+from tests.benchmarks.test_startup import NEEDED
+
+ROOT = Path(__file__).resolve().parents[2]
+SAMPLE = "sample_runs/corridor_crossed"
+PANDAS = "import pandas, pathlib; [pandas.read_csv(path) for path in sorted(pathlib.Path({!r}, 'logs').iterdir())]"
+#: rows of a log where growth with the number of runs is asked
+GROWTH_ROWS = 200
+
+
+def spent(arguments: Sequence[str]) -> float:
+    """Return the seconds of the processor that a Python process takes."""
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "CALIB_CACHE": "off"}
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    command = [sys.executable, *arguments]
+    process = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, env=environment, check=False)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    if process.returncode not in (0, 1) or process.stderr.startswith("Traceback"):
+        raise RuntimeError(f"{' '.join(arguments)}: {process.stderr[-300:]}")
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def within(work: Callable[[], object]) -> float:
+    """Return the seconds of the processor that a call takes in this process."""
+    begun = time.process_time()
+    work()
+    return time.process_time() - begun
+
+
+def least(turns: int, *works: Callable[[], float]) -> list[float]:
+    """Return the least of several turns of each."""
+    times = [[work() for work in works] for _ in range(turns)]
+    return [min(column) for column in zip(*times, strict=True)]
+
+
+def say(*cells: str) -> None:
+    """Print a row."""
+    sys.stdout.write(f"| {' | '.join(cells)} |\n")
+    sys.stdout.flush()
+
+
+def row(what: str, ours: float, reference: str, alone: float) -> None:
+    """Print a row of the table of ratios."""
+    say(what, f"{ours:.2f}", reference, f"{alone:.2f}", f"{ours / alone:.2f}")
+
+
+def commands(turns: int, into: Path) -> None:
+    """Commands on the sample campaign against the imports that they cannot do without."""
+    typer, needed = ["-c", "import typer"], ["-c", NEEDED]
+    ours, alone = least(turns, lambda: spent(["-m", "calib", "--help"]), lambda: spent(typer))
+    row("`calib --help`", ours, "`import typer`", alone)
+    for name, further in {
+        "check": [],
+        "fit": [],
+        "geometry": [],
+        "diagnose": [],
+        "report": ["--into", str(into / "report.pdf"), "--force"],
+    }.items():
+        command = ["-m", "calib", name, SAMPLE, *further]
+        ours, alone = least(turns, lambda command=command: spent(command), lambda: spent(needed))  # type: ignore[misc]
+        row(f"`calib {name}`, 60 runs", ours, "bare imports", alone)
+
+
+def reading(turns: int, into: Path, made: Campaign) -> None:
+    """Logs as text against pandas alone, a bag against rosbags alone."""
+    folder = write_campaign(made, into / "logs")
+    ours, alone = least(
+        turns, lambda: spent(["-m", "calib", "fit", str(folder)]), lambda: spent(["-c", PANDAS.format(str(folder))])
+    )
+    row(f"`calib fit`, {len(made.runs)} logs of {int(made.logs.offsets[-1])} samples", ours, "`pandas.read_csv`", alone)
+    bag = into / "bag"
+    reading_bag.make(bag, 32, "joints")
+    ways = [reading_bag.WAYS[1], reading_bag.WAYS[0]]
+    ours, alone = least(
+        turns,
+        *(lambda way=way: within(lambda: reading_bag.read(way, bag)) for way in ways),  # type: ignore[misc]
+    )
+    row("a bag of 32 MB", ours, "rosbags", alone)
+
+
+def odometry(turns: int, into: Path) -> None:
+    """Exact arcs over 4 million samples against a C loop (-O2), with and without machine code."""
+    loop = test_odometry.compiled_loop(into)
+    if loop is None:
+        return
+    shape = (4000, 1000)
+    left, right = test_odometry.travel(shape)
+    out = Poses(np.zeros(shape), np.zeros(shape), np.zeros(shape))
+    integrate(left, right, test_odometry.TRACK_M, out=out)
+    fast, arrays, alone = least(
+        turns,
+        lambda: test_odometry.seconds(lambda: integrate(left, right, test_odometry.TRACK_M, out=out)),
+        lambda: test_odometry.seconds(lambda: integrate(left, right, test_odometry.TRACK_M, out=out, compiled=False)),
+        lambda: test_odometry.seconds(lambda: loop(left, right, out)),
+    )
+    row("odometry as called by default, 4,000 runs of 1,000 samples (wall)", fast, "C loop", alone)
+    row("odometry without the extra `fast` (wall)", arrays, "C loop", alone)
+
+
+def fleets(into: Path, vehicles: int) -> None:
+    """A fleet by one and by two processes, against ideal scaling, in wall-clock seconds."""
+    from calib.fleet.run import fit_fleet
+
+    folder = into / "fleet"
+    make_fleet(folder, np.random.default_rng(5), FleetSize(vehicles, n_months=1))
+    fit_fleet(folder, into / "warm")
+    one = test_odometry.seconds(lambda: fit_fleet(folder, into / "one"))
+    two = test_odometry.seconds(lambda: fit_fleet(folder, into / "two", workers=2))
+    cpu = within(lambda: fit_fleet(folder, into / "three"))
+    row(f"fleet of {vehicles} vehicles, two workers (wall)", two, "half of one's time", 0.5 * one)
+    say(f"fleet: {vehicles / cpu:.0f} vehicles a second of the processor", "", "", "", "")
+
+
+def growth(into: Path, sizes: Sequence[int]) -> None:
+    """What grows how with the number of runs, start-up taken off."""
+    sys.stdout.write("\n")
+    say("command", *(f"{size} runs" for size in sizes), "last over first, per run")
+    say("---", *("---:" for _ in sizes), "---:")
+    start = min(spent(["-c", NEEDED]) for _ in range(3))
+    folders = [write_campaign(of_rows(campaign_of(size), GROWTH_ROWS), into / f"g{size}") for size in sizes]
+    for name in ("check", "fit", "geometry", "diagnose"):
+        times = [min(spent(["-m", "calib", name, str(folder)]) for _ in range(2)) - start for folder in folders]
+        per_run = (times[-1] / sizes[-1]) / (times[0] / sizes[0])
+        say(f"`calib {name}`", *(f"{took:.2f}" for took in times), f"{per_run:.2f}")
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--turns", type=int, default=5)
+    parser.add_argument("--vehicles", type=int, default=2000)
+    parser.add_argument("--sizes", type=int, nargs=3, default=(40, 80, 160))
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as place:
+        into = Path(place)
+        sys.stdout.write(f"Load at the start {os.getloadavg()[0]:.1f}.\n\n")
+        say("what", "s", "reference", "s", "ratio")
+        say("---", "---:", "---", "---:", "---:")
+        commands(given.turns, into)
+        made = campaign_of(160)
+        reading(given.turns, into, of_rows(replace(made), 4000))
+        odometry(given.turns, into)
+        fleets(into, given.vehicles)
+        growth(into, given.sizes)
+        sys.stdout.write(f"\nLoad at the end {os.getloadavg()[0]:.1f}.\n")
+
+
+if __name__ == "__main__":
+    main()
