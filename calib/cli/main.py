@@ -251,13 +251,18 @@ def _invoke(arguments: list[str]) -> int:
         build(typed[1:])(args=arguments, prog_name="calib", standalone_mode=False)
         return EXIT_FINE
     arguments = respelled(arguments)
-    command = typer.main.get_command(build(arguments))
+    command = command_of(arguments)
     try:
         with command.make_context("calib", list(arguments)) as context:
             result = command.invoke(context)
     except typer.Exit as ended:
         return ended.exit_code
     return result if isinstance(result, int) else EXIT_FINE
+
+
+def command_of(arguments: Sequence[str]) -> Any:
+    """Return the parser of a command line, with what is to be called."""
+    return typer.main.get_command(build(arguments))
 
 
 def _pipe_closed() -> int:
@@ -276,7 +281,7 @@ def _usage(error: Exception) -> str:
     others = [
         name for name in COMMANDS if len(words) == 3 and name.split()[0] == words[1] and name.split()[1] != words[2]
     ]
-    takers = [f"'calib {name}'" for name in others if option and option in _options(name)]
+    takers = [f"'calib {name}'" for name in others if option and option in options_of(name)]
     message += f"; {' and '.join(takers)} {'has' if len(takers) == 1 else 'have'} it" if takers else ""
     return f"{message} (see '{context.command_path} --help')"
 
@@ -285,10 +290,11 @@ def _options_typed(arguments: Sequence[str]) -> set[str]:
     """Return the options of the command that was called."""
     words = [word for word in respelled(arguments) if not word.startswith("-")]
     name = next((name for name in COMMANDS if words[: len(name.split())] == name.split()), None)
-    return set() if name is None else _options(name)
+    return set() if name is None else options_of(name)
 
 
-def _options(name: str) -> set[str]:
+def options_of(name: str) -> set[str]:
+    """Return the options of a command, long and short."""
     application = Application(add_completion=False)
     application.command(name)(importlib.import_module(f"calib.cli.{COMMANDS[name]}").run)
     return {option for parameter in typer.main.get_command(application).params for option in parameter.opts}

@@ -224,7 +224,9 @@ def load_coefficients(path: Path | str) -> CoefficientFile:
             expected=f"{file.checksum[:19]} as written in the file",
             remedy="the file was altered or damaged: export it again",
         )
-    return file
+    # sections that may be left out are written from here on, and the checksum covers what is written
+    written = checksum(file.to_dict())
+    return file if written == computed else file.model_copy(update={"checksum": written})
 
 
 def sealed(document: dict[str, Any]) -> CoefficientFile:

@@ -10,7 +10,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tests.fuzz.inputs import OPTION_VALUES, damaged, outcome, outcomes, prepared
+from calib.cli.main import COMMANDS
+from calib.coefficients.file import load_coefficients
+from calib.seal import checksum
+from tests.fuzz.answer import outcome
+from tests.fuzz.damage import WORDS, damaged
+from tests.fuzz.inputs import FILES, options, outcomes
+from tests.fuzz.sound import prepared
 
 #: inputs of the suite, in parts so that a fault names its part; the script takes as many as it is given
 PARTS, OF_A_PART = 8, 225
@@ -27,9 +33,9 @@ def base(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 def test_damage_ends_in_one_line(part: int, base: Path) -> None:
     """Exit 0, 1, 2 or 130, no traceback, no more than ten seconds, one line about what to do."""
     faults = [
-        f"input {number} of seed {part}: {result.arguments}: {result.fault}"
-        for number, result in outcomes(base, OF_A_PART, seed=part)
-        if result.fault
+        f"input {number} of seed {part}: {result.arguments}: {fault}"
+        for number, result, fault in outcomes(base, OF_A_PART, seed=part)
+        if fault
     ]
     assert not faults, "\n".join(faults)
 
@@ -47,22 +53,36 @@ def test_any_text_as_a_run_id_is_data(text: str, base: Path) -> None:
     (folder / "runs.csv").write_text(
         "\n".join([header, first, *rows[3:]]), encoding="utf-8", errors="surrogatepass", newline=""
     )
-    result = outcome(["check", str(folder)])
-    assert not result.fault
-    assert "\x1b" not in result.error
+    assert not outcome(["check", str(folder)]).fault
 
 
-@given(
-    command=st.sampled_from(["loads", "deviation", "fit", "check"]), values=st.lists(st.text(max_size=20), max_size=4)
-)
+@given(command=st.sampled_from(sorted(COMMANDS)), values=st.lists(st.text(max_size=20), max_size=4))
 @settings(max_examples=NUMBERS)
 def test_any_words_are_refused_in_one_line(command: str, values: list[str]) -> None:
     """Arguments that nobody meant."""
-    result = outcome([command, *values])
+    result = outcome([*command.split(), "--json", "-", *values])
     assert not result.fault, result.fault
+
+
+def test_the_fuzz_reaches_every_command_and_format(base: Path) -> None:
+    """Every command has options to be spoilt; every sound file is one, and its commands take it."""
+    assert all(options(command) for command in COMMANDS)
+    missing = [name for name in FILES if not (base / name).is_file()]
+    assert not missing, missing
+
+
+def test_a_file_without_the_sections_that_may_lack_is_sealed_anew(base: Path, tmp_path: Path) -> None:
+    """What is written on from it carries a checksum that fits."""
+    document = load_coefficients(base / "coefficients.json").to_dict()
+    del document["effects"], document["checksum"]
+    import json
+
+    (tmp_path / "c.json").write_text(json.dumps(document | {"checksum": checksum(document)}), encoding="utf-8")
+    file = load_coefficients(tmp_path / "c.json")
+    assert file.checksum == checksum(file.to_dict())
 
 
 def test_the_damage_is_the_same_for_the_same_number() -> None:
     """So that a fault can be looked at again."""
     assert damaged(b"abc" * 50, random.Random(3)) == damaged(b"abc" * 50, random.Random(3))
-    assert len(set(OPTION_VALUES)) == len(OPTION_VALUES)
+    assert len(set(WORDS)) == len(WORDS)

@@ -69,14 +69,16 @@ def record(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> Reco
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep the library from writing warnings of its own to standard error; what they say is raised here."""
-    log = logging.getLogger("nptdms.reader")
-    level = log.level
-    log.setLevel(logging.ERROR)
+    """Keep the library from writing warnings of its own to standard error, past the one line of an error."""
+    logs = [logging.getLogger(name) for name in logging.root.manager.loggerDict if name.partition(".")[0] == "nptdms"]
+    levels = [log.level for log in logs]
+    for log in logs:
+        log.setLevel(logging.ERROR)
     try:
         yield
     finally:
-        log.setLevel(level)
+        for log, level in zip(logs, levels, strict=True):
+            log.setLevel(level)
 
 
 def _moments_ns(stamps: Any) -> IntArray:
