@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+import re
 from typing import Any
 
 #: pieces that have hurt programs before
@@ -44,7 +45,7 @@ def damaged(data: bytes, rng: random.Random) -> bytes:
 
 def _other_cell(out: bytearray, rng: random.Random) -> None:
     """Put a nasty piece in place of what stands between two separators."""
-    marks = [index for index, byte in enumerate(out) if byte in b",=\n:"]
+    marks = [found.start() for found in re.finditer(rb"[,=\n:]", out)]
     if len(marks) > 1:
         number = rng.randrange(len(marks) - 1)
         out[marks[number] + 1 : marks[number + 1]] = rng.choice(NASTY)

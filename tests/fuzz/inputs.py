@@ -87,7 +87,7 @@ def options(command: str) -> tuple[tuple[str, bool, bool], ...]:
     """Return every option of a command: its name, whether it is a flag, whether it says where something is written."""
     application = Application(add_completion=False)
     application.command(command)(importlib.import_module(f"calib.cli.{COMMANDS[command]}").run)
-    outputs = OUTPUTS | ALSO.get(command.split()[-1], frozenset())
+    outputs = OUTPUTS | ALSO.get(command.rsplit(maxsplit=1)[-1], frozenset())
     return tuple(
         (parameter.opts[-1], bool(getattr(parameter, "is_flag", False)), parameter.name in outputs)
         for parameter in typer.main.get_command(application).params
