@@ -58,8 +58,9 @@ def built_once() -> Iterator[None]:
     """Keep the parsers of commands, which are the same for every call and take longer to make than most calls."""
 
     def command(arguments: list[str]) -> object:
-        words = (word for word in arguments if not word.startswith("-"))
-        return _command(tuple(word for word in (next(words, ""), next(words, "")) if word.isascii() and len(word) < 9))
+        words = [word for word in arguments if not word.startswith("-")]
+        names = [name for name in main.COMMANDS if words[: len(name.split())] == name.split()]
+        return _command(tuple(names[0].split() if names else words[:1]))
 
     with mock.patch.object(main, "command_of", command), mock.patch.object(main, "options_of", _OPTIONS):
         yield
