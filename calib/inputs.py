@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import stat
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
 from typing import Final
@@ -19,6 +19,8 @@ _INPUTS: Final[ContextVar[tuple[Path, ...]]] = ContextVar("inputs", default=())
 #: files that calib makes and never takes for measurements: inside an input folder they may be replaced
 _MADE: Final = frozenset({".json", ".pdf", ".png", ".svg", ".html", ".h", ".yaml", ".yml"})
 _FIT: Final = "fit.json"
+#: entries of an input folder among which a second name of a file is looked for; with more, the file is refused
+MOST_LOOKED_AT: Final = 200_000
 
 
 @contextmanager
@@ -101,12 +103,20 @@ def _is_data(path: Path, between: list[Path]) -> bool:
 
 
 def _linked_from(folder: Path, at: os.stat_result) -> bool:
+    """Return whether a file has a second name among the data of a folder; True where that takes too long to tell."""
+    seen = 0
     for place, _, names in os.walk(folder):
-        for name in names:
-            path = Path(place) / name
-            try:
-                if os.path.samestat(path.stat(), at) and path.suffix.lower() not in _MADE:
-                    return True
-            except OSError:
-                continue
+        seen += len(names) + 1
+        if seen > MOST_LOOKED_AT:
+            return True
+        if not names:
+            continue
+        with suppress(OSError), os.scandir(place) as entries:
+            if any(
+                entry.inode() == at.st_ino
+                and Path(entry.name).suffix.lower() not in _MADE
+                and os.path.samestat(entry.stat(), at)
+                for entry in entries
+            ):
+                return True
     return False

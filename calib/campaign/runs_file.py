@@ -14,6 +14,7 @@ from calib.campaign.faults import Border
 from calib.campaign.model import LABEL_COLUMNS, NUMERIC_COLUMNS, RunTable
 from calib.campaign.readers.table import RawTable, comma_evidence, numbers
 from calib.errors import BadFileError
+from calib.limits import LABEL_CHARACTERS, RUNS, refuse_beyond
 
 __all__ = ["run_table"]
 
@@ -56,6 +57,7 @@ def run_table(raw: RawTable, shown: str, border: Border) -> RunTable:
             expected="a column run_id",
             remedy="name each run; 'calib ingest' makes a run table out of any spreadsheet",
         )
+    refuse_beyond(len(line), RUNS, shown=shown, what="runs", remedy="divide the campaign into several")
     if not len(line):
         raise BadFileError(shown, found="no rows", expected="one row a run", remedy="add the runs")
     labels: dict[str, StrArray] = {
@@ -139,6 +141,15 @@ def _texts(cells: npt.NDArray[Any], column: str, shown: str, line: npt.NDArray[n
                 expected="a text on one line",
                 remedy="remove the control character",
             )
+        refuse_beyond(
+            len(text),
+            LABEL_CHARACTERS,
+            shown=shown,
+            what="characters",
+            remedy="shorten the text",
+            row=int(line[index]),
+            column=column,
+        )
         out.append(text)
     return np.asarray(out, dtype=np.str_)
 

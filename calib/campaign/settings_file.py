@@ -21,6 +21,13 @@ from calib.campaign.settings import (
 )
 from calib.campaign.settings_section import Sections, typed
 from calib.errors import BadFileError
+from calib.limits import (
+    LABEL_CHARACTERS,
+    SETTINGS_BYTES,
+    refuse_beyond,
+    refuse_hostile_document,
+    refuse_hostile_keys,
+)
 from calib.vehicle import DRIVES, Vehicle
 
 __all__ = ["FORMAT", "STATED", "Settings", "load_toml", "not_stated", "parse_settings", "read_settings"]
@@ -113,6 +120,7 @@ def parse_settings(document: dict[str, Any], shown: str, default_name: str) -> S
             remedy="convert the campaign, or correct the key if it is one of this format",
         )
     name = typed(document.pop("name", default_name), str, shown, "name", "a text")
+    refuse_beyond(len(name), LABEL_CHARACTERS, shown=shown, what="characters", remedy="shorten it", column="name")
     simulated = typed(document.pop("simulated", False), bool, shown, "simulated", "true or false")
     declared = _declared(document, shown)
     extra: dict[str, Any] = {}
@@ -174,21 +182,32 @@ def _declared(document: dict[str, Any], shown: str) -> list[str]:
     return [str(typed(key, str, shown, "assumed", "keys as texts")) for key in declared]
 
 
-def load_toml(path: Path, shown: str) -> dict[str, Any]:
-    """Return a TOML file as read, with errors that name the place."""
+def load_toml(path: Path, shown: str, *, remedy: str = "") -> dict[str, Any]:
+    """Return a TOML file as read, within the sizes of `calib.limits`, with errors that name the place.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    shown : str
+        Its name in messages.
+    remedy : str
+        What to do where there is none; without it, how to make a campaign.
+    """
     if not path.is_file():
         raise BadFileError(
             shown,
             found="a folder" if path.is_dir() else "no such file",
             expected="a settings file",
-            remedy="give a folder that holds campaign.toml, or make one with 'calib ingest'",
+            remedy=remedy or "give a folder that holds campaign.toml, or make one with 'calib ingest'",
         )
     try:
-        if path.stat().st_size > 1 << 24:
-            raise BadFileError(shown, found="more than 16 MiB", expected="a settings file", remedy="check the file")
+        size = path.stat().st_size
+        refuse_beyond(size, SETTINGS_BYTES, shown=shown, what="bytes", remedy="check that it is a settings file")
         data = path.read_bytes()
         text = data.decode("utf-16" if data[:2] in {b"\xff\xfe", b"\xfe\xff"} else "utf-8-sig")
-        return tomllib.loads(text)
+        refuse_hostile_keys(text, shown)
+        document = tomllib.loads(text)
     except OSError as error:
         raise BadFileError(
             shown, found=error.strerror or "an unreadable file", expected="a readable file", remedy="check its rights"
@@ -204,6 +223,8 @@ def load_toml(path: Path, shown: str) -> dict[str, Any]:
             expected="key = value lines and [sections]",
             remedy="correct the line",
         ) from error
+    refuse_hostile_document(document, shown)
+    return document
 
 
 def _check_source(odometry: Odometry, vehicle: Vehicle, shown: str) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from calib.campaign.settings_file import load_toml
 from calib.errors import BadFileError
 from calib.plant.effects.registry import ALL, forms_of
 from calib.plant.signal import CALIBRATION
@@ -118,12 +118,7 @@ def read_seeds(path: Path) -> Seeds:
     BadFileError
         Where it is none.
     """
-    try:
-        data: dict[str, Any] = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise BadFileError(
-            path, found=f"{error}", expected=f"a seeds file ({_FORMAT})", remedy="give one of calib/challenge/seeds"
-        ) from error
+    data: dict[str, Any] = load_toml(Path(path), str(path), remedy="give one of calib/challenge/seeds")
     cases, seed, most = data.get("cases"), data.get("seed"), data.get("max_runs", 160)
     if data.get("format") != _FORMAT or not isinstance(seed, int) or seed < 0 or not isinstance(cases, dict):
         raise BadFileError(

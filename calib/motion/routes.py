@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.arrays import FloatArray
+from calib.campaign.settings_file import load_toml
 from calib.errors import BadFileError, BadInputError
 from calib.motion.odometry.arc import sinc
 from calib.motion.odometry.integrate import integrate
@@ -24,7 +24,6 @@ __all__ = ["FORMAT", "NAMED", "Route", "arc", "driven_route", "find_route", "rea
 Segment = tuple[float, float]
 
 FORMAT: Final = "calib-route/1"
-FILE_LIMIT_BYTES: Final = 1 << 20
 
 
 def straight(length_m: float) -> Segment:
@@ -178,14 +177,7 @@ def read_route(path: Path) -> Route:
     def bad(found: str, expected: str, column: str | None = None) -> BadFileError:
         return BadFileError(path, found=found, expected=expected, remedy="correct the route file", column=column)
 
-    try:
-        if path.stat().st_size > FILE_LIMIT_BYTES:
-            raise bad(f"{path.stat().st_size} bytes", f"at most {FILE_LIMIT_BYTES}")
-        document = tomllib.loads(path.read_bytes().decode("utf-8-sig"))
-    except OSError as error:
-        raise bad(error.strerror or "no file", "a route file") from error
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise bad(f"no TOML ({error})", "a TOML file") from error
+    document = load_toml(path, str(path), remedy="give the path of a route file")
     if document.get("format") != FORMAT:
         raise bad(repr(document.get("format")), repr(FORMAT), "format")
     pieces = document.get("segment")

@@ -16,7 +16,7 @@ from calib.radius.regression import NaiveLine, WheelFit
 from calib.radius.sessions import Estimate
 from calib.radius.usable import LeftOut
 
-__all__ = ["pair", "radii_from_rows", "rows_of", "wheel_from_dict", "wheel_to_dict"]
+__all__ = ["pair", "plain_fields", "radii_from_rows", "rows_of", "wheel_from_dict", "wheel_to_dict"]
 
 _TEXTS: Final = ("run_id", "session", "direction", "path_source")
 _RUN_COLUMNS: Final = tuple(
@@ -184,3 +184,24 @@ def pair(value: Any) -> tuple[float, float]:
     """Return two plain values as floats."""
     low, high = value
     return float(low), float(high)
+
+
+def plain_fields(kind: type, value: Mapping[str, Any]) -> Any:
+    """Return a dataclass of plain fields from a JSON object, numbers where its annotations say so.
+
+    Raises
+    ------
+    TypeError
+        Where a key is missing or unknown, or a value is of the wrong kind.
+    """
+    wanted = {column.name: str(column.type) for column in fields(kind)}
+    for name, entry in value.items():
+        annotation = wanted.get(name, "")
+        if entry is None and "None" in annotation:
+            continue
+        number = isinstance(entry, int | float) and not isinstance(entry, bool)
+        if (annotation.startswith(("float", "int")) and not number) or (
+            annotation.startswith("str") and not isinstance(entry, str)
+        ):
+            raise TypeError(f"{name}: {entry!r:.40} where {annotation} is expected")
+    return kind(**value)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
 from calib.errors import BadInputError
 from calib.radius.checks import PLAUSIBLE
-from calib.radius.document import pair, radii_from_rows, rows_of, wheel_from_dict, wheel_to_dict
+from calib.radius.document import pair, plain_fields, radii_from_rows, rows_of, wheel_from_dict, wheel_to_dict
 from calib.radius.effective import Component, EffectiveRadii
 from calib.radius.law import RadiusLaw
 from calib.radius.regression import WheelFit
@@ -65,7 +65,7 @@ class Setup:
     @staticmethod
     def from_dict(value: Mapping[str, Any]) -> Setup:
         """Return the setup that `to_dict` wrote."""
-        sections: dict[str, Any] = {name: kind(**value[name]) for name, kind in _SECTIONS.items()}
+        sections: dict[str, Any] = {name: plain_fields(kind, value[name]) for name, kind in _SECTIONS.items()}
         return Setup(
             **sections,
             conditions={name: pair(span) for name, span in value["conditions"].items()},
@@ -187,8 +187,8 @@ class Fit:
                 right=wheel_from_dict("right", value["wheels"]["right"]),
                 radii=radii_from_rows(
                     value["runs"],
-                    budget=tuple(Component(**component) for component in value["budget"]),
-                    left_out=tuple(LeftOut(**run) for run in value["left_out"]),
+                    budget=tuple(plain_fields(Component, component) for component in value["budget"]),
+                    left_out=tuple(plain_fields(LeftOut, run) for run in value["left_out"]),
                     notes=tuple(value["notes"]),
                 ),
                 static={name: wheel_from_dict(name, wheel) for name, wheel in value["static"].items()},

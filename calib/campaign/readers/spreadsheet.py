@@ -2,34 +2,30 @@
 
 from __future__ import annotations
 
-import zipfile
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 from calib.campaign.model import Note
 from calib.campaign.readers.layout import LOOKED_AT, Layout, find_header, with_units
 from calib.campaign.readers.table import RawTable, Wanted, made_numeric, refuse_duplicates
+from calib.campaign.readers.workbook_size import weigh
 from calib.errors import BadFileError
 
 __all__ = ["read"]
-
-#: the format's own limit; a file that promises more is damaged
-_MAX_ROWS: Final = 1_048_576
-_MAX_UNPACKED: Final = 1 << 30
 
 
 def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTable:
     """Read a sheet of a workbook; see `calib.campaign.readers.read_table`."""
     import openpyxl
 
-    _weigh(path, shown)
+    last_row = weigh(path, shown)
     notes: list[Note] = []
     try:
         book = openpyxl.load_workbook(path, read_only=True, data_only=True)
         try:
-            sheet_name, header, rows, lines = _sheet(book, shown, layout)
+            sheet_name, header, rows, lines = _sheet(book, shown, layout, last_row)
             if len(book.sheetnames) > 1 and header:
                 text = f"the workbook has {len(book.sheetnames)} sheets; {sheet_name!r} was read"
                 notes.append(Note("info", shown, text, "sheet"))
@@ -69,24 +65,7 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
     return RawTable(columns, line, tuple(notes), epochs)
 
 
-def _weigh(path: Path, shown: str) -> None:
-    try:
-        with zipfile.ZipFile(path) as archive:
-            unpacked = sum(entry.file_size for entry in archive.infolist())
-    except (zipfile.BadZipFile, ValueError, NotImplementedError, EOFError) as error:
-        raise BadFileError(
-            shown,
-            found="no workbook (it is not a zip archive)",
-            expected="an .xlsx file",
-            remedy="save it again as .xlsx, or export it as CSV",
-        ) from error
-    if unpacked > _MAX_UNPACKED:
-        raise BadFileError(
-            shown, found=f"{unpacked} bytes unpacked", expected="at most 1 GiB", remedy="export it as CSV or parquet"
-        )
-
-
-def _sheet(book: Any, shown: str, layout: Layout) -> tuple[str, list[str], list[list[Any]], list[int]]:
+def _sheet(book: Any, shown: str, layout: Layout, last_row: int) -> tuple[str, list[str], list[list[Any]], list[int]]:
     """Return name, header, rows and line numbers of the sheet asked for, or of the first that holds a table."""
     if layout.sheet is not None and layout.sheet not in book.sheetnames:
         raise BadFileError(
@@ -100,7 +79,7 @@ def _sheet(book: Any, shown: str, layout: Layout) -> tuple[str, list[str], list[
         if layout.sheet is not None and sheet.title != layout.sheet:
             continue
         sheet.reset_dimensions()
-        filled = _filled(sheet, shown)
+        filled = _filled(sheet, last_row)
         header_at = _header_at(filled, layout, shown)
         if header_at is None and (first[1] or not filled):
             continue
@@ -111,14 +90,10 @@ def _sheet(book: Any, shown: str, layout: Layout) -> tuple[str, list[str], list[
     return first
 
 
-def _filled(sheet: Any, shown: str) -> list[tuple[int, list[Any]]]:
+def _filled(sheet: Any, last_row: int) -> list[tuple[int, list[Any]]]:
     """Return the rows that hold cells, with their numbers."""
     filled = []
-    for number, values in enumerate(sheet.iter_rows(values_only=True), start=1):
-        if number > _MAX_ROWS:
-            raise BadFileError(
-                shown, found="more rows than the format allows", expected=f"{_MAX_ROWS}", remedy="export it as CSV"
-            )
+    for number, values in enumerate(sheet.iter_rows(max_row=last_row or None, values_only=True), start=1):
         cells = [_cell(value) for value in values]
         if any(cell is not None for cell in cells):
             filled.append((number, cells))

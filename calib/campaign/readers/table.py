@@ -13,6 +13,7 @@ import numpy.typing as npt
 from calib.campaign.model import Note
 from calib.campaign.readers.times import TIME_FORMATS, moments_ns, time_format
 from calib.errors import BadFileError
+from calib.limits import COLUMNS, refuse_beyond
 
 __all__ = ["LARGEST", "RawTable", "Wanted", "comma_evidence", "made_numeric", "numbers", "refuse_duplicates"]
 
@@ -53,7 +54,8 @@ class RawTable:
 
 
 def refuse_duplicates(names: Sequence[str], shown: str, row: int = 1) -> None:
-    """Refuse a header that names a column twice, or that has no names at all."""
+    """Refuse a header that names a column twice, too many columns, or none at all."""
+    refuse_beyond(len(names), COLUMNS, shown=shown, what="columns", remedy="export those that are needed", row=row)
     seen: set[str] = set()
     for name in names:
         if len(name) > 100 or not name.isprintable():

@@ -14,6 +14,7 @@ from calib.gap.effects.encoder_gross import GrossFault, find_gross
 from calib.gap.effects.turned_reference import TurnedReference, find_turned
 from calib.gap.effects.user import Declared, declared_effects, entry_point_effects
 from calib.gap.predict.path import Path
+from calib.limits import COVARIATES, refuse_beyond
 
 __all__ = [
     "REGISTRY",
@@ -175,4 +176,11 @@ def _all(s: Observations, declared: object) -> tuple[list[Effect], list[Covariat
     taken = [effect.id for effect in (*registered, *covariates)]
     own = declared_effects(declared, s, taken)
     own += entry_point_effects([*taken, *(effect.id for effect in own)])
+    refuse_beyond(
+        len(covariates) + len(own),
+        COVARIATES,
+        shown="the campaign",
+        what="further numeric columns and effects of its own, each a cause to be looked for",
+        remedy="keep the columns that could matter",
+    )
     return registered, covariates, own

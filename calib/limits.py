@@ -1,0 +1,138 @@
+"""How large an input may be, in one place: beyond it a command says so in one line, before time or memory are spent.
+
+Below these sizes time and memory grow with what is useful in the input, not with what it promises.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any, Final
+
+from calib.errors import BadFileError
+
+__all__ = [
+    "COLUMNS",
+    "COVARIATES",
+    "KEY_CHARACTERS",
+    "KEY_PARTS",
+    "LABEL_CHARACTERS",
+    "RUNS",
+    "SETTINGS_BYTES",
+    "SHEETS",
+    "SHEET_CELLS",
+    "SHEET_EMPTY",
+    "SHEET_UNPACKED_BYTES",
+    "TEXT_CHARACTERS",
+    "refuse_beyond",
+    "refuse_hostile_document",
+    "refuse_hostile_keys",
+]
+
+#: a settings file: campaign, mapping, plan, route, seeds (TOML)
+SETTINGS_BYTES: Final = 4 << 20
+#: parts of a dotted key, and sections or lists within one another
+KEY_PARTS: Final = 32
+KEY_CHARACTERS: Final = 200
+#: a text of a settings file; a report's remark may be long
+TEXT_CHARACTERS: Final = 20_000
+#: a run id, session, kind, direction, log or reason in a run table, and the name of a campaign
+LABEL_CHARACTERS: Final = 500
+#: rows of a run table
+RUNS: Final = 200_000
+#: columns of any table
+COLUMNS: Final = 5_000
+#: further numeric columns that a diagnosis looks at, each an effect of its own
+COVARIATES: Final = 200
+#: a workbook: sheets, cells that hold something, empty places between them, bytes unpacked
+SHEETS: Final = 200
+SHEET_CELLS: Final = 4_000_000
+SHEET_EMPTY: Final = 1_000_000
+SHEET_UNPACKED_BYTES: Final = 512 << 20
+
+_PART: Final = r"""(?:[A-Za-z0-9_-]++|"[^"\n]*+"|'[^'\n]*+')"""
+#: a key of more parts than may be, wherever it stands; possessive, so that the search takes one pass
+_DEEP: Final = re.compile(rf"(?<![A-Za-z0-9_.-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{KEY_PARTS}}}")
+
+
+def refuse_beyond(
+    count: int, most: int, *, shown: str, what: str, remedy: str, row: int | None = None, column: str | None = None
+) -> None:
+    """Refuse more of something than there may be.
+
+    Parameters
+    ----------
+    count, most : int
+        How many there are, and may be.
+    shown : str
+        The file, for the message.
+    what : str
+        What is counted: ``runs``.
+    remedy : str
+        What to do about it.
+    row, column : optional
+        Where in the file.
+
+    Raises
+    ------
+    BadFileError
+        Where `count` is above `most`.
+    """
+    if count > most:
+        raise BadFileError(
+            shown, row=row, column=column, found=f"{count} {what}", expected=f"at most {most}", remedy=remedy
+        )
+
+
+def refuse_hostile_keys(text: str, shown: str) -> None:
+    """Refuse TOML with a dotted key of too many parts, whose parsing takes the square of its length.
+
+    Raises
+    ------
+    BadFileError
+        With the row.
+    """
+    deep = _DEEP.search(text)
+    if deep is not None:
+        raise BadFileError(
+            shown,
+            row=text.count("\n", 0, deep.start()) + 1,
+            found=f"a key of more than {KEY_PARTS} parts ({deep.group()[:20]}...)",
+            expected=f"at most {KEY_PARTS}",
+            remedy="correct the line",
+        )
+
+
+def refuse_hostile_document(document: dict[str, Any], shown: str) -> None:
+    """Refuse a settings document with keys, texts or a nesting beyond all use.
+
+    Raises
+    ------
+    BadFileError
+        With the key.
+    """
+    level: list[tuple[str, Any]] = list(document.items())
+    for _ in range(KEY_PARTS):
+        deeper: list[tuple[str, Any]] = []
+        for key, value in level:
+            column = key[-60:]
+            name = key.rpartition(".")[2]
+            refuse_beyond(
+                len(name), KEY_CHARACTERS, shown=shown, what="characters in a key", remedy="shorten it", column=column
+            )
+            if isinstance(value, str):
+                refuse_beyond(
+                    len(value), TEXT_CHARACTERS, shown=shown, what="characters", remedy="shorten it", column=column
+                )
+            elif isinstance(value, dict):
+                deeper += [(f"{key}.{inner}", entry) for inner, entry in value.items()]
+            elif isinstance(value, list):
+                deeper += [(key, entry) for entry in value]
+        level = deeper
+    if level:
+        raise BadFileError(
+            shown,
+            column=level[0][0][:60],
+            found=f"sections or lists more than {KEY_PARTS} deep",
+            expected=f"at most {KEY_PARTS}",
+            remedy="correct the key",
+        )
