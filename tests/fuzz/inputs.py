@@ -27,14 +27,14 @@ FILES: dict[str, tuple[str, ...]] = {
         "fit %/C --model @", "loads --vehicle @ --payload 20", "simulate replay %/C --law @",
         "simulate journey square_cw --law @ --load 400,400 --draws 100",
     ),
-    "mapping.toml": ("ingest %/C/runs.csv --into %/work/out --mapping @", "check %/runs.xlsx --mapping @"),
+    "mapping.toml": ("ingest %/C/runs.csv --into %/spoilt/out --mapping @", "check %/runs.xlsx --mapping @"),
     "route.toml": ("simulate route @ --real 0.1,0.099",),
     "plan.toml": ("plan --from @",),
-    "seeds.toml": ("challenge make --seeds @ --into %/work/out --cases 1 --workers 1",),
-    "runs.xlsx": ("ingest @ --into %/work/out", "ingest @ --describe"),
-    "runs.parquet": ("ingest @ --into %/work/out", "ingest @ --describe"),
+    "seeds.toml": ("challenge make --seeds @ --into %/spoilt/out --cases 1 --workers 1",),
+    "runs.xlsx": ("ingest @ --into %/spoilt/out", "ingest @ --describe"),
+    "runs.parquet": ("ingest @ --into %/spoilt/out", "ingest @ --describe"),
     "path.tum": ("ingest @ --describe", "simulate route @ --real 0.1,0.099"),
-    "log.mat": ("ingest @ --describe", "ingest %/C/runs.csv @ --into %/work/out"),
+    "log.mat": ("ingest @ --describe", "ingest %/C/runs.csv @ --into %/spoilt/out"),
     "log.tdms": ("ingest @ --describe", "check @"),
     "drive.bag": ("ingest @ --describe", "check @"),
     "drive.mcap": ("ingest @ --describe", "check @"),
@@ -55,7 +55,7 @@ def _words(command: str, file: Path, base: Path) -> list[str]:
 
 def campaign_case(base: Path, rng: random.Random) -> list[str]:
     """Return a command on a campaign with one damaged file."""
-    work = base / "work"
+    work = base / "spoilt"
     shutil.rmtree(work, ignore_errors=True)
     shutil.copytree(base / "C", work, copy_function=os.link)
     target = work / rng.choice(("campaign.toml", "campaign.toml", "runs.csv", "runs.csv", "logs/r000.csv"))
@@ -67,7 +67,7 @@ def campaign_case(base: Path, rng: random.Random) -> list[str]:
 
 def file_case(base: Path, rng: random.Random) -> list[str]:
     """Return a command on a damaged file of any other format."""
-    work = base / "work"
+    work = base / "spoilt"
     shutil.rmtree(work, ignore_errors=True)
     work.mkdir()
     slow = rng.random() < OF_ALL
