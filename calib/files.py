@@ -6,7 +6,7 @@ import hashlib
 import json
 import os
 import stat
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,6 +15,7 @@ from calib.inputs import refuse_input
 from calib.leftovers import sweep, temporary_beside
 
 __all__ = [
+    "csv_text",
     "inside",
     "refuse_existing",
     "sha256_file",
@@ -176,6 +177,26 @@ def spreadsheet_cell(value: Any) -> Any:
     except ValueError:
         return f"'{value}"
     return value
+
+
+def csv_text(columns: Sequence[str], rows: Iterable[Iterable[Any]]) -> str:
+    """Return a table for people and spreadsheets as CSV; every one that calib writes for them is written here.
+
+    Parameters
+    ----------
+    columns : sequence of str
+        Names of the columns.
+    rows : iterable of iterable
+        Cells; None is an empty one, and no cell is a formula (`spreadsheet_cell`).
+    """
+    import csv
+    import io
+
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([spreadsheet_cell(name) for name in columns])
+    writer.writerows([spreadsheet_cell(cell) for cell in row] for row in rows)
+    return text.getvalue()
 
 
 def _plain(value: Any) -> Any:

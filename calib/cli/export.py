@@ -47,7 +47,9 @@ def run(
     to: Annotated[str, typer.Option("--to", metavar="FORMAT", help="json (the master), ros2, c or csv.")],
     output: Annotated[
         Path | None,
-        typer.Option("--output", help="File, or folder where several files are made; without it: standard output."),
+        typer.Option(
+            "--output", help="File, or folder where several files are made; without it, or '-': standard output."
+        ),
     ] = None,
     load: Loads = None,
     outside: Annotated[
@@ -69,6 +71,8 @@ def run(
     from calib.coefficients.options import ExportOptions
     from calib.coefficients.source import coefficients_of
 
+    # a dash is standard output, as for --json
+    output = None if output == Path("-") else output
     refuse_existing([json, output if output is not None and output.is_file() else None], force=force)
     found = coefficients_of(source, outside=outside, created=date, accept=accept_implausible.strip())
     options = ExportOptions(

@@ -25,6 +25,7 @@ class Guarded(TyperCommand):
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command with its inputs kept."""
+        _refuse_dash(ctx)
         paths = list(dict.fromkeys(_inputs(ctx.params, OUTPUTS | ALSO.get(str(ctx.info_name), frozenset()))))
         for path in paths:
             refuse_special(path)
@@ -33,6 +34,17 @@ class Guarded(TyperCommand):
             raise BadInputError(f"--seed: found {seed}; expected a whole number from 0 on; choose another")
         with inputs_kept(paths):
             return super().invoke(ctx)
+
+
+def _refuse_dash(ctx: Any) -> None:
+    """Refuse ``-`` where it would become a folder or a file of that name."""
+    takes = {"json", "json_target"} | ({"output"} if ctx.info_name == "export" else set())
+    for parameter in ctx.command.params:
+        if parameter.name in OUTPUTS - takes and str(ctx.params.get(parameter.name)) == "-":
+            raise BadInputError(
+                f"{parameter.opts[-1]}: found '-'; expected a file or folder, since standard output takes the JSON of "
+                "--json - alone; name one"
+            )
 
 
 class Application(typer.Typer):

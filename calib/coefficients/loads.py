@@ -7,7 +7,7 @@ from typing import Final
 
 from calib.coefficients.file import CoefficientFile
 
-__all__ = ["Artifact", "LoadPair", "ascii_line", "default_loads", "number"]
+__all__ = ["Artifact", "LoadPair", "accepted_lines", "ascii_line", "default_loads", "number"]
 
 COMMENT_LENGTH: Final = 120
 
@@ -51,6 +51,17 @@ def ascii_line(text: str) -> str:
     """Return `text` as one short line of printable ASCII that cannot end a comment."""
     line = "".join(sign if " " <= sign <= "~" else "?" for sign in text)
     return line.replace("*/", "* /").replace("/*", "/ *").replace("??", "? ?").rstrip("\\")[:COMMENT_LENGTH]
+
+
+def accepted_lines(file: CoefficientFile) -> list[str]:
+    """Return why a law beyond the bounds of its vehicle was passed on, and what is beyond them; else nothing."""
+    accepted = file.accepted_implausible
+    if accepted is None:
+        return []
+    return [
+        f"IMPLAUSIBLE, passed on with the reason: {ascii_line(accepted.reason)}",
+        *(f"found: {ascii_line(finding)}" for finding in accepted.findings),
+    ]
 
 
 def number(value: float) -> str:

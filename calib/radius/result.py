@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,7 +9,7 @@ from typing import Any, Final
 
 from calib.campaign.model import Campaign
 from calib.errors import BadFileError, CalibError
-from calib.files import sha256_file, spreadsheet_cell, to_json
+from calib.files import csv_text, sha256_file, to_json
 from calib.folders import settle, write_files
 from calib.radius.fitted import Fit
 from calib.seal import CHECKSUM_KEY, checksum
@@ -74,11 +72,8 @@ def write_result(fit: Fit, folder: Path, *, force: bool = False) -> Path:
     folder = Path(folder)
     document = fit.to_dict()
     rows = document["runs"]
-    text = io.StringIO()
-    writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows({key: spreadsheet_cell(cell) for key, cell in row.items()} for row in rows)
-    files = {RUNS_FILE: text.getvalue().encode("utf-8"), FIT_FILE: to_json(document).encode("utf-8")}
+    text = csv_text(list(rows[0]), (row.values() for row in rows))
+    files = {RUNS_FILE: text.encode("utf-8", "backslashreplace"), FIT_FILE: to_json(document).encode("utf-8")}
     write_files(folder, files, force=force)
     return folder / FIT_FILE
 

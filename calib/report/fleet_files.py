@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from calib.files import write_bytes, write_json, write_text
+from calib.files import csv_text, write_bytes, write_json, write_text
 from calib.fleet.run import Fleet
 from calib.fleet.survey import Survey
 from calib.report.blocks import Block
@@ -88,25 +88,13 @@ def _pages(
 
 def _table(vehicles: Sequence[Mapping[str, Any]]) -> str:
     """Return the vehicles as CSV; intervals as two columns."""
-    import csv
-    import io
-
     columns = list(dict.fromkeys(name for vehicle in vehicles for name in vehicle))
     heads = [part for name in columns for part in ([f"{name}_low", f"{name}_high"] if "_ci95_" in name else [name])]
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(heads)
+    rows = []
     for vehicle in vehicles:
         cells: list[Any] = []
         for name in columns:
             value = vehicle.get(name)
-            cells += (list(value) if value is not None else ["", ""]) if "_ci95_" in name else [_cell(value)]
-        writer.writerow(cells)
-    return stream.getvalue()
-
-
-def _cell(value: Any) -> Any:
-    if value is None:
-        return ""
-    # a text that a spreadsheet would take for a formula stays a text
-    return f"'{value}" if isinstance(value, str) and value[:1] in "=+-@\t\r" and value else value
+            cells += (list(value) if value is not None else ["", ""]) if "_ci95_" in name else [value]
+        rows.append(cells)
+    return csv_text(heads, rows)

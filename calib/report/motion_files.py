@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,7 +14,7 @@ from calib.campaign.model import Campaign
 from calib.campaign.wheels import without_rear_wheels
 from calib.coefficients.believed import believed_model
 from calib.coefficients.file import CoefficientFile
-from calib.files import refuse_existing, write_json, write_text
+from calib.files import csv_text, refuse_existing, write_json, write_text
 from calib.motion.odometry.integrate import integrate
 from calib.motion.odometry.loaded import loads_in_steps, radii_under_load, travel_from_counts
 from calib.motion.poses import Poses
@@ -161,8 +159,5 @@ def _driven(one: Campaign, log: Mapping[str, FloatArray], coefficients: Coeffici
 
 
 def _csv(path: Path, rows: Sequence[Mapping[str, Any]], *, force: bool) -> Path:
-    text = io.StringIO()
-    writer = csv.DictWriter(text, fieldnames=list(rows[0]) if rows else [], lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return write_text(path, text.getvalue(), force=force)
+    columns = list(rows[0]) if rows else []
+    return write_text(path, csv_text(columns, ([row[name] for name in columns] for row in rows)), force=force)

@@ -9,7 +9,7 @@ from importlib.resources import files
 from typing import Final
 
 from calib.coefficients.file import CoefficientFile
-from calib.coefficients.loads import Artifact, ascii_line
+from calib.coefficients.loads import Artifact, accepted_lines, ascii_line
 from calib.coefficients.options import ExportOptions
 from calib.coefficients.sections import WheelSection
 from calib.errors import RefusedError
@@ -93,6 +93,7 @@ def _head(file: CoefficientFile) -> str:
     lines += [
         f" * NOT in this header: effect {ascii_line(effect.effect)} of the simulator's model" for effect in file.effects
     ]
+    lines += [f" * {line}" for line in accepted_lines(file)]
     lines += [
         " *",
         " * calib_odometer o; calib_pose p;",

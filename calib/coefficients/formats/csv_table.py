@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from typing import Final
 
 import numpy as np
@@ -12,6 +10,7 @@ from calib.coefficients.file import CoefficientFile
 from calib.coefficients.loads import Artifact
 from calib.coefficients.options import ExportOptions
 from calib.errors import RefusedError
+from calib.files import csv_text
 from calib.radius.law import WheelLaw
 
 __all__ = ["COLUMNS", "render"]
@@ -60,11 +59,10 @@ def render(file: CoefficientFile, options: ExportOptions) -> tuple[Artifact, ...
     if file.effects:
         # a column, since CSV has no comments that every reader skips
         cells["effects_not_in_table"] = [" ".join(effect.effect for effect in file.effects)] * len(pairs)
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(cells)
-    writer.writerows(zip(*cells.values(), strict=True))
-    return (Artifact("radius_table.csv", text.getvalue().encode("utf-8")),)
+    if file.accepted_implausible is not None:
+        cells["accepted_implausible"] = [file.accepted_implausible.reason] * len(pairs)
+    text = csv_text(list(cells), zip(*cells.values(), strict=True))
+    return (Artifact("radius_table.csv", text.encode("utf-8", "backslashreplace")),)
 
 
 def _wheel(

@@ -11,7 +11,7 @@ from typing import Final
 
 from calib.coefficients.file import CoefficientFile
 from calib.coefficients.formats.ros2_controllers import CONTROLLERS, OF_DRIVE, OF_FRONT
-from calib.coefficients.loads import Artifact, LoadPair, ascii_line, default_loads
+from calib.coefficients.loads import Artifact, LoadPair, accepted_lines, ascii_line, default_loads
 from calib.coefficients.options import ExportOptions
 from calib.errors import BadInputError
 
@@ -81,6 +81,7 @@ def _head(file: CoefficientFile, pair: LoadPair) -> list[str]:
     ]
     return [
         *lines,
+        *(f"# {line}" for line in accepted_lines(file)),
         f"# effective radii: left {left:.9f} m, right {right:.9f} m; standard uncertainty of the law: "
         f"{std_left:.2g} m and {std_right:.2g} m",
         "# Overlay: pass it after the parameter file that names joints and limits. If a controller was loaded under",
