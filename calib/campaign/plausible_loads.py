@@ -8,13 +8,17 @@ from typing import Final
 
 import numpy as np
 
-from calib.arrays import FloatArray
+from calib.arrays import BoolArray, FloatArray
 from calib.campaign.model import Campaign, Note
 from calib.campaign.plausible_terms import LEAST_RUNS, SIDES, note, stated
 from calib.campaign.read import loads_from_payload
 
 __all__ = ["implausible_loads"]
 
+#: the payload's weight may differ by this factor from what the scales say it adds
+_MOST_PAYLOAD: Final = 1.6
+#: share of the runs that must agree
+_MOST: Final = 0.8
 #: ratio of loads to those of the vehicle -> unit
 _LOAD_UNITS: Final = (
     (1e-3, "kN: name the columns load_left_kN, load_right_kN"),
@@ -57,6 +61,8 @@ def implausible_loads(campaign: Campaign) -> Iterator[Note]:
         wrong, what = not 0.4 <= ratio <= 2.5, "those of vehicle and payload"
         if not wrong:
             yield from _one_side((left, right), computed)
+            yield from _payload(total, expected, good & by_payload)
+            yield from _swapped((left, right), computed)
     else:
         ratio = float(np.min(total[good])) / unladen if unladen > 0 else 1.0
         wrong, what = ratio < 0.3, "that of the empty vehicle"
@@ -94,3 +100,39 @@ def _one_side(loads: tuple[FloatArray, FloatArray], computed: tuple[FloatArray, 
                 f"the {side} wheel's load is {ratio:.3g} times that of vehicle and payload; expected the same within a "
                 "factor of 2; " + (f"is it in {hint}?" if hint else "check its unit"),
             )
+
+
+def _payload(total: FloatArray, expected: FloatArray, good: BoolArray) -> Iterator[Note]:
+    """Hold what the payload adds against what the scales say it adds, apart from the vehicle's own weight."""
+    x, y = expected[good], total[good]
+    if np.ptp(x) < 0.2 * np.median(x):
+        return
+    design = np.column_stack([x, np.ones(len(x))])
+    (slope, _), _, _, _ = np.linalg.lstsq(design, y, rcond=None)
+    rest = float(np.std(y - design @ np.linalg.lstsq(design, y, rcond=None)[0]))
+    ratio = 1 / float(slope) if slope > 0 else math.inf
+    # only where the scales follow the payload closely, so that a unit and no mixture of places is the reason
+    if 1 / _MOST_PAYLOAD <= ratio <= _MOST_PAYLOAD or rest > 0.1 * float(np.std(y)):
+        return
+    hint = "is it in pounds?" if abs(ratio / 2.20462 - 1) < 0.1 else "check its unit and its place"
+    yield note(
+        "runs, column payload_kg",
+        f"the payload adds {ratio:.3g} times what the weighed loads say; expected the same within "
+        f"{100 * (_MOST_PAYLOAD - 1):.0f} %; {hint}",
+    )
+
+
+def _swapped(loads: tuple[FloatArray, FloatArray], computed: tuple[FloatArray, FloatArray]) -> Iterator[Note]:
+    """Hold the side that carries more against the side on which the payload lies."""
+    weighed, expected = loads[0] - loads[1], computed[0] - computed[1]
+    good = np.isfinite(weighed) & np.isfinite(expected) & (np.abs(expected) > 0.1 * np.abs(computed[0] + computed[1]))
+    if good.sum() < LEAST_RUNS:
+        return
+    ratio = weighed[good] / expected[good]
+    if (ratio < -0.5).mean() > _MOST:
+        yield note(
+            "runs, columns load_left_N, load_right_N",
+            f"in {int((ratio < -0.5).sum())} of {int(good.sum())} runs with the payload on one side the other wheel "
+            "carries more; expected the wheel beside it to; are the loads swapped, or is payload_y_m positive to the "
+            "right?",
+        )

@@ -72,7 +72,14 @@ def _headings(theta: FloatArray, turned: FloatArray, distance: FloatArray) -> It
         return
     std = math.sqrt(float(rest @ rest) / (good.sum() - 2) * float(np.linalg.inv(design.T @ design)[0, 0]))
     ratio = float(coefficients[0])
-    if std > 0.1 * abs(ratio) or 0.5 <= abs(ratio) <= 2.0:
+    if std > 0.1 * abs(ratio) or 0.5 <= ratio <= 2.0:
+        return
+    if -2.0 <= ratio <= -0.5:
+        yield note(
+            "runs, columns counts_left, counts_right",
+            f"the headings turn against the counts ({ratio:.3g} times); expected the same sense; are the wheels' "
+            "counts swapped, or is ref_theta_rad positive to the right?",
+        )
         return
     degrees = abs(abs(ratio) * math.pi / 180 - 1) < 0.3
     yield note(

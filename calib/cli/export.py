@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from calib.cli.options import AcceptImplausible, Force, JsonTarget, refuse_existing
-from calib.cli.terminal import emit_json, note, wants_stdout, wrote
+from calib.cli.terminal import emit_json, emit_text, note, wants_stdout, wrote
 
 __all__ = ["EPILOG", "run"]
 
@@ -91,7 +90,7 @@ def run(
     elif wants_stdout(json):
         files = [{"name": artifact.name, "text": artifact.data.decode("utf-8")} for artifact in artifacts]
     else:
-        sys.stdout.write("---\n".join(artifact.data.decode("utf-8") for artifact in artifacts))
+        emit_text("---\n".join(artifact.data.decode("utf-8") for artifact in artifacts))
     document = {
         "to": to,
         "checksum": found.file.checksum,

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from calib.cli.options import Force, JsonTarget, refuse_existing
-from calib.cli.terminal import emit_json, progress, say, waiting, wants_stdout
+from calib.cli.terminal import emit_json, emit_text, progress, say, waiting, wants_stdout
 
 if TYPE_CHECKING:
     from calib.campaign.ingest import Ingested
@@ -86,7 +85,7 @@ def _describe(sources: list[Path], json: str | None, force: bool) -> None:
         description = describe(sources)
     emit_json(description.to_dict(), json, force=force)
     if not wants_stdout(json):
-        sys.stdout.write(description.to_toml())
+        emit_text(description.to_toml())
 
 
 def _say_cuts(made: Ingested) -> None:

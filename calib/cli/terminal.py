@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import sys
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 __all__ = [
     "KEPT",
     "emit_json",
+    "emit_text",
     "keep",
     "note",
     "progress",
@@ -76,6 +78,19 @@ def emit_json(value: Any, target: str | None, *, force: bool) -> None:
         sys.stdout.flush()
     else:
         write_json(Path(target), value, force=force)
+
+
+def emit_text(text: str) -> None:
+    """Write a file's text to standard output: nothing in it steers the terminal, and no encoding lacks a character."""
+    text = "\n".join(map(visible, text.split("\n")))
+    encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
+    try:
+        text.encode(encoding)
+    except UnicodeEncodeError:
+        # JSON's escapes, which YAML and TOML read as well
+        text = "".join(sign if ord(sign) < 128 else json.dumps(sign)[1:-1] for sign in text)
+    sys.stdout.write(text)
+    sys.stdout.flush()
 
 
 def show(blocks: Iterable[Block | Section], *, target: str | None = None) -> None:

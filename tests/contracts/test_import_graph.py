@@ -17,6 +17,7 @@ ORDER: Mapping[str, tuple[str, ...]] = {
     "calib": (
         "arrays",
         "errors",
+        "limits",
         "units",
         "progress",
         "seal",

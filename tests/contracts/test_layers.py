@@ -21,7 +21,8 @@ ALLOWED: dict[str, set[str]] = {
     "units": set(),
     "inputs": {"errors"},
     "leftovers": set(),
-GROUND = {"arrays", "errors", "units", "files", "folders", "limits", "progress", "seal", "vehicle"}
+    "limits": {"errors"},
+    "progress": set(),
     "seal": set(),
     "files": {"errors", "inputs", "leftovers"},
     "folders": {"errors", "files", "inputs", "leftovers"},

@@ -18,14 +18,17 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from calib.campaign.check import check_campaign
+from calib.campaign.read import read_campaign
 from calib.cli.main import run
 
 ROOT = Path(__file__).resolve().parents[2]
 Spoil = Callable[[Path], None]
 Change = Callable[[float], float]
 
-#: answers: a check has failed and nothing is passed on; a file cannot be used; nothing is noticed
-FAILED, REFUSED, SILENT = "failed", "refused", "silent"
+#: answers: a check has failed and nothing is passed on; a file cannot be used; the check calls it suspicious, and it is
+#: passed on; nothing is noticed
+FAILED, REFUSED, SAID, SILENT = "failed", "refused", "said", "silent"
 
 
 @dataclass(frozen=True)
@@ -148,6 +151,7 @@ def _some(name: str, every: int, change: Change) -> Callable[[list[dict[str, str
     return spoil
 
 
+COMMANDS = ("check", "fit", "export", "report")
 COUNTS = ("counts_left", "counts_right")
 LOADS = ("load_left_N", "load_right_N")
 
@@ -169,7 +173,7 @@ def cases() -> list[Case]:
     for factor, name in (
         (1000.0, "mm"), (100.0, "cm"), (0.001, "km"), (3.28084, "feet"), (39.3701, "inches"), (1.09361, "yards"),
     ):  # fmt: skip
-        wanted = FAILED if name != "yards" else SILENT
+        wanted = FAILED if name != "yards" else SAID
         made.append(Case(f"distance in {name}", column("distance_m", change=times(factor)), wanted))
     made += [Case(f"distances shifted by {shift} row(s)", rows(_shift("distance_m", shift))) for shift in (1, -1, 2)]
     made.append(
@@ -210,7 +214,7 @@ def cases() -> list[Case]:
         ("tenths of a degree", times(10.0)),
     ):  # fmt: skip
         made.append(Case(f"temperature in {name}", column("temperature_C", change=change)))
-    for factor, name, wanted in ((1000.0, "mm/s", FAILED), (100.0, "cm/s", FAILED), (3.6, "km/h", SILENT)):
+    for factor, name, wanted in ((1000.0, "mm/s", FAILED), (100.0, "cm/s", FAILED), (3.6, "km/h", SAID)):
         made.append(Case(f"speed in {name}", column("speed_mps", change=times(factor)), wanted))
     degrees = times(180 / math.pi)
     made.append(Case("end headings in degrees, loops", column("ref_theta_rad", change=degrees), FAILED, "yard"))
@@ -223,19 +227,25 @@ def cases() -> list[Case]:
     )
     made.append(Case("track in mm, loops", setting("vehicle.track_m", times(1000.0)), FAILED, "yard"))
     made.append(Case("payload in g", column("payload_kg", change=times(1e3))))
-    made.append(Case("payload in pounds", column("payload_kg", change=times(2.20462)), SILENT))
+    made.append(Case("payload in pounds", column("payload_kg", change=times(2.20462))))
     made.append(Case("payload place in mm", column("payload_x_m", change=times(1e3))))
-    made.append(Case("wheel counts swapped", rows(_swap(*COUNTS)), SILENT))
-    made.append(Case("wheel loads swapped", rows(_swap(*LOADS)), SILENT))
+    made.append(Case("wheel counts swapped, corridor", rows(_swap(*COUNTS)), SILENT))
+    made.append(Case("wheel counts swapped, loops", rows(_swap(*COUNTS)), FAILED, "yard"))
+    made.append(Case("wheel loads swapped", rows(_swap(*LOADS)), FAILED, "corridor_crossed"))
     made.append(Case("left counts negative", column("counts_left", change=times(-1.0))))
-    made.append(Case("wheel radius 10 % too large", setting("vehicle.wheel_radius_m", times(1.1)), SILENT))
+    made.append(Case("wheel radius 10 % too large", setting("vehicle.wheel_radius_m", times(1.1)), SAID))
     made.append(Case("track 10 % too large", setting("vehicle.track_m", times(1.1)), SILENT))
     made.append(Case("every distance 5 cm too long", column("distance_m", change=lambda value: value + 0.05), SILENT))
     return made
 
 
+def suspicious(folder: Path) -> set[str]:
+    """Return where a check finds something suspicious, and of which kind."""
+    return {f"{note.where}: {note.code}" for note in check_campaign(read_campaign(folder, lenient=True)).suspicious}
+
+
 def answers(case: Case, base: Path) -> dict[str, int]:
-    """Return the exit status of every command on a spoilt campaign."""
+    """Return the exit status of every command on a spoilt campaign, and how much is suspicious that was not before."""
     folder = base / "campaign"
     shutil.rmtree(base, ignore_errors=True)
     shutil.copytree(ROOT / "sample_runs" / case.base, folder)
@@ -250,6 +260,8 @@ def answers(case: Case, base: Path) -> dict[str, int]:
     for name, arguments in jobs.items():
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
             given[name] = run(arguments)
+    if given["export"] == 0:
+        given["suspicious"] = len(suspicious(folder) - suspicious(ROOT / "sample_runs" / case.base))
     return given
 
 
@@ -260,13 +272,15 @@ def answered(given: dict[str, int]) -> str:
         return FAILED
     if all(status == 2 for status in given.values()):
         return REFUSED
-    return SILENT if given["export"] == 0 else "torn"
+    if given["export"] != 0:
+        return "torn"
+    return SAID if given["suspicious"] else SILENT
 
 
 def main() -> int:
     """Print the table; the status is 1 where an answer is not the one wanted."""
     out = sys.stdout
-    wrong, silent, every = 0, [], cases()
+    wrong, passed, every = 0, {SAID: [], SILENT: []}, cases()
     out.write("| campaign | check | fit | export | report | answer |\n|---|---|---|---|---|---|\n")
     for case in every:
         with tempfile.TemporaryDirectory() as folder:
@@ -275,11 +289,14 @@ def main() -> int:
         # a file that cannot be used at all is refused by all four, which is as good
         as_wanted = verdict == case.wanted or (case.wanted == FAILED and verdict == REFUSED)
         wrong += not as_wanted
-        silent += [case.name] if verdict == SILENT else []
+        if verdict in passed:
+            passed[verdict].append(case.name)
         mark = "" if as_wanted else f" (wanted {case.wanted})"
-        out.write(f"| {case.name} | {' | '.join(map(str, given.values()))} | {verdict}{mark} |\n")
+        out.write(f"| {case.name} | {' | '.join(str(given[name]) for name in COMMANDS)} | {verdict}{mark} |\n")
         out.flush()
-    out.write(f"\n{len(every)} spoilt campaigns; {len(silent)} pass silently: {'; '.join(silent)}.\n")
+    out.write(f"\n{len(every)} spoilt campaigns.\n")
+    for verdict, what in ((SAID, "are called suspicious and passed on"), (SILENT, "pass silently")):
+        out.write(f"{len(passed[verdict])} {what}: {'; '.join(passed[verdict])}.\n")
     out.write(f"{wrong} answers are not the ones wanted.\n")
     return int(wrong > 0)
 

@@ -11,7 +11,7 @@ import pytest
 from calib.campaign.plausible import implausible
 from calib.campaign.read import read_campaign
 from calib.cli.main import run
-from tests.robust.spoilt import FAILED, ROOT, SILENT, Case, answered, answers, cases
+from tests.robust.spoilt import FAILED, ROOT, SAID, SILENT, Case, answered, answers, cases
 
 CASES = {case.name: case for case in cases()}
 #: one of each kind; the whole table is ``python -m tests.robust.spoilt``
@@ -28,13 +28,16 @@ SHOWN = [
     "temperature in Fahrenheit",
     "end headings in degrees, loops",
     "end headings in degrees, corridor",
+    "payload in pounds",
+    "wheel counts swapped, loops",
+    "wheel loads swapped",
 ]
 
 
 def test_the_table_is_as_long_as_promised() -> None:
     """At least 90 spoilt campaigns, and few of which it is said beforehand that nothing notices them."""
     assert len(CASES) >= 90
-    assert sum(case.wanted == SILENT for case in CASES.values()) <= 12
+    assert sum(case.wanted == SILENT for case in CASES.values()) <= 3
 
 
 @pytest.mark.parametrize("name", SHOWN)
@@ -44,6 +47,13 @@ def test_no_command_passes_on_what_cannot_be(name: str, tmp_path: Path, capsys: 
     assert answered(answers(case, tmp_path / "spoilt")) == FAILED
     assert not (tmp_path / "spoilt" / "c.json").exists()
     assert not (tmp_path / "spoilt" / "r.pdf").exists()
+    capsys.readouterr()
+
+
+def test_a_radius_off_beyond_wear_is_called_suspicious(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Yards for metres are 9 %: no vehicle is that far off, and some are; a person has to look."""
+    given = answers(CASES["distance in yards"], tmp_path / "spoilt")
+    assert answered(given) == SAID
     capsys.readouterr()
 
 

@@ -11,12 +11,14 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.campaign.checks.common import SIDES, listed, note, per_rev, raw_radius_ratio, robust_spread
 from calib.campaign.model import Campaign, Note
+from calib.campaign.plausible_terms import stated
 from calib.campaign.read import log_totals
 
 __all__ = ["count_scale", "counts_against_log", "reversed_wheels", "swapped_wheels", "turn_direction"]
 
 #: radius found over nominal -> what usually lies behind it
 _FACTORS: Final = (
+    (1.09361, "a distance in yards, or a nominal radius that is not this wheel's"),
     (0.25, "four times too many counts (quadrature counted four-fold, or counts_per_rev given without it)"),
     (1 / math.pi, "pi times too many counts (a circumference taken for a diameter)"),
     (0.5, "twice too many counts (both edges counted, or a diameter given as radius)"),
@@ -27,6 +29,8 @@ _FACTORS: Final = (
     (1e3, "a distance in millimetres, or counts a thousand times too few"),
 )
 _PLAUSIBLE: Final = 0.15
+#: beyond this no wear and no load explains that every run differs from the nominal radius alike
+_WORN: Final = 0.06
 _FACTOR_TOLERANCE: Final = 0.06
 
 
@@ -71,11 +75,16 @@ def count_scale(campaign: Campaign) -> Iterator[Note]:
     """Find counts that are a factor 2, 4, pi or 1000 off, overflowed totals, and other implausible radii."""
     for side in SIDES:
         ratio = np.abs(raw_radius_ratio(campaign, side))
+        if not np.isfinite(ratio).any():
+            continue
         odd = np.isfinite(ratio) & (np.abs(ratio - 1) > _PLAUSIBLE)
+        usual = np.nanmedian(ratio)
+        alike = bool(robust_spread(ratio) < 0.02 * usual)
+        if alike and abs(usual - 1) > _WORN and stated(campaign, "vehicle.wheel_radius_m"):
+            odd |= np.isfinite(ratio)
         if not odd.any():
             continue
-        usual = np.nanmedian(ratio)
-        if odd.sum() > 0.8 * np.isfinite(ratio).sum() and robust_spread(ratio) < 0.02 * usual:
+        if odd.sum() > 0.8 * np.isfinite(ratio).sum() and alike:
             yield Note(
                 "suspicious",
                 f"runs, column counts_{side}",
