@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from calib.cli.options import AcceptImplausible, Force, JsonTarget, refuse_existing
 from calib.cli.terminal import emit_json, emit_text, note, wants_stdout, wrote
+
+if TYPE_CHECKING:
+    from calib.coefficients.loads import Artifact
 
 __all__ = ["EPILOG", "run"]
 
@@ -66,7 +70,7 @@ def run(
     force: Force = False,
 ) -> None:
     """Write the coefficients as JSON, ROS 2 parameters, C99 header or look-up table."""
-    from calib.coefficients.export import export, parse_loads, place
+    from calib.coefficients.export import export, parse_loads
     from calib.coefficients.options import ExportOptions
     from calib.coefficients.source import coefficients_of
 
@@ -83,14 +87,7 @@ def run(
     artifacts = export(found.file, to, options=options)
     for text in found.notes:
         note(text)
-    files: list[dict[str, Any]] = []
-    if output is not None:
-        files = place(artifacts, output, force=force)
-        wrote([written["path"] for written in files], target=json)
-    elif wants_stdout(json):
-        files = [{"name": artifact.name, "text": artifact.data.decode("utf-8")} for artifact in artifacts]
-    else:
-        emit_text("---\n".join(artifact.data.decode("utf-8") for artifact in artifacts))
+    files = _written(artifacts, output, json, force=force)
     document = {
         "to": to,
         "checksum": found.file.checksum,
@@ -100,3 +97,19 @@ def run(
         "notes": list(found.notes),
     }
     emit_json(document, json, force=force)
+
+
+def _written(
+    artifacts: Sequence[Artifact], output: Path | None, json: str | None, *, force: bool
+) -> list[dict[str, Any]]:
+    """Write the files, or their text to standard output, or into the JSON where that goes there."""
+    from calib.coefficients.export import place
+
+    if output is not None:
+        files = place(artifacts, output, force=force)
+        wrote([written["path"] for written in files], target=json)
+        return files
+    if wants_stdout(json):
+        return [{"name": artifact.name, "text": artifact.data.decode("utf-8")} for artifact in artifacts]
+    emit_text("---\n".join(artifact.data.decode("utf-8") for artifact in artifacts))
+    return []
