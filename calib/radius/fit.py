@@ -20,6 +20,8 @@ from calib.radius.systematic import declared_sources, systematic_components, wit
 __all__ = ["fit_campaign", "fit_law"]
 
 #: columns whose span tells the conditions of a campaign
+#: the reference load may lie beyond the largest load driven by this factor; further out the line has no digits left
+MOST_REFERENCE: Final = 1e4
 CONDITIONS: Final = (
     "distance_m",
     "speed_mps",
@@ -95,6 +97,7 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -
         raise BadInputError(f"reference load: found {reference:g} N; expected a load of zero or more; correct it")
     try:
         radii = effective_radii(campaign)
+        _refuse_far(reference, radii)
         fit = fit_law(radii, reference_load_N=reference, name=campaign.name, simulated=campaign.simulated)
     except RefusedError:
         refuse_implausible(campaign)
@@ -128,6 +131,17 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -
             assumed=stand_ins(campaign),
         ),
     )
+
+
+def _refuse_far(reference_load_N: float, radii: EffectiveRadii) -> None:
+    """Refuse a reference load so far from the loads driven that nothing of the radius is left there."""
+    loads = np.append(radii.load_left_N, radii.load_right_N)
+    largest = float(np.max(loads[np.isfinite(loads)], initial=1.0))
+    if reference_load_N > MOST_REFERENCE * largest:
+        raise BadInputError(
+            f"reference load: found {reference_load_N:g} N; expected a load near those driven, up to {largest:g} N; "
+            "correct it"
+        )
 
 
 def _static(campaign: Campaign, reference_load_N: float) -> tuple[dict[str, WheelFit], tuple[str, ...]]:

@@ -180,7 +180,7 @@ class Fit:
                 f"found format {value.get('format')!r}; expected {FORMAT!r}; make it anew with 'calib fit'"
             )
         try:
-            return Fit(
+            fit = Fit(
                 name=str(value["campaign"]),
                 simulated=bool(value["simulated"]),
                 left=wheel_from_dict("left", value["wheels"]["left"]),
@@ -196,7 +196,18 @@ class Fit:
                 provenance=dict(value["provenance"]),
                 setup=None if value.get("setup") is None else Setup.from_dict(value["setup"]),
             )
+            _same_runs(fit)
+            return fit
         except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
             raise BadInputError(
                 f"the fit is damaged ({type(error).__name__}: {error}); expected what 'calib fit' wrote; make it anew"
             ) from error
+
+
+def _same_runs(fit: Fit) -> None:
+    """Refuse a fit that lists another number of runs than its wheels were fitted on."""
+    listed = len(fit.radii.run_id)
+    for name, wheel in fit.wheels.items():
+        columns = (wheel.load_N, wheel.radius_m, wheel.residual_m, wheel.leverage, wheel.cook)
+        if any(len(column) != listed for column in columns):
+            raise ValueError(f"{listed} runs are listed, and the {name} wheel was fitted on {len(wheel.load_N)}")

@@ -1,78 +1,100 @@
-"""Run a command in a process that kills itself before its n-th change of a name, or is killed after some time."""
+"""Commands in a forked process that is killed: before its n-th change of a name, or after some time."""
 
 from __future__ import annotations
 
 import hashlib
 import os
 import signal
-import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
-#: patches every way in which calib gives a file or a folder its name; the n-th call kills the process first
-_DRIVER = """
-import os, signal, sys
 import calib.folders
 from calib.cli.main import run
-left = [int(sys.argv[1])]
-def deadly(function):
-    def call(*args, **kwargs):
+
+ROOT = Path(__file__).resolve().parents[2]
+KILLED = -signal.SIGKILL
+#: seconds after which a child that was not killed counts as hanging
+LONGEST_S = 300.0
+
+
+def _deadly(function: Callable[..., Any], left: list[int]) -> Callable[..., Any]:
+    def call(*args: Any, **kwargs: Any) -> Any:
         left[0] -= 1
         if left[0] < 0:
             os.kill(os.getpid(), signal.SIGKILL)
         return function(*args, **kwargs)
+
     return call
-for name in ("rename", "replace", "link"):
-    setattr(os, name, deadly(getattr(os, name)))
-calib.folders._exchange = deadly(calib.folders._exchange)
-status = run(sys.argv[2:])
-print(left[0], file=sys.stderr)
-sys.exit(status)
-"""
-ROOT = Path(__file__).resolve().parents[2]
-KILLED = -signal.SIGKILL
 
 
-def _environment() -> dict[str, str]:
-    return {**os.environ, "PYTHONPATH": str(ROOT), "MPLBACKEND": "Agg", "OMP_NUM_THREADS": "1"}
+def _child(arguments: list[str], cwd: Path, deadly_change: int | None) -> None:
+    os.chdir(cwd)
+    nowhere = os.open(os.devnull, os.O_RDWR)
+    os.dup2(nowhere, 1)
+    os.dup2(nowhere, 2)
+    sys.stdout = open(1, "w", encoding="utf-8", closefd=False)  # noqa: SIM115
+    sys.stderr = open(2, "w", encoding="utf-8", closefd=False)  # noqa: SIM115
+    if deadly_change is not None:
+        left = [deadly_change]
+        # every way in which calib gives a file or a folder its name
+        for name in ("rename", "replace", "link"):
+            setattr(os, name, _deadly(getattr(os, name), left))
+        calib.folders._exchange = _deadly(calib.folders._exchange, left)
+    os._exit(run(arguments))
+
+
+def started(arguments: list[str], cwd: Path, *, deadly_change: int | None = None) -> int:
+    """Start a command in a copy of this process, whose imports it need not pay for, and return the copy's number."""
+    child = os.fork()
+    if not child:
+        try:
+            _child(arguments, cwd, deadly_change)
+        finally:
+            os._exit(99)
+    return child
+
+
+def ended(child: int, within_s: float = LONGEST_S) -> int:
+    """Wait for a child and return its status, as `subprocess` gives it; one that hangs is killed and is 98."""
+    until = time.monotonic() + within_s
+    while time.monotonic() < until:
+        number, status = os.waitpid(child, os.WNOHANG)
+        if number:
+            return os.waitstatus_to_exitcode(status)
+        time.sleep(0.002)
+    os.kill(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+    return 98
 
 
 def killed_at_rename(number: int, arguments: list[str], cwd: Path) -> int:
     """Return the status of a command that is killed before its change of a name number `number`, from 0."""
-    done = subprocess.run(
-        [sys.executable, "-c", _DRIVER, str(number), *arguments],
-        check=False,
-        cwd=cwd,
-        env=_environment(),
-        capture_output=True,
-    )
-    return done.returncode
+    return ended(started(arguments, cwd, deadly_change=number))
 
 
 def killed_after(seconds: float, arguments: list[str], cwd: Path) -> int:
     """Return the status of a command that is killed after so many seconds, if it has not ended before."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "calib", *arguments],
-        cwd=cwd,
-        env=_environment(),
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
+    child = started(arguments, cwd)
     time.sleep(seconds)
-    process.kill()
-    return process.wait()
+    os.kill(child, signal.SIGKILL)
+    _, status = os.waitpid(child, 0)
+    return os.waitstatus_to_exitcode(status)
 
 
-def content(folder: Path) -> dict[str, str]:
-    """Return the hash of every file below a folder by its path; what a killed writer left under its own name aside."""
+def content(place: Path) -> dict[str, str]:
+    """Return the hash of every file below a folder, or of a file, by its path; a killed writer's leftovers aside."""
+    if place.is_file():
+        return {"": hashlib.sha256(place.read_bytes()).hexdigest()}
     return {
-        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file() and not any(part.startswith(".calib-") for part in path.relative_to(folder).parts)
+        str(path.relative_to(place)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(place.rglob("*"))
+        if path.is_file() and not any(part.startswith(".calib-") for part in path.relative_to(place).parts)
     }
 
 
 def leftovers(folder: Path) -> list[str]:
     """Return what killed writers left below a folder."""
-    return sorted(str(path.relative_to(folder)) for path in folder.rglob(".calib-*"))
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob(".calib-*.tmp"))

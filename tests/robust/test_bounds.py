@@ -106,7 +106,9 @@ def test_too_many_runs_and_too_many_causes_are_said(
         patched.setattr(runs_file, "RUNS", 5)
         assert run(["check", str(campaign)]) == 2
         assert "12 runs; expected at most 5; divide the campaign" in capsys.readouterr().err
-    _append('[[effects]]\nid = "own"\ncolumn = "speed_mps"\nacts_on = "both"\nlargest = 0.01')(campaign)
+    _append('[[effects]]\nid = "own"\ncolumn = "speed_mps"\nacts_on = "both"\ntypical = 0.001\nlargest = 0.01')(
+        campaign
+    )
     monkeypatch.setattr(library, "COVARIATES", 0)
     assert run(["diagnose", str(campaign)]) == 2
     assert "expected at most 0; keep the columns that could matter" in capsys.readouterr().err
