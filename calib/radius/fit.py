@@ -19,9 +19,9 @@ from calib.radius.systematic import declared_sources, systematic_components, wit
 
 __all__ = ["fit_campaign", "fit_law"]
 
-#: columns whose span tells the conditions of a campaign
 #: the reference load may lie beyond the largest load driven by this factor; further out the line has no digits left
 MOST_REFERENCE: Final = 1e4
+#: columns whose span tells the conditions of a campaign
 CONDITIONS: Final = (
     "distance_m",
     "speed_mps",
