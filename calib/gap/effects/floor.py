@@ -44,7 +44,9 @@ def far_end_m(s: Observations) -> FloatArray:
     start = np.zeros(len(s))
     for route in np.unique(s.kind[back]):
         mine = back & (s.kind == route)
-        alike = np.abs(np.log(length / np.median(length[mine]))) < LENGTH_SHARE
+        with np.errstate(divide="ignore", invalid="ignore"):
+            # a turn on the spot has no length, and is like none
+            alike = np.abs(np.log(length / np.median(length[mine]))) < LENGTH_SHARE
         start[mine] = np.median(length[out & alike if (out & alike).any() else mine])
     return start
 
