@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -75,3 +76,19 @@ def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str
 def test_help_shows_an_example(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["check", "--help"]) == 0
     assert "calib check" in capsys.readouterr().out
+
+
+def test_many_of_a_kind_are_named_in_part(
+    tmp_path: Path, project_root: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Sixty logs that are missing are sixty faults, of which a screen names eight; the JSON names them all."""
+    folder = tmp_path / "c"
+    folder.mkdir()
+    for name in ("campaign.toml", "runs.csv"):
+        shutil.copy(project_root / "sample_runs" / "corridor" / name, folder / name)
+    assert run(["check", str(folder)]) == 1
+    shown = capsys.readouterr().out
+    assert shown.count("column log [") == 8
+    assert "and 52 more like these: missing log" in shown
+    assert run(["check", str(folder), "--json", "-"]) == 1
+    assert len(json.loads(capsys.readouterr().out)["wrong"]) == 60

@@ -15,6 +15,8 @@ __all__ = ["check_content"]
 #: entries of a list of names, and runs named for one note
 _MOST: Final = 12
 _RUNS: Final = 6
+#: lines of one kind of note that differ in their numbers alone; the JSON has them all
+_LIKE: Final = 8
 
 
 def check_content(report: CheckReport) -> tuple[Block, ...]:
@@ -77,7 +79,12 @@ def _grouped(notes: Sequence[Note]) -> list[str]:
     for note in notes:
         by_text.setdefault(note.text, []).append(note)
     lines = []
+    of_code: dict[str, int] = {}
     for text, alike in by_text.items():
+        code = alike[0].code
+        of_code[code] = of_code.get(code, 0) + 1
+        if code and of_code[code] > _LIKE:
+            continue
         runs = list(dict.fromkeys(note.run_id for note in alike if note.run_id))
         where = alike[0].where
         if len(alike) > 1:
@@ -88,7 +95,8 @@ def _grouped(notes: Sequence[Note]) -> list[str]:
         elif runs:
             where += f" [{runs[0]}]"
         lines.append(prose(f"{where}: {text}"))
-    return lines
+    more = {code: count - _LIKE for code, count in of_code.items() if code and count > _LIKE}
+    return [*lines, *(f"and {count} more like these: {code.replace('_', ' ')}" for code, count in more.items())]
 
 
 def _verdict(report: CheckReport) -> Notice:
