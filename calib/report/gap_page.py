@@ -7,6 +7,7 @@ import numpy as np
 from calib.campaign.model import Campaign
 from calib.gap.data.channels import Channel
 from calib.gap.diagnosis import Diagnosis
+from calib.gap.verdict.result import Verdict
 from calib.gap.where.traces import traces_of
 from calib.report.blocks import Picture, Section
 from calib.report.gap_findings import GapFindings
@@ -17,6 +18,8 @@ from calib.report.statements.diagnosis import diagnosis_content
 
 __all__ = ["diagnosis_page", "linked_panels", "panels_of"]
 
+#: effects named beside a cause that they cannot be told from
+NAMED = 3
 #: samples of a gap along a run that are drawn at most
 WAY_POINTS = 120
 
@@ -92,6 +95,16 @@ def panels_of(diagnosis: Diagnosis, campaign: Campaign, findings: GapFindings | 
         offset_m=gap.offset_m,
         along_m=tuple(along),
         causes=tuple(
-            CauseBar(cause.effect, cause.probability, cause.share, cause.share_ci95) for cause in gap.verdict.causes
+            CauseBar(_with_group(cause.effect, gap.verdict), cause.probability, cause.share, cause.share_ci95)
+            for cause in gap.verdict.causes
         ),
     )
+
+
+def _with_group(effect: str, verdict: Verdict) -> str:
+    """Return an effect with those that these runs cannot tell from it, a line each."""
+    others = [
+        other for group in verdict.groups if effect in group.effects for other in group.effects if other != effect
+    ]
+    more = [f"and {len(others) - NAMED} more"] if len(others) > NAMED else []
+    return "\n".join([effect, *(f"or {other}" for other in others[:NAMED]), *more])

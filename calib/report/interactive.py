@@ -333,8 +333,10 @@ def _cause_panel(causes: tuple[CauseBar, ...]) -> _Panel:
     """Draw each named cause's share of the gap with its 95 % interval."""
     from bokeh.models import ColumnDataSource, Whisker
 
-    labels = [f"{cause.label} (p = {cause.probability:.2f})" for cause in causes][::-1]
-    plot = _figure("Causes: share of the gap", "share", "", y_range=labels, x_range=(0.0, 1.05))
+    labels = [f"{cause.label}\n(p = {cause.probability:.2f})" for cause in causes][::-1]
+    plot = _figure(
+        "Causes, with what cannot be told from them: share of the gap", "share", "", y_range=labels, x_range=(0.0, 1.05)
+    )
     plot.hbar(y=labels, right=[cause.share for cause in causes][::-1], height=0.5, color=COLOURS[0], alpha=0.7)
     known = [(label, cause.share_ci95) for label, cause in zip(labels[::-1], causes, strict=True) if cause.share_ci95]
     if known:

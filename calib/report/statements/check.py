@@ -95,8 +95,8 @@ def _grouped(notes: Sequence[Note]) -> list[str]:
         elif runs:
             where += f" [{runs[0]}]"
         lines.append(prose(f"{where}: {text}"))
-    more = {code: count - _LIKE for code, count in of_code.items() if code and count > _LIKE}
-    return [*lines, *(f"and {count} more like these: {code.replace('_', ' ')}" for code, count in more.items())]
+    rest = {code: count - _LIKE for code, count in of_code.items() if code and count > _LIKE}
+    return [*lines, *(f"and {count} more like these: {code.replace('_', ' ')}" for code, count in rest.items())]
 
 
 def _verdict(report: CheckReport) -> Notice:
