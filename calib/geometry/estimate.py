@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, Literal, cast
 
@@ -12,16 +12,18 @@ from calib.arrays import FloatArray
 from calib.campaign.wheels import odometry_source
 from calib.errors import BadInputError, RefusedError
 from calib.geometry.clusters import ENOUGH_RUNS, Clustering, clustered
+from calib.geometry.delays import Delay, own_delays, sought_delays
 from calib.geometry.drives import Differential, Drive, FrontWheel, MeanHeld, Mecanum
 from calib.geometry.gross import Fault, factor_faults, front_faults, rear_faults, repaired
 from calib.geometry.identifiability import NOMINAL_STD, loosest, scale_is_open, scale_is_weakest, weakest
 from calib.geometry.model import Model
 from calib.geometry.noise import COMPONENTS
+from calib.geometry.notes import notes_on
 from calib.geometry.parameters import SENSOR, Parameters, sensor_parameters
 from calib.geometry.parts import Estimate, Transfer
 from calib.geometry.recording import Recording, recording_of
 from calib.geometry.result import Geometry
-from calib.geometry.routes import rms, route_table
+from calib.geometry.routes import of_kinds, rms, route_table
 from calib.geometry.segments import Segments, end_pose_segments, window_segments
 from calib.geometry.solve import Solution, solve
 from calib.geometry.umbmark import Umbmark, umbmark
@@ -45,6 +47,8 @@ WALKS: Final = (2.5e-7, 2.5e-7)
 OUTLIER_CHANCE: Final = 0.01
 #: a delay is sought where samples are at most so far apart
 LONGEST_STEP_S: Final = 0.25
+#: fits in which each recording's own delay is found, where one for all will not do
+DELAY_ROUNDS: Final = 3
 #: loads that vary by less than this part of their mean say nothing of a slope
 LOADS_VARY: Final = 0.05
 
@@ -106,25 +110,46 @@ def estimate_geometry(
     RefusedError
         Where no run has wheels and a reference, or nothing can be determined.
     """
-    campaign = _of_kinds(campaign, kinds)
+    campaign = of_kinds(campaign, kinds)
     source = odometry_source(campaign)
     recording = recording_of(campaign, source)
     recording = recording.unwrapped(_turns(drive_of(campaign, source, recording), recording))
     way = using or _way(recording)
     divisions = _divisions(recording, way)
-    recording, faults = _put_right(recording, divisions[0], source)
+    coarse = next(divisions)
+    recording, faults = _put_right(recording, coarse, source)
     drive = drive_of(campaign, source, recording)
     estimated = (way == "windows") if sensor is None else sensor
-    fits = [_fit(campaign, drive, recording, segments, estimated) for segments in stepped(divisions, progress, "fits")]
-    chosen = fits[0]
-    for other in fits[1:]:
-        if other.spread < chosen.spread + np.log(AS_GOOD):
-            chosen = other
-    geometry = _result(campaign, chosen, source, way, faults)
+    progress(0, 0, "fits")
+    chosen = _fit(campaign, drive, recording, coarse, estimated)
+    for number, segments in enumerate(divisions, start=1):
+        progress(number, 0, "fits")
+        # from where the coarser one ended: over short windows a delay of many steps is not found from nought
+        other = _fit(campaign, drive, recording, segments, estimated, start=chosen)
+        if other.spread > chosen.spread + np.log(AS_GOOD):
+            break
+        chosen = other
+    chosen, delays = _with_own_delays(campaign, chosen, estimated) if way == "windows" else (chosen, ())
+    geometry = replace(_result(campaign, chosen, source, way, faults), delays=delays)
     if leave_out is not None:
         transfer = _transfer(campaign, geometry, estimated, leave_out, progress)
         geometry = replace(geometry, transfer=transfer)
     return geometry
+
+
+def _with_own_delays(campaign: Campaign, common: _Fitted, sensor: bool) -> tuple[_Fitted, tuple[Delay, ...]]:
+    """Return the estimate with a delay for each recording, where one for all will not do, and these delays."""
+    fitted = common
+    delays: tuple[Delay, ...] = ()
+    added = sought_delays(common.model, common.solution, common.parameters)
+    for number in range(DELAY_ROUNDS):
+        if number or not added.any():
+            delays, added = own_delays(fitted.model, fitted.solution, fitted.parameters)
+            if not delays:
+                return common, ()
+        recording = replace(fitted.model.recording, own_delay_s=added)
+        fitted = _fit(campaign, fitted.model.drive, recording, fitted.model.segments, sensor, start=fitted)
+    return fitted, delays
 
 
 def _way(recording: Recording) -> Using:
@@ -139,27 +164,21 @@ def _turns(drive: Drive, recording: Recording) -> FloatArray:
     return np.add.reduceat(turn, recording.offsets[:-1])
 
 
-def _of_kinds(campaign: Campaign, kinds: Iterable[str]) -> Campaign:
-    wanted = set(kinds)
-    if not wanted:
-        return campaign
-    kind = campaign.runs.label("kind")
-    missing = wanted - set(kind)
-    if missing:
-        raise BadInputError(
-            f"kinds: found {', '.join(sorted(missing))}; expected some of {', '.join(sorted(set(kind)))}; correct them"
-        )
-    return campaign.select(np.isin(kind, sorted(wanted)))
-
-
-def _divisions(recording: Recording, using: Using) -> list[Segments]:
+def _divisions(recording: Recording, using: Using) -> Iterator[Segments]:
+    """Yield stretches: whole runs, or windows in ever finer divisions."""
     if using == "end_poses":
-        return [end_pose_segments(recording)]
+        yield end_pose_segments(recording)
+        return
     if len(recording) >= ENOUGH_RUNS:
-        return [window_segments(recording, len(recording))]
-    found = [window_segments(recording, blocks) for blocks in BLOCKS]
-    counts = [len(np.unique(segments.block)) for segments in found]
-    return [one for at, one in enumerate(found) if at == 0 or counts[at] > counts[at - 1]]
+        yield window_segments(recording, len(recording))
+        return
+    before = 0
+    for blocks in BLOCKS:
+        segments = window_segments(recording, blocks)
+        count = len(np.unique(segments.block))
+        if count > before:
+            yield segments
+        before = count
 
 
 def _put_right(recording: Recording, segments: Segments, source: str) -> tuple[Recording, tuple[Fault, ...]]:
@@ -172,7 +191,7 @@ def _put_right(recording: Recording, segments: Segments, source: str) -> tuple[R
 def recordings_put_right(campaign: Campaign, source: str) -> tuple[Recording, tuple[Fault, ...]]:
     """Return wheels and reference with gross faults put right, and these faults."""
     recording = recording_of(campaign, source)
-    return _put_right(recording, _divisions(recording, _way(recording))[0], source)
+    return _put_right(recording, next(_divisions(recording, _way(recording))), source)
 
 
 def drive_of(campaign: Campaign, source: str, recording: Recording) -> Drive:
@@ -209,7 +228,14 @@ def drive_of(campaign: Campaign, source: str, recording: Recording) -> Drive:
     )
 
 
-def _fit(campaign: Campaign, drive: Drive, recording: Recording, segments: Segments, sensor: bool) -> _Fitted:
+def _fit(
+    campaign: Campaign,
+    drive: Drive,
+    recording: Recording,
+    segments: Segments,
+    sensor: bool,
+    start: _Fitted | None = None,
+) -> _Fitted:
     """Estimate, and leave out what the data cannot determine, one parameter at a time."""
     reference = campaign.reference
     place = sensor_parameters(reference.sensor_x_m, reference.sensor_y_m, reference.sensor_yaw_rad)
@@ -225,6 +251,8 @@ def _fit(campaign: Campaign, drive: Drive, recording: Recording, segments: Segme
     model = Model(drive, recording, segments)
     scales = np.array([reference.sigma_xy_m**2, reference.sigma_theta_rad**2, *WALKS])
     values = parameters.nominal
+    if start is not None and start.model.drive == drive:
+        values = np.where(parameters.free, start.solution.values, values)
     while True:
         if not parameters.free.any():
             raise RefusedError(
@@ -282,7 +310,12 @@ def _result(campaign: Campaign, fitted: _Fitted, source: str, using: Using, faul
         mirrored=any(fault.code in {"reversed_front", "reversed_steering", "reversed_both"} for fault in faults),
         umbmark=squares,
         routes=route_table(model.recording, whole.segments, before.residuals, after.residuals),
-        notes=_notes(fitted, model.recording),
+        notes=notes_on(
+            fitted.clustering,
+            model.recording,
+            mean_held=isinstance(model.drive, MeanHeld),
+            converged=solution.converged,
+        ),
         inputs=campaign.hashes,
     )
 
@@ -296,6 +329,7 @@ def _estimates(fitted: _Fitted) -> tuple[tuple[Estimate, ...], FloatArray]:
     names = [parameters.names[at] for at in index]
     nominal, values = parameters.nominal[index], fitted.solution.values[index]
     covariance, dof = uncertainty.covariance, uncertainty.dof
+    free = dof
     drive = fitted.model.drive
     if isinstance(drive, MeanHeld) and names[0] == "radius_left_m":
         spread = np.insert(np.eye(len(names)), 1, -np.eye(len(names))[0], axis=0)
@@ -303,13 +337,17 @@ def _estimates(fitted: _Fitted) -> tuple[tuple[Estimate, ...], FloatArray]:
         nominal = np.insert(nominal, 1, drive.wheels.radius_right_m)
         values, dof = np.insert(values, 1, 2.0 * drive.mean_m - values[0]), np.insert(dof, 1, dof[0])
         scale = np.where(np.isin(names, ("radius_left_m", "radius_right_m", "track_m")), NOMINAL_STD * values, 0.0)
-        covariance = spread @ covariance @ spread.T + np.outer(scale, scale)
+        covariance = spread @ covariance @ spread.T
+        by_runs = np.diag(covariance).copy()
+        covariance = covariance + np.outer(scale, scale)
+        # the part that is taken for known adds no doubt about its own size (Welch and Satterthwaite)
+        free = dof * np.square(np.diag(covariance) / by_runs)
     std = np.sqrt(np.diag(covariance))
-    half = std * stdtrit(dof, 0.975)
+    half = std * stdtrit(free, 0.975)
     rows = zip(names, nominal, values, std, half, dof, strict=True)
     estimates = tuple(
-        Estimate(name, float(before), float(value), float(sd), (float(value - wide), float(value + wide)), float(free))
-        for name, before, value, sd, wide, free in rows
+        Estimate(name, float(before), float(value), float(sd), (float(value - wide), float(value + wide)), float(own))
+        for name, before, value, sd, wide, own in rows
     )
     return estimates, np.asarray(covariance)
 
@@ -340,28 +378,6 @@ def _outliers(model: Model, solution: Solution) -> tuple[str, ...]:
     return tuple(str(model.recording.run_id[run]) for run in runs if beyond[model.segments.run == run].mean() > 0.5)
 
 
-def _notes(fitted: _Fitted, recording: Recording) -> tuple[str, ...]:
-    notes = []
-    name, n = fitted.clustering.name, fitted.clustering.uncertainty.clusters
-    if name in {"session", "route"}:
-        notes.append(
-            f"Runs of one {name} pull the parameters alike: the intervals take the {n} {name}s, not single runs, for "
-            "independent. What they share is no noise; 'calib diagnose' looks for its cause."
-        )
-    if isinstance(fitted.model.drive, MeanHeld):
-        notes.append(
-            "These paths close, or nearly so, at any scale: the mean radius is not determined and was held at its "
-            f"nominal value within {100 * NOMINAL_STD:g} %. The ratio of the radii and the track over the mean radius "
-            "are determined; a straight run of known length would determine the scale."
-        )
-    if not fitted.solution.converged:
-        notes.append("The search did not settle to the last digit; the values are good to a small part of their sd.")
-    if recording.left_out:
-        first = recording.left_out[0]
-        notes.append(f"Left out: {len(recording.left_out)} runs; the first, {first[0]}: {first[1]}.")
-    return tuple(notes)
-
-
 def _transfer(
     campaign: Campaign, whole: Geometry, sensor: bool, leave_out: str, progress: Progress
 ) -> tuple[Transfer, ...]:
@@ -374,7 +390,7 @@ def _transfer(
         away = labels == label
         rest, tried = recording_of(campaign.select(~away), source), recording_of(campaign.select(away), source)
         drive = drive_of(campaign, source, rest)
-        fitted = _fit(campaign, drive, rest, _divisions(rest, cast(Using, whole.using))[0], sensor)
+        fitted = _fit(campaign, drive, rest, next(_divisions(rest, cast(Using, whole.using))), sensor)
         model = Model(fitted.model.drive, tried, end_pose_segments(tried))
         errors = [
             float(np.sqrt(np.mean(np.square(model.predict(values).residuals[:, :2]).sum(axis=1))))

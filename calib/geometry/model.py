@@ -81,7 +81,8 @@ def _at_times(
     run = recording.run[used]
     low, high = recording.offsets[run], recording.offsets[run + 1] - 1
     t_s = recording.t_s
-    wanted = np.clip(t_s[used] - delay_s, t_s[low], t_s[high])
+    delay = delay_s + recording.delay_added_s[run]
+    wanted = np.clip(t_s[used] - delay, t_s[low], t_s[high])
     # samples are few steps away, so a global search on time within runs is done with shifted clocks
     shift = np.concatenate(([0.0], np.cumsum(t_s[recording.offsets[1:] - 1] + 1.0)))[:-1]
     clock = t_s + shift[recording.run]

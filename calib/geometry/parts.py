@@ -15,7 +15,7 @@ CHANNELS: Final = ("x_m", "y_m", "theta_rad")
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """One parameter: nominal value, estimate, standard deviation, 95 % interval and its degrees of freedom."""
+    """One parameter: nominal value, estimate, sd, 95 % interval, degrees of freedom of what runs say."""
 
     name: str
     nominal: float

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 __all__ = ["Recording", "recording_of"]
 
 REFERENCE: Final = ("ref_x_m", "ref_y_m", "ref_theta_rad")
+#: kinds of runs that were led along a line, and the turn by nominal wheels up to which that is believed
+LED: Final = ("corridor", "straight", "line")
+LED_RAD: Final = 1.2
 #: turn of a run of which only the end counts are known, up to which it is taken for one arc
 ONE_ARC_RAD: Final = 0.2
 
@@ -39,9 +42,12 @@ class Recording:
     reference : array of float, shape (3, n_samples)
         Pose by the reference at the samples, heading not wrapped; NaN where it has none.
     end_pose : array of float, shape (n_runs, 3)
-        End pose against the start by the reference; NaN where it was not measured.
+        End pose against the start by the reference; NaN where it was not measured. Of a straight run whose length alone
+        was measured, that is the way ahead.
     left_out : tuple of (str, str)
         Runs that cannot be used: id and reason.
+    own_delay_s : array of float, shape (n_runs,), optional
+        What each run's delay of the reference adds to the common one; None: nothing.
     """
 
     run_id: StrArray
@@ -53,6 +59,7 @@ class Recording:
     reference: FloatArray
     end_pose: FloatArray
     left_out: tuple[tuple[str, str], ...] = ()
+    own_delay_s: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.run_id)
@@ -61,6 +68,11 @@ class Recording:
     def run(self) -> IntArray:
         """Number of the run of each sample, shape (n_samples,)."""
         return np.repeat(np.arange(len(self)), np.diff(self.offsets)).astype(np.int64)
+
+    @property
+    def delay_added_s(self) -> FloatArray:
+        """What each run's delay adds to the common one, shape (n_runs,)."""
+        return np.zeros(len(self)) if self.own_delay_s is None else self.own_delay_s
 
     @property
     def travel_rad(self) -> FloatArray:
@@ -187,7 +199,9 @@ def _piece(campaign: Campaign, row: int, source: str, per_rev: FloatArray) -> di
     if np.isnan(end).any():
         end = _last_pose(reference)
     if np.isnan(end[:2]).any() and not np.isfinite(reference[:2]).all(axis=0).any():
-        return "nothing says where it ended: no ref_ columns"
+        end = _straight_end(campaign, row, source, turned.sum(axis=1))
+        if np.isnan(end[0]):
+            return "nothing says where it ended: no ref_ columns, and no distance_m of a straight run"
     middle = None if steer is None else _middle(steer[keep])
     return {
         "t_s": log["t_s"][keep] - log["t_s"][keep][0],
@@ -207,8 +221,12 @@ def _end_counts(
         return f"its log lacks {' or '.join(WHEEL_COLUMNS[source])}"
     runs = campaign.runs
     counts = np.array([runs.number(name)[row] for name in WHEEL_COLUMNS[source]])
-    if np.isnan(counts).any() or np.isnan(end).any():
-        return "it has no log, and no end counts with an end pose"
+    if np.isnan(counts).any():
+        return "it has no log and no end counts"
+    if np.isnan(end).any():
+        end = _straight_end(campaign, row, source, 2.0 * np.pi * counts / per_rev)
+    if np.isnan(end[0]):
+        return "it has no log, and no end pose or distance_m of a straight run"
     if abs(end[2]) > ONE_ARC_RAD:
         return "it turns and has no log: its path cannot be computed from end counts"
     turned = np.stack([np.zeros(2), 2.0 * np.pi * counts / per_rev], axis=1)
@@ -220,6 +238,32 @@ def _end_counts(
         "reference": np.full((3, 2), np.nan),
         "end_pose": end,
     }
+
+
+def _straight_end(campaign: Campaign, row: int, source: str, turned_rad: FloatArray) -> FloatArray:
+    """Return the way ahead of a straight run by its measured length, nothing said of the rest; NaN for other runs.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        Its row says a ``distance_m`` where one was measured.
+    row : int
+        Number of the run.
+    source : str
+        Only two wheels on one axle tell by themselves whether a run was straight.
+    turned_rad : array of float, shape (2,)
+        Angle that each wheel turned in all.
+    """
+    model, end = campaign.model, np.full(3, np.nan)
+    if source != "rear":
+        return end
+    left, right = turned_rad * np.array([model.radius_left_m, model.radius_right_m])
+    kind = str(campaign.runs.label("kind")[row]).lower()
+    # unequal radii bend what the nominal vehicle makes of a corridor
+    straight = abs(right - left) / model.track_m < (LED_RAD if kind.startswith(LED) else ONE_ARC_RAD)
+    if straight:
+        end[0] = campaign.runs.number("distance_m")[row] * np.sign(left + right)
+    return end
 
 
 def _loads(campaign: Campaign, row: int, log: dict[str, FloatArray], keep: BoolArray) -> FloatArray | None:

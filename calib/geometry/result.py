@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from calib.arrays import FloatArray
+from calib.geometry.delays import Delay
 from calib.geometry.gross import Fault
 from calib.geometry.parts import CHANNELS, Estimate, RouteResidual, RunPath, Transfer
 from calib.geometry.umbmark import Umbmark
@@ -73,6 +74,8 @@ class Geometry:
         Recordings left out in turn, where that was asked for.
     notes : tuple of str
         What the user should know.
+    delays : tuple of Delay
+        Delay of each recording, where they differ beyond chance; ``delay_s`` is then what they have in common.
     inputs : mapping of str to str
         Path of an input -> its SHA-256.
     paths : tuple of RunPath
@@ -100,6 +103,7 @@ class Geometry:
     routes: tuple[RouteResidual, ...]
     transfer: tuple[Transfer, ...] = ()
     notes: tuple[str, ...] = ()
+    delays: tuple[Delay, ...] = ()
     inputs: Mapping[str, str] = field(default_factory=dict)
     paths: tuple[RunPath, ...] = ()
 
@@ -173,6 +177,7 @@ class Geometry:
             "covariance": {"names": [e.name for e in self.estimates], "matrix": self.covariance.tolist()},
             "clusters": {"of": self.clusters[0], "n": self.clusters[1]},
             "delay_s": delay,
+            "delays": [one.to_dict() for one in self.delays],
             "noise": dict(self.noise),
             "residual_rms": dict(zip(CHANNELS, self.residual_rms, strict=True)),
             "outliers": list(self.outliers),
@@ -201,6 +206,9 @@ class Geometry:
         lines += [f"Wrong: {fault.text}." for fault in self.faults]
         if self.outliers:
             lines.append(f"Outliers, hardly weighed: {', '.join(self.outliers)}.")
+        if self.delays:
+            told = ", ".join(f"{one.label} {one.value_s:.4f} s" for one in self.delays)
+            lines.append(f"The reference lags by another delay in each recording, taken out of each: {told}.")
         umbmark = self.umbmark
         if umbmark.applies:
             driven = f"{umbmark.n_cw} clockwise, {umbmark.n_ccw} counter-clockwise squares of {umbmark.side_m:.3g} m"

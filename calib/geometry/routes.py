@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from calib.arrays import FloatArray
+from calib.errors import BadInputError
 from calib.geometry.parts import RouteResidual
 from calib.geometry.recording import Recording
 from calib.geometry.segments import Segments
 
-__all__ = ["rms", "route_table"]
+if TYPE_CHECKING:
+    from calib.campaign.model import Campaign
+
+__all__ = ["of_kinds", "rms", "route_table"]
 
 
 def rms(residuals: FloatArray) -> tuple[float, float, float]:
@@ -46,3 +53,30 @@ def route_table(
             )
         )
     return tuple(rows)
+
+
+def of_kinds(campaign: Campaign, kinds: Iterable[str]) -> Campaign:
+    """Return the campaign with the runs of some kinds of routes; of all where none is named.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        Any.
+    kinds : iterable of str
+        Labels in its column ``kind``.
+
+    Raises
+    ------
+    BadInputError
+        Where no run has such a label.
+    """
+    wanted = set(kinds)
+    if not wanted:
+        return campaign
+    kind = campaign.runs.label("kind")
+    missing = wanted - set(kind)
+    if missing:
+        raise BadInputError(
+            f"kinds: found {', '.join(sorted(missing))}; expected some of {', '.join(sorted(set(kind)))}; correct them"
+        )
+    return campaign.select(np.isin(kind, sorted(wanted)))

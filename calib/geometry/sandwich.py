@@ -8,13 +8,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Final
 
 import numpy as np
 
 from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.geometry.solve import DEGREES, Solution
 
-__all__ = ["Uncertainty", "block_scores", "sandwich"]
+__all__ = ["OF_RUNS", "Uncertainty", "block_scores", "sandwich", "unit_information", "whitened"]
+#: power that is unbiased for known weights (CR2); 1 is the jackknife (CR3)
+UNBIASED: Final = 0.5
+#: for single runs and blocks, from which the noise's sizes are estimated too; the coverage lies between the two
+OF_RUNS: Final = 0.75
+#: part of the scores' variance that errors shared with neighbours can take away
+MOST_SHARED: Final = 0.9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,11 +66,18 @@ def block_scores(solution: Solution, free: BoolArray, block: IntArray) -> FloatA
     jacobian, residuals = whitened(solution, free)
     scores = np.einsum("nip,ni->np", jacobian, residuals)
     total = np.stack([np.bincount(block, scores[:, at]) for at in range(scores.shape[1])], axis=1)
-    flat = jacobian.reshape(-1, jacobian.shape[2])
-    return np.asarray(total @ np.linalg.inv(np.linalg.cholesky(flat.T @ flat)).T)
+    return np.asarray(total @ unit_information(solution, free).T)
 
 
-def sandwich(solution: Solution, free: BoolArray, cluster: IntArray) -> Uncertainty:
+def unit_information(solution: Solution, free: BoolArray) -> FloatArray:
+    """Return what turns pulls on the parameters into pulls in units of unit information, shape (n_free, n_free)."""
+    flat = whitened(solution, free)[0].reshape(-1, int(free.sum()))
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(flat.T @ flat)))
+
+
+def sandwich(
+    solution: Solution, free: BoolArray, cluster: IntArray, shared: FloatArray | None = None, *, power: float = UNBIASED
+) -> Uncertainty:
     """Return the covariance of the free parameters.
 
     Parameters
@@ -74,6 +88,10 @@ def sandwich(solution: Solution, free: BoolArray, cluster: IntArray) -> Uncertai
         Which parameters were free.
     cluster : array of int, shape (n,)
         Stretches of one cluster share their noise.
+    shared : array of float, shape (n_free, n_free), optional
+        Products of the scores of neighbouring clusters, from `calib.geometry.shared_ends.shared_end_scores`.
+    power : float
+        Of what leverage takes from the residuals; they are enlarged by it.
     """
     jacobian, residuals = whitened(solution, free)
     n_free = jacobian.shape[2]
@@ -92,7 +110,7 @@ def sandwich(solution: Solution, free: BoolArray, cluster: IntArray) -> Uncertai
         rows = order[low:high]
         part, rest = flat[rows], residuals.ravel()[rows]
         left, singular, right = np.linalg.svd(part, full_matrices=False)
-        grow = 1.0 / np.sqrt(np.maximum(1.0 - singular**2, 1e-6)) - 1.0
+        grow = np.maximum(1.0 - singular**2, 1e-6) ** -power - 1.0
         lever = part + left @ ((grow * singular)[:, None] * right)
         pulls.append(lever.T @ rest)
         seen = lever @ contrast
@@ -100,10 +118,22 @@ def sandwich(solution: Solution, free: BoolArray, cluster: IntArray) -> Uncertai
         shares.append(part.T @ seen)
     meat = np.stack(pulls)
     factor = _influence(solution)
-    inner = root @ (meat.T @ meat) @ root.T
+    total = meat.T @ meat
+    if shared is not None:
+        total = _with_neighbours(total, root.T @ (shared * np.outer(scale, scale)) @ root)
+    inner = root @ total @ root.T
     covariance = factor**2 * inner * np.outer(scale, scale)
     dof = _degrees(np.stack(sizes), np.stack(shares))
     return Uncertainty(covariance, dof, len(meat))
+
+
+def _with_neighbours(total: FloatArray, shared: FloatArray) -> FloatArray:
+    """Return the covariance of the scores with that of neighbours; no direction loses more than `MOST_SHARED` of it."""
+    root = np.linalg.cholesky(total + 1e-12 * np.trace(total) * np.eye(len(total)))
+    inverse = np.linalg.inv(root)
+    values, vectors = np.linalg.eigh(inverse @ (shared + shared.T) @ inverse.T)
+    inner = (vectors * np.maximum(1.0 + values, 1.0 - MOST_SHARED)) @ vectors.T
+    return np.asarray(root @ inner @ root.T)
 
 
 def _degrees(sizes: FloatArray, shares: FloatArray) -> FloatArray:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -68,7 +67,7 @@ def end_pose_segments(recording: Recording) -> Segments:
     RefusedError
         Where no run has an end pose.
     """
-    runs = np.flatnonzero(np.isfinite(recording.end_pose[:, :2]).all(axis=1))
+    runs = np.flatnonzero(np.isfinite(recording.end_pose[:, 0]))
     if not len(runs):
         raise RefusedError("end poses: found none; expected ref_x_m, ref_y_m, ref_theta_rad of some runs; measure them")
     measured = recording.end_pose[runs]
@@ -115,15 +114,15 @@ def window_segments(recording: Recording, blocks: int) -> Segments:
             continue
         n_blocks = max(1, round(float(ends[run]) / length))
         edges = np.linspace(travel[samples[0]], travel[samples[-1]], n_blocks + 1)
-        for low, high in pairwise(edges):
-            for level, share in enumerate(LEVELS):
-                starts = np.arange(0.0, 1.0 - share + 1e-9, 0.5 * share if share < 1.0 else 1.0)
-                first = samples[_nearest(travel[samples], low + starts * (high - low))]
-                last = samples[_nearest(travel[samples], low + (starts + share) * (high - low))]
-                real = last > first
-                n = int(real.sum())
-                pieces.append((first[real], last[real], np.full(n, run), np.full(n, block), np.full(n, level)))
-            block += 1
+        low, size = edges[:-1, None], np.diff(edges)[:, None]
+        for level, share in enumerate(LEVELS):
+            starts = np.arange(0.0, 1.0 - share + 1e-9, 0.5 * share if share < 1.0 else 1.0)
+            first = samples[_nearest(travel[samples], (low + starts * size).ravel())]
+            last = samples[_nearest(travel[samples], (low + (starts + share) * size).ravel())]
+            real = last > first
+            n, of = int(real.sum()), np.repeat(block + np.arange(n_blocks), len(starts))
+            pieces.append((first[real], last[real], np.full(n, run), of[real], np.full(n, level)))
+        block += n_blocks
     if not pieces or not sum(len(piece[0]) for piece in pieces):
         raise RefusedError(
             "windows: found no reference along the way; expected ref_x_m, ref_y_m, ref_theta_rad in logs; "

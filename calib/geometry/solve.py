@@ -28,7 +28,7 @@ ROUNDS: Final = 15
 NOISE_ROUNDS: Final = 4
 INNER: Final = 40
 #: stretches from which the noise is estimated; more of them cost time and tell nothing new about four numbers
-NOISE_STRETCHES: Final = 1500
+NOISE_STRETCHES: Final = 500
 #: a step below this part of a standard deviation ends the search; one below it squared ends the steps within
 CLOSE: Final = 1e-3
 #: a change of the noise's variances below this ends the inner steps, relative
@@ -175,8 +175,19 @@ def _kernel(model: Model, prediction: Prediction, values: FloatArray) -> FloatAr
 def _inverse(kernel: FloatArray, scales: FloatArray, seen: BoolArray) -> tuple[FloatArray, FloatArray]:
     """Return inverse covariances and what whitens."""
     root = np.linalg.cholesky(covariances(kernel, scales, seen))
-    whitener: FloatArray = np.asarray(np.linalg.inv(root), dtype=np.float64)
+    whitener = _inverse_of_triangles(np.asarray(root, dtype=np.float64))
     return whitener.transpose(0, 2, 1) @ whitener, whitener
+
+
+def _inverse_of_triangles(root: FloatArray) -> FloatArray:
+    """Return the inverses of lower triangles, shape (n, 3, 3), written out: for thousands of them far faster."""
+    a, d, f = root[:, 0, 0], root[:, 1, 1], root[:, 2, 2]
+    b, c, e = root[:, 1, 0], root[:, 2, 0], root[:, 2, 1]
+    inverse = np.zeros_like(root)
+    inverse[:, 0, 0], inverse[:, 1, 1], inverse[:, 2, 2] = 1.0 / a, 1.0 / d, 1.0 / f
+    inverse[:, 1, 0], inverse[:, 2, 1] = -b / (a * d), -e / (d * f)
+    inverse[:, 2, 0] = (b * e - c * d) / (a * d * f)
+    return inverse
 
 
 def _weights(whitener: FloatArray, residuals: FloatArray, size: IntArray) -> tuple[FloatArray, FloatArray]:

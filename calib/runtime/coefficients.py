@@ -12,6 +12,14 @@ from typing import Any
 __all__ = ["CoefficientError", "Coefficients", "WheelCoefficients"]
 
 FORMAT = "calib-coefficients/1"
+#: parameters of the pose's covariance in their order, and their units
+JOINT = {
+    "radius_left_m": "m",
+    "slope_left_m_per_N": "m/N",
+    "radius_right_m": "m",
+    "slope_right_m_per_N": "m/N",
+    "track_m": "m",
+}
 
 
 class CoefficientError(ValueError):
@@ -48,8 +56,10 @@ class Coefficients:
     """A coefficient file as the vehicle uses it, in SI units.
 
     `outside` is ``refuse`` or ``clamp``: what happens to a load that was not measured. `load_table` maps the name of
-    a load point to the wheel loads (left, right) in N. `unapplied_effects` names effects of the simulator's model that
-    this odometry does not carry.
+    a load point to the wheel loads (left, right) in N. `cross_covariance` holds what couples the laws and the track
+    where they were estimated together: numbers of two parameters, in the order (radius_ref_l, slope_l, radius_ref_r,
+    slope_r, track), and their covariance. `unapplied_effects` names effects of the simulator's model that this odometry
+    does not carry.
     """
 
     name: str
@@ -73,6 +83,7 @@ class Coefficients:
     max_step_m: float
     max_gap_s: float
     load_table: dict[str, tuple[float, float]]
+    cross_covariance: tuple[tuple[int, int, float], ...]
     unapplied_effects: tuple[str, ...]
 
     @classmethod
@@ -142,6 +153,7 @@ class Coefficients:
             max_step_m=_number(limits, "max_step", "m", "limits", above=0.0),
             max_gap_s=_number(limits, "max_gap", "s", "limits", above=0.0),
             load_table=table,
+            cross_covariance=_cross_covariance(document),
             unapplied_effects=tuple(str(item.get("effect")) for item in _parts(document, "effects")),
         )
         for side, wheel in (("left", made.left), ("right", made.right)):
@@ -186,6 +198,30 @@ def _wheel(document: dict[str, Any], side: str) -> WheelCoefficients:
     if made.load_min_N > made.load_max_N:
         raise CoefficientError(f"{at}.valid_load: min stands above max")
     return made
+
+
+def _cross_covariance(document: dict[str, Any]) -> tuple[tuple[int, int, float], ...]:
+    """Return the covariances between the wheels, and between wheels and track, where they were estimated together."""
+    together = document.get("joint_geometry")
+    if together is None:
+        return ()
+    together = _part(document, "joint_geometry")
+    if together.get("source") != "rear":
+        raise CoefficientError("joint_geometry: odometry from other wheels; this one reads two wheels on one axle")
+    names = list(JOINT)
+    found = []
+    for index, entry in enumerate(_parts(together, "covariance")):
+        pair = (entry.get("first"), entry.get("second"))
+        if not set(pair) <= set(names):
+            continue
+        first, second = sorted(names.index(str(name)) for name in pair)
+        if first // 2 == second // 2:
+            # within a wheel's own law, which has it
+            continue
+        one, other = (JOINT[str(name)] for name in pair)
+        unit = f"({one})^2" if one == other else f"({one})({other})"
+        found.append((first, second, _number(entry, "covariance", unit, f"joint_geometry.covariance.{index}")))
+    return tuple(found)
 
 
 def _part(document: dict[str, Any], key: str) -> dict[str, Any]:

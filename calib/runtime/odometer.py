@@ -6,8 +6,9 @@ Step. With travels l, r of the wheels, s = (l + r)/2, d = (r - l)/b, u = d/2, m 
 Covariance. P = J C J' + R + Q, where
 
 - J (3 x 5) is the derivative of the pose by (radius_ref_l, slope_l, radius_ref_r, slope_r, b), carried along the path
-  by J <- F J + G, F and G the derivatives of a step by pose and by parameter; C is the covariance of the laws and the
-  variance of the track. A load that changes on the way is thereby one law at two places, not two unrelated radii.
+  by J <- F J + G, F and G the derivatives of a step by pose and by parameter; C is the covariance of the laws and of
+  the track, with what couples them where they were estimated together. A load that changes on the way is thereby one
+  law at two places, not two unrelated radii.
 - R <- F R F' + |s| (along^2 a a' + heading^2 h h'), a and h the derivatives of a step by s and by d: a random walk.
 - Q: the uncertainty of one reading of each encoder, once at the first sample (carried along in R) and once at the last.
 
@@ -361,6 +362,8 @@ class Odometer:
                 (first + 1, first, wheel.covariance_m2_per_N),
                 (first + 1, first + 1, wheel.variance_slope_m2_per_N2),
             ]
+        for one, other, value in self.coefficients.cross_covariance:
+            entries += [(one, other, value), (other, one, value)]
         return entries
 
     def _refuse_load(self, status: Status) -> OdometerFault:

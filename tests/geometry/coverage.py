@@ -25,21 +25,23 @@ ALIKE, SHARE = 10.0, 0.8
 
 
 def _truth(rng: np.random.Generator) -> Truth:
-    left, right = 0.05 * (1.0 + 0.01 * rng.normal(size=2))
-    return Truth(left, right, 0.4 * (1.0 + 0.02 * rng.normal()))
+    # the scale common to all lengths is off by 1 %, as is taken for granted where paths close at any scale
+    scale = 1.0 + 0.01 * rng.normal()
+    left, right = 0.05 * scale * (1.0 + 0.005 * rng.normal(size=2))
+    return Truth(left, right, 0.4 * scale * (1.0 + 0.02 * rng.normal()))
 
 
 def squares(rng: np.random.Generator) -> tuple[Truth, Campaign]:
-    """Eight squares of each sense."""
+    """Twelve squares of each sense."""
     truth = _truth(rng)
-    routes = [(f"square{sense}", square(2.0, sense)) for sense in (1, -1) for _ in range(8)]
+    routes = [(f"square{sense}", square(2.0, sense)) for sense in (1, -1) for _ in range(12)]
     return truth, campaign(routes, truth, rng, walk=WALK)
 
 
 def arcs(rng: np.random.Generator) -> tuple[Truth, Campaign]:
-    """Sixteen arcs of several radii, both ways."""
+    """Twenty-four arcs of several radii, both ways."""
     truth = _truth(rng)
-    routes = [(f"arc{turn:g}", [(3.0, turn)]) for turn in (-3.0, -1.5, 1.5, 3.0) for _ in range(4)]
+    routes = [(f"arc{turn:g}", [(3.0, turn)]) for turn in (-3.0, -1.5, 1.5, 3.0) for _ in range(6)]
     return truth, campaign(routes, truth, rng, walk=WALK)
 
 

@@ -6,6 +6,9 @@ gives r_L/b and r_R/b; with these, b and the laser's pose solve a linear problem
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
 import numpy as np
 
 #: rounds of dropping, and the quantile beyond which a tuple is dropped
@@ -74,3 +77,15 @@ def _predicted(values: np.ndarray, turned: np.ndarray) -> np.ndarray:
     ay = dy + np.sin(turn) * x + np.cos(turn) * y - y
     c, s = np.cos(yaw), np.sin(yaw)
     return np.stack([c * ax + s * ay, c * ay - s * ax, turn], axis=1)
+
+
+def tuples_of(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Return what the wheels turned, shape (n, 2), and how the scan matcher moved, shape (n, 3), of a recording."""
+    decoder, text, at, tuples = json.JSONDecoder(), path.read_text(encoding="utf-8").strip(), 0, []
+    while at < len(text):
+        value, at = decoder.raw_decode(text, at)
+        at += len(text[at:]) - len(text[at:].lstrip())
+        tuples.append(value)
+    duration = np.array([one["T"] for one in tuples])
+    turned = np.array([[one["phi_l"], one["phi_r"]] for one in tuples]) * duration[:, None]
+    return turned, np.array([one["sm"] for one in tuples])

@@ -12,6 +12,7 @@ from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
 from calib.campaign.write import write_campaign
 from calib.errors import RefusedError
+from calib.gap.plan.planned_runs import joined
 from calib.geometry.estimate import estimate_geometry
 from tests.geometry.campaigns import Truth, both_ways, campaign, mixed, tricycle
 
@@ -192,3 +193,61 @@ def test_a_mirrored_tricycle_is_turned_round() -> None:
         assert abs(found[name].value - value) < SIGMAS * found[name].std, name
     plain = estimate_geometry(tricycle(np.random.default_rng(15)))
     assert not plain.mirrored and plain.passed
+
+
+def _together(parts: list[Campaign]) -> Campaign:
+    """Runs of several recordings as one campaign, each recording a session."""
+    whole = parts[0]
+    for part in parts[1:]:
+        whole = joined(whole, part)
+    n = [len(part.runs) for part in parts]
+    labels = dict(whole.runs.labels)
+    labels["session"] = np.repeat([f"day {at}" for at in range(len(parts))], n)
+    labels["run_id"] = np.array([f"r{at:03d}" for at in range(sum(n))])
+    return replace(whole, runs=replace(whole.runs, labels=labels))
+
+
+@pytest.mark.parametrize("later_s", [0.05, 0.2])
+def test_recordings_of_different_delays_get_one_each(later_s: float) -> None:
+    """Two recordings whose stamps lag by 0.05 and 0.2 s: each delay is found and said; of one delay only one is."""
+    rng = np.random.default_rng(16)
+    truths = [replace(TRUTH, sensor=(0.1, 0.0, 0.0), delay_s=delay) for delay in (0.05, later_s)]
+    legs = [(1.0, turn) for turn in rng.uniform(-1.5, 1.5, 16)]
+    made = [campaign([("free", legs)], truth, rng, sigma=(5e-4, 3e-4), along=True, samples=400) for truth in truths]
+    found = estimate_geometry(_together(made), using="windows")
+    if later_s == 0.05:
+        assert not found.delays and found["delay_s"].value == pytest.approx(0.05, abs=SIGMAS * found["delay_s"].std)
+        return
+    assert [one.label for one in found.delays] == ["day 0", "day 1"]
+    for one, truth in zip(found.delays, truths, strict=True):
+        # a tenth of a sample: before the log begins the generator holds the pose still
+        assert one.value_s == pytest.approx(truth.delay_s, abs=5e-3)
+    assert "another delay in each recording" in " ".join(found.sentences())
+    assert found["track_m"].value == pytest.approx(TRUTH.track_m, rel=3e-3)
+
+
+def test_measured_lengths_of_straight_runs_and_end_poses_of_squares_are_one_fit() -> None:
+    """Squares hold no scale and corridors no track: together they give both laws and the track, with one covariance."""
+    truth = Truth(slope_left=2e-6, slope_right=-1e-6)
+    rng = np.random.default_rng(17)
+    loads = np.tile([[200.0, 250.0], [400.0, 300.0], [600.0, 700.0]], (10, 1))
+    routes = [*both_ways(9), *([("corridor", [(4.0, 0.0)])] * 12)]
+    made = campaign(routes, truth, rng, loads=loads)
+    corridor = made.runs.label("kind") == "corridor"
+    numbers = dict(made.runs.numbers)
+    numbers["distance_m"] = np.where(corridor, numbers["ref_x_m"], np.nan)
+    for name in ("ref_x_m", "ref_y_m", "ref_theta_rad"):
+        numbers[name] = np.where(corridor, np.nan, numbers[name])
+    found = estimate_geometry(replace(made, runs=replace(made.runs, numbers=numbers)))
+    assert not found.undetermined and found.n_runs == 30
+    wanted = {
+        **{name: getattr(truth, name) for name in NAMES},
+        "slope_left_m_per_N": 2e-6,
+        "slope_right_m_per_N": -1e-6,
+    }
+    for name, value in wanted.items():
+        assert abs(found[name].value - value) < SIGMAS * found[name].std, name
+    squares = replace(made, runs=replace(made.runs, numbers=numbers)).select(~corridor)
+    # without the corridors the lengths are known to the nominal 1 % only, or not determined at all
+    alone = estimate_geometry(squares)
+    assert alone.undetermined or alone["track_m"].std > 3.0 * found["track_m"].std

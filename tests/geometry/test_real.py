@@ -8,12 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.campaign.model import Campaign, Logs, RunTable
-from calib.campaign.settings import Encoder, Odometry, OdometryModel, Rangefinder, Reference
+from calib.campaign.model import Campaign
 from calib.geometry.estimate import estimate_geometry
 from calib.geometry.result import Geometry
-from calib.vehicle import Vehicle
-from tests.geometry.published import published
+from tests.geometry.published import published, tuples_of
 from tests.real import recordings
 
 #: how far the general estimate may be from the published one, relative: the full recordings, and thirds of them
@@ -60,27 +58,28 @@ def test_the_stated_covariance_is_that_of_the_thirds(khepera: dict[str, Geometry
 @pytest.mark.parametrize("name", [f"{base}{part}" for base in ("l90", "lstraight") for part in ("", "_0", "_1", "_2")])
 def test_the_published_procedure_gives_the_published_values(name: str, shared_data: Path) -> None:
     """Rebuilt from the paper, it meets the makers' printed six digits: the data are read as they were meant."""
-    turned, moved = _tuples(recordings.available(shared_data, f"khepera_{name.split('_', maxsplit=1)[0]}/{name}.tuple"))
+    turned, moved = tuples_of(
+        recordings.available(shared_data, f"khepera_{name.split('_', maxsplit=1)[0]}/{name}.tuple")
+    )
     rebuilt = published(turned, moved)
     wanted = _published(shared_data, name)
     for key in ("l_diam", "r_diam", "axle", "l_x", "l_y", "l_theta"):
         assert rebuilt[key] == pytest.approx(wanted[key], rel=1e-5), key
 
 
-def _tuples(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    decoder, text, at, tuples = json.JSONDecoder(), path.read_text(encoding="utf-8").strip(), 0, []
-    while at < len(text):
-        value, at = decoder.raw_decode(text, at)
-        at += len(text[at:]) - len(text[at:].lstrip())
-        tuples.append(value)
-    duration = np.array([one["T"] for one in tuples])
-    turned = np.array([[one["phi_l"], one["phi_r"]] for one in tuples]) * duration[:, None]
-    return turned, np.array([one["sm"] for one in tuples])
+@pytest.fixture(scope="module")
+def differential(shared_data: Path) -> Campaign:
+    return recordings.optiodom_differential(shared_data)
 
 
-def test_optiodom_joint_estimate_of_all_routes(shared_data: Path) -> None:
+@pytest.fixture(scope="module")
+def everything(differential: Campaign) -> Geometry:
+    return estimate_geometry(differential, leave_out="session")
+
+
+def test_optiodom_joint_estimate_of_all_routes(everything: Geometry) -> None:
     """All 102 runs: radii and track of an independent robust fit, and intervals as wide as the routes disagree."""
-    found = estimate_geometry(recordings.optiodom_differential(shared_data), leave_out="session")
+    found = everything
     for name, value in (("radius_left_m", 0.04193), ("radius_right_m", 0.04187), ("track_m", 0.2017)):
         low, high = found[name].ci95
         assert low < value < high
@@ -92,13 +91,14 @@ def test_optiodom_joint_estimate_of_all_routes(shared_data: Path) -> None:
     assert np.all(after < before)
 
 
-def test_optiodom_squares_and_circles_agree_within_their_intervals(shared_data: Path) -> None:
+def test_optiodom_squares_and_circles_agree_within_their_intervals(
+    differential: Campaign, everything: Geometry
+) -> None:
     """Squares by UMBmark and by least squares, circles alone: the ratios that each determines lie in all intervals."""
-    campaign = recordings.optiodom_differential(shared_data)
+    campaign = differential
     nominal = campaign.model.track_m / (0.5 * (campaign.model.radius_left_m + campaign.model.radius_right_m))
     squares = estimate_geometry(campaign, kinds=["square_cw", "square_ccw"], using="end_poses")
     circles = estimate_geometry(campaign, kinds=["circular_cw", "circular_ccw"], using="end_poses")
-    everything = estimate_geometry(campaign, using="end_poses")
     mark = squares.umbmark
     assert mark.applies
     assert squares.ratio("radius_right_m", "radius_left_m").value == pytest.approx(mark.E_d, abs=3e-4)
@@ -117,60 +117,16 @@ def test_optiodom_tricycle_intervals_hold_the_reference(shared_data: Path) -> No
         assert low < value < high, name
 
 
-def _mecanum(folder: Path, bag: str) -> Campaign:
-    """One recording of the four wheels' counts with the reference at their times; 38 x 5 counts a turn."""
-    pytest.importorskip("rosbags")
-    from rosbags.highlevel import AnyReader
-
-    ticks, poses = [], []
-    with AnyReader([recordings.available(folder, f"mecanum_optitrack/{bag}.bag")]) as reader:
-        for connection, _, raw in reader.messages():
-            message = reader.deserialize(raw, connection.msgtype)
-            stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
-            if connection.topic == "/wheel_states":
-                ticks.append([stamp, *message.position])
-            elif connection.topic == "/robot/pose":
-                place, q = message.pose.position, message.pose.orientation
-                yaw = np.arctan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z))
-                poses.append([stamp, place.x, place.y, yaw])
-    wheels, seen = np.array(ticks), np.array(poses)
-    seen[:, 3] = np.unwrap(seen[:, 3])
-    wheels = wheels[(wheels[:, 0] >= seen[0, 0]) & (wheels[:, 0] <= seen[-1, 0])]
-    wheels = wheels[np.concatenate(([True], np.diff(wheels[:, 0]) > 0))]
-    t = wheels[:, 0]
-    names = ("counts_front_left", "counts_front_right", "counts_rear_left", "counts_rear_right")
-    log = {"t_s": t - t[0]} | {name: wheels[:, at + 1] - wheels[0, at + 1] for at, name in enumerate(names)}
-    for at, name in enumerate(("ref_x_m", "ref_y_m", "ref_theta_rad"), start=1):
-        log[name] = np.interp(t, seen[:, 0], seen[:, at])
-    vehicle = Vehicle(
-        wheel_radius_m=0.07, half_length_plus_half_width_m=0.369, wheelbase_m=0.4, cog_x_m=0.2, drive="mecanum"
-    )
-    labels = {"run_id": np.array([bag]), "session": np.array([bag]), "kind": np.array(["free"])}
-    return Campaign(
-        root=None,
-        name=f"mecanum {bag}",
-        simulated=False,
-        vehicle=vehicle,
-        encoder=Encoder(190.0, 190.0),
-        model=OdometryModel(0.07, 0.07, 0.738, 100.0),
-        rangefinder=Rangefinder(),
-        reference=Reference(sigma_xy_m=1e-3, sigma_theta_rad=2e-3, frame="map"),
-        runs=RunTable(labels, {}, np.zeros(1, dtype=bool), np.array([2])),
-        logs=Logs(np.array([0, len(t)]), log),
-        odometry=Odometry("wheels"),
-    )
-
-
 def test_mecanum_radius_and_arm_are_within_one_per_cent(shared_data: Path) -> None:
     """bag2: r and l + w of an independent windowed fit of the same recording."""
-    found = estimate_geometry(_mecanum(shared_data, "bag2"))
+    found = estimate_geometry(recordings.mecanum(shared_data, "bag2"))
     assert found["wheel_radius_m"].value == pytest.approx(0.0680, rel=0.01)
     assert found["half_length_plus_half_width_m"].value == pytest.approx(0.360, rel=0.01)
 
 
 def test_where_the_vehicle_hardly_turned_its_arm_is_named_as_open(shared_data: Path) -> None:
     """bag1 has next to no rotation: the radius is found, l + w is not printed."""
-    found = estimate_geometry(_mecanum(shared_data, "bag1"))
+    found = estimate_geometry(recordings.mecanum(shared_data, "bag1"))
     assert "half_length_plus_half_width_m" in found.undetermined
     assert "half_length_plus_half_width_m" not in found.to_dict()["parameters"]
     assert found["wheel_radius_m"].value == pytest.approx(0.0680, rel=0.02)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,6 +18,7 @@ import pytest
 from calib.arrays import FloatArray
 from calib.campaign.model import Campaign, Logs, RunTable
 from calib.campaign.settings import Encoder, Odometry, OdometryModel, Rangefinder, Reference
+from calib.campaign.wheels import WHEEL_COLUMNS
 from calib.vehicle import Vehicle
 from tests.campaign.straightline import convert
 
@@ -42,8 +44,9 @@ def in_memory(
     *,
     numbers: Mapping[str, FloatArray] | None = None,
     odometry: Odometry | None = None,
+    end_poses: bool = True,
 ) -> Campaign:
-    """Return a campaign of one log a run; its end poses and counts are what the logs end with."""
+    """Return a campaign of one log a run; its end poses, where wanted, and counts are what the logs end with."""
     vehicle, encoder, model, reference = settings
     lengths = [len(log["t_s"]) for log in logs]
     names = sorted({column for log in logs for column in log})
@@ -53,7 +56,8 @@ def in_memory(
     }
     ends = {column: np.array([log.get(column, np.full(1, np.nan))[-1] for log in logs]) for column in names}
     given = {column: ends[column] for column in ("counts_left", "counts_right") if column in ends}
-    given |= {column: ends[column] for column in ("ref_x_m", "ref_y_m", "ref_theta_rad") if column in ends}
+    if end_poses:
+        given |= {column: ends[column] for column in ("ref_x_m", "ref_y_m", "ref_theta_rad") if column in ends}
     return Campaign(
         root=None,
         name=name,
@@ -269,6 +273,56 @@ def straight_line(folder: Path, by: Literal["laser", "motion_capture"] = "laser"
     return convert(available(folder, "straightline_laser/dataset1.mat"), by=by)
 
 
+@cache
+def _mecanum_log(folder: Path, bag: str) -> Mapping[str, FloatArray]:
+    """Ticks of the four wheels from nought, and the reference's poses at their times."""
+    pytest.importorskip("rosbags")
+    from rosbags.highlevel import AnyReader
+
+    ticks, poses = [], []
+    with AnyReader([available(folder, f"mecanum_optitrack/{bag}.bag")]) as reader:
+        wanted = [one for one in reader.connections if one.topic in {"/wheel_states", "/robot/pose"}]
+        for connection, _, raw in reader.messages(wanted):
+            message = reader.deserialize(raw, connection.msgtype)
+            stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+            if connection.topic == "/wheel_states":
+                ticks.append([stamp, *message.position])
+            else:
+                place, q = message.pose.position, message.pose.orientation
+                yaw = np.arctan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z))
+                poses.append([stamp, place.x, place.y, yaw])
+    wheels, seen = np.array(ticks), np.array(poses)
+    seen[:, 3] = np.unwrap(seen[:, 3])
+    wheels = wheels[(wheels[:, 0] >= seen[0, 0]) & (wheels[:, 0] <= seen[-1, 0])]
+    wheels = wheels[np.concatenate(([True], np.diff(wheels[:, 0]) > 0))]
+    t = wheels[:, 0]
+    log = {name: wheels[:, at] - wheels[0, at] for at, name in enumerate(WHEEL_COLUMNS["wheels"], start=1)}
+    for at, name in enumerate(("ref_x_m", "ref_y_m", "ref_theta_rad"), start=1):
+        log[name] = np.interp(t, seen[:, 0], seen[:, at])
+    return {"t_s": t - t[0], **log}
+
+
+#: counts a turn: 38 a turn of the motor, gear 5 to 1
+_MECANUM_TURN = 190.0
+_MECANUM_REFERENCE = Reference(sigma_xy_m=1e-3, sigma_theta_rad=2e-3, frame="map")
+
+
+def mecanum(folder: Path, bag: str) -> Campaign:
+    """One continuous run of a mecanum robot by its four wheels: ``bag1`` with next to no rotation, or ``bag2``."""
+    vehicle = Vehicle(
+        wheel_radius_m=0.07, half_length_plus_half_width_m=0.369, wheelbase_m=0.4, cog_x_m=0.2, drive="mecanum"
+    )
+    model = OdometryModel(0.07, 0.07, 0.738, 100.0)
+    return in_memory(
+        f"mecanum {bag}",
+        [_mecanum_log(folder, bag)],
+        {"run_id": [bag], "session": [bag], "kind": ["free"]},
+        (vehicle, Encoder(_MECANUM_TURN, _MECANUM_TURN), model, _MECANUM_REFERENCE),
+        odometry=Odometry("wheels"),
+        end_poses=False,
+    )
+
+
 def mecanum_as_differential(folder: Path, bag: str) -> Campaign:
     """One continuous run of a mecanum robot, taken for a differential drive: its strafing is what no wheel explains.
 
@@ -284,41 +338,13 @@ def mecanum_as_differential(folder: Path, bag: str) -> Campaign:
     Campaign
         One run. The mean of the wheels of a side is its count; radius 0.07 m, track 2 x 0.369 m, 190 counts a turn.
     """
-    pytest.importorskip("rosbags")
-    from rosbags.highlevel import AnyReader
-
-    ticks, poses = [], []
-    with AnyReader([available(folder, f"mecanum_optitrack/{bag}.bag")]) as reader:
-        for connection, _, raw in reader.messages():
-            message = reader.deserialize(raw, connection.msgtype)
-            stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
-            if connection.topic == "/wheel_states":
-                ticks.append([stamp, *message.position])
-            elif connection.topic == "/robot/pose":
-                place, q = message.pose.position, message.pose.orientation
-                yaw = np.arctan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z))
-                poses.append([stamp, place.x, place.y, yaw])
-    wheels, seen = np.array(ticks), np.array(poses)
-    seen[:, 3] = np.unwrap(seen[:, 3])
-    wheels = wheels[(wheels[:, 0] >= seen[0, 0]) & (wheels[:, 0] <= seen[-1, 0])]
-    wheels = wheels[np.concatenate(([True], np.diff(wheels[:, 0]) > 0))]
-    t = wheels[:, 0]
-    counts = wheels[:, 1:] - wheels[0, 1:]
-    log = {
-        "t_s": t - t[0],
-        "counts_left": 0.5 * (counts[:, 0] + counts[:, 2]),
-        "counts_right": 0.5 * (counts[:, 1] + counts[:, 3]),
-    }
-    log |= {
-        column: np.interp(t, seen[:, 0], seen[:, k])
-        for k, column in enumerate(("ref_x_m", "ref_y_m", "ref_theta_rad"), start=1)
-    }
+    log = dict(_mecanum_log(folder, bag))
+    front_left, front_right, rear_left, rear_right = (log.pop(name) for name in WHEEL_COLUMNS["wheels"])
+    log |= {"counts_left": 0.5 * (front_left + rear_left), "counts_right": 0.5 * (front_right + rear_right)}
     vehicle = Vehicle(
         track_m=0.738, wheelbase_m=0.4, wheel_radius_m=0.07, mass_kg=25.0, cog_x_m=0.2, drive="differential"
     )
     model = OdometryModel(0.07, 0.07, 0.738, vehicle.unladen_load_N)
     labels = {"run_id": [bag], "session": [bag], "kind": ["free"]}
-    reference = Reference(sigma_xy_m=1e-3, sigma_theta_rad=2e-3, frame="map")
-    return in_memory(
-        f"mecanum {bag}, as a differential drive", [log], labels, (vehicle, Encoder(190.0, 190.0), model, reference)
-    )
+    settings = (vehicle, Encoder(_MECANUM_TURN, _MECANUM_TURN), model, _MECANUM_REFERENCE)
+    return in_memory(f"mecanum {bag}, as a differential drive", [log], labels, settings)

@@ -10,6 +10,7 @@ import pytest
 
 from calib.coefficients.file import CoefficientFile
 from calib.motion.odometry.integrate import integrate
+from calib.radius.law import JOINT
 from calib.runtime import Coefficients, Odometer
 
 STEPS = 100_000
@@ -136,11 +137,42 @@ def winding(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return left, right, loads
 
 
+def together(file: CoefficientFile, covariance: np.ndarray) -> CoefficientFile:
+    """The file as if its laws and its track had been estimated together."""
+    units = dict(zip(JOINT, ("m", "m/N", "m", "m/N", "m"), strict=True))
+    entries = [
+        {
+            "first": first,
+            "second": second,
+            "covariance": {
+                "value": covariance[row, row + ahead],
+                "unit": f"({units[first]})^2"
+                if units[first] == units[second]
+                else f"({units[first]})({units[second]})",
+            },
+        }
+        for row, first in enumerate(JOINT)
+        for ahead, second in enumerate(JOINT[row:])
+    ]
+    wheels = file.wheels
+    values = {"radius_left_m": wheels.left.radius_ref.value, "radius_right_m": wheels.right.radius_ref.value}
+    parameters = {name: {"value": value, "unit": "m"} for name, value in values.items()}
+    parameters["track_m"] = {"value": file.vehicle.track.value, "unit": "m"}
+    for side, wheel in (("left", wheels.left), ("right", wheels.right)):
+        parameters[f"slope_{side}_m_per_N"] = {"value": wheel.slope.value, "unit": "m/N"}
+    section = {"drive": "differential", "source": "rear", "parameters": parameters, "covariance": entries}
+    return file.changed(joint_geometry=section)
+
+
+@pytest.mark.parametrize("coupled", [False, True])
 @pytest.mark.parametrize("band", ["mean", "prediction"])
 def test_systematic_covariance_is_the_laws_carried_through_the_end_pose(
-    file: CoefficientFile, drive: Callable[..., np.ndarray], band: str
+    file: CoefficientFile, drive: Callable[..., np.ndarray], band: str, coupled: bool
 ) -> None:
-    """Against central differences of an independent integration by each coefficient; loads change on the way."""
+    """Against central differences of an independent integration by each coefficient; loads change on the way.
+
+    Where the wheels and the track were estimated together, what couples them counts too, in both runtimes.
+    """
     only = quiet(file, law=1.0, track_std=1e-3)
     left, right, loads = winding(300)
     rev = (4096.0, 4000.0)
@@ -158,6 +190,13 @@ def test_systematic_covariance_is_the_laws_carried_through_the_end_pose(
     c = np.zeros((5, 5))
     c[:2, :2] = c[2:4, 2:4] = block
     c[4, 4] = 1e-6
+    if coupled:
+        # radii that go together, slopes against them, and a track that follows the radii
+        for first, second, share in ((0, 2, 0.9), (0, 3, -0.2), (1, 2, -0.3), (1, 3, 0.5), (0, 4, 0.6), (2, 4, 0.6)):
+            c[first, second] = c[second, first] = share * np.sqrt(c[first, first] * c[second, second])
+        c[1, 4] = c[4, 1] = -3e-12
+        c[3, 4] = c[4, 3] = 2e-12
+        only = together(only, c - np.diag([scatter, 0.0, scatter, 0.0, 0.0]))
     expected = jacobian @ c @ jacobian.T
     found = np.array(run(only, left, right, loads, band).covariance)
     # rtol: central differences leave about 1e-9 of each derivative; entries cancel to a hundredth

@@ -13,6 +13,7 @@ from calib.coefficients.loads import Artifact, accepted_lines, ascii_line
 from calib.coefficients.options import ExportOptions
 from calib.coefficients.sections import WheelSection
 from calib.errors import RefusedError
+from calib.radius.law import JOINT
 
 __all__ = ["BODY_NAME", "FixedPoint", "fixed_point", "render"]
 
@@ -123,7 +124,7 @@ def _head(file: CoefficientFile) -> str:
         "",
     ]
     lines += _wheel(file.wheels.left, "left") + _wheel(file.wheels.right, "right")
-    lines += [*_numbers(file), *_table(file), "", ""]
+    lines += [*_numbers(file), *_cross(file), *_table(file), "", ""]
     return "\n".join(lines)
 
 
@@ -152,6 +153,22 @@ def _numbers(file: CoefficientFile) -> list[str]:
         "/* vehicle, encoders, noise, limits */",
         *(f"#define CALIB_{name} {_c(value)}" for name, value in numbers.items()),
         f"#define CALIB_WRAP_BITS {bits} /* 0: the counters do not wrap */",
+        "",
+    ]
+
+
+def _cross(file: CoefficientFile) -> list[str]:
+    """Return the covariances that couple the wheels and the track; 0 where they were not estimated together."""
+    joint = file.law.joint
+    pairs = [(first, second) for first in range(len(JOINT)) for second in range(first + 1, len(JOINT))]
+    return [
+        "/* covariance of parameters estimated together: 0 radius left, 1 slope left, 2 radius right,",
+        " * 3 slope right, 4 track; 0.0 where they were estimated apart */",
+        *(
+            f"#define CALIB_COV_{first}{second} {_c(0.0 if joint is None else float(joint[first, second]))}"
+            for first, second in pairs
+            if first // 2 != second // 2
+        ),
         "",
     ]
 

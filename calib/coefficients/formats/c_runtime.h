@@ -406,7 +406,12 @@ static inline calib_status calib_get_pose(const calib_odometer *o, calib_pose *p
                 + a[1] * CALIB_LEFT_VAR_SLOPE_M2_PER_N2 * b[1] + a[2] * rr * b[2]
                 + (a[2] * b[3] + a[3] * b[2]) * CALIB_RIGHT_COV_M2_PER_N
                 + a[3] * CALIB_RIGHT_VAR_SLOPE_M2_PER_N2 * b[3] + a[4] * bb * b[4];
-            pose->covariance[i][j] = part + o->random[k] + q[k];
+            const double between = (a[0] * b[2] + a[2] * b[0]) * CALIB_COV_02
+                + (a[0] * b[3] + a[3] * b[0]) * CALIB_COV_03 + (a[0] * b[4] + a[4] * b[0]) * CALIB_COV_04
+                + (a[1] * b[2] + a[2] * b[1]) * CALIB_COV_12 + (a[1] * b[3] + a[3] * b[1]) * CALIB_COV_13
+                + (a[1] * b[4] + a[4] * b[1]) * CALIB_COV_14 + (a[2] * b[4] + a[4] * b[2]) * CALIB_COV_24
+                + (a[3] * b[4] + a[4] * b[3]) * CALIB_COV_34;
+            pose->covariance[i][j] = part + between + o->random[k] + q[k];
             pose->covariance[j][i] = pose->covariance[i][j];
         }
     }
