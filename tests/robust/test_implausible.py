@@ -79,5 +79,11 @@ def test_the_likely_setting_is_named_and_a_reason_is_written_into_the_file(
     assert document["accepted_implausible"]["reason"] == "wheel of the test stand"
     assert "times nominal" in document["accepted_implausible"]["findings"][0]
     # the file that carries the reason may be turned into other forms
-    assert run(["export", str(tmp_path / "c.json"), "--to", "c", "--output", str(tmp_path / "c.h")]) == 0
+    capsys.readouterr()
+    for to in ("c", "csv", "ros2"):
+        assert run(["export", str(tmp_path / "c.json"), "--to", to]) == 0
+        assert "wheel of the test stand" in capsys.readouterr().out, to
+    report = ["report", str(folder), "--into", str(tmp_path / "r.pdf"), "--html", str(tmp_path / "r.html")]
+    assert run([*report, "--accept-implausible", "wheel of the test stand"]) in {0, 1}
+    assert "wheel of the test stand" in (tmp_path / "r.html").read_text(encoding="utf-8")
     capsys.readouterr()
