@@ -73,3 +73,32 @@ def test_half_a_track_is_status_one(tmp_path: Path, capsys: pytest.CaptureFixtur
     write_campaign(wrong, tmp_path / "c")
     assert run(["geometry", str(tmp_path / "c")]) == 1
     assert "twice the track" in " ".join(capsys.readouterr().out.split())
+
+
+def test_a_recording_with_a_mapping_gives_the_geometry_of_its_campaign(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One command from a CSV of wheel rates and poses to radii, track, sensor and delay: what was driven comes back."""
+    truth = Truth(sensor=(0.1, -0.03, 0.2), delay_s=0.06)
+    legs = [(1.0, turn) for turn in np.random.default_rng(5).uniform(-1.5, 1.5, 16)]
+    made = campaign([("free", legs)], truth, np.random.default_rng(6), sigma=(5e-4, 3e-4), along=True, samples=800)
+    log = made.logs.of(0)
+    step = np.diff(log["t_s"], prepend=log["t_s"][0] - log["t_s"][1])
+    # rates over the step before each sample
+    rates = {
+        side: np.diff(log[f"counts_{side}"], prepend=0.0) / 20000.0 * 2 * np.pi / step for side in ("left", "right")
+    }
+    columns = [log["t_s"], rates["left"], rates["right"], log["ref_x_m"], log["ref_y_m"], log["ref_theta_rad"]]
+    np.savetxt(tmp_path / "run.csv", np.stack(columns, axis=1), delimiter=",", header="t,l,r,x,y,h", comments="")
+    (tmp_path / "m.toml").write_text(
+        '[vehicle]\ndrive = "differential"\ntrack_m = 0.4\nwheel_radius_m = 0.05\nwheelbase_m = 0.6\ncog_x_m = 0.1\n'
+        "[encoder]\ncounts_per_rev = 20000\n"
+        '[reference]\nframe = "start"\nsigma_xy_m = 0.0005\nsigma_theta_rad = 0.0003\n[log]\nt_s = "t"\n'
+        'counts_left = {column = "l", unit = "rad/s"}\ncounts_right = {column = "r", unit = "rad/s"}\n'
+        'ref_x_m = "x"\nref_y_m = "y"\nref_theta_rad = "h"\n'
+    )
+    assert run(["geometry", str(tmp_path / "run.csv"), "--mapping", str(tmp_path / "m.toml"), "--json", "-"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    for name, value in (("radius_left_m", truth.radius_left_m), ("track_m", truth.track_m), ("sensor_yaw_rad", 0.2)):
+        # rates are integrated between samples, half a step beside where they were measured
+        assert told["parameters"][name]["value"] == pytest.approx(value, rel=5e-3), name
