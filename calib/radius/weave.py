@@ -27,6 +27,9 @@ MIN_SAMPLES: Final = 16
 MIN_PERIODS: Final = 0.5
 MAX_PERIODS: Final = 42.0
 PERIOD_STEP: Final = 0.25
+#: headings about the axis may be so many times those about a straight trend, before the fit counts as diverged
+MOST_OF_TREND: Final = 3.0
+TINY_RAD: Final = 1e-9
 ROUNDS: Final = 7
 
 
@@ -166,6 +169,7 @@ def fit_headings(rolled_m: FloatArray, heading_rad: FloatArray) -> FloatArray:
         before, x = x[:, -1], _progress(weave)
         periods = periods * before / x[:, -1]
         angle = 2 * np.pi * periods[:, None] * x
+    line, wave = _kept_near(heading_rad, u, line, wave)
     weave = np.arctan(wave[0, :, None] * np.cos(angle) + wave[1, :, None] * np.sin(angle))
     about_axis = heading_rad - line[0, :, None] - line[1, :, None] * u
     rest = about_axis - weave
@@ -186,6 +190,23 @@ def fit_headings(rolled_m: FloatArray, heading_rad: FloatArray) -> FloatArray:
             rms,
         )
     )
+
+
+def _kept_near(
+    heading_rad: FloatArray, u: FloatArray, line: FloatArray, wave: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return lines and waves; the straight trend alone where wave and line of a run grew against one another."""
+    off = u - 0.5
+    trend = (off * heading_rad).sum(axis=1) / (off * off).sum(axis=1)
+    plain = np.stack([heading_rad.mean(axis=1) - 0.5 * trend, trend])
+
+    def about(axis: FloatArray) -> FloatArray:
+        left: FloatArray = np.sqrt(np.mean((heading_rad - axis[0, :, None] - axis[1, :, None] * u) ** 2, axis=1))
+        return left
+
+    # a wave is part of what a straight trend leaves: far more than that is two large terms that cancel
+    diverged = about(line) > MOST_OF_TREND * about(plain) + TINY_RAD
+    return np.where(diverged, plain, line), np.where(diverged, 0.0, wave)
 
 
 def _solve(design: FloatArray, wanted: FloatArray) -> FloatArray:

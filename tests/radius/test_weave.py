@@ -5,7 +5,7 @@ import pytest
 
 from calib.campaign.model import Logs
 from calib.radius.deviation import weave_excess
-from calib.radius.weave import estimate_weaves
+from calib.radius.weave import estimate_weaves, fit_headings
 from tests.radius.making import COUNTS_PER_REV, woven_counts
 
 METRES_PER_COUNT = 2 * np.pi * 0.1 / COUNTS_PER_REV
@@ -67,3 +67,15 @@ def test_standstill_and_reverse_driving_do_not_disturb() -> None:
         found = estimate_weaves(logs, (METRES_PER_COUNT, METRES_PER_COUNT), 0.7)
         assert found.amplitude_m[0] == pytest.approx(0.05, rel=0.01)  # whole counts
         assert found.wavelength_m[0] == pytest.approx(8.0, rel=0.01)
+
+
+def test_a_wandering_heading_never_grows_into_a_wave_of_its_own() -> None:
+    """Random walks have no wave: the excess stays that of the heading about a straight trend, half its square."""
+    rng, n, points = np.random.default_rng(3), 300, 256
+    u = np.linspace(0.0, 1.0, points)
+    heading = np.cumsum(rng.normal(0.0, 1e-3, (n, points)), axis=1) + 0.02 * rng.normal(size=(n, 1)) * u**2
+    trend = ((u - 0.5) * heading).sum(axis=1) / ((u - 0.5) ** 2).sum()
+    about_trend = heading - heading.mean(axis=1, keepdims=True) - trend[:, None] * (u - 0.5)
+    excess = fit_headings(np.full(n, 20.0), heading)[3]
+    # an axis that a long wave turns may leave three times as much, nine times in squares, and never more
+    assert np.all(excess <= 9.5 * 0.5 * np.mean(about_trend**2, axis=1) + 1e-9)
