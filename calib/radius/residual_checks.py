@@ -161,7 +161,7 @@ def _curvature(runs: _Runs) -> Check | None:
     norm = float(projected @ projected)
     full, rank = _squares(np.column_stack((base, square)), y)
     dof = len(y) - rank
-    if norm < 1e-9 * float(square @ square) or dof < 1 or full <= 0:
+    if norm <= 1e-9 * float(square @ square) or dof < 1 or full <= 0:
         return None
     bend = float(projected @ y) / norm
     statistic = bend / np.sqrt(full / dof / norm)
