@@ -16,6 +16,7 @@ __all__ = [
     "KEY_CHARACTERS",
     "KEY_PARTS",
     "LABEL_CHARACTERS",
+    "MATLAB_UNPACKED_BYTES",
     "RUNS",
     "SETTINGS_BYTES",
     "SHEETS",
@@ -48,6 +49,8 @@ SHEETS: Final = 200
 SHEET_CELLS: Final = 4_000_000
 SHEET_EMPTY: Final = 1_000_000
 SHEET_UNPACKED_BYTES: Final = 512 << 20
+#: a variable of a MATLAB file, unpacked
+MATLAB_UNPACKED_BYTES: Final = 2 << 30
 
 _PART: Final = r"""(?:[A-Za-z0-9_-]++|"[^"\n]*+"|'[^'\n]*+')"""
 #: a key of more parts than may be, wherever it stands; possessive, so that the search takes one pass

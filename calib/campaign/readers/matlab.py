@@ -10,6 +10,7 @@ import numpy as np
 
 from calib.arrays import FloatArray
 from calib.campaign.model import Note
+from calib.campaign.readers.matlab_elements import damage
 from calib.campaign.readers.recording import Recording, Stream, matrix_columns
 from calib.errors import BadFileError
 
@@ -25,6 +26,10 @@ def record(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> Reco
     import scipy.io
 
     notes: list[Note] = []
+    # the reader is machine code that takes every tag for granted
+    broken = damage(path.read_bytes())
+    if broken:
+        raise _damaged(shown, broken)
     try:
         listed = scipy.io.whosmat(str(path))
         kept = [name for name, _, kind in listed if kind in _NUMERIC or kind == "struct"]
@@ -47,12 +52,7 @@ def record(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> Reco
     except Exception as error:
         # the library answers damage with errors of many kinds (values, types, zlib, its own)
         reason = " ".join(str(error).split())[:100] or type(error).__name__
-        raise BadFileError(
-            shown,
-            found=f"a MATLAB file that is cut or damaged ({reason})",
-            expected="a whole one of version 5 to 7.2",
-            remedy="save it again with: save('file.mat', '-v7')",
-        ) from error
+        raise _damaged(shown, reason) from error
     columns: dict[str, FloatArray] = {}
     properties: dict[str, str] = {}
     for name in kept:
@@ -91,6 +91,15 @@ def _flatten(
         columns.update(matrix_columns(name, value))
     elif value.dtype.kind == "O":
         notes.append(Note("info", f"{shown}, {name}", "an array of objects was left out", "skipped"))
+
+
+def _damaged(shown: str, reason: str) -> BadFileError:
+    return BadFileError(
+        shown,
+        found=f"a MATLAB file that is cut or damaged ({reason})",
+        expected="a whole one of version 5 to 7.2",
+        remedy="save it again with: save('file.mat', '-v7')",
+    )
 
 
 def _objects(shown: str, refused: list[tuple[str, str]]) -> BadFileError:

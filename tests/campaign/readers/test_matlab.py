@@ -76,3 +76,32 @@ def test_a_file_of_version_7_3_says_how_to_save_it(tmp_path: Path) -> None:
     path.write_bytes(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + b"\x89HDF\r\n\x1a\n" + b"\x00" * 400)
     with pytest.raises(BadFileError, match="-v7"):
         read_recording(path, "run")
+
+
+def test_damaged_files_end_in_words_and_never_in_the_reader(tmp_path: Path) -> None:
+    """Any byte of the tags and flags changed: an answer or one line, in this very process."""
+    rng = np.random.default_rng(4)
+    path = tmp_path / "run.mat"
+    time = np.arange(20) * 0.1
+    scipy.io.savemat(path, {"t": time[:, None], "log": {"left": time}, "s": "text", "n": np.array([[1, 2]])})
+    sound = path.read_bytes()
+    for _ in range(400):
+        changed = bytearray(sound)
+        for place in rng.integers(128, len(sound), rng.integers(1, 4)):
+            changed[place] = rng.choice([0, 1, 14, 15, 128, 255])
+        path.write_bytes(changed)
+        try:
+            read_recording(path, "run")
+        except BadFileError as error:
+            assert "cut or damaged" in str(error) or "arrays of objects" in str(error)
+
+
+def test_an_imaginary_part_that_is_not_there_is_said(tmp_path: Path) -> None:
+    """The flag of complex numbers set on real ones: the reader would go past the end."""
+    path = tmp_path / "run.mat"
+    scipy.io.savemat(path, {"t": np.arange(5.0)})
+    changed = bytearray(path.read_bytes())
+    changed[128 + 17] |= 0x08
+    path.write_bytes(changed)
+    with pytest.raises(BadFileError, match=r"class 6 with 4 of 5 elements"):
+        read_recording(path, "run")
