@@ -26,6 +26,8 @@ __all__ = ["read_logs"]
 MOST_THREADS: Final = 8
 #: fewer logs are read sooner than threads are started
 MANY: Final = 8
+#: and smaller ones, too: threads that take turns with the interpreter cost more there than a second core gives
+LARGE_BYTES: Final = 512 << 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +94,7 @@ def _outcomes(files: Sequence[LogFile], renames: Renames | None) -> Iterator[_Ou
     cache = log_cache(path for _, _, path, _ in files)
     stored = 0
     threads = min(MOST_THREADS, _processors())
-    if threads < 2 or len(files) < MANY:
+    if threads < 2 or len(files) < MANY or _mean_bytes(files) < LARGE_BYTES:
         for _, _, path, name in files:
             outcome, new = _read(path, name, renames, cache)
             stored += new
@@ -109,6 +111,12 @@ def _outcomes(files: Sequence[LogFile], renames: Renames | None) -> Iterator[_Ou
             pool.shutdown(cancel_futures=True)
     if cache is not None and stored:
         cache.trim()
+
+
+def _mean_bytes(files: Sequence[LogFile]) -> float:
+    with suppress(OSError):
+        return sum(path.stat().st_size for _, _, path, _ in files) / len(files)
+    return 0.0
 
 
 def _read(path: Path, name: str, renames: Renames | None, cache: LogCache | None) -> tuple[_Outcome, bool]:

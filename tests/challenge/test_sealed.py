@@ -191,7 +191,7 @@ def test_the_order_of_the_cases_says_nothing_about_their_group() -> None:
 @pytest.mark.parametrize(
     ("text", "match"),
     [
-        ("nonsense [", "expected a seeds file"),
+        ("nonsense [", "no valid TOML"),
         ('format = "calib-challenge-seeds/1"\nseed = "a"\n[cases]\n', "whole number"),
         ('format = "calib-challenge-seeds/1"\nseed = 1\n[cases]\nodd = 3\n', "cases.odd"),
         ('format = "calib-challenge-seeds/1"\nseed = 1\nmax_runs = 2\n[cases]\nempty = 3\n', "max_runs"),

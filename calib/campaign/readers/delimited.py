@@ -22,6 +22,8 @@ _NAMES: Final = {",": "commas", ";": "semicolons", "\t": "tabs"}
 _MAX_BYTES: Final = 4 << 30
 #: bytes in which the header is looked for
 _HEAD: Final = 1 << 16
+#: rows that show a header in the first of them
+_FEW: Final = 8
 
 
 def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTable:
@@ -62,10 +64,16 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
 
 def _begin(data: bytes, layout: Layout, shown: str) -> tuple[str, int]:
     """Return the separator and how many rows stand before the header."""
+    if layout.header_row is None:
+        # most logs begin with their header, and a few rows as wide as it and of numbers show it
+        lines = _first_lines(data, _FEW).decode("utf-8", errors="ignore").splitlines()[:_FEW]
+        usual = _usual(lines)
+        rows = _split(lines, usual)
+        if len(rows) == _FEW and len({len(row) for row in rows}) == 1 < len(rows[0]) and find_header(rows) == 0:
+            return usual, 0
     most = LOOKED_AT + (layout.header_row or 0)
     lines = _first_lines(data, most).decode("utf-8", errors="ignore").splitlines()[:most]
-    first = lines[0] if lines else ""
-    usual = ";" if ";" in first else "\t" if "\t" in first else ","
+    usual = _usual(lines)
     if layout.header_row is not None:
         if layout.header_row > len(lines):
             raise BadFileError(
@@ -82,6 +90,11 @@ def _begin(data: bytes, layout: Layout, shown: str) -> tuple[str, int]:
     if delimiter != usual:
         found = find_header(_split(lines, delimiter))
     return (delimiter, found) if found else (usual, 0)
+
+
+def _usual(lines: list[str]) -> str:
+    first = lines[0] if lines else ""
+    return ";" if ";" in first else "\t" if "\t" in first else ","
 
 
 def _first_lines(data: bytes, lines: int) -> bytes:
