@@ -37,7 +37,7 @@ def _ratio(ours: list[str], reference: list[str], cwd: Path, bytecode: Path, lim
     for turn in range(ROUNDS):
         bare = min(bare, _seconds(reference, cwd, bytecode))
         command = min(command, _seconds(ours, cwd, bytecode))
-        if turn >= 4 and command <= limit * bare:
+        if turn >= 2 and command <= limit * bare:
             break
     return command / bare
 
