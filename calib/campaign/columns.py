@@ -10,9 +10,10 @@ from typing import Final
 import numpy as np
 
 from calib.arrays import FloatArray
+from calib.errors import BadFileError
 from calib.units import SUFFIXES, convertible, split_suffix
 
-__all__ = ["Recognised", "converted", "recognise", "spelled"]
+__all__ = ["Recognised", "converted", "recognise", "second_column", "spelled"]
 
 _BRACKETS: Final = re.compile(r"(.*?)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]\s*")
 _SPELLINGS: Final = {
@@ -124,3 +125,25 @@ def converted(values: FloatArray, factor: float, offset: float = 0.0) -> FloatAr
         rounded = np.rint(out * scale) / scale
     usable: FloatArray = np.where(np.isfinite(rounded), rounded, out)
     return usable
+
+
+def second_column(match: Recognised, column: str, shown: str) -> BadFileError:
+    """Return the error of a column that means what another one of the same file means already.
+
+    Parameters
+    ----------
+    match : Recognised
+        What it was recognised as.
+    column : str
+        Its name in the file.
+    shown : str
+        The file's name in messages.
+    """
+    return BadFileError(
+        shown,
+        row=1,
+        column=column,
+        found=f"a second column for {match.name}",
+        expected="one",
+        remedy="remove or rename one of them",
+    )

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.arrays import FloatArray, IntArray
-from calib.campaign.columns import Recognised, converted, recognise
+from calib.campaign.columns import Recognised, converted, recognise, second_column
 from calib.campaign.faults import Border
 from calib.campaign.model import LOG_COLUMNS, WHEEL_SETS
 from calib.campaign.readers import Layout, read_table
@@ -64,14 +64,7 @@ def read_log(
     for found, cells in raw.columns.items():
         match = called(found)
         if match.name in columns:
-            raise BadFileError(
-                shown,
-                row=1,
-                column=found,
-                found=f"a second column for {match.name}",
-                expected="one",
-                remedy="remove or rename one of them",
-            )
+            raise second_column(match, found, shown)
         if match.said:
             border.say(f"{shown}, column {found}", match.said, "unit" if match.factor != 1.0 else "name")
         factor = match.factor * (names[found][1] if found in names else 1.0)

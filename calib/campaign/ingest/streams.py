@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from calib.arrays import FloatArray, IntArray
-from calib.campaign.columns import converted, recognise
+from calib.campaign.columns import converted, recognise, second_column
 from calib.campaign.faults import Border
 from calib.campaign.ingest.lag import Lag, estimate_lag
 from calib.campaign.ingest.mapping import COUNT_UNITS, Line, MappingFile
@@ -252,14 +252,7 @@ def _renamed(
         if found in mapped or match.name not in LOG_COLUMNS or match.name in lines:
             continue
         if match.name in columns:
-            raise BadFileError(
-                shown,
-                row=1,
-                column=found,
-                found=f"a second column for {match.name}",
-                expected="one",
-                remedy="remove or rename one of them",
-            )
+            raise second_column(match, found, shown)
         if match.said:
             border.say(f"{shown}, column {found}", match.said, "unit" if match.factor != 1.0 else "name")
         if match.name == "t_s" and found in raw.epochs:
