@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.challenge.looks import ever_alarmed, levels
+from tests.challenge.looks import ever_alarmed, levels
 
 #: three standard errors of a share of 0.05 over 20,000 draws
 DRAWN = 0.005

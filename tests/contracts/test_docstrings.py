@@ -25,8 +25,6 @@ ELSEWHERE = re.compile(r"\b(?:see|those of) `[\w.]+`")
 
 
 def _load(name: str) -> ModuleType:
-    if name.startswith("calib.plant.contact"):
-        pytest.importorskip("mujoco", reason="the extra mujoco is not installed")
     return importlib.import_module(name)
 
 

@@ -1,7 +1,7 @@
 # ruff: noqa: T201  (a script shows its result)
 """Write a campaign of every variant of the contact plant, the truth apart.
 
-``python tests/plant/contact/make_cases.py FOLDER`` writes ``FOLDER/<variant>/`` and ``FOLDER/truth.json``.
+``python -m tests.plant.contact.make_cases FOLDER`` writes ``FOLDER/<variant>/`` and ``FOLDER/truth.json``.
 """
 
 from __future__ import annotations
@@ -14,7 +14,9 @@ import numpy as np
 
 from calib.campaign.write import write_campaign
 from calib.files import write_json
-from calib.plant.contact import VARIANTS, Lengths, baseline, make_contact_campaign, sound_machine
+from tests.plant.contact.baseline import baseline
+from tests.plant.contact.campaign import Lengths, make_contact_campaign
+from tests.plant.contact.variants import VARIANTS, sound_machine
 
 
 def main() -> None:

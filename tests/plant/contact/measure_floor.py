@@ -1,5 +1,5 @@
 # ruff: noqa: T201  (a script shows its result)
-"""Print the floor of the contact plant's own numerical noise: ``python tests/plant/contact/measure_floor.py``."""
+"""Print the floor of the contact plant's own numerical noise: ``python -m tests.plant.contact.measure_floor``."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.plant.contact.floor import noise_floor
-from calib.plant.contact.machine import Machine
+from tests.plant.contact.floor import noise_floor
+from tests.plant.contact.machine import Machine
 
 
 def main() -> None:

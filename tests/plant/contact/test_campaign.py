@@ -14,10 +14,10 @@ from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
 from calib.campaign.write import write_campaign
 from calib.errors import BadInputError
-from calib.plant.contact import VARIANTS, Baseline, Lengths, baseline, make_contact_campaign, sound_machine
-from calib.plant.contact.baseline import belief_of, dead_reckoning
-from calib.plant.contact.campaign import CONDITIONS, order_of_runs
-from calib.plant.contact.floor import noise_floor
+from tests.plant.contact.baseline import Baseline, baseline, belief_of, dead_reckoning
+from tests.plant.contact.campaign import CONDITIONS, Lengths, make_contact_campaign, order_of_runs
+from tests.plant.contact.floor import noise_floor
+from tests.plant.contact.variants import VARIANTS, sound_machine
 
 pytest.importorskip("mujoco", reason="the extra 'mujoco' is not installed")
 
@@ -138,5 +138,5 @@ def test_the_floor_of_numerical_noise_lies_far_below_the_instruments() -> None:
 
 
 def test_importing_the_plant_does_not_load_the_engine() -> None:
-    code = "import sys, calib.plant.contact; sys.exit('mujoco' in sys.modules)"
+    code = "import sys, tests.plant.contact.campaign; sys.exit('mujoco' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from calib.errors import BadInputError, CalibError
-from calib.plant.contact.baseline import rolling_radii_m
-from calib.plant.contact.driver import Belief
-from calib.plant.contact.engine import engine
-from calib.plant.contact.machine import Floor, Machine, Payload, Tyre, Zone, mjcf
-from calib.plant.contact.ride import Ride, drive, wheel_loads_N
 from calib.units import GRAVITY_MPS2
+from tests.plant.contact.baseline import rolling_radii_m
+from tests.plant.contact.driver import Belief
+from tests.plant.contact.engine import engine
+from tests.plant.contact.machine import Floor, Machine, Payload, Tyre, Zone, mjcf
+from tests.plant.contact.ride import Ride, drive, wheel_loads_N
 
 pytest.importorskip("mujoco", reason="the extra 'mujoco' is not installed")
 

@@ -13,13 +13,13 @@ import numpy as np
 from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
 from calib.errors import BadInputError
-from calib.plant.contact.baseline import Baseline, baseline, belief_of
-from calib.plant.contact.engine import engine
-from calib.plant.contact.machine import Machine, Payload
-from calib.plant.contact.measure import measured
-from calib.plant.contact.ride import Ride, Track, drive
-from calib.plant.contact.variants import VARIANTS, Variant, sound_machine
 from calib.vehicle import wheel_loads_N
+from tests.plant.contact.baseline import Baseline, baseline, belief_of
+from tests.plant.contact.engine import engine
+from tests.plant.contact.machine import Machine, Payload
+from tests.plant.contact.measure import measured
+from tests.plant.contact.ride import Ride, Track, drive
+from tests.plant.contact.variants import VARIANTS, Variant, sound_machine
 
 __all__ = ["CONDITIONS", "Lengths", "drive_all", "make_contact_campaign", "order_of_runs"]
 

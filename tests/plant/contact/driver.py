@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.plant.contact.routes import Route, speed_profile
+from tests.plant.contact.routes import Route, speed_profile
 
 __all__ = ["Belief", "Driver"]
 

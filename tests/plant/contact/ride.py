@@ -10,10 +10,10 @@ import numpy as np
 
 from calib.arrays import FloatArray
 from calib.errors import CalibError
-from calib.plant.contact.driver import Belief, Driver
-from calib.plant.contact.engine import engine
-from calib.plant.contact.machine import Machine, Payload, Zone, mjcf
-from calib.plant.contact.routes import route
+from tests.plant.contact.driver import Belief, Driver
+from tests.plant.contact.engine import engine
+from tests.plant.contact.machine import Machine, Payload, Zone, mjcf
+from tests.plant.contact.routes import route
 
 __all__ = ["COUNTS_PER_REV", "Ride", "Track", "drive", "wheel_loads_N"]
 
@@ -32,7 +32,7 @@ class Ride:
     Parameters
     ----------
     kind : str
-        Route, see `calib.plant.contact.routes.route`.
+        Route, see `tests.plant.contact.routes.route`.
     payload : Payload
         The box that really stands on the deck.
     belief : Belief

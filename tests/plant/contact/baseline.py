@@ -12,9 +12,9 @@ import numpy as np
 
 from calib.arrays import FloatArray
 from calib.campaign.settings import OdometryModel
-from calib.plant.contact.driver import Belief
-from calib.plant.contact.machine import Machine, Payload
-from calib.plant.contact.ride import Ride, Track, drive
+from tests.plant.contact.driver import Belief
+from tests.plant.contact.machine import Machine, Payload
+from tests.plant.contact.ride import Ride, Track, drive
 
 __all__ = ["Baseline", "baseline", "belief_of", "dead_reckoning", "rolling_radii_m"]
 

@@ -16,15 +16,15 @@ from typing import Final
 import numpy as np
 
 from calib.arrays import FloatArray
-from calib.plant.contact.baseline import (
+from tests.plant.contact.baseline import (
     Baseline,
     baseline,
     belief_of,
     dead_reckoning,
     rolling_radii_m,
 )
-from calib.plant.contact.machine import Machine, Payload
-from calib.plant.contact.ride import COUNTS_PER_REV, Ride, Track, drive, wheel_loads_N
+from tests.plant.contact.machine import Machine, Payload
+from tests.plant.contact.ride import COUNTS_PER_REV, Ride, Track, drive, wheel_loads_N
 
 __all__ = ["KINDS", "NoiseFloor", "RunFloor", "noise_floor"]
 

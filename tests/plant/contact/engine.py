@@ -22,5 +22,5 @@ def engine() -> Any:
         return importlib.import_module("mujoco")
     except ImportError as error:
         raise CalibError(
-            "contact plant: found no MuJoCo; expected the extra 'mujoco'; install it with: pip install 'calib[mujoco]'"
+            "contact plant: found no MuJoCo; expected it beside the tests; install it with: pip install 'calib[test]'"
         ) from error

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
-from calib.plant.contact.machine import Floor, Machine, Payload, Tyre, Zone
+from tests.plant.contact.machine import Floor, Machine, Payload, Tyre, Zone
 
 __all__ = ["VARIANTS", "Variant", "sound_machine"]
 
@@ -80,7 +80,7 @@ class Variant:
         return replace(payload, y_m=payload.y_m + strength * self.misplaced_m)
 
 
-def _same(machine: Machine, strength: float) -> Machine:  # noqa: ARG001
+def _same(machine: Machine, strength: float) -> Machine:
     return machine
 
 
