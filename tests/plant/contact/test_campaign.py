@@ -19,7 +19,7 @@ from tests.plant.contact.campaign import CONDITIONS, Lengths, make_contact_campa
 from tests.plant.contact.floor import noise_floor
 from tests.plant.contact.variants import VARIANTS, sound_machine
 
-pytest.importorskip("mujoco", reason="the extra 'mujoco' is not installed")
+pytest.importorskip("mujoco", reason="mujoco is not installed")
 
 SHORT = Lengths(corridor_m=6.0, side_m=1.0)
 

@@ -16,7 +16,7 @@ from tests.plant.contact.engine import engine
 from tests.plant.contact.machine import Floor, Machine, Payload, Tyre, Zone, mjcf
 from tests.plant.contact.ride import Ride, drive, wheel_loads_N
 
-pytest.importorskip("mujoco", reason="the extra 'mujoco' is not installed")
+pytest.importorskip("mujoco", reason="mujoco is not installed")
 
 NOMINAL = Belief(0.1, 0.1, 0.7, 1.0, 0.1)
 PAYLOADS = (Payload(), Payload(100.0, 0.3, 0.15), Payload(200.0, 0.5, -0.1))
@@ -150,8 +150,8 @@ def test_a_machine_that_cannot_move_is_reported_not_waited_for() -> None:
         drive(replace(Machine(), tyre=ice, front_tyre=ice), Ride("corridor", Payload(), NOMINAL, length_m=2.0))
 
 
-def test_without_mujoco_one_line_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_mujoco_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "mujoco", None)
-    with pytest.raises(CalibError, match=r"calib\[mujoco\]") as caught:
+    with pytest.raises(CalibError, match=r"calib\[test\]") as caught:
         engine()
     assert "\n" not in str(caught.value)
