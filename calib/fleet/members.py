@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
@@ -16,6 +18,7 @@ __all__ = ["Member", "Part", "any_simulated", "labels_of", "members_of"]
 
 SETTINGS: Final = "campaign.toml"
 LABELS: Final = "vehicles.csv"
+SUFFIX: Final = ".parquet"
 _PARTITION: Final = re.compile(r"vehicle=(.+)")
 _MONTH: Final = re.compile(r"month=(\d{4})-(\d{2})")
 
@@ -109,16 +112,29 @@ def _campaigns(folder: Path) -> tuple[Member, ...]:
 
 def _dataset(folder: Path) -> tuple[Member, ...]:
     members = []
+    top = folder.resolve()
     for path in sorted(folder.iterdir()):
         match = _PARTITION.fullmatch(path.name)
         if match is None or not path.is_dir():
             continue
-        parts = []
-        for file in sorted(path.rglob("*.parquet")):
-            name = file.relative_to(folder).as_posix()
-            parts.append(Part(name, inside(folder, name, named_in=folder), folder, _day_of(file.parent.name)))
-        members.append(Member(match[1], tuple(parts)))
+        # a million files: paths are put together as text, and only what may lead elsewhere is resolved one by one
+        parts = tuple(
+            Part(name, top / name if plain else inside(folder, name, named_in=folder), folder, _day_of(partition))
+            for name, partition, plain in sorted(_files_in(str(path), path.name, plain=not path.is_symlink()))
+        )
+        members.append(Member(match[1], parts))
     return tuple(members)
+
+
+def _files_in(folder: str, name: str, *, plain: bool) -> Iterator[tuple[str, str, bool]]:
+    """Yield the Parquet files below a folder: name within the fleet, last folder, whether no link leads there."""
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            below = f"{name}/{entry.name}"
+            if entry.is_dir(follow_symlinks=False):
+                yield from _files_in(entry.path, below, plain=plain)
+            elif entry.name.endswith(SUFFIX):
+                yield below, name.rpartition("/")[2], plain and not entry.is_symlink()
 
 
 def _day_of(partition: str) -> float | None:

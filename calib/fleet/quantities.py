@@ -45,15 +45,28 @@ def difference_of(values: FloatArray, inside: BoolArray) -> Difference:
     inside : array of bool, shape (n_vehicles,)
         Which vehicles have the label.
     """
-    from scipy.stats import ttest_ind
-
     clipped = _clipped(values, inside)
-    test = ttest_ind(clipped[inside], clipped[~inside], equal_var=False)
-    low, high = test.confidence_interval(0.95)
-    size = float(clipped[inside].mean() - clipped[~inside].mean())
+    size, half, p_value = _welch(clipped[inside], clipped[~inside])
     away = values[inside] - float(np.median(values[~inside]))
     showing = int((np.sign(size) * away > 0.5 * abs(size)).sum())
-    return Difference(size, (float(low), float(high)), float(test.pvalue), showing)
+    return Difference(size, (size - half, size + half), p_value, showing)
+
+
+def _welch(one: FloatArray, other: FloatArray) -> tuple[float, float, float]:
+    """Return the difference of two means, half its 95 % interval, and Welch's p.
+
+    By hand, because `scipy.stats` takes longer to import than the view of 2,000 vehicles takes to make.
+    """
+    from scipy.special import stdtr, stdtrit
+
+    with np.errstate(divide="ignore", invalid="ignore"):
+        variances = np.array([part.var(ddof=1) / len(part) for part in (one, other)])
+        total = variances.sum()
+        dof = total**2 / np.sum(variances**2 / (np.array([len(one), len(other)]) - 1))
+        size = one.mean() - other.mean()
+        p_value = 2.0 * stdtr(dof, -np.abs(size / np.sqrt(total)))
+        half = stdtrit(dof, 0.975) * np.sqrt(total)
+    return float(size), float(half), float(p_value)
 
 
 def _clipped(values: FloatArray, inside: BoolArray) -> FloatArray:

@@ -22,6 +22,8 @@ MEDIAN_ABS: Final = 0.6744897501960817
 #: robust standard deviations from which on a vehicle has no say in the fleet's mean and spread; a median deviation of
 #: some tens of vehicles may be a third too small, and 5 of those is still what one normal vehicle in a thousand reaches
 FAR: Final = 5.0
+#: Newton steps at most: each at least doubles a variance that is far too small
+NEWTON_STEPS: Final = 200
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,14 +112,21 @@ def _excess(values: FloatArray, variance: FloatArray, between: float) -> float:
 
 def _solve(values: FloatArray, variance: FloatArray, target: float) -> float:
     """Return the variance between vehicles at which Q is `target`; 0 where it is below it already."""
-    from scipy.optimize import brentq
-
     floor = 1e-30 + 1e-12 * float(np.max(variance))
     variance = np.maximum(variance, floor)
     if _excess(values, variance, 0.0) <= target:
         return 0.0
-    top = float(np.sum((values - values.mean()) ** 2)) / target + floor
-    return float(brentq(lambda between: _excess(values, variance, between) - target, 0.0, top, xtol=1e-9 * top))
+    # Q falls as the variance grows and is convex in it (DerSimonian and Kacker 2007): Newton's steps from below stay
+    # below, and end where they no longer move
+    between = 0.0
+    for _ in range(NEWTON_STEPS):
+        weight = 1.0 / (between + variance)
+        away = values - weight @ values / weight.sum()
+        step = (float(weight @ away**2) - target) / float(weight**2 @ away**2)
+        between += step
+        if step <= 1e-12 * between:
+            break
+    return between
 
 
 def outlying(values: FloatArray, std: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from calib.fleet.engines import run_tasks
+from calib.fleet.engines import engine
 from calib.fleet.members import Member, Part, labels_of, members_of
 from calib.fleet.part_sums import PartSums, sums_of_parts
 from calib.fleet.store import SUMS, Store
-from calib.fleet.vehicle import VehicleRecord, record_of
+from calib.fleet.vehicle import VehicleRecord, VehicleSums, records_of
 from calib.fleet.view import FleetView, view_of
 
 __all__ = ["Fleet", "fit_fleet"]
@@ -106,13 +106,16 @@ def fit_fleet(
     kept = _still_valid(members, store.read())
     todo = [part for member in members for part in member.parts if part.name not in kept]
     n_kept = len(kept)
-    for number, part in enumerate(run_tasks(sums_of_parts, todo, _given_up, workers=workers, scheduler=scheduler), 1):
-        store.append(part)
-        kept[part.name] = part
-        if progress is not None:
-            progress(number, len(todo))
-    store.rewrite(kept.values())
-    records = tuple(record_of(member.vehicle, [kept[part.name] for part in member.parts]) for member in members)
+    with engine(workers, scheduler) as opened:
+        for number, part in enumerate(opened.run(sums_of_parts, todo, _given_up), 1):
+            store.append(part)
+            kept[part.name] = part
+            if progress is not None:
+                progress(number, len(todo))
+        store.rewrite(kept.values())
+        whole = [VehicleSums(member.vehicle, tuple(kept[part.name] for part in member.parts)) for member in members]
+        by_vehicle = {record.vehicle: record for record in opened.run(records_of, whole, _no_record)}
+    records = tuple(by_vehicle[member.vehicle] for member in members)
     labels = labels_of(folder, tuple(member.vehicle for member in members))
     return Fleet(records, view_of(records, labels), len(todo), n_kept)
 
@@ -130,3 +133,7 @@ def _still_valid(members: tuple[Member, ...], kept: dict[str, PartSums]) -> dict
 
 def _given_up(part: Part, why: str) -> PartSums:
     return PartSums(part.name, "", 0.0, 0.0, None, None, why)
+
+
+def _no_record(sums: VehicleSums, why: str) -> VehicleRecord:
+    return VehicleRecord(sums.vehicle, 0, 0.0, None, None, why)

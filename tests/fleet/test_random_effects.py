@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from calib.fleet.quantities import difference_of
 from calib.fleet.random_effects import false_discovery, outlying, population
 
 #: 400 fleets: the standard error of a share of 95 % is 1.1 %; three of them either way
@@ -35,6 +36,30 @@ def test_a_fleet_without_spread_has_none() -> None:
     assert found is not None
     assert found.spread == 0.0
     assert found.spread_ci95[0] == 0.0
+
+
+def test_spread_and_shared_differences_are_those_of_scipy() -> None:
+    """The between variance is the root of Cochran's Q that a bracketing solver finds; Welch's test is that of scipy."""
+    from scipy.optimize import brentq
+    from scipy.stats import ttest_ind
+
+    rng = np.random.default_rng(8)
+    std = rng.uniform(1e-7, 3e-6, 60)
+    values = 0.1 + rng.uniform(-4e-5, 4e-5, 60)
+    fleet = population(values, std)
+    assert fleet is not None
+
+    def excess(between: float) -> float:
+        weight = 1.0 / (between + std**2)
+        return float(weight @ (values - weight @ values / weight.sum()) ** 2) - 59.0
+
+    assert fleet.spread == pytest.approx(np.sqrt(brentq(excess, 0.0, 1e-6, xtol=1e-24)), rel=1e-9)
+    inside = np.arange(60) < 20
+    difference = difference_of(values, inside)
+    # nothing lies so far out that it would be drawn in
+    test = ttest_ind(values[inside], values[~inside], equal_var=False)
+    assert difference.p_value == pytest.approx(test.pvalue, rel=1e-9)
+    assert difference.ci95 == pytest.approx(tuple(test.confidence_interval(0.95)), rel=1e-9)
 
 
 def test_far_vehicles_do_not_hide_themselves() -> None:

@@ -19,6 +19,15 @@ _MAX_ROWS: Final = 200_000_000
 _MANY_ROWS: Final = 100_000
 
 
+def _filled(column: Any, empty: float) -> np.ndarray[Any, Any]:
+    """Return a column of numbers of eight bytes, `empty` where it has none; Arrow's own way there imports pandas."""
+    whole = (column.fill_null(empty) if column.null_count else column).combine_chunks()
+    dtype = np.dtype(str(whole.type).replace("double", "float64"))
+    if not len(whole):
+        return np.empty(0, dtype)
+    return np.frombuffer(whole.buffers()[1], dtype, len(whole), whole.offset * dtype.itemsize).copy()
+
+
 def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTable:  # noqa: ARG001 - a reader's form
     """Read a parquet file; see `calib.campaign.readers.read_table`."""
     try:
@@ -55,10 +64,10 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
     for name in kept:
         column = table.column(name)
         if pa.types.is_integer(column.type) or pa.types.is_floating(column.type):
-            cells = column.to_numpy().astype(np.float64)
+            cells = _filled(column.cast(pa.float64(), safe=False), np.nan)
         elif pa.types.is_timestamp(column.type):
             # exact: nanoseconds as recorded, told from other integers by the note of their epoch
-            moments = column.cast(pa.timestamp("ns")).to_numpy().astype(np.int64)
+            moments = _filled(column.cast(pa.timestamp("ns")).cast(pa.int64()), np.iinfo(np.int64).min)
             epochs[name] = int(moments[0]) if len(moments) else 0
             cells = (moments - epochs[name]) / NS_PER_S
         else:
