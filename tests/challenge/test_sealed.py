@@ -27,7 +27,7 @@ SMALL = """
 format = "calib-challenge-seeds/1"
 purpose = "test"
 seed = 5
-max_runs = 30
+max_runs = 20
 [cases]
 empty = 1
 single = 1

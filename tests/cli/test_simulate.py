@@ -44,6 +44,7 @@ def test_symmetric_study_gives_fig_12(capsys: pytest.CaptureFixture[str]) -> Non
     assert got == pytest.approx((4.9, 8.052432, 7.803350, 0.203520), abs=0.5e-6)  # digits printed
 
 
+@pytest.mark.usefixtures("drawn_once")
 def test_corrected_study_gives_fig_16_and_the_headline(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["simulate", "corrected", "--output", str(tmp_path), "--json", "-"]) == 0
     found = document(capsys)
@@ -57,6 +58,7 @@ def test_corrected_study_gives_fig_16_and_the_headline(tmp_path: Path, capsys: p
     assert json.loads((tmp_path / "corrected.json").read_text())["headline"] == found["headline"]
 
 
+@pytest.mark.usefixtures("drawn_once")
 def test_table_1_and_fig_15_come_from_coefficients_or_campaign_alike(
     campaign: Path, coefficients: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -93,6 +95,7 @@ def test_payload_and_wheel_loads_say_the_same(coefficients: Path, capsys: pytest
     assert document(capsys)["law"]["journeys"][0] == by_payload
 
 
+@pytest.mark.usefixtures("drawn_once")
 def test_a_payload_put_on_the_way_and_taken_off_again(
     coefficients: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -125,6 +128,7 @@ def test_trajectories_are_written_and_followed_again(tmp_path: Path, capsys: pyt
     assert (row["end_x_m"], row["end_y_m"]) == pytest.approx((8.052432, 7.803350), abs=0.5e-6)
 
 
+@pytest.mark.usefixtures("drawn_once")
 def test_replay_shows_what_the_correction_is_worth(
     campaign: Path, coefficients: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -44,7 +44,7 @@ FILES: dict[str, tuple[str, ...]] = {
 OF_CAMPAIGNS = ("check @", "check @ --json -", "fit @", "fit @ --runs", "deviation @", "export @ --to csv",
                 "simulate replay @", "check @ --strict")  # fmt: skip
 #: what takes a second or so, and how often it is taken
-SLOWLY, OF_ALL = ("geometry @", "diagnose @", "seeds.toml"), 0.03
+SLOWLY, OF_ALL = ("geometry @", "diagnose @", "seeds.toml"), 0.01
 #: commands of which one in so many inputs succeeds and takes long: they are given no sound path
 NO_SOUND_PATH = {"report", "diagnose", "plan", "challenge own", "challenge run", "fleet run", "simulate study"}
 

@@ -26,6 +26,14 @@ straight_m = 4.0
 turn_deg = 90.0
 radius_m = 1.0
 """
+#: one case with nothing planted, which is made quickly
+SEEDS = """format = "calib-challenge-seeds/1"
+purpose = "ci"
+seed = 40417
+max_runs = 20
+[cases]
+empty = 1
+"""
 
 
 def small_campaign(folder: Path) -> Path:
@@ -60,7 +68,7 @@ def prepared(base: Path) -> Path:
     (base / "mapping.toml").write_text(MAPPING, encoding="utf-8")
     (base / "route.toml").write_text(ROUTE, encoding="utf-8")
     shutil.copy(ROOT / "sample_runs" / "plan.toml", base / "plan.toml")
-    shutil.copy(ROOT / "calib" / "challenge" / "seeds" / "ci.toml", base / "seeds.toml")
+    (base / "seeds.toml").write_text(SEEDS, encoding="utf-8")
     (base / "path.tum").write_text(
         "".join(f"{0.1 * step:.1f} {0.05 * step:.2f} 0 0 0 0 0 1\n" for step in range(60)), encoding="utf-8"
     )

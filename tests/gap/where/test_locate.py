@@ -41,13 +41,13 @@ def made(effect: str, times: float, seed: int = 5, needs: frozenset[str] = froze
 
 
 def test_without_a_gap_few_campaigns_show_any_covariate() -> None:
-    """Of 8 campaigns without a gap at most 3 show anything: at 5 % each that fails once in 2,700 times."""
+    """Of 5 campaigns without a gap at most 2 show anything: at 5 % each that fails once in 860 times."""
     false = 0
-    for seed in range(8):
+    for seed in range(5):
         rng = np.random.default_rng(300 + seed)
         design = good_design(rng, n_runs=40) if seed % 2 else poor_design("corridor_only", rng)
         false += any(line.significant for line in table(make_campaign(design, {}, rng)).values())
-    assert false <= 3
+    assert false <= 2
 
 
 @pytest.mark.parametrize(
