@@ -1,0 +1,16 @@
+"""Fixtures of the commands' tests."""
+
+from __future__ import annotations
+
+import pytest
+
+
+@pytest.fixture
+def drawn_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Set each figure as SVG, and give its other files their format's name: the formats are the figures' own tests'."""
+    from calib.report.figures.style import render
+
+    monkeypatch.setattr(
+        "calib.report.figures.files.render",
+        lambda figure, form: render(figure, form) if form == "svg" else form.encode(),
+    )
