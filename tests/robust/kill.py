@@ -1,8 +1,9 @@
 """Kill commands: ``python -m tests.robust.kill --kills 200``.
 
-Every command that writes is killed at random moments, and before each change of a name. After each kill each of its
-outputs is the old one or the new one, whole; the campaign that it read is untouched and checks as before; the rerun
-succeeds, and leaves nothing behind.
+Every command that writes is killed at random moments, and before each change of a name. What it only computes is
+computed once before, so that the kills fall into reading and writing. After each kill each of its outputs is the old
+one or the new one, whole; the campaign that it read is untouched and checks as before; the rerun succeeds, and leaves
+nothing behind.
 """
 
 from __future__ import annotations
@@ -10,11 +11,8 @@ from __future__ import annotations
 import argparse
 import contextlib
 import importlib
-import json
-import os
 import random
 import shutil
-import subprocess
 import sys
 import tempfile
 import time
@@ -25,7 +23,17 @@ from pathlib import Path
 
 from calib.cli.main import COMMANDS
 from tests.fuzz.sound import small_campaign
-from tests.robust.killing import KILLED, ROOT, content, ended, killed_after, killed_at_rename, leftovers, started
+from tests.robust.killing import (
+    KILLED,
+    ROOT,
+    computed_once,
+    content,
+    ended,
+    killed_after,
+    killed_at_rename,
+    leftovers,
+    started,
+)
 
 FINE = {0, 1}
 
@@ -58,7 +66,9 @@ JOBS = (
         "diagnose yard2 --apply c.json --into out"),
     Job("report", "report result --into r.pdf --html r.html --date 2025-01-01", ("r.pdf", "r.html"),
         "report result --into r.pdf --html r.html --date 2024-01-01"),
-    Job("fleet", "fleet run vehicles --into out", ("out/fleet.json", "out/vehicles.csv")),
+    Job("fleet", "fleet run vehicles --into out --date 2025-01-01",
+        ("out/fleet.json", "out/vehicles.csv", "out/fleet.pdf", "out/fleet.html"),
+        "fleet run vehicles2 --into out --date 2025-01-01"),
 )  # fmt: skip
 
 
@@ -74,56 +84,34 @@ def prepared(base: Path) -> Path:
     (base / "m.toml").write_text('name = "anew"\n[table]\nrun_id = "run_id"\ndistance_m = "distance_m"\n')
     for number in range(3):
         small_campaign(base / "vehicles" / f"v{number}")
+    shutil.copytree(base / "vehicles" / "v0", base / "vehicles2" / "v0")
     assert ended(started(["fit", "lab", "--into", "result"], base)) in FINE
     return base
 
 
-def imported(base: Path) -> None:
-    """Import what the jobs import, so that their copies of this process need not; nothing of it is called here."""
-    names = base / "modules.json"
-    code = "import json, sys; from calib.cli.main import run; [run(job) for job in json.load(sys.stdin)]; "
-
-    done = subprocess.run(
-        [sys.executable, "-c", f"{code}open({str(names)!r}, 'w').write(json.dumps(sorted(sys.modules)))"],
-        input=json.dumps([job.words() for job in JOBS]),
-        text=True,
-        cwd=base,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        check=False,
-    )
-    if done.returncode:
-        raise RuntimeError(done.stderr[-500:])
-    for name in (*json.loads(names.read_text()), *(f"calib.cli.{module}" for module in COMMANDS.values())):
-        if name.partition(".")[0] != "__main__":
-            with contextlib.suppress(ImportError):
-                importlib.import_module(name)
-
-
 class Trial:
-    """One job with an old and a new generation of its outputs."""
+    """One job with an old and a new generation of its outputs; for use inside `computed_once` of its arguments."""
 
-    def __init__(self, job: Job, base: Path) -> None:
-        self.job, self.base = job, base
-        for unit in ("out", *job.units):
-            self._remove(base / unit)
+    def __init__(self, job: Job, base: Path, kept: Path) -> None:
+        self.job, self.base, self.kept = job, base, kept
         begun = time.monotonic()
         self.status = ended(started(job.words(), base))
         self.seconds = time.monotonic() - begun
+        assert self.status in FINE, job.name
         self.new = self.state()
-        if job.earlier:
-            assert ended(started(job.words(job.earlier), base)) in FINE, job.earlier
-        self.old = self.state()
-        self.kept = base / "kept"
-        self._remove(self.kept)
-        self.kept.mkdir()
-        for unit in self.tops():
-            self._copy(base / unit, self.kept / unit)
         self.inputs = self._inputs()
+        self.put_back()
+        self.old = self.state()
+
+    def put_back(self) -> None:
+        """Put the old generation in its place."""
+        for unit in self.tops():
+            self.remove(self.base / unit)
+            self.copy(self.kept / unit, self.base / unit)
 
     def tops(self) -> list[str]:
         """Return the outputs as files and folders of their own."""
-        return list(dict.fromkeys(unit.split("/")[0] for unit in self.job.units))
+        return _tops(self.job)
 
     def state(self) -> list[dict[str, str]]:
         """Return what stands in each output."""
@@ -146,27 +134,49 @@ class Trial:
             wrong.append("the rerun fails")
         wrong += ["the rerun gives something else"] if self.state() != self.new else []
         wrong += [f"left behind: {leftovers(self.base)}"] if leftovers(self.base) else []
-        for unit in self.tops():
-            self._remove(self.base / unit)
-            self._copy(self.kept / unit, self.base / unit)
+        self.put_back()
         return "; ".join(wrong)
 
     def _inputs(self) -> list[dict[str, str]]:
         return [content(self.base / name) for name in ("lab", "yard", "vehicles", "result")]
 
     @staticmethod
-    def _remove(place: Path) -> None:
+    def remove(place: Path) -> None:
         if place.is_dir():
             shutil.rmtree(place)
         else:
             place.unlink(missing_ok=True)
 
     @staticmethod
-    def _copy(source: Path, target: Path) -> None:
+    def copy(source: Path, target: Path) -> None:
         if source.is_dir():
             shutil.copytree(source, target)
         elif source.is_file():
             shutil.copy(source, target)
+
+
+def _tops(job: Job) -> list[str]:
+    return list(dict.fromkeys(unit.split("/")[0] for unit in job.units))
+
+
+@contextlib.contextmanager
+def trial_of(job: Job, base: Path) -> Iterator[Trial]:
+    """Make the old generation and the new one, and keep what the new one computed for the runs to be killed."""
+    kept = base / "kept"
+    for place in (kept, *(base / unit for unit in _tops(job))):
+        Trial.remove(place)
+    kept.mkdir()
+    if job.earlier:
+        with computed_once(job.words(job.earlier), base) as status:
+            assert status in FINE, job.earlier
+        for unit in _tops(job):
+            (base / unit).rename(kept / unit)
+    with computed_once(job.words(), base) as status:
+        assert status in FINE, job.name
+        if not job.earlier:
+            for unit in _tops(job):
+                Trial.copy(base / unit, kept / unit)
+        yield Trial(job, base, kept)
 
 
 def before_each_change(trial: Trial) -> Iterator[str]:
@@ -190,19 +200,19 @@ def main() -> int:
     counted, changes = Counter[str](), 0
     with tempfile.TemporaryDirectory() as folder:
         base = prepared(Path(folder) / "base")
-        imported(base)
+        for module in COMMANDS.values():
+            importlib.import_module(f"calib.cli.{module}")
         for number, job in enumerate(jobs):
-            trial = Trial(job, base)
-            found = list(before_each_change(trial))
-            changes += len(found) - 1
             kills = options.kills // len(jobs) + (number < options.kills % len(jobs))
-            ends: Counter[str] = Counter()
-            for _ in range(kills):
-                status = killed_after(rng.uniform(0.0, 1.1 * trial.seconds), job.words(), base)
-                now = trial.state()
-                which = "new" if now == trial.new else "old" if now == trial.old else "some new, some old"
-                ends[f"{'killed' if status == KILLED else 'ended first'}, {which}"] += 1
-                found.append(trial.faults(status))
+            with trial_of(job, base) as trial:
+                found, ends = list(before_each_change(trial)), Counter[str]()
+                changes += len(found) - 1
+                for _ in range(kills):
+                    status = killed_after(rng.uniform(0.0, 1.1 * trial.seconds), job.words(), base)
+                    now = trial.state()
+                    which = "new" if now == trial.new else "old" if now == trial.old else "some new, some old"
+                    ends[f"{'killed' if status == KILLED else 'ended first'}, {which}"] += 1
+                    found.append(trial.faults(status))
             counted += ends
             faults += sum(map(bool, found))
             shown = ", ".join(f"{name}: {count}" for name, count in sorted(ends.items()))
