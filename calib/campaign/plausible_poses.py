@@ -16,6 +16,8 @@ __all__ = ["implausible_poses"]
 
 #: share of the runs that must agree
 _MOST: Final = 0.8
+#: nearly straight runs turn against their counts beyond doubt: so many standard errors, and at least so many times
+_SIGMAS, _RATIO = 6.0, -0.3
 
 
 def implausible_poses(campaign: Campaign) -> Iterator[Note]:
@@ -57,6 +59,8 @@ def implausible_poses(campaign: Campaign) -> Iterator[Note]:
             )
     turned = (arcs[1] - arcs[0]) / campaign.vehicle.track_m
     yield from _headings(theta, turned, distance)
+    if campaign.reference.frame != "map":
+        yield from _little_turned(theta, turned, distance, [runs.number(f"load_{side}_N") for side in SIDES])
 
 
 def _headings(theta: FloatArray, turned: FloatArray, distance: FloatArray) -> Iterator[Note]:
@@ -75,15 +79,46 @@ def _headings(theta: FloatArray, turned: FloatArray, distance: FloatArray) -> It
     if std > 0.1 * abs(ratio) or 0.5 <= ratio <= 2.0:
         return
     if -2.0 <= ratio <= -0.5:
-        yield note(
-            "runs, columns counts_left, counts_right",
-            f"the headings turn against the counts ({ratio:.3g} times); expected the same sense; are the wheels' "
-            "counts swapped, or is ref_theta_rad positive to the right?",
-        )
+        yield _against(ratio)
         return
     degrees = abs(abs(ratio) * math.pi / 180 - 1) < 0.3
     yield note(
         "runs, column ref_theta_rad",
         f"the headings are {ratio:.3g} times those of the counts; expected the same within a factor of 2; "
         + ("are they in degrees?" if degrees else "check track_m, counts_per_rev and the unit of the heading"),
+    )
+
+
+def _little_turned(
+    theta: FloatArray, turned: FloatArray, distance: FloatArray, loads: list[FloatArray]
+) -> Iterator[Note]:
+    """Hold the small headings of nearly straight runs against the counts, unequal wheels under any load set aside.
+
+    Radii that scatter make the headings follow the counts less than once, and never the other way round.
+    """
+    good = np.isfinite(theta) & np.isfinite(turned) & np.isfinite(distance)
+    if good.sum() < 2 * LEAST_RUNS or np.median(np.abs(turned[good])) >= 1.0:
+        return
+    by_load = [distance * load for load in loads if np.isfinite(load[good]).all()]
+    wheels = np.column_stack([distance, *by_load])[good]
+    wheels = wheels / np.maximum(np.abs(wheels).max(axis=0), 1e-300)
+    both = np.column_stack([turned[good], theta[good]])
+    # loads may come in step with each other: what they explain is set aside whatever their rank
+    explained, _, rank, _ = np.linalg.lstsq(wheels, both, rcond=1e-9)
+    counted, measured = (both - wheels @ explained).T
+    free, spread = int(good.sum() - rank) - 1, float(counted @ counted)
+    if free < LEAST_RUNS or spread <= 0.0:
+        return
+    ratio = float(counted @ measured) / spread
+    rest = measured - ratio * counted
+    std = math.sqrt(float(rest @ rest) / free / spread)
+    if ratio < _RATIO and ratio < -_SIGMAS * std:
+        yield _against(ratio)
+
+
+def _against(ratio: float) -> Note:
+    return note(
+        "runs, columns counts_left, counts_right",
+        f"the headings turn against the counts ({ratio:.3g} times); expected the same sense; are the wheels' "
+        "counts swapped, or is ref_theta_rad positive to the right?",
     )

@@ -17,6 +17,7 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from unittest import mock
 
 from calib.campaign.check import check_campaign
 from calib.campaign.read import read_campaign
@@ -229,7 +230,7 @@ def cases() -> list[Case]:
     made.append(Case("payload in g", column("payload_kg", change=times(1e3))))
     made.append(Case("payload in pounds", column("payload_kg", change=times(2.20462))))
     made.append(Case("payload place in mm", column("payload_x_m", change=times(1e3))))
-    made.append(Case("wheel counts swapped, corridor", rows(_swap(*COUNTS)), SILENT))
+    made.append(Case("wheel counts swapped, corridor", rows(_swap(*COUNTS))))
     made.append(Case("wheel counts swapped, loops", rows(_swap(*COUNTS)), FAILED, "yard"))
     made.append(Case("wheel loads swapped", rows(_swap(*LOADS)), FAILED, "corridor_crossed"))
     made.append(Case("left counts negative", column("counts_left", change=times(-1.0))))
@@ -257,9 +258,11 @@ def answers(case: Case, base: Path) -> dict[str, int]:
         "report": ["report", str(folder), "--into", str(base / "r.pdf"), "--date", "2026-01-01"],
     }
     given = {}
-    for name, arguments in jobs.items():
-        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-            given[name] = run(arguments)
+    # what the report says is decided before its PDF is set, which takes most of the time
+    with mock.patch("calib.report.pdf.to_pdf", lambda *_: b"%PDF"):
+        for name, arguments in jobs.items():
+            with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+                given[name] = run(arguments)
     if given["export"] == 0:
         given["suspicious"] = len(suspicious(folder) - suspicious(ROOT / "sample_runs" / case.base))
     return given

@@ -30,6 +30,7 @@ SHOWN = [
     "end headings in degrees, corridor",
     "payload in pounds",
     "wheel counts swapped, loops",
+    "wheel counts swapped, corridor",
     "wheel loads swapped",
 ]
 
@@ -37,7 +38,7 @@ SHOWN = [
 def test_the_table_is_as_long_as_promised() -> None:
     """At least 90 spoilt campaigns, and few of which it is said beforehand that nothing notices them."""
     assert len(CASES) >= 90
-    assert sum(case.wanted == SILENT for case in CASES.values()) <= 3
+    assert sum(case.wanted == SILENT for case in CASES.values()) <= 2
 
 
 @pytest.mark.parametrize("name", SHOWN)
