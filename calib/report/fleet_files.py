@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from calib.files import csv_text, write_bytes, write_json, write_text
+from calib.files import csv_text, to_json
 from calib.fleet.run import Fleet
 from calib.fleet.survey import Survey
+from calib.folders import write_files
 from calib.report.blocks import Block
 from calib.report.statements.fleet import fleet_content, survey_content
 
@@ -28,7 +29,7 @@ class Heads:
 
 
 def write_fleet(fleet: Fleet, into: Path, heads: Heads | None = None) -> list[Path]:
-    """Write a fleet's result; what an earlier run of the same folder wrote is replaced.
+    """Write a fleet's result, all of it or none; what an earlier run of the same folder wrote is replaced.
 
     Parameters
     ----------
@@ -48,42 +49,39 @@ def write_fleet(fleet: Fleet, into: Path, heads: Heads | None = None) -> list[Pa
     from calib.report.figures.style import render
 
     document = fleet.to_dict()
-    written = [
-        write_json(into / "fleet.json", document, force=True),
-        write_text(into / "vehicles.csv", _table(document["vehicles"]), force=True),
-    ]
+    files = {"fleet.json": _bytes(to_json(document)), "vehicles.csv": _bytes(_table(document["vehicles"]))}
     if fleet.view.n_fitted:
         figures = {"distribution": fleet_distribution(fleet), "drift": fleet_drift(fleet)}
-        written += [
-            write_bytes(into / f"{name}.{form}", render(figure, form), force=True)
+        files |= {
+            f"{name}.{form}": render(figure, form)
             for name, figure in figures.items()
             if figure is not None
             for form in FORMS
-        ]
-    return written + _pages(fleet_content(fleet, pictures=True), document, into, "fleet", heads)
+        }
+    return write_files(into, files | _pages(fleet_content(fleet, pictures=True), document, "fleet", heads), force=True)
 
 
 def write_survey(survey: Survey, into: Path, heads: Heads | None = None) -> list[Path]:
     """Write the result of a task over a fleet; see `write_fleet`."""
     document = survey.to_dict()
-    written = [write_json(into / f"{survey.what}.json", document, force=True)]
-    return written + _pages(survey_content(survey, page=True), document, into, survey.what, heads)
+    files = {f"{survey.what}.json": _bytes(to_json(document))}
+    pages = _pages(survey_content(survey, page=True), document, survey.what, heads)
+    return write_files(into, files | pages, force=True)
 
 
-def _pages(
-    blocks: Sequence[Block], document: Mapping[str, Any], into: Path, stem: str, heads: Heads | None
-) -> list[Path]:
+def _bytes(text: str) -> bytes:
+    return text.encode("utf-8", "backslashreplace")
+
+
+def _pages(blocks: Sequence[Block], document: Mapping[str, Any], stem: str, heads: Heads | None) -> dict[str, bytes]:
     if heads is None:
-        return []
+        return {}
     from calib.report.fleet_report import fleet_report
     from calib.report.html import to_html
     from calib.report.pdf import to_pdf
 
     report = fleet_report(heads.name, blocks, document, issued=heads.issued, simulated=heads.simulated)
-    return [
-        write_bytes(into / f"{stem}.pdf", to_pdf(report), force=True),
-        write_text(into / f"{stem}.html", to_html(report), force=True),
-    ]
+    return {f"{stem}.pdf": to_pdf(report), f"{stem}.html": _bytes(to_html(report))}
 
 
 def _table(vehicles: Sequence[Mapping[str, Any]]) -> str:

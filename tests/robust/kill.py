@@ -67,7 +67,7 @@ JOBS = (
     Job("report", "report result --into r.pdf --html r.html --date 2025-01-01", ("r.pdf", "r.html"),
         "report result --into r.pdf --html r.html --date 2024-01-01"),
     Job("fleet", "fleet run vehicles --into out --date 2025-01-01",
-        ("out/fleet.json", "out/vehicles.csv", "out/fleet.pdf", "out/fleet.html"),
+        ("out",),
         "fleet run vehicles2 --into out --date 2025-01-01"),
 )  # fmt: skip
 

@@ -16,6 +16,7 @@ from typing import Any
 
 import calib.folders
 from calib.cli.main import run
+from calib.fleet.store import SUMS
 
 ROOT = Path(__file__).resolve().parents[2]
 KILLED = -signal.SIGKILL
@@ -133,13 +134,18 @@ def killed_after(seconds: float, arguments: list[str], cwd: Path) -> int:
 
 
 def content(place: Path) -> dict[str, str]:
-    """Return the hash of every file below a folder, or of a file, by its path; a killed writer's leftovers aside."""
+    """Return the hash of every file below a folder, or of a file, by its path.
+
+    A killed writer's leftovers are left aside, and a fleet's store, which grows line by line.
+    """
     if place.is_file():
         return {"": hashlib.sha256(place.read_bytes()).hexdigest()}
     return {
         str(path.relative_to(place)): hashlib.sha256(path.read_bytes()).hexdigest()
         for path in sorted(place.rglob("*"))
-        if path.is_file() and not any(part.startswith(".calib-") for part in path.relative_to(place).parts)
+        if path.is_file()
+        and path.name != SUMS
+        and not any(part.startswith(".calib-") for part in path.relative_to(place).parts)
     }
 
 
