@@ -143,10 +143,12 @@ def content(place: Path) -> dict[str, str]:
     return {
         str(path.relative_to(place)): hashlib.sha256(path.read_bytes()).hexdigest()
         for path in sorted(place.rglob("*"))
-        if path.is_file()
-        and path.name != SUMS
-        and not any(part.startswith(".calib-") for part in path.relative_to(place).parts)
+        if path.is_file() and path.name != SUMS and not _is_leftover(path.relative_to(place))
     }
+
+
+def _is_leftover(path: Path) -> bool:
+    return any(part.startswith(".calib-") for part in path.parts)
 
 
 def leftovers(folder: Path) -> list[str]:
