@@ -69,7 +69,6 @@ def run(
     one_blas_thread()
     from calib.campaign.opening import read_or_ingest
     from calib.files import write_bytes, write_json
-    from calib.gap.apply import applied_model
     from calib.gap.verdict.paper_headline import headline
     from calib.gap.verdict.result import VerdictKind
 
@@ -81,6 +80,8 @@ def run(
     document = verdict.to_dict() | {"headline": headline(verdict)}
     _show(verdict, target=json)
     if apply is not None:
+        from calib.gap.apply import applied_model
+
         wrote([write_bytes(apply, applied_model(diagnosis, read, effects).to_bytes(), force=force)], target=json)
         if not verdict.recommended:
             say("The written model is not recommended: see above what speaks against it.", target=json)

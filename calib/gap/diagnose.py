@@ -135,6 +135,8 @@ def diagnose_in_full(
     held_out = _held_out(nominal, noise, searched, effects, left_out, rng)
     if situation.as_counted is not None:
         held_out = replace(held_out, before=situation.as_counted)
+    alone = WhitenedSystem(base.path, nominal, noise)
+    alone.know(searched.alone)
     evidence = Evidence(
         campaign=campaign.name,
         simulated=campaign.simulated,
@@ -146,7 +148,7 @@ def diagnose_in_full(
         held_out=held_out,
         trials=trials(left_out, residuals(nominal, nominal)),
         where=locate(observations, nominal, noise, held_out.before, rng=rng, floor=held_out.floor, campaign=campaign),
-        undetectable=undetectable(WhitenedSystem(base.path, nominal, noise), effects),
+        undetectable=undetectable(alone, effects, searched.forms),
         faults=situation.faults,
         settings=settings,
         notes=situation.notes,

@@ -5,23 +5,22 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path as FilePath
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from calib.arrays import FloatArray
 from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
-from calib.coefficients.believed import believed_model
-from calib.coefficients.file import load_coefficients
-from calib.coefficients.quantities import Quantity
-from calib.coefficients.sections import EffectSection
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Centre, Form
 from calib.gap.effects.encoder_gross import GrossFault, corrected
 from calib.gap.effects.library import every_effect
 from calib.gap.predict.path import Path, predict
 from calib.gap.predict.push import Push
+
+if TYPE_CHECKING:
+    from calib.coefficients.sections import EffectSection
 
 __all__ = ["applied_pushes", "matching_form", "model_of", "section_of", "with_effects"]
 
@@ -45,6 +44,9 @@ def model_of(path: FilePath | str, campaign: Campaign) -> tuple[OdometryModel, t
     BadFileError
         Where the file cannot be used.
     """
+    from calib.coefficients.believed import believed_model
+    from calib.coefficients.file import load_coefficients
+
     file = load_coefficients(path)
     return believed_model(file, campaign.model.reference_load_N), tuple(file.effects)
 
@@ -147,6 +149,9 @@ def _pushes(chosen: Sequence[tuple[EffectSection, Form]], path: Path) -> list[Pu
 
 def section_of(form: Form, theta: FloatArray) -> EffectSection:
     """Return a fitted form as a coefficient file holds it: id, label, settings, where it is nought, and its sizes."""
+    from calib.coefficients.quantities import Quantity
+    from calib.coefficients.sections import EffectSection
+
     settings = {name: float(value) for name, value in form.settings.items()}
     if form.centre is not None:
         settings |= {CENTRE: form.centre.mean, SPREAD: form.centre.spread}

@@ -14,10 +14,8 @@ from calib.gap.effects.effect import Form
 from calib.gap.evidence.fit import Fitted, hypothesis_path
 from calib.gap.evidence.marginal import CALIBRATION_SD, rows
 from calib.gap.evidence.models import Columns, log_weights, model_sizes
-from calib.gap.evidence.noise import Noise
 from calib.gap.evidence.system import LinearSystem, Sums
 from calib.gap.evidence.weighting import Weighting, prior_precision
-from calib.gap.predict.path import Path
 from calib.gap.predict.residuals import residuals
 
 __all__ = ["Climb", "Model", "Settings"]
@@ -71,9 +69,9 @@ class Settings:
 class Climb:
     """One linearisation: the forms kept, the hypothesis at hand, and the sums under what its effects may deviate by."""
 
-    def __init__(self, fitted: Fitted, nominal: Path, noise: Noise, every: Sequence[Form], settings: Settings) -> None:
+    def __init__(self, whole: LinearSystem, settings: Settings) -> None:
         self.settings, self.most = settings, np.inf
-        whole = LinearSystem(fitted, nominal, noise, every)
+        fitted, every = whole.fitted, whole.forms
         held = [next(k for k, form in enumerate(every) if form is own) for own in fitted.forms]
         sizes = [theta / form.typical for form, theta in zip(fitted.forms, fitted.theta, strict=True)]
         kept = self._worth_offering(whole, held, sizes)

@@ -40,6 +40,8 @@ class Search:
         The best hypothesis, a recalibration free beside it.
     base : Fitted
         The recalibration alone.
+    alone : LinearSystem
+        About its path, with every form.
     system : LinearSystem
         About the best hypothesis' path, with every effect's best forms.
     forms : mapping of str to list of Form
@@ -60,6 +62,7 @@ class Search:
 
     fitted: Fitted
     base: Fitted
+    alone: LinearSystem
     system: LinearSystem
     forms: dict[str, list[Form]]
     models: tuple[tuple[str, ...], ...]
@@ -118,8 +121,9 @@ def search(
     else:
         forms = start.forms
     every = [form for made in forms.values() for form in made]
-    begun = Climb(base, nominal, noise, every, settings)
-    first = copy(begun) if start is None else Climb(start.fitted, nominal, noise, every, settings)
+    alone = LinearSystem(base, nominal, noise, every)
+    begun = Climb(alone, settings)
+    first = copy(begun) if start is None else Climb(LinearSystem(start.fitted, nominal, noise, every), settings)
     room, fitted = _settle(first, noise, every, settings, passed)
     if room.weighting().scale > _SMALL_REST:
         # several causes together may leave little where each alone leaves a large rest: begin once without one
@@ -137,6 +141,7 @@ def search(
     return Search(
         fitted=fitted,
         base=base,
+        alone=alone,
         system=room.system,
         forms=forms,
         models=tuple(order),
@@ -169,7 +174,7 @@ def _settle(
         if _step(before, fitted) < _SETTLED:
             break
         if number < _PASSES - 1:
-            room = Climb(fitted, room.system.nominal, noise, every, settings)
+            room = Climb(LinearSystem(fitted, room.system.nominal, noise, every), settings)
     return room, fitted
 
 

@@ -111,11 +111,13 @@ def outlook_of(campaign: Campaign, scales: Mapping[str, float] | None = None, pr
         absent=tuple(name for name, found in forms.items() if not found),
         signal=signal,
         distance=distance,
-        smallest=_smallest(bench, effects, only_blind=False, progress=progress),
+        smallest=_smallest(bench, effects, forms, only_blind=False, progress=progress),
     )
 
 
-def undetectable(bench: WhitenedSystem, effects: Sequence[Effect]) -> tuple[Detectable, ...]:
+def undetectable(
+    bench: WhitenedSystem, effects: Sequence[Effect], forms: Mapping[str, Sequence[Form]] | None = None
+) -> tuple[Detectable, ...]:
     """Return the effects that these runs could not have shown at their typical size, with the smallest that they could.
 
     Parameters
@@ -124,33 +126,42 @@ def undetectable(bench: WhitenedSystem, effects: Sequence[Effect]) -> tuple[Dete
         The whitened system of the runs.
     effects : sequence of Effect
         The library.
+    forms : mapping of str to sequence of Form, optional
+        Forms of some effects on these runs, where they are known already.
 
     Returns
     -------
     tuple of Detectable
         `never` where nothing in the runs varies what the effect acts through, or a recalibration hides it wholly.
     """
-    return tuple(_smallest(bench, effects, only_blind=True).values())
+    return tuple(_smallest(bench, effects, forms or {}, only_blind=True).values())
 
 
 def _smallest(
-    bench: WhitenedSystem, effects: Sequence[Effect], *, only_blind: bool, progress: Progress = silent
+    bench: WhitenedSystem,
+    effects: Sequence[Effect],
+    known: Mapping[str, Sequence[Form]],
+    *,
+    only_blind: bool,
+    progress: Progress = silent,
 ) -> dict[str, Detectable]:
     s = bench.path.s
+    recalibration = Nuisance.of(bench.calibration)
+    own_left_out = Nuisance.of(bench.calibration[:, 3:])
     limits: dict[str, Detectable] = {}
     for effect in stepped(effects, progress, "effects"):
-        forms = effect.forms(s)
+        forms = known.get(effect.id) or effect.forms(s)
         if not forms:
             why = "nothing that it acts through is measured, or varies, in these runs"
             limits[effect.id] = Detectable(effect.id, why, never=True)
             continue
-        calibration = bench.calibration[:, 3:] if effect.calibration else bench.calibration
+        nuisance = own_left_out if effect.calibration else recalibration
         best: tuple[float, Form, int] | None = None
         raw_norm = 0.0
         for form in forms:
             columns = bench.columns(form)
             # a single direction of the form is asked at a time, the recalibration free beside it
-            left = np.sqrt((project(Nuisance.of(calibration), columns) ** 2).sum(axis=0))
+            left = np.sqrt((project(nuisance, columns) ** 2).sum(axis=0))
             raw = np.sqrt((columns**2).sum(axis=0))
             raw_norm = max(raw_norm, float(raw.max(initial=0.0)))
             for number, value in enumerate(left):
