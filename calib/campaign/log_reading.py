@@ -40,6 +40,19 @@ class _Outcome:
     error: BadFileError | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class _Content:
+    """The hash of a file's bytes, empty where it cannot be read, and the state that the file was in before."""
+
+    sha256: str
+    state: tuple[int, int] | None
+
+    @staticmethod
+    def of(path: Path) -> _Content:
+        state = _state(path)
+        return _Content(_hash(path), state)
+
+
 def read_logs(
     files: Sequence[LogFile],
     n_runs: int,
@@ -94,17 +107,27 @@ def _outcomes(files: Sequence[LogFile], renames: Renames | None) -> Iterator[_Ou
     cache = log_cache(path for _, _, path, _ in files)
     stored = 0
     threads = min(MOST_THREADS, _processors())
-    if threads < 2 or len(files) < MANY or _mean_bytes(files) < LARGE_BYTES:
+    if threads < 2 or len(files) < MANY:
         for _, _, path, name in files:
-            outcome, new = _read(path, name, renames, cache)
+            outcome, new = _read(path, name, renames, cache, _Content.of(path))
             stored += new
             yield outcome
     else:
         from concurrent.futures import ThreadPoolExecutor
 
-        pool = ThreadPoolExecutor(threads)
+        # small logs: one thread hashes ahead, which needs the interpreter for a moment only, and this one parses
+        small = _mean_bytes(files) < LARGE_BYTES
+        pool = ThreadPoolExecutor(1 if small else threads)
         try:
-            for outcome, new in pool.map(lambda file: _read(file[2], file[3], renames, cache), files):
+            if small:
+                contents = pool.map(_Content.of, (path for _, _, path, _ in files))
+                read = (
+                    _read(file[2], file[3], renames, cache, content)
+                    for file, content in zip(files, contents, strict=True)
+                )
+            else:
+                read = pool.map(lambda file: _read(file[2], file[3], renames, cache, _Content.of(file[2])), files)
+            for outcome, new in read:
                 stored += new
                 yield outcome
         finally:
@@ -119,26 +142,27 @@ def _mean_bytes(files: Sequence[LogFile]) -> float:
     return 0.0
 
 
-def _read(path: Path, name: str, renames: Renames | None, cache: LogCache | None) -> tuple[_Outcome, bool]:
+def _read(
+    path: Path, name: str, renames: Renames | None, cache: LogCache | None, content: _Content
+) -> tuple[_Outcome, bool]:
     """Return what came of a log, and whether it was put into the cache."""
-    before = _state(path)
-    sha256, place = "", None
-    if cache is not None:
-        with suppress(OSError):
-            sha256 = sha256_file(path)
-            place = cache.path_of(sha256, [name, sorted((renames or {}).items())])
-            kept = cache.get(place)
-            if kept is not None:
-                return _Outcome(dict(kept.columns), kept.notes, sha256), False
+    sha256, place = content.sha256, None
+    if cache is not None and sha256:
+        place = cache.path_of(sha256, [name, sorted((renames or {}).items())])
+        kept = cache.get(place)
+        if kept is not None:
+            return _Outcome(dict(kept.columns), kept.notes, sha256), False
     own = Border(lenient=False)
     try:
         columns = read_log(path, name, own, renames)
     except BadFileError as error:
-        return _Outcome({}, tuple(own.notes), sha256 or _hash(path), error), False
+        return _Outcome({}, tuple(own.notes), sha256, error), False
     notes = tuple(own.notes)
-    if cache is None or place is None or _state(path) != before:
-        # a file that changed while it was read is not kept under the hash of what it was
-        return _Outcome(columns, notes, sha256_file(path)), False
+    if not sha256 or _state(path) != content.state:
+        # a file that changed while it was read is neither kept nor named under the hash of what it was
+        return _Outcome(columns, notes, _hash(path)), False
+    if cache is None or place is None:
+        return _Outcome(columns, notes, sha256), False
     cache.put(place, ReadLog(columns, notes))
     return _Outcome(columns, notes, sha256), True
 

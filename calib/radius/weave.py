@@ -211,11 +211,12 @@ def _kept_near(
 
 def _solve(design: FloatArray, wanted: FloatArray) -> FloatArray:
     """Return the least-squares steps, shape (n_parameters, n), of `n` problems of shape (m, n_parameters)."""
-    gram = np.einsum("nmi,nmj->nij", design, design)
+    turned = design.transpose(0, 2, 1)
+    gram = turned @ design
     scale = np.sqrt(np.maximum(np.einsum("nii->ni", gram), 1e-300))
     # columns scaled to one; the ridge keeps a straight run, which has no wave to place, solvable
     scaled = gram / scale[:, :, None] / scale[:, None, :] + 1e-9 * np.eye(gram.shape[1])
-    right = np.einsum("nmi,nm->ni", design, wanted) / scale
+    right = (turned @ wanted[:, :, None])[:, :, 0] / scale
     solution: FloatArray = np.linalg.solve(scaled, right[:, :, None])[:, :, 0] / scale
     return solution.T
 
