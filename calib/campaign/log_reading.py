@@ -121,7 +121,7 @@ def _outcomes(files: Sequence[LogFile], renames: Renames | None) -> Iterator[_Ou
         try:
             if small:
                 contents = pool.map(_Content.of, (path for _, _, path, _ in files))
-                read = (
+                read: Iterator[tuple[_Outcome, bool]] = (
                     _read(file[2], file[3], renames, cache, content)
                     for file, content in zip(files, contents, strict=True)
                 )
