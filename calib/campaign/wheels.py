@@ -20,7 +20,15 @@ if TYPE_CHECKING:
 
     from calib.campaign.model import Campaign, Logs
 
-__all__ = ["ASIDE", "WHEEL_COLUMNS", "front_motion", "odometry_source", "on_one_axle", "without_rear_wheels"]
+__all__ = [
+    "ASIDE",
+    "WHEEL_COLUMNS",
+    "front_motion",
+    "mecanum_model",
+    "odometry_source",
+    "on_one_axle",
+    "without_rear_wheels",
+]
 
 #: what drives the odometry -> columns of the log with the counts of its wheels
 WHEEL_COLUMNS: Final[dict[str, tuple[str, ...]]] = {
@@ -129,7 +137,7 @@ def _motion(
         rolled = np.diff(log["counts_front"], prepend=log["counts_front"][:1]) * (2 * np.pi / encoder.front)
         ahead, turn = front_motion(front, rolled, log["steer_rad"])
         return ahead, np.zeros_like(ahead), turn
-    wheels = model.mecanum or _mecanum(campaign)
+    wheels = model.mecanum or mecanum_model(campaign)
     per_rev = (encoder.counts_per_rev_left, encoder.counts_per_rev_right) * 2
     front_left, front_right, rear_left, rear_right = (
         np.diff(log[name], prepend=log[name][:1]) * (2 * np.pi / scale)
@@ -143,7 +151,16 @@ def _motion(
     )
 
 
-def _mecanum(campaign: Campaign) -> MecanumModel:
+def mecanum_model(campaign: Campaign) -> MecanumModel:
+    """Return what the campaign's model, else its vehicle, says of four mecanum wheels.
+
+    Raises
+    ------
+    BadInputError
+        Where neither says l + w.
+    """
+    if campaign.model.mecanum is not None:
+        return campaign.model.mecanum
     arm = campaign.vehicle.half_length_plus_half_width_m
     if arm is None:
         raise BadInputError(

@@ -9,9 +9,8 @@ import numpy as np
 
 from calib.arrays import BoolArray, FloatArray, IntArray, StrArray
 from calib.geometry.recording import Recording
-from calib.geometry.sandwich import OF_RUNS, Uncertainty, block_scores, sandwich, unit_information
+from calib.geometry.sandwich import OF_RUNS, Uncertainty, block_scores, sandwich
 from calib.geometry.segments import Segments
-from calib.geometry.shared_ends import shared_end_scores
 from calib.geometry.solve import Solution
 
 __all__ = ["ENOUGH_RUNS", "Clustering", "clustered"]
@@ -22,10 +21,6 @@ FEWEST: Final = 4
 ENOUGH_RUNS: Final = 8
 #: standard deviations by which members of a group pull alike before the group counts as one
 ALIKE: Final = 2.6
-#: neighbouring blocks are joined while their pulls are correlated, beyond what the pose between them explains, by this
-#: many standard deviations; down to so many blocks
-NEIGHBOURS: Final = 2.6
-FEWEST_BLOCKS: Final = 16
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,11 +60,11 @@ def clustered(solution: Solution, free: BoolArray, recording: Recording, segment
     first = np.unique(block, return_index=True)[1]
     run = segments.run[first]
     scores = block_scores(solution, free, block)
-    many = len(np.unique(run)) >= ENOUGH_RUNS
-    shared = _Shared(solution, free, recording, segments, block)
-    joined = run if many else _joined(scores, run, shared)
-    alone = "run" if many or len(np.unique(run)) == len(run) else "block"
-    best = Clustering(alone, sandwich(solution, free, joined[block], shared.scores(joined), power=OF_RUNS))
+    if len(np.unique(run)) >= min(ENOUGH_RUNS, len(run)):
+        best = Clustering("run", sandwich(solution, free, segments.run, power=OF_RUNS))
+    else:
+        best = Clustering("block", sandwich(solution, free, block, along=True))
+    alone = best.name
     candidates = {"session": _codes(recording.session)[run], "route": _codes(_routes(recording))[run]}
     for name, group in candidates.items():
         if len(np.unique(group)) >= FEWEST and _alike(scores, group) > ALIKE:
@@ -101,43 +96,3 @@ def _alike(scores: FloatArray, group: IntArray) -> float:
     same = (group[:, None] == group[None, :]) & ~np.eye(len(group), dtype=np.bool_)
     spread = float(np.sqrt(np.square(products[same]).sum() / 2.0))
     return float(products[same].sum() / 2.0 / spread) if spread > 0.0 else 0.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Shared:
-    """What neighbouring groups of blocks share by the poses between them."""
-
-    solution: Solution
-    free: BoolArray
-    recording: Recording
-    segments: Segments
-    block: IntArray
-
-    def scores(self, group: IntArray) -> FloatArray:
-        """Return the expected products of the scores of neighbouring groups, shape (n_free, n_free)."""
-        return shared_end_scores(self.solution, self.free, self.recording, self.segments, group[self.block])
-
-    def products(self, group: IntArray) -> FloatArray:
-        """Return the same of each pull on its own, in units of unit information, shape (n_free,)."""
-        unit = unit_information(self.solution, self.free)
-        return np.asarray(np.diag(unit @ self.scores(group) @ unit.T))
-
-
-def _joined(scores: FloatArray, run: IntArray, shared: _Shared) -> IntArray:
-    """Return the group of each block: neighbours within a run are joined while their pulls are correlated."""
-    group = np.arange(len(run))
-    while len(np.unique(group)) >= 2 * FEWEST_BLOCKS:
-        total = np.stack([np.bincount(group, scores[:, at]) for at in range(scores.shape[1])], axis=1)
-        owner = run[np.unique(group, return_index=True)[1]]
-        together = owner[1:] == owner[:-1]
-        products = (total[1:] * total[:-1])[together]
-        spread = np.sqrt(np.square(products).sum(axis=0))
-        if not np.any(np.abs(products.sum(axis=0) - shared.products(group)) > NEIGHBOURS * spread):
-            break
-        within = np.concatenate(([0], np.cumsum(~together)))
-        number = np.arange(len(owner)) - np.unique(within, return_index=True)[1][within]
-        pair = np.unique(np.stack([within, number // 2]), axis=1, return_inverse=True)[1].ravel()
-        if len(np.unique(pair)) == len(owner):
-            break
-        group = pair[group]
-    return np.unique(group, return_inverse=True)[1]

@@ -69,7 +69,10 @@ class _Fitted:
         n_drive = len(self.parameters.items) - len(SENSOR)
         free = self.parameters.free
         std = self.parameters.prior_std.copy()
-        std[free] = self.clustering.uncertainty.std
+        std[free] = self.clustering.uncertainty.apart
+        if isinstance(self.model.drive, MeanHeld):
+            # what is held is no better known for that
+            std[:n_drive] = np.hypot(std[:n_drive], NOMINAL_STD * self.solution.values[:n_drive])
         return float(np.mean(np.log(std[:n_drive] / self.parameters.prior_std[:n_drive])))
 
 

@@ -1,7 +1,8 @@
 """Covariance of the parameters that holds where noise is shared within blocks: a sandwich for small samples.
 
 Bell and McCaffrey's bias-reduced form (CR2) and their degrees of freedom (Survey Methodology 28, 2002; Pustejovsky and
-Tipton, JBES 36, 2018), on the whitened, weighted problem of the robust fit.
+Tipton, JBES 36, 2018), on the whitened, weighted problem of the robust fit. Where blocks follow one another along the
+way, what neighbours share is allowed for by cosines: see `slow_cosines`.
 """
 
 from __future__ import annotations
@@ -15,13 +16,13 @@ import numpy as np
 from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.geometry.solve import DEGREES, Solution
 
-__all__ = ["OF_RUNS", "Uncertainty", "block_scores", "sandwich", "unit_information", "whitened"]
+__all__ = ["OF_RUNS", "Uncertainty", "block_scores", "sandwich", "slow_cosines", "whitened"]
 #: power that is unbiased for known weights (CR2); 1 is the jackknife (CR3)
 UNBIASED: Final = 0.5
-#: for single runs and blocks, from which the noise's sizes are estimated too; the coverage lies between the two
+#: for single runs, from which the noise's sizes are estimated too; the coverage lies between the two
 OF_RUNS: Final = 0.75
-#: part of the scores' variance that errors shared with neighbours can take away
-MOST_SHARED: Final = 0.9
+#: cosines for n blocks: this times n to the power 2/3
+COSINES: Final = 0.41
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,12 +36,15 @@ class Uncertainty:
     dof : array of float, shape (n_free,)
         Degrees of freedom of each standard deviation.
     clusters : int
-        Groups whose noise was taken for independent.
+        Groups whose noise was taken for independent, or shared with neighbours.
+    apart : array of float, shape (n_free,)
+        Standard deviations as if no group shared anything: less right, but steadier, to compare estimates by.
     """
 
     covariance: FloatArray
     dof: FloatArray
     clusters: int
+    apart: FloatArray
 
     @property
     def std(self) -> FloatArray:
@@ -66,17 +70,38 @@ def block_scores(solution: Solution, free: BoolArray, block: IntArray) -> FloatA
     jacobian, residuals = whitened(solution, free)
     scores = np.einsum("nip,ni->np", jacobian, residuals)
     total = np.stack([np.bincount(block, scores[:, at]) for at in range(scores.shape[1])], axis=1)
-    return np.asarray(total @ unit_information(solution, free).T)
+    flat = jacobian.reshape(-1, jacobian.shape[2])
+    return np.asarray(total @ np.linalg.inv(np.linalg.cholesky(flat.T @ flat)).T)
 
 
-def unit_information(solution: Solution, free: BoolArray) -> FloatArray:
-    """Return what turns pulls on the parameters into pulls in units of unit information, shape (n_free, n_free)."""
-    flat = whitened(solution, free)[0].reshape(-1, int(free.sum()))
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(flat.T @ flat)))
+def slow_cosines(n: int, least: int = 1) -> FloatArray:
+    """Return the cosines over `n` blocks whose sums of pulls say how much the sum of all pulls may be off.
+
+    Neighbours that share an error, of the pose between them or of a reference that errs alike for long, do not add up
+    as independent ones do: either sign of correlation is possible. What matters is the pulls' spectrum at frequency
+    nought, and the slowest cosines see it, whatever the correlation along shorter ways. Their number is that of
+    Lazarus, Lewis, Stock and Watson (JBES 36, 2018); it is also the number of degrees of freedom (Mueller, Journal of
+    Econometrics 141, 2007).
+
+    Parameters
+    ----------
+    n : int
+        Blocks, in the order driven.
+    least : int
+        So many cosines at least.
+
+    Returns
+    -------
+    array of float, shape (n_cosines, n)
+        Scaled so that independent pulls keep their sum of squares.
+    """
+    number = np.arange(1.0, min(max(round(COSINES * n ** (2.0 / 3.0)), least), n - 1) + 1.0)
+    waves = np.cos(np.pi * np.outer(number, (np.arange(n) + 0.5) / n))
+    return np.asarray(np.sqrt(2.0 / len(number)) * waves)
 
 
 def sandwich(
-    solution: Solution, free: BoolArray, cluster: IntArray, shared: FloatArray | None = None, *, power: float = UNBIASED
+    solution: Solution, free: BoolArray, cluster: IntArray, *, along: bool = False, power: float = UNBIASED
 ) -> Uncertainty:
     """Return the covariance of the free parameters.
 
@@ -88,8 +113,8 @@ def sandwich(
         Which parameters were free.
     cluster : array of int, shape (n,)
         Stretches of one cluster share their noise.
-    shared : array of float, shape (n_free, n_free), optional
-        Products of the scores of neighbouring clusters, from `calib.geometry.shared_ends.shared_end_scores`.
+    along : bool
+        Clusters are numbered along the way, and neighbours may share some of their noise.
     power : float
         Of what leverage takes from the residuals; they are enlarged by it.
     """
@@ -116,31 +141,37 @@ def sandwich(
         seen = lever @ contrast
         sizes.append(np.square(seen).sum(axis=0))
         shares.append(part.T @ seen)
-    meat = np.stack(pulls)
+    pull = np.stack(pulls) @ root.T
+    weigh = slow_cosines(len(pull)) if along else np.eye(len(pull))
+    inner = _of_full_rank(pull, weigh) if along else pull.T @ pull
     factor = _influence(solution)
-    total = meat.T @ meat
-    if shared is not None:
-        total = _with_neighbours(total, root.T @ (shared * np.outer(scale, scale)) @ root)
-    inner = root @ total @ root.T
     covariance = factor**2 * inner * np.outer(scale, scale)
-    dof = _degrees(np.stack(sizes), np.stack(shares))
-    return Uncertainty(covariance, dof, len(meat))
+    apart = factor * np.sqrt(np.square(pull).sum(axis=0)) * scale
+    return Uncertainty(covariance, _degrees(np.stack(sizes), np.stack(shares), weigh), len(pull), apart)
 
 
-def _with_neighbours(total: FloatArray, shared: FloatArray) -> FloatArray:
-    """Return the covariance of the scores with that of neighbours; no direction loses more than `MOST_SHARED` of it."""
-    root = np.linalg.cholesky(total + 1e-12 * np.trace(total) * np.eye(len(total)))
-    inverse = np.linalg.inv(root)
-    values, vectors = np.linalg.eigh(inverse @ (shared + shared.T) @ inverse.T)
-    inner = (vectors * np.maximum(1.0 + values, 1.0 - MOST_SHARED)) @ vectors.T
-    return np.asarray(root @ inner @ root.T)
+def _of_full_rank(pull: FloatArray, weigh: FloatArray) -> FloatArray:
+    """Return the covariance by few cosines, whose correlations leave no direction without any spread.
+
+    Parameters
+    ----------
+    pull : array of float, shape (n_blocks, n_free)
+        Of each block on the parameters.
+    weigh : array of float, shape (n_cosines, n_blocks)
+        The slowest cosines. With fewer of them than parameters some directions would have no spread: the correlations
+        by enough cosines count as those of one cosine more.
+    """
+    slow, more = weigh @ pull, slow_cosines(len(pull), 2 * max(len(weigh), pull.shape[1])) @ pull
+    by_slow, by_more = slow.T @ slow, more.T @ more
+    ratio = np.sqrt(np.diag(by_slow) / np.maximum(np.diag(by_more), 1e-300))
+    return np.asarray((len(weigh) * by_slow + by_more * np.outer(ratio, ratio)) / (len(weigh) + 1.0))
 
 
-def _degrees(sizes: FloatArray, shares: FloatArray) -> FloatArray:
+def _degrees(sizes: FloatArray, shares: FloatArray, weigh: FloatArray) -> FloatArray:
     """Return Bell and McCaffrey's degrees of freedom of each parameter's variance."""
     found = []
     for at in range(sizes.shape[1]):
-        inner = np.diag(sizes[:, at]) - shares[:, :, at] @ shares[:, :, at].T
+        inner = weigh @ (np.diag(sizes[:, at]) - shares[:, :, at] @ shares[:, :, at].T) @ weigh.T
         found.append(np.trace(inner) ** 2 / np.maximum(np.square(inner).sum(), 1e-300))
     return np.maximum(np.asarray(found, dtype=np.float64), 1.0)
 

@@ -4,22 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
 
 from calib.arrays import FloatArray
 from calib.campaign.model import LABEL_COLUMNS, Campaign, Logs, RunTable
+from calib.campaign.wheels import WHEEL_COLUMNS
 from calib.errors import BadInputError
+from calib.gap.plan.planned_logs import stop_and_go, wheel_counts
 from calib.gap.verdict.result import PlannedRunAdvice
 from calib.motion.routes import NAMED, Route, arc, straight
 from calib.vehicle import wheel_loads_N
 
 __all__ = ["Measured", "PlannedRun", "default_candidates", "drive", "joined", "route_of"]
 
-ACCELERATION_MPS2: Final = 0.5
-LOG_PERIOD_S: Final = 0.1
 SPACING_M: Final = 0.05
 SHORT: Final = 0.6
 DEFAULT_CORRIDOR_M: Final = 20.0
@@ -214,8 +213,7 @@ def drive(
     # a payload of nothing stands nowhere
     for name in ("payload_x_m", "payload_y_m"):
         numbers[name] = np.where(numbers["payload_kg"] > 0, numbers[name], 0.0)
-    numbers["counts_left"] = np.array([log["counts_left"][-1] for log in logs])
-    numbers["counts_right"] = np.array([log["counts_right"][-1] for log in logs])
+    numbers |= {name: np.array([log[name][-1] for log in logs]) for name in WHEEL_COLUMNS["rear"] if name in logs[0]}
     if measured.distance:
         numbers["distance_m"] = np.where(corridor, ends[:, 0], np.nan)
     if measured.poses:
@@ -244,64 +242,19 @@ def _laid_out(logs: Sequence[Mapping[str, FloatArray]], measured: Measured) -> L
 
 def _log(campaign: Campaign, run: PlannedRun, measured: Measured, corridor_m: float) -> dict[str, FloatArray]:
     """Return a run's log at a fixed period, with the pose in columns that begin with an underscore."""
-    model, vehicle, encoder = campaign.model, campaign.vehicle, campaign.encoder
+    vehicle = campaign.vehicle
     route = route_of(run.kind, corridor_m).divided(SPACING_M)
     way = route.distance_m()
     stopped = np.linspace(0.0, way[-1], run.stops + 2)
-    time, driven = _motion(stopped, run.speed_mps, read_rolling=run.read_rolling)
+    time, driven = stop_and_go(stopped, run.speed_mps, read_rolling=run.read_rolling)
     poses = route.poses()
     # the route's own segments as functions of the way driven
     length = np.interp(driven, way, np.concatenate(([0.0], np.cumsum(route.length_m))))
     heading = np.interp(driven, way, poses.theta_rad)
     x, y = np.interp(driven, way, poses.x_m), np.interp(driven, way, poses.y_m)
-    _, load_left, load_right = wheel_loads_N(vehicle, run.payload_kg, run.payload_x_m, run.payload_y_m)
-    over_left, over_right = float(load_left) - model.reference_load_N, float(load_right) - model.reference_load_N
-    radius_left = model.radius_left_m + model.slope_left_m_per_N * over_left
-    radius_right = model.radius_right_m + model.slope_right_m_per_N * over_right
-    half = 0.5 * model.track_m * heading
-    made = {
-        "t_s": time,
-        "counts_left": (length - half) / radius_left * encoder.counts_per_rev_left / (2 * np.pi),
-        "counts_right": (length + half) / radius_right * encoder.counts_per_rev_right / (2 * np.pi),
-    }
-    if measured.front:
-        ds, turn = np.diff(length), np.diff(heading)
-        roll = np.hypot(ds, vehicle.wheelbase_m * turn) / vehicle.wheel_radius_m
-        made["counts_front"] = np.concatenate(([0.0], np.cumsum(roll))) * encoder.counts_per_rev_left / (2 * np.pi)
-        moving = ds > 1e-9
-        angle = np.where(moving, np.arctan2(vehicle.wheelbase_m * turn, np.where(moving, ds, 1.0)), 0.0)
-        made["steer_rad"] = np.concatenate((angle[:1], angle))
-    return made | {"_x": x, "_y": y, "_theta": heading}
-
-
-def _motion(stops_m: FloatArray, speed: float, *, read_rolling: bool) -> tuple[FloatArray, FloatArray]:
-    """Return times and way driven: from stop to stop with ramps, half a second at each stop."""
-    if not speed > 0.0:
-        raise BadInputError(f"speed_mps: found {speed!r}; expected a speed above 0; correct the planned run")
-    time: list[FloatArray] = [np.zeros(1)]
-    way: list[FloatArray] = [np.zeros(1)]
-    start = 0.0
-    for number, (begin, end) in enumerate(pairwise(stops_m)):
-        length = float(end - begin)
-        top = min(speed, float(np.sqrt(ACCELERATION_MPS2 * length)))
-        ramp = top / ACCELERATION_MPS2
-        rolling_end = read_rolling and number == len(stops_m) - 2
-        cruise = (length - (0.5 if rolling_end else 1.0) * top * ramp) / top
-        last = ramp + cruise + (0.0 if rolling_end else ramp)
-        t = np.append(np.arange(LOG_PERIOD_S, last, LOG_PERIOD_S), last)
-        u = np.minimum(t, ramp)
-        d = 0.5 * ACCELERATION_MPS2 * u**2 + top * np.clip(t - ramp, 0.0, cruise)
-        slowing = np.clip(t - ramp - cruise, 0.0, None)
-        d = d + top * slowing - 0.5 * ACCELERATION_MPS2 * slowing**2
-        time.append(np.asarray(start + t, dtype=np.float64))
-        way.append(np.asarray(begin + d, dtype=np.float64))
-        start += last
-        if not rolling_end:
-            pause: FloatArray = LOG_PERIOD_S * np.arange(1.0, 6.0)
-            time.append(np.asarray(start + pause, dtype=np.float64))
-            way.append(np.full(5, float(end)))
-            start += float(pause[-1])
-    return np.concatenate(time), np.concatenate(way)
+    loads = wheel_loads_N(vehicle, run.payload_kg, run.payload_x_m, run.payload_y_m)
+    counts = wheel_counts(campaign, length, heading, (float(loads[1]), float(loads[2])), front=measured.front)
+    return {"t_s": time, **counts, "_x": x, "_y": y, "_theta": heading}
 
 
 def joined(first: Campaign, second: Campaign) -> Campaign:
