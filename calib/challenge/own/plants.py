@@ -28,14 +28,14 @@ NOT_PLANTED: Final = {
     "encoder_gross": "a gross fault is found before the search, by trial",
     "integration_scheme": "it is in the simulator, not in the vehicle",
     "path_weave": "it needs runs without logs",
-    "steering_zero": "only the front wheel shows it",
-    "steering_scale": "only the front wheel shows it",
     "steering_backlash": "only the front wheel shows it",
     "steering_delay": "only the front wheel shows it",
     "drive_slip": "only the front wheel shows it",
 }
 #: share of what an effect does that is left beside a recalibration, below which it cannot be asked for
 ABSORBED: Final = 0.02
+#: what is planted where the front wheel alone drives the odometry, which is calibrated by them
+STEERED: Final = ("steering_zero", "steering_scale")
 #: a planted change of so much of the path driven, or of the heading, is no small effect any more
 LARGEST_SHARE, LARGEST_RAD = 0.2, 1.0
 _SIZE: Final = re.compile(r"\s*([+-]?[0-9.]+(?:[eE][+-]?[0-9]+)?)\s*([sx]?)\s*")
@@ -177,6 +177,8 @@ def _candidates(
     for effect in diagnosis.effects:
         if effect.id in NOT_PLANTED:
             left_out[effect.id] = NOT_PLANTED[effect.id]
+        elif effect.id in STEERED and not diagnosis.observations.by_front:
+            left_out[effect.id] = "only the front wheel shows it"
         elif not effect.forms(diagnosis.observations):
             left_out[effect.id] = f"these runs cannot show it: it needs {effect.needs or 'other runs'}"
         elif effect.id.startswith("covariate:"):
@@ -208,7 +210,7 @@ def _bound(form: Form, knobs: dict[str, float]) -> SizedAct:
 
 
 def absorbed_by_calibration(diagnosis: Diagnosis, replay: Replay) -> FloatArray:
-    """Return what small changes of the radii and the track do, along and across the end heading, (n_units, 6, 3)."""
+    """Return what small changes of radii and track do, along and across the end heading, (n_units, 6, 3)."""
     step = _RELATIVE_STEP
 
     def of(name: str) -> FloatArray:
@@ -217,7 +219,12 @@ def absorbed_by_calibration(diagnosis: Diagnosis, replay: Replay) -> FloatArray:
 
         return _along_and_across(diagnosis, replay.change(act)) / step
 
-    return np.stack([of("left"), of("right"), of("track")], axis=2)
+    left, right = of("left"), of("right")
+    if diagnosis.observations.by_front:
+        # one wheel, whose radius both that stand in for it share
+        both = 0.5 * (left + right)
+        return np.stack([both, both, np.zeros_like(both)], axis=2)
+    return np.stack([left, right, of("track")], axis=2)
 
 
 def _along_and_across(diagnosis: Diagnosis, change: FloatArray) -> FloatArray:
@@ -239,7 +246,7 @@ def _sized(
     candidate: _Candidate, diagnosis: Diagnosis, replay: Replay, absorbed: FloatArray, sizes: Sequence[Size]
 ) -> tuple[list[Plant], str]:
     """Return a candidate at each size, and why it is at none."""
-    level = candidate.effect not in CALIBRATION
+    level = candidate.effect not in (*CALIBRATION, *STEERED)
     free = absorbed if level else None
 
     def change(size: float) -> FloatArray:

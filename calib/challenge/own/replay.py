@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 
 from calib.arrays import FloatArray, IntArray
+from calib.campaign.settings import FrontModel
 from calib.gap.data.observations import Observations
 from calib.plant.design import Design
 from calib.plant.world import Moment, World, build_world
@@ -39,6 +40,8 @@ class Route:
         Motion by the log, smoothed.
     angle_left_rad, angle_right_rad : array of float, shape (n_steps_most, n_units)
         Wheel angles at the end of each step.
+    front_m, steer_rad : array of float, shape (n_steps_most, n_units)
+        Way of a front wheel that alone drives the odometry, and its angle; nothing where rear wheels do.
     last : array of int, shape (n_units,)
         Last step of each unit.
     """
@@ -52,6 +55,8 @@ class Route:
     curvature_per_m: FloatArray
     angle_left_rad: FloatArray
     angle_right_rad: FloatArray
+    front_m: FloatArray
+    steer_rad: FloatArray
     last: IntArray
 
 
@@ -69,6 +74,8 @@ def route_of(observations: Observations) -> Route:
     duration = wide(observations.duration_s)
     speed = _smoothed(wide(observations.speed_mps), duration, lengths)
     change = np.diff(speed, axis=0, prepend=speed[:1])
+    front = FrontModel.of(observations.vehicle) if observations.by_front else FrontModel(0.0, 1.0)
+    front = observations.model.front or front
     with np.errstate(divide="ignore", invalid="ignore"):
         acceleration = np.where(duration > 0, change / duration, 0.0)
     return Route(
@@ -81,6 +88,8 @@ def route_of(observations: Observations) -> Route:
         curvature_per_m=wide(observations.curvature_per_m),
         angle_left_rad=wide(observations.phase_left_rad),
         angle_right_rad=wide(observations.phase_right_rad),
+        front_m=front.radius_m * wide(observations.front_roll_rad),
+        steer_rad=front.scale * wide(observations.steer_rad) + front.zero_rad,
         last=lengths - 1,
     )
 
@@ -225,6 +234,9 @@ def _driven(replay: Replay, world: World) -> _Ends:
         right = route.roll_right_rad[step] * right_m * (1.0 + now.right) / (1.0 - now.lost_right)
         way = 0.5 * (left + right) / (1.0 + world.rise)
         turn = (right - left) / (track_m * (1.0 + now.track)) + now.yaw_radps * duration
+        if replay.observations.by_front:
+            ahead, curve = _steered(replay, world, step)
+            way, turn = way * ahead, turn * ahead + curve
         middle = now.theta_rad + 0.5 * turn
         chord, drift = way * np.sinc(turn / (2 * np.pi)), now.lateral_mps * duration
         now.x_m = now.x_m + chord * np.cos(middle) - drift * np.sin(middle)
@@ -235,6 +247,18 @@ def _driven(replay: Replay, world: World) -> _Ends:
     speed = route.speed_mps[route.last, units]
     pose = np.stack([now.x_m, now.y_m, now.theta_rad])
     return _Ends(pose, path, speed, speed * route.curvature_per_m[route.last, units])
+
+
+def _steered(replay: Replay, world: World, step: int) -> tuple[FloatArray, FloatArray]:
+    """Return by what the way ahead is multiplied where the front wheel's angle is other than read, and what it turns.
+
+    The turn comes on top of the one that is read, multiplied alike (Eqs 12 to 14).
+    """
+    read, way = replay.route.steer_rad[step], replay.route.front_m[step]
+    true = (read - world.steer_zero_rad) / world.steer_scale
+    ahead = np.cos(true) / np.cos(read)
+    wheelbase_m = (world.model.front or FrontModel.of(replay.observations.vehicle)).wheelbase_m
+    return ahead, way * (np.sin(true) - ahead * np.sin(read)) / wheelbase_m
 
 
 def _instruments(replay: Replay, world: World, ends: _Ends) -> FloatArray:

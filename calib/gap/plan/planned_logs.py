@@ -61,8 +61,8 @@ def _front(campaign: Campaign, way_m: FloatArray, heading_rad: FloatArray, model
     ahead, turn = np.diff(way_m), np.diff(heading_rad)
     roll = np.hypot(ahead, model.wheelbase_m * turn) / model.radius_m
     counts = np.concatenate(([0.0], np.cumsum(roll))) * campaign.encoder.front / (2 * np.pi)
-    moving = ahead > 1e-9
-    angle = np.where(moving, np.arctan2(model.wheelbase_m * turn, np.where(moving, ahead, 1.0)), 0.0)
+    # abs: no minus of a rounded nought turns the wheel about
+    angle = np.where(roll > 0.0, np.arctan2(model.wheelbase_m * turn, np.abs(ahead)), 0.0)
     steer = (np.concatenate((angle[:1], angle)) - model.zero_rad) / model.scale
     return {"counts_front": counts, "steer_rad": steer}
 

@@ -19,6 +19,7 @@ from calib.gap.diagnosis import Diagnosis
 from calib.plant.make import make_campaign
 from calib.plant.plans import good_design
 from calib.plant.world import World
+from tests.geometry.campaigns import tricycle
 
 #: two integrators of the same counts, exact arcs each, differ by how the curvature changes within a step
 ARCS_M, ARCS_RAD = 2e-3, 1e-9
@@ -54,6 +55,28 @@ def test_a_wider_track_turns_less(diagnosis: Diagnosis) -> None:
     replay = Replay.of(diagnosis.observations)
     turn = replay.readings(None)[:, 3]
     np.testing.assert_allclose(replay.change(wider)[:, 3], -0.01 * turn, rtol=0.011, atol=SECOND_ORDER)
+
+
+def test_a_front_wheel_is_replayed_at_its_true_angle() -> None:
+    """A vehicle on its front wheel alone: at a constant angle d read, zero z and scale k turn it by travel sin / L."""
+    diagnosis = diagnose_in_full(tricycle(np.random.default_rng(1)), plan=False)
+    replay = Replay.of(diagnosis.observations)
+    zero, scale = 5e-3, 1.01
+
+    def other(world: World) -> None:
+        world.steer_zero_rad, world.steer_scale = world.steer_zero_rad + zero, world.steer_scale * scale
+
+    # lines, left and right arcs have one angle each, their own; the fourth kind weaves
+    constant = np.array([not kind.startswith("weave") for kind in diagnosis.observations.labels["kind"]])
+    read = replay.route.steer_rad[1][constant]
+    travel = replay.route.front_m.sum(axis=0)[constant]
+    wheelbase_m = diagnosis.observations.vehicle.wheelbase_m
+    wanted = travel * (np.sin((read - zero) / scale) - np.sin(read)) / wheelbase_m
+    np.testing.assert_allclose(replay.change(other)[constant, 3], wanted, atol=1e-9)
+    plants, left_out = plants_of(
+        diagnosis, replay, ("steering_zero", "steering_scale"), parse_sizes("10s"), np.random.default_rng(0)
+    )
+    assert {plant.effect for plant in plants} == {"steering_zero", "steering_scale"} and not left_out
 
 
 def test_the_noise_is_the_campaigns_own(diagnosis: Diagnosis) -> None:

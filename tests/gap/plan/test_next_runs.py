@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,6 +25,7 @@ from calib.gap.predict.path import predict
 from calib.gap.predict.residuals import residuals
 from calib.plant.make import make_campaign
 from calib.plant.plans import poor_design
+from tests.geometry.campaigns import mecanum, tricycle
 
 
 def base(seed: int = 1, name: str = "load_a_session") -> Campaign:
@@ -48,6 +50,21 @@ def test_a_run_driven_as_the_model_says_has_no_gap() -> None:
     np.testing.assert_allclose(gap[:, :4], 0.0, atol=1e-3)
     # the front wheel of the straight run; where a route's curvature jumps no steered wheel could follow exactly
     np.testing.assert_allclose(gap[0, 4:], 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("make", [tricycle, mecanum])
+def test_planned_runs_turn_the_wheels_that_the_vehicle_counts(make: Callable[[np.random.Generator], Campaign]) -> None:
+    """Front wheel alone, or four wheels: joined with what was driven every run counts, and planned ones have no gap."""
+    driven = make(np.random.default_rng(2))
+    kinds = ("corridor", "square_cw", "square_ccw", "figure8", "route_left")
+    planned = drive(driven, [PlannedRun(kind) for kind in kinds], Measured())
+    whole = observations_of(joined(driven, planned))
+    assert len(whole) == len(driven.runs) + len(kinds)
+    nominal = predict(observations_of(planned))
+    gap = residuals(nominal, nominal)
+    # where the curvature jumps by 2 / m, a steering angle read every 5 cm is off for half of that: 0.05 rad, and m
+    limit = 0.06 if make is tricycle else 1e-3
+    np.testing.assert_allclose(np.nan_to_num(gap[:, :4]), 0.0, atol=limit)
 
 
 def test_planned_speeds_and_stops_are_driven() -> None:
