@@ -290,7 +290,7 @@ def _result(campaign: Campaign, fitted: _Fitted, source: str, using: Using, faul
     before, after = whole.predict(nominal), whole.predict(values)
     squares = (
         umbmark(before, after, whole.segments, campaign.model.track_m)
-        if source == "rear" and len(whole.segments) and _whole_runs(whole)
+        if source == "rear" and len(whole.segments) and whole.segments.are_runs_of(whole.recording)
         else Umbmark(False, why="squares of a vehicle with two encoders on one axle are needed")
     )
     return Geometry(
@@ -361,14 +361,9 @@ def _whole(model: Model) -> Model:
     The end of one long recording says little: what heading noise has gathered by then is all that it shows.
     """
     many = int(np.isfinite(model.recording.end_pose[:, :2]).all(axis=1).sum()) >= ENOUGH_RUNS
-    if many or _whole_runs(model):
+    if many or model.segments.are_runs_of(model.recording):
         return Model(model.drive, model.recording, end_pose_segments(model.recording))
     return Model(model.drive, model.recording, model.segments.select(model.segments.level == 0))
-
-
-def _whole_runs(model: Model) -> bool:
-    """Return whether the stretches are whole runs."""
-    return bool(np.array_equal(model.segments.first, model.recording.offsets[model.segments.run]))
 
 
 def _outliers(model: Model, solution: Solution) -> tuple[str, ...]:

@@ -46,6 +46,10 @@ class Segments:
     def __len__(self) -> int:
         return len(self.run)
 
+    def are_runs_of(self, recording: Recording) -> bool:
+        """Return whether the stretches are whole runs."""
+        return bool(np.array_equal(self.first, recording.offsets[self.run]))
+
     def select(self, keep: BoolArray) -> Segments:
         """Return the stretches that `keep` picks."""
         return Segments(
