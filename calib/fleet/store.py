@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Final, Generic, Protocol, TypeVar
 
 from calib.errors import BadInputError
+from calib.leftovers import sweep, temporary_beside
 
 __all__ = ["SUMS", "Kept", "Store"]
 
@@ -78,11 +79,15 @@ class Store(Generic[Record]):
 
     def rewrite(self, records: Iterable[Record]) -> None:
         """Put all lines in order of their names, each once; the same bytes whatever order they came in."""
-        temporary = self.path.with_name(f".{self.path.name}.{os.getpid()}.tmp")
-        with temporary.open("w", encoding="utf-8") as stream:
-            for record in sorted(records, key=lambda record: record.name):
-                stream.write(json.dumps(record.to_dict(), ensure_ascii=False) + "\n")
-        temporary.replace(self.path)
+        sweep(self.path)
+        temporary = temporary_beside(self.path)
+        try:
+            with temporary.open("x", encoding="utf-8") as stream:
+                for record in sorted(records, key=lambda record: record.name):
+                    stream.write(json.dumps(record.to_dict(), ensure_ascii=False) + "\n")
+            temporary.replace(self.path)
+        finally:
+            temporary.unlink(missing_ok=True)
 
 
 def _ends_whole(path: Path) -> bool:
