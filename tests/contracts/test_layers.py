@@ -35,7 +35,7 @@ ALLOWED: dict[str, set[str]] = {
     "gap": GROUND | {"campaign", "radius", "coefficients", "motion"},
     "report": GROUND
     | {"__init__", "campaign", "radius", "geometry", "coefficients", "motion", "gap", "fleet", "challenge"},
-    "fleet": GROUND | {"campaign", "radius", "geometry", "gap"},
+    "fleet": GROUND | {"leftovers", "campaign", "radius", "geometry", "gap"},
     "runtime": set(),
     "plant": GROUND | {"campaign"},
     "challenge": GROUND | {"__init__", "campaign", "plant", "gap"},
