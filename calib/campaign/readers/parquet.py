@@ -28,6 +28,34 @@ def _filled(column: Any, empty: float) -> np.ndarray[Any, Any]:
     return np.frombuffer(whole.buffers()[1], dtype, len(whole), whole.offset * dtype.itemsize).copy()
 
 
+def _cells(column: Any) -> tuple[np.ndarray[Any, Any], int | None]:
+    """Return a column's cells, and the epoch (ns) of one that holds moments."""
+    import pyarrow as pa
+
+    if pa.types.is_integer(column.type) or pa.types.is_floating(column.type):
+        return _filled(column.cast(pa.float64(), safe=False), np.nan), None
+    if pa.types.is_timestamp(column.type):
+        # exact: nanoseconds as recorded, told from other integers by the note of their epoch
+        moments = _filled(column.cast(pa.timestamp("ns")).cast(pa.int64()), np.iinfo(np.int64).min)
+        epoch = int(moments[0]) if len(moments) else 0
+        return (moments - epoch) / NS_PER_S, epoch
+    cells = np.empty(len(column), dtype=object)
+    cells[:] = [
+        None if cell is None else float(cell) if isinstance(cell, bool) else str(cell) for cell in column.to_pylist()
+    ]
+    return cells, None
+
+
+def _damaged(shown: str, error: Exception, column: str | None = None) -> BadFileError:
+    return BadFileError(
+        shown,
+        column=column,
+        found=f"a damaged parquet file ({' '.join(str(error).split())[:100]})",
+        expected="a whole one",
+        remedy="write it again",
+    )
+
+
 def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTable:  # noqa: ARG001 - a reader's form
     """Read a parquet file; see `calib.campaign.readers.read_table`."""
     try:
@@ -52,30 +80,18 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
             kept = [name for name in names if wanted is None or wanted(name)]
             table = source.read(columns=kept, use_threads=rows > _MANY_ROWS)
     except (pa.ArrowException, OSError, ValueError, OverflowError) as error:
-        raise BadFileError(
-            shown,
-            found=f"a damaged parquet file ({' '.join(str(error).split())[:100]})",
-            expected="a whole one",
-            remedy="write it again",
-        ) from error
+        raise _damaged(shown, error) from error
     line = np.arange(1, table.num_rows + 1, dtype=np.int64)
     columns: dict[str, np.ndarray[Any, Any]] = {}
     epochs: dict[str, int] = {}
     for name in kept:
-        column = table.column(name)
-        if pa.types.is_integer(column.type) or pa.types.is_floating(column.type):
-            cells = _filled(column.cast(pa.float64(), safe=False), np.nan)
-        elif pa.types.is_timestamp(column.type):
-            # exact: nanoseconds as recorded, told from other integers by the note of their epoch
-            moments = _filled(column.cast(pa.timestamp("ns")).cast(pa.int64()), np.iinfo(np.int64).min)
-            epochs[name] = int(moments[0]) if len(moments) else 0
-            cells = (moments - epochs[name]) / NS_PER_S
-        else:
-            cells = np.empty(table.num_rows, dtype=object)
-            cells[:] = [
-                None if cell is None else float(cell) if isinstance(cell, bool) else str(cell)
-                for cell in column.to_pylist()
-            ]
+        try:
+            cells, epoch = _cells(table.column(name))
+        except (pa.ArrowException, ValueError, OverflowError) as error:
+            # bytes that are no text, dates beyond the calendar: found only where a column is looked into
+            raise _damaged(shown, error, name) from error
+        if epoch is not None:
+            epochs[name] = epoch
         if wanted is not None:
             cells, _ = numbers(cells, shown=shown, column=name, line=line)
         columns[name] = cells
