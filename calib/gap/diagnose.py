@@ -146,7 +146,7 @@ def diagnose_in_full(
         search=searched,
         recalibration=judge_recalibration(best, nominal, noise, settings, shifts, searched),
         held_out=held_out,
-        trials=trials(left_out, residuals(nominal, nominal)),
+        trials=trials(left_out, residuals(nominal, nominal), noise.dof),
         where=locate(observations, nominal, noise, held_out.before, rng=rng, floor=held_out.floor, campaign=campaign),
         undetectable=undetectable(alone, effects, searched.forms),
         faults=situation.faults,

@@ -23,6 +23,7 @@ __all__ = [
     "every_effect",
     "fault_before_search",
     "library",
+    "steps_by_session",
     "title_of",
     "turned_before_search",
 ]
@@ -86,6 +87,12 @@ def title_of(name: str) -> str:
         return registered.title
     column = column_of(name)
     return name.replace("_", " ") if column is None else Covariate(column).title
+
+
+def steps_by_session(name: str) -> bool:
+    """Return whether an effect has a size of its own in each session, which says nothing of another session."""
+    registered = effect_class(name)
+    return registered is not None and registered.per_session
 
 
 def library(s: Observations, *, exclude: Collection[str] = (), declared: object = ()) -> list[Effect]:

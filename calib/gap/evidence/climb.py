@@ -44,8 +44,8 @@ class Settings:
 
     Parameters
     ----------
-    prior_effect : float
-        Prior odds of any one effect being at work.
+    further : float
+        Prior odds of one effect more being at work than so many.
     prior_rest : float
         Prior odds of a rest that no effect of the library explains.
     tolerance : float
@@ -58,7 +58,7 @@ class Settings:
         Pairs tried that neither of them shows alone.
     """
 
-    prior_effect: float = 0.02
+    further: float = 0.5
     prior_rest: float = 0.15
     tolerance: float = 0.15
     temper: float = 0.9
@@ -76,7 +76,7 @@ class Climb:
         sizes = [theta / form.typical for form, theta in zip(fitted.forms, fitted.theta, strict=True)]
         kept = self._worth_offering(whole, held, sizes)
         self.system = whole.only(kept)
-        self.columns = Columns.from_forms(self.system.forms, settings.prior_effect)
+        self.columns = Columns.from_forms(self.system.forms, settings.further)
         self.current: Model = tuple(range(len(held)))
         self.sizes = dict(enumerate(sizes))
         self.sums = self._summed()
@@ -84,7 +84,7 @@ class Climb:
 
     def _worth_offering(self, whole: LinearSystem, held: list[int], sizes: list[FloatArray]) -> list[int]:
         """Return the forms at hand, then of each effect the best few beside them."""
-        columns = Columns.from_forms(whole.forms, self.settings.prior_effect)
+        columns = Columns.from_forms(whole.forms, self.settings.further)
         deviations = self._deviations(whole, dict(zip(held, sizes, strict=True)))
         sums = whole.sums(
             whole.columns,

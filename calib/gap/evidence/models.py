@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import comb
 from typing import Final
 
 import numpy as np
@@ -38,7 +39,9 @@ class Columns:
     sign : array of int, shape (p,)
         1 where only positive sizes have a meaning, else 0.
     log_prior : array of float, shape (n_forms,)
-        Of each form being at work, the search over forms and scales paid for.
+        Of each form of its effect, the search over forms and scales paid for.
+    by_count : array of float, shape (n_effects + 1,)
+        Log prior of a set of so many effects.
     """
 
     forms: tuple[Form, ...]
@@ -46,17 +49,23 @@ class Columns:
     most: FloatArray
     sign: IntArray
     log_prior: FloatArray
+    by_count: FloatArray
 
     @staticmethod
-    def from_forms(forms: Sequence[Form], prior: float) -> Columns:
-        """Make it of forms, each with a prior probability of its effect."""
+    def from_forms(forms: Sequence[Form], further: float) -> Columns:
+        """Make it of forms and the prior odds of one effect more at work.
+
+        Every number of effects is less likely than one fewer by the same odds, and of so many effects every set is as
+        likely: the more the library offers, the less speaks for any one, and what else is at work speaks for neither.
+        Scott, Berger: Bayes and empirical-Bayes multiplicity adjustment, Annals of Statistics 38 (2010), 2587-2619.
+        """
+        n_effects = len({form.effect for form in forms})
         sizes = [len(form.parameters) for form in forms]
         most = [max([3.0, *(p.largest / p.typical for p in form.parameters)]) for form in forms]
         sign = [p.sign for form in forms for p in form.parameters]
         # half of the prior lies on the sign that a parameter cannot have
         log_prior = [
-            np.log(prior / form.tries) - SCALE_COST + np.log(2.0) * sum(p.sign != 0 for p in form.parameters)
-            for form in forms
+            -np.log(form.tries) - SCALE_COST + np.log(2.0) * sum(p.sign != 0 for p in form.parameters) for form in forms
         ]
         return Columns(
             tuple(forms),
@@ -64,6 +73,7 @@ class Columns:
             np.repeat(most, sizes) if forms else np.zeros(0),
             np.array(sign, dtype=np.int64),
             np.array(log_prior),
+            np.array([k * np.log(further) - np.log(comb(n_effects, k)) for k in range(n_effects + 1)]),
         )
 
     def index(self, models: Sequence[tuple[int, ...]]) -> tuple[IntArray, IntArray]:
@@ -100,7 +110,7 @@ def log_weights(sums: Sums, columns: Columns, models: Sequence[tuple[int, ...]],
 
 def _batch(sums: Sums, columns: Columns, models: Sequence[tuple[int, ...]], temper: float) -> FloatArray:
     index, owner = columns.index(models)
-    prior = np.array([columns.log_prior[list(model)].sum() for model in models])
+    prior = np.array([columns.log_prior[list(model)].sum() + columns.by_count[len(model)] for model in models])
     base = sums.log_prior[:, None] + prior[None, :]
     if index.shape[1] == 0:
         empty: FloatArray = base + temper * log_marginal(sums.square, sums.log_det, sums.n_rows)[:, None]

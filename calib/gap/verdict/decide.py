@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import prod
 from typing import Final
 
 from calib.gap.verdict.agreement import agreement_m
@@ -29,10 +30,8 @@ CLOSES: Final = 0.7
 HELPS: Final = 0.3
 #: closure from which on a gap counts as explained; below, a rest is left
 EXPLAINS: Final = 0.9
-#: a rest that carries a larger share is part of the verdict
-SMALL_REST: Final = 0.05
-#: a rest without any named cause is called one where it is so probable
-UNKNOWN: Final = 0.85
+#: a rest, or causes that cannot be told apart, that carry a larger share of the gap are part of the verdict's word
+SMALL: Final = 0.05
 #: corrections nearer than this many floors are alike
 ALIKE: Final = 1.0
 
@@ -47,14 +46,15 @@ class Balance:
         Probability that anything is off.
     n_named : int
         Effects and calibration parameters that would be named.
-    unknown : float
-        Probability of a rest.
+    sure : bool
+        Whether one of them, or what stands in for it, is probable enough to be named beside any rest.
     rest : float or None
         Share of the gap that a rest carries; None where no rest is probable.
     denied : bool
         Whether a calibration parameter is off that the library was denied.
     tied : bool
-        Whether a named effect has one of another family that these runs cannot tell it from.
+        Whether a named effect that carries more than a small share has one of another family that these runs cannot
+        tell it from.
     fraction : float or None
         Closure on runs left out.
     ci95 : tuple of float or None
@@ -67,7 +67,7 @@ class Balance:
 
     gap: float
     n_named: int
-    unknown: float = 0.0
+    sure: bool = False
     rest: float | None = None
     denied: bool = False
     tied: bool = False
@@ -85,13 +85,15 @@ def kind_of(balance: Balance) -> VerdictKind:
         return VerdictKind.NO_GAP
     rest = balance.rest is not None or balance.denied
     if balance.n_named == 0:
-        return VerdictKind.UNKNOWN if balance.denied or balance.unknown >= UNKNOWN else VerdictKind.NO_GAP
-    if rest and (balance.fraction is None or balance.fraction < HELPS):
         return VerdictKind.UNKNOWN
+    beside_a_rest = VerdictKind.PARTLY_EXPLAINED if balance.sure else VerdictKind.UNKNOWN
+    if rest and (balance.fraction is None or balance.fraction < HELPS):
+        return beside_a_rest
     if balance.ci95 is not None and balance.ci95[1] < CLOSES:
-        return VerdictKind.PARTLY_EXPLAINED if balance.ci95[0] > HELPS else VerdictKind.UNKNOWN
-    left = balance.fraction is not None and balance.fraction < EXPLAINS
-    if left or balance.denied or not balance.carries or (balance.rest is not None and balance.rest > SMALL_REST):
+        return VerdictKind.PARTLY_EXPLAINED if balance.ci95[0] > HELPS else beside_a_rest
+    # a rest that these runs do not show is none
+    left = balance.ci95 is not None and balance.ci95[1] < EXPLAINS
+    if left or balance.denied or not balance.carries or (balance.rest is not None and balance.rest > SMALL):
         return VerdictKind.PARTLY_EXPLAINED
     return VerdictKind.AMBIGUOUS if balance.tied else VerdictKind.EXPLAINED
 
@@ -103,7 +105,7 @@ def recommended(
     trials: Sequence[Trial] = (),
     agreement: float | None = None,
 ) -> bool:
-    """Return whether the fix helps on runs left out, and everywhere it is tried.
+    """Return whether all that is named is likely at work, and the fix helps on runs left out and wherever it is tried.
 
     Parameters
     ----------
@@ -118,7 +120,7 @@ def recommended(
     agreement : float or None
         How far the corrections of causes that cannot be told apart differ, in metres; None where nothing is tied.
     """
-    if not causes or any(p < SURE for p in certain):
+    if not causes or prod(certain) < SURE:
         return False
     if closure.fraction is None or closure.fraction < CLOSES or closure.ci95 is None:
         return False
@@ -140,19 +142,21 @@ def decide(evidence: Evidence) -> Verdict:
     alike = groups_of(evidence)
     groups, forms_open = _by_family(evidence, alike)
     rest = rest_of(evidence)
-    kind = kind_of(_balance(evidence, groups, None if rest is None else rest.share))
-    nothing_named = kind in {VerdictKind.NO_GAP, VerdictKind.UNKNOWN, VerdictKind.UNDECIDED}
     probabilities = effect_probabilities(evidence, alike)
-    causes = [] if nothing_named else causes_of(evidence, probabilities, forms_open)
+    certain = {name: _certain(name, probabilities, alike) for name in evidence.named}
+    causes = causes_of(evidence, probabilities, forms_open)
+    kind = kind_of(_balance(evidence, groups, None if rest is None else rest.share, certain, causes))
+    nothing_named = kind in {VerdictKind.NO_GAP, VerdictKind.UNKNOWN, VerdictKind.UNDECIDED}
+    causes = [] if nothing_named else causes
     tied = [] if nothing_named else [group for group in groups if len(group) > 1]
     closure = closure_of(evidence.held_out, evidence.observations)
     agreement = agreement_m(evidence, tied)
-    certain = [_certain(cause.effect, probabilities, alike) for cause in causes]
+    concerned = {*evidence.named, *(name for group in tied for name in group)}
     fix = Fix(
         # what steps from session to session says nothing of those to come, however alike the corrections are now
         recommended=kind is not VerdictKind.UNDECIDED
-        and not any(evidence.effects[name].per_session for group in tied for name in group)
-        and recommended(causes, certain, closure, evidence.trials, agreement),
+        and not any(evidence.effects[name].per_session for name in concerned)
+        and recommended(causes, [certain[cause.effect] for cause in causes], closure, evidence.trials, agreement),
         agreement_m=agreement,
         agreement_on=DRIVEN if evidence.journeys is None else JOURNEYS,
         transfer=() if nothing_named else tuple(trial.transfer for trial in evidence.trials),
@@ -210,14 +214,21 @@ def _certain(effect: str, probabilities: dict[str, float], alike: Sequence[Seque
     return min(1.0, sum(probabilities.get(name, 0.0) for name in names))
 
 
-def _balance(evidence: Evidence, groups: Sequence[Sequence[str]], rest: float | None) -> Balance:
+def _balance(
+    evidence: Evidence,
+    groups: Sequence[Sequence[str]],
+    rest: float | None,
+    certain: Mapping[str, float],
+    causes: Sequence[Cause],
+) -> Balance:
+    large = {cause.effect for cause in causes if cause.share > SMALL}
     return Balance(
         gap=gap_probability(evidence),
         n_named=len(evidence.named),
-        unknown=evidence.search.rest,
+        sure=max(certain.values(), default=0.0) >= SURE,
         rest=rest,
         denied=evidence.denied,
-        tied=any(len(group) > 1 for group in groups),
+        tied=any(len(group) > 1 and large.intersection(group) for group in groups),
         fraction=evidence.held_out.fraction,
         ci95=evidence.held_out.ci95,
         carries=not any(trial.fails for trial in evidence.trials),

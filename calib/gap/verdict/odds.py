@@ -34,29 +34,36 @@ def effect_probabilities(evidence: Evidence, groups: Sequence[Sequence[str]]) ->
     what the model says of both together has been brought to how often such statements hold.
     """
     raw = {name: calibrated(p) for name, p in evidence.search.inclusion().items()}
-    kept = _kept_beside_aliases(evidence, groups)
+    shared = _shared_with_aliases(evidence, groups)
     for name in NAMES:
         if name in evidence.effects:
-            raw[name] = calibrated(evidence.recalibration.probability(name)) * kept.get(name, 1.0)
+            probability = calibrated(evidence.recalibration.probability(name))
+            shares = shared.get(name, {})
+            raw[name] = probability * (1.0 - sum(shares.values()))
+            for alias, share in shares.items():
+                # what speaks for the one speaks for the other, and what spoke for it beside, still does
+                raw[alias] = max(raw.get(alias, 0.0), probability * share)
     raw |= {fault.effect.id: 1.0 for fault in evidence.faults}
     raw["unknown"] = evidence.search.rest
     ordered = sorted(raw.items(), key=lambda item: -item[1])
     return {name: value for name, value in ordered if value > LISTED or name == "unknown"}
 
 
-def _kept_beside_aliases(evidence: Evidence, groups: Sequence[Sequence[str]]) -> dict[str, float]:
-    """Return what each calibration parameter keeps of its probability beside the effects that look like it.
+def _shared_with_aliases(evidence: Evidence, groups: Sequence[Sequence[str]]) -> dict[str, dict[str, float]]:
+    """Return which shares of each calibration parameter's probability go to the effects that look like it.
 
     Those effects were projected out of the search, so that only their prior odds speak for them.
     """
-    kept: dict[str, float] = {}
+    shared: dict[str, dict[str, float]] = {}
+    # of one of the library's being at work
+    prior = evidence.settings.further / max(len(evidence.search.forms), 1)
     for group in groups:
         ours = [name for name in group if name in NAMES and name in evidence.calibration]
         if ours and group[0] in ours:
-            prior = evidence.settings.prior_effect
-            others = sum(prior * _most_likely_form(evidence, name) for name in group if name not in ours)
-            kept.update(dict.fromkeys(ours, PRIOR / (PRIOR + others)))
-    return kept
+            odds = {name: prior * _most_likely_form(evidence, name) for name in group if name not in ours}
+            total = PRIOR + sum(odds.values())
+            shared |= {name: {alias: each / total for alias, each in odds.items()} for name in ours}
+    return shared
 
 
 def _most_likely_form(evidence: Evidence, name: str) -> float:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from math import prod
 from typing import Final
 
 from calib.gap.effects.calibration import HIDES_IN
-from calib.gap.effects.library import title_of
+from calib.gap.effects.library import steps_by_session, title_of
 from calib.gap.verdict.result import SURE, Cause, ChannelClosure, Verdict, VerdictKind
 from calib.gap.where.result import PlaceLine, Where
 
@@ -81,11 +82,20 @@ def advice(verdict: Verdict) -> str:
         return "Not recommended: other causes would explain these runs as well."
     if verdict.kind is VerdictKind.PARTLY_EXPLAINED:
         return "Not recommended: a rest of the gap is left, and its cause may be what the named one imitates."
-    doubtful = [cause for cause in verdict.causes if cause.probability < SURE]
+    doubtful = _doubtful(verdict.causes)
     if doubtful:
-        names = " and ".join(f"{cause.effect} ({cause.probability:.2f})" for cause in doubtful)
+        names = _joined([f"{cause.effect} ({cause.probability:.2f})" for cause in doubtful], "and")
         return f"Not recommended: too little speaks for {names}."
+    if any(steps_by_session(cause.effect) for cause in verdict.causes):
+        return "Not recommended: what steps from session to session says nothing of the next one; calibrate in each."
     return "Not recommended: the fix is not shown to hold on runs that it has not seen."
+
+
+def _doubtful(causes: Sequence[Cause]) -> list[Cause]:
+    """Return the least likely causes, without which all the others together would be sure."""
+    rising = sorted(causes, key=lambda cause: cause.probability)
+    count = next(n for n in range(len(rising) + 1) if prod(cause.probability for cause in rising[n:]) >= SURE)
+    return rising[:count]
 
 
 def _listed(causes: Sequence[Cause]) -> str:

@@ -19,14 +19,14 @@ __all__ = ["Trial", "trials"]
 MOST_VALUES: Final = 8
 #: a value with fewer units says nothing
 FEWEST_UNITS: Final = 2
-#: a gap is beyond chance by so many standard deviations of the sum of squares
-CHANCE_SIGMA: Final = 4.0
-#: share of such a gap that a correction has to close where it was not fitted
+#: how often noise alone, of the floor's own uncertainty, may be beyond chance in any one of a campaign's trials
+CHANCE: Final = 0.01
+#: share of a gap beyond chance that a correction has to close where it was not fitted
 CARRIES: Final = 0.6
 #: leaving out more than this share of the units asks too much of the others
 MOST_OF_ALL: Final = 0.6
-#: the correction does harm where the gap grows by more than so many standard deviations of chance
-HARM_SIGMA: Final = 2.5
+#: a gap that grows by more than so many standard deviations of noise and rest grows by more than its scatter
+SCATTER_SIGMA: Final = 2.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,8 +39,9 @@ class Trial:
         What was left out, and which of its values.
     before_rms_m, after_rms_m : float or None
         Root mean square of the end positions (else distances) without and with the correction.
-    before, after, floor : float
-        Whitened squares, and how many of them noise alone would leave.
+    before, after, floor, chance : float
+        Whitened squares of the model alone and with the correction fitted on the others, how many of them noise alone
+        would leave, and from how many on they are beyond chance.
     growth : float
         By how many standard deviations of chance, rest included, the gap grew; negative where it shrank.
     """
@@ -52,19 +53,19 @@ class Trial:
     before: float
     after: float
     floor: float
+    chance: float
     growth: float
 
     @property
     def harms(self) -> bool:
         """Whether the gap grew there by more than its scatter."""
-        return self.growth > HARM_SIGMA
+        return self.growth > SCATTER_SIGMA
 
     @property
     def fails(self) -> bool:
         """Whether there is a gap beyond chance, and what the correction leaves of it is beyond chance and too much."""
-        chance = CHANCE_SIGMA * np.sqrt(2.0 * self.floor)
         gap, rest = self.before - self.floor, self.after - self.floor
-        return bool(gap > max(chance, self.floor) and rest > max(chance, (1.0 - CARRIES) * gap))
+        return min(self.before, self.after) > self.chance and rest > (1.0 - CARRIES) * gap
 
     @property
     def transfer(self) -> Transfer:
@@ -72,7 +73,7 @@ class Trial:
         return Transfer(self.left_out, self.value, self.before_rms_m, self.after_rms_m)
 
 
-def trials(left_out: LeftOut, before: FloatArray) -> tuple[Trial, ...]:
+def trials(left_out: LeftOut, before: FloatArray, dof: float) -> tuple[Trial, ...]:
     """Leave out what varies, value by value, and try the correction there.
 
     Parameters
@@ -81,18 +82,25 @@ def trials(left_out: LeftOut, before: FloatArray) -> tuple[Trial, ...]:
         Leaves runs out of the fit.
     before : array of float, shape (n_units, n_channels)
         Residuals of the model alone.
+    dof : float
+        Degrees of freedom of the floor.
     """
+    from scipy.special import fdtri
+
     observations = left_out.observations
-    tried = []
+    wanted = []
     for name, values in _quantities(observations).items():
         for value in _names(values):
             units = values == value
             if FEWEST_UNITS <= units.sum() <= MOST_OF_ALL * len(units) and left_out.foretells(units):
-                tried.append(_trial(left_out, before, name, str(value), units))
-    return tuple(tried)
+                wanted.append((name, value, units))
+    floors = [float(observations.usable[units].sum()) for _, _, units in wanted]
+    # the ratio of squares to a floor that is estimated itself; as many chances as there are trials
+    chances = [floor * float(fdtri(floor, max(dof, 3.0), 1.0 - CHANCE / len(wanted))) for floor in floors]
+    return tuple(_trial(left_out, before, *each, chance) for each, chance in zip(wanted, chances, strict=True))
 
 
-def _trial(left_out: LeftOut, before: FloatArray, name: str, value: str, units: BoolArray) -> Trial:
+def _trial(left_out: LeftOut, before: FloatArray, name: str, value: str, units: BoolArray, chance: float) -> Trial:
     observations = left_out.observations
     after = left_out.after(units)
     squares = left_out.squares(before)[units].sum(), left_out.squares(after)[units].sum()
@@ -105,6 +113,7 @@ def _trial(left_out: LeftOut, before: FloatArray, name: str, value: str, units: 
         before=float(squares[0]),
         after=float(squares[1]),
         floor=float(observations.usable[units].sum()),
+        chance=chance,
         growth=float((squares[1] - squares[0]) / max(scatter, 1e-9)),
     )
 
