@@ -49,9 +49,14 @@ class _Sized:
 
 
 def causes_of(
-    evidence: Evidence, probabilities: Mapping[str, float], forms_open: Mapping[str, tuple[str, ...]]
+    evidence: Evidence,
+    probabilities: Mapping[str, float],
+    certain: Mapping[str, float],
+    forms_open: Mapping[str, tuple[str, ...]],
 ) -> list[Cause]:
     """Return the causes of the best hypothesis and of the recalibration, most probable first.
+
+    What stands in for a cause, another form of its family above all, takes nothing from its place.
 
     Parameters
     ----------
@@ -59,6 +64,8 @@ def causes_of(
         What was measured.
     probabilities : mapping of str to float
         Of each effect, from `calib.gap.verdict.odds.effect_probabilities`.
+    certain : mapping of str to float
+        Of each named effect, the probability that it or what stands in for it is at work.
     forms_open : mapping of str to tuple of str
         For each named effect, others of its family that these runs cannot tell it from.
     """
@@ -80,7 +87,7 @@ def causes_of(
         )
         for sized, share, half in zip(every, shares, half_widths, strict=True)
     ]
-    return sorted(causes, key=lambda cause: (-int(np.digitize(cause.probability, CLASSES)), -cause.signal))
+    return sorted(causes, key=lambda cause: (-int(np.digitize(certain[cause.effect], CLASSES)), -cause.signal))
 
 
 def _shares(

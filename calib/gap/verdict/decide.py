@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import prod
 from typing import Final
@@ -13,7 +13,7 @@ from calib.gap.verdict.closure import closure_of
 from calib.gap.verdict.evidence import Evidence
 from calib.gap.verdict.gross import gross_cause
 from calib.gap.verdict.groups import groups_of
-from calib.gap.verdict.odds import credible_sets, effect_probabilities, gap_probability
+from calib.gap.verdict.odds import any_probability, credible_sets, effect_probabilities, gap_probability
 from calib.gap.verdict.outcome import DRIVEN, JOURNEYS
 from calib.gap.verdict.rest import rest_of
 from calib.gap.verdict.result import SURE, Cause, Closure, Fix, Group, NoiseSummary, Verdict, VerdictKind
@@ -47,7 +47,7 @@ class Balance:
     n_named : int
         Effects and calibration parameters that would be named.
     sure : bool
-        Whether one of them, or what stands in for it, is probable enough to be named beside any rest.
+        Whether one of them is itself probable enough to be named beside any rest.
     rest : float or None
         Share of the gap that a rest carries; None where no rest is probable.
     denied : bool
@@ -76,6 +76,14 @@ class Balance:
     carries: bool = True
     supported: bool = True
 
+    @property
+    def buried(self) -> bool:
+        """Whether a rest hides what the correction closes on runs left out: each cause then stands for itself."""
+        rest = self.rest is not None or self.denied
+        if rest and (self.fraction is None or self.fraction < HELPS):
+            return True
+        return self.ci95 is not None and self.ci95[1] < CLOSES and self.ci95[0] <= HELPS
+
 
 def kind_of(balance: Balance) -> VerdictKind:
     """Return which verdict it is."""
@@ -83,14 +91,12 @@ def kind_of(balance: Balance) -> VerdictKind:
         return VerdictKind.UNDECIDED
     if balance.gap < DETECTION:
         return VerdictKind.NO_GAP
-    rest = balance.rest is not None or balance.denied
     if balance.n_named == 0:
         return VerdictKind.UNKNOWN
-    beside_a_rest = VerdictKind.PARTLY_EXPLAINED if balance.sure else VerdictKind.UNKNOWN
-    if rest and (balance.fraction is None or balance.fraction < HELPS):
-        return beside_a_rest
+    if balance.buried:
+        return VerdictKind.PARTLY_EXPLAINED if balance.sure else VerdictKind.UNKNOWN
     if balance.ci95 is not None and balance.ci95[1] < CLOSES:
-        return VerdictKind.PARTLY_EXPLAINED if balance.ci95[0] > HELPS else beside_a_rest
+        return VerdictKind.PARTLY_EXPLAINED
     # a rest that these runs do not show is none
     left = balance.ci95 is not None and balance.ci95[1] < EXPLAINS
     if left or balance.denied or not balance.carries or (balance.rest is not None and balance.rest > SMALL):
@@ -143,12 +149,14 @@ def decide(evidence: Evidence) -> Verdict:
     groups, forms_open = _by_family(evidence, alike)
     rest = rest_of(evidence)
     probabilities = effect_probabilities(evidence, alike)
-    certain = {name: _certain(name, probabilities, alike) for name in evidence.named}
-    causes = causes_of(evidence, probabilities, forms_open)
-    kind = kind_of(_balance(evidence, groups, None if rest is None else rest.share, certain, causes))
+    certain = {name: _certain(evidence, name, alike) for name in evidence.named}
+    causes = causes_of(evidence, probabilities, certain, forms_open)
+    balance = _balance(evidence, groups, None if rest is None else rest.share, causes)
+    kind = kind_of(balance)
     nothing_named = kind in {VerdictKind.NO_GAP, VerdictKind.UNKNOWN, VerdictKind.UNDECIDED}
-    causes = [] if nothing_named else causes
-    tied = [] if nothing_named else [group for group in groups if len(group) > 1]
+    causes = [cause for cause in causes if not nothing_named and (not balance.buried or cause.probability >= SURE)]
+    names = {cause.effect for cause in causes}
+    tied = [group for group in groups if len(group) > 1 and names.intersection(group)]
     closure = closure_of(evidence.held_out, evidence.observations)
     agreement = agreement_m(evidence, tied)
     concerned = {*evidence.named, *(name for group in tied for name in group)}
@@ -205,27 +213,22 @@ def _by_family(
     return groups, forms_open
 
 
-def _certain(effect: str, probabilities: dict[str, float], alike: Sequence[Sequence[str]]) -> float:
+def _certain(evidence: Evidence, effect: str, alike: Sequence[Sequence[str]]) -> float:
     """Return the probability that an effect or one that stands in for it is at work."""
-    names = {effect}
-    for group in alike:
-        if effect in group:
-            names |= set(group)
-    return min(1.0, sum(probabilities.get(name, 0.0) for name in names))
+    return any_probability(evidence, {effect}.union(*(group for group in alike if effect in group)))
 
 
 def _balance(
     evidence: Evidence,
     groups: Sequence[Sequence[str]],
     rest: float | None,
-    certain: Mapping[str, float],
     causes: Sequence[Cause],
 ) -> Balance:
     large = {cause.effect for cause in causes if cause.share > SMALL}
     return Balance(
         gap=gap_probability(evidence),
         n_named=len(evidence.named),
-        sure=max(certain.values(), default=0.0) >= SURE,
+        sure=any(cause.probability >= SURE for cause in causes),
         rest=rest,
         denied=evidence.denied,
         tied=any(len(group) > 1 and large.intersection(group) for group in groups),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Final
 
 from calib.gap.effects.calibration import NAMES
@@ -10,7 +10,7 @@ from calib.gap.evidence.recalibration import PRIOR
 from calib.gap.verdict.calibrated import calibrated
 from calib.gap.verdict.evidence import Evidence
 
-__all__ = ["credible_sets", "effect_probabilities", "gap_probability"]
+__all__ = ["any_probability", "credible_sets", "effect_probabilities", "gap_probability"]
 
 #: a credible set holds so much
 CREDIBLE: Final = 0.95
@@ -47,6 +47,17 @@ def effect_probabilities(evidence: Evidence, groups: Sequence[Sequence[str]]) ->
     raw["unknown"] = evidence.search.rest
     ordered = sorted(raw.items(), key=lambda item: -item[1])
     return {name: value for name, value in ordered if value > LISTED or name == "unknown"}
+
+
+def any_probability(evidence: Evidence, names: Collection[str]) -> float:
+    """Return the probability that at least one of some causes is at work, calibration parameters among them."""
+    search, recalibration = evidence.search, evidence.recalibration
+    effects = sum(
+        p for model, p in zip(search.models, search.probabilities, strict=True) if not set(names).isdisjoint(model)
+    )
+    subsets = zip(recalibration.subsets, recalibration.probabilities, strict=True)
+    parameters = sum(q for subset, q in subsets if not set(names).isdisjoint(subset))
+    return min(1.0, calibrated(float(effects)) + calibrated(float(parameters)))
 
 
 def _shared_with_aliases(evidence: Evidence, groups: Sequence[Sequence[str]]) -> dict[str, dict[str, float]]:
