@@ -24,8 +24,6 @@ __all__ = ["Search", "Settings", "search"]
 _PASSES: Final = 7
 #: a step below this share of the standard uncertainty ends the passes
 _SETTLED: Final = 0.2
-#: causes that leave a small rest are preferred to fewer that leave a large one where they are less likely by so much
-_PREFERRED: Final = 4.0
 #: beside a larger rest, the search begins once more without one
 _SMALL_REST: Final = 1.0
 
@@ -128,7 +126,7 @@ def search(
     if room.weighting().scale > _SMALL_REST:
         # several causes together may leave little where each alone leaves a large rest: begin once without one
         other, other_fitted = _settle(copy(begun), noise, every, settings, passed, most=_SMALL_REST)
-        if other.evidence() > room.evidence() - _PREFERRED:
+        if other.evidence() > room.evidence():
             room, fitted = other, other_fitted
     models, weight = room.posterior()
     total = np.exp(weight - weight.max())
