@@ -9,6 +9,7 @@ from typing import Any, Final
 
 from calib.challenge.cases import Truth
 from calib.challenge.parameters import Compared, compare
+from calib.gap.effects.library import effect_class
 
 __all__ = ["APART", "Judged", "judge"]
 
@@ -65,6 +66,8 @@ class Judged:
         What the diagnosis took.
     strong : tuple of bool
         In a crowded case, of each effect at a signal of `STRONG` and more, whether it is named or in a group with one.
+    decided : bool
+        The verdict is ``explained``, and what it names first is true or of a true effect's family.
     error : str
         Why it failed.
     ceiling : tuple of float or None
@@ -95,6 +98,7 @@ class Judged:
     achieved: float | None
     seconds: float | None
     strong: tuple[bool, ...] = ()
+    decided: bool = False
     error: str = ""
     ceiling: tuple[float, float] | None = None
 
@@ -172,9 +176,16 @@ def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
         achieved=tried.get("fraction"),
         seconds=extra.get("seconds"),
         strong=tuple(_grouped(effect, named, groups) for effect in _strong(truth)),
+        decided=word == "explained" and bool(named) and _family(named[0]) in {_family(effect) for effect in effects},
         error=str(given.get("error", "")),
         ceiling=truth.ceiling,
     )
+
+
+def _family(effect: str) -> str:
+    """Return the family of an effect of the library; the effect itself where it has none to share."""
+    kind = effect_class(effect)
+    return effect if kind is None else kind.family.value
 
 
 def _to_be_named(truth: Truth) -> tuple[str, ...]:

@@ -193,6 +193,11 @@ class Climb:
         numbers = [k for k in best.values() if len(self.columns.forms[k].parameters) <= 4]
         return [(a, b) for i, a in enumerate(numbers) for b in numbers[i + 1 :]]
 
+    def best_alone(self) -> Model:
+        """Return the likeliest of the effects on offer, one at a time."""
+        models = [(number,) for number in self.offered]
+        return models[int(np.argmax(_total(self.weigh(models))))]
+
     def climb(self) -> Model:
         """Move to the best neighbour until none is better; return the model reached.
 
@@ -210,14 +215,14 @@ class Climb:
             if best == 0 or value[best] < value[0] + 1e-6:
                 break
             before = self.current, dict(self.sizes), self.sums
-            self._move(models[best])
+            self.take(models[best])
             value = _total(self.weigh([self.current, before[0]], self.active()))
             if value[0] <= value[1]:
                 refused.add(frozenset(self.current))
                 self.current, self.sizes, self.sums = before
         return self.current
 
-    def _move(self, model: Model) -> None:
+    def take(self, model: Model) -> None:
         """Take a model as the one at hand, new effects at the sizes that suit it."""
         active = self.active()
         weight = self.weigh([model], active)[:, 0]

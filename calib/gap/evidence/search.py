@@ -24,7 +24,7 @@ __all__ = ["Search", "Settings", "search"]
 _PASSES: Final = 7
 #: a step below this share of the standard uncertainty ends the passes
 _SETTLED: Final = 0.2
-#: beside a larger rest, the search begins once more without one
+#: beside a larger rest, the search begins again from elsewhere
 _SMALL_REST: Final = 1.0
 
 
@@ -123,11 +123,16 @@ def search(
     begun = Climb(alone, settings)
     first = copy(begun) if start is None else Climb(LinearSystem(start.fitted, nominal, noise, every), settings)
     room, fitted = _settle(first, noise, every, settings, passed)
-    if room.weighting().scale > _SMALL_REST:
-        # several causes together may leave little where each alone leaves a large rest: begin once without one
-        other, other_fitted = _settle(copy(begun), noise, every, settings, passed, most=_SMALL_REST)
-        if other.evidence() > room.evidence():
-            room, fitted = other, other_fitted
+    if room.weighting().scale > _SMALL_REST and begun.offered:
+        # several causes together may leave little where each alone leaves a large rest, and about a path far off the
+        # true one cause looks like several: begin once without a rest, and once with the best cause fitted alone
+        alone = copy(begun)
+        alone.take(alone.best_alone())
+        alone, _ = _settle(alone, noise, every, settings, passed, climbs=False)
+        for other, most in ((copy(begun), _SMALL_REST), (alone, np.inf)):
+            settled, settled_fitted = _settle(other, noise, every, settings, passed, most=most)
+            if settled.evidence() > room.evidence():
+                room, fitted = settled, settled_fitted
     models, weight = room.posterior()
     total = np.exp(weight - weight.max())
     total /= total.sum()
@@ -158,13 +163,14 @@ def _settle(
     settings: Settings,
     passed: Callable[[], None] | None,
     most: float = np.inf,
+    climbs: bool = True,
 ) -> tuple[Climb, Fitted]:
-    """Search, fit and linearise anew until settled; `most` is the largest scale of the rest while searching."""
+    """Search (where it `climbs`), fit and linearise anew until settled; `most` is the largest rest while searching."""
     for number in range(_PASSES):
         if passed is not None:
             passed()
         # two hypotheses that are as good must not take turns for ever: the last passes keep the set
-        if number < _PASSES - 2:
+        if climbs and number < _PASSES - 2:
             room.most = most
             room.climb()
             room.most = np.inf

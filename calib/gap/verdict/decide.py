@@ -30,6 +30,8 @@ CLOSES: Final = 0.7
 HELPS: Final = 0.3
 #: closure from which on a gap counts as explained; below, a rest is left
 EXPLAINS: Final = 0.9
+#: what is less probable than this, with all that stands in for it, is not named
+LEAST: Final = 0.1
 #: a rest, or causes that cannot be told apart, that carry a larger share of the gap are part of the verdict's word
 SMALL: Final = 0.05
 #: corrections nearer than this many floors are alike
@@ -151,6 +153,7 @@ def decide(evidence: Evidence) -> Verdict:
     probabilities = effect_probabilities(evidence, alike)
     certain = {name: _certain(evidence, name, alike) for name in evidence.named}
     causes = causes_of(evidence, probabilities, certain, forms_open)
+    causes = [cause for cause in causes if certain[cause.effect] >= LEAST]
     balance = _balance(evidence, groups, None if rest is None else rest.share, causes)
     kind = kind_of(balance)
     nothing_named = kind in {VerdictKind.NO_GAP, VerdictKind.UNKNOWN, VerdictKind.UNDECIDED}
@@ -227,7 +230,7 @@ def _balance(
     large = {cause.effect for cause in causes if cause.share > SMALL}
     return Balance(
         gap=gap_probability(evidence),
-        n_named=len(evidence.named),
+        n_named=len(causes),
         sure=any(cause.probability >= SURE for cause in causes),
         rest=rest,
         denied=evidence.denied,

@@ -14,6 +14,8 @@ __all__ = ["any_probability", "credible_sets", "effect_probabilities", "gap_prob
 
 #: a credible set holds so much
 CREDIBLE: Final = 0.95
+#: a radius or track is mis-set so many times as often as any one effect that looks like it is at work
+RARER: Final = 5.0
 #: smallest probability that is listed
 LISTED: Final = 1e-4
 
@@ -66,12 +68,10 @@ def _shared_with_aliases(evidence: Evidence, groups: Sequence[Sequence[str]]) ->
     Those effects were projected out of the search, so that only their prior odds speak for them.
     """
     shared: dict[str, dict[str, float]] = {}
-    # of one of the library's being at work
-    prior = evidence.settings.further / max(len(evidence.search.forms), 1)
     for group in groups:
         ours = [name for name in group if name in NAMES and name in evidence.calibration]
         if ours and group[0] in ours:
-            odds = {name: prior * _most_likely_form(evidence, name) for name in group if name not in ours}
+            odds = {name: PRIOR / RARER * _most_likely_form(evidence, name) for name in group if name not in ours}
             total = PRIOR + sum(odds.values())
             shared |= {name: {alias: each / total for alias, each in odds.items()} for name in ours}
     return shared
