@@ -32,6 +32,8 @@ HELPS: Final = 0.3
 EXPLAINS: Final = 0.9
 #: what is less probable than this, with all that stands in for it, is not named
 LEAST: Final = 0.1
+#: where a rest hides whether a correction helps, nothing but its own probability speaks for a cause: so much at least
+ALONE: Final = 0.8
 #: a rest, or causes that cannot be told apart, that carry a larger share of the gap are part of the verdict's word
 SMALL: Final = 0.05
 #: corrections nearer than this many floors are alike
@@ -157,7 +159,7 @@ def decide(evidence: Evidence) -> Verdict:
     balance = _balance(evidence, groups, None if rest is None else rest.share, causes)
     kind = kind_of(balance)
     nothing_named = kind in {VerdictKind.NO_GAP, VerdictKind.UNKNOWN, VerdictKind.UNDECIDED}
-    causes = [cause for cause in causes if not nothing_named and (not balance.buried or cause.probability >= SURE)]
+    causes = [cause for cause in causes if not nothing_named and (not balance.buried or cause.probability >= ALONE)]
     names = {cause.effect for cause in causes}
     tied = [group for group in groups if len(group) > 1 and names.intersection(group)]
     closure = closure_of(evidence.held_out, evidence.observations)
@@ -231,7 +233,7 @@ def _balance(
     return Balance(
         gap=gap_probability(evidence),
         n_named=len(causes),
-        sure=any(cause.probability >= SURE for cause in causes),
+        sure=any(cause.probability >= ALONE for cause in causes),
         rest=rest,
         denied=evidence.denied,
         tied=any(len(group) > 1 and large.intersection(group) for group in groups),
