@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
@@ -193,10 +194,21 @@ class Climb:
         numbers = [k for k in best.values() if len(self.columns.forms[k].parameters) <= 4]
         return [(a, b) for i, a in enumerate(numbers) for b in numbers[i + 1 :]]
 
-    def best_alone(self) -> Model:
-        """Return the likeliest of the effects on offer, one at a time."""
-        models = [(number,) for number in self.offered]
-        return models[int(np.argmax(_total(self.weigh(models))))]
+    def best_alone(self, count: int) -> list[Model]:
+        """Return so many effects on offer, the likeliest, each alone in its best form."""
+        weight = _total(self.weigh([(number,) for number in self.offered]))
+        forms: dict[str, int] = {}
+        for place in np.argsort(-weight, kind="stable"):
+            number = self.offered[int(place)]
+            forms.setdefault(self.columns.forms[number].effect, number)
+        return [(number,) for number in forms.values()][:count]
+
+    def with_only(self, model: Model) -> Climb:
+        """Return this linearisation with another model at hand."""
+        other = copy(self)
+        other.sizes = dict(self.sizes)
+        other.take(model)
+        return other
 
     def climb(self) -> Model:
         """Move to the best neighbour until none is better; return the model reached.

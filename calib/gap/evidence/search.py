@@ -24,6 +24,8 @@ __all__ = ["Search", "Settings", "search"]
 _PASSES: Final = 7
 #: a step below this share of the standard uncertainty ends the passes
 _SETTLED: Final = 0.2
+#: causes fitted alone, the likeliest about the path of the recalibration, of which the best is begun with
+_ALONE: Final = 3
 #: beside a larger rest, the search begins again from elsewhere
 _SMALL_REST: Final = 1.0
 
@@ -126,10 +128,9 @@ def search(
     if room.weighting().scale > _SMALL_REST and begun.offered:
         # several causes together may leave little where each alone leaves a large rest, and about a path far off the
         # true one cause looks like several: begin once without a rest, and once with the best cause fitted alone
-        alone = copy(begun)
-        alone.take(alone.best_alone())
-        alone, _ = _settle(alone, noise, every, settings, passed, climbs=False)
-        for other, most in ((copy(begun), _SMALL_REST), (alone, np.inf)):
+        alone = [begun.with_only(model) for model in begun.best_alone(_ALONE)]
+        alone = [_settle(other, noise, every, settings, passed, climbs=False)[0] for other in alone]
+        for other, most in ((copy(begun), _SMALL_REST), (max(alone, key=Climb.evidence), np.inf)):
             settled, settled_fitted = _settle(other, noise, every, settings, passed, most=most)
             if settled.evidence() > room.evidence():
                 room, fitted = settled, settled_fitted
