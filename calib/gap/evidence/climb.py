@@ -194,7 +194,7 @@ class Climb:
         numbers = [k for k in best.values() if len(self.columns.forms[k].parameters) <= 4]
         return [(a, b) for i, a in enumerate(numbers) for b in numbers[i + 1 :]]
 
-    def best_alone(self, count: int) -> list[Model]:
+    def best_alone(self, count: int) -> Sequence[Model]:
         """Return so many effects on offer, the likeliest, each alone in its best form."""
         weight = _total(self.weigh([(number,) for number in self.offered]))
         forms: dict[str, int] = {}
