@@ -128,9 +128,11 @@ def search(
     if room.weighting().scale > _SMALL_REST and begun.offered:
         # several causes together may leave little where each alone leaves a large rest, and about a path far off the
         # true one cause looks like several: begin once without a rest, and once with the best cause fitted alone
-        alone = [begun.with_only(model) for model in begun.best_alone(_ALONE)]
-        alone = [_settle(other, noise, every, settings, passed, climbs=False)[0] for other in alone]
-        for other, most in ((copy(begun), _SMALL_REST), (max(alone, key=Climb.evidence), np.inf)):
+        starts = [begun.with_only(model) for model in begun.best_alone(_ALONE)]
+        starts = [_settle(start, noise, every, settings, passed, climbs=False)[0] for start in starts]
+        # one that grows beyond bounds when fitted alone has no evidence
+        best = max(starts, key=lambda start: np.nan_to_num(start.evidence(), nan=-np.inf))
+        for other, most in ((copy(begun), _SMALL_REST), (best, np.inf)):
             settled, settled_fitted = _settle(other, noise, every, settings, passed, most=most)
             if settled.evidence() > room.evidence():
                 room, fitted = settled, settled_fitted

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -11,6 +12,9 @@ from calib.gap.evidence.fit import SIZE_SD
 from calib.gap.evidence.system import LinearSystem
 
 __all__ = ["Weighting", "prior_precision"]
+
+#: keeps a covariance positive definite, relative to its diagonal
+_ROUNDING: Final = 1e-11
 
 
 def prior_precision(n_columns: int) -> FloatArray:
@@ -53,7 +57,8 @@ class Weighting:
             if rest is not None and rest.by_block is not None:
                 part = rest.by_block[number]
                 covariance += scale**2 * part @ part.T
-            blocks.append(covariance)
+            # what a form far beyond its size may deviate by leaves the noise below rounding
+            blocks.append(covariance + _ROUNDING * np.diag(np.diag(covariance)))
         common = np.zeros((len(system.gap), 0))
         if rest is not None and rest.common is not None:
             common = scale * rest.common
