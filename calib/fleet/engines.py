@@ -159,7 +159,9 @@ class _Processes:
         from concurrent.futures import FIRST_COMPLETED, wait
         from concurrent.futures.process import BrokenProcessPool
 
-        waiting: list[tuple[Sequence[Item], int]] = [(batch, 0) for batch in _batches(items, BATCH)]
+        # some batches a worker, so that few items that take seconds each are shared out, too
+        size = max(1, min(BATCH, len(items) // (4 * self._workers)))
+        waiting: list[tuple[Sequence[Item], int]] = [(batch, 0) for batch in _batches(items, size)]
         while waiting:
             again: list[tuple[Sequence[Item], int]] = []
             # once a worker has died, single items: the one that kills it is found, the others go through
