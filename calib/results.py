@@ -1,13 +1,13 @@
 """What the functions of `calib.api` return: the results of each stage, which can also draw and sum up themselves.
 
-A stage cannot draw, since figures stand above it; each class here adds ``plot`` to the stage's own result.
+A stage can do neither, since words and figures stand above it; each class here adds ``summary`` and ``plot`` to the
+stage's own result. What a summary says are the blocks that the command prints.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from html import escape
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from calib.campaign.model import Campaign
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
 
+    from calib.report.blocks import Block, Section
+
 __all__ = ["Diagnosis", "Fit", "Geometry", "Plan", "Replay", "Simulation", "extended"]
 
 Result = TypeVar("Result")
@@ -34,19 +36,32 @@ def extended(kind: type[Result], result: Any, **changes: Any) -> Result:
 
 
 class _Shown:
-    """Shows the summary in the interpreter and in a notebook."""
+    """Says in the interpreter and in a notebook what its command prints."""
 
     __slots__ = ()
 
-    def summary(self) -> str:
-        """Return the result as lines of text."""
+    def _content(self) -> Sequence[Block | Section]:
         raise NotImplementedError
 
+    def _brief(self) -> Sequence[Block | Section]:
+        """Return what the interpreter shows of it."""
+        return self._content()
+
+    def summary(self) -> str:
+        """Return what the command prints, as lines of text."""
+        from calib.report.text import to_text
+
+        return to_text(self._content())
+
     def __repr__(self) -> str:
-        return self.summary()
+        from calib.report.text import to_text
+
+        return to_text(self._brief()).rstrip()
 
     def _repr_html_(self) -> str:
-        return f"<pre>{escape(self.summary())}</pre>"
+        from calib.report.html import blocks_html
+
+        return blocks_html(self._brief())
 
 
 def _chosen(figures: Mapping[str, Any], kind: str | None) -> Any:
@@ -59,10 +74,21 @@ def _chosen(figures: Mapping[str, Any], kind: str | None) -> Any:
     return figures[kind]
 
 
-class Fit(radius_fitted.Fit):
+class Fit(_Shown, radius_fitted.Fit):
     """The fit of a campaign; see `calib.radius.fitted.Fit`."""
 
     __slots__ = ()
+
+    def _content(self) -> Sequence[Block | Section]:
+        from calib.report.statements.fit import fit_content
+
+        return fit_content(self)
+
+    def _brief(self) -> Sequence[Block | Section]:
+        from calib.report.statements.checks import usable_notice
+        from calib.report.statements.law import law_table
+
+        return (law_table(self), usable_notice(self))
 
     def plot(self, kind: str = "regressions") -> Figure:
         """Draw the fit.
@@ -89,10 +115,18 @@ class Fit(radius_fitted.Fit):
         return figure
 
 
-class Geometry(geometry_result.Geometry):
+class Geometry(_Shown, geometry_result.Geometry):
     """The geometry of a vehicle; see `calib.geometry.result.Geometry`."""
 
     __slots__ = ()
+
+    def _content(self) -> Sequence[Block | Section]:
+        from calib.report.statements.geometry import geometry_content
+
+        return geometry_content(self)
+
+    def _brief(self) -> Sequence[Block | Section]:
+        return self._content()[:2]
 
     def plot(self) -> Figure:
         """Draw the paths of the runs before and after the calibration, beside the reference.
@@ -111,9 +145,15 @@ class Diagnosis(_Shown, gap_diagnosis.Diagnosis):
 
     __slots__ = ()
 
-    def summary(self) -> str:
-        """Return the verdict, its causes with their sizes, and the advice on the fix, as lines of text."""
-        return gap_diagnosis.Diagnosis.summary(self)
+    def _content(self) -> Sequence[Block | Section]:
+        from calib.report.statements.diagnosis import verdict_content
+
+        return verdict_content(self.verdict)
+
+    def _brief(self) -> Sequence[Block | Section]:
+        from calib.report.statements.diagnosis import verdict_notice
+
+        return (verdict_notice(self.verdict),)
 
     @property
     def table(self) -> DataFrame:
@@ -181,11 +221,11 @@ class Plan(_Shown):
 
         return DataFrame([run.to_dict() for run in self.runs])
 
-    def summary(self) -> str:
-        """Return the verdict so far and the runs, as lines of text."""
-        lines = [f"{self.campaign.name}: {self.verdict.sentence}"]
-        lines += [f"  {number}. {run.kind}: {run.why}" for number, run in enumerate(self.runs, start=1)]
-        return "\n".join(lines if self.runs else [*lines, "  No further run would tell more apart."])
+    def _content(self) -> Sequence[Block | Section]:
+        from calib.report.statements.diagnosis import verdict_notice
+        from calib.report.statements.plan import next_runs_table
+
+        return (verdict_notice(self.verdict), next_runs_table([run.to_dict() for run in self.runs]))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the plan as plain values: what ``calib plan --json`` prints."""
@@ -226,14 +266,10 @@ class Simulation(_Shown, motion_run.Simulation):
         rows = [{"figure": name, **row} for name, sweep in self.sweeps.items() for row in sweep.ends()]
         return DataFrame(rows)
 
-    def summary(self) -> str:
-        """Return the end errors, as lines of text."""
-        lines = [f"{self.title}; end of the route, true minus intended"]
-        for name, sweep in self.sweeps.items():
-            lines += [
-                f"  {name}, {sweep.route.name}: {row['case']}: {row['error_distance_m']:.4f} m" for row in sweep.ends()
-            ]
-        return "\n".join(lines)
+    def _content(self) -> Sequence[Block | Section]:
+        from calib.report.statements.simulation import simulation_content
+
+        return simulation_content(self)
 
     def plot(self, kind: str | None = None) -> Figure:
         """Draw the paths and errors of one of `sweeps`.
@@ -270,18 +306,10 @@ class Replay(_Shown, motion_replay.Replay):
 
         return DataFrame(self.document()["runs"])
 
-    def summary(self) -> str:
-        """Return the end errors of each odometry, as lines of text."""
-        lines = [f"End error of {int(self.in_range.sum())} runs, root mean square:"]
-        lines += [
-            f"  {method:<10} {self.rms_m[method]:.4f} m  {1e3 * self.rms_heading_rad[method]:.2f} mrad"
-            for method in self.rms_m
-        ]
-        low, high = self.ratio_ci95
-        lines.append(
-            f"  the correction makes it {self.ratio:.1f} times smaller (95 % interval {low:.1f} to {high:.1f})"
-        )
-        return "\n".join(lines)
+    def _content(self) -> Sequence[Block | Section]:
+        from calib.report.statements.replay import replay_content
+
+        return replay_content(self)
 
     def plot(self) -> Figure:
         """Draw the end errors of each odometry.

@@ -21,10 +21,7 @@ def reference() -> str:
     """Return a section for each command: its summary, and its help as a terminal shows it."""
     from calib.cli.main import COMMANDS, SUMMARIES
 
-    return "\n".join(
-        f"## calib {name}\n\n{SUMMARIES[name]}\n\n```text\n{help_of(name)}\n```\n"
-        for name in sorted(COMMANDS, key=list(SUMMARIES).index)
-    )
+    return "\n".join(f"## calib {name}\n\n{SUMMARIES[name]}\n\n```text\n{help_of(name)}\n```\n" for name in COMMANDS)
 
 
 def help_of(name: str) -> str:

@@ -90,11 +90,15 @@ def test_a_fit_is_that_of_the_command(
     np.testing.assert_allclose(fit.table["residual_left_m"], fit.left.residual_m, rtol=0.0, atol=0.0)
 
 
-def test_a_summary_states_each_value_with_half_its_interval(fit: calib.Fit) -> None:
-    low, high = fit.left.radius_ref_ci95_m
-    assert f"{1e3 * fit.left.law.radius_ref_m:.4f} +- {500 * (high - low):.4f} mm" in fit.summary()
-    assert "half the 95 % interval" in fit.summary()
-    assert len(repr(fit).splitlines()) <= 6 and "<table>" in fit._repr_html_()
+def test_a_summary_is_what_the_command_prints(
+    campaign: calib.Campaign, fit: calib.Fit, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One content: `summary()` line by line as on a terminal of 80 columns; `repr` a few of these lines."""
+    run(["fit", str(campaign.root)])
+    assert fit.summary().splitlines() == [line.rstrip() for line in capsys.readouterr().out.splitlines()]
+    few = repr(fit).splitlines()
+    assert 1 < len(few) <= 16 and set(few) <= set(fit.summary().splitlines())
+    assert "half width of the 95 %" in fit._repr_html_() and "<table>" in fit._repr_html_()
 
 
 @pytest.mark.parametrize("kind", ["regressions", "runs", "path_deviation", "residuals"])
@@ -114,8 +118,9 @@ def test_a_diagnosis_is_that_of_the_command(
     printed = commanded(capsys, "diagnose", str(campaign.root))
     document = json.loads(json.dumps(diagnosis.to_dict()))
     assert all(printed[key] == document[key] for key in document if key not in {"headline"})
-    assert str(document["sentence"]) in diagnosis.summary()
-    assert diagnosis.plot().axes and "<pre>" in diagnosis._repr_html_()
+    told = " ".join(diagnosis.summary().split())
+    assert str(document["sentence"]) in told and repr(diagnosis) in diagnosis.summary()
+    assert diagnosis.plot().axes and "notice" in diagnosis._repr_html_()
     parameters = [name for cause in document["causes"] for name in cause["parameters"]]
     assert list(diagnosis.table.get("parameter", [])) == parameters
 
@@ -131,7 +136,7 @@ def test_a_simulation_under_a_fit_has_its_law(fit: calib.Fit) -> None:
     simulation = calib.simulate("corrected", law=fit, seed=1)
     assert simulation.law is not None and simulation.law.law.left.radius_ref_m == fit.left.law.radius_ref_m
     assert len(simulation.table) == sum(len(sweep.ends()) for sweep in simulation.sweeps.values())
-    assert simulation.plot().axes and simulation.title in simulation.summary()
+    assert simulation.plot().axes and "True minus intended" in simulation.summary()
 
 
 def test_an_export_is_what_the_vehicle_loads(fit: calib.Fit, tmp_path: Path) -> None:

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from calib.campaign.model import Campaign
     from calib.coefficients.sections import EffectSection
     from calib.gap.diagnosis import Diagnosis
-    from calib.gap.verdict.result import Verdict
     from calib.progress import Progress
 
 __all__ = ["EPILOG", "run"]
@@ -69,16 +68,17 @@ def run(
     one_blas_thread()
     from calib.campaign.opening import read_or_ingest
     from calib.files import write_bytes, write_json
-    from calib.gap.verdict.paper_headline import headline
     from calib.gap.verdict.result import VerdictKind
+    from calib.report.gap_findings import GapFindings
+    from calib.report.statements.diagnosis import verdict_content
 
     refuse_existing([json, apply, html, None if into is None else into / RESULT_FILE, *_pictures(figures)], force=force)
     with progress("diagnosing") as tick:
         read = read_or_ingest(campaign, mapping=mapping, progress=tick)
         diagnosis, effects = _diagnosed(read, model, tuple(exclude or ()), seed, journeys, tick)
     verdict = diagnosis.verdict
-    document = verdict.to_dict() | {"headline": headline(verdict)}
-    _show(verdict, target=json)
+    document = GapFindings.of(verdict).to_dict()
+    show(verdict_content(verdict), target=json)
     if apply is not None:
         from calib.gap.apply import applied_model
 
@@ -156,13 +156,3 @@ def _check_excluded(exclude: tuple[str, ...], campaign: Campaign) -> None:
     except BadInputError as error:
         near = "".join(nearest(name, REGISTRY) for name in exclude if name not in REGISTRY)
         raise BadInputError(f"--{error}{near}") from error
-
-
-def _show(verdict: Verdict, *, target: str | None) -> None:
-    from calib.report.blocks import Heading
-    from calib.report.gap_findings import GapFindings
-    from calib.report.statements.diagnosis import diagnosis_content
-    from calib.report.statements.fit import simulated_notice
-
-    mark = (simulated_notice(),) if verdict.simulated else ()
-    show([Heading(verdict.campaign), *mark, *diagnosis_content(GapFindings.of(verdict))], target=target)

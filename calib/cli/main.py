@@ -31,33 +31,7 @@ EXIT_BUG: Final = 3
 EXIT_INTERRUPTED: Final = 128 + signal.SIGINT
 EXIT_PIPE_CLOSED: Final = 141
 
-#: command -> module under ``calib.cli`` with ``run`` and ``EPILOG``; a name of two words is a command of a group
-COMMANDS: Final[dict[str, str]] = {
-    "export": "export",
-    "check": "check",
-    "ingest": "ingest",
-    "init": "init",
-    "fit": "fit",
-    "deviation": "deviation",
-    "report": "report",
-    "loads": "loads",
-    "challenge make": "challenge.make",
-    "challenge own": "challenge.own",
-    "challenge run": "challenge.run",
-    "challenge score": "challenge.score",
-    "simulate route": "simulate.route",
-    "simulate journey": "simulate.journey",
-    "simulate study": "simulate.study",
-    "simulate replay": "simulate.replay",
-    "geometry": "geometry",
-    "diagnose": "diagnose",
-    "effects": "effects",
-    "plan": "plan",
-    "fleet run": "fleet.run",
-    "fleet simulate": "fleet.simulate",
-}
-
-#: command -> its line in ``calib --help``, so that the list of commands imports none of them
+#: command or group -> its line in ``calib --help``, in this order, so that the list of commands imports none of them
 SUMMARIES: Final[dict[str, str]] = {
     "check": "Say what a campaign holds and what is wrong.",
     "init": "Make an empty campaign to fill in.",
@@ -93,6 +67,9 @@ EXAMPLES: Final[dict[str, str]] = {
     "fleet": "Example: calib fleet vehicles --into fleet --workers 2",
 }
 
+#: command -> module under ``calib.cli`` with ``run`` and ``EPILOG``; a name of two words is a command of a group
+COMMANDS: Final = {name: name.replace(" ", ".") for name in SUMMARIES if name not in EXAMPLES}
+
 #: where the shell asks for completions, and the words typed so far
 _COMPLETE, _COMPLETE_WORDS = "_CALIB_COMPLETE", ("_TYPER_COMPLETE_ARGS", "COMP_WORDS")
 
@@ -126,7 +103,7 @@ def build(arguments: Sequence[str] | None = None) -> typer.Typer:
 
     words = None if arguments is None else [word for word in arguments if not word.startswith("-")]
     groups: dict[str, Application] = {}
-    for name in sorted(COMMANDS, key=lambda one: list(SUMMARIES).index(one) if one in SUMMARIES else len(SUMMARIES)):
+    for name, module in COMMANDS.items():
         group, _, inner = name.rpartition(" ")
         parent: typer.Typer = application
         if group:
@@ -135,21 +112,15 @@ def build(arguments: Sequence[str] | None = None) -> typer.Typer:
                 application.add_typer(groups[group], name=group)
             parent = groups[group]
         if words is None or words[: len(name.split())] == name.split():
-            _register(parent, inner, importlib.import_module(f"calib.cli.{COMMANDS[name]}"))
+            command = importlib.import_module(f"calib.cli.{module}")
+            parent.command(inner, epilog=command.EPILOG)(command.run)
         else:
-            parent.command(inner, help=SUMMARIES.get(name, ""))(_elsewhere)
+            parent.command(inner, help=SUMMARIES[name])(_elsewhere)
     return application
 
 
 def _group(name: str) -> Application:
-    return Application(no_args_is_help=True, rich_markup_mode=None, help=SUMMARIES[name], epilog=EXAMPLES.get(name, ""))
-
-
-def _register(parent: typer.Typer, name: str, module: Any) -> None:
-    if hasattr(module, "register"):
-        module.register(parent, name)
-    else:
-        parent.command(name, epilog=module.EPILOG)(module.run)
+    return Application(no_args_is_help=True, rich_markup_mode=None, help=SUMMARIES[name], epilog=EXAMPLES[name])
 
 
 def _elsewhere() -> None:

@@ -50,27 +50,6 @@ class Fleet:
             vehicles.append(values)
         return {"format": "calib-fleet/1", "vehicles": vehicles, "fleet": self.view.to_dict()}
 
-    def summary(self) -> str:
-        """Return the fleet in a few lines of text."""
-        view = self.view
-        lines = [f"{view.n_fitted} of {view.n_vehicles} vehicles fitted, {view.n_failed} failed"]
-        for name, one in view.populations.items():
-            scale, unit = (1e3, "mm") if name.startswith("radius") else (1e9, "nm/N")
-            lines.append(
-                f"  {name}: mean {scale * one.mean:.4f} {unit} (95 %: {scale * one.mean_ci95[0]:.4f} .. "
-                f"{scale * one.mean_ci95[1]:.4f}), between vehicles {scale * one.spread:.4f} {unit} (95 %: "
-                f"{scale * one.spread_ci95[0]:.4f} .. {scale * one.spread_ci95[1]:.4f}), "
-                f"within {scale * one.within:.4f}"
-            )
-        lines += [f"  outlier {outlier.vehicle}: {outlier.why}" for outlier in view.outliers]
-        lines += [
-            f"  drifting {one.vehicle}: {one.wheel} wheel {1e9 * one.per_day_m:+.0f} +- "
-            f"{1e9 * one.half_width_m:.0f} nm a day (95 %), due on day {one.due_day:.0f}"
-            for one in view.drifting
-        ]
-        lines += [f"  {cause.sentence}" for cause in view.common]
-        return "\n".join(lines)
-
 
 def fit_fleet(
     folder: Path,

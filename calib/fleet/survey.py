@@ -47,17 +47,6 @@ class Survey:
             fleet |= self.quantities.to_dict()
         return {"format": "calib-fleet/1", "what": self.what, "vehicles": vehicles, "fleet": fleet}
 
-    def summary(self) -> str:
-        """Return the survey in a few lines of text."""
-        failed = [record for record in self.records if record.status == "failed"]
-        lines = [f"{self.what}: {len(self.records) - len(failed)} of {len(self.records)} vehicles done"]
-        lines += [f"  {cause.sentence}" for cause in self.shared]
-        if self.quantities is not None:
-            lines += [f"  {difference.sentence}" for difference in self.quantities.differences]
-            lines += [f"  outlier {outlier.vehicle}: {outlier.why}" for outlier in self.quantities.outliers]
-        lines += [f"  failed {record.name}: {record.why}" for record in failed]
-        return "\n".join(lines)
-
 
 def survey_fleet(
     folder: Path,

@@ -13,7 +13,6 @@ from calib.gap.evidence.search import Search
 from calib.gap.predict.path import Path
 from calib.gap.verdict.closure import HeldOut
 from calib.gap.verdict.result import Verdict
-from calib.gap.verdict.sentence import advice
 
 __all__ = ["Diagnosis"]
 
@@ -54,20 +53,3 @@ class Diagnosis:
     def to_dict(self) -> dict[str, Any]:
         """Return the verdict as plain JSON values; see `Verdict.to_dict`."""
         return self.verdict.to_dict()
-
-    def summary(self) -> str:
-        """Return the verdict, its causes with their sizes, and the advice on the fix, as lines of text."""
-        verdict = self.verdict
-        lines = [f"{verdict.campaign}{' (simulated)' if verdict.simulated else ''}: {verdict.kind.value}"]
-        lines.append(f"  {verdict.sentence}")
-        for cause in verdict.causes:
-            lines.append(
-                f"  {cause.effect}{f' ({cause.form})' if cause.form else ''}, probability {cause.probability:.2f}"
-            )
-            for name, quantity in cause.parameters.items():
-                half = 0.5 * (quantity.ci95[1] - quantity.ci95[0])
-                lines.append(f"    {name}  {quantity.value:.4g} +- {half:.3g} {quantity.unit}")
-        if any(cause.parameters for cause in verdict.causes):
-            lines.append("  +- is half the 95 % interval")
-        advised = advice(verdict)
-        return "\n".join([*lines, *([f"  {advised}"] if advised else [])])

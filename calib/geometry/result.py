@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from html import escape
 from typing import Any
 
 import numpy as np
@@ -14,16 +13,6 @@ from calib.geometry.delays import Delay
 from calib.geometry.gross import Fault
 from calib.geometry.parts import CHANNELS, Estimate, RouteResidual, RunPath, Transfer
 from calib.geometry.umbmark import Umbmark
-from calib.geometry.words import (
-    HEADER,
-    ROUTE_HEADER,
-    TRANSFER_HEADER,
-    cells,
-    columns,
-    html_table,
-    route_cells,
-    transfer_cells,
-)
 
 __all__ = ["Geometry"]
 
@@ -188,53 +177,3 @@ class Geometry:
             "transfer": [one.to_dict() for one in self.transfer],
             "notes": list(self.notes),
         }
-
-    def heading(self) -> str:
-        """Return the first line: what was estimated from what."""
-        stretches = "end poses" if self.using == "end_poses" else f"{self.n_segments} windows"
-        of, n = self.clusters
-        runs = f"{self.n_runs} {'run' if self.n_runs == 1 else 'runs'}"
-        return f"{self.name}: {self.drive}, {runs}, {stretches}; intervals from {n} {of}s" + (
-            " - SIMULATED DATA" if self.simulated else ""
-        )
-
-    def sentences(self) -> list[str]:
-        """Return what is to be said beside the table of parameters."""
-        lines = []
-        if self.undetermined:
-            lines.append(f"Not determined by these runs, left at the nominal value: {', '.join(self.undetermined)}.")
-        lines += [f"Wrong: {fault.text}." for fault in self.faults]
-        if self.outliers:
-            lines.append(f"Outliers, hardly weighed: {', '.join(self.outliers)}.")
-        if self.delays:
-            told = ", ".join(f"{one.label} {one.value_s:.4f} s" for one in self.delays)
-            lines.append(f"The reference lags by another delay in each recording, taken out of each: {told}.")
-        umbmark = self.umbmark
-        if umbmark.applies:
-            driven = f"{umbmark.n_cw} clockwise, {umbmark.n_ccw} counter-clockwise squares of {umbmark.side_m:.3g} m"
-            lines.append(
-                f"UMBmark ({driven}): E_d {umbmark.E_d:.5f}, "
-                f"E_b {umbmark.E_b:.5f}, c_L {umbmark.c_left:.5f}, c_R {umbmark.c_right:.5f}."
-            )
-        return lines + list(self.notes)
-
-    def summary(self) -> str:
-        """Return the whole result as text."""
-        lines = [self.heading(), ""]
-        rows = [HEADER, *(cells(estimate) for estimate in self.estimates)]
-        lines += columns(rows)
-        lines += ["", *self.sentences(), ""]
-        lines += columns([ROUTE_HEADER, *(route_cells(route) for route in self.routes)])
-        if self.transfer:
-            lines += ["", "End position error of what was left out in turn, mm"]
-            lines += columns([TRANSFER_HEADER, *(transfer_cells(row) for row in self.transfer)])
-        return "\n".join(lines) + "\n"
-
-    def __repr__(self) -> str:
-        values = ", ".join(f"{e.name}={e.value:.6g}({e.std:.1g})" for e in self.estimates)
-        return f"Geometry({self.name!r}, {self.n_runs} runs, {values})"
-
-    def _repr_html_(self) -> str:
-        said = "".join(f"<p>{escape(line)}</p>" for line in self.sentences())
-        rows = [HEADER, *(cells(estimate) for estimate in self.estimates)]
-        return f"<p>{escape(self.heading())}</p>{html_table(rows)}{said}"

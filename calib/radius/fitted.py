@@ -13,7 +13,6 @@ from calib.radius.document import pair, plain_fields, radii_from_rows, rows_of, 
 from calib.radius.effective import Component, EffectiveRadii
 from calib.radius.law import RadiusLaw
 from calib.radius.regression import WheelFit
-from calib.radius.summary import repr_html, summary_lines
 from calib.radius.usable import LeftOut
 from calib.seal import CHECKSUM_KEY, checksum
 from calib.vehicle import Vehicle
@@ -137,16 +136,6 @@ class Fit:
         from pandas import DataFrame
 
         return DataFrame(rows_of(self.radii, self.wheels))
-
-    def summary(self) -> str:
-        """Return what the fit says, as lines of text: each value with half its 95 % interval, then the checks."""
-        return "\n".join(summary_lines(self.name, self.wheels, simulated=self.simulated, notes=self.notes))
-
-    def __repr__(self) -> str:
-        return "\n".join(summary_lines(self.name, self.wheels, simulated=self.simulated, checks=False))
-
-    def _repr_html_(self) -> str:
-        return repr_html(self.name, self.wheels, simulated=self.simulated)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fit as plain values: the keys of ``calib fit --json`` and everything `from_dict` needs."""

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from calib.arrays import FloatArray, StrArray
-from calib.gap.verdict.paper_headline import headline
+from calib.gap.verdict.paper_headline import PaperHeadline, headline
 from calib.gap.verdict.result import Verdict
 
 __all__ = ["GapFindings"]
@@ -21,7 +21,7 @@ class GapFindings:
     ----------
     verdict : Verdict
         The answer.
-    headline : mapping or None
+    headline : PaperHeadline or None
         The paper's headline beside it, where load is the cause.
     channels : tuple of (str, str)
         Name and unit (``m`` or ``rad``) of each channel, shape (n_channels,).
@@ -41,7 +41,7 @@ class GapFindings:
     """
 
     verdict: Verdict
-    headline: Mapping[str, Any] | None = None
+    headline: PaperHeadline | None = None
     channels: tuple[tuple[str, str], ...] = ()
     before: FloatArray | None = None
     after: FloatArray | None = None
@@ -58,4 +58,4 @@ class GapFindings:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the verdict as ``calib diagnose --json`` writes it."""
-        return self.verdict.to_dict() | {"headline": self.headline}
+        return self.verdict.to_dict() | {"headline": None if self.headline is None else asdict(self.headline)}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from html import escape
 from importlib.resources import files
@@ -14,7 +15,7 @@ from calib.report.figures.style import render
 from calib.report.statements.gap_pictures import GAP_PICTURES
 from calib.report.text import EQUATIONS
 
-__all__ = ["Page", "block_html", "page_html", "to_html"]
+__all__ = ["Page", "block_html", "blocks_html", "page_html", "to_html"]
 
 HOW_TO_LOOK: Final = (
     "Choose runs by clicking or drawing a box in any panel, or a session, kind or run in the list: they light up in "
@@ -135,6 +136,15 @@ def page_html(page: Page, panels: tuple[str, str] = ("", "")) -> str:
 def _section(number: int, section: Section) -> str:
     blocks = "\n".join(block_html(block) for block in section.blocks)
     return f'<section id="s{number}">\n<h2>{number} {escape(section.title)}</h2>\n{blocks}\n</section>'
+
+
+def blocks_html(blocks: Iterable[Block | Section]) -> str:
+    """Return blocks as markup without a page around them, as a notebook shows them."""
+    parts = []
+    for block in blocks:
+        inner = (Heading(block.title), *block.blocks) if isinstance(block, Section) else (block,)
+        parts += [block_html(part) for part in inner]
+    return "\n".join(parts)
 
 
 def block_html(block: Block) -> str:

@@ -14,6 +14,7 @@ from calib.campaign.write import write_campaign
 from calib.errors import RefusedError
 from calib.gap.plan.planned_runs import joined
 from calib.geometry.estimate import estimate_geometry
+from calib.report.statements.geometry import geometry_sentences
 from tests.geometry.campaigns import Truth, both_ways, campaign, mixed, tricycle
 
 TRUTH = Truth()
@@ -222,7 +223,7 @@ def test_recordings_of_different_delays_get_one_each(later_s: float) -> None:
     for one, truth in zip(found.delays, truths, strict=True):
         # a tenth of a sample: before the log begins the generator holds the pose still
         assert one.value_s == pytest.approx(truth.delay_s, abs=5e-3)
-    assert "another delay in each recording" in " ".join(found.sentences())
+    assert "another delay in each recording" in " ".join(geometry_sentences(found))
     assert found["track_m"].value == pytest.approx(TRUTH.track_m, rel=3e-3)
 
 

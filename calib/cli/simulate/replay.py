@@ -61,6 +61,5 @@ def run(
         written += replay_trajectories(read, source.file, tum, force=force)
     emit_json(document | {"files": [str(path) for path in written]}, json, force=force)
     if not wants_stdout(json):
-        content = replay_content(replayed, name=read.name, simulated=read.simulated)
-        show([*content, *([Items(tuple(notes))] if notes else [])])
+        show([*replay_content(replayed), *([Items(tuple(notes))] if notes else [])])
         wrote(written)

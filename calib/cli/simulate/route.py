@@ -50,7 +50,7 @@ def run(
     refuse_existing([json], force=force)
     targets = Targets(output, tum, speed, json, force)
     vehicle = Vehicle()
-    cases = [Case.of(which, value) for value in (numbers(ratio, None, "--ratio") if ratio else ())]
+    cases = [Case.off(which, value) for value in (numbers(ratio, None, "--ratio") if ratio else ())]
     if real is not None:
         left, right = numbers(real, 2, "--real")
         base = numbers(believed, 2, "--believed") if believed else (vehicle.wheel_radius_m,) * 2

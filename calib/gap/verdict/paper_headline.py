@@ -2,42 +2,51 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
 
 from calib.gap.effects.library import effect_class
 from calib.gap.verdict.result import Verdict
-from calib.motion.studies.paper_headline import paper_headline
+from calib.motion.studies.paper_headline import Improvement, paper_headline
 
-__all__ = ["headline"]
+__all__ = ["PaperHeadline", "headline"]
 
 
-def headline(verdict: Verdict) -> dict[str, Any] | None:
-    """Return what the load effect's correction achieves here and in the paper; None where load is not the cause.
+@dataclass(frozen=True, slots=True)
+class PaperHeadline:
+    """What the correction for the load achieves, here and in the paper.
 
     Parameters
     ----------
-    verdict : Verdict
-        Of a diagnosis.
-
-    Returns
-    -------
-    dict or None
-        ``paper`` and ``campaign``, each with ``before_m``, ``after_m`` and ``ratio`` (before over after; None where it
-        cannot be told); ``effect``, the cause; ``sole_candidate``, False where these runs cannot tell it from others;
-        ``sentence`` for people. The campaign's are root mean squares over runs left out of the fit; the paper's ratio
-        is that of its own study before what it prints was rounded.
+    effect : str
+        The cause.
+    sole_candidate : bool
+        Whether these runs tell it from other causes.
+    paper, campaign : Improvement
+        The paper's figures, and root mean squares over runs of this campaign that were left out of the fit.
+    sentence : str
+        For people.
     """
+
+    effect: str
+    sole_candidate: bool
+    paper: Improvement
+    campaign: Improvement
+    sentence: str
+
+
+def headline(verdict: Verdict) -> PaperHeadline | None:
+    """Return the paper's headline beside that of a diagnosis; None where load is not the cause."""
     effect = next((cause.effect for cause in verdict.causes if _is_load_law(cause.effect)), None)
     before, after = verdict.closure.before_rms_m, verdict.closure.after_rms_m
     if effect is None or before is None or after is None:
         return None
     sole = not any(effect in group.effects for group in verdict.groups)
-    ratio = before / after if after > 0.0 else None
+    campaign = Improvement(float(before), float(after), before / after if after > 0.0 else None)
     here = f"this campaign: {_metres(before)} m to {_metres(after)} m"
-    here += "" if ratio is None else f", {ratio:.3g} times smaller"
+    here += "" if campaign.ratio is None else f", {campaign.ratio:.3g} times smaller"
     printed = paper_headline()
     paper = (
-        f"{printed['before_m']:g} m to {printed['after_m']:g} m as printed, about {printed['ratio']:.0f} times smaller "
+        f"{printed.before_m:g} m to {printed.after_m:g} m as printed, about {printed.ratio:.0f} times smaller "
         "before rounding"
     )
     caveat = "" if sole else ", if the load is the cause"
@@ -45,13 +54,7 @@ def headline(verdict: Verdict) -> dict[str, Any] | None:
         f"Correction for the load; the paper: {paper}; {here}{caveat}. The figures are end errors, each on its own "
         "route and loads."
     )
-    return {
-        "effect": effect,
-        "sole_candidate": sole,
-        "paper": printed,
-        "campaign": {"before_m": float(before), "after_m": float(after), "ratio": ratio},
-        "sentence": sentence,
-    }
+    return PaperHeadline(effect, sole, printed, campaign, sentence)
 
 
 def _is_load_law(effect: str) -> bool:

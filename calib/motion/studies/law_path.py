@@ -45,7 +45,7 @@ class Loading:
     right_N: FloatArray
 
     @staticmethod
-    def of(rows: Sequence[tuple[float, float, float]]) -> Loading:
+    def from_rows(rows: Sequence[tuple[float, float, float]]) -> Loading:
         """Return the loading of rows (distance in m, left load in N, right load in N) in any order.
 
         Raises

@@ -95,7 +95,7 @@ def loading_on_the_way(vehicle: Vehicle, rows: Sequence[tuple[float, ...]]) -> L
         raise BadInputError("payload_at: found a distance below 0 m; expected one along the route; correct it")
     if min(row[0] for row in rows) > 0.0:
         rows = [*rows, (0.0, 0.0, 0.0, 0.0)]
-    return Loading.of([(row[0], *carried_loads_N(vehicle, *row[1:4])) for row in rows])
+    return Loading.from_rows([(row[0], *carried_loads_N(vehicle, *row[1:4])) for row in rows])
 
 
 def _walk(file: CoefficientFile) -> RandomWalk:

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, Final
+from typing import Final
 
 from calib.motion.routes import Route, find_route
 from calib.motion.studies.sweeps import STUDIES, Case, run_sweep
 
-__all__ = ["PAPER_AFTER_M", "PAPER_BEFORE_M", "Headline", "headlines", "paper_headline"]
+__all__ = ["PAPER_AFTER_M", "PAPER_BEFORE_M", "Headline", "Improvement", "headlines", "paper_headline"]
 
 #: end error along the route without and with the load correction, as the paper prints them (Sect. 7.3)
 PAPER_BEFORE_M: Final = 1.1
@@ -21,6 +21,15 @@ PAPER_AFTER_M: Final = 0.06
 
 #: the vehicle's track as the paper states it
 PAPER_TRACK_M: Final = 0.7
+
+
+@dataclass(frozen=True, slots=True)
+class Improvement:
+    """End errors without and with a correction, and their ratio; None where the corrected error is nought."""
+
+    before_m: float
+    after_m: float
+    ratio: float | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +66,7 @@ def headlines(route: Route, track_m: float) -> tuple[Headline, ...]:
     lines = []
     for which in before.which:
         first, second = (
-            run_sweep(route, [Case.of(which, ratio) for ratio in study.ratios], track_m=track_m).largest_m()
+            run_sweep(route, [Case.off(which, ratio) for ratio in study.ratios], track_m=track_m).largest_m()
             for study in (before, after)
         )
         lines.append(Headline(which, first, second, first / second))
@@ -65,10 +74,7 @@ def headlines(route: Route, track_m: float) -> tuple[Headline, ...]:
 
 
 @cache
-def _paper_ratio() -> float:
-    return max(headlines(find_route("paper_route"), PAPER_TRACK_M), key=lambda line: line.without_m).ratio
-
-
-def paper_headline() -> dict[str, Any]:
-    """Return the paper's end errors as printed, ``before_m`` and ``after_m``, and their ``ratio`` before rounding."""
-    return {"before_m": PAPER_BEFORE_M, "after_m": PAPER_AFTER_M, "ratio": _paper_ratio()}
+def paper_headline() -> Improvement:
+    """Return the paper's end errors as printed, and their ratio before rounding."""
+    largest = max(headlines(find_route("paper_route"), PAPER_TRACK_M), key=lambda line: line.without_m)
+    return Improvement(PAPER_BEFORE_M, PAPER_AFTER_M, largest.ratio)

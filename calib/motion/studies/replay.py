@@ -37,6 +37,10 @@ class Replay:
 
     Parameters
     ----------
+    campaign : str
+        Name of the campaign.
+    simulated : bool
+        Whether a program made its data.
     run_id, kind : array of str, shape (n,)
         Runs with a log and a reference end pose.
     load_left_N, load_right_N : array of float, shape (n,)
@@ -66,6 +70,8 @@ class Replay:
         What had to be assumed.
     """
 
+    campaign: str
+    simulated: bool
     run_id: StrArray
     kind: StrArray
     load_left_N: FloatArray
@@ -178,6 +184,8 @@ def replay(
     low, high = np.quantile(np.sqrt(means["constant"] / np.maximum(means["corrected"], 1e-300)), [0.025, 0.975])
     rms = {method: float(np.sqrt(part.mean())) for method, part in square.items()}
     return Replay(
+        campaign=campaign.name,
+        simulated=campaign.simulated,
         run_id=runs.run_id,
         kind=runs.label("kind"),
         load_left_N=loads[0],

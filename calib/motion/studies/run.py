@@ -81,7 +81,7 @@ class Simulation:
                 for name, sweep in self.sweeps.items()
             ],
             "headline": [asdict(line) for line in self.headlines],
-            "paper": paper_headline() if self.headlines else None,
+            "paper": asdict(paper_headline()) if self.headlines else None,
             "law": None,
         }
         if self.law is not None:
@@ -147,7 +147,7 @@ def simulate(
         raise BadInputError(f"study: found {study!r}; expected {', '.join(STUDIES)} or {CUSTOM}; choose one of them")
     names = tuple(routes) or (known.routes if known else ("paper_route",))
     chosen = tuple(cases) or (
-        tuple(Case.of(which, ratio) for which in known.which for ratio in known.ratios) if known else ()
+        tuple(Case.off(which, ratio) for which in known.which for ratio in known.ratios) if known else ()
     )
     if not chosen and law is None:
         raise BadInputError("custom study: found no radii; expected cases or a law; give one of them")
@@ -165,7 +165,7 @@ def simulate(
         path = law_path(
             law,
             find_route(names[-1]),
-            loading=loading or Loading.of([(0.0, *pairs[0])]),
+            loading=loading or Loading.from_rows([(0.0, *pairs[0])]),
             reference_N=reference_N,
             track_m=track_m,
             track_std_m=track_std_m,

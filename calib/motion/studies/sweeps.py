@@ -116,7 +116,7 @@ class Case:
         return f"{self.which} off, E_r = {self.ratio:g}"
 
     @staticmethod
-    def of(which: str, ratio: float) -> Case:
+    def off(which: str, ratio: float) -> Case:
         """Return the case of a wheel that is off by a ratio; see `ratios`."""
         return Case(which, ratio, *ratios(which, ratio))
 

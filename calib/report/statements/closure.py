@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 from calib.gap.data.channels import POSE
+from calib.gap.verdict.paper_headline import PaperHeadline
 from calib.gap.verdict.result import Verdict
 from calib.gap.verdict.sentence import advice
 from calib.report.blocks import Block, Column, Items, Table, Text
@@ -14,14 +12,14 @@ from calib.report.numbers import MISSING, aligned, left, length, percent, prose,
 __all__ = ["closure_blocks"]
 
 
-def closure_blocks(verdict: Verdict, headline: Mapping[str, Any] | None = None) -> list[Block]:
+def closure_blocks(verdict: Verdict, headline: PaperHeadline | None = None) -> list[Block]:
     """Return how far the gap shrinks and whether the fix is recommended.
 
     Parameters
     ----------
     verdict : Verdict
         Of a diagnosis.
-    headline : mapping, optional
+    headline : PaperHeadline, optional
         The paper's headline beside it; from `calib.gap.verdict.paper_headline.headline`.
     """
     blocks: list[Block] = []
@@ -32,7 +30,7 @@ def closure_blocks(verdict: Verdict, headline: Mapping[str, Any] | None = None) 
     if sentence or advised:
         blocks.append(Text(" ".join(part for part in (sentence, prose(advised)) if part)))
     if headline is not None:
-        blocks.append(Text(prose(str(headline["sentence"]))))
+        blocks.append(Text(prose(headline.sentence)))
     fix = verdict.fix
     if fix.agreement_m is not None:
         blocks.append(

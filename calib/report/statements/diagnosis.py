@@ -6,16 +6,17 @@ from collections.abc import Mapping
 from typing import Final
 
 from calib.gap.verdict.result import Verdict, VerdictKind
-from calib.report.blocks import Block, Items, Notice, Text
+from calib.report.blocks import Block, Heading, Items, Notice, Text
 from calib.report.gap_findings import GapFindings
 from calib.report.numbers import prose
 from calib.report.statements.causes import apart_blocks, cause_blocks, limit_blocks
 from calib.report.statements.closure import closure_blocks
+from calib.report.statements.fit import simulated_notice
 from calib.report.statements.gap_pictures import before_after_picture, covariate_picture, map_picture
 from calib.report.statements.plan import next_runs_table
 from calib.report.statements.where import where_blocks
 
-__all__ = ["TITLES", "diagnosis_content", "verdict_notice"]
+__all__ = ["TITLES", "diagnosis_content", "verdict_content", "verdict_notice"]
 
 #: verdict -> how it is shown, and its title
 TITLES: Final[Mapping[VerdictKind, tuple[str, str]]] = {
@@ -32,6 +33,12 @@ def verdict_notice(verdict: Verdict) -> Notice:
     """Return the verdict with its sentence."""
     level, title = TITLES[verdict.kind]
     return Notice(level, f"{title} ({verdict.kind.value})", prose(verdict.sentence))
+
+
+def verdict_content(verdict: Verdict) -> tuple[Block, ...]:
+    """Return what a verdict says by itself, under the name of its campaign."""
+    mark = (simulated_notice(),) if verdict.simulated else ()
+    return (Heading(verdict.campaign), *mark, *diagnosis_content(GapFindings.of(verdict)))
 
 
 def diagnosis_content(gap: GapFindings) -> tuple[Block, ...]:

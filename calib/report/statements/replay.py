@@ -19,20 +19,17 @@ _RADII: Final = {
 _BY_GEOMETRY: Final = {"model": "as the simulator believes", "corrected": "the coefficients' radii and lengths"}
 
 
-def replay_content(replay: Replay, *, name: str, simulated: bool) -> tuple[Block, ...]:
+def replay_content(replay: Replay) -> tuple[Block, ...]:
     """Return what a replay says.
 
     Parameters
     ----------
     replay : Replay
         From `calib.motion.studies.replay.replay`.
-    name : str
-        Of the campaign.
-    simulated : bool
-        Whether a program made its data.
     """
+    name = replay.campaign + (" (simulated)" if replay.simulated else "")
     table = Table(
-        f"{name}{' (simulated)' if simulated else ''}: end error of {int(replay.in_range.sum())} runs.",
+        f"{name}: end error of {int(replay.in_range.sum())} runs.",
         (left("Radii"), Column("rms", "m"), Column("rms heading", "mrad")),
         tuple(
             (title, fixed(replay.rms_m[key], 4), fixed(1e3 * replay.rms_heading_rad[key], 2))

@@ -63,7 +63,7 @@ def _headline(simulation: Simulation) -> Table:
     paper = paper_headline()
     return Table(
         "Largest error in global x at the end, without and with the correction "
-        f"(paper: {paper['before_m']:g} m, {paper['after_m']:g} m, about {paper['ratio']:.0f}).",
+        f"(paper: {paper.before_m:g} m, {paper.after_m:g} m, about {paper.ratio:.0f}).",
         (left("Wheel off"), Column("Without", "m"), Column("With", "m"), Column("Times smaller")),
         tuple(
             (line.which, fixed(line.without_m, 5), fixed(line.corrected_m, 5), fixed(line.ratio, 1))

@@ -24,7 +24,7 @@ def wheel(radius: float, slope: float) -> WheelLaw:
 
 
 LAW = RadiusLaw(left=wheel(0.1, 1.3e-6), right=wheel(0.0995, -1.2e-6))
-TWO = Loading.of([(4.0, 900.0, 400.0), (0.0, 300.0, 350.0)])
+TWO = Loading.from_rows([(4.0, 900.0, 400.0), (0.0, 300.0, 350.0)])
 
 
 def made(route: Route, loading: Loading = TWO, **more: object) -> LawPath:
@@ -99,7 +99,7 @@ def test_the_systematic_part_is_the_scatter_of_vehicles_whose_law_is_another() -
 
 def test_under_one_load_the_path_ends_in_the_scatter_of_the_journey() -> None:
     route = find_route("paper_route")
-    path = made(route, Loading.of([(0.0, 700.0, 700.0)]), rng=np.random.default_rng(1), draws=40_000)
+    path = made(route, Loading.from_rows([(0.0, 700.0, 700.0)]), rng=np.random.default_rng(1), draws=40_000)
     journey = law_journey(
         LAW,
         route,
@@ -158,7 +158,7 @@ def test_cutting_a_route_leaves_it_where_it_is() -> None:
 )
 def test_impossible_loads_are_refused(rows: list[tuple[float, float, float]]) -> None:
     with pytest.raises(BadInputError, match="loads along the path"):
-        Loading.of(rows)
+        Loading.from_rows(rows)
 
 
 def test_a_change_beyond_the_end_is_refused() -> None:
