@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.family import Family
@@ -15,12 +13,12 @@ __all__ = ["BeamMisalignment"]
 class BeamMisalignment(Effect):
     """The laser reads the distance over cos(alpha); the parameter is 1 / cos(alpha) - 1, never negative."""
 
-    id: ClassVar[str] = "beam_misalignment"
-    title: ClassVar[str] = "a laser beam at an angle to the way"
-    implausible: ClassVar[str] = "the rangefinder's scale (a beam 5 degrees off reads only 0.4 % too much)"
-    family: ClassVar[Family] = Family.INSTRUMENT
-    needs: ClassVar[str] = "distances by the instrument"
-    separates: ClassVar[str] = "the beam aimed anew; a scale of the instrument looks exactly alike"
+    id = "beam_misalignment"
+    title = "a laser beam at an angle to the way"
+    implausible = "the rangefinder's scale (a beam 5 degrees off reads only 0.4 % too much)"
+    family = Family.INSTRUMENT
+    needs = "distances by the instrument"
+    separates = "the beam aimed anew; a scale of the instrument looks exactly alike"
 
     def forms(self, s: Observations) -> list[Form]:
         """Return the single form; none without a laser distance."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import numpy as np
 
 from calib.arrays import BoolArray, FloatArray
@@ -22,13 +20,13 @@ class BrakingSkid(Effect):
     The vehicle slides on along its path, so in a turn it turns on too.
     """
 
-    id: ClassVar[str] = "braking_skid"
-    title: ClassVar[str] = "skidding when it stops"
-    implausible: ClassVar[str] = "latency, or an offset of the reference"
-    family: ClassVar[Family] = Family.SPEED
-    needs: ClassVar[str] = "stops"
-    separates: ClassVar[str] = "runs of one length with more and fewer stops"
-    shifts: ClassVar[tuple[str, ...]] = ("radius_scale",)
+    id = "braking_skid"
+    title = "skidding when it stops"
+    implausible = "latency, or an offset of the reference"
+    family = Family.SPEED
+    needs = "stops"
+    separates = "runs of one length with more and fewer stops"
+    shifts = ("radius_scale",)
 
     def forms(self, s: Observations) -> list[Form]:
         """Return a form with equal slides and, where speeds differ, one ~ v^2; none where no run stops."""

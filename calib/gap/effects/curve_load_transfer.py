@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import numpy as np
 
 from calib.gap.data.observations import Observations
@@ -23,13 +21,13 @@ class CurveLoadTransfer(Effect):
     The front wheel stands on the centre line and takes no part of the roll moment.
     """
 
-    id: ClassVar[str] = "curve_load_transfer"
-    title: ClassVar[str] = "load that moves to the outer wheel in fast turns"
-    implausible: ClassVar[str] = "a track other than believed, or side slip"
-    family: ClassVar[Family] = Family.TURNING
-    of_rear_wheels: ClassVar[bool] = True
-    needs: ClassVar[str] = "turns at known speeds"
-    separates: ClassVar[str] = "the same turn at two speeds and two loads"
+    id = "curve_load_transfer"
+    title = "load that moves to the outer wheel in fast turns"
+    implausible = "a track other than believed, or side slip"
+    family = Family.TURNING
+    of_rear_wheels = True
+    needs = "turns at known speeds"
+    separates = "the same turn at two speeds and two loads"
 
     def forms(self, s: Observations) -> list[Form]:
         """Return the single form; none where nothing turns or no speed is known."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import numpy as np
 
 from calib.gap.data.observations import Observations
@@ -19,14 +17,14 @@ __all__ = ["CurveScrub"]
 class CurveScrub(Effect):
     """b (1 + k |kappa|), so e_theta = -k |kappa| theta."""
 
-    id: ClassVar[str] = "curve_scrub"
-    title: ClassVar[str] = "scrubbing in turns that widens the track"
-    implausible: ClassVar[str] = "a track other than believed, or load transfer in fast turns"
-    family: ClassVar[Family] = Family.TURNING
-    of_rear_wheels: ClassVar[bool] = True
-    needs: ClassVar[str] = "turns of several curvatures"
-    separates: ClassVar[str] = "turns of several radii at one speed"
-    shifts: ClassVar[tuple[str, ...]] = ("track_width",)
+    id = "curve_scrub"
+    title = "scrubbing in turns that widens the track"
+    implausible = "a track other than believed, or load transfer in fast turns"
+    family = Family.TURNING
+    of_rear_wheels = True
+    needs = "turns of several curvatures"
+    separates = "turns of several radii at one speed"
+    shifts = ("track_width",)
 
     def forms(self, s: Observations) -> list[Form]:
         """Return the single form; none where nothing turns."""

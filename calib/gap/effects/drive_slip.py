@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import numpy as np
 
 from calib.arrays import FloatArray
@@ -24,12 +22,12 @@ class DriveSlip(Effect):
     rolling resistance, which goes with the weight; the stiffness C is constant or goes with the front wheel's load.
     """
 
-    id: ClassVar[str] = "drive_slip"
-    title: ClassVar[str] = "slip of the driven front wheel"
-    implausible: ClassVar[str] = "the front wheel's radius"
-    family: ClassVar[Family] = Family.STEERING
-    needs: ClassVar[str] = "the front wheel in the log"
-    separates: ClassVar[str] = "several accelerations"
+    id = "drive_slip"
+    title = "slip of the driven front wheel"
+    implausible = "the front wheel's radius"
+    family = Family.STEERING
+    needs = "the front wheel in the log"
+    separates = "several accelerations"
 
     def forms(self, s: Observations) -> list[Form]:
         """Return forms by the force that slips; none without a front wheel in the log."""

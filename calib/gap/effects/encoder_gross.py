@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import ClassVar, Final
+from typing import Final
 
 import numpy as np
 
@@ -31,13 +31,13 @@ class EncoderGross(Effect):
     Such gaps are far from linear, so each fault is tried in full by `find_gross` before the search; there are no forms.
     """
 
-    id: ClassVar[str] = "encoder_gross"
-    title: ClassVar[str] = "a gross fault of the encoders"
-    implausible: ClassVar[str] = "a reference that was read in other units or axes"
-    family: ClassVar[Family] = Family.COUNTS
-    needs: ClassVar[str] = "distances or end poses"
-    separates: ClassVar[str] = "any run: nothing else is so large"
-    found_before_search: ClassVar[bool] = True
+    id = "encoder_gross"
+    title = "a gross fault of the encoders"
+    implausible = "a reference that was read in other units or axes"
+    family = Family.COUNTS
+    needs = "distances or end poses"
+    separates = "any run: nothing else is so large"
+    found_before_search = True
 
     def forms(self, s: Observations) -> list[Form]:  # noqa: ARG002
         """Return none: the fault is found before the search."""
@@ -48,8 +48,8 @@ class EncoderGross(Effect):
 class GrossFault:
     """What the counts have to be multiplied by to be right; sides swapped first where `swapped`."""
 
-    effect: ClassVar[type[EncoderGross]] = EncoderGross
-    remark: ClassVar[str] = "put the counts right, then diagnose again"
+    effect = EncoderGross
+    remark = "put the counts right, then diagnose again"
 
     label: str
     left: float

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import ClassVar
 
 import numpy as np
 
@@ -24,13 +23,13 @@ class FloorSlope(Effect):
     Where it slopes across a corridor, the pull goes with cos(phi): to the left going out, to the right going back.
     """
 
-    id: ClassVar[str] = "floor_slope"
-    title: ClassVar[str] = "a sloping floor"
-    implausible: ClassVar[str] = "a difference between driving out and back of another cause"
-    family: ClassVar[Family] = Family.DIRECTION
-    needs: ClassVar[str] = "runs in two headings, the poses in one frame"
-    separates: ClassVar[str] = "the vehicle turned by 180 degrees on the same lane"
-    shifts: ClassVar[tuple[str, ...]] = ("radius_scale",)
+    id = "floor_slope"
+    title = "a sloping floor"
+    implausible = "a difference between driving out and back of another cause"
+    family = Family.DIRECTION
+    needs = "runs in two headings, the poses in one frame"
+    separates = "the vehicle turned by 180 degrees on the same lane"
+    shifts = ("radius_scale",)
 
     def forms(self, s: Observations) -> list[Form]:
         """Return forms by slope and pull; none where it is driven one way only, or headings share no zero."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Final
+from typing import Final
 
 import numpy as np
 
@@ -23,13 +23,13 @@ _BENT_RAD: Final = 2.5
 class FloorUndulation(Effect):
     """On one lane the way is shorter than what the wheels roll by <z'^2> / 2, never longer."""
 
-    id: ClassVar[str] = "floor_undulation"
-    title: ClassVar[str] = "an uneven floor on one lane"
-    implausible: ClassVar[str] = "both effective radii on that lane, or a path that weaves"
-    family: ClassVar[Family] = Family.FLOOR
-    needs: ClassVar[str] = "two lanes"
-    separates: ClassVar[str] = "the same runs on another lane"
-    shifts: ClassVar[tuple[str, ...]] = ("radius_scale",)
+    id = "floor_undulation"
+    title = "an uneven floor on one lane"
+    implausible = "both effective radii on that lane, or a path that weaves"
+    family = Family.FLOOR
+    needs = "two lanes"
+    separates = "the same runs on another lane"
+    shifts = ("radius_scale",)
 
     def forms(self, s: Observations) -> list[Form]:
         """Return a form for each lane: the values of a column ``lane`` where there is one, else the kinds of route."""

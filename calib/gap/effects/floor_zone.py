@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Final
+from typing import Final
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -29,12 +29,12 @@ _STRIP: Final = -1
 class FloorZone(Effect):
     """Within a cell of the floor: a relative change of the way, a turn per metre, the same or by the heading driven."""
 
-    id: ClassVar[str] = "floor_zone"
-    title: ClassVar[str] = "a zone of the floor that shortens the way or turns the vehicle"
-    implausible: ClassVar[str] = "a step or joint that the vehicle should not be driven over"
-    family: ClassVar[Family] = Family.FLOOR
-    needs: ClassVar[str] = "logs, the poses in one frame"
-    separates: ClassVar[str] = "runs that cross the place beside runs that do not"
+    id = "floor_zone"
+    title = "a zone of the floor that shortens the way or turns the vehicle"
+    implausible = "a step or joint that the vehicle should not be driven over"
+    family = Family.FLOOR
+    needs = "logs, the poses in one frame"
+    separates = "runs that cross the place beside runs that do not"
 
     def forms(self, s: Observations) -> list[Form]:
         """Return a form for each strip and cell of about 2 m that some runs cross and others not, or cross otherwise.

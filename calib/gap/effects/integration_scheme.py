@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import numpy as np
 
 from calib.gap.data.observations import Observations
@@ -23,12 +21,12 @@ class IntegrationScheme(Effect):
     computed on the log's steps and grows with them: a share of 1 means that the simulator takes the log's steps.
     """
 
-    id: ClassVar[str] = "integration_scheme"
-    title: ClassVar[str] = "a simulator that integrates the heading coarsely"
-    implausible: ClassVar[str] = "latency, or a start heading that differs"
-    family: ClassVar[Family] = Family.PATH
-    needs: ClassVar[str] = "poses of an outside simulator on runs that turn"
-    separates: ClassVar[str] = "none: it is computed from the logs"
+    id = "integration_scheme"
+    title = "a simulator that integrates the heading coarsely"
+    implausible = "latency, or a start heading that differs"
+    family = Family.PATH
+    needs = "poses of an outside simulator on runs that turn"
+    separates = "none: it is computed from the logs"
 
     def forms(self, s: Observations) -> list[Form]:
         """Return the end-point and the Euler form; none without an outside simulator's poses on turning runs."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Final
+from typing import Final
 
 import numpy as np
 
@@ -21,14 +21,14 @@ TIMES_MIN: Final = (3.0, 10.0, 30.0, 90.0)
 class LoadCreep(Effect):
     """dr_i = -c_i F_i (1 - exp(-t / tau)), t since the load was put on, each wheel its own c."""
 
-    id: ClassVar[str] = "load_creep"
-    title: ClassVar[str] = "wheel bands that creep under the load"
-    implausible: ClassVar[str] = "the load itself, or a temperature that rose meanwhile"
-    family: ClassVar[Family] = Family.LOAD
-    of_rear_wheels: ClassVar[bool] = True
-    needs: ClassVar[str] = "minutes_under_load that vary"
-    separates: ClassVar[str] = "the same load after 0, 10 and 60 minutes, put on and taken off"
-    shifts: ClassVar[tuple[str, ...]] = ("radius_scale", "unequal_radii")
+    id = "load_creep"
+    title = "wheel bands that creep under the load"
+    implausible = "the load itself, or a temperature that rose meanwhile"
+    family = Family.LOAD
+    of_rear_wheels = True
+    needs = "minutes_under_load that vary"
+    separates = "the same load after 0, 10 and 60 minutes, put on and taken off"
+    shifts = ("radius_scale", "unequal_radii")
 
     def forms(self, s: Observations) -> list[Form]:
         """Return forms by time constant and by the load that creeps; none where the times under load do not vary.

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter, varies
 from calib.gap.effects.family import Family
@@ -17,14 +15,14 @@ __all__ = ["LoadDependentTrack"]
 class LoadDependentTrack(Effect):
     """b (1 + k (F - F_0)), F the load of both rear wheels, F_0 twice the reference load of a wheel."""
 
-    id: ClassVar[str] = "load_dependent_track"
-    title: ClassVar[str] = "a track that follows the load"
-    implausible: ClassVar[str] = "load transfer in turns, or misreported payloads"
-    family: ClassVar[Family] = Family.TURNING
-    of_rear_wheels: ClassVar[bool] = True
-    needs: ClassVar[str] = "turns under two loads"
-    separates: ClassVar[str] = "the same slow turn under two loads"
-    shifts: ClassVar[tuple[str, ...]] = ("track_width",)
+    id = "load_dependent_track"
+    title = "a track that follows the load"
+    implausible = "load transfer in turns, or misreported payloads"
+    family = Family.TURNING
+    of_rear_wheels = True
+    needs = "turns under two loads"
+    separates = "the same slow turn under two loads"
+    shifts = ("track_width",)
 
     def forms(self, s: Observations) -> list[Form]:
         """Return the single form; none where the loads do not vary or nothing turns."""

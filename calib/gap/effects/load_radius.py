@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, varies
 from calib.gap.effects.family import Family
@@ -16,16 +14,16 @@ __all__ = ["LoadRadius"]
 class LoadRadius(Effect):
     """dr_i = c_i (F_i - F_0), each wheel its own c and either sign: e_s ~ S dF, e_theta ~ S (F_R - F_L) / b."""
 
-    id: ClassVar[str] = "load_radius"
-    title: ClassVar[str] = "wheel radii that follow the load"
-    implausible: ClassVar[str] = "misreported payloads, or a wheel that has come loose from its rim"
-    family: ClassVar[Family] = Family.LOAD
-    of_rear_wheels: ClassVar[bool] = True
-    needs: ClassVar[str] = "two payloads or places of it, with distances or end poses"
-    separates: ClassVar[str] = "two loads and more, some of them off the middle"
-    is_load_law: ClassVar[bool] = True
-    carries_law_slope: ClassVar[bool] = True
-    shifts: ClassVar[tuple[str, ...]] = ("radius_scale", "unequal_radii")
+    id = "load_radius"
+    title = "wheel radii that follow the load"
+    implausible = "misreported payloads, or a wheel that has come loose from its rim"
+    family = Family.LOAD
+    of_rear_wheels = True
+    needs = "two payloads or places of it, with distances or end poses"
+    separates = "two loads and more, some of them off the middle"
+    is_load_law = True
+    carries_law_slope = True
+    shifts = ("radius_scale", "unequal_radii")
 
     def forms(self, s: Observations) -> list[Form]:
         """Return the linear law, one slope a wheel; none where the loads do not vary."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Final
+from typing import Final
 
 import numpy as np
 
@@ -21,15 +21,15 @@ EXPONENTS: Final = (0.5, 0.7, 0.85, 2.0)
 class LoadRadiusNonlinear(Effect):
     """dr_i = c_i F_0 [(F_i / F_0)^p - 1] / p: no change at the reference load F_0, slope c_i there, for any p."""
 
-    id: ClassVar[str] = "load_radius_nonlinear"
-    title: ClassVar[str] = "wheel radii that follow the load by a curved law"
-    implausible: ClassVar[str] = "misreported payloads, or a wheel that has come loose from its rim"
-    family: ClassVar[Family] = Family.LOAD
-    of_rear_wheels: ClassVar[bool] = True
-    needs: ClassVar[str] = "three payloads, with distances or end poses"
-    separates: ClassVar[str] = "three loads and more, far apart"
-    is_load_law: ClassVar[bool] = True
-    shifts: ClassVar[tuple[str, ...]] = ("radius_scale", "unequal_radii")
+    id = "load_radius_nonlinear"
+    title = "wheel radii that follow the load by a curved law"
+    implausible = "misreported payloads, or a wheel that has come loose from its rim"
+    family = Family.LOAD
+    of_rear_wheels = True
+    needs = "three payloads, with distances or end poses"
+    separates = "three loads and more, far apart"
+    is_load_law = True
+    shifts = ("radius_scale", "unequal_radii")
 
     def forms(self, s: Observations) -> list[Form]:
         """Return one form an exponent, one slope a wheel; none where the loads do not vary."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import numpy as np
 
 from calib.arrays import FloatArray
@@ -22,14 +20,14 @@ class LostCounts(Effect):
     A constant share is an exact alias of that wheel's radius.
     """
 
-    id: ClassVar[str] = "lost_counts"
-    title: ClassVar[str] = "counts lost by one encoder"
-    implausible: ClassVar[str] = "the radius of that wheel, or a wrong count per revolution"
-    family: ClassVar[Family] = Family.COUNTS
-    of_rear_wheels: ClassVar[bool] = True
-    needs: ClassVar[str] = "headings or distances; two speeds for a share that grows"
-    separates: ClassVar[str] = "the front wheel as a second counter, at several speeds"
-    shifts: ClassVar[tuple[str, ...]] = ("radius_scale", "unequal_radii")
+    id = "lost_counts"
+    title = "counts lost by one encoder"
+    implausible = "the radius of that wheel, or a wrong count per revolution"
+    family = Family.COUNTS
+    of_rear_wheels = True
+    needs = "headings or distances; two speeds for a share that grows"
+    separates = "the front wheel as a second counter, at several speeds"
+    shifts = ("radius_scale", "unequal_radii")
 
     def forms(self, s: Observations) -> list[Form]:
         """Return, for each wheel, a constant share and, where speeds differ, two shares that grow with speed."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import numpy as np
 
 from calib.arrays import FloatArray
@@ -24,12 +22,12 @@ class PathWeave(Effect):
     simulator may have driven the straight line.
     """
 
-    id: ClassVar[str] = "path_weave"
-    title: ClassVar[str] = "a path that weaves about its line"
-    implausible: ClassVar[str] = "both effective radii, or a weave other than noted"
-    family: ClassVar[Family] = Family.PATH
-    needs: ClassVar[str] = "amplitude_m and wavelength_m, or logs beside an outside simulation"
-    separates: ClassVar[str] = "the log within a run"
+    id = "path_weave"
+    title = "a path that weaves about its line"
+    implausible = "both effective radii, or a weave other than noted"
+    family = Family.PATH
+    needs = "amplitude_m and wavelength_m, or logs beside an outside simulation"
+    separates = "the log within a run"
 
     def forms(self, s: Observations) -> list[Form]:
         """Return a form by the noted amplitude and wavelength and one by the logs of outside simulations."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Final
+from typing import Final
 
 import numpy as np
 
@@ -27,13 +27,13 @@ class PayloadMass(Effect):
     where the model has slopes: in a model without them no payload does anything, and slopes that are off look alike.
     """
 
-    id: ClassVar[str] = "payload_mass"
-    title: ClassVar[str] = "a misreported payload mass"
-    implausible: ClassVar[str] = "radii that follow the load by a curved law"
-    family: ClassVar[Family] = Family.LOAD
-    needs: ClassVar[str] = "payloads, with distances or end poses"
-    separates: ClassVar[str] = "a third payload, weighed"
-    shifts: ClassVar[tuple[str, ...]] = ("radius_scale", "unequal_radii")
+    id = "payload_mass"
+    title = "a misreported payload mass"
+    implausible = "radii that follow the load by a curved law"
+    family = Family.LOAD
+    needs = "payloads, with distances or end poses"
+    separates = "a third payload, weighed"
+    shifts = ("radius_scale", "unequal_radii")
 
     def forms(self, s: Observations) -> list[Form]:
         """Return a form for each of the (at most six) payloads driven most, and one for all; none without payloads."""

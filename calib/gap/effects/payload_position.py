@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import numpy as np
 
 from calib.gap.data.observations import Observations
@@ -25,13 +23,13 @@ class PayloadPosition(Effect):
     the front wheel, so e_s and e_F go opposite ways. The slope is the mean of both wheels' (see `load_slopes`).
     """
 
-    id: ClassVar[str] = "payload_position"
-    title: ClassVar[str] = "a misreported payload position"
-    implausible: ClassVar[str] = "rear wheels of unequal radius, or loads that were misread"
-    family: ClassVar[Family] = Family.LOAD
-    needs: ClassVar[str] = "payloads, with headings or the front wheel"
-    separates: ClassVar[str] = "unladen runs beside laden ones"
-    shifts: ClassVar[tuple[str, ...]] = ("radius_scale", "unequal_radii")
+    id = "payload_position"
+    title = "a misreported payload position"
+    implausible = "rear wheels of unequal radius, or loads that were misread"
+    family = Family.LOAD
+    needs = "payloads, with headings or the front wheel"
+    separates = "unladen runs beside laden ones"
+    shifts = ("radius_scale", "unequal_radii")
 
     def forms(self, s: Observations) -> list[Form]:
         """Return a form sideways and one lengthways; none without payloads."""

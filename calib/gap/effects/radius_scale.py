@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import numpy as np
 
 from calib.gap.data.observations import Observations
@@ -17,15 +15,15 @@ __all__ = ["RadiusScale"]
 class RadiusScale(Effect):
     """e_s = -eps S, no heading error apart from the turn's own scale (calibration, absorbed by both radii)."""
 
-    id: ClassVar[str] = "radius_scale"
-    title: ClassVar[str] = "both effective radii off by the same share"
-    implausible: ClassVar[str] = "the encoder's counts per revolution, or a gear ratio"
-    family: ClassVar[Family] = Family.CALIBRATION
-    needs: ClassVar[str] = "distances or end positions"
-    separates: ClassVar[str] = "a distance taped on the floor, against the counts and the instrument"
-    hides_in: ClassVar[str] = "the wheel radii"
-    calibration_direction: ClassVar[tuple[float, ...] | None] = (1.0, 1.0, 0.0, 0.0)
-    typical: ClassVar[float] = 3e-3
+    id = "radius_scale"
+    title = "both effective radii off by the same share"
+    implausible = "the encoder's counts per revolution, or a gear ratio"
+    family = Family.CALIBRATION
+    needs = "distances or end positions"
+    separates = "a distance taped on the floor, against the counts and the instrument"
+    hides_in = "the wheel radii"
+    calibration_direction = (1.0, 1.0, 0.0, 0.0)
+    typical = 3e-3
 
     def forms(self, s: Observations) -> list[Form]:
         """Return the single form; it applies to any campaign."""

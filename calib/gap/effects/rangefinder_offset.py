@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import numpy as np
 
 from calib.gap.data.observations import Observations
@@ -17,12 +15,12 @@ __all__ = ["RangefinderOffset"]
 class RangefinderOffset(Effect):
     """The laser reads a constant too much, whatever the distance; end poses do not change."""
 
-    id: ClassVar[str] = "rangefinder_offset"
-    title: ClassVar[str] = "a constant offset of the rangefinder"
-    implausible: ClassVar[str] = "a start mark or target that moved"
-    family: ClassVar[Family] = Family.INSTRUMENT
-    needs: ClassVar[str] = "distances by the instrument"
-    separates: ClassVar[str] = "several distances, read at rest"
+    id = "rangefinder_offset"
+    title = "a constant offset of the rangefinder"
+    implausible = "a start mark or target that moved"
+    family = Family.INSTRUMENT
+    needs = "distances by the instrument"
+    separates = "several distances, read at rest"
 
     def forms(self, s: Observations) -> list[Form]:
         """Return the single form; none without a laser distance."""

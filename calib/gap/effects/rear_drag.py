@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import numpy as np
 
 from calib.arrays import FloatArray
@@ -21,14 +19,14 @@ class RearDrag(Effect):
     The sense is forward where any run rolls backward; else the ``direction`` label stands for it, out against back.
     """
 
-    id: ClassVar[str] = "rear_drag"
-    title: ClassVar[str] = "a rear wheel that drags one way"
-    implausible: ClassVar[str] = "unequal radii, or a brake that does not release"
-    family: ClassVar[Family] = Family.DIRECTION
-    of_rear_wheels: ClassVar[bool] = True
-    needs: ClassVar[str] = "runs forward and backward"
-    separates: ClassVar[str] = "the same way forward and backward"
-    shifts: ClassVar[tuple[str, ...]] = ("radius_scale", "unequal_radii")
+    id = "rear_drag"
+    title = "a rear wheel that drags one way"
+    implausible = "unequal radii, or a brake that does not release"
+    family = Family.DIRECTION
+    of_rear_wheels = True
+    needs = "runs forward and backward"
+    separates = "the same way forward and backward"
+    shifts = ("radius_scale", "unequal_radii")
 
     def forms(self, s: Observations) -> list[Form]:
         """Return a form for the left and one for the right wheel; none where everything rolls and goes one way."""

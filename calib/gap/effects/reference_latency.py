@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import numpy as np
 
 from calib.gap.data.observations import Observations
@@ -22,12 +20,12 @@ class ReferenceLatency(Effect):
     A window of a recording begins in motion too, and its start, from which all is counted, is as late as its end.
     """
 
-    id: ClassVar[str] = "reference_latency"
-    title: ClassVar[str] = "a reference that reads late"
-    implausible: ClassVar[str] = "an offset, or radii that follow the speed"
-    family: ClassVar[Family] = Family.REFERENCE
-    needs: ClassVar[str] = "readings taken while it rolls"
-    separates: ClassVar[str] = "readings after the stop beside readings on the move"
+    id = "reference_latency"
+    title = "a reference that reads late"
+    implausible = "an offset, or radii that follow the speed"
+    family = Family.REFERENCE
+    needs = "readings taken while it rolls"
+    separates = "readings after the stop beside readings on the move"
 
     def forms(self, s: Observations) -> list[Form]:
         """Return forms by instrument (end pose, laser, both); none where every run stands still when it is read."""

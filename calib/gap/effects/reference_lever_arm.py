@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import numpy as np
 
 from calib.arrays import FloatArray
@@ -21,12 +19,12 @@ __all__ = ["ReferenceLeverArm"]
 class ReferenceLeverArm(Effect):
     """A point l = (l_x, l_y) of the vehicle is read instead of its origin: the position moves by R(theta) l - l."""
 
-    id: ClassVar[str] = "reference_lever_arm"
-    title: ClassVar[str] = "a reference point off the middle of the rear axle"
-    implausible: ClassVar[str] = "heading errors in turns"
-    family: ClassVar[Family] = Family.REFERENCE
-    needs: ClassVar[str] = "end positions of runs that turn"
-    separates: ClassVar[str] = "turns on the spot"
+    id = "reference_lever_arm"
+    title = "a reference point off the middle of the rear axle"
+    implausible = "heading errors in turns"
+    family = Family.REFERENCE
+    needs = "end positions of runs that turn"
+    separates = "turns on the spot"
 
     def forms(self, s: Observations) -> list[Form]:
         """Return the single form; none without end positions or where no run ends turned against its start."""

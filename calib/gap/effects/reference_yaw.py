@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import numpy as np
 
 from calib.gap.data.observations import Observations
@@ -18,12 +16,12 @@ __all__ = ["ReferenceYaw"]
 class ReferenceYaw(Effect):
     """e_n = alpha_0 S on straight runs: the end pose is read in axes turned by alpha_0."""
 
-    id: ClassVar[str] = "reference_yaw"
-    title: ClassVar[str] = "reference axes turned against the start heading"
-    implausible: ClassVar[str] = "unequal radii, or a badly placed start"
-    family: ClassVar[Family] = Family.REFERENCE
-    needs: ClassVar[str] = "end positions"
-    separates: ClassVar[str] = "straight runs of several lengths"
+    id = "reference_yaw"
+    title = "reference axes turned against the start heading"
+    implausible = "unequal radii, or a badly placed start"
+    family = Family.REFERENCE
+    needs = "end positions"
+    separates = "straight runs of several lengths"
 
     def forms(self, s: Observations) -> list[Form]:
         """Return two forms: the position alone is turned, or position and heading; none without end poses."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import numpy as np
 
 from calib.gap.data.observations import Observations
@@ -18,14 +16,14 @@ __all__ = ["SessionStep"]
 class SessionStep(Effect):
     """A relative step of each radius in every session but the first, counted from the campaign's mean."""
 
-    id: ClassVar[str] = "session_step"
-    title: ClassVar[str] = "wheel radii that step from session to session"
-    implausible: ClassVar[str] = "wheels, encoders or set-up changed between sessions"
-    family: ClassVar[Family] = Family.DRIFT
-    needs: ClassVar[str] = "two sessions"
-    separates: ClassVar[str] = "one run repeated at the beginning of each session"
-    per_session: ClassVar[bool] = True
-    shifts: ClassVar[tuple[str, ...]] = ("radius_scale", "unequal_radii")
+    id = "session_step"
+    title = "wheel radii that step from session to session"
+    implausible = "wheels, encoders or set-up changed between sessions"
+    family = Family.DRIFT
+    needs = "two sessions"
+    separates = "one run repeated at the beginning of each session"
+    per_session = True
+    shifts = ("radius_scale", "unequal_radii")
 
     def forms(self, s: Observations) -> list[Form]:
         """Return the single form, a left and a right step a session but the first; none with one session."""

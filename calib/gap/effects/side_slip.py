@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.family import Family
@@ -16,12 +14,12 @@ __all__ = ["SideSlip"]
 class SideSlip(Effect):
     """A slip angle -K v^2 kappa: a step of ds moves -K v^2 kappa ds to the left, e_n ~ v^2 theta."""
 
-    id: ClassVar[str] = "side_slip"
-    title: ClassVar[str] = "side slip of the rear axle in fast turns"
-    implausible: ClassVar[str] = "load transfer, or a reference point off the rear axle"
-    family: ClassVar[Family] = Family.TURNING
-    needs: ClassVar[str] = "turns at known speeds, with end positions"
-    separates: ClassVar[str] = "turns at two speeds, the lateral position measured"
+    id = "side_slip"
+    title = "side slip of the rear axle in fast turns"
+    implausible = "load transfer, or a reference point off the rear axle"
+    family = Family.TURNING
+    needs = "turns at known speeds, with end positions"
+    separates = "turns at two speeds, the lateral position measured"
 
     def forms(self, s: Observations) -> list[Form]:
         """Return the single form; none where nothing turns, no speed is known or no position was measured."""

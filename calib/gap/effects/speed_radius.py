@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Centre, Effect, Form, Parameter, varies
 from calib.gap.effects.family import Family
@@ -16,15 +14,13 @@ __all__ = ["SpeedRadius"]
 class SpeedRadius(Effect):
     """dr / r = k (v - v_0) for both wheels, v_0 the campaign's mean speed; the speed of a run is its driven mean."""
 
-    id: ClassVar[str] = "speed_radius"
-    title: ClassVar[str] = "wheel radii that follow the speed"
-    shifts: ClassVar[tuple[str, ...]] = ("radius_scale",)
-    implausible: ClassVar[str] = (
-        "latency or lost counts (the centrifugal growth of a solid wheel is only about 6e-5 at 1 m/s)"
-    )
-    family: ClassVar[Family] = Family.SPEED
-    needs: ClassVar[str] = "two speeds"
-    separates: ClassVar[str] = "one route at several speeds, read after the stop"
+    id = "speed_radius"
+    title = "wheel radii that follow the speed"
+    shifts = ("radius_scale",)
+    implausible = "latency or lost counts (the centrifugal growth of a solid wheel is only about 6e-5 at 1 m/s)"
+    family = Family.SPEED
+    needs = "two speeds"
+    separates = "one route at several speeds, read after the stop"
 
     def forms(self, s: Observations) -> list[Form]:
         """Return the single form; none where all runs were driven alike."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Final
+from typing import Final
 
 import numpy as np
 
@@ -31,12 +31,12 @@ class SteeringBacklash(Effect):
     moves. Where it sits beyond the play, it follows what the wheel does, which the rear wheels tell, and lags.
     """
 
-    id: ClassVar[str] = "steering_backlash"
-    title: ClassVar[str] = "backlash in the steering"
-    implausible: ClassVar[str] = "a steering angle whose zero is off"
-    family: ClassVar[Family] = Family.STEERING
-    needs: ClassVar[str] = "the front wheel in the log, turned both ways"
-    separates: ClassVar[str] = "one angle approached from the left and from the right"
+    id = "steering_backlash"
+    title = "backlash in the steering"
+    implausible = "a steering angle whose zero is off"
+    family = Family.STEERING
+    needs = "the front wheel in the log, turned both ways"
+    separates = "one angle approached from the left and from the right"
 
     def forms(self, s: Observations) -> list[Form]:
         """Return forms that follow the moves through plays of several widths, and one by the side of the turn."""

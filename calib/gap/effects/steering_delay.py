@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import numpy as np
 
 from calib.arrays import FloatArray
@@ -21,12 +19,12 @@ class SteeringDelay(Effect):
     On a run at one speed e_delta = -v tau (delta_end - delta_start) / L.
     """
 
-    id: ClassVar[str] = "steering_delay"
-    title: ClassVar[str] = "a steering angle that is logged late"
-    implausible: ClassVar[str] = "a steering angle of wrong scale"
-    family: ClassVar[Family] = Family.STEERING
-    needs: ClassVar[str] = "the front wheel in a log with times"
-    separates: ClassVar[str] = "runs that end in a turn"
+    id = "steering_delay"
+    title = "a steering angle that is logged late"
+    implausible = "a steering angle of wrong scale"
+    family = Family.STEERING
+    needs = "the front wheel in a log with times"
+    separates = "runs that end in a turn"
 
     def forms(self, s: Observations) -> list[Form]:
         """Return the single form; none where the steering does not move or the log has no times."""

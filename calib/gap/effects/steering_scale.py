@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import numpy as np
 
 from calib.gap.data.observations import Observations
@@ -19,12 +17,12 @@ __all__ = ["SteeringScale"]
 class SteeringScale(Effect):
     """The logged angle is (1 + k) times the true one, or the wheelbase is (1 + k) times the believed one."""
 
-    id: ClassVar[str] = "steering_scale"
-    title: ClassVar[str] = "a steering angle of wrong scale, or a wrong wheelbase"
-    implausible: ClassVar[str] = "slip of the front wheel"
-    family: ClassVar[Family] = Family.STEERING
-    needs: ClassVar[str] = "the front wheel in the log, turned"
-    separates: ClassVar[str] = "several steering angles"
+    id = "steering_scale"
+    title = "a steering angle of wrong scale, or a wrong wheelbase"
+    implausible = "slip of the front wheel"
+    family = Family.STEERING
+    needs = "the front wheel in the log, turned"
+    separates = "several steering angles"
 
     def forms(self, s: Observations) -> list[Form]:
         """Return a form for the angle and one for the wheelbase; none where the front wheel is never turned."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import numpy as np
 
 from calib.gap.data.observations import Observations
@@ -17,12 +15,12 @@ __all__ = ["SteeringZero"]
 class SteeringZero(Effect):
     """The logged angle is too large by delta_0: e_delta = S delta_0 / L on a straight."""
 
-    id: ClassVar[str] = "steering_zero"
-    title: ClassVar[str] = "a steering angle whose zero is off"
-    implausible: ClassVar[str] = "backlash, or rear wheels of unequal radius"
-    family: ClassVar[Family] = Family.STEERING
-    needs: ClassVar[str] = "the front wheel in the log"
-    separates: ClassVar[str] = "forward and back"
+    id = "steering_zero"
+    title = "a steering angle whose zero is off"
+    implausible = "backlash, or rear wheels of unequal radius"
+    family = Family.STEERING
+    needs = "the front wheel in the log"
+    separates = "forward and back"
 
     def forms(self, s: Observations) -> list[Form]:
         """Return the single form; none without a front wheel in the log."""

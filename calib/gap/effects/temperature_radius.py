@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Centre, Effect, Form, Parameter, varies
 from calib.gap.effects.family import Family
@@ -15,13 +13,13 @@ __all__ = ["TemperatureRadius"]
 class TemperatureRadius(Effect):
     """dr / r = alpha (T - T_0) for both wheels, T_0 the campaign's mean temperature."""
 
-    id: ClassVar[str] = "temperature_radius"
-    title: ClassVar[str] = "wheel radii that follow the temperature"
-    implausible: ClassVar[str] = "wear, or something else that changed with the session"
-    family: ClassVar[Family] = Family.DRIFT
-    needs: ClassVar[str] = "temperature_C that varies"
-    separates: ClassVar[str] = "cold and warm runs within one session"
-    shifts: ClassVar[tuple[str, ...]] = ("radius_scale",)
+    id = "temperature_radius"
+    title = "wheel radii that follow the temperature"
+    implausible = "wear, or something else that changed with the session"
+    family = Family.DRIFT
+    needs = "temperature_C that varies"
+    separates = "cold and warm runs within one session"
+    shifts = ("radius_scale",)
 
     def forms(self, s: Observations) -> list[Form]:
         """Return the single form; none where the temperature is not known or does not vary."""

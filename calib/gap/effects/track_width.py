@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import numpy as np
 
 from calib.gap.data.observations import Observations
@@ -17,16 +15,16 @@ __all__ = ["TrackWidth"]
 class TrackWidth(Effect):
     """e_theta = -(db / b) theta (Eq. 16, E_b)."""
 
-    id: ClassVar[str] = "track_width"
-    title: ClassVar[str] = "a track other than believed"
-    implausible: ClassVar[str] = "the reference's scale, or scrubbing in tight turns"
-    family: ClassVar[Family] = Family.CALIBRATION
-    of_rear_wheels: ClassVar[bool] = True
-    needs: ClassVar[str] = "headings after turns"
-    separates: ClassVar[str] = "turns of several curvatures at several speeds"
-    hides_in: ClassVar[str] = "the track width"
-    calibration_direction: ClassVar[tuple[float, ...] | None] = (0.0, 0.0, 1.0, 0.0)
-    typical: ClassVar[float] = 1e-2
+    id = "track_width"
+    title = "a track other than believed"
+    implausible = "the reference's scale, or scrubbing in tight turns"
+    family = Family.CALIBRATION
+    of_rear_wheels = True
+    needs = "headings after turns"
+    separates = "turns of several curvatures at several speeds"
+    hides_in = "the track width"
+    calibration_direction = (0.0, 0.0, 1.0, 0.0)
+    typical = 1e-2
 
     def forms(self, s: Observations) -> list[Form]:
         """Return the single form; it applies to any campaign."""

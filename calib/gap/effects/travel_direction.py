@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import numpy as np
 
 from calib.arrays import FloatArray
@@ -18,13 +16,13 @@ __all__ = ["TravelDirection"]
 class TravelDirection(Effect):
     """dr / r = d sigma for both wheels, sigma +1 out and -1 back."""
 
-    id: ClassVar[str] = "travel_direction"
-    title: ClassVar[str] = "a difference between driving out and back"
-    implausible: ClassVar[str] = "a sloping floor, or a start mark that differs"
-    family: ClassVar[Family] = Family.DIRECTION
-    needs: ClassVar[str] = "runs out and back"
-    separates: ClassVar[str] = "the vehicle turned by 180 degrees on the same lane"
-    shifts: ClassVar[tuple[str, ...]] = ("radius_scale",)
+    id = "travel_direction"
+    title = "a difference between driving out and back"
+    implausible = "a sloping floor, or a start mark that differs"
+    family = Family.DIRECTION
+    needs = "runs out and back"
+    separates = "the vehicle turned by 180 degrees on the same lane"
+    shifts = ("radius_scale",)
 
     def forms(self, s: Observations) -> list[Form]:
         """Return two forms, unlike in runs of neither direction; none where all runs go one way."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import ClassVar, Final
+from typing import Final
 
 import numpy as np
 
@@ -40,8 +40,8 @@ class TurnedReference:
         The angle and its standard uncertainty.
     """
 
-    effect: ClassVar[type[ReferenceYaw]] = ReferenceYaw
-    label: ClassVar[str] = "the sensor is mounted turned"
+    effect = ReferenceYaw
+    label = "the sensor is mounted turned"
     yaw_rad: float
     sd_rad: float
 

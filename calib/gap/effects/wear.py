@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import numpy as np
 
 from calib.arrays import FloatArray
@@ -19,13 +17,13 @@ __all__ = ["Wear"]
 class Wear(Effect):
     """dr_i / r_i = w_i times the km driven in the campaign, or the number of the session; each wheel its own w."""
 
-    id: ClassVar[str] = "wear"
-    title: ClassVar[str] = "wheels that wear"
-    implausible: ClassVar[str] = "temperature, or something else that drifted over the campaign"
-    family: ClassVar[Family] = Family.DRIFT
-    needs: ClassVar[str] = "travelled_km, or two sessions"
-    separates: ClassVar[str] = "a reference run repeated over many kilometres"
-    shifts: ClassVar[tuple[str, ...]] = ("radius_scale", "unequal_radii")
+    id = "wear"
+    title = "wheels that wear"
+    implausible = "temperature, or something else that drifted over the campaign"
+    family = Family.DRIFT
+    needs = "travelled_km, or two sessions"
+    separates = "a reference run repeated over many kilometres"
+    shifts = ("radius_scale", "unequal_radii")
 
     def forms(self, s: Observations) -> list[Form]:
         """Return a form per km and, with two sessions and more, one per session."""

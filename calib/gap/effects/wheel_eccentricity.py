@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import numpy as np
 
 from calib.arrays import FloatArray
@@ -23,13 +21,13 @@ class WheelEccentricity(Effect):
     where the counter keeps its place between them.
     """
 
-    id: ClassVar[str] = "wheel_eccentricity"
-    title: ClassVar[str] = "an eccentric wheel"
-    implausible: ClassVar[str] = "a slipping encoder coupling"
-    family: ClassVar[Family] = Family.COUNTS
-    of_rear_wheels: ClassVar[bool] = True
-    needs: ClassVar[str] = "logs"
-    separates: ClassVar[str] = "the log within a run"
+    id = "wheel_eccentricity"
+    title = "an eccentric wheel"
+    implausible = "a slipping encoder coupling"
+    family = Family.COUNTS
+    of_rear_wheels = True
+    needs = "logs"
+    separates = "the log within a run"
 
     def forms(self, s: Observations) -> list[Form]:
         """Return forms for the left wheel, the right wheel and both; none without logs."""
