@@ -20,7 +20,6 @@ def read_or_ingest(
     *,
     mapping: Path | None = None,
     lenient: bool = False,
-    logs: bool = True,
     progress: Progress = silent,
 ) -> Campaign:
     """Read a campaign folder, or make a campaign out of a recording or table as `ingest` would, and read that.
@@ -31,7 +30,7 @@ def read_or_ingest(
         A campaign folder; or a file, or the folder of a rosbag2 recording.
     mapping : Path, optional
         The mapping of a file; a campaign folder takes none.
-    lenient, logs : bool
+    lenient : bool
         As for `read_campaign`.
     progress : callable
         See `calib.progress.Progress`.
@@ -52,15 +51,15 @@ def read_or_ingest(
             raise BadInputError(
                 f"{path}: found a campaign and a mapping; expected a mapping only with a recording; leave it out"
             )
-        return read_campaign(path, lenient=lenient, logs=logs, progress=progress)
+        return read_campaign(path, lenient=lenient, progress=progress)
     if not path.exists():
-        return read_campaign(path, lenient=lenient, logs=logs, progress=progress)
+        return read_campaign(path, lenient=lenient, progress=progress)
     from calib.campaign.ingest.run import ingest
 
     with tempfile.TemporaryDirectory(prefix="calib-") as place:
         folder = Path(place) / (path.stem or "campaign")
         made = ingest([path], folder, mapping=mapping, progress=progress)
-        campaign = read_campaign(folder, lenient=lenient, logs=logs, progress=progress)
+        campaign = read_campaign(folder, lenient=lenient, progress=progress)
     known = {(note.code, note.text) for note in campaign.notes}
     notes = (*(note for note in made.notes if (note.code, note.text) not in known), *campaign.notes)
     return replace(campaign, root=None, notes=notes)

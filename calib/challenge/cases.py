@@ -200,13 +200,13 @@ def _draw(recipe: Recipe, seed: int, max_runs: int, redraw: int) -> Truth:
     )
 
 
-def campaigns_of(truth: Truth, *, fresh: bool = True) -> tuple[Campaign, Campaign | None]:
+def campaigns_of(truth: Truth) -> tuple[Campaign, Campaign]:
     """Return the campaign of a case, and a fresh one: the same truth driven again with other noise."""
     recipe = truth.recipe
     design = case_design(recipe, truth.seed, truth.max_runs, truth.redraw)
 
     rng = np.random.default_rng([truth.seed, recipe.number, 2, truth.redraw])
     # both are called what the case is called: a name must not tell them apart
-    names = (recipe.case,) * (2 if fresh else 1)
-    campaigns = make_campaigns(design, truth.causes, rng, noise=truth.noise, model=truth.model, names=names)
-    return campaigns[0], campaigns[1] if fresh else None
+    names = (recipe.case, recipe.case)
+    campaign, fresh = make_campaigns(design, truth.causes, rng, noise=truth.noise, model=truth.model, names=names)
+    return campaign, fresh

@@ -63,9 +63,8 @@ def steps(
     *,
     radius_left_m: npt.ArrayLike,
     radius_right_m: npt.ArrayLike,
-    start_heading_rad: npt.ArrayLike = 0.0,
 ) -> PathSteps:
-    """Return a path in exact arcs with its derivatives, from (0, 0) at `start_heading_rad`.
+    """Return a path in exact arcs with its derivatives, from (0, 0) along x.
 
     Parameters
     ----------
@@ -73,13 +72,11 @@ def steps(
         Travel of the wheels in each step.
     track_m, radius_left_m, radius_right_m : array_like of float
         Track, and the radii the travel was computed with; broadcast to the travel's shape.
-    start_heading_rad : array_like of float, shape () or (...)
-        Heading at the start.
     """
     left, right = np.asarray(travel_left_m, dtype=np.float64), np.asarray(travel_right_m, dtype=np.float64)
     track = np.asarray(track_m, dtype=np.float64)
     path, turn = 0.5 * (left + right), (right - left) / track
-    theta = np.cumsum(turn, axis=-1) + np.asarray(start_heading_rad, dtype=np.float64)[..., None]
+    theta = np.cumsum(turn, axis=-1)
     half = 0.5 * turn
     ratio, slope = sinc(half), _sinc_slope(half)
     cos, sin = np.cos(theta - half), np.sin(theta - half)

@@ -60,12 +60,6 @@ class Poses:
             by.theta_rad + self.theta_rad,
         )
 
-    def seen_from(self, frame: Poses) -> Poses:
-        """Return the poses as seen from `frame`: the inverse of `moved`."""
-        cosine, sine = np.cos(frame.theta_rad), np.sin(frame.theta_rad)
-        dx, dy = self.x_m - frame.x_m, self.y_m - frame.y_m
-        return Poses(cosine * dx + sine * dy, cosine * dy - sine * dx, self.theta_rad - frame.theta_rad)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseErrors:

@@ -115,35 +115,33 @@ class WheelFit:
     cook: FloatArray
     checks: tuple[Check, ...] = ()
 
-    def mean_band_m(self, load_N: npt.ArrayLike, coverage: float = COVERAGE) -> tuple[FloatArray, FloatArray]:
-        """Return the band of the regression mean (Fig. 11).
+    def mean_band_m(self, load_N: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Return the 95 % band of the regression mean (Fig. 11).
 
         Parameters
         ----------
         load_N : array_like of float, any shape
             Wheel loads.
-        coverage : float
-            Coverage at each load.
 
         Returns
         -------
         low, high : array of float, same shape
             In m.
         """
-        centre, half = self._band(load_N, coverage, single=False)
+        centre, half = self._band(load_N, single=False)
         return centre - half, centre + half
 
-    def prediction_band_m(self, load_N: npt.ArrayLike, coverage: float = COVERAGE) -> tuple[FloatArray, FloatArray]:
+    def prediction_band_m(self, load_N: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return the band that holds the radius of one further run in a session of its own; see `mean_band_m`."""
-        centre, half = self._band(load_N, coverage, single=True)
+        centre, half = self._band(load_N, single=True)
         return centre - half, centre + half
 
-    def _band(self, load_N: npt.ArrayLike, coverage: float, *, single: bool) -> tuple[FloatArray, FloatArray]:
+    def _band(self, load_N: npt.ArrayLike, *, single: bool) -> tuple[FloatArray, FloatArray]:
         load = np.asarray(load_N, dtype=np.float64)
         contrast = np.stack((np.ones_like(load), load - self.law.reference_load_N), axis=-1)
         half = self.estimate.half_width(
             contrast,
-            coverage,
+            COVERAGE,
             more_within=self.run_std_m**2 if single else 0.0,
             more_between=self.session_std_m**2 if single else 0.0,
         )
@@ -157,9 +155,9 @@ def t_quantile(dof: npt.ArrayLike, coverage: float = COVERAGE) -> FloatArray:
     return np.asarray(stdtrit(np.asarray(dof, dtype=np.float64), 0.5 + coverage / 2))
 
 
-def t_interval(value: float, std: float, dof: float, coverage: float = COVERAGE) -> tuple[float, float]:
-    """Return ``value +- t std``."""
-    half = float(t_quantile(dof, coverage)) * float(std)
+def t_interval(value: float, std: float, dof: float) -> tuple[float, float]:
+    """Return the 95 % interval ``value +- t std``."""
+    half = float(t_quantile(dof)) * float(std)
     return float(value) - half, float(value) + half
 
 

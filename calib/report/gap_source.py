@@ -13,14 +13,13 @@ from calib.gap.diagnosis import Diagnosis
 from calib.gap.predict.residuals import residuals
 from calib.gap.verdict.paper_headline import headline
 from calib.gap.where.covariates import covariate_values
-from calib.progress import Progress, silent
 from calib.report.gap_findings import GapFindings
 from calib.report.source import Source
 
 __all__ = ["findings_of", "with_diagnosis"]
 
 
-def with_diagnosis(source: Source, campaign: Campaign, *, seed: int = 0, progress: Progress = silent) -> Source:
+def with_diagnosis(source: Source, campaign: Campaign) -> Source:
     """Return `source` with the findings of a diagnosis of its campaign.
 
     Parameters
@@ -29,17 +28,13 @@ def with_diagnosis(source: Source, campaign: Campaign, *, seed: int = 0, progres
         From `calib.report.source.source_of`.
     campaign : Campaign
         The same campaign.
-    seed : int
-        For the diagnosis.
-    progress : callable
-        See `calib.progress.Progress`.
 
     Raises
     ------
     RefusedError
         Where the campaign cannot be diagnosed.
     """
-    return replace(source, gap=findings_of(diagnose_in_full(campaign, seed=seed, progress=progress)))
+    return replace(source, gap=findings_of(diagnose_in_full(campaign)))
 
 
 def findings_of(diagnosis: Diagnosis) -> GapFindings:

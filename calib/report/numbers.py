@@ -93,9 +93,9 @@ def aligned(rows: Iterable[Sequence[str]], *columns: int) -> tuple[tuple[str, ..
     return tuple(tuple(row) for row in made)
 
 
-def plural(count: int, one: str, many: str = "") -> str:
+def plural(count: int, noun: str) -> str:
     """Return a count with its noun."""
-    return f"{count} {one if count == 1 else many or one + 's'}"
+    return f"{count} {noun if count == 1 else noun + 's'}"
 
 
 def prose(text: str) -> str:

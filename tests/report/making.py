@@ -66,7 +66,7 @@ def findings(seed: int = 0, n: int = 48) -> GapFindings:
         undetectable=(Detectable("side_slip", "2 mrad per m/s^2"), Detectable("wear", "nothing varies", never=True)),
         where=Where(
             channels=tuple(
-                ChannelGap(Channel.from_label(name), 0.02, float(NOISE[k])) for k, (name, _) in enumerate(CHANNELS)
+                ChannelGap(Channel[name.upper()], 0.02, float(NOISE[k])) for k, (name, _) in enumerate(CHANNELS)
             ),
             covariates=(CovariateLine("turn_rad", Channel.HEADING, 0.9, (0.8, 0.95), 1e-9, significant=True),),
             runs=(RunLine("r_004", Channel.LATERAL, 0.034, 0.008, 4.2),),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -191,8 +190,3 @@ def _column_lines(column: ColumnFound, alike: Sequence[ColumnFound]) -> list[str
 
 def _short(value: float) -> str:
     return f"{value:.6g}"
-
-
-def folder_of(text: str) -> str:
-    """Return a path as the command line takes it, in quotes where it holds a blank."""
-    return f"'{text}'" if re.search(r"\s", text) else text

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -223,8 +223,3 @@ def _with_unit(found: ColumnFound, unit: str) -> ColumnFound:
     from dataclasses import replace
 
     return replace(found, unit=unit)
-
-
-def same_columns(files: Sequence[FileFound]) -> bool:
-    """Return whether files hold the same columns."""
-    return len({tuple(column.name for column in one.columns) for one in files}) <= 1

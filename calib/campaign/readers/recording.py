@@ -207,15 +207,13 @@ def interpolated(stream: Stream, column: str, at_ns: IntArray, *, shift_ns: int 
     return out
 
 
-def joined_table(recording: Recording, base: Stream | None = None) -> RawTable:
-    """Return the recording as one table on the times of one stream, the others interpolated.
+def joined_table(recording: Recording) -> RawTable:
+    """Return the recording as one table on the times of the stream with most samples, the others interpolated.
 
     Parameters
     ----------
     recording : Recording
         Its streams.
-    base : Stream, optional
-        Whose times to take; by default those of the stream with most samples.
 
     Returns
     -------
@@ -224,7 +222,7 @@ def joined_table(recording: Recording, base: Stream | None = None) -> RawTable:
     """
     if not recording.streams:
         return RawTable({}, np.zeros(0, dtype=np.int64), recording.notes)
-    base = base or max(recording.streams, key=len)
+    base = max(recording.streams, key=len)
     columns: dict[str, npt.NDArray[Any]] = {}
     time = base.time_ns
     if time is not None and len(time) and "t_s" not in recording.column_names:

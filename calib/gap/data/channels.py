@@ -32,14 +32,6 @@ class Channel(IntEnum):
         """``m`` or ``rad``."""
         return "rad" if self in {Channel.HEADING, Channel.STEERING} else "m"
 
-    @classmethod
-    def from_label(cls, label: str) -> Channel:
-        """Return the channel of a label; ValueError where there is none."""
-        for channel in cls:
-            if channel.label == label:
-                return channel
-        raise ValueError(f"found channel {label!r}; expected one of {', '.join(channel.label for channel in cls)}")
-
 
 N_CHANNELS: Final = len(Channel)
 #: channels of an end pose's position

@@ -196,10 +196,10 @@ def entry_point_effects(taken: Collection[str], points: Sequence[EntryPoint] | N
     return [effect for _, effect in _offered(taken, points)]
 
 
-def entry_point_origins(points: Sequence[EntryPoint] | None = None) -> dict[str, str]:
+def entry_point_origins() -> dict[str, str]:
     """Return which package each effect of an entry point comes from, by its id; see `entry_point_effects`."""
     origins = {}
-    for point, effect in _offered((), points):
+    for point, effect in _offered((), None):
         package = (
             "an installed package" if point.dist is None else f"the package {point.dist.name} {point.dist.version}"
         )

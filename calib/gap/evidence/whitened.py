@@ -7,7 +7,7 @@ import numpy as np
 from calib.arrays import FloatArray, IntArray
 from calib.gap.effects.effect import Form
 from calib.gap.evidence.marginal import CALIBRATION_SD, form_columns, rows
-from calib.gap.evidence.noise import Noise, interactions, surroundings
+from calib.gap.evidence.noise import Noise
 from calib.gap.evidence.system import LinearSystem
 from calib.gap.predict.path import Path
 from calib.gap.predict.residuals import residuals
@@ -52,33 +52,4 @@ class WhitenedSystem:
         labels, index = np.unique(self.condition, return_inverse=True)
         made = np.zeros((len(contribution), len(labels)))
         made[np.arange(len(contribution)), index] = contribution
-        return made
-
-    def unknown_columns(self) -> list[FloatArray]:
-        """Return columns of an unknown cause: offsets of the calibration by condition, and of channels by condition.
-
-        Each is scaled so that 1 is about the floor of one unit. What was driven once has no offset of its own: that
-        would be noise by another name.
-        """
-        n = len(self.unit)
-        norm = np.sqrt((self.calibration[:, :3] ** 2).sum(axis=0) / max(len(self.path.s), 1))
-        present = np.flatnonzero(self.path.s.usable.any(axis=0))
-        wide = np.zeros((len(self.path.s), 6, len(present)))
-        for number, channel in enumerate(present):
-            wide[:, channel, number] = self.noise.floor[:, channel]
-        white = rows(self.path, self.noise, wide)
-        made = []
-        for cells in (self.path.s.condition, self.path.s.cell):
-            repeated = (np.bincount(cells)[cells] > 1)[self.unit]
-            if not repeated.any():
-                continue
-            labels, index = np.unique(cells[self.unit[repeated]], return_inverse=True)
-            for columns in (self.calibration[:, :3] / np.maximum(norm, 1e-12), white):
-                spread = np.zeros((n, len(labels), columns.shape[1]))
-                spread[np.flatnonzero(repeated), index] = columns[repeated]
-                made.append(spread.reshape(n, -1))
-        for columns in (surroundings(self.path), *interactions(self.path)):
-            if columns.shape[2]:
-                trend = rows(self.path, self.noise, columns)
-                made.append(trend / np.maximum(np.sqrt((trend**2).mean(axis=0)), 1e-12))
         return made

@@ -28,21 +28,18 @@ POSE: Final = slice(1, 4)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Growth:
-    """Mean squares of what is left in windows of several lengths, and what they are made of.
+    """What the mean squares of what is left in windows of several lengths are made of.
 
     Parameters
     ----------
     length_m : array of float, shape (n_lengths,)
         Mean length of the windows.
-    mean_square : array of float, shape (n_lengths, 3)
-        Of what is left along, lateral and in the heading.
     parts : array of float, shape (3, 3)
-        For each of the three, mean squares at the shortest length that are constant, grow with the length, and grow
-        with its square.
+        For what is left along, lateral and in the heading, mean squares at the shortest length that are constant, grow
+        with the length, and grow with its square.
     """
 
     length_m: FloatArray
-    mean_square: FloatArray
     parts: FloatArray
 
     @property
@@ -50,14 +47,6 @@ class Growth:
         """Root mean square that is noise in the shortest windows, along, lateral, heading, shape (3,)."""
         rms: FloatArray = np.sqrt(self.parts[:, 0] + self.parts[:, 1])
         return rms
-
-    @property
-    def systematic_share(self) -> FloatArray:
-        """Share of the mean square in the longest windows that grew in proportion to the length, shape (3,)."""
-        times = self.length_m[-1] / self.length_m[0]
-        grown = self.parts * np.array([1.0, times, times**2])
-        share: FloatArray = grown[:, 2] / np.maximum(grown.sum(axis=1), 1e-300)
-        return share
 
 
 def window_growth(path: Path) -> Growth | None:
@@ -87,7 +76,7 @@ def window_growth(path: Path) -> Growth | None:
     # each length weighs as its relative uncertainty: half as many windows, a root of two more uncertain
     weight = 1.0 / (np.maximum(square, 1e-300) * np.sqrt(times)[:, None])
     parts = np.stack([nnls(laws * weight[:, [k]], square[:, k] * weight[:, k])[0] for k in range(3)])
-    return Growth(length, square, parts)
+    return Growth(length, parts)
 
 
 def _chains(path: Path) -> list[tuple[int, int]]:

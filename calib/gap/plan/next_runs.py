@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -86,21 +86,19 @@ class Outlook:
         }
 
 
-def outlook_of(campaign: Campaign, scales: Mapping[str, float] | None = None, progress: Progress = silent) -> Outlook:
+def outlook_of(campaign: Campaign, progress: Progress = silent) -> Outlook:
     """Return what the runs of a campaign, driven or not, can show of the whole library.
 
     Parameters
     ----------
     campaign : Campaign
         The runs; of `calib.gap.plan.planned_runs.drive` where they are only planned.
-    scales : mapping of str to float, optional
-        Scales of the noise; prior medians where missing.
     progress : callable
         See `calib.progress.Progress`.
     """
     s = observations_of(campaign)
     path = predict(s)
-    noise = noise_at(path, scales or {})
+    noise = noise_at(path, {})
     effects = library(s, declared=campaign.extra.get("effects", ()))
     made = Signatures(path, noise, effects)
     signal, distance = made.distances(made.gram(np.ones(len(s), dtype=bool)))

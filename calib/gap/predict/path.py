@@ -29,7 +29,7 @@ class Path:
         What was driven.
     ds_left_m, ds_right_m : array of float, shape (n_steps,)
         Travel of the wheels.
-    ds_m, turn_rad, slip_m : array of float, shape (n_steps,)
+    ds_m, turn_rad : array of float, shape (n_steps,)
         Motion of the axle's middle along, around and to its left.
     track_m : array of float, shape (n_steps,) or float
         Track.
@@ -46,7 +46,6 @@ class Path:
     ds_right_m: FloatArray
     ds_m: FloatArray
     turn_rad: FloatArray
-    slip_m: FloatArray
     track_m: FloatArray
     mid_rad: FloatArray
     x_m: FloatArray
@@ -189,7 +188,6 @@ def predict(s: Observations, pushes: list[Push] | None = None) -> Path:
         ds_right_m=right,
         ds_m=ds,
         turn_rad=turn,
-        slip_m=slip,
         track_m=track,
         mid_rad=mid,
         x_m=x - 0.5 * dx,

@@ -208,8 +208,6 @@ def law_path(
     track_m: float,
     track_std_m: float = 0.0,
     walk: RandomWalk | None = None,
-    single_run: bool = True,
-    spacing_m: float = SPACING_M,
     draws: int = 20_000,
     rng: np.random.Generator | None = None,
 ) -> LawPath:
@@ -229,10 +227,6 @@ def law_path(
         Track, believed and real, and its standard uncertainty.
     walk : RandomWalk, optional
         Random part of the error; None: none.
-    single_run : bool
-        Whether the scatter of single runs about the law counts, beside the uncertainty of its mean.
-    spacing_m : float
-        Spacing of the points.
     draws : int
         Draws for the interval of the ratio.
     rng : numpy.random.Generator, optional
@@ -248,12 +242,12 @@ def law_path(
             f"loads along the path: found a change at {loading.from_m[-1]:g} m; expected one before the end of "
             f"{route.name} at {route.total_m:g} m; correct the distance"
         )
-    fine = route.cut(loading.from_m).divided(spacing_m)
+    fine = route.cut(loading.from_m).divided(SPACING_M)
     distance, reference = fine.distance_m(), fine.poses()
     loads = loading.at(distance[:-1])
     real = radii_under_load(law, *loads)
     kept = radii_under_load(law, *reference_N)
-    spread = parameter_covariance(law, track_std_m=track_std_m, single_run=single_run)
+    spread = parameter_covariance(law, track_std_m=track_std_m)
     half = 0.5 * track_m * fine.turn_rad
     driven = []
     for believed in (kept, real):

@@ -8,7 +8,7 @@ loads, of each step. The vehicle's own runtime is fed the same logs.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -29,6 +29,9 @@ from calib.radius.law import RadiusLaw
 __all__ = ["METHODS", "Replay", "RuntimeCheck", "replay", "runtime_check"]
 
 METHODS = ("model", "constant", "corrected")
+
+#: of the bootstrap over runs
+RESAMPLES: Final = 2000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,7 +133,6 @@ def replay(
     rng: np.random.Generator,
     scheme: str = "exact",
     runtime_runs: int = 20,
-    resamples: int = 2000,
 ) -> Replay:
     """Replay the logged runs of a campaign.
 
@@ -146,8 +148,6 @@ def replay(
         Integration scheme; see `calib.motion.odometry.integrate.SCHEMES`.
     runtime_runs : int
         How many runs the runtime is fed.
-    resamples : int
-        Resamples of the bootstrap.
 
     Raises
     ------
@@ -179,7 +179,7 @@ def replay(
             "give coefficients that were measured under these loads"
         )
     square = {method: errors[method].distance_m[in_range] ** 2 for method in METHODS}
-    picks = rng.integers(0, in_range.sum(), size=(resamples, int(in_range.sum())))
+    picks = rng.integers(0, in_range.sum(), size=(RESAMPLES, int(in_range.sum())))
     means = {method: square[method][picks].mean(axis=1) for method in ("constant", "corrected")}
     low, high = np.quantile(np.sqrt(means["constant"] / np.maximum(means["corrected"], 1e-300)), [0.025, 0.975])
     rms = {method: float(np.sqrt(part.mean())) for method, part in square.items()}

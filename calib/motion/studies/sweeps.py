@@ -204,9 +204,9 @@ class Sweep:
             rows += [named | dict(zip(("distance_m", *columns), row, strict=True)) for row in values]
         return rows
 
-    def largest_m(self, field: str = "error_global_x_m") -> float:
-        """Return the largest end error of the sweep by absolute value."""
-        return max(abs(float(row[field])) for row in self.ends())
+    def largest_m(self) -> float:
+        """Return the largest error in global x at the end of the route, by absolute value."""
+        return float(np.abs(self.errors.global_x_m[:, -1]).max())
 
 
 def run_sweep(
@@ -215,7 +215,6 @@ def run_sweep(
     *,
     track_m: float = 0.7,
     real_track_m: float | None = None,
-    spacing_m: float = SPACING_M,
 ) -> Sweep:
     """Drive vehicles with different radii over a route.
 
@@ -227,8 +226,6 @@ def run_sweep(
         Vehicles; only the ratios of real to believed radii matter.
     track_m, real_track_m : float
         Track that the odometry believes, and the real one (None: the same).
-    spacing_m : float
-        Spacing of the points.
     """
     way = find_route(route) if isinstance(route, str) else route
     vehicles = tuple(cases)
@@ -238,7 +235,7 @@ def run_sweep(
         np.array([case.right for case in vehicles]),
         track_m if real_track_m is None else real_track_m,
     )
-    fine = way.divided(spacing_m)
+    fine = way.divided(SPACING_M)
     reference, poses = fine.poses(), follow(fine, believed, real)
     return Sweep(
         route=way,
