@@ -48,8 +48,10 @@ class RunDeviations:
         Relative excess of each path over S_O.
     small_amplitude : array of float
         Excess of the weave alone by the small-amplitude form.
+    error_left, error_right : array of float
+        Relative error of the radii if the path were not corrected.
     error_left_m, error_right_m : array of float
-        Error of the radii if the path were not corrected, on the nominal radius.
+        The same in m on the nominal radius.
     allowed_amplitude_m : array of float
         Largest amplitude of that wavelength on that run that keeps both radii within tolerance.
     arc_turn_rad, arc_excess : array of float
@@ -71,6 +73,8 @@ class RunDeviations:
     excess_left: FloatArray
     excess_right: FloatArray
     small_amplitude: FloatArray
+    error_left: FloatArray
+    error_right: FloatArray
     error_left_m: FloatArray
     error_right_m: FloatArray
     allowed_amplitude_m: FloatArray
@@ -180,6 +184,8 @@ def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
         excess_left=path.left + blank,
         excess_right=path.right + blank,
         small_amplitude=small,
+        error_left=error["left"] + blank,
+        error_right=error["right"] + blank,
         error_left_m=error["left"] * vehicle.wheel_radius_m + blank,
         error_right_m=error["right"] * vehicle.wheel_radius_m + blank,
         allowed_amplitude_m=allowed,
