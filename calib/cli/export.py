@@ -10,6 +10,7 @@ import typer
 
 from calib.cli.options import AcceptImplausible, Force, JsonTarget, refuse_existing
 from calib.cli.terminal import emit_json, emit_text, note, wants_stdout, wrote
+from calib.coefficients.formats import FORMATS
 
 if TYPE_CHECKING:
     from calib.coefficients.loads import Artifact
@@ -47,7 +48,7 @@ def run(
             metavar="CAMPAIGN|FIT", help="Campaign, result folder of calib fit, its fit.json, or coefficients.json."
         ),
     ],
-    to: Annotated[str, typer.Option("--to", metavar="FORMAT", help="json (the master), ros2, c or csv.")],
+    to: Annotated[str, typer.Option("--to", metavar="FORMAT", help=f"{', '.join(FORMATS)}; json is the master.")],
     output: Annotated[
         Path | None,
         typer.Option(

@@ -1,4 +1,4 @@
-"""The registry of export formats; a format is one file with a `render` and one line here."""
+"""Export in a format of `calib.coefficients.formats`, and writing the files."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ import importlib
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
+from calib.coefficients import formats
 from calib.coefficients.file import CoefficientFile
 from calib.coefficients.loads import Artifact, LoadPair
 from calib.coefficients.options import ExportOptions
@@ -16,17 +17,7 @@ from calib.errors import BadInputError, RefusedError
 from calib.files import refuse_existing, write_bytes
 from calib.folders import write_files
 
-__all__ = ["FORMATS", "export", "parse_loads", "place"]
-
-#: name of the format -> module whose ``render(file, options)`` makes its files
-FORMATS: Final[dict[str, str]] = {
-    "json": "calib.coefficients.formats.json_master",
-    "ros2": "calib.coefficients.formats.ros2",
-    "c": "calib.coefficients.formats.c_header",
-    "csv": "calib.coefficients.formats.csv_table",
-}
-#: formats that know the laws of two wheels on one axle and nothing else
-AXLE_ONLY: Final = ("c", "csv")
+__all__ = ["export", "parse_loads", "place"]
 
 
 def export(
@@ -39,7 +30,7 @@ def export(
     file : CoefficientFile
         The master.
     to : str
-        A name of `FORMATS`.
+        A name of `calib.coefficients.formats.FORMATS`.
     loads : sequence of LoadPair
         Load points, for formats that hold for single loads; none: those of `options`, else the format's own choice.
     options : ExportOptions, optional
@@ -53,23 +44,23 @@ def export(
         Where the format cannot say what the file says.
     """
     chosen = options or ExportOptions()
-    module = FORMATS.get(to)
-    if module is None:
-        raise BadInputError(f"--to: found {to!r}; expected one of {', '.join(FORMATS)}; choose one of them")
+    if to not in formats.FORMATS:
+        raise BadInputError(f"--to: found {to!r}; expected one of {', '.join(formats.FORMATS)}; choose one of them")
     if to != "ros2" and chosen.has_controller_choices:
         raise BadInputError(
             f"controllers, position feedback and open loop: found a choice of them for {to!r}; expected 'ros2', which "
             "alone has them; leave them out"
         )
+    module = importlib.import_module(f"{formats.__name__}.{formats.FORMATS[to]}")
     together = file.joint_geometry
-    if to in AXLE_ONLY and together is not None and together.source != "rear":
+    if getattr(module, "AXLE_ONLY", False) and together is not None and together.source != "rear":
         wheels = "the front wheel" if together.source == "front" else "four wheels"
         raise RefusedError(
             f"--to {to}: found odometry from {wheels}; expected two wheels on one axle, which alone this format has; "
             "export to ros2 or json"
         )
     chosen = replace(chosen, loads=tuple(loads) or chosen.loads)
-    artifacts: tuple[Artifact, ...] = importlib.import_module(module).render(file, chosen)
+    artifacts: tuple[Artifact, ...] = module.render(file, chosen)
     return artifacts
 
 

@@ -11,8 +11,9 @@ from typing import Any
 import pytest
 import yaml
 
-from calib.coefficients.export import FORMATS, export
+from calib.coefficients.export import export
 from calib.coefficients.file import CoefficientFile
+from calib.coefficients.formats import FORMATS
 from calib.coefficients.formats.ros2_controllers import CONTROLLERS
 from calib.coefficients.options import ExportOptions
 

@@ -14,9 +14,9 @@ import yaml
 
 from calib.campaign.settings import Encoder
 from calib.coefficients.build import from_law
-from calib.coefficients.export import FORMATS, export
+from calib.coefficients.export import export
 from calib.coefficients.file import CoefficientFile
-from calib.coefficients.formats import ros2_covariance
+from calib.coefficients.formats import FORMATS, ros2_covariance
 from calib.coefficients.formats.ros2_controllers import CONTROLLERS, OF_DRIVE
 from calib.coefficients.loads import LoadPair
 from calib.coefficients.options import ExportOptions

@@ -9,8 +9,9 @@ import pytest
 import yaml
 from scipy.special import stdtrit
 
-from calib.coefficients.export import FORMATS, export, parse_loads
+from calib.coefficients.export import export, parse_loads
 from calib.coefficients.file import CoefficientFile
+from calib.coefficients.formats import FORMATS
 from calib.coefficients.loads import LoadPair
 from calib.errors import BadInputError, RefusedError
 

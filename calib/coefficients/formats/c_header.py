@@ -17,6 +17,9 @@ from calib.radius.law import JOINT
 
 __all__ = ["BODY_NAME", "FixedPoint", "fixed_point", "render"]
 
+#: see `calib.coefficients.formats`
+AXLE_ONLY: Final = True
+
 BODY_NAME: Final = "c_runtime.h"
 INT32_MAX: Final = 2**31 - 1
 #: bound of every intermediate of the integer form; half the range of int64_t, so that rounding cannot overflow it

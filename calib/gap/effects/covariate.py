@@ -16,7 +16,6 @@ __all__ = ["ACTS_ON", "Covariate", "column_of", "covariate_columns", "covariate_
 
 PREFIX: Final = "covariate:"
 ACTS_ON: Final = ("both radii", "left radius", "right radius", "yaw per metre")
-_OWN: Final = frozenset({*NUMERIC_COLUMNS, "travelled_km"})
 
 
 class Covariate(Effect):
@@ -78,7 +77,7 @@ class Covariate(Effect):
 
 def covariate_columns(s: Observations) -> tuple[str, ...]:
     """Return the further numeric columns of a campaign, in its own order."""
-    return tuple(name for name in s.numbers if name not in _OWN)
+    return tuple(name for name in s.numbers if name not in NUMERIC_COLUMNS)
 
 
 def column_of(effect: str) -> str | None:

@@ -130,6 +130,9 @@ class Effect(ABC):
         What a plain recalibration would change in its place; empty for all but the calibration's own.
     calibration_direction : tuple of float, optional
         For the calibration's own: the change of (left radius, right radius, track, front radius) per unit.
+    columns : tuple of str
+        Columns of the run table that it acts through, beyond those of the campaign format; they are no candidates of
+        their own beside it.
     is_load_law : bool
         Whether it makes the radii a function of the load, as the paper's correction does.
     carries_law_slope : bool
@@ -155,6 +158,7 @@ class Effect(ABC):
     separates: ClassVar[str] = ""
     hides_in: ClassVar[str] = ""
     calibration_direction: ClassVar[tuple[float, ...] | None] = None
+    columns: ClassVar[tuple[str, ...]] = ()
     is_load_law: ClassVar[bool] = False
     carries_law_slope: ClassVar[bool] = False
     per_session: ClassVar[bool] = False

@@ -12,7 +12,7 @@ from calib.gap.effects.covariate import Covariate, column_of, covariate_effects
 from calib.gap.effects.effect import Effect
 from calib.gap.effects.encoder_gross import GrossFault, find_gross
 from calib.gap.effects.turned_reference import TurnedReference, find_turned
-from calib.gap.effects.user import Declared, declared_effects, entry_point_effects
+from calib.gap.effects.user import declared_effects, entry_point_effects
 from calib.gap.predict.path import Path
 from calib.limits import COVARIATES, refuse_beyond
 
@@ -98,8 +98,8 @@ def steps_by_session(name: str) -> bool:
 def library(s: Observations, *, exclude: Collection[str] = (), declared: object = ()) -> list[Effect]:
     """Return the effects that a campaign is judged by.
 
-    Effects that are found before the search (`fault_before_search`) are no part of it. A column that a declared effect
-    acts through is no candidate of its own beside it.
+    Effects that are found before the search (`fault_before_search`) are no part of it. A column that an effect acts
+    through is no candidate of its own beside it.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ def library(s: Observations, *, exclude: Collection[str] = (), declared: object 
         Where a declaration or an entry point cannot be used.
     """
     registered, covariates, own = _all(s, declared)
-    spoken_for = {effect.column for effect in own if isinstance(effect, Declared) and effect.id not in exclude}
+    spoken_for = {column for effect in own if effect.id not in exclude for column in effect.columns}
     covariates = [effect for effect in covariates if effect.column not in spoken_for]
     searched = [e for e in registered if not (e.found_before_search or (s.by_front and e.of_rear_wheels))]
     return [effect for effect in (*searched, *covariates, *own) if effect.id not in exclude]
@@ -179,7 +179,8 @@ def turned_before_search(nominal: Path, exclude: Collection[str] = ()) -> Turned
 def _all(s: Observations, declared: object) -> tuple[list[Effect], list[Covariate], list[Effect]]:
     """Return the registered effects, the columns' and the user's own."""
     registered = [kind() for kind in map(effect_class, REGISTRY) if kind is not None]
-    covariates = covariate_effects(s)
+    spoken_for = {column for effect in registered for column in effect.columns}
+    covariates = [effect for effect in covariate_effects(s) if effect.column not in spoken_for]
     taken = [effect.id for effect in (*registered, *covariates)]
     own = declared_effects(declared, s, taken)
     own += entry_point_effects([*taken, *(effect.id for effect in own)])

@@ -70,6 +70,7 @@ class Declared(Effect):
     def __init__(self, *, id: str, title: str, column: str, acts_on: str, typical: float, largest: float) -> None:  # noqa: A002
         self.id, self.title = id, title
         self.column, self.acts_on = column, acts_on
+        self.columns = (column,)  # type: ignore[misc]
         self.typical, self.largest = typical, largest
         # counted from another zero than the campaign's mean, the effect looks like these beside it
         self.shifts = _SHIFTS[acts_on]  # type: ignore[misc]

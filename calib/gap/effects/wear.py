@@ -21,6 +21,7 @@ class Wear(Effect):
     title = "wheels that wear"
     implausible = "temperature, or something else that drifted over the campaign"
     family = Family.DRIFT
+    columns = ("travelled_km",)
     needs = "travelled_km, or two sessions"
     separates = "a reference run repeated over many kilometres"
     shifts = ("radius_scale", "unequal_radii")

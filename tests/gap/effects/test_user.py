@@ -158,8 +158,10 @@ def test_an_entry_point_may_not_take_an_id_that_is_in_use() -> None:
         entry_point_effects(("foreign",), [point("Foreign")])
 
 
-def test_only_further_columns_are_covariates(s: Observations) -> None:
-    assert covariate_columns(s) == ("tyre_bar",)
+def test_only_columns_that_no_effect_acts_through_are_covariates(s: Observations) -> None:
+    """Of the two further columns one is the way driven, through which wear acts."""
+    assert covariate_columns(s) == ("tyre_bar", "travelled_km")
+    assert [e.id for e in library(s) if e.id.startswith("covariate:")] == ["covariate:tyre_bar"]
 
 
 def test_a_covariate_is_standardised(s: Observations) -> None:
