@@ -74,7 +74,7 @@ def test_radii_that_follow_the_load_keep_to_the_route(name: str) -> None:
 
 def test_the_systematic_part_is_the_scatter_of_vehicles_whose_law_is_another() -> None:
     """Monte Carlo: coefficients drawn once a journey, for both pieces the same; driven as two arcs."""
-    path = made(Route.from_segments("r", straight(10.0)), track_std_m=2e-3, single_run=True)
+    path = made(Route.from_segments("r", straight(10.0)), track_std_m=2e-3)
     rng = np.random.default_rng(5)
     ends = []
     means = [[one.radius_ref_m, one.slope_m_per_N] for one in (LAW.left, LAW.right)]
