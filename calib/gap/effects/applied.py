@@ -52,7 +52,7 @@ def model_of(path: FilePath | str, campaign: Campaign) -> tuple[OdometryModel, t
 
 
 def with_effects(
-    s: Observations, sections: Sequence[EffectSection], declared: object = ()
+    observations: Observations, sections: Sequence[EffectSection], declared: object = ()
 ) -> tuple[Observations, tuple[str, ...]]:
     """Return the situation as a simulator with the effects would predict it, and notes on what could not be applied.
 
@@ -61,7 +61,7 @@ def with_effects(
 
     Parameters
     ----------
-    s : Observations
+    observations : Observations
         With the file's model.
     sections : sequence of EffectSection
         From `model_of`.
@@ -79,18 +79,18 @@ def with_effects(
         if fault is None:
             notes.append("the model's encoder fault lacks its factors and was left out")
         else:
-            s = corrected(s, fault)
+            observations = corrected(observations, fault)
     if not rest:
-        return s, tuple(notes)
-    pushes, left_out = applied_pushes(s, rest, declared=declared)
+        return observations, tuple(notes)
+    pushes, left_out = applied_pushes(observations, rest, declared=declared)
     notes += left_out
-    path = predict(s, pushes)
-    own = s.usable & ~np.isfinite(s.simulated)
-    return replace(s, simulated=np.where(own, path.reading, s.simulated)), tuple(notes)
+    path = predict(observations, pushes)
+    own = observations.usable & ~np.isfinite(observations.simulated)
+    return replace(observations, simulated=np.where(own, path.reading, observations.simulated)), tuple(notes)
 
 
 def applied_pushes(
-    s: Observations, sections: Sequence[EffectSection], path: Path | None = None, declared: object = ()
+    observations: Observations, sections: Sequence[EffectSection], path: Path | None = None, declared: object = ()
 ) -> tuple[list[Push], list[str]]:
     """Return what written-down effects do on a campaign, and notes on what could not be applied.
 
@@ -99,7 +99,7 @@ def applied_pushes(
 
     Parameters
     ----------
-    s : Observations
+    observations : Observations
         The campaign.
     sections : sequence of EffectSection
         Effects with their parameters.
@@ -115,12 +115,12 @@ def applied_pushes(
     notes : list of str
         Sentences.
     """
-    effects = every_effect(s, declared=declared)
+    effects = every_effect(observations, declared=declared)
     notes: list[str] = []
     chosen: list[tuple[EffectSection, Form]] = []
     for section in sections:
         effect = effects.get(section.effect)
-        form = None if effect is None else matching_form(effect.forms(s), section.form, section.settings)
+        form = None if effect is None else matching_form(effect.forms(observations), section.form, section.settings)
         if form is None:
             notes.append(
                 f"the model's effect {section.effect} ({section.form or 'its only form'}) has nothing to act on in "
@@ -131,9 +131,9 @@ def applied_pushes(
     if path is not None:
         return _pushes(chosen, path), notes
     # what an effect does depends a little on the path that it itself bends
-    about = predict(s)
+    about = predict(observations)
     for _ in range(2):
-        about = predict(s, _pushes(chosen, about))
+        about = predict(observations, _pushes(chosen, about))
     return _pushes(chosen, about), notes
 
 

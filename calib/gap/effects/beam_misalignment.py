@@ -20,7 +20,7 @@ class BeamMisalignment(Effect):
     needs = "distances by the instrument"
     separates = "the beam aimed anew; a scale of the instrument looks exactly alike"
 
-    def forms(self, s: Observations) -> list[Form]:
+    def forms(self, observations: Observations) -> list[Form]:
         """Return the single form; none without a laser distance."""
         # 1.5e-4 at 1 degree, 1.4e-3 at 3 degrees, 3.8e-3 at 5 degrees
-        return laser_share(s, self.id, Parameter("excess", "1", typical=5e-4, largest=3.8e-3, sign=1))
+        return laser_share(observations, self.id, Parameter("excess", "1", typical=5e-4, largest=3.8e-3, sign=1))

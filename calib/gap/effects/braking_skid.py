@@ -28,39 +28,39 @@ class BrakingSkid(Effect):
     separates = "runs of one length with more and fewer stops"
     shifts = ("radius_scale",)
 
-    def forms(self, s: Observations) -> list[Form]:
+    def forms(self, observations: Observations) -> list[Form]:
         """Return a form with equal slides and, where speeds differ, one ~ v^2; none where no run stops."""
-        steps = stops(s)
+        steps = stops(observations)
         if not steps.any():
             return []
-        slide = np.where(steps, np.where(s.path_m < 0.0, -1.0, 1.0), 0.0)
-        bend = curvature_per_m(s)
-        speed = driven_speed_mps(s)
+        slide = np.where(steps, np.where(observations.path_m < 0.0, -1.0, 1.0), 0.0)
+        bend = curvature_per_m(observations)
+        speed = driven_speed_mps(observations)
         found: list[tuple[str, FloatArray, Parameter]] = [
             ("the same at each stop", slide, Parameter("per_stop", "m", typical=5e-4, largest=1e-2))
         ]
         if varies(speed, 0.02):
-            square = slide * speed[s.unit] ** 2
+            square = slide * speed[observations.unit] ** 2
             found.append(("~ v^2", square, Parameter("per_speed_squared", "s2/m", typical=2e-3, largest=4e-2)))
 
-        def made(label: str, along: FloatArray, parameter: Parameter) -> Form:
+        def form(label: str, along: FloatArray, parameter: Parameter) -> Form:
             push = Push(along_m=along, heading_rad=np.abs(along) * bend)
             return Form(self.id, label, (parameter,), lambda _: [push], tries=len(found))
 
-        return [made(*one) for one in found]
+        return [form(*one) for one in found]
 
 
-def stops(s: Observations) -> BoolArray:
+def stops(observations: Observations) -> BoolArray:
     """Return the last moving step before each stop, shape (n_steps,).
 
     A log that ends at less than half the driven speed ends in a stop. A run without a log stops once, at its end.
     """
-    speed = np.abs(s.speed_mps)
-    last = np.zeros(len(s.unit), dtype=bool)
-    last[s.starts[1:] - 1] = True
-    moving = speed > stands_mps(s)[s.unit]
+    speed = np.abs(observations.speed_mps)
+    last = np.zeros(len(observations.unit), dtype=bool)
+    last[observations.starts[1:] - 1] = True
+    moving = speed > stands_mps(observations)[observations.unit]
     follows = np.concatenate((moving[1:], [False]))
-    driven = np.nan_to_num(driven_speed_mps(s))[s.unit]
+    driven = np.nan_to_num(driven_speed_mps(observations))[observations.unit]
     within = moving & ~last & ~follows
     at_end = last & moving & (speed < 0.5 * driven)
-    return np.where(s.from_log[s.unit], within | at_end, last)
+    return np.where(observations.from_log[observations.unit], within | at_end, last)

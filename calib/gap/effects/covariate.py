@@ -43,22 +43,22 @@ class Covariate(Effect):
         self.id = PREFIX + column
         self.title = f"an influence of the column {column}"
 
-    def forms(self, s: Observations) -> list[Form]:
+    def forms(self, observations: Observations) -> list[Form]:
         """Return four forms; none where the column has gaps or does not vary."""
-        values = s.number(self.column)
+        values = observations.number(self.column)
         if not varies(values):
             return []
         spread = float(np.std(values))
         if spread <= 1e-12 * float(np.max(np.abs(values))):
             return []
         centre = Centre(float(np.mean(values)), spread)
-        return [self._form(s, centre, label) for label in ACTS_ON]
+        return [self._form(observations, centre, label) for label in ACTS_ON]
 
-    def _form(self, s: Observations, centre: Centre, label: str) -> Form:
-        standard = centre.deviations(s.number(self.column))
+    def _form(self, observations: Observations, centre: Centre, label: str) -> Form:
+        standard = centre.deviations(observations.number(self.column))
         if label == "yaw per metre":
             parameter = Parameter("yaw_per_sd", "rad/m", typical=1e-3, largest=2e-2)
-            push = Push(heading_rad=standard[s.unit] * s.path_m)
+            push = Push(heading_rad=standard[observations.unit] * observations.path_m)
         else:
             parameter = Parameter("relative_per_sd", "1", typical=1e-3, largest=2e-2)
             left, right = label != "right radius", label != "left radius"
@@ -71,13 +71,13 @@ class Covariate(Effect):
             settings={"mean": centre.mean, "standard_deviation": centre.spread},
             tries=len(ACTS_ON),
             centre=centre,
-            about=lambda elsewhere: self._form(s, elsewhere, label),
+            about=lambda elsewhere: self._form(observations, elsewhere, label),
         )
 
 
-def covariate_columns(s: Observations) -> tuple[str, ...]:
+def covariate_columns(observations: Observations) -> tuple[str, ...]:
     """Return the further numeric columns of a campaign, in its own order."""
-    return tuple(name for name in s.numbers if name not in NUMERIC_COLUMNS)
+    return tuple(name for name in observations.numbers if name not in NUMERIC_COLUMNS)
 
 
 def column_of(effect: str) -> str | None:
@@ -85,6 +85,6 @@ def column_of(effect: str) -> str | None:
     return effect.removeprefix(PREFIX) if effect.startswith(PREFIX) else None
 
 
-def covariate_effects(s: Observations) -> list[Covariate]:
+def covariate_effects(observations: Observations) -> list[Covariate]:
     """Return an effect for each further numeric column."""
-    return [Covariate(column) for column in covariate_columns(s)]
+    return [Covariate(column) for column in covariate_columns(observations)]

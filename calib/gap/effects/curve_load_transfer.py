@@ -29,17 +29,25 @@ class CurveLoadTransfer(Effect):
     needs = "turns at known speeds"
     separates = "the same turn at two speeds and two loads"
 
-    def forms(self, s: Observations) -> list[Form]:
+    def forms(self, observations: Observations) -> list[Form]:
         """Return the single form; none where nothing turns or no speed is known."""
-        if not shows_curves(s):
+        if not shows_curves(observations):
             return []
-        speed = s.speed_mps
+        speed = observations.speed_mps
         if not (speed != 0.0).any():
             return []
         # the curvature counts turn per way without sign: rolling backward, the same turn pulls to the other side
-        pull_mps2 = speed * np.abs(speed) * curvature_per_m(s)
-        moved_N = s.weight_N[s.unit] * pull_mps2 * s.vehicle.cog_z_m / (GRAVITY_MPS2 * s.model.track_m)
-        per_left, per_right = -moved_N / s.radius_left_m[s.unit], moved_N / s.radius_right_m[s.unit]
-        radius = 0.5 * (s.model.radius_left_m + s.model.radius_right_m) * softness(s)
+        pull_mps2 = speed * np.abs(speed) * curvature_per_m(observations)
+        moved_N = (
+            observations.weight_N[observations.unit]
+            * pull_mps2
+            * observations.vehicle.cog_z_m
+            / (GRAVITY_MPS2 * observations.model.track_m)
+        )
+        per_left, per_right = (
+            -moved_N / observations.radius_left_m[observations.unit],
+            moved_N / observations.radius_right_m[observations.unit],
+        )
+        radius = 0.5 * (observations.model.radius_left_m + observations.model.radius_right_m) * softness(observations)
         parameter = Parameter("slope", "m/N", typical=1e-5 * radius, largest=6e-5 * radius)
         return [Form(self.id, "", (parameter,), lambda _: [Push(left=per_left, right=per_right)])]

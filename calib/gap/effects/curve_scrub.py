@@ -26,11 +26,13 @@ class CurveScrub(Effect):
     separates = "turns of several radii at one speed"
     shifts = ("track_width",)
 
-    def forms(self, s: Observations) -> list[Form]:
+    def forms(self, observations: Observations) -> list[Form]:
         """Return the single form; none where nothing turns."""
-        if not shows_curves(s):
+        if not shows_curves(observations):
             return []
-        bend = np.abs(curvature_per_m(s))
+        bend = np.abs(curvature_per_m(observations))
         # up to 3 % in a turn of the vehicle's own length
-        parameter = Parameter("widening", "m", typical=1.5e-2 * reach(s), largest=1.5e-1 * reach(s))
+        parameter = Parameter(
+            "widening", "m", typical=1.5e-2 * reach(observations), largest=1.5e-1 * reach(observations)
+        )
         return [Form(self.id, "", (parameter,), lambda _: [Push(track=bend)])]

@@ -29,21 +29,21 @@ class DriveSlip(Effect):
     needs = "the front wheel in the log"
     separates = "several accelerations"
 
-    def forms(self, s: Observations) -> list[Form]:
+    def forms(self, observations: Observations) -> list[Form]:
         """Return forms by the force that slips; none without a front wheel in the log."""
-        if not has_front(s).any():
+        if not has_front(observations).any():
             return []
-        front_N = s.weight_N - s.number("load_left_N") - s.number("load_right_N")
-        over_front = s.weight_N / np.maximum(front_N, 0.05 * s.weight_N)
-        acceleration = _acceleration_mps2(s)
+        front_N = observations.weight_N - observations.number("load_left_N") - observations.number("load_right_N")
+        over_front = observations.weight_N / np.maximum(front_N, 0.05 * observations.weight_N)
+        acceleration = _acceleration_mps2(observations)
         speeding = np.maximum(acceleration, 0.0)
-        front, ones = front_travel_m(s), np.ones(len(s.unit))
+        front, ones = front_travel_m(observations), np.ones(len(observations.unit))
         per_acceleration = Parameter("slip_per_mps2", "s2/m", typical=1e-2, largest=1e-1)
         rolling = Parameter("slip_rolling", "1", typical=3e-3, largest=5e-2)
         # a run from rest to rest gains and loses the same by acceleration and braking
-        gains = bool((np.abs(s.total(front * speeding)) > 1e-4).any())
-        forces = {"by the force": s.weight_N}
-        if np.isfinite(over_front).all() and np.ptp(_over_mean(over_front) / _over_mean(s.weight_N)) > 0.02:
+        gains = bool((np.abs(observations.total(front * speeding)) > 1e-4).any())
+        forces = {"by the force": observations.weight_N}
+        if np.isfinite(over_front).all() and np.ptp(_over_mean(over_front) / _over_mean(observations.weight_N)) > 0.02:
             forces["by the force over the front load"] = over_front
         # label, the force (None where the load does nothing), the parts that go with it, their parameters
         found: list[tuple[str, FloatArray | None, list[FloatArray], tuple[Parameter, ...]]] = []
@@ -52,15 +52,15 @@ class DriveSlip(Effect):
                 found.append((f"{name}, speeding up", force, [speeding], (per_acceleration,)))
                 both = (per_acceleration, rolling)
                 found.append((f"{name}, speeding up and rolling", force, [speeding, ones], both))
-            wide = Centre(0.0, float(np.mean(force))).deviations(force)[s.unit]
-            if (np.abs(s.total(front * acceleration * wide)) > 1e-2).any():
+            wide = Centre(0.0, float(np.mean(force))).deviations(force)[observations.unit]
+            if (np.abs(observations.total(front * acceleration * wide)) > 1e-2).any():
                 both = (per_acceleration, rolling)
                 found.append((f"{name}, speeding up, braking and rolling", force, [acceleration, ones], both))
             found.append((f"{name}, rolling", force, [ones], (rolling,)))
-        if float(np.ptp(_over_mean(s.weight_N))) > 1e-9:
+        if float(np.ptp(_over_mean(observations.weight_N))) > 1e-9:
             found.append(("a constant share, or the front wheel's radius", None, [ones], (rolling,)))
 
-        def made(
+        def form(
             label: str,
             force: FloatArray | None,
             parts: list[FloatArray],
@@ -70,11 +70,17 @@ class DriveSlip(Effect):
             share = ones
             if force is not None:
                 centre = centre or Centre(0.0, float(np.mean(force)))
-                share = centre.deviations(force)[s.unit]
+                share = centre.deviations(force)[observations.unit]
             pushes = []
             for part in parts:
                 slipped = front * part * share
-                pushes.append(excess(s, slipped * s.steer_cos, slipped * s.steer_sin / s.vehicle.wheelbase_m))
+                pushes.append(
+                    excess(
+                        observations,
+                        slipped * observations.steer_cos,
+                        slipped * observations.steer_sin / observations.vehicle.wheelbase_m,
+                    )
+                )
             return Form(
                 self.id,
                 label,
@@ -82,23 +88,23 @@ class DriveSlip(Effect):
                 lambda _: pushes,
                 tries=len(found),
                 centre=centre,
-                about=None if centre is None else lambda elsewhere: made(label, force, parts, parameters, elsewhere),
+                about=None if centre is None else lambda elsewhere: form(label, force, parts, parameters, elsewhere),
             )
 
-        return [made(*one) for one in found]
+        return [form(*one) for one in found]
 
 
 def _over_mean(values: FloatArray) -> FloatArray:
     return values / np.mean(values)
 
 
-def _acceleration_mps2(s: Observations) -> FloatArray:
+def _acceleration_mps2(observations: Observations) -> FloatArray:
     """Return the acceleration in the sense of rolling in each step, over two steps each way, shape (n_steps,)."""
-    speed = np.abs(s.speed_mps)
+    speed = np.abs(observations.speed_mps)
     index = np.arange(len(speed))
-    before = np.maximum(index - 2, s.starts[s.unit])
-    after = np.minimum(index + 2, s.starts[s.unit + 1] - 1)
-    middle = s.time_s - 0.5 * s.duration_s
+    before = np.maximum(index - 2, observations.starts[observations.unit])
+    after = np.minimum(index + 2, observations.starts[observations.unit + 1] - 1)
+    middle = observations.time_s - 0.5 * observations.duration_s
     with np.errstate(divide="ignore", invalid="ignore"):
         rate = (speed[after] - speed[before]) / (middle[after] - middle[before])
     return np.where(np.isfinite(rate), rate, 0.0)

@@ -171,7 +171,7 @@ class Effect(ABC):
         return self.calibration_direction is not None
 
     @abstractmethod
-    def forms(self, s: Observations) -> list[Form]:
+    def forms(self, observations: Observations) -> list[Form]:
         """Return the effect's forms on this campaign; empty where the campaign cannot show it at all."""
 
 

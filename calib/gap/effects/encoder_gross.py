@@ -39,7 +39,7 @@ class EncoderGross(Effect):
     separates = "any run: nothing else is so large"
     found_before_search = True
 
-    def forms(self, s: Observations) -> list[Form]:  # noqa: ARG002
+    def forms(self, observations: Observations) -> list[Form]:  # noqa: ARG002
         """Return none: the fault is found before the search."""
         return []
 
@@ -86,12 +86,20 @@ def _candidates() -> list[GrossFault]:
     return made
 
 
-def corrected(s: Observations, fault: GrossFault) -> Observations:
+def corrected(observations: Observations, fault: GrossFault) -> Observations:
     """Return the situation with the counts put right."""
-    left, right = (s.roll_right_rad, s.roll_left_rad) if fault.swapped else (s.roll_left_rad, s.roll_right_rad)
-    phase = (s.phase_right_rad, s.phase_left_rad) if fault.swapped else (s.phase_left_rad, s.phase_right_rad)
+    left, right = (
+        (observations.roll_right_rad, observations.roll_left_rad)
+        if fault.swapped
+        else (observations.roll_left_rad, observations.roll_right_rad)
+    )
+    phase = (
+        (observations.phase_right_rad, observations.phase_left_rad)
+        if fault.swapped
+        else (observations.phase_left_rad, observations.phase_right_rad)
+    )
     return replace(
-        s,
+        observations,
         roll_left_rad=left * fault.left,
         roll_right_rad=right * fault.right,
         phase_left_rad=phase[0] * fault.left,
@@ -101,32 +109,37 @@ def corrected(s: Observations, fault: GrossFault) -> Observations:
 
 def misfit(path: Path) -> FloatArray:
     """Return how far each unit is off, as a share of its length and per radian, 1 at most, shape (n_units,)."""
-    s = path.s
+    observations = path.s
     gap = np.abs(residuals(path, path))
-    length = np.maximum(np.hypot(s.measured[:, 1], s.measured[:, 2]), np.nan_to_num(s.measured[:, 0]))
-    length = np.where(np.isfinite(length) & (length > 0.5), length, np.maximum(s.length_m, 0.5))
-    ways = np.where(s.usable[:, :3], gap[:, :3], 0.0).max(axis=1) / length
-    made: FloatArray = np.minimum(np.maximum(ways, np.where(s.usable[:, 3], gap[:, 3], 0.0)), 1.0)
+    length = np.maximum(
+        np.hypot(observations.measured[:, 1], observations.measured[:, 2]), np.nan_to_num(observations.measured[:, 0])
+    )
+    length = np.where(np.isfinite(length) & (length > 0.5), length, np.maximum(observations.length_m, 0.5))
+    ways = np.where(observations.usable[:, :3], gap[:, :3], 0.0).max(axis=1) / length
+    made: FloatArray = np.minimum(np.maximum(ways, np.where(observations.usable[:, 3], gap[:, 3], 0.0)), 1.0)
     return made
 
 
-def find_gross(s: Observations, nominal: Path) -> GrossFault | None:
+def find_gross(observations: Observations, nominal: Path) -> GrossFault | None:
     """Return the gross fault that puts the counts right, None where the counts are roughly right or nothing helps.
 
     Parameters
     ----------
-    s : Observations
+    observations : Observations
         What was driven.
     nominal : Path
         The model alone.
     """
-    if np.isfinite(s.simulated).any():
+    if np.isfinite(observations.simulated).any():
         return None
     now = float(np.mean(misfit(nominal)))
     if now < GROSS:
         return None
     # a front wheel that drives the odometry has no other side
-    candidates = [c for c in _candidates() if not s.by_front or (c.left == c.right and not c.swapped)]
-    tried = [(float(np.mean(misfit(predict(corrected(s, fault))))), number) for number, fault in enumerate(candidates)]
+    candidates = [c for c in _candidates() if not observations.by_front or (c.left == c.right and not c.swapped)]
+    tried = [
+        (float(np.mean(misfit(predict(corrected(observations, fault))))), number)
+        for number, fault in enumerate(candidates)
+    ]
     best, number = min(tried)
     return candidates[number] if best < CLOSES * now and best < GROSS else None

@@ -19,31 +19,33 @@ __all__ = ["common_frame", "far_end_m", "floor_place", "is_back", "lanes", "map_
 _LANE: Final = re.compile(r"_([b-z]|\d+)$")
 
 
-def common_frame(s: Observations) -> bool:
+def common_frame(observations: Observations) -> bool:
     """Return whether a place on the floor is the same place in every run: in a map, or from one mark, out and back.
 
     A window of a recording has a place in a map only.
     """
-    return s.common_frame and (not s.windowed or bool(np.isfinite(s.start_pose).all()))
+    return observations.common_frame and (not observations.windowed or bool(np.isfinite(observations.start_pose).all()))
 
 
-def is_back(s: Observations) -> FloatArray:
+def is_back(observations: Observations) -> FloatArray:
     """Return 1 for units driven back along the floor, 0 for others, shape (n_units,)."""
-    return np.where(s.heading_sign < 0.0, 1.0, 0.0)
+    return np.where(observations.heading_sign < 0.0, 1.0, 0.0)
 
 
-def far_end_m(s: Observations) -> FloatArray:
+def far_end_m(observations: Observations) -> FloatArray:
     """Return where on x each unit starts: 0, or for straight runs back the corridor's length, shape (n_units,).
 
     The length is the median measured one of the runs out of about the same length (else of those back).
     """
-    length = np.where(np.isfinite(s.measured[:, 0]), s.measured[:, 0], np.abs(s.measured[:, 1]))
-    length = np.where(np.isfinite(length), length, s.length_m)
-    straight = np.abs(s.total(s.turn_rad)) < LED_STRAIGHT_RAD
-    back, out = straight & (s.heading_sign < 0), straight & (s.labels["direction"] == "out")
-    start = np.zeros(len(s))
-    for route in np.unique(s.kind[back]):
-        mine = back & (s.kind == route)
+    length = np.where(
+        np.isfinite(observations.measured[:, 0]), observations.measured[:, 0], np.abs(observations.measured[:, 1])
+    )
+    length = np.where(np.isfinite(length), length, observations.length_m)
+    straight = np.abs(observations.total(observations.turn_rad)) < LED_STRAIGHT_RAD
+    back, out = straight & (observations.heading_sign < 0), straight & (observations.labels["direction"] == "out")
+    start = np.zeros(len(observations))
+    for route in np.unique(observations.kind[back]):
+        mine = back & (observations.kind == route)
         with np.errstate(divide="ignore", invalid="ignore"):
             # a turn on the spot has no length, and is like none
             alike = np.abs(np.log(length / np.median(length[mine]))) < LENGTH_SHARE
@@ -51,12 +53,12 @@ def far_end_m(s: Observations) -> FloatArray:
     return start
 
 
-def lanes(s: Observations) -> IntArray:
+def lanes(observations: Observations) -> IntArray:
     """Return the lane of each unit: 0, or a number for each ending of the kind of route such as ``_b`` or ``_2``."""
-    ending = [_LANE.search(str(kind)) for kind in s.labels["kind"]]
+    ending = [_LANE.search(str(kind)) for kind in observations.labels["kind"]]
     names = np.array([found.group(1) if found else "" for found in ending])
     others = [name for name in np.unique(names) if name]
-    number = np.zeros(len(s), dtype=np.int64)
+    number = np.zeros(len(observations), dtype=np.int64)
     for place, name in enumerate(others, start=1):
         number[names == name] = place
     return number
@@ -64,9 +66,9 @@ def lanes(s: Observations) -> IntArray:
 
 def map_heading_rad(path: Path) -> FloatArray:
     """Return the heading on the floor at the middle of each step, shape (n_steps,)."""
-    s = path.s
-    start = s.start_pose[:, 2]
-    return path.mid_rad + np.where(np.isfinite(start), start, np.pi * is_back(s))[s.unit]
+    observations = path.s
+    start = observations.start_pose[:, 2]
+    return path.mid_rad + np.where(np.isfinite(start), start, np.pi * is_back(observations))[observations.unit]
 
 
 def floor_place(path: Path) -> tuple[FloatArray, FloatArray]:
@@ -75,9 +77,12 @@ def floor_place(path: Path) -> tuple[FloatArray, FloatArray]:
     In a map units start where they were seen to. Else runs out start at the origin heading along x; runs back head the
     other way, in a corridor from its far end.
     """
-    s = path.s
-    known = np.isfinite(s.start_pose).all(axis=1)
-    x, y = np.where(known, s.start_pose[:, 0], far_end_m(s)), np.where(known, s.start_pose[:, 1], 0.0)
-    heading = np.where(known, s.start_pose[:, 2], np.pi * is_back(s))
-    c, sn = np.cos(heading)[s.unit], np.sin(heading)[s.unit]
-    return x[s.unit] + c * path.x_m - sn * path.y_m, y[s.unit] + sn * path.x_m + c * path.y_m
+    observations = path.s
+    known = np.isfinite(observations.start_pose).all(axis=1)
+    x, y = (
+        np.where(known, observations.start_pose[:, 0], far_end_m(observations)),
+        np.where(known, observations.start_pose[:, 1], 0.0),
+    )
+    heading = np.where(known, observations.start_pose[:, 2], np.pi * is_back(observations))
+    c, sn = np.cos(heading)[observations.unit], np.sin(heading)[observations.unit]
+    return x[observations.unit] + c * path.x_m - sn * path.y_m, y[observations.unit] + sn * path.x_m + c * path.y_m

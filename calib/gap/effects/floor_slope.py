@@ -31,20 +31,22 @@ class FloorSlope(Effect):
     separates = "the vehicle turned by 180 degrees on the same lane"
     shifts = ("radius_scale",)
 
-    def forms(self, s: Observations) -> list[Form]:
+    def forms(self, observations: Observations) -> list[Form]:
         """Return forms by slope and pull; none where it is driven one way only, or headings share no zero."""
-        if not common_frame(s):
+        if not common_frame(observations):
             return []
-        nominal = predict(s)
+        nominal = predict(observations)
         heading = map_heading_rad(nominal)
-        way = np.abs(s.path_m)
-        length = np.maximum(s.length_m, 1e-9)
-        along, across = (s.total(way * part(heading)) / length for part in (np.cos, np.sin))
+        way = np.abs(observations.path_m)
+        length = np.maximum(observations.length_m, 1e-9)
+        along, across = (observations.total(way * part(heading)) / length for part in (np.cos, np.sin))
         if not (varies(along, 0.2) or varies(across, 0.2)):
             return []
         radii = Parameter("radii", "1", typical=2e-4, largest=2e-3)
         pull = Parameter("pull", "rad/m", typical=2e-4, largest=5e-3)
-        sided = bool((np.abs(across) > 0.02).any()) or bool((s.total(way * np.abs(np.sin(heading))) > 0.2).any())
+        sided = bool((np.abs(across) > 0.02).any()) or bool(
+            (observations.total(way * np.abs(np.sin(heading))) > 0.2).any()
+        )
 
         def by_cos(path: Path) -> Push:
             part: FloatArray = np.cos(map_heading_rad(path))
@@ -55,10 +57,10 @@ class FloorSlope(Effect):
             return [by_cos(path), Push(left=part, right=part)]
 
         def by_sin(path: Path) -> Push:
-            return Push(heading_rad=np.abs(s.path_m) * np.sin(map_heading_rad(path)))
+            return Push(heading_rad=np.abs(observations.path_m) * np.sin(map_heading_rad(path)))
 
         def crosswise(path: Path) -> Push:
-            return Push(heading_rad=np.abs(s.path_m) * np.cos(map_heading_rad(path)))
+            return Push(heading_rad=np.abs(observations.path_m) * np.cos(map_heading_rad(path)))
 
         tries = 4 if sided else 2
         made = [

@@ -31,17 +31,19 @@ class FloorUndulation(Effect):
     separates = "the same runs on another lane"
     shifts = ("radius_scale",)
 
-    def forms(self, s: Observations) -> list[Form]:
+    def forms(self, observations: Observations) -> list[Form]:
         """Return a form for each lane: the values of a column ``lane`` where there is one, else the kinds of route."""
-        lane = s.number("lane")
+        lane = observations.number("lane")
         groups: list[tuple[str, BoolArray]]
         if varies(lane):
             values = np.unique(lane)
             groups = [(f"lane {value:g}", lane == value) for value in values]
-        elif common_frame(s):
+        elif common_frame(observations):
             # only routes that run straight along the hall are lanes
-            kind = s.labels["kind"]
-            bent = (s.total(np.abs(s.turn_rad)) > _BENT_RAD) | (np.abs(s.total(s.turn_rad)) > STRAIGHT_RAD)
+            kind = observations.labels["kind"]
+            bent = (observations.total(np.abs(observations.turn_rad)) > _BENT_RAD) | (
+                np.abs(observations.total(observations.turn_rad)) > STRAIGHT_RAD
+            )
             names = [name for name in np.unique(kind) if not bent[kind == name].any()]
             groups = [(f"route {name}", kind == name) for name in names]
         else:
@@ -50,9 +52,9 @@ class FloorUndulation(Effect):
             return []
         parameter = Parameter("excess", "1", typical=2.5e-4, largest=2e-3, sign=1)
 
-        def made(label: str, mine: BoolArray) -> Form:
+        def form(label: str, mine: BoolArray) -> Form:
             shorter = np.where(mine, -1.0, 0.0)
             push = Push(left=shorter, right=shorter)
             return Form(self.id, label, (parameter,), lambda _: [push], tries=len(groups))
 
-        return [made(*group) for group in groups]
+        return [form(*group) for group in groups]

@@ -36,15 +36,15 @@ class FloorZone(Effect):
     needs = "logs, the poses in one frame"
     separates = "runs that cross the place beside runs that do not"
 
-    def forms(self, s: Observations) -> list[Form]:
+    def forms(self, observations: Observations) -> list[Form]:
         """Return a form for each strip and cell of about 2 m that some runs cross and others not, or cross otherwise.
 
         A strip lies across the whole floor, as a joint does. Only runs with a log have a place; what fewer than three
         runs cross is left out, and what tells runs apart best is kept.
         """
-        if not common_frame(s) or np.count_nonzero(s.from_log) < _FEWEST_UNITS:
+        if not common_frame(observations) or np.count_nonzero(observations.from_log) < _FEWEST_UNITS:
             return []
-        lane = lanes(s)[s.unit]
+        lane = lanes(observations)[observations.unit]
         places: WeakKeyDictionary[Path, tuple[FloatArray, FloatArray, FloatArray]] = WeakKeyDictionary()
 
         def place(path: Path) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -53,21 +53,21 @@ class FloorZone(Effect):
                 places[path] = (*floor_place(path), np.cos(map_heading_rad(path)))
             return places[path]
 
-        cells = _cells(s, lane, *place(predict(s)))
+        cells = _cells(observations, lane, *place(predict(observations)))
         along = Parameter("along", "1", typical=1e-3, largest=2e-2)
         turn = Parameter("turn", "rad/m", typical=1e-3, largest=2e-2)
         turn_by_heading = Parameter("turn_by_heading", "rad/m", typical=1e-3, largest=2e-2)
 
-        def made(number: int, x: float, y: float, both_ways: bool) -> Form:
+        def form(number: int, x: float, y: float, both_ways: bool) -> Form:
             strip = number < 0
 
             def pushes(path: Path) -> list[Push]:
                 at_x, at_y, cosine = place(path)
-                inside = s.from_log[s.unit] & (np.abs(at_x - x) < 0.5 * CELL_M)
+                inside = observations.from_log[observations.unit] & (np.abs(at_x - x) < 0.5 * CELL_M)
                 if not strip:
                     inside &= (lane == number) & (np.abs(at_y - y) < 0.5 * CELL_M)
                 share = inside.astype(np.float64)
-                way = share * np.abs(s.path_m)
+                way = share * np.abs(observations.path_m)
                 found = [Push(left=share, right=share), Push(heading_rad=way)]
                 return [*found, Push(heading_rad=way * cosine)] if both_ways else found
 
@@ -77,11 +77,11 @@ class FloorZone(Effect):
             settings = {"x_m": x, "y_m": y, "lane": float(number), "size_m": CELL_M}
             return Form(self.id, label, parameters, pushes, settings=settings, tries=len(cells))
 
-        return [made(*cell) for cell in cells]
+        return [form(*cell) for cell in cells]
 
 
 def _cells(
-    s: Observations, lane: IntArray, x: FloatArray, y: FloatArray, cosine: FloatArray
+    observations: Observations, lane: IntArray, x: FloatArray, y: FloatArray, cosine: FloatArray
 ) -> list[tuple[int, float, float, bool]]:
     """Return (lane, x, y, driven both ways) of the strips and cells worth asking about, by place."""
     flat, one_lane = np.zeros_like(y), np.full_like(lane, _STRIP)
@@ -91,32 +91,32 @@ def _cells(
     most = MOST_FORMS // len(grids)
     kept: list[tuple[int, float, float, bool]] = []
     for of_lane, across in grids:
-        found = _grid(s, of_lane, x, across, cosine, 0.5)
+        found = _grid(observations, of_lane, x, across, cosine, 0.5)
         if 2 * len(found) <= most:
             # a zone that lies across the edge of two cells fills one of the second grid
-            found += _grid(s, of_lane, x, across, cosine, 1.0)
+            found += _grid(observations, of_lane, x, across, cosine, 1.0)
         found.sort(key=lambda one: -one[0])
         kept += sorted(one[1] for one in found[:most])
     return kept
 
 
 def _grid(
-    s: Observations, lane: IntArray, x: FloatArray, y: FloatArray, cosine: FloatArray, shift: float
+    observations: Observations, lane: IntArray, x: FloatArray, y: FloatArray, cosine: FloatArray, shift: float
 ) -> list[tuple[float, tuple[int, float, float, bool]]]:
     """Return (how much the cell tells runs apart, cell) on the grid whose columns are shifted by `shift` cells."""
-    way = np.where(s.from_log[s.unit], np.abs(s.path_m), 0.0)
+    way = np.where(observations.from_log[observations.unit], np.abs(observations.path_m), 0.0)
     column = np.floor(x / CELL_M + 0.5 - shift).astype(np.int64)
     row = np.floor(y / CELL_M + 0.5).astype(np.int64)
     code = ((lane + 1) * _WIDE + np.clip(column, -_WIDE // 4, _WIDE // 4) + _WIDE // 2) * _WIDE
     code += np.clip(row, -_WIDE // 4, _WIDE // 4) + _WIDE // 2
     codes, cell = np.unique(code, return_inverse=True)
-    n_units, n_cells = len(s), len(codes)
-    flat = s.unit * n_cells + cell
+    n_units, n_cells = len(observations), len(codes)
+    flat = observations.unit * n_cells + cell
     in_cell = np.bincount(flat, way, n_units * n_cells).reshape(n_units, n_cells)
     heading = np.bincount(flat, way * cosine, n_units * n_cells).reshape(n_units, n_cells)
-    logged = s.from_log
+    logged = observations.from_log
     visits = in_cell > 0.25 * CELL_M
-    lateral = bool(s.usable[:, 2].any())
+    lateral = bool(observations.usable[:, 2].any())
     found = []
     for number in np.flatnonzero(visits.sum(axis=0) >= _FEWEST_UNITS):
         seen = visits[:, number]

@@ -28,31 +28,33 @@ class IntegrationScheme(Effect):
     needs = "poses of an outside simulator on runs that turn"
     separates = "none: it is computed from the logs"
 
-    def forms(self, s: Observations) -> list[Form]:
+    def forms(self, observations: Observations) -> list[Form]:
         """Return the end-point and the Euler form; none without an outside simulator's poses on turning runs."""
-        outside = s.from_log & np.isfinite(s.simulated[:, 1:3]).all(axis=1) & s.usable[:, 1]
+        outside = (
+            observations.from_log & np.isfinite(observations.simulated[:, 1:3]).all(axis=1) & observations.usable[:, 1]
+        )
         if not outside.any():
             return []
         parameter = Parameter("share", "1", typical=1.0, largest=2.0, sign=1)
 
-        def made(label: str, back: float) -> Form:
+        def form(label: str, back: float) -> Form:
             def pushes(path: Path) -> list[Push]:
-                heading = s.cumulative(path.turn_rad) - back * path.turn_rad
-                x = path.end[:, 0] - s.total(path.ds_m * np.cos(heading))
-                y = path.end[:, 1] - s.total(path.ds_m * np.sin(heading))
+                heading = observations.cumulative(path.turn_rad) - back * path.turn_rad
+                x = path.end[:, 0] - observations.total(path.ds_m * np.cos(heading))
+                y = path.end[:, 1] - observations.total(path.ds_m * np.sin(heading))
                 x, y = np.where(outside, x, 0.0), np.where(outside, y, 0.0)
-                reading = np.zeros((len(s), 6))
+                reading = np.zeros((len(observations), 6))
                 reading[:, 1], reading[:, 2] = start_to_end_frame(path, x, y)
                 # a laser's simulated distance was taken from the same pose
                 far = np.maximum(np.hypot(path.end[:, 0], path.end[:, 1]), 1e-9)
                 chord = (path.end[:, 0] * x + path.end[:, 1] * y) / far
-                laser = np.where(s.axis == 1, x, np.where(s.axis == 2, chord, 0.0))
-                reading[:, 0] = np.where(np.isfinite(s.simulated[:, 0]), laser, 0.0)
+                laser = np.where(observations.axis == 1, x, np.where(observations.axis == 2, chord, 0.0))
+                reading[:, 0] = np.where(np.isfinite(observations.simulated[:, 0]), laser, 0.0)
                 return [Push(reading=reading)]
 
             return Form(self.id, label, (parameter,), pushes, tries=2)
 
-        forms = [made("end-point heading", 0.0), made("start heading (Euler)", 1.0)]
-        nominal = predict(s)
+        forms = [form("end-point heading", 0.0), form("start heading (Euler)", 1.0)]
+        nominal = predict(observations)
         reading = forms[0].pushes(nominal)[0].reading
         return forms if reading is not None and float(np.abs(reading).max()) > 1e-5 else []

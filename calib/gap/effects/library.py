@@ -95,7 +95,7 @@ def steps_by_session(name: str) -> bool:
     return registered is not None and registered.per_session
 
 
-def library(s: Observations, *, exclude: Collection[str] = (), declared: object = ()) -> list[Effect]:
+def library(observations: Observations, *, exclude: Collection[str] = (), declared: object = ()) -> list[Effect]:
     """Return the effects that a campaign is judged by.
 
     Effects that are found before the search (`fault_before_search`) are no part of it. A column that an effect acts
@@ -103,7 +103,7 @@ def library(s: Observations, *, exclude: Collection[str] = (), declared: object 
 
     Parameters
     ----------
-    s : Observations
+    observations : Observations
         The campaign; its further numeric columns become effects of their own.
     exclude : collection of str
         Ids to leave out.
@@ -120,20 +120,20 @@ def library(s: Observations, *, exclude: Collection[str] = (), declared: object 
     CalibError
         Where a declaration or an entry point cannot be used.
     """
-    registered, covariates, own = _all(s, declared)
+    registered, covariates, own = _all(observations, declared)
     spoken_for = {column for effect in own if effect.id not in exclude for column in effect.columns}
     covariates = [effect for effect in covariates if effect.column not in spoken_for]
-    searched = [e for e in registered if not (e.found_before_search or (s.by_front and e.of_rear_wheels))]
+    searched = [e for e in registered if not (e.found_before_search or (observations.by_front and e.of_rear_wheels))]
     return [effect for effect in (*searched, *covariates, *own) if effect.id not in exclude]
 
 
-def every_effect(s: Observations, *, declared: object = ()) -> dict[str, Effect]:
+def every_effect(observations: Observations, *, declared: object = ()) -> dict[str, Effect]:
     """Return all effects that can be named on a campaign, by id: what a file of effects, or an exclusion, may name."""
-    registered, covariates, own = _all(s, declared)
+    registered, covariates, own = _all(observations, declared)
     return {effect.id: effect for effect in (*registered, *covariates, *own)}
 
 
-def check_excluded(exclude: Collection[str], s: Observations, declared: object = ()) -> None:
+def check_excluded(exclude: Collection[str], observations: Observations, declared: object = ()) -> None:
     """Refuse to leave out what is no effect of the campaign's library.
 
     Raises
@@ -141,26 +141,26 @@ def check_excluded(exclude: Collection[str], s: Observations, declared: object =
     BadInputError
         Names the id, and those that begin alike.
     """
-    known = every_effect(s, declared=declared)
+    known = every_effect(observations, declared=declared)
     for name in exclude:
         if name not in known:
             near = ", ".join(other for other in known if other[:4] == name[:4]) or ", ".join(known)
             raise BadInputError(f"exclude: found {name!r}; expected an effect of the library; choose of: {near}")
 
 
-def fault_before_search(s: Observations, nominal: Path, exclude: Collection[str] = ()) -> GrossFault | None:
+def fault_before_search(observations: Observations, nominal: Path, exclude: Collection[str] = ()) -> GrossFault | None:
     """Return the fault that is so gross that it is found, and put right, before the search; None where there is none.
 
     Parameters
     ----------
-    s : Observations
+    observations : Observations
         The campaign.
     nominal : Path
         The model alone.
     exclude : collection of str
         Ids of effects to leave out.
     """
-    return None if GrossFault.effect.id in exclude else find_gross(s, nominal)
+    return None if GrossFault.effect.id in exclude else find_gross(observations, nominal)
 
 
 def turned_before_search(nominal: Path, exclude: Collection[str] = ()) -> TurnedReference | None:
@@ -176,13 +176,13 @@ def turned_before_search(nominal: Path, exclude: Collection[str] = ()) -> Turned
     return None if TurnedReference.effect.id in exclude else find_turned(nominal)
 
 
-def _all(s: Observations, declared: object) -> tuple[list[Effect], list[Covariate], list[Effect]]:
+def _all(observations: Observations, declared: object) -> tuple[list[Effect], list[Covariate], list[Effect]]:
     """Return the registered effects, the columns' and the user's own."""
     registered = [kind() for kind in map(effect_class, REGISTRY) if kind is not None]
     spoken_for = {column for effect in registered for column in effect.columns}
-    covariates = [effect for effect in covariate_effects(s) if effect.column not in spoken_for]
+    covariates = [effect for effect in covariate_effects(observations) if effect.column not in spoken_for]
     taken = [effect.id for effect in (*registered, *covariates)]
-    own = declared_effects(declared, s, taken)
+    own = declared_effects(declared, observations, taken)
     own += entry_point_effects([*taken, *(effect.id for effect in own)])
     refuse_beyond(
         len(covariates) + len(own),

@@ -30,21 +30,21 @@ class LoadCreep(Effect):
     separates = "the same load after 0, 10 and 60 minutes, put on and taken off"
     shifts = ("radius_scale", "unequal_radii")
 
-    def forms(self, s: Observations) -> list[Form]:
+    def forms(self, observations: Observations) -> list[Form]:
         """Return forms by time constant and by the load that creeps; none where the times under load do not vary.
 
         The load that creeps is the whole wheel load, its part above the reference load, or (where the order of the
         loads makes a difference) the change since the load before: then a band that was unloaded recovers as slowly.
         """
-        minutes = s.number("minutes_under_load")
-        left, right = s.number("load_left_N"), s.number("load_right_N")
+        minutes = observations.number("minutes_under_load")
+        left, right = observations.number("load_left_N"), observations.number("load_right_N")
         if not varies(minutes, 0.5) or not (np.isfinite(left).all() and np.isfinite(right).all()):
             return []
         # the middle of the run stands for the run: a tau of minutes hardly moves within it
-        t = minutes + 0.5 * np.nan_to_num(s.total(np.nan_to_num(s.duration_s))) / 60.0
-        radius = 0.5 * (s.model.radius_left_m + s.model.radius_right_m) * softness(s)
-        reference = s.model.reference_load_N
-        unladen = s.vehicle.unladen_load_N
+        t = minutes + 0.5 * np.nan_to_num(observations.total(np.nan_to_num(observations.duration_s))) / 60.0
+        radius = 0.5 * (observations.model.radius_left_m + observations.model.radius_right_m) * softness(observations)
+        reference = observations.model.reference_load_N
+        unladen = observations.vehicle.unladen_load_N
         parameters = tuple(
             Parameter(name, "m/N", typical=1.5e-6 * radius, largest=2e-5 * radius)
             for name in ("creep_left", "creep_right")
@@ -57,13 +57,15 @@ class LoadCreep(Effect):
             if np.ptp(loads[0]) > 5.0 or np.ptp(loads[1]) > 5.0:
                 before["change of load"] = loads
 
-        def made(name: str, tau: float, centre: Centre | None) -> Form:
+        def form(name: str, tau: float, centre: Centre | None) -> Form:
             nought = 0.0 if centre is None else centre.mean
             gone = np.exp(-t / tau)
             pushes = []
-            for number, (load, radius_m) in enumerate(((left, s.radius_left_m), (right, s.radius_right_m))):
+            for number, (load, radius_m) in enumerate(
+                ((left, observations.radius_left_m), (right, observations.radius_right_m))
+            ):
                 loads = before[name]
-                old = np.zeros(len(s)) if loads is None else loads[number] - nought
+                old = np.zeros(len(observations)) if loads is None else loads[number] - nought
                 now = load - nought
                 pushes.append(-(now - (now - old) * gone) / radius_m)
             per_left, per_right = pushes
@@ -75,11 +77,11 @@ class LoadCreep(Effect):
                 settings={"tau_min": tau},
                 tries=len(before) * len(TIMES_MIN),
                 centre=centre,
-                about=None if centre is None else lambda elsewhere: made(name, tau, elsewhere),
+                about=None if centre is None else lambda elsewhere: form(name, tau, elsewhere),
             )
 
         centre = Centre(reference)
-        return [made(name, tau, None if name == "whole load" else centre) for name in before for tau in TIMES_MIN]
+        return [form(name, tau, None if name == "whole load" else centre) for name in before for tau in TIMES_MIN]
 
 
 def _before(load: FloatArray, other: FloatArray, first: float) -> FloatArray:

@@ -24,12 +24,14 @@ class LoadDependentTrack(Effect):
     separates = "the same slow turn under two loads"
     shifts = ("track_width",)
 
-    def forms(self, s: Observations) -> list[Form]:
+    def forms(self, observations: Observations) -> list[Form]:
         """Return the single form; none where the loads do not vary or nothing turns."""
-        axle = s.number("load_left_N") + s.number("load_right_N")
-        if not varies(axle, 10.0) or not shows_curves(s):
+        axle = observations.number("load_left_N") + observations.number("load_right_N")
+        if not varies(axle, 10.0) or not shows_curves(observations):
             return []
-        over = axle - 2.0 * s.model.reference_load_N
+        over = axle - 2.0 * observations.model.reference_load_N
         # up to 1 % for 1000 N
-        parameter = Parameter("per_N", "1/N", typical=5e-6 * softness(s), largest=5e-5 * softness(s))
+        parameter = Parameter(
+            "per_N", "1/N", typical=5e-6 * softness(observations), largest=5e-5 * softness(observations)
+        )
         return [Form(self.id, "", (parameter,), lambda _: [Push(track=over)])]

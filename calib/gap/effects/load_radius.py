@@ -25,11 +25,16 @@ class LoadRadius(Effect):
     carries_law_slope = True
     shifts = ("radius_scale", "unequal_radii")
 
-    def forms(self, s: Observations) -> list[Form]:
+    def forms(self, observations: Observations) -> list[Form]:
         """Return the linear law, one slope a wheel; none where the loads do not vary."""
-        left, right = s.number("load_left_N"), s.number("load_right_N")
+        left, right = observations.number("load_left_N"), observations.number("load_right_N")
         if not (varies(left, 5.0) or varies(right, 5.0)):
             return []
-        reference = s.model.reference_load_N
-        per_left, per_right = (left - reference) / s.radius_left_m, (right - reference) / s.radius_right_m
-        return [Form(self.id, "", slope_parameters(s), lambda _: [Push(left=per_left), Push(right=per_right)])]
+        reference = observations.model.reference_load_N
+        per_left, per_right = (
+            (left - reference) / observations.radius_left_m,
+            (right - reference) / observations.radius_right_m,
+        )
+        return [
+            Form(self.id, "", slope_parameters(observations), lambda _: [Push(left=per_left), Push(right=per_right)])
+        ]

@@ -31,24 +31,24 @@ class LoadRadiusNonlinear(Effect):
     is_load_law = True
     shifts = ("radius_scale", "unequal_radii")
 
-    def forms(self, s: Observations) -> list[Form]:
+    def forms(self, observations: Observations) -> list[Form]:
         """Return one form an exponent, one slope a wheel; none where the loads do not vary."""
-        left, right = s.number("load_left_N"), s.number("load_right_N")
+        left, right = observations.number("load_left_N"), observations.number("load_right_N")
         if not (varies(left, 5.0) or varies(right, 5.0)):
             return []
-        reference = s.model.reference_load_N
+        reference = observations.model.reference_load_N
         if reference <= 1.0:
             reference = max(1.0, float(np.mean(0.5 * (left + right))))
-        slopes = slope_parameters(s)
+        slopes = slope_parameters(observations)
 
-        def made(exponent: float, centre: Centre) -> Form:
+        def form(exponent: float, centre: Centre) -> Form:
             reference = centre.mean
 
             def shape(load: FloatArray) -> FloatArray:
                 ratio = np.maximum(load, 0.0) / reference
                 return np.asarray(reference * (ratio**exponent - 1.0) / exponent)
 
-            per_left, per_right = shape(left) / s.radius_left_m, shape(right) / s.radius_right_m
+            per_left, per_right = shape(left) / observations.radius_left_m, shape(right) / observations.radius_right_m
             label = "quadratic" if exponent == 2.0 else f"exponent {exponent:g}"
             return Form(
                 self.id,
@@ -58,7 +58,7 @@ class LoadRadiusNonlinear(Effect):
                 settings={"exponent": exponent},
                 tries=len(EXPONENTS),
                 centre=centre,
-                about=lambda elsewhere: made(exponent, elsewhere),
+                about=lambda elsewhere: form(exponent, elsewhere),
             )
 
-        return [made(exponent, Centre(reference)) for exponent in EXPONENTS]
+        return [form(exponent, Centre(reference)) for exponent in EXPONENTS]

@@ -19,12 +19,12 @@ __all__ = ["NOMINAL_PER_N", "payload_load_N", "radius_slopes_m_per_N", "slope_pa
 NOMINAL_PER_N: Final = 1e-5
 
 
-def slope_parameters(s: Observations) -> tuple[Parameter, ...]:
+def slope_parameters(observations: Observations) -> tuple[Parameter, ...]:
     """Return the slopes of the left and right radius against load in m/N, as an effect's parameters.
 
     0.1 to 1.5 % per kN on a wheel of 0.1 m is 1e-7 to 1.5e-6 m/N; more on lighter vehicles.
     """
-    radius = 0.5 * (s.model.radius_left_m + s.model.radius_right_m) * softness(s)
+    radius = 0.5 * (observations.model.radius_left_m + observations.model.radius_right_m) * softness(observations)
     names = ("slope_left", "slope_right")
     return tuple(Parameter(name, "m/N", typical=1e-5 * radius, largest=6e-5 * radius) for name in names)
 
@@ -37,19 +37,19 @@ def radius_slopes_m_per_N(path: Path, use: BoolArray | None = None) -> tuple[flo
     lighter vehicles). With a nominal slope only the product
     of slope and misreported load means anything.
     """
-    s = path.s
-    model, nominal_per_N = s.model, NOMINAL_PER_N * softness(s)
+    observations = path.s
+    model, nominal_per_N = observations.model, NOMINAL_PER_N * softness(observations)
     if model.slope_left_m_per_N != 0.0 or model.slope_right_m_per_N != 0.0:
         return model.slope_left_m_per_N, model.slope_right_m_per_N
-    keep = np.ones(len(s), dtype=bool) if use is None else use
+    keep = np.ones(len(observations), dtype=bool) if use is None else use
     found = []
     for travel, roll, load, radius in (
-        (path.ds_left_m, s.roll_left_rad, s.number("load_left_N"), model.radius_left_m),
-        (path.ds_right_m, s.roll_right_rad, s.number("load_right_N"), model.radius_right_m),
+        (path.ds_left_m, observations.roll_left_rad, observations.number("load_left_N"), model.radius_left_m),
+        (path.ds_right_m, observations.roll_right_rad, observations.number("load_right_N"), model.radius_right_m),
     ):
         sense = np.sign(roll)
         with np.errstate(divide="ignore", invalid="ignore"):
-            rolled = s.total(travel * sense) / s.total(np.abs(roll))
+            rolled = observations.total(travel * sense) / observations.total(np.abs(roll))
         good = keep & np.isfinite(rolled) & np.isfinite(load)
         slope = 0.0
         if good.sum() > 1 and np.ptp(load[good]) > 20.0:
@@ -59,11 +59,11 @@ def radius_slopes_m_per_N(path: Path, use: BoolArray | None = None) -> tuple[flo
     return found[0], found[1]
 
 
-def payload_load_N(s: Observations) -> tuple[FloatArray, FloatArray]:
+def payload_load_N(observations: Observations) -> tuple[FloatArray, FloatArray]:
     """Return what the reported payload adds to the left and right wheel, each shape (n_units,) (Eqs 1 and 2)."""
-    payload = np.nan_to_num(s.number("payload_kg"))
-    x, y = s.number("payload_x_m"), s.number("payload_y_m")
-    x, y = np.where(np.isnan(x), s.vehicle.cog_x_m, x), np.nan_to_num(y)
-    _, left, right = wheel_loads_N(s.vehicle, payload, x, y)
-    _, none_left, none_right = wheel_loads_N(s.vehicle, 0.0, 0.0, 0.0)
+    payload = np.nan_to_num(observations.number("payload_kg"))
+    x, y = observations.number("payload_x_m"), observations.number("payload_y_m")
+    x, y = np.where(np.isnan(x), observations.vehicle.cog_x_m, x), np.nan_to_num(y)
+    _, left, right = wheel_loads_N(observations.vehicle, payload, x, y)
+    _, none_left, none_right = wheel_loads_N(observations.vehicle, 0.0, 0.0, 0.0)
     return left - none_left, right - none_right

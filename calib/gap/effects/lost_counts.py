@@ -29,12 +29,12 @@ class LostCounts(Effect):
     separates = "the front wheel as a second counter, at several speeds"
     shifts = ("radius_scale", "unequal_radii")
 
-    def forms(self, s: Observations) -> list[Form]:
+    def forms(self, observations: Observations) -> list[Form]:
         """Return, for each wheel, a constant share and, where speeds differ, two shares that grow with speed."""
-        ones = np.ones(len(s))
+        ones = np.ones(len(observations))
         constant = Parameter("share", "1", typical=2e-3, largest=2e-2, sign=1)
         shapes: list[tuple[str, FloatArray, Parameter, dict[str, float]]] = [("constant share", ones, constant, {})]
-        speed = driven_speed_mps(s)
+        speed = driven_speed_mps(observations)
         if varies(speed, 0.02):
             growing = Parameter("share_per_mps", "s/m", typical=5e-3, largest=5e-2, sign=1)
             for v_0 in (float(speed.min()), float(np.median(speed))):
@@ -43,7 +43,7 @@ class LostCounts(Effect):
                     label = f"share growing above {v_0:.2f} m/s"
                     shapes.append((label, over, growing, {"speed_mps": v_0}))
 
-        def made(side: str, label: str, part: FloatArray, parameter: Parameter, settings: dict[str, float]) -> Form:
+        def form(side: str, label: str, part: FloatArray, parameter: Parameter, settings: dict[str, float]) -> Form:
             push = Push(left=part) if side == "left" else Push(right=part)
             return Form(
                 self.id,
@@ -54,4 +54,4 @@ class LostCounts(Effect):
                 tries=2 * len(shapes),
             )
 
-        return [made(side, *shape) for shape in shapes for side in ("left", "right")]
+        return [form(side, *shape) for shape in shapes for side in ("left", "right")]

@@ -29,25 +29,25 @@ class PathWeave(Effect):
     needs = "amplitude_m and wavelength_m, or logs beside an outside simulation"
     separates = "the log within a run"
 
-    def forms(self, s: Observations) -> list[Form]:
+    def forms(self, observations: Observations) -> list[Form]:
         """Return a form by the noted amplitude and wavelength and one by the logs of outside simulations."""
-        amplitude, wavelength = s.number("amplitude_m"), s.number("wavelength_m")
-        noted = np.zeros(len(s))
-        weaves = ~s.from_log & (amplitude > 0.0) & (wavelength > 0.0)
+        amplitude, wavelength = observations.number("amplitude_m"), observations.number("wavelength_m")
+        noted = np.zeros(len(observations))
+        weaves = ~observations.from_log & (amplitude > 0.0) & (wavelength > 0.0)
         if weaves.any():
             noted[weaves] = sine_excess(amplitude[weaves], wavelength[weaves])
         has_noted = bool((noted > 1e-7).any())
-        outside = s.from_log & np.isfinite(s.simulated[:, :2]).any(axis=1)
-        logged = np.where(outside, _weave_of_logs(s), 0.0)
+        outside = observations.from_log & np.isfinite(observations.simulated[:, :2]).any(axis=1)
+        logged = np.where(outside, _weave_of_logs(observations), 0.0)
         has_logged = bool((logged > 1e-7).any())
         parameter = Parameter("share", "1", typical=1.0, largest=2.0, sign=1)
         tries = int(has_noted) + int(has_logged)
 
-        def made(label: str, excess: FloatArray) -> Form:
+        def form(label: str, excess: FloatArray) -> Form:
             shorter = -excess / (1.0 + excess)
 
             def pushes(path: Path) -> list[Push]:
-                reading = np.zeros((len(s), 6))
+                reading = np.zeros((len(observations), 6))
                 reading[:, 0] = shorter * distance_m(path)
                 x, y = shorter * path.end[:, 0], shorter * path.end[:, 1]
                 reading[:, 1], reading[:, 2] = start_to_end_frame(path, x, y)
@@ -56,7 +56,7 @@ class PathWeave(Effect):
             return Form(self.id, label, (parameter,), pushes, tries=tries)
 
         wanted = [("by the noted amplitude", has_noted, noted), ("by the logs", has_logged, logged)]
-        return [made(label, excess) for label, offered, excess in wanted if offered]
+        return [form(label, excess) for label, offered, excess in wanted if offered]
 
 
 def sine_excess(amplitude_m: FloatArray, wavelength_m: FloatArray) -> FloatArray:
@@ -72,11 +72,11 @@ def sine_excess(amplitude_m: FloatArray, wavelength_m: FloatArray) -> FloatArray
     return np.asarray(2.0 / np.pi * np.sqrt(1.0 + u) * ellipe(u / (1.0 + u)) - 1.0, dtype=np.float64)
 
 
-def _weave_of_logs(s: Observations) -> FloatArray:
+def _weave_of_logs(observations: Observations) -> FloatArray:
     """Return by which share the logged path is longer than its line, 0 on routes that turn, shape (n_units,)."""
-    path = predict(s)
-    way = s.total(np.abs(path.ds_m))
-    line = np.abs(s.total(path.ds_m * path.weave_cos))
+    path = predict(observations)
+    way = observations.total(np.abs(path.ds_m))
+    line = np.abs(observations.total(path.ds_m * path.weave_cos))
     straight = np.abs(path.end[:, 2]) < 0.35
     with np.errstate(divide="ignore", invalid="ignore"):
         excess = way / line - 1.0

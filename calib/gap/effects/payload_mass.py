@@ -35,37 +35,37 @@ class PayloadMass(Effect):
     separates = "a third payload, weighed"
     shifts = ("radius_scale", "unequal_radii")
 
-    def forms(self, s: Observations) -> list[Form]:
+    def forms(self, observations: Observations) -> list[Form]:
         """Return a form for each of the (at most six) payloads driven most, and one for all; none without payloads."""
-        payload = np.nan_to_num(s.number("payload_kg"))
+        payload = np.nan_to_num(observations.number("payload_kg"))
         values, counts = np.unique(np.round(payload, 3), return_counts=True)
         laden = values > 0.0
         values, counts = values[laden], counts[laden]
         values = np.sort(values[np.argsort(-counts, kind="stable")[:_MOST]])
-        added_left, added_right = payload_load_N(s)
+        added_left, added_right = payload_load_N(observations)
         parameter = Parameter("share", "1", typical=0.15, largest=0.5)
         # one label may be mistyped; a scale that is off by more than a third is found out
         of_all = Parameter("share", "1", typical=0.1, largest=0.3)
 
-        has_slopes = s.model.slope_left_m_per_N != 0.0 or s.model.slope_right_m_per_N != 0.0
+        has_slopes = observations.model.slope_left_m_per_N != 0.0 or observations.model.slope_right_m_per_N != 0.0
         together = len(values) > 1 and has_slopes
         tries = len(values) + int(together)
 
-        def made(label: str, mine: BoolArray, share: Parameter, settings: dict[str, float]) -> Form:
+        def form(label: str, mine: BoolArray, share: Parameter, settings: dict[str, float]) -> Form:
 
             def pushes(path: Path) -> list[Push]:
                 left, right = radius_slopes_m_per_N(path, ~mine)
                 return [
                     Push(
-                        left=np.where(mine, left * added_left, 0.0) / s.radius_left_m,
-                        right=np.where(mine, right * added_right, 0.0) / s.radius_right_m,
+                        left=np.where(mine, left * added_left, 0.0) / observations.radius_left_m,
+                        right=np.where(mine, right * added_right, 0.0) / observations.radius_right_m,
                     )
                 ]
 
             return Form(self.id, label, (share,), pushes, settings, tries=tries)
 
         single = [
-            made(f"payload of {value:g} kg", np.abs(payload - value) < 1e-3, parameter, {"payload_kg": float(value)})
+            form(f"payload of {value:g} kg", np.abs(payload - value) < 1e-3, parameter, {"payload_kg": float(value)})
             for value in values
         ]
-        return [*single, made("all payloads", payload > 0.0, of_all, {})] if together else single
+        return [*single, form("all payloads", payload > 0.0, of_all, {})] if together else single

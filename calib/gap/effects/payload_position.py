@@ -31,38 +31,44 @@ class PayloadPosition(Effect):
     separates = "unladen runs beside laden ones"
     shifts = ("radius_scale", "unequal_radii")
 
-    def forms(self, s: Observations) -> list[Form]:
+    def forms(self, observations: Observations) -> list[Form]:
         """Return a form sideways and one lengthways; none without payloads."""
-        weight_N = GRAVITY_MPS2 * np.nan_to_num(s.number("payload_kg"))
+        weight_N = GRAVITY_MPS2 * np.nan_to_num(observations.number("payload_kg"))
         if not (weight_N > 0.0).any():
             return []
-        wheelbase, track = s.vehicle.wheelbase_m, s.model.track_m
-        front_m = np.where(s.usable[:, 4], np.nan_to_num(s.total(np.nan_to_num(s.front_roll_rad) * s.steer_cos)), 0.0)
-        by_steering = s.total(np.nan_to_num(s.front_roll_rad) * s.steer_sin) / wheelbase
-        by_steering = np.where(s.usable[:, 5], by_steering, 0.0)
+        wheelbase, track = observations.vehicle.wheelbase_m, observations.model.track_m
+        front_m = np.where(
+            observations.usable[:, 4],
+            np.nan_to_num(observations.total(np.nan_to_num(observations.front_roll_rad) * observations.steer_cos)),
+            0.0,
+        )
+        by_steering = (
+            observations.total(np.nan_to_num(observations.front_roll_rad) * observations.steer_sin) / wheelbase
+        )
+        by_steering = np.where(observations.usable[:, 5], by_steering, 0.0)
 
         def slope(path: Path) -> float:
             return 0.5 * sum(radius_slopes_m_per_N(path))
 
         def sideways(path: Path) -> list[Push]:
             change_m = slope(path) * weight_N / track
-            return [Push(left=change_m / s.radius_left_m, right=-change_m / s.radius_right_m)]
+            return [Push(left=change_m / observations.radius_left_m, right=-change_m / observations.radius_right_m)]
 
         def ahead(path: Path) -> list[Push]:
             change_m = slope(path) * weight_N / wheelbase
-            reading = np.zeros((len(s), 6))
+            reading = np.zeros((len(observations), 6))
             # the front wheel travels more for its counts, which the front channels subtract
             reading[:, 4], reading[:, 5] = -front_m * change_m, -by_steering * change_m
             return [
                 Push(
-                    left=-0.5 * change_m / s.radius_left_m,
-                    right=-0.5 * change_m / s.radius_right_m,
+                    left=-0.5 * change_m / observations.radius_left_m,
+                    right=-0.5 * change_m / observations.radius_right_m,
                     reading=reading,
                 )
             ]
 
         def parameter(name: str) -> tuple[Parameter, ...]:
-            return (Parameter(name, "m", typical=3e-2 * reach(s), largest=2.5e-1 * reach(s)),)
+            return (Parameter(name, "m", typical=3e-2 * reach(observations), largest=2.5e-1 * reach(observations)),)
 
         return [
             Form(self.id, "sideways", parameter("further_left"), sideways, tries=2),

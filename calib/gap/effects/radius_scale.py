@@ -25,8 +25,8 @@ class RadiusScale(Effect):
     calibration_direction = (1.0, 1.0, 0.0, 0.0)
     typical = 3e-3
 
-    def forms(self, s: Observations) -> list[Form]:
+    def forms(self, observations: Observations) -> list[Form]:
         """Return the single form; it applies to any campaign."""
-        ones = np.ones(len(s))
+        ones = np.ones(len(observations))
         parameter = Parameter("relative", "1", typical=self.typical, largest=3e-2)
         return [Form(self.id, "", (parameter,), lambda _: [Push(left=ones, right=ones)])]

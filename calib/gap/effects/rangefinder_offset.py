@@ -22,11 +22,11 @@ class RangefinderOffset(Effect):
     needs = "distances by the instrument"
     separates = "several distances, read at rest"
 
-    def forms(self, s: Observations) -> list[Form]:
+    def forms(self, observations: Observations) -> list[Form]:
         """Return the single form; none without a laser distance."""
-        if not s.usable[:, 0].any():
+        if not observations.usable[:, 0].any():
             return []
-        reading = np.zeros((len(s), 6))
+        reading = np.zeros((len(observations), 6))
         reading[:, 0] = 1.0
         parameter = Parameter("offset", "m", typical=5e-3, largest=3e-2)
         return [Form(self.id, "", (parameter,), lambda _: [Push(reading=reading)])]

@@ -20,6 +20,6 @@ class RangefinderScale(Effect):
     needs = "distances by the instrument"
     separates = "a length measured by other means"
 
-    def forms(self, s: Observations) -> list[Form]:
+    def forms(self, observations: Observations) -> list[Form]:
         """Return the single form; none without a laser distance."""
-        return laser_share(s, self.id, Parameter("relative", "1", typical=1e-3, largest=1e-2))
+        return laser_share(observations, self.id, Parameter("relative", "1", typical=1e-3, largest=1e-2))

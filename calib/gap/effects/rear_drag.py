@@ -28,22 +28,22 @@ class RearDrag(Effect):
     separates = "the same way forward and backward"
     shifts = ("radius_scale", "unequal_radii")
 
-    def forms(self, s: Observations) -> list[Form]:
+    def forms(self, observations: Observations) -> list[Form]:
         """Return a form for the left and one for the right wheel; none where everything rolls and goes one way."""
-        backward = s.total(np.where(s.path_m < 0.0, -s.path_m, 0.0))
+        backward = observations.total(np.where(observations.path_m < 0.0, -observations.path_m, 0.0))
         if (backward > 0.5).any():
             # a unit that rolls one way throughout needs no steps
-            one_way = bool(((backward < 1e-3) | (backward > s.length_m - 1e-3)).all())
-            forward = (s.total(s.path_m) > 0.0) if one_way else (s.path_m >= 0.0)
+            one_way = bool(((backward < 1e-3) | (backward > observations.length_m - 1e-3)).all())
+            forward = (observations.total(observations.path_m) > 0.0) if one_way else (observations.path_m >= 0.0)
             sense, label = np.asarray(forward, dtype=np.float64), "rolling forward"
-        elif varies(s.heading_sign):
-            sense, label = (s.heading_sign > 0.0).astype(np.float64), "going out"
+        elif varies(observations.heading_sign):
+            sense, label = (observations.heading_sign > 0.0).astype(np.float64), "going out"
         else:
             return []
         parameter = Parameter("relative", "1", typical=5e-4, largest=5e-3)
 
-        def made(side: str, part: FloatArray) -> Form:
+        def form(side: str, part: FloatArray) -> Form:
             push = Push(left=part) if side == "left" else Push(right=part)
             return Form(self.id, f"{side} wheel, {label}", (parameter,), lambda _: [push], tries=2)
 
-        return [made("left", sense), made("right", sense)]
+        return [form("left", sense), form("right", sense)]

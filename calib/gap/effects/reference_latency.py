@@ -27,22 +27,26 @@ class ReferenceLatency(Effect):
     needs = "readings taken while it rolls"
     separates = "readings after the stop beside readings on the move"
 
-    def forms(self, s: Observations) -> list[Form]:
+    def forms(self, observations: Observations) -> list[Form]:
         """Return forms by instrument (end pose, laser, both); none where every run stands still when it is read."""
-        speed, rate = end_motion(s)
-        first_speed, first_rate = start_motion(s) if s.windowed else (np.zeros(len(s)), np.zeros(len(s)))
-        least = np.minimum(0.01, 0.2 * stands_mps(s))
+        speed, rate = end_motion(observations)
+        first_speed, first_rate = (
+            start_motion(observations)
+            if observations.windowed
+            else (np.zeros(len(observations)), np.zeros(len(observations)))
+        )
+        least = np.minimum(0.01, 0.2 * stands_mps(observations))
         rolls = (np.abs(speed) > least) | (np.abs(first_speed) > least)
-        has_pose = bool((s.usable[:, 1:4].any(axis=1) & rolls).any())
-        has_laser = bool((s.usable[:, 0] & rolls).any())
+        has_pose = bool((observations.usable[:, 1:4].any(axis=1) & rolls).any())
+        has_laser = bool((observations.usable[:, 0] & rolls).any())
         wanted = [("end pose", has_pose, True, False), ("laser", has_laser, False, True)]
         wanted.append(("end pose and laser", has_pose and has_laser, True, True))
         parameter = Parameter("latency", "s", typical=5e-2, largest=5e-1)
         tries = sum(one[1] for one in wanted)
 
-        def made(label: str, pose: bool, laser: bool) -> Form:
+        def form(label: str, pose: bool, laser: bool) -> Form:
             def pushes(path: Path) -> list[Push]:
-                reading = np.zeros((len(s), 6))
+                reading = np.zeros((len(observations), 6))
                 if pose:
                     # the start lay back by v_0 tau and was turned by omega_0 tau: all is seen from there
                     x, y = first_speed - first_rate * path.end[:, 1], first_rate * path.end[:, 0]
@@ -56,4 +60,4 @@ class ReferenceLatency(Effect):
 
             return Form(self.id, label, (parameter,), pushes, tries=tries)
 
-        return [made(label, pose, laser) for label, offered, pose, laser in wanted if offered]
+        return [form(label, pose, laser) for label, offered, pose, laser in wanted if offered]

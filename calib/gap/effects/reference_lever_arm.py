@@ -26,14 +26,14 @@ class ReferenceLeverArm(Effect):
     needs = "end positions of runs that turn"
     separates = "turns on the spot"
 
-    def forms(self, s: Observations) -> list[Form]:
+    def forms(self, observations: Observations) -> list[Form]:
         """Return the single form; none without end positions or where no run ends turned against its start."""
-        heading = predict(s).frame
-        if not (s.usable[:, 1] & (np.abs(np.exp(1j * heading) - 1.0) > 0.02)).any():
+        heading = predict(observations).frame
+        if not (observations.usable[:, 1] & (np.abs(np.exp(1j * heading) - 1.0) > 0.02)).any():
             return []
 
         def push(path: Path, x: FloatArray, y: FloatArray) -> Push:
-            reading = np.zeros((len(s), 6))
+            reading = np.zeros((len(observations), 6))
             reading[:, 1], reading[:, 2] = start_to_end_frame(path, x, y)
             return Push(reading=reading)
 
@@ -41,7 +41,7 @@ class ReferenceLeverArm(Effect):
             c, sn = np.cos(path.frame), np.sin(path.frame)
             return [push(path, c - 1.0, sn), push(path, -sn, c - 1.0)]
 
-        scale = reach(s)
+        scale = reach(observations)
         names = ("lever_x", "lever_y")
         parameters = tuple(Parameter(name, "m", typical=1e-2 * scale, largest=2e-1 * scale) for name in names)
         return [Form(self.id, "", parameters, pushes)]

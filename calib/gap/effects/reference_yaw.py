@@ -23,15 +23,15 @@ class ReferenceYaw(Effect):
     needs = "end positions"
     separates = "straight runs of several lengths"
 
-    def forms(self, s: Observations) -> list[Form]:
+    def forms(self, observations: Observations) -> list[Form]:
         """Return two forms: the position alone is turned, or position and heading; none without end poses."""
-        if not s.usable[:, 2].any():
+        if not observations.usable[:, 2].any():
             return []
         parameter = Parameter("yaw", "rad", typical=5e-3, largest=5e-2)
 
-        def made(with_heading: float) -> Form:
+        def form(with_heading: float) -> Form:
             def pushes(path: Path) -> list[Push]:
-                reading = np.zeros((len(s), 6))
+                reading = np.zeros((len(observations), 6))
                 c, sn = np.cos(path.frame), np.sin(path.frame)
                 x, y = path.end[:, 0], path.end[:, 1]
                 # turning (x, y) by alpha moves it by alpha (-y, x); read in the end frame
@@ -42,4 +42,4 @@ class ReferenceYaw(Effect):
             label = "position and heading" if with_heading else "position alone"
             return Form(self.id, label, (parameter,), pushes, tries=2)
 
-        return [made(0.0), made(1.0)]
+        return [form(0.0), form(1.0)]

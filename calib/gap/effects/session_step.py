@@ -25,9 +25,9 @@ class SessionStep(Effect):
     per_session = True
     shifts = ("radius_scale", "unequal_radii")
 
-    def forms(self, s: Observations) -> list[Form]:
+    def forms(self, observations: Observations) -> list[Form]:
         """Return the single form, a left and a right step a session but the first; none with one session."""
-        session = sessions(s)
+        session = sessions(observations)
         names, first = np.unique(session, return_index=True)
         names = names[np.argsort(first)]
         if len(names) < 2:

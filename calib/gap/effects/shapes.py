@@ -38,54 +38,54 @@ _STANDS_MPS = 0.05
 _SLOW = 0.2
 
 
-def sessions(s: Observations) -> StrArray:
+def sessions(observations: Observations) -> StrArray:
     """Return the session of each unit, shape (n_units,).
 
     Where nobody wrote sessions down, a stretch of runs under one load is taken for one: what changed with the load may
     have been anything else that changed just then. Loads that change more often than that leave a single session.
     """
-    session = s.labels["session"]
+    session = observations.labels["session"]
     if np.any(session != session[:1]):
         return session
-    loads = np.stack([s.number("load_left_N"), s.number("load_right_N")], axis=1)
+    loads = np.stack([observations.number("load_left_N"), observations.number("load_right_N")], axis=1)
     changes = np.flatnonzero(np.abs(np.diff(loads, axis=0)).max(axis=1, initial=0.0) > SAME_LOAD_N) + 1
-    lengths = np.diff(np.concatenate(([0], changes, [len(s)])))
+    lengths = np.diff(np.concatenate(([0], changes, [len(observations)])))
     if not len(changes) or lengths.min() < FEWEST_ALIKE:
         return session
     number = np.repeat(np.arange(1, len(lengths) + 1), lengths)
     return np.array([f"stretch_{k}" for k in number])
 
 
-def driven_speed_mps(s: Observations) -> FloatArray:
+def driven_speed_mps(observations: Observations) -> FloatArray:
     """Return the speed of each unit as a mean over its path, shape (n_units,); NaN where it is not known.
 
     A mean over the path, not over time: it is what an effect on the radii that is linear in speed sums up to.
     """
-    way = np.abs(s.path_m)
-    total = s.total(way)
+    way = np.abs(observations.path_m)
+    total = observations.total(way)
     with np.errstate(divide="ignore", invalid="ignore"):
-        logged = s.total(way * np.abs(s.speed_mps)) / total
+        logged = observations.total(way * np.abs(observations.speed_mps)) / total
     logged = np.where(logged > 0.0, logged, np.nan)
-    return np.where(s.from_log & np.isfinite(logged), logged, np.abs(s.number("speed_mps")))
+    return np.where(observations.from_log & np.isfinite(logged), logged, np.abs(observations.number("speed_mps")))
 
 
-def curvature_per_m(s: Observations) -> FloatArray:
+def curvature_per_m(observations: Observations) -> FloatArray:
     """Return the curvature of each step, no tighter than a turn about one rear wheel, shape (n_steps,)."""
-    tightest = 2.0 / s.model.track_m
-    return np.clip(s.curvature_per_m, -tightest, tightest)
+    tightest = 2.0 / observations.model.track_m
+    return np.clip(observations.curvature_per_m, -tightest, tightest)
 
 
-def shows_curves(s: Observations) -> bool:
+def shows_curves(observations: Observations) -> bool:
     """Return whether any unit turns by more than a tenth of a radian in all."""
-    return bool((s.total(np.abs(curvature_per_m(s) * s.path_m)) > 0.1).any())
+    return bool((observations.total(np.abs(curvature_per_m(observations) * observations.path_m)) > 0.1).any())
 
 
 def distance_m(path: Path) -> FloatArray:
     """Return what a perfect laser would read, without any push on the readings, shape (n_units,)."""
-    s = path.s
+    observations = path.s
     x, y = path.end[:, 0], path.end[:, 1]
-    line = np.abs(s.total(path.ds_m * path.weave_cos))
-    return np.where(s.axis == 1, x, np.where(s.axis == 2, np.hypot(x, y), line))
+    line = np.abs(observations.total(path.ds_m * path.weave_cos))
+    return np.where(observations.axis == 1, x, np.where(observations.axis == 2, np.hypot(x, y), line))
 
 
 def start_to_end_frame(path: Path, x_m: FloatArray, y_m: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -94,54 +94,60 @@ def start_to_end_frame(path: Path, x_m: FloatArray, y_m: FloatArray) -> tuple[Fl
     return c * x_m + sn * y_m, c * y_m - sn * x_m
 
 
-def end_motion(s: Observations) -> tuple[FloatArray, FloatArray]:
+def end_motion(observations: Observations) -> tuple[FloatArray, FloatArray]:
     """Return signed speed (m/s) and turn rate (rad/s) at the end of each unit, each shape (n_units,).
 
     By the log's last two stretches of three tenths of a second, carried on to the very end: a vehicle that brakes to a
     halt stands there. A unit without a log is taken as read at its set speed, 0 where that is not known.
     """
-    last = s.starts[1:] - 1
-    to_end = s.time_s[last][s.unit] - (s.time_s - 0.5 * np.nan_to_num(s.duration_s))
-    return _motion_at(s, to_end, last)
+    last = observations.starts[1:] - 1
+    to_end = observations.time_s[last][observations.unit] - (
+        observations.time_s - 0.5 * np.nan_to_num(observations.duration_s)
+    )
+    return _motion_at(observations, to_end, last)
 
 
-def start_motion(s: Observations) -> tuple[FloatArray, FloatArray]:
+def start_motion(observations: Observations) -> tuple[FloatArray, FloatArray]:
     """Return signed speed (m/s) and turn rate (rad/s) at the start of each unit, as `end_motion` at its end."""
-    first = s.starts[:-1]
-    duration = np.nan_to_num(s.duration_s)
-    from_start = (s.time_s - 0.5 * duration) - (s.time_s - duration)[first][s.unit]
-    return _motion_at(s, from_start, first)
+    first = observations.starts[:-1]
+    duration = np.nan_to_num(observations.duration_s)
+    from_start = (observations.time_s - 0.5 * duration) - (observations.time_s - duration)[first][observations.unit]
+    return _motion_at(observations, from_start, first)
 
 
-def _motion_at(s: Observations, age: FloatArray, edge: IntArray) -> tuple[FloatArray, FloatArray]:
+def _motion_at(observations: Observations, age: FloatArray, edge: IntArray) -> tuple[FloatArray, FloatArray]:
     """Return speed and turn rate at the edge of each unit; `age` is how far from it each step lies, in seconds."""
     with np.errstate(invalid="ignore"):
         late, early = age < _END_S, (age >= _END_S) & (age < 2 * _END_S)
     late[edge] = True
     early[edge] = False
-    way, turn = (_carried_on(s, part, age, late, early) for part in (s.path_m, s.turn_rad))
-    stands = np.abs(way) < stands_mps(s)
-    known = s.from_log & np.isfinite(way)
-    set_speed = np.nan_to_num(s.number("speed_mps")) * np.sign(s.total(s.path_m))
+    way, turn = (
+        _carried_on(observations, part, age, late, early) for part in (observations.path_m, observations.turn_rad)
+    )
+    stands = np.abs(way) < stands_mps(observations)
+    known = observations.from_log & np.isfinite(way)
+    set_speed = np.nan_to_num(observations.number("speed_mps")) * np.sign(observations.total(observations.path_m))
     speed = np.where(known, np.where(stands, 0.0, way), set_speed)
-    return speed, np.where(known, np.where(stands, 0.0, turn), np.abs(set_speed) * curvature_per_m(s)[edge])
+    return speed, np.where(known, np.where(stands, 0.0, turn), np.abs(set_speed) * curvature_per_m(observations)[edge])
 
 
-def stands_mps(s: Observations) -> FloatArray:
+def stands_mps(observations: Observations) -> FloatArray:
     """Return the speed below which the edge of a unit is a halt, shape (n_units,): less where all of it is slow."""
-    driven = driven_speed_mps(s)
+    driven = driven_speed_mps(observations)
     return np.minimum(_STANDS_MPS, np.where(np.isfinite(driven), _SLOW * driven, _STANDS_MPS))
 
 
-def _carried_on(s: Observations, steps: FloatArray, back: FloatArray, late: BoolArray, early: BoolArray) -> FloatArray:
+def _carried_on(
+    observations: Observations, steps: FloatArray, back: FloatArray, late: BoolArray, early: BoolArray
+) -> FloatArray:
     """Return the rate of a step quantity carried on to the end; never past zero, shape (n_units,)."""
     rate, age = [], []
     for part in (late, early):
-        time = np.where(part, np.nan_to_num(s.duration_s), 0.0)
-        seconds = s.total(time)
+        time = np.where(part, np.nan_to_num(observations.duration_s), 0.0)
+        seconds = observations.total(time)
         with np.errstate(divide="ignore", invalid="ignore"):
-            rate.append(s.total(np.where(part, steps, 0.0)) / seconds)
-            age.append(s.total(np.where(part, np.nan_to_num(back) * time, 0.0)) / seconds)
+            rate.append(observations.total(np.where(part, steps, 0.0)) / seconds)
+            age.append(observations.total(np.where(part, np.nan_to_num(back) * time, 0.0)) / seconds)
     with np.errstate(divide="ignore", invalid="ignore"):
         carried = rate[0] + (rate[0] - rate[1]) * age[0] / (age[1] - age[0])
     last = np.where(np.isfinite(rate[0]), rate[0], np.nan)
@@ -149,23 +155,23 @@ def _carried_on(s: Observations, steps: FloatArray, back: FloatArray, late: Bool
     return np.where(np.isnan(last) | (np.sign(carried) == np.sign(last)), carried, 0.0)
 
 
-def laser_share(s: Observations, effect: str, parameter: Parameter) -> list[Form]:
+def laser_share(observations: Observations, effect: str, parameter: Parameter) -> list[Form]:
     """Return the form by which the laser's distances are too large by a share; empty where no unit has one.
 
     Parameters
     ----------
-    s : Observations
+    observations : Observations
         Units and steps.
     effect : str
         Id of the effect.
     parameter : Parameter
         The share, a plain number.
     """
-    if not s.usable[:, 0].any():
+    if not observations.usable[:, 0].any():
         return []
 
     def pushes(path: Path) -> list[Push]:
-        reading = np.zeros((len(s), 6))
+        reading = np.zeros((len(observations), 6))
         reading[:, 0] = distance_m(path)
         return [Push(reading=reading)]
 

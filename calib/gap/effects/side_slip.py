@@ -21,14 +21,14 @@ class SideSlip(Effect):
     needs = "turns at known speeds, with end positions"
     separates = "turns at two speeds, the lateral position measured"
 
-    def forms(self, s: Observations) -> list[Form]:
+    def forms(self, observations: Observations) -> list[Form]:
         """Return the single form; none where nothing turns, no speed is known or no position was measured."""
-        if not shows_curves(s) or not s.usable[:, 1:3].any():
+        if not shows_curves(observations) or not observations.usable[:, 1:3].any():
             return []
-        speed = s.speed_mps
+        speed = observations.speed_mps
         if not (speed != 0.0).any():
             return []
         # v^2 kappa ds is v |v| times the turn: it changes sides when the vehicle rolls backward
-        left_m = -(speed**2) * curvature_per_m(s) * s.path_m
+        left_m = -(speed**2) * curvature_per_m(observations) * observations.path_m
         parameter = Parameter("slip_per_acceleration", "s2/m", typical=2e-3, largest=5e-2)
         return [Form(self.id, "", (parameter,), lambda _: [Push(lateral_m=left_m)])]

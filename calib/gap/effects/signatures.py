@@ -57,12 +57,12 @@ def signature_of(effect: Effect, nominal: Path) -> EffectSignature | None:
     EffectSignature or None
         None where the effect has no form on these runs: `Effect.needs` says what is missing.
     """
-    s = nominal.s
+    observations = nominal.s
     best: tuple[float, Form, FloatArray] | None = None
-    for form in effect.forms(s):
+    for form in effect.forms(observations):
         pushes = form.pushes(nominal)
         changes = [signature(nominal, push) * size for push, size in zip(pushes, form.typical, strict=True)]
-        change = np.where(s.usable, np.sum(changes, axis=0), np.nan)
+        change = np.where(observations.usable, np.sum(changes, axis=0), np.nan)
         size = float(np.sqrt(np.nansum(change**2)))
         if best is None or size > best[0]:
             best = size, form, change
@@ -73,4 +73,4 @@ def signature_of(effect: Effect, nominal: Path) -> EffectSignature | None:
     extent = float(np.max(np.hypot(nominal.x_m, nominal.y_m), initial=1.0))
     factor = float(np.clip(SEEN * extent / away, 1.0, 200.0)) if away > 0 else 1.0
     pushes = [push.scaled(factor * size) for push, size in zip(form.pushes(nominal), form.typical, strict=True)]
-    return EffectSignature(effect, form, change, predict(s, list(pushes)), factor)
+    return EffectSignature(effect, form, change, predict(observations, list(pushes)), factor)

@@ -22,15 +22,15 @@ class SpeedRadius(Effect):
     needs = "two speeds"
     separates = "one route at several speeds, read after the stop"
 
-    def forms(self, s: Observations) -> list[Form]:
+    def forms(self, observations: Observations) -> list[Form]:
         """Return the single form; none where all runs were driven alike."""
-        speed = driven_speed_mps(s)
+        speed = driven_speed_mps(observations)
         if not varies(speed, 0.02):
             return []
         parameter = Parameter("per_mps", "s/m", typical=3e-4, largest=3e-4)
 
-        def made(centre: Centre) -> Form:
+        def form(centre: Centre) -> Form:
             over = centre.deviations(speed)
-            return Form(self.id, "", (parameter,), lambda _: [Push(left=over, right=over)], centre=centre, about=made)
+            return Form(self.id, "", (parameter,), lambda _: [Push(left=over, right=over)], centre=centre, about=form)
 
-        return [made(Centre.of(speed))]
+        return [form(Centre.of(speed))]

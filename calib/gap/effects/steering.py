@@ -14,24 +14,30 @@ from calib.gap.predict.push import Push
 __all__ = ["error_form", "excess", "front_travel_m", "has_front", "steer_rad"]
 
 
-def has_front(s: Observations) -> BoolArray:
+def has_front(observations: Observations) -> BoolArray:
     """Return which units have the front wheel's counts and steering angle, shape (n_units,)."""
-    if s.by_front:
-        return np.asarray(np.isfinite(s.total(s.front_roll_rad)) & np.isfinite(s.total(s.steer_rad)))
-    return s.usable[:, 5]
+    if observations.by_front:
+        return np.asarray(
+            np.isfinite(observations.total(observations.front_roll_rad))
+            & np.isfinite(observations.total(observations.steer_rad))
+        )
+    return observations.usable[:, 5]
 
 
-def front_travel_m(s: Observations) -> FloatArray:
+def front_travel_m(observations: Observations) -> FloatArray:
     """Return the front wheel's travel of each step, 0 where it was not logged, shape (n_steps,)."""
-    return np.where(has_front(s)[s.unit], np.nan_to_num(s.front_roll_rad), 0.0) * s.vehicle.front_radius_m
+    return (
+        np.where(has_front(observations)[observations.unit], np.nan_to_num(observations.front_roll_rad), 0.0)
+        * observations.vehicle.front_radius_m
+    )
 
 
-def steer_rad(s: Observations) -> FloatArray:
+def steer_rad(observations: Observations) -> FloatArray:
     """Return the logged steering angle of each step, 0 where it was not logged, shape (n_steps,)."""
-    return np.nan_to_num(s.steer_rad)
+    return np.nan_to_num(observations.steer_rad)
 
 
-def excess(s: Observations, ahead_m: FloatArray, turn_rad: FloatArray) -> Push:
+def excess(observations: Observations, ahead_m: FloatArray, turn_rad: FloatArray) -> Push:
     """Return what it does that the front wheel says more than is true.
 
     Where rear wheels drive the odometry, the front channels are what these say less what the front wheel says, and grow
@@ -39,20 +45,20 @@ def excess(s: Observations, ahead_m: FloatArray, turn_rad: FloatArray) -> Push:
 
     Parameters
     ----------
-    s : Observations
+    observations : Observations
         Units and steps.
     ahead_m, turn_rad : array of float, shape (n_steps,)
         Excess of the way and of the turn in each step.
     """
-    if s.by_front:
+    if observations.by_front:
         return Push(along_m=-ahead_m, heading_rad=-turn_rad)
-    reading = np.zeros((len(s), 6))
-    reading[:, 4], reading[:, 5] = s.total(ahead_m), s.total(turn_rad)
+    reading = np.zeros((len(observations), 6))
+    reading[:, 4], reading[:, 5] = observations.total(ahead_m), observations.total(turn_rad)
     return Push(reading=reading)
 
 
 def error_form(
-    s: Observations,
+    observations: Observations,
     effect: str,
     label: str,
     parameter: Parameter,
@@ -69,7 +75,7 @@ def error_form(
 
     Parameters
     ----------
-    s : Observations
+    observations : Observations
         Units and steps.
     effect, label : str
         Id of the effect, and which of its forms this is.
@@ -82,7 +88,10 @@ def error_form(
     settings : dict of str to float, optional
         Quantities of the form that are not fitted.
     """
-    front = front_travel_m(s)
-    ahead, turn = -front * s.steer_sin * error_rad, front * s.steer_cos * error_rad / s.vehicle.wheelbase_m
-    pushes: Sequence[Push] = [excess(s, ahead, turn)]
+    front = front_travel_m(observations)
+    ahead, turn = (
+        -front * observations.steer_sin * error_rad,
+        front * observations.steer_cos * error_rad / observations.vehicle.wheelbase_m,
+    )
+    pushes: Sequence[Push] = [excess(observations, ahead, turn)]
     return Form(effect, label, (parameter,), lambda _: pushes, tries=tries, settings=settings or {})

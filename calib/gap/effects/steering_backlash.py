@@ -38,77 +38,81 @@ class SteeringBacklash(Effect):
     needs = "the front wheel in the log, turned both ways"
     separates = "one angle approached from the left and from the right"
 
-    def forms(self, s: Observations) -> list[Form]:
+    def forms(self, observations: Observations) -> list[Form]:
         """Return forms that follow the moves through plays of several widths, and one by the side of the turn."""
-        angle = steer_rad(s)
-        if not has_front(s).any() or not (np.abs(angle) > _TURN_RAD).any():
+        angle = steer_rad(observations)
+        if not has_front(observations).any() or not (np.abs(angle) > _TURN_RAD).any():
             return []
         parameter = Parameter("play", "rad", typical=8e-3, largest=4e-2)
         # only a clear turn has a side: the sign of an angle near zero is the sign of its sensor's noise
         by_side = np.where(np.abs(angle) > _TURN_RAD, np.sign(angle), 0.0)
-        noise = _noise_rad(s, angle)
+        noise = _noise_rad(observations, angle)
         # a coarse sensor does not tell noise, zero and small corrections apart: there a turn alone is a move
         band = _STILL_RAD if 6.0 * noise < _STILL_RAD else max(_TURN_RAD, 6.0 * noise)
         moved = np.where(np.abs(angle) > band, angle, 0.0)
-        wheel = _wheel_rad(s, angle)
-        rough = _noise_rad(s, wheel)
+        wheel = _wheel_rad(observations, angle)
+        rough = _noise_rad(observations, wheel)
         tries = 1 + 2 * len(PLAYS_RAD)
         made = []
         for play in PLAYS_RAD:
             settings = {"play_rad": play}
-            ahead = _lost_in_play(s, moved, play, 6.0 * noise) / play
+            ahead = _lost_in_play(observations, moved, play, 6.0 * noise) / play
             made.append((f"by the moves of the motor, through {1e3 * play:g} mrad", ahead, settings))
-            behind = -_lost_in_play(s, wheel, play, 3.0 * rough) / play
+            behind = -_lost_in_play(observations, wheel, play, 3.0 * rough) / play
             made.append((f"by the moves of the wheel, through {1e3 * play:g} mrad", behind, settings))
         made.append(("by the side of the turn", 0.5 * by_side, {}))
         return [
-            error_form(s, self.id, label, parameter, error, tries=tries, settings=settings)
+            error_form(observations, self.id, label, parameter, error, tries=tries, settings=settings)
             for label, error, settings in made
         ]
 
 
-def _noise_rad(s: Observations, angle: FloatArray) -> float:
+def _noise_rad(observations: Observations, angle: FloatArray) -> float:
     """Return the standard deviation of one reading of an angle, from its second differences within runs."""
-    inside = np.flatnonzero(s.unit[2:] == s.unit[:-2])
+    inside = np.flatnonzero(observations.unit[2:] == observations.unit[:-2])
     bent = np.abs(angle[inside + 2] - 2.0 * angle[inside + 1] + angle[inside])
     bent = bent[np.isfinite(bent)]
     return float(1.4826 * np.median(bent) / np.sqrt(6.0)) if len(bent) else 0.0
 
 
-def _wheel_rad(s: Observations, angle: FloatArray) -> FloatArray:
+def _wheel_rad(observations: Observations, angle: FloatArray) -> FloatArray:
     """Return the steering angle that the rear wheels' turn tells, smoothed over some way, shape (n_steps,).
 
     Its middle value on the straight is taken off: unequal radii are no steering. NaN where the vehicle hardly moves.
     """
-    turn, path, way = np.cumsum(s.turn_rad), np.cumsum(s.path_m), np.cumsum(np.abs(s.path_m))
+    turn, path, way = (
+        np.cumsum(observations.turn_rad),
+        np.cumsum(observations.path_m),
+        np.cumsum(np.abs(observations.path_m)),
+    )
     index = np.arange(len(angle))
     first = np.minimum(np.searchsorted(way, way - _SMOOTH_M), index - 1)
     last = np.maximum(np.searchsorted(way, way + _SMOOTH_M, side="right") - 1, index + 1)
-    first = np.maximum(first, s.starts[s.unit])
-    last = np.minimum(last, s.starts[s.unit + 1] - 1)
+    first = np.maximum(first, observations.starts[observations.unit])
+    last = np.minimum(last, observations.starts[observations.unit + 1] - 1)
     length = path[last] - path[first]
     told = np.abs(length) > 0.5 * _SMOOTH_M
     with np.errstate(divide="ignore", invalid="ignore"):
         bend = np.where(told, (turn[last] - turn[first]) / length, np.nan)
-    made = np.arctan(s.vehicle.wheelbase_m * bend)
+    made = np.arctan(observations.vehicle.wheelbase_m * bend)
     straight = (np.abs(angle) < _TURN_RAD) & told
     return np.asarray(made - (np.median(made[straight]) if straight.any() else 0.0))
 
 
-def _lost_in_play(s: Observations, angle: FloatArray, play: float, least: float) -> FloatArray:
+def _lost_in_play(observations: Observations, angle: FloatArray, play: float, least: float) -> FloatArray:
     """Return angle less what comes through the play, which starts in its middle, shape (n_steps,).
 
     The output keeps still until the input has crossed the play: a recursion, taken step by step over all units. A play
     below `least` is taken up by the last move that stands out of the noise.
     """
     wide = max(play, least)
-    longest = int(s.lengths.max())
-    index = np.minimum(s.starts[:-1] + np.arange(longest)[:, None], s.starts[1:] - 1)
+    longest = int(observations.lengths.max())
+    index = np.minimum(observations.starts[:-1] + np.arange(longest)[:, None], observations.starts[1:] - 1)
     through = angle[index]
     now = np.zeros(through.shape[1])
     for row in through:
         # a NaN moves nothing
         now = np.fmin(np.fmax(now, row - 0.5 * wide), row + 0.5 * wide)
         row[:] = now
-    step = np.arange(len(angle)) - s.starts[s.unit]
-    return np.asarray(np.nan_to_num((angle - through[step, s.unit]) * (play / wide)))
+    step = np.arange(len(angle)) - observations.starts[observations.unit]
+    return np.asarray(np.nan_to_num((angle - through[step, observations.unit]) * (play / wide)))

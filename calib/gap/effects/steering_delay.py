@@ -26,21 +26,21 @@ class SteeringDelay(Effect):
     needs = "the front wheel in a log with times"
     separates = "runs that end in a turn"
 
-    def forms(self, s: Observations) -> list[Form]:
+    def forms(self, observations: Observations) -> list[Form]:
         """Return the single form; none where the steering does not move or the log has no times."""
-        rate = _rate(s, steer_rad(s))
-        if not has_front(s).any() or not (np.abs(rate) > 1e-3).any():
+        rate = _rate(observations, steer_rad(observations))
+        if not has_front(observations).any() or not (np.abs(rate) > 1e-3).any():
             return []
         parameter = Parameter("delay", "s", typical=1e-1, largest=5e-1)
-        return [error_form(s, self.id, "", parameter, -rate)]
+        return [error_form(observations, self.id, "", parameter, -rate)]
 
 
-def _rate(s: Observations, angle: FloatArray) -> FloatArray:
+def _rate(observations: Observations, angle: FloatArray) -> FloatArray:
     """Return the rate of the steering angle in each step, one-sided at the ends of a unit, shape (n_steps,)."""
     index = np.arange(len(angle))
-    before = np.maximum(index - 1, s.starts[s.unit])
-    after = np.minimum(index + 1, s.starts[s.unit + 1] - 1)
-    middle = s.time_s - 0.5 * s.duration_s
+    before = np.maximum(index - 1, observations.starts[observations.unit])
+    after = np.minimum(index + 1, observations.starts[observations.unit + 1] - 1)
+    middle = observations.time_s - 0.5 * observations.duration_s
     with np.errstate(divide="ignore", invalid="ignore"):
         rate = (angle[after] - angle[before]) / (middle[after] - middle[before])
     return np.where(np.isfinite(rate), rate, 0.0)

@@ -24,20 +24,20 @@ class SteeringScale(Effect):
     needs = "the front wheel in the log, turned"
     separates = "several steering angles"
 
-    def forms(self, s: Observations) -> list[Form]:
+    def forms(self, observations: Observations) -> list[Form]:
         """Return a form for the angle and one for the wheelbase; none where the front wheel is never turned."""
-        angle = steer_rad(s)
-        if not has_front(s).any() or not (np.abs(angle) > 0.02).any():
+        angle = steer_rad(observations)
+        if not has_front(observations).any() or not (np.abs(angle) > 0.02).any():
             return []
         parameter = Parameter("relative", "1", typical=1e-2, largest=1e-1)
         # the distance by the front wheel knows nothing of the wheelbase
-        turn = front_travel_m(s) * s.steer_sin / s.vehicle.wheelbase_m
-        pushes = [excess(s, np.zeros_like(turn), turn)]
+        turn = front_travel_m(observations) * observations.steer_sin / observations.vehicle.wheelbase_m
+        pushes = [excess(observations, np.zeros_like(turn), turn)]
 
         def longer(_: Path) -> list[Push]:
             return pushes
 
         return [
-            error_form(s, self.id, "scale of the angle", parameter, angle, tries=2),
+            error_form(observations, self.id, "scale of the angle", parameter, angle, tries=2),
             Form(self.id, "wheelbase", (parameter,), longer, tries=2),
         ]

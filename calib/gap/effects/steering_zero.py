@@ -22,9 +22,9 @@ class SteeringZero(Effect):
     needs = "the front wheel in the log"
     separates = "forward and back"
 
-    def forms(self, s: Observations) -> list[Form]:
+    def forms(self, observations: Observations) -> list[Form]:
         """Return the single form; none without a front wheel in the log."""
-        if not has_front(s).any():
+        if not has_front(observations).any():
             return []
         parameter = Parameter("zero", "rad", typical=8e-3, largest=3.5e-2)
-        return [error_form(s, self.id, "", parameter, np.ones(len(s.unit)))]
+        return [error_form(observations, self.id, "", parameter, np.ones(len(observations.unit)))]

@@ -21,16 +21,16 @@ class TemperatureRadius(Effect):
     separates = "cold and warm runs within one session"
     shifts = ("radius_scale",)
 
-    def forms(self, s: Observations) -> list[Form]:
+    def forms(self, observations: Observations) -> list[Form]:
         """Return the single form; none where the temperature is not known or does not vary."""
-        temperature = s.number("temperature_C")
+        temperature = observations.number("temperature_C")
         if not varies(temperature, 0.5):
             return []
         # 0.05 to 0.2 % per 20 K
         parameter = Parameter("alpha", "1/K", typical=5e-5, largest=3e-4)
 
-        def made(centre: Centre) -> Form:
+        def form(centre: Centre) -> Form:
             over = centre.deviations(temperature)
-            return Form(self.id, "", (parameter,), lambda _: [Push(left=over, right=over)], centre=centre, about=made)
+            return Form(self.id, "", (parameter,), lambda _: [Push(left=over, right=over)], centre=centre, about=form)
 
-        return [made(Centre.of(temperature))]
+        return [form(Centre.of(temperature))]

@@ -26,8 +26,8 @@ class TrackWidth(Effect):
     calibration_direction = (0.0, 0.0, 1.0, 0.0)
     typical = 1e-2
 
-    def forms(self, s: Observations) -> list[Form]:
+    def forms(self, observations: Observations) -> list[Form]:
         """Return the single form; it applies to any campaign."""
-        ones = np.ones(len(s))
+        ones = np.ones(len(observations))
         parameter = Parameter("relative", "1", typical=self.typical, largest=1e-1)
         return [Form(self.id, "", (parameter,), lambda _: [Push(track=ones)])]

@@ -24,18 +24,18 @@ class TravelDirection(Effect):
     separates = "the vehicle turned by 180 degrees on the same lane"
     shifts = ("radius_scale",)
 
-    def forms(self, s: Observations) -> list[Form]:
+    def forms(self, observations: Observations) -> list[Form]:
         """Return two forms, unlike in runs of neither direction; none where all runs go one way."""
-        sigma = s.heading_sign
+        sigma = observations.heading_sign
         if not varies(sigma):
             return []
-        labelled = np.isin(s.labels["direction"], ("out", "back"))
+        labelled = np.isin(observations.labels["direction"], ("out", "back"))
         parameter = Parameter("relative", "1", typical=1e-3, largest=5e-3)
 
-        def made(label: str, way: FloatArray, tries: int) -> Form:
+        def form(label: str, way: FloatArray, tries: int) -> Form:
             return Form(self.id, label, (parameter,), lambda _: [Push(left=way, right=way)], tries=tries)
 
         if labelled.all():
-            return [made("", sigma, 1)]
-        along = made("along the corridor alone", np.where(labelled, sigma, 0.0), 2)
-        return [along, made("other routes as out", sigma, 2)]
+            return [form("", sigma, 1)]
+        along = form("along the corridor alone", np.where(labelled, sigma, 0.0), 2)
+        return [along, form("other routes as out", sigma, 2)]

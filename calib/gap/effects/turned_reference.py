@@ -74,12 +74,12 @@ def find_turned(nominal: Path) -> TurnedReference | None:
     nominal : Path
         The model alone.
     """
-    s = nominal.s
-    on = s.usable[:, POSE].all(axis=1)
-    if on.sum() < FEWEST or np.isfinite(s.simulated).any():
+    observations = nominal.s
+    on = observations.usable[:, POSE].all(axis=1)
+    if on.sum() < FEWEST or np.isfinite(observations.simulated).any():
         return None
     end = nominal.end[on, 0] + 1j * nominal.end[on, 1]
-    seen = s.measured[on, Channel.ALONG] + 1j * s.measured[on, Channel.LATERAL]
+    seen = observations.measured[on, Channel.ALONG] + 1j * observations.measured[on, Channel.LATERAL]
     turned = np.exp(1j * nominal.end[on, 2]) - 1.0
     # a place within a metre, ends good to some centimetres; without turns there is nothing to see of it
     columns, prior = np.stack([end, turned], axis=1), np.diag([0.0, 1e-3])
@@ -90,7 +90,7 @@ def find_turned(nominal: Path) -> TurnedReference | None:
     left_m2 = float(np.sum(np.abs(seen - turn * end - place * turned) ** 2))
     by_place = turned.conj() @ (seen - end) / (turned.conj() @ turned + 1e-3)
     before_m2 = float(np.sum(np.abs(seen - end - by_place * turned) ** 2))
-    headed = s.usable[:, Channel.HEADING]
+    headed = observations.usable[:, Channel.HEADING]
     # radii that bend the path turn its end, and the heading there by twice as much: a mounting leaves that alone
     heading = residuals(nominal, nominal)[headed, Channel.HEADING]
     bent_rad = float(np.sqrt(np.mean(heading**2))) if headed.any() else BENT_RAD

@@ -26,8 +26,8 @@ class UnequalRadii(Effect):
     calibration_direction = (-0.5, 0.5, 0.0, 0.0)
     typical = 2e-3
 
-    def forms(self, s: Observations) -> list[Form]:
+    def forms(self, observations: Observations) -> list[Form]:
         """Return the single form; it applies to any campaign."""
-        half = np.full(len(s), 0.5)
+        half = np.full(len(observations), 0.5)
         parameter = Parameter("relative", "1", typical=self.typical, largest=2e-2)
         return [Form(self.id, "", (parameter,), lambda _: [Push(left=-half, right=half)])]

@@ -75,21 +75,21 @@ class Declared(Effect):
         # counted from another zero than the campaign's mean, the effect looks like these beside it
         self.shifts = _SHIFTS[acts_on]  # type: ignore[misc]
 
-    def forms(self, s: Observations) -> list[Form]:
+    def forms(self, observations: Observations) -> list[Form]:
         """Return the single form; none where the column has gaps or does not vary."""
-        values = s.number(self.column)
+        values = observations.number(self.column)
         if not varies(values):
             return []
-        return [self._form(s, Centre(float(np.mean(values))))]
+        return [self._form(observations, Centre(float(np.mean(values))))]
 
-    def _form(self, s: Observations, centre: Centre) -> Form:
-        over = centre.deviations(s.number(self.column))
+    def _form(self, observations: Observations, centre: Centre) -> Form:
+        over = centre.deviations(observations.number(self.column))
         if self.acts_on == "distance":
-            reading = np.zeros((len(s), 6))
+            reading = np.zeros((len(observations), 6))
             reading[:, 0] = over
             push = Push(reading=reading)
         elif self.acts_on == "yaw":
-            push = Push(heading_rad=over[s.unit] * s.path_m)
+            push = Push(heading_rad=over[observations.unit] * observations.path_m)
         elif self.acts_on == "track":
             push = Push(track=over)
         else:
@@ -105,7 +105,7 @@ class Declared(Effect):
             lambda _: [push],
             settings={"mean": centre.mean},
             centre=centre,
-            about=lambda elsewhere: self._form(s, elsewhere),
+            about=lambda elsewhere: self._form(observations, elsewhere),
         )
 
 
@@ -129,14 +129,14 @@ def _size(entry: Mapping[str, Any], number: int, key: str) -> float:
     return float(value)  # type: ignore[arg-type]
 
 
-def declared_effects(declared: object, s: Observations, taken: Collection[str]) -> list[Effect]:
+def declared_effects(declared: object, observations: Observations, taken: Collection[str]) -> list[Effect]:
     """Return the effects of the ``[[effects]]`` tables.
 
     Parameters
     ----------
     declared : object
         The section as read; a sequence of tables with the keys id, title, column, acts_on, typical and largest.
-    s : Observations
+    observations : Observations
         The campaign, for the names of its columns.
     taken : collection of str
         Ids that are in use.
@@ -162,8 +162,8 @@ def declared_effects(declared: object, s: Observations, taken: Collection[str]) 
         if name in used:
             raise _wrong(f"effects[{number}].id", name, "an id that no other effect has", "choose another id")
         column = _text(entry, number, "column")
-        if column not in s.numbers:
-            known = ", ".join(sorted(s.numbers))
+        if column not in observations.numbers:
+            known = ", ".join(sorted(observations.numbers))
             remedy = f"add the column to runs.csv or name one of: {known}"
             raise _wrong(f"effects[{number}].column", column, "a numeric column of the run table", remedy)
         acts_on = _text(entry, number, "acts_on")

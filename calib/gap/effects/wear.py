@@ -26,19 +26,19 @@ class Wear(Effect):
     separates = "a reference run repeated over many kilometres"
     shifts = ("radius_scale", "unequal_radii")
 
-    def forms(self, s: Observations) -> list[Form]:
+    def forms(self, observations: Observations) -> list[Form]:
         """Return a form per km and, with two sessions and more, one per session."""
         found: list[tuple[str, str, FloatArray, float, float]] = []
-        km = s.number("travelled_km")
+        km = observations.number("travelled_km")
         if varies(km, 1e-3):
             found.append(("per km", "1/km", km, 1e-5, 1e-4))
-        session = sessions(s)
+        session = sessions(observations)
         names, first, of = np.unique(session, return_index=True, return_inverse=True)
         if len(names) > 1:
             rank = np.argsort(np.argsort(first))
             found.append(("per session", "1/session", rank[of].astype(np.float64), 1e-4, 1e-3))
 
-        def made(
+        def form(
             label: str, unit: str, driven: FloatArray, typical: float, largest: float, centre: Centre | None = None
         ) -> Form:
             parameters = tuple(Parameter(f"rate_{side}", unit, typical, largest) for side in ("left", "right"))
@@ -51,7 +51,7 @@ class Wear(Effect):
                 lambda _: [Push(left=grows), Push(right=grows)],
                 tries=len(found),
                 centre=centre,
-                about=lambda elsewhere: made(label, unit, driven, typical, largest, elsewhere),
+                about=lambda elsewhere: form(label, unit, driven, typical, largest, elsewhere),
             )
 
-        return [made(*one) for one in found]
+        return [form(*one) for one in found]

@@ -29,23 +29,23 @@ class WheelEccentricity(Effect):
     needs = "logs"
     separates = "the log within a run"
 
-    def forms(self, s: Observations) -> list[Form]:
+    def forms(self, observations: Observations) -> list[Form]:
         """Return forms for the left wheel, the right wheel and both; none without logs."""
-        if not s.from_log.any():
+        if not observations.from_log.any():
             return []
-        logged = s.from_log[s.unit]
+        logged = observations.from_log[observations.unit]
 
         def relative(angle: FloatArray, roll: FloatArray, radius: FloatArray) -> tuple[FloatArray, FloatArray]:
             """Return the relative change of each step's travel per metre of e cos(phi_0) and of e sin(phi_0)."""
             middle, half = angle - 0.5 * roll, 0.5 * roll
             # sin(a) - sin(b) = 2 cos(middle) sin(half), so the quotient by the roll stays finite at rest
-            share = np.where(logged, np.sinc(half / np.pi), 0.0) / radius[s.unit]
+            share = np.where(logged, np.sinc(half / np.pi), 0.0) / radius[observations.unit]
             return np.cos(middle) * share, -np.sin(middle) * share
 
-        of_left = relative(s.phase_left_rad, s.roll_left_rad, s.radius_left_m)
-        of_right = relative(s.phase_right_rad, s.roll_right_rad, s.radius_right_m)
+        of_left = relative(observations.phase_left_rad, observations.roll_left_rad, observations.radius_left_m)
+        of_right = relative(observations.phase_right_rad, observations.roll_right_rad, observations.radius_right_m)
 
-        scale = wheel_size(s)
+        scale = wheel_size(observations)
 
         def parameters(side: str) -> tuple[Parameter, ...]:
             names = (f"{side}_cos", f"{side}_sin")
