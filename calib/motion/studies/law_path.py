@@ -247,7 +247,7 @@ def law_path(
     loads = loading.at(distance[:-1])
     real = radii_under_load(law, *loads)
     kept = radii_under_load(law, *reference_N)
-    spread = parameter_covariance(law, track_std_m=track_std_m)
+    spread = parameter_covariance(law, track_std_m=track_std_m, single_run=True)
     half = 0.5 * track_m * fine.turn_rad
     driven = []
     for believed in (kept, real):
