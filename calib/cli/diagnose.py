@@ -67,7 +67,7 @@ def run(
     """
     one_blas_thread()
     from calib.campaign.opening import read_or_ingest
-    from calib.files import write_bytes, write_json
+    from calib.files import write_json
     from calib.gap.verdict.result import VerdictKind
     from calib.report.gap_findings import GapFindings
     from calib.report.statements.diagnosis import verdict_content
@@ -80,16 +80,30 @@ def run(
     document = GapFindings.of(verdict).to_dict()
     show(verdict_content(verdict), target=json)
     if apply is not None:
-        from calib.gap.apply import applied_model
-
-        wrote([write_bytes(apply, applied_model(diagnosis, read, effects).to_bytes(), force=force)], target=json)
-        if not verdict.recommended:
-            say("The written model is not recommended: see above what speaks against it.", target=json)
+        _apply(diagnosis, read, effects, apply, json=json, force=force)
     if into is not None:
         wrote([write_json(into / RESULT_FILE, document, force=force)], target=json)
     _draw(diagnosis, read, html, figures, json=json, force=force)
     emit_json(document, json, force=force)
     return 0 if verdict.kind in {VerdictKind.NO_GAP, VerdictKind.EXPLAINED} else 1
+
+
+def _apply(
+    diagnosis: Diagnosis,
+    campaign: Campaign,
+    effects: tuple[EffectSection, ...],
+    target: Path,
+    *,
+    json: str | None,
+    force: bool,
+) -> None:
+    """Write the model with its correction, and say so where that is not recommended."""
+    from calib.files import write_bytes
+    from calib.gap.apply import applied_model
+
+    wrote([write_bytes(target, applied_model(diagnosis, campaign, effects).to_bytes(), force=force)], target=json)
+    if not diagnosis.verdict.recommended:
+        say("The written model is not recommended: see above what speaks against it.", target=json)
 
 
 def _pictures(folder: Path | None) -> list[Path]:
