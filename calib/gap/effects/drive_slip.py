@@ -38,6 +38,7 @@ class DriveSlip(Effect):
         acceleration = _acceleration_mps2(observations)
         speeding = np.maximum(acceleration, 0.0)
         front, ones = front_travel_m(observations), np.ones(len(observations.unit))
+        turning = observations.steer_sin / observations.vehicle.wheelbase_m
         per_acceleration = Parameter("slip_per_mps2", "s2/m", typical=1e-2, largest=1e-1)
         rolling = Parameter("slip_rolling", "1", typical=3e-3, largest=5e-2)
         # a run from rest to rest gains and loses the same by acceleration and braking
@@ -46,19 +47,19 @@ class DriveSlip(Effect):
         if np.isfinite(over_front).all() and np.ptp(_over_mean(over_front) / _over_mean(observations.weight_N)) > 0.02:
             forces["by the force over the front load"] = over_front
         # label, the force (None where the load does nothing), the parts that go with it, their parameters
-        found: list[tuple[str, FloatArray | None, list[FloatArray], tuple[Parameter, ...]]] = []
+        slips: list[tuple[str, FloatArray | None, list[FloatArray], tuple[Parameter, ...]]] = []
         for name, force in forces.items():
             if gains:
-                found.append((f"{name}, speeding up", force, [speeding], (per_acceleration,)))
+                slips.append((f"{name}, speeding up", force, [speeding], (per_acceleration,)))
                 both = (per_acceleration, rolling)
-                found.append((f"{name}, speeding up and rolling", force, [speeding, ones], both))
+                slips.append((f"{name}, speeding up and rolling", force, [speeding, ones], both))
             wide = Centre(0.0, float(np.mean(force))).deviations(force)[observations.unit]
             if (np.abs(observations.total(front * acceleration * wide)) > 1e-2).any():
                 both = (per_acceleration, rolling)
-                found.append((f"{name}, speeding up, braking and rolling", force, [acceleration, ones], both))
-            found.append((f"{name}, rolling", force, [ones], (rolling,)))
+                slips.append((f"{name}, speeding up, braking and rolling", force, [acceleration, ones], both))
+            slips.append((f"{name}, rolling", force, [ones], (rolling,)))
         if float(np.ptp(_over_mean(observations.weight_N))) > 1e-9:
-            found.append(("a constant share, or the front wheel's radius", None, [ones], (rolling,)))
+            slips.append(("a constant share, or the front wheel's radius", None, [ones], (rolling,)))
 
         def form(
             label: str,
@@ -74,24 +75,18 @@ class DriveSlip(Effect):
             pushes = []
             for part in parts:
                 slipped = front * part * share
-                pushes.append(
-                    excess(
-                        observations,
-                        slipped * observations.steer_cos,
-                        slipped * observations.steer_sin / observations.vehicle.wheelbase_m,
-                    )
-                )
+                pushes.append(excess(observations, slipped * observations.steer_cos, slipped * turning))
             return Form(
                 self.id,
                 label,
                 parameters,
                 lambda _: pushes,
-                tries=len(found),
+                tries=len(slips),
                 centre=centre,
                 about=None if centre is None else lambda elsewhere: form(label, force, parts, parameters, elsewhere),
             )
 
-        return [form(*one) for one in found]
+        return [form(*one) for one in slips]
 
 
 def _over_mean(values: FloatArray) -> FloatArray:
