@@ -38,7 +38,7 @@ class DriveSlip(Effect):
         acceleration = _acceleration_mps2(observations)
         speeding = np.maximum(acceleration, 0.0)
         front, ones = front_travel_m(observations), np.ones(len(observations.unit))
-        turning = observations.steer_sin / observations.vehicle.wheelbase_m
+        cosine, sine, wheelbase = observations.steer_cos, observations.steer_sin, observations.vehicle.wheelbase_m
         per_acceleration = Parameter("slip_per_mps2", "s2/m", typical=1e-2, largest=1e-1)
         rolling = Parameter("slip_rolling", "1", typical=3e-3, largest=5e-2)
         # a run from rest to rest gains and loses the same by acceleration and braking
@@ -75,7 +75,7 @@ class DriveSlip(Effect):
             pushes = []
             for part in parts:
                 slipped = front * part * share
-                pushes.append(excess(observations, slipped * observations.steer_cos, slipped * turning))
+                pushes.append(excess(observations, slipped * cosine, slipped * sine / wheelbase))
             return Form(
                 self.id,
                 label,
