@@ -22,13 +22,18 @@ def main() -> None:
     try:
         if ours:
             signal.signal(signal.SIGINT, signal.default_int_handler)
-        status = run()
+        status: object = run()
+    except SystemExit as error:
+        status = error.code
     except KeyboardInterrupt:
         _stop()
-    if ours:
-        # what is written is whole: an interruption of the interpreter's own end changes nothing
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-    sys.exit(status)
+    try:
+        if ours:
+            # what is written is whole: an interruption of the interpreter's own end changes nothing
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+    except KeyboardInterrupt:
+        _stop()
+    sys.exit(status)  # type: ignore[arg-type]
 
 
 def _stop(*_: Any) -> None:

@@ -15,7 +15,7 @@ from calib.campaign.read import read_campaign
 from calib.campaign.write import write_campaign
 from tests.campaign.making import campaign
 
-ROUNDS, MOST_ROUNDS = 4, 15
+ROUNDS, MOST_ROUNDS = 4, 40
 
 
 @pytest.fixture(scope="module")

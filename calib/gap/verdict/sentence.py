@@ -94,7 +94,8 @@ def advice(verdict: Verdict) -> str:
 def _doubtful(causes: Sequence[Cause]) -> list[Cause]:
     """Return the least likely causes, without which all the others together would be sure."""
     rising = sorted(causes, key=lambda cause: cause.probability)
-    count = next(n for n in range(len(rising) + 1) if prod(cause.probability for cause in rising[n:]) >= SURE)
+    # one that has no probability is not doubted for it
+    count = next(n for n in range(len(rising) + 1) if not prod(cause.probability for cause in rising[n:]) < SURE)
     return rising[:count]
 
 
