@@ -166,8 +166,9 @@ def decide(evidence: Evidence) -> Verdict:
     agreement = agreement_m(evidence, tied)
     concerned = {*evidence.named, *(name for group in tied for name in group)}
     fix = Fix(
-        # what steps from session to session says nothing of those to come, however alike the corrections are now
+        # the correction holds all that was fitted, and what steps from session to session says nothing of those to come
         recommended=kind is not VerdictKind.UNDECIDED
+        and names.issuperset(evidence.named)
         and not any(evidence.effects[name].per_session for name in concerned)
         and recommended(causes, [certain[cause.effect] for cause in causes], closure, evidence.trials, agreement),
         agreement_m=agreement,
