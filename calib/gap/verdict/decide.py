@@ -16,7 +16,7 @@ from calib.gap.verdict.groups import groups_of
 from calib.gap.verdict.odds import any_probability, credible_sets, effect_probabilities, gap_probability
 from calib.gap.verdict.outcome import DRIVEN, JOURNEYS
 from calib.gap.verdict.rest import rest_of
-from calib.gap.verdict.result import SURE, Cause, Closure, Fix, Group, NoiseSummary, Verdict, VerdictKind
+from calib.gap.verdict.result import ALIKE, SURE, Cause, Closure, Fix, Group, NoiseSummary, Verdict, VerdictKind
 from calib.gap.verdict.sentence import sentence
 from calib.gap.verdict.transfer import Trial
 
@@ -36,8 +36,6 @@ LEAST: Final = 0.1
 ALONE: Final = 0.8
 #: a rest, or causes that cannot be told apart, that carry a larger share of the gap are part of the verdict's word
 SMALL: Final = 0.05
-#: corrections nearer than this many floors are alike
-ALIKE: Final = 1.0
 
 
 @dataclass(frozen=True, slots=True)

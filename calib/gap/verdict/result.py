@@ -22,6 +22,7 @@ from calib.gap.verdict.outcome import (
 from calib.gap.where.result import Where
 
 __all__ = [
+    "ALIKE",
     "BY_MODEL",
     "BY_SIMULATOR",
     "FORMAT",
@@ -42,8 +43,10 @@ __all__ = [
 ]
 
 FORMAT: Final = "calib-diagnosis/1"
-#: every cause of a recommended fix is at least so probable
+#: all causes of a recommended fix together are at least so probable
 SURE: Final = 0.6
+#: corrections nearer than this many floors are alike
+ALIKE: Final = 1.0
 #: what the gap was judged against, where no file was given: the campaign's own model, or an outside simulator
 BY_MODEL: Final = "model"
 BY_SIMULATOR: Final = "sim columns of runs.csv"

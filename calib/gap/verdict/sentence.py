@@ -8,7 +8,7 @@ from typing import Final
 
 from calib.gap.effects.calibration import HIDES_IN
 from calib.gap.effects.library import steps_by_session, title_of
-from calib.gap.verdict.result import SURE, Cause, ChannelClosure, Verdict, VerdictKind
+from calib.gap.verdict.result import ALIKE, SURE, Cause, ChannelClosure, Verdict, VerdictKind
 from calib.gap.where.result import PlaceLine, Where
 
 __all__ = ["advice", "sentence"]
@@ -75,10 +75,11 @@ def advice(verdict: Verdict) -> str:
     if not verdict.causes:
         return ""
     if verdict.recommended and verdict.groups:
-        return "Recommended: whichever of the causes it is, their corrections are alike; either way, apply this."
+        tied = _joined([_joined(group.effects, "or") for group in verdict.groups], "and")
+        return f"Recommended: whichever it is of {tied}, their corrections are alike; either way, apply this."
     if verdict.recommended:
         return "Recommended: the fix holds on runs it has not seen."
-    if verdict.groups:
+    if verdict.groups and not _alike(verdict):
         return "Not recommended: other causes would explain these runs as well."
     if verdict.kind is VerdictKind.PARTLY_EXPLAINED:
         return "Not recommended: a rest of the gap is left, and its cause may be what the named one imitates."
@@ -89,6 +90,12 @@ def advice(verdict: Verdict) -> str:
     if any(steps_by_session(cause.effect) for cause in verdict.causes):
         return "Not recommended: what steps from session to session says nothing of the next one; calibrate in each."
     return "Not recommended: the fix is not shown to hold on runs that it has not seen."
+
+
+def _alike(verdict: Verdict) -> bool:
+    """Return whether it does not matter which of the causes it is that cannot be told apart."""
+    agreement, floor = verdict.fix.agreement_m, verdict.closure.floor_rms_m
+    return agreement is not None and agreement <= ALIKE * (floor or 0.0)
 
 
 def _doubtful(causes: Sequence[Cause]) -> list[Cause]:
