@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import signal
 import sys
-from typing import Any
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any, NoReturn
 
 __all__ = ["main"]
 
@@ -20,23 +22,40 @@ def main() -> None:
     from calib.cli.main import run
 
     try:
-        if ours:
-            signal.signal(signal.SIGINT, signal.default_int_handler)
-        status: object = run()
-    except SystemExit as error:
-        status = error.code
+        status = _status(run) if ours else run()
     except KeyboardInterrupt:
         _stop()
+    if status == _INTERRUPTED:
+        # where it passed through an exec(), as of a dataclass, the interpreter would end by the signal, not by a status
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(OSError):
+                stream.flush()
+        os._exit(_INTERRUPTED)
+    sys.exit(status)
+
+
+def _status(run: Callable[..., int]) -> Any:
+    interruptions = []
+
+    def interrupt(*_: Any) -> NoReturn:
+        interruptions.append(True)
+        raise KeyboardInterrupt
+
+    def settle() -> bool:
+        # what is written is whole and one line says the rest: an interruption changes nothing any more
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        return bool(interruptions)
+
     try:
-        if ours:
-            # what is written is whole: an interruption of the interpreter's own end changes nothing
-            signal.signal(signal.SIGINT, signal.SIG_IGN)
-    except KeyboardInterrupt:
-        _stop()
-    sys.exit(status)  # type: ignore[arg-type]
+        signal.signal(signal.SIGINT, interrupt)
+        return run(settle=settle)
+    except SystemExit as error:
+        return error.code
+    finally:
+        settle()
 
 
-def _stop(*_: Any) -> None:
+def _stop(*_: Any) -> NoReturn:
     os.write(2, b"calib: interrupted; nothing half-written is left\n")
     os._exit(_INTERRUPTED)
 

@@ -6,7 +6,7 @@ import importlib
 import os
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
@@ -137,8 +137,12 @@ def main(arguments: list[str] | None = None) -> None:
     sys.exit(run(arguments))
 
 
-def run(arguments: list[str] | None = None) -> int:
-    """Run the command line and return its exit status."""
+def run(arguments: list[str] | None = None, settle: Callable[[], bool] = lambda: False) -> int:
+    """Run the command line and return its exit status.
+
+    ``settle`` is called before the last line is said, and returns whether the user interrupted the command: libraries
+    may turn an interruption into an error of their own.
+    """
     if sys.stdout is None or sys.stderr is None:
         _reopen()
     # figures go to files only, whatever window system the environment asks for
@@ -149,17 +153,23 @@ def run(arguments: list[str] | None = None) -> int:
     try:
         status = _invoke(given)
         sys.stdout.flush()
+        settle()
     except (typer.Abort, KeyboardInterrupt):
-        held = f"kept: {'; '.join(kept)}" if kept else "nothing was written"
-        return _complain(f"interrupted; {held}, and nothing half-written is left", EXIT_INTERRUPTED)
+        settle()
+        return _told_of_interruption(kept)
     except SystemExit as error:
         # the printing libraries end the program with 1 where nobody reads on
         if isinstance(error.__context__, BrokenPipeError):
             return _pipe_closed()
         raise
     except Exception as error:
-        return _told(error, given)
+        return _told_of_interruption(kept) if settle() else _told(error, given)
     return status
+
+
+def _told_of_interruption(kept: list[str]) -> int:
+    held = f"kept: {'; '.join(kept)}" if kept else "nothing was written"
+    return _complain(f"interrupted; {held}, and nothing half-written is left", EXIT_INTERRUPTED)
 
 
 def _told(error: Exception, given: list[str]) -> int:
