@@ -58,10 +58,7 @@ def write_bytes(path: Path, data: bytes, *, force: bool = False) -> Path:
         if _is_stream(path):
             _pour(path, data)
             return path
-        if path.is_dir():
-            raise BadInputError(f"{path}: found a folder; expected a file to write; name a file in it")
-        if os.path.lexists(path) and not force:
-            raise would_overwrite(path)
+        refuse_existing([path], force=force)
         path.parent.mkdir(parents=True, exist_ok=True)
         sweep(path)
         temporary = temporary_beside(path)
@@ -132,11 +129,20 @@ def refuse_existing(targets: Iterable[Path | str | None], *, force: bool = False
         path = Path(target)
         refuse_input(path)
         try:
-            taken = os.path.lexists(path) and not _is_stream(path)
+            os.lstat(path)
+            if path.is_dir():
+                raise BadInputError(f"{path}: found a folder; expected a file to write; name a file in it")
+            if not force and not _is_stream(path):
+                raise would_overwrite(path)
+        except FileNotFoundError:
+            continue
+        except OSError as error:
+            # a file where a folder should be, a name that is too long, a folder that may not be looked into
+            raise BadInputError(
+                f"{path}: found {error.strerror}; expected a place for a file; choose another path"
+            ) from error
         except ValueError as error:
             raise BadInputError(f"{path}: found {error}; expected a path; correct it") from error
-        if taken and not force:
-            raise would_overwrite(path)
 
 
 def write_text(path: Path, text: str, *, force: bool = False) -> Path:

@@ -81,8 +81,8 @@ def run(
         wrote([write_json(result, document, force=force)], target=json)
     if output is not None:
         _coefficients(estimated, read, output, json, force=force)
-    if pictures:
-        _draw(estimated, read, pictures, json, force=force)
+    if figures is not None:
+        _draw(estimated, read, figures, json, force=force)
     emit_json(document, json, force=force)
     return 0 if estimated.passed else 1
 
@@ -105,14 +105,10 @@ def _coefficients(estimated: Geometry, read: Campaign, output: Path, json: str |
     wrote([write_bytes(output, from_geometry(estimated, read).to_bytes(), force=force)], target=json)
 
 
-def _draw(estimated: Geometry, read: Campaign, pictures: list[Path], json: str | None, *, force: bool) -> None:
-    from calib.files import write_bytes
+def _draw(estimated: Geometry, read: Campaign, folder: Path, json: str | None, *, force: bool) -> None:
     from calib.geometry.paths import paths_of
+    from calib.report.figures.files import write_figures
     from calib.report.figures.geometry import draw_paths
-    from calib.report.figures.style import render
 
     figure = draw_paths(paths_of(read, estimated), simulated=estimated.simulated)
-    wrote(
-        [write_bytes(path, render(figure, path.suffix[1:]), force=force) for path in pictures],
-        target=json,
-    )
+    wrote(write_figures({PICTURE: figure}, folder, force=force), target=json)

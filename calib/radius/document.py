@@ -33,6 +33,14 @@ def _array(values: Any) -> FloatArray:
     return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
 
 
+def _covariance(rows: Any) -> FloatArray:
+    """Return the covariance of a radius and its slope, shape (2, 2)."""
+    matrix = np.array(rows, dtype=np.float64)
+    if matrix.shape != (2, 2) or not (np.isfinite(matrix).all() and (np.diag(matrix) >= 0.0).all()):
+        raise ValueError(f"{str(rows)[:60]} where the covariance of radius and slope, 2 by 2, is expected")
+    return matrix
+
+
 def wheel_to_dict(fit: WheelFit) -> dict[str, Any]:
     """Return one wheel's fit as plain values; the contract's keys first."""
     law, line = fit.law, fit.model == "line"
@@ -101,8 +109,8 @@ def wheel_from_dict(wheel: str, value: Mapping[str, Any]) -> WheelFit:
     estimate = Estimate(
         design=str(strata["design"]),
         coefficients=np.array([float(value["radius_ref_m"]), slope]),
-        cov_within=np.array(strata["covariance_within"], dtype=np.float64),
-        cov_between=np.array(strata["covariance_between"], dtype=np.float64),
+        cov_within=_covariance(strata["covariance_within"]),
+        cov_between=_covariance(strata["covariance_between"]),
         session_f=strata["session_f"],
         robust=bool(strata["hc3"]),
         systematic=np.array(strata.get("systematic", []), dtype=np.float64).reshape(-1, 2),
@@ -113,7 +121,7 @@ def wheel_from_dict(wheel: str, value: Mapping[str, Any]) -> WheelFit:
         reference_load_N=float(value["reference_load_N"]),
         radius_ref_m=float(value["radius_ref_m"]),
         slope_m_per_N=slope,
-        covariance=np.array(value["covariance"], dtype=np.float64),
+        covariance=_covariance(value["covariance"]),
         dof=float(value["dof"]),
         residual_std_m=float(value["single_run_std_m"]),
         load_min_N=float(value["load_range_N"][0]),
@@ -131,7 +139,7 @@ def wheel_from_dict(wheel: str, value: Mapping[str, Any]) -> WheelFit:
         else NaiveLine(
             radius_ref_m=float(naive["radius_ref_m"]),
             slope_m_per_N=float(naive["slope_m_per_N"]),
-            covariance=np.array(naive["covariance"], dtype=np.float64),
+            covariance=_covariance(naive["covariance"]),
             dof=float(naive["dof"]),
             radius_ref_ci95_m=pair(naive["radius_ref_ci95_m"]),
             slope_ci95_m_per_N=pair(naive["slope_ci95_m_per_N"]),

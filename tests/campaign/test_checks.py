@@ -131,6 +131,40 @@ def _ranged(made: Campaign, *, cut: float) -> Campaign:
     return with_log_columns(made, range_m=share * np.repeat(made.runs.number("distance_m"), lengths) * cut)
 
 
+def _wandering(made: Campaign, *, track_m: float = 0.7, seed: int = 3) -> Campaign:
+    """Nearly straight runs of a vehicle of this track, with end poses; wheels that differ anew in every run.
+
+    The heading is ``A sin(pi s / d)`` with another A in every run, and the wheels' difference is in the counts alone.
+    """
+    rng = np.random.default_rng(seed)
+    runs, logs = made.runs, made.logs
+    left, right = logs.columns["counts_left"].copy(), logs.columns["counts_right"].copy()
+    pose = np.zeros((3, len(runs)))
+    per_m = 4096 / (2 * np.pi * 0.1)
+    for run, distance in enumerate(runs.number("distance_m")):
+        here = slice(logs.offsets[run], logs.offsets[run + 1])
+        along = np.linspace(0.0, distance, logs.lengths[run])
+        heading = 0.02 * rng.standard_normal() * np.sin(np.pi * along / distance)
+        middle = (heading[1:] + heading[:-1]) / 2
+        pose[:, run] = np.sum(np.diff(along) * np.cos(middle)), np.sum(np.diff(along) * np.sin(middle)), heading[-1]
+        apart = track_m * heading + 1e-3 * rng.standard_normal() * along
+        left[here], right[here] = np.floor(per_m * (along - apart / 2)), np.floor(per_m * (along + apart / 2))
+    pose += np.array([[2e-3], [2e-3], [8e-4]]) * rng.standard_normal(pose.shape)
+    ends = logs.offsets[1:] - 1
+    made = with_log_columns(made, counts_left=left, counts_right=right)
+    return with_numbers(
+        made,
+        counts_left=left[ends],
+        counts_right=right[ends],
+        **dict(zip(("ref_x_m", "ref_y_m", "ref_theta_rad"), pose, strict=True)),
+    )
+
+
+def _longer(made: Campaign) -> Campaign:
+    made = _wandering(made)
+    return with_numbers(made, distance_m=made.runs.number("distance_m") + 0.05)
+
+
 # check, code, level, fault, the run that must be named ("" for the whole campaign)
 FAULTS: list[tuple[str, str, str, Fault, str]] = [
     ("missing_values", "missing_counts", "suspicious", _number("counts_left", lambda _: np.nan, 4), ""),
@@ -139,6 +173,8 @@ FAULTS: list[tuple[str, str, str, Fault, str]] = [
     ("distance_span", "distance_span", "suspicious", _number("distance_m", lambda d: d * 1000, 4), "r004"),
     ("distance_against_log", "distance_disagrees", "suspicious", lambda m: _ranged(m, cut=0.99), "r000"),
     ("distance_against_log", "distance_span", "suspicious", lambda m: _ranged(m, cut=1000), "r000"),
+    ("distance_against_pose", "distance_against_pose", "suspicious", _longer, ""),
+    ("track_against_bows", "track_against_bows", "suspicious", lambda m: _wandering(m, track_m=0.64), ""),
     ("reversed_wheels", "reversed_wheels", "suspicious", _number("counts_left", lambda c: -c), ""),
     ("reversed_wheels", "reversed_wheels", "suspicious", _number("counts_left", lambda c: -c, 4), "r004"),
     ("count_scale", "count_scale", "suspicious", _scaled(2), ""),
@@ -206,6 +242,20 @@ def test_a_sound_campaign_is_left_alone(seed: int) -> None:
     report = check_campaign(campaign(seed=seed))
     assert report.sound
     assert (report.wrong, report.suspicious, report.info) == ((), (), ())
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_runs_that_wander_with_the_right_track_and_distance_are_left_alone(seed: int) -> None:
+    """However the wheels differ from run to run: their difference leaves the bow alone."""
+    report = check_campaign(_wandering(campaign(seed=seed), seed=seed))
+    assert report.suspicious == ()
+
+
+def test_the_track_that_the_bows_want_is_named() -> None:
+    """Within the few percent that 30 runs tell."""
+    (found,) = CHECKS["track_against_bows"](_wandering(campaign(), track_m=0.6))
+    named = float(found.text.rsplit("is the track ", 1)[1].split(" m?")[0])
+    assert abs(named / 0.6 - 1.0) < 0.05
 
 
 @pytest.mark.parametrize("sign", [1.0])

@@ -235,8 +235,8 @@ def cases() -> list[Case]:
     made.append(Case("wheel loads swapped", rows(_swap(*LOADS)), FAILED, "corridor_crossed"))
     made.append(Case("left counts negative", column("counts_left", change=times(-1.0))))
     made.append(Case("wheel radius 10 % too large", setting("vehicle.wheel_radius_m", times(1.1)), SAID))
-    made.append(Case("track 10 % too large", setting("vehicle.track_m", times(1.1)), SILENT))
-    made.append(Case("every distance 5 cm too long", column("distance_m", change=lambda value: value + 0.05), SILENT))
+    made.append(Case("track 10 % too large", setting("vehicle.track_m", times(1.1)), SAID))
+    made.append(Case("every distance 5 cm too long", column("distance_m", change=lambda value: value + 0.05), SAID))
     return made
 
 

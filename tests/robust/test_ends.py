@@ -165,19 +165,44 @@ def test_a_temporary_folder_that_is_full_or_absent_is_one_line_or_no_matter(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["geometry", "C", "--figures", "C/runs.csv"],
+        ["geometry", "C", "--figures", "C/runs.csv/below"],
+        ["fit", "C", "--figures", "result/fit.json", "--force"],
+        ["fit", "C", "--json", "result", "--force"],
+        ["fit", "C", "--json", "n" * 300],
+        ["report", "result", "--html", "result/fit.json/page.html"],
+    ],
+    ids=lambda words: " ".join(words)[:40],
+)
+def test_a_place_that_cannot_be_written_is_refused_before_the_work(
+    words: list[str], made: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A file where a folder should be, a folder where a file should be, a name too long: one line, nothing before."""
+    monkeypatch.chdir(made)
+    assert run(words) == 2
+    shown = capsys.readouterr()
+    assert (shown.out, shown.err.count("\n")) == ("", 1)
+    assert sorted(path.name for path in made.iterdir()) == ["C", "result"]
+
+
 MISMATCHED: dict[str, Callable[[dict[str, object]], None]] = {
     "a run too many": lambda fit: fit["runs"].append(fit["runs"][-1]),  # type: ignore[attr-defined,index]
     "a run too few": lambda fit: fit["runs"].pop(),  # type: ignore[attr-defined]
     "no runs": lambda fit: fit["runs"].clear(),  # type: ignore[attr-defined]
+    "half a covariance": lambda fit: fit["wheels"]["right"]["covariance"].pop(),  # type: ignore[index]
+    "a negative variance": lambda fit: fit["wheels"]["left"]["covariance"][1].__setitem__(1, -1.0),  # type: ignore[index]
 }
 
 
 @pytest.mark.parametrize("seal", [True, False])
 @pytest.mark.parametrize("name", list(MISMATCHED))
-def test_a_fit_with_other_runs_than_its_own_is_refused(
+def test_a_fit_whose_parts_do_not_belong_together_is_refused(
     name: str, seal: bool, made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """By its checksum, and where that was computed anew, by the runs."""
+    """By its checksum, and where that was computed anew, by the number of runs and the shape of its matrices."""
     document = json.loads((made / "result" / "fit.json").read_text(encoding="utf-8"))
     MISMATCHED[name](document)
     if seal:

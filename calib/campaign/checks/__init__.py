@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Final
 
-from calib.campaign.checks import assumed, counts, design, distances, loads, logs, repeats
+from calib.campaign.checks import assumed, counts, design, distances, loads, logs, references, repeats
 from calib.campaign.model import Campaign, Note
 from calib.campaign.plausible import implausible
 
@@ -20,6 +20,7 @@ CHECKS: Final[dict[str, Check]] = {
     "missing_values": distances.missing_values,
     "distance_span": distances.distance_span,
     "distance_against_log": distances.distance_against_log,
+    "distance_against_pose": references.distance_against_pose,
     "reversed_wheels": counts.reversed_wheels,
     "count_scale": counts.count_scale,
     "counts_against_log": counts.counts_against_log,
@@ -32,6 +33,7 @@ CHECKS: Final[dict[str, Check]] = {
     "pasted_rows": repeats.pasted_rows,
     "wheel_loads": loads.wheel_loads,
     "loads_against_payload": loads.loads_against_payload,
+    "track_against_bows": references.track_against_bows,
     "load_and_session": design.load_and_session,
     "few_loads": design.few_loads,
     "model_against_vehicle": design.model_against_vehicle,

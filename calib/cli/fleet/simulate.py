@@ -37,7 +37,8 @@ def run(
 
     from calib.plant.fleet import FleetSize, make_fleet
 
-    refuse_existing([into, json], force=force)
+    # a folder that is there may be added to
+    refuse_existing([json, None if force and into.is_dir() else into], force=force)
     with waiting("driving"):
         odd = min(outliers, vehicles)
         size = FleetSize(vehicles, runs, months, odd, min(drifting, vehicles - odd), min(common, vehicles))
