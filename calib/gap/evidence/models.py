@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import comb
+from math import comb, log
 from typing import Final
 
 import numpy as np
@@ -73,7 +73,7 @@ class Columns:
             np.repeat(most, sizes) if forms else np.zeros(0),
             np.array(sign, dtype=np.int64),
             np.array(log_prior),
-            np.array([k * np.log(further) - np.log(comb(n_effects, k)) for k in range(n_effects + 1)]),
+            np.array([k * log(further) - log(comb(n_effects, k)) for k in range(n_effects + 1)]),
         )
 
     def index(self, models: Sequence[tuple[int, ...]]) -> tuple[IntArray, IntArray]:
