@@ -77,7 +77,7 @@ def clocked() -> Iterator[Clock]:
     """Time the stages of a diagnosis as it calls them."""
     clock = Clock()
     places = [
-        (system, "form_columns", "signatures"),
+        (system, "columns_of_forms", "signatures"),
         (whitened, "form_columns", "signatures"),
         (whole, "estimate_noise", "noise"),
         (whole, "search", "search"),

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Final
+from itertools import pairwise
+from typing import Any, Final, Generic, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -20,8 +21,37 @@ __all__ = ["CHANNELS", "STRAIGHT_RAD", "Observations"]
 #: channels of a residual: distance by laser; along, left of and heading of the end pose; front wheel against rear
 CHANNELS: Final = ("distance", "along", "lateral", "heading", "front", "steering")
 
+#: so many steps are worked on at a time: their arrays, some forty of half a megabyte, stay in the processor's cache
+#: for the most part, and a campaign of any size needs no more memory for them
+STEPS_AT_ONCE: Final = 2**16
+
 #: a run without a log whose heading changes by less than this is taken as one arc
 STRAIGHT_RAD: Final = 0.35
+
+
+#: fields of `Observations` with a value for each step
+_OF_STEPS: Final = frozenset(
+    {"roll_left_rad", "roll_right_rad", "phase_left_rad", "phase_right_rad", "time_s", "duration_s"}
+    | {"front_roll_rad", "steer_rad", "steer_change_rad", "aside_m"}
+)
+Value = TypeVar("Value")
+
+
+class _KeptIfFew(Generic[Value]):
+    """A property of steps that is kept once worked out, unless the steps are too many to be worked on at once."""
+
+    def __init__(self, make: Callable[[Observations], Value]) -> None:
+        self.make, self.__doc__ = make, make.__doc__
+
+    def __get__(self, observations: Observations, _: type) -> Value:
+        name = self.make.__name__
+        known = vars(observations)
+        if name in known:
+            return cast("Value", known[name])
+        value = self.make(observations)
+        if len(observations.spans) == 1:
+            known[name] = value
+        return value
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +119,8 @@ class Observations:
         Whether the front wheel alone drives the odometry: the two wheels stand in for it.
     aside_m : array of float, shape (n_steps,), optional
         What mecanum wheels roll to the left in each step.
+    first_unit : int
+        Number of the first unit among those of the whole campaign, for a `part` of it.
     """
 
     vehicle: Vehicle
@@ -128,6 +160,7 @@ class Observations:
     notes: tuple[str, ...] = ()
     by_front: bool = False
     aside_m: FloatArray | None = None
+    first_unit: int = 0
 
     def __len__(self) -> int:
         return len(self.starts) - 1
@@ -141,6 +174,36 @@ class Observations:
     def lengths(self) -> IntArray:
         """Steps of each unit, shape (n_units,)."""
         return np.diff(self.starts)
+
+    @cached_property
+    def spans(self) -> tuple[slice, ...]:
+        """Units to be worked on at a time, `STEPS_AT_ONCE` steps or one unit."""
+        edges = [0]
+        while edges[-1] < len(self):
+            most = self.starts[edges[-1]] + STEPS_AT_ONCE
+            edges.append(max(int(np.searchsorted(self.starts, most, side="right")) - 1, edges[-1] + 1))
+        return tuple(slice(first, behind) for first, behind in pairwise(edges))
+
+    def part(self, units: slice) -> Observations:
+        """Return some units alone; their arrays are views of these."""
+        first, behind = int(self.starts[units.start]), int(self.starts[units.stop])
+        changes: dict[str, Any] = {
+            "starts": self.starts[units.start : units.stop + 1] - first,
+            "first_unit": self.first_unit + units.start,
+        }
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.name in _OF_STEPS:
+                changes[field.name] = None if value is None else value[first:behind]
+            elif isinstance(value, np.ndarray) and field.name != "starts":
+                changes[field.name] = value[units]
+            elif isinstance(value, Mapping):
+                changes[field.name] = {name: column[units] for name, column in value.items()}
+        return replace(self, **changes)
+
+    def here(self, values: FloatArray | IntArray | BoolArray) -> Any:
+        """Return what an array (n, ...) over all units of the campaign says of these, shape (n_units, ...)."""
+        return values[self.first_unit : self.first_unit + len(self)]
 
     def total(self, steps: npt.ArrayLike) -> FloatArray:
         """Sum a step array (n_steps,) over each unit, shape (n_units,)."""
@@ -173,38 +236,38 @@ class Observations:
         load = self.number("load_right_N") - model.reference_load_N
         return model.radius_right_m + model.slope_right_m_per_N * np.nan_to_num(load)
 
-    @cached_property
+    @_KeptIfFew
     def travel_left_m(self) -> FloatArray:
         """Left wheel's travel of each step by the model, shape (n_steps,)."""
         return self.roll_left_rad * self.radius_left_m[self.unit]
 
-    @cached_property
+    @_KeptIfFew
     def travel_right_m(self) -> FloatArray:
         """Right wheel's travel of each step by the model, shape (n_steps,)."""
         return self.roll_right_rad * self.radius_right_m[self.unit]
 
-    @cached_property
+    @_KeptIfFew
     def path_m(self) -> FloatArray:
         """Signed path of each step by the model, shape (n_steps,)."""
         return 0.5 * (self.travel_left_m + self.travel_right_m)
 
-    @cached_property
+    @_KeptIfFew
     def turn_rad(self) -> FloatArray:
         """Signed turn of each step by the model, shape (n_steps,)."""
         return (self.travel_right_m - self.travel_left_m) / self.model.track_m
 
-    @cached_property
+    @_KeptIfFew
     def steer_cos(self) -> FloatArray:
-        """What of the front wheel's way the rear wheels go, 1 where no angle is logged, shape (n_steps,).
+        """Return what of the front wheel's way the rear wheels go, 1 where no angle is logged, shape (n_steps,).
 
         One over the mean of 1 / cos at the ends of the step: over a whole turn the errors of this mean cancel, wherever
         between two samples the angle begins and ends to change (Euler and Maclaurin).
         """
         return 1.0 / np.asarray(self._at_ends(lambda angle: 1.0 / np.cos(angle)))
 
-    @cached_property
+    @_KeptIfFew
     def steer_sin(self) -> FloatArray:
-        """What of the front wheel's way, over the wheelbase, is turn; 0 where no angle is logged, shape (n_steps,)."""
+        """Return what of the front wheel's way over the wheelbase is turn, 0 where none is logged, shape (n_steps,)."""
         return self.steer_cos * self._at_ends(np.tan)
 
     def _at_ends(self, what: Callable[[FloatArray], FloatArray]) -> FloatArray:
@@ -212,7 +275,7 @@ class Observations:
         angle, half = np.nan_to_num(self.steer_rad), 0.5 * np.nan_to_num(self.steer_change_rad)
         return 0.5 * (what(angle - half) + what(angle + half))
 
-    @cached_property
+    @_KeptIfFew
     def speed_mps(self) -> FloatArray:
         """Speed of each step by the log, else the set speed, shape (n_steps,); 0 where neither is known."""
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -220,7 +283,7 @@ class Observations:
         known = self.number("speed_mps")[self.unit]
         return np.nan_to_num(np.where(self.from_log[self.unit] & np.isfinite(logged), logged, known))
 
-    @cached_property
+    @_KeptIfFew
     def curvature_per_m(self) -> FloatArray:
         """Curvature of each step, smoothed over about half a metre, shape (n_steps,)."""
         turn, path = self._smooth(self.turn_rad), self._smooth(np.abs(self.path_m))

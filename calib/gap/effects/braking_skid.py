@@ -9,6 +9,7 @@ from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter, varies
 from calib.gap.effects.family import Family
 from calib.gap.effects.shapes import curvature_per_m, driven_speed_mps, stands_mps
+from calib.gap.predict.path import Path
 from calib.gap.predict.push import Push
 
 __all__ = ["BrakingSkid", "stops"]
@@ -30,22 +31,20 @@ class BrakingSkid(Effect):
 
     def forms(self, observations: Observations) -> list[Form]:
         """Return a form with equal slides and, where speeds differ, one ~ v^2; none where no run stops."""
-        steps = stops(observations)
-        if not steps.any():
+        if not stops(observations).any():
             return []
-        slide = np.where(steps, np.where(observations.path_m < 0.0, -1.0, 1.0), 0.0)
-        bend = curvature_per_m(observations)
         speed = driven_speed_mps(observations)
-        found: list[tuple[str, FloatArray, Parameter]] = [
-            ("the same at each stop", slide, Parameter("per_stop", "m", typical=5e-4, largest=1e-2))
-        ]
+        found = [("the same at each stop", np.ones_like(speed), Parameter("per_stop", "m", typical=5e-4, largest=1e-2))]
         if varies(speed, 0.02):
-            square = slide * speed[observations.unit] ** 2
-            found.append(("~ v^2", square, Parameter("per_speed_squared", "s2/m", typical=2e-3, largest=4e-2)))
+            found.append(("~ v^2", speed**2, Parameter("per_speed_squared", "s2/m", typical=2e-3, largest=4e-2)))
 
-        def form(label: str, along: FloatArray, parameter: Parameter) -> Form:
-            push = Push(along_m=along, heading_rad=np.abs(along) * bend)
-            return Form(self.id, label, (parameter,), lambda _: [push], tries=len(found))
+        def form(label: str, size: FloatArray, parameter: Parameter) -> Form:
+            def pushes(path: Path) -> list[Push]:
+                s = path.s
+                along = np.where(stops(s), np.where(s.path_m < 0.0, -1.0, 1.0) * s.here(size)[s.unit], 0.0)
+                return [Push(along_m=along, heading_rad=np.abs(along) * curvature_per_m(s))]
+
+            return Form(self.id, label, (parameter,), pushes, tries=len(found), by_parts=True)
 
         return [form(*one) for one in found]
 

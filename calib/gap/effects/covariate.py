@@ -10,6 +10,7 @@ from calib.campaign.model import NUMERIC_COLUMNS
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Centre, Effect, Form, Parameter, varies
 from calib.gap.effects.family import Family
+from calib.gap.predict.path import Path
 from calib.gap.predict.push import Push
 
 __all__ = ["ACTS_ON", "Covariate", "column_of", "covariate_columns", "covariate_effects"]
@@ -56,22 +57,26 @@ class Covariate(Effect):
 
     def _form(self, observations: Observations, centre: Centre, label: str) -> Form:
         standard = centre.deviations(observations.number(self.column))
-        if label == "yaw per metre":
-            parameter = Parameter("yaw_per_sd", "rad/m", typical=1e-3, largest=2e-2)
-            push = Push(heading_rad=standard[observations.unit] * observations.path_m)
-        else:
-            parameter = Parameter("relative_per_sd", "1", typical=1e-3, largest=2e-2)
-            left, right = label != "right radius", label != "left radius"
-            push = Push(left=standard if left else None, right=standard if right else None)
+        turns, left, right = label == "yaw per metre", label != "right radius", label != "left radius"
+        name, unit = ("yaw_per_sd", "rad/m") if turns else ("relative_per_sd", "1")
+        parameter = Parameter(name, unit, typical=1e-3, largest=2e-2)
+
+        def pushes(path: Path) -> list[Push]:
+            here = path.s.here(standard)
+            if turns:
+                return [Push(heading_rad=here[path.s.unit] * path.s.path_m)]
+            return [Push(left=here if left else None, right=here if right else None)]
+
         return Form(
             self.id,
             label,
             (parameter,),
-            lambda _: [push],
+            pushes,
             settings={"mean": centre.mean, "standard_deviation": centre.spread},
             tries=len(ACTS_ON),
             centre=centre,
             about=lambda elsewhere: self._form(observations, elsewhere, label),
+            by_parts=True,
         )
 
 

@@ -9,6 +9,7 @@ from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.family import Family
 from calib.gap.effects.scales import softness
 from calib.gap.effects.shapes import curvature_per_m, shows_curves
+from calib.gap.predict.path import Path
 from calib.gap.predict.push import Push
 from calib.units import GRAVITY_MPS2
 
@@ -33,21 +34,16 @@ class CurveLoadTransfer(Effect):
         """Return the single form; none where nothing turns or no speed is known."""
         if not shows_curves(observations):
             return []
-        speed = observations.speed_mps
-        if not (speed != 0.0).any():
+        if not (observations.speed_mps != 0.0).any():
             return []
-        # the curvature counts turn per way without sign: rolling backward, the same turn pulls to the other side
-        pull_mps2 = speed * np.abs(speed) * curvature_per_m(observations)
-        moved_N = (
-            observations.weight_N[observations.unit]
-            * pull_mps2
-            * observations.vehicle.cog_z_m
-            / (GRAVITY_MPS2 * observations.model.track_m)
-        )
-        per_left, per_right = (
-            -moved_N / observations.radius_left_m[observations.unit],
-            moved_N / observations.radius_right_m[observations.unit],
-        )
+
+        def pushes(path: Path) -> list[Push]:
+            s = path.s
+            # the curvature counts turn per way without sign: rolling backward, the same turn pulls to the other side
+            pull_mps2 = s.speed_mps * np.abs(s.speed_mps) * curvature_per_m(s)
+            moved_N = s.weight_N[s.unit] * pull_mps2 * s.vehicle.cog_z_m / (GRAVITY_MPS2 * s.model.track_m)
+            return [Push(left=-moved_N / s.radius_left_m[s.unit], right=moved_N / s.radius_right_m[s.unit])]
+
         radius = 0.5 * (observations.model.radius_left_m + observations.model.radius_right_m) * softness(observations)
         parameter = Parameter("slope", "m/N", typical=1e-5 * radius, largest=6e-5 * radius)
-        return [Form(self.id, "", (parameter,), lambda _: [Push(left=per_left, right=per_right)])]
+        return [Form(self.id, "", (parameter,), pushes, by_parts=True)]

@@ -9,6 +9,7 @@ from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.family import Family
 from calib.gap.effects.scales import reach
 from calib.gap.effects.shapes import curvature_per_m, shows_curves
+from calib.gap.predict.path import Path
 from calib.gap.predict.push import Push
 
 __all__ = ["CurveScrub"]
@@ -30,9 +31,12 @@ class CurveScrub(Effect):
         """Return the single form; none where nothing turns."""
         if not shows_curves(observations):
             return []
-        bend = np.abs(curvature_per_m(observations))
+
+        def pushes(path: Path) -> list[Push]:
+            return [Push(track=np.abs(curvature_per_m(path.s)))]
+
         # up to 3 % in a turn of the vehicle's own length
         parameter = Parameter(
             "widening", "m", typical=1.5e-2 * reach(observations), largest=1.5e-1 * reach(observations)
         )
-        return [Form(self.id, "", (parameter,), lambda _: [Push(track=bend)])]
+        return [Form(self.id, "", (parameter,), pushes, by_parts=True)]

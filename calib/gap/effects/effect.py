@@ -88,6 +88,10 @@ class Form:
         Where the effect is nought, for a form that takes the deviation of a covariate from its mean on the campaign.
     about : callable, optional
         Centre -> the same form with the effect nought there; each form with a centre has it.
+    by_parts : bool
+        Whether `pushes` takes all it needs of the steps from the path that it is given, which may then be that of some
+        units alone (`Observations.here` has what is known of all). Else it is given the whole path, and pushes with a
+        value for each step are held for all units at once: too much for a large campaign.
     """
 
     effect: str
@@ -98,6 +102,7 @@ class Form:
     tries: int = 1
     centre: Centre | None = None
     about: Callable[[Centre], Form] | None = None
+    by_parts: bool = False
 
     def centred_at(self, centre: Centre | None) -> Form:
         """Return the form with the effect nought at a centre, itself where it has none or none is given."""

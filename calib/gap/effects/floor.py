@@ -71,16 +71,23 @@ def map_heading_rad(path: Path) -> FloatArray:
     return path.mid_rad + np.where(np.isfinite(start), start, np.pi * is_back(observations))[observations.unit]
 
 
-def floor_place(path: Path) -> tuple[FloatArray, FloatArray]:
+def floor_place(path: Path, far_end_m: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the place on the floor at the middle of each step in m, each shape (n_steps,).
 
     In a map units start where they were seen to. Else runs out start at the origin heading along x; runs back head the
     other way, in a corridor from its far end.
+
+    Parameters
+    ----------
+    path : Path
+        Of all units, or of some.
+    far_end_m : array of float, shape (n_units,)
+        From `far_end_m`, of these units.
     """
     observations = path.s
     known = np.isfinite(observations.start_pose).all(axis=1)
     x, y = (
-        np.where(known, observations.start_pose[:, 0], far_end_m(observations)),
+        np.where(known, observations.start_pose[:, 0], far_end_m),
         np.where(known, observations.start_pose[:, 1], 0.0),
     )
     heading = np.where(known, observations.start_pose[:, 2], np.pi * is_back(observations))

@@ -11,7 +11,7 @@ from calib.arrays import FloatArray, IntArray
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.family import Family
-from calib.gap.effects.floor import common_frame, floor_place, lanes, map_heading_rad
+from calib.gap.effects.floor import common_frame, far_end_m, floor_place, lanes, map_heading_rad
 from calib.gap.predict.path import Path, predict
 from calib.gap.predict.push import Push
 
@@ -44,16 +44,16 @@ class FloorZone(Effect):
         """
         if not common_frame(observations) or np.count_nonzero(observations.from_log) < _FEWEST_UNITS:
             return []
-        lane = lanes(observations)[observations.unit]
+        lane, far_end = lanes(observations), far_end_m(observations)
         places: WeakKeyDictionary[Path, tuple[FloatArray, FloatArray, FloatArray]] = WeakKeyDictionary()
 
         def place(path: Path) -> tuple[FloatArray, FloatArray, FloatArray]:
             """Return x, y and the cosine of the heading on the floor; kept, as every cell asks for them."""
             if path not in places:
-                places[path] = (*floor_place(path), np.cos(map_heading_rad(path)))
+                places[path] = (*floor_place(path, path.s.here(far_end)), np.cos(map_heading_rad(path)))
             return places[path]
 
-        cells = _cells(observations, lane, *place(predict(observations)))
+        cells = _cells(observations, lane[observations.unit], *place(predict(observations)))
         along = Parameter("along", "1", typical=1e-3, largest=2e-2)
         turn = Parameter("turn", "rad/m", typical=1e-3, largest=2e-2)
         turn_by_heading = Parameter("turn_by_heading", "rad/m", typical=1e-3, largest=2e-2)
@@ -63,11 +63,12 @@ class FloorZone(Effect):
 
             def pushes(path: Path) -> list[Push]:
                 at_x, at_y, cosine = place(path)
-                inside = observations.from_log[observations.unit] & (np.abs(at_x - x) < 0.5 * CELL_M)
+                s = path.s
+                inside = s.from_log[s.unit] & (np.abs(at_x - x) < 0.5 * CELL_M)
                 if not strip:
-                    inside &= (lane == number) & (np.abs(at_y - y) < 0.5 * CELL_M)
+                    inside &= (s.here(lane) == number)[s.unit] & (np.abs(at_y - y) < 0.5 * CELL_M)
                 share = inside.astype(np.float64)
-                way = share * np.abs(observations.path_m)
+                way = share * np.abs(s.path_m)
                 found = [Push(left=share, right=share), Push(heading_rad=way)]
                 return [*found, Push(heading_rad=way * cosine)] if both_ways else found
 
@@ -75,7 +76,7 @@ class FloorZone(Effect):
             label = f"x {x:g} m{where}"
             parameters = (along, turn, turn_by_heading) if both_ways else (along, turn)
             settings = {"x_m": x, "y_m": y, "lane": float(number), "size_m": CELL_M}
-            return Form(self.id, label, parameters, pushes, settings=settings, tries=len(cells))
+            return Form(self.id, label, parameters, pushes, settings=settings, tries=len(cells), by_parts=True)
 
         return [form(*cell) for cell in cells]
 

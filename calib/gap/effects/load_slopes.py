@@ -43,13 +43,12 @@ def radius_slopes_m_per_N(path: Path, use: BoolArray | None = None) -> tuple[flo
         return model.slope_left_m_per_N, model.slope_right_m_per_N
     keep = np.ones(len(observations), dtype=bool) if use is None else use
     found = []
-    for travel, roll, load, radius in (
-        (path.ds_left_m, observations.roll_left_rad, observations.number("load_left_N"), model.radius_left_m),
-        (path.ds_right_m, observations.roll_right_rad, observations.number("load_right_N"), model.radius_right_m),
+    for rolled, load, radius in zip(
+        path.rolling_radii_m.T,
+        (observations.number("load_left_N"), observations.number("load_right_N")),
+        (model.radius_left_m, model.radius_right_m),
+        strict=True,
     ):
-        sense = np.sign(roll)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            rolled = observations.total(travel * sense) / observations.total(np.abs(roll))
         good = keep & np.isfinite(rolled) & np.isfinite(load)
         slope = 0.0
         if good.sum() > 1 and np.ptp(load[good]) > 20.0:

@@ -76,7 +76,7 @@ def _weave_of_logs(observations: Observations) -> FloatArray:
     """Return by which share the logged path is longer than its line, 0 on routes that turn, shape (n_units,)."""
     path = predict(observations)
     way = observations.total(np.abs(path.ds_m))
-    line = np.abs(observations.total(path.ds_m * path.weave_cos))
+    line = np.abs(path.line_m)
     straight = np.abs(path.end[:, 2]) < 0.35
     with np.errstate(divide="ignore", invalid="ignore"):
         excess = way / line - 1.0

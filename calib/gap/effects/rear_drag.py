@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.arrays import FloatArray
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter, varies
 from calib.gap.effects.family import Family
+from calib.gap.predict.path import Path
 from calib.gap.predict.push import Push
 
 __all__ = ["RearDrag"]
@@ -34,16 +34,19 @@ class RearDrag(Effect):
         if (backward > 0.5).any():
             # a unit that rolls one way throughout needs no steps
             one_way = bool(((backward < 1e-3) | (backward > observations.length_m - 1e-3)).all())
-            forward = (observations.total(observations.path_m) > 0.0) if one_way else (observations.path_m >= 0.0)
-            sense, label = np.asarray(forward, dtype=np.float64), "rolling forward"
+            forward, label = (observations.total(observations.path_m) > 0.0) if one_way else None, "rolling forward"
         elif varies(observations.heading_sign):
-            sense, label = (observations.heading_sign > 0.0).astype(np.float64), "going out"
+            forward, label = observations.heading_sign > 0.0, "going out"
         else:
             return []
         parameter = Parameter("relative", "1", typical=5e-4, largest=5e-3)
 
-        def form(side: str, part: FloatArray) -> Form:
-            push = Push(left=part) if side == "left" else Push(right=part)
-            return Form(self.id, f"{side} wheel, {label}", (parameter,), lambda _: [push], tries=2)
+        def form(side: str) -> Form:
+            def pushes(path: Path) -> list[Push]:
+                s = path.s
+                part = np.asarray(s.path_m >= 0.0 if forward is None else s.here(forward), dtype=np.float64)
+                return [Push(left=part) if side == "left" else Push(right=part)]
 
-        return [form("left", sense), form("right", sense)]
+            return Form(self.id, f"{side} wheel, {label}", (parameter,), pushes, tries=2, by_parts=True)
+
+        return [form("left"), form("right")]

@@ -84,8 +84,7 @@ def distance_m(path: Path) -> FloatArray:
     """Return what a perfect laser would read, without any push on the readings, shape (n_units,)."""
     observations = path.s
     x, y = path.end[:, 0], path.end[:, 1]
-    line = np.abs(observations.total(path.ds_m * path.weave_cos))
-    return np.where(observations.axis == 1, x, np.where(observations.axis == 2, np.hypot(x, y), line))
+    return np.where(observations.axis == 1, x, np.where(observations.axis == 2, np.hypot(x, y), np.abs(path.line_m)))
 
 
 def start_to_end_frame(path: Path, x_m: FloatArray, y_m: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -6,6 +6,7 @@ from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.family import Family
 from calib.gap.effects.shapes import curvature_per_m, shows_curves
+from calib.gap.predict.path import Path
 from calib.gap.predict.push import Push
 
 __all__ = ["SideSlip"]
@@ -25,10 +26,13 @@ class SideSlip(Effect):
         """Return the single form; none where nothing turns, no speed is known or no position was measured."""
         if not shows_curves(observations) or not observations.usable[:, 1:3].any():
             return []
-        speed = observations.speed_mps
-        if not (speed != 0.0).any():
+        if not (observations.speed_mps != 0.0).any():
             return []
-        # v^2 kappa ds is v |v| times the turn: it changes sides when the vehicle rolls backward
-        left_m = -(speed**2) * curvature_per_m(observations) * observations.path_m
+
+        def pushes(path: Path) -> list[Push]:
+            s = path.s
+            # v^2 kappa ds is v |v| times the turn: it changes sides when the vehicle rolls backward
+            return [Push(lateral_m=-(s.speed_mps**2) * curvature_per_m(s) * s.path_m)]
+
         parameter = Parameter("slip_per_acceleration", "s2/m", typical=2e-3, largest=5e-2)
-        return [Form(self.id, "", (parameter,), lambda _: [Push(lateral_m=left_m)])]
+        return [Form(self.id, "", (parameter,), pushes, by_parts=True)]

@@ -13,6 +13,7 @@ from calib.errors import BadFileError, BadInputError
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Centre, Effect, Form, Parameter, varies
 from calib.gap.effects.family import Family
+from calib.gap.predict.path import Path
 from calib.gap.predict.push import Push
 
 __all__ = ["ACTS_ON", "GROUP", "Declared", "declared_effects", "entry_point_effects", "entry_point_origins"]
@@ -84,28 +85,32 @@ class Declared(Effect):
 
     def _form(self, observations: Observations, centre: Centre) -> Form:
         over = centre.deviations(observations.number(self.column))
-        if self.acts_on == "distance":
-            reading = np.zeros((len(observations), 6))
-            reading[:, 0] = over
-            push = Push(reading=reading)
-        elif self.acts_on == "yaw":
-            push = Push(heading_rad=over[observations.unit] * observations.path_m)
-        elif self.acts_on == "track":
-            push = Push(track=over)
-        else:
-            push = Push(
-                left=over if self.acts_on in {"left", "both"} else None,
-                right=over if self.acts_on in {"right", "both"} else None,
+
+        def push(path: Path) -> Push:
+            here = path.s.here(over)
+            if self.acts_on == "distance":
+                reading = np.zeros((len(here), 6))
+                reading[:, 0] = here
+                return Push(reading=reading)
+            if self.acts_on == "yaw":
+                return Push(heading_rad=here[path.s.unit] * path.s.path_m)
+            if self.acts_on == "track":
+                return Push(track=here)
+            return Push(
+                left=here if self.acts_on in {"left", "both"} else None,
+                right=here if self.acts_on in {"right", "both"} else None,
             )
+
         unit = f"{ACTS_ON[self.acts_on]} per {self.column}"
         return Form(
             self.id,
             "",
             (Parameter("size", unit, self.typical, self.largest),),
-            lambda _: [push],
+            lambda path: [push(path)],
             settings={"mean": centre.mean},
             centre=centre,
             about=lambda elsewhere: self._form(observations, elsewhere),
+            by_parts=True,
         )
 
 

@@ -9,6 +9,7 @@ from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.family import Family
 from calib.gap.effects.scales import wheel_size
+from calib.gap.predict.path import Path
 from calib.gap.predict.push import Push
 
 __all__ = ["WheelEccentricity"]
@@ -33,17 +34,23 @@ class WheelEccentricity(Effect):
         """Return forms for the left wheel, the right wheel and both; none without logs."""
         if not observations.from_log.any():
             return []
-        logged = observations.from_log[observations.unit]
 
-        def relative(angle: FloatArray, roll: FloatArray, radius: FloatArray) -> tuple[FloatArray, FloatArray]:
+        def relative(
+            s: Observations, angle: FloatArray, roll: FloatArray, radius: FloatArray
+        ) -> tuple[FloatArray, FloatArray]:
             """Return the relative change of each step's travel per metre of e cos(phi_0) and of e sin(phi_0)."""
             middle, half = angle - 0.5 * roll, 0.5 * roll
             # sin(a) - sin(b) = 2 cos(middle) sin(half), so the quotient by the roll stays finite at rest
-            share = np.where(logged, np.sinc(half / np.pi), 0.0) / radius[observations.unit]
+            share = np.where(s.from_log[s.unit], np.sinc(half / np.pi), 0.0) / radius[s.unit]
             return np.cos(middle) * share, -np.sin(middle) * share
 
-        of_left = relative(observations.phase_left_rad, observations.roll_left_rad, observations.radius_left_m)
-        of_right = relative(observations.phase_right_rad, observations.roll_right_rad, observations.radius_right_m)
+        def left(path: Path) -> list[Push]:
+            s = path.s
+            return [Push(left=part) for part in relative(s, s.phase_left_rad, s.roll_left_rad, s.radius_left_m)]
+
+        def right(path: Path) -> list[Push]:
+            s = path.s
+            return [Push(right=part) for part in relative(s, s.phase_right_rad, s.roll_right_rad, s.radius_right_m)]
 
         scale = wheel_size(observations)
 
@@ -51,9 +58,11 @@ class WheelEccentricity(Effect):
             names = (f"{side}_cos", f"{side}_sin")
             return tuple(Parameter(name, "m", typical=2e-4 * scale, largest=2e-3 * scale) for name in names)
 
-        left, right = [Push(left=part) for part in of_left], [Push(right=part) for part in of_right]
+        def both(path: Path) -> list[Push]:
+            return [*left(path), *right(path)]
+
         return [
-            Form(self.id, "left wheel", parameters("left"), lambda _: left, tries=3),
-            Form(self.id, "right wheel", parameters("right"), lambda _: right, tries=3),
-            Form(self.id, "both wheels", parameters("left") + parameters("right"), lambda _: [*left, *right], tries=3),
+            Form(self.id, "left wheel", parameters("left"), left, tries=3, by_parts=True),
+            Form(self.id, "right wheel", parameters("right"), right, tries=3, by_parts=True),
+            Form(self.id, "both wheels", parameters("left") + parameters("right"), both, tries=3, by_parts=True),
         ]

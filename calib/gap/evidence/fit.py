@@ -11,7 +11,7 @@ import numpy.typing as npt
 from calib.arrays import BoolArray, FloatArray
 from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Form
-from calib.gap.evidence.marginal import CALIBRATION_SD, form_columns, rows
+from calib.gap.evidence.marginal import CALIBRATION_SD, columns_of_forms, rows
 from calib.gap.evidence.noise import Noise
 from calib.gap.predict.path import Path, predict
 from calib.gap.predict.push import Push
@@ -147,7 +147,7 @@ def fit(
     normal = np.diag(precision)
     for _ in range(steps):
         gap = residuals(path, nominal)
-        columns = [path.calibration * CALIBRATION_SD] + [form_columns(path, form) for form in forms]
+        columns = [path.calibration * CALIBRATION_SD, *columns_of_forms(path, forms)]
         whole = rows(path, noise, np.concatenate([*columns, gap[:, :, None]], axis=2))[row_mask]
         a, r = whole[:, :-1], whole[:, -1]
         now = np.concatenate([calibration / CALIBRATION_SD, *(t / u for t, u in zip(theta, typical, strict=True))])

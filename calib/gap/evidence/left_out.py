@@ -10,7 +10,7 @@ import numpy as np
 from calib.arrays import BoolArray, FloatArray
 from calib.gap.data.observations import Observations
 from calib.gap.evidence.fit import Fitted
-from calib.gap.evidence.marginal import CALIBRATION_SD, form_columns, rows
+from calib.gap.evidence.marginal import CALIBRATION_SD, columns_of_forms, rows
 from calib.gap.evidence.noise import Noise
 from calib.gap.evidence.system import LinearSystem
 from calib.gap.evidence.weighting import Weighting, prior_precision
@@ -63,7 +63,7 @@ class LeftOut:
     def derivative(self) -> FloatArray:
         """What each estimate does to the readings, shape (n_units, n_channels, p)."""
         path = self.fitted.path
-        parts = [path.calibration * CALIBRATION_SD] + [form_columns(path, form) for form in self.fitted.forms]
+        parts = [path.calibration * CALIBRATION_SD, *columns_of_forms(path, self.fitted.forms)]
         return np.where(path.s.usable[:, :, None], np.concatenate(parts, axis=2), 0.0)
 
     def after(self, out: BoolArray) -> FloatArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -16,6 +17,7 @@ __all__ = [
     "CALIBRATION_SD",
     "FLOOR_DOF",
     "Nuisance",
+    "columns_of_forms",
     "form_columns",
     "log_evidence",
     "log_marginal",
@@ -42,9 +44,19 @@ def rows(path: Path, noise: Noise, columns: FloatArray) -> FloatArray:
 
 def form_columns(path: Path, form: Form) -> FloatArray:
     """Return the signatures of a form's parameters, each times its typical size, shape (n_units, 6, n_parameters)."""
-    pushes = form.pushes(path)
-    made = [signature(path, push) * parameter.typical for push, parameter in zip(pushes, form.parameters, strict=True)]
-    return np.stack(made, axis=2)
+    return columns_of_forms(path, [form])[0]
+
+
+def columns_of_forms(path: Path, forms: Sequence[Form]) -> list[FloatArray]:
+    """Return `form_columns` of many forms, every part of the path gone through once for all of them."""
+    pushes = [None if form.by_parts else form.pushes(path) for form in forms]
+    columns = [np.zeros((len(path.s), path.s.usable.shape[1], len(form.parameters))) for form in forms]
+    for units, part in path.parts():
+        for form, whole, column in zip(forms, pushes, columns, strict=True):
+            some = form.pushes(part) if whole is None else [push.part(units, path.s) for push in whole]
+            for number, (push, parameter) in enumerate(zip(some, form.parameters, strict=True)):
+                column[units, :, number] = signature(part, push) * parameter.typical
+    return columns
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -41,16 +41,16 @@ def kernels(path: Path) -> FloatArray:
     shapes[0, :, 0, 0] = observations.sigma_distance_m**2
     shapes[1, :, 1, 1] = shapes[1, :, 2, 2] = observations.sigma_xy_m**2
     shapes[2, :, 3, 3] = observations.sigma_theta_rad**2
-    kick, push = _step_vectors(path)
-    length = np.abs(path.ds_m)
-    for number, vector in ((3, kick), (4, push)):
-        shapes[number] = _summed_products(vector, length, observations.starts)
+    for units, part in path.parts():
+        length = np.abs(part.ds_m)
+        for number, vector in zip((3, 4), _step_vectors(part), strict=True):
+            shapes[number, units] = _summed_products(vector, length, part.s.starts)
     calibration = path.calibration
     both = calibration[:, :, 0] + calibration[:, :, 1]
     differ = 0.5 * (calibration[:, :, 1] - calibration[:, :, 0])
     zero = np.zeros((n, _N_CHANNELS))
     zero[:, 4] = -observations.vehicle.wheelbase_m * path.end[:, 2]
-    zero[:, 5] = observations.total(path.ds_m) / observations.vehicle.wheelbase_m
+    zero[:, 5] = path.way_m / observations.vehicle.wheelbase_m
     start = _start_turn(path)
     for number, rows in ((5, both), (6, differ), (7, start), (10, calibration[:, :, 3]), (11, zero)):
         shapes[number] = rows[:, :, None] * rows[:, None, :]
@@ -61,26 +61,26 @@ def kernels(path: Path) -> FloatArray:
 
 def _step_vectors(path: Path) -> tuple[dict[int, FloatArray], dict[int, FloatArray]]:
     """Return what a turn and a way of 1 at each step do to each channel at the end, each (n_steps,)."""
-    observations = path.s
+    observations, steps = path.s, path.steps
     unit = observations.unit
     c, s = np.cos(path.frame)[unit], np.sin(path.frame)[unit]
     by_x, by_line = (observations.axis == 1)[unit], (observations.axis == 0)[unit]
     chord = np.maximum(np.hypot(path.end[:, 0], path.end[:, 1]), 1e-9)
     ux, uy = (path.end[:, 0] / chord)[unit], (path.end[:, 1] / chord)[unit]
     ones = np.ones(len(unit))
-    turned = np.where(by_x, path.lever_x, ux * path.lever_x + uy * path.lever_y)
+    turned = np.where(by_x, steps.lever_x, ux * steps.lever_x + uy * steps.lever_y)
     kick = {
         0: np.where(by_line, 0.0, turned),
-        1: c * path.lever_x + s * path.lever_y,
-        2: c * path.lever_y - s * path.lever_x,
+        1: c * steps.lever_x + s * steps.lever_y,
+        2: c * steps.lever_y - s * steps.lever_x,
         3: ones,
         5: ones,
     }
-    moved = np.where(by_x, path.cos, ux * path.cos + uy * path.sin)
+    moved = np.where(by_x, steps.cos, ux * steps.cos + uy * steps.sin)
     push = {
         0: np.where(by_line, 1.0, moved),
-        1: c * path.cos + s * path.sin,
-        2: c * path.sin - s * path.cos,
+        1: c * steps.cos + s * steps.sin,
+        2: c * steps.sin - s * steps.cos,
         4: ones,
     }
     return kick, push

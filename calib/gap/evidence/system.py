@@ -15,7 +15,7 @@ import numpy as np
 from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.gap.effects.effect import Form
 from calib.gap.evidence.fit import Fitted
-from calib.gap.evidence.marginal import CALIBRATION_SD, form_columns, rows
+from calib.gap.evidence.marginal import CALIBRATION_SD, columns_of_forms, rows
 from calib.gap.evidence.noise import Noise
 from calib.gap.evidence.rest import REST_SCALES, Blocks, RestKind, blocks_of, rest_kinds
 from calib.gap.predict.path import Path
@@ -96,9 +96,10 @@ class LinearSystem:
         self.blocks: Blocks = blocks_of(path.s)
         order = self.blocks.order
         self.calibration = rows(path, noise, path.calibration * CALIBRATION_SD)[order]
-        parts = [rows(path, noise, form_columns(path, form))[order] for form in self.forms]
-        self.cuts = np.cumsum([0, *(part.shape[1] for part in parts)])
-        self.columns = np.concatenate(parts, axis=1) if parts else np.zeros((len(order), 0))
+        self.cuts = np.cumsum([0, *(len(form.parameters) for form in self.forms)])
+        self.columns = np.empty((len(order), int(self.cuts[-1])))
+        for number, column in enumerate(columns_of_forms(path, self.forms)):
+            self.columns[:, self.cuts[number] : self.cuts[number + 1]] = rows(path, noise, column)[order]
         gap = rows(path, noise, residuals(path, nominal)[:, :, None])[order, 0]
         self.left = gap
         gap = gap + self.calibration @ (fitted.calibration / CALIBRATION_SD)

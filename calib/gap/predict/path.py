@@ -1,7 +1,11 @@
-"""The path that the counts and a hypothesis give, and what small changes along it do to what is measured at its end."""
+"""The path that the counts and a hypothesis give, and what small changes along it do to what is measured at its end.
+
+Campaigns of many samples are worked through in parts of some units each: what is kept is of units, not of steps.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -12,6 +16,7 @@ from calib.arrays import BoolArray, FloatArray
 from calib.gap.data.channels import N_CHANNELS, POSE, Channel
 from calib.gap.data.observations import Observations
 from calib.gap.predict.push import Push, total_push
+from calib.gap.predict.steps import LINE, TURN, WAY, Steps, X, Y, steps_of
 
 __all__ = ["Path", "predict", "signature"]
 
@@ -27,55 +32,95 @@ class Path:
     ----------
     s : Observations
         What was driven.
-    ds_left_m, ds_right_m : array of float, shape (n_steps,)
-        Travel of the wheels.
-    ds_m, turn_rad : array of float, shape (n_steps,)
-        Motion of the axle's middle along, around and to its left.
-    track_m : array of float, shape (n_steps,) or float
-        Track.
-    mid_rad, x_m, y_m : array of float, shape (n_steps,)
-        Heading at the middle of each step, position at its middle.
+    push : Push
+        The hypothesis.
     end : array of float, shape (n_units, 3)
         End pose.
     reading : array of float, shape (n_units, n_channels)
         Predicted reading of each channel: distance, x, y, heading, front, steering.
+    line_m : array of float, shape (n_units,)
+        Length of the line that the unit was led along, signed.
+    kept : Steps, optional
+        The steps, where they are few enough to be kept.
     """
 
     s: Observations
-    ds_left_m: FloatArray
-    ds_right_m: FloatArray
-    ds_m: FloatArray
-    turn_rad: FloatArray
-    track_m: FloatArray
-    mid_rad: FloatArray
-    x_m: FloatArray
-    y_m: FloatArray
+    push: Push
     end: FloatArray
     reading: FloatArray
+    line_m: FloatArray
+    kept: Steps | None = None
+
+    @property
+    def steps(self) -> Steps:
+        """The steps of all units; integrated anew each time where they are too many to be kept: see `parts`."""
+        return steps_of(self.s, self.push) if self.kept is None else self.kept
+
+    def parts(self) -> Iterator[tuple[slice, Path]]:
+        """Yield units some at a time, each time with the path of these alone; itself where steps are few."""
+        for units, part in self._integrated():
+            if part is not self:
+                # whether the track can be asked for is a matter of all units
+                vars(part)["calibration"] = self.calibration[units]
+            yield units, part
+
+    def _integrated(self) -> Iterator[tuple[slice, Path]]:
+        if self.kept is not None:
+            yield slice(0, len(self.s)), self
+            return
+        for units in self.s.spans:
+            part, push = self.s.part(units), self.push.part(units, self.s)
+            yield (
+                units,
+                Path(part, push, self.end[units], self.reading[units], self.line_m[units], steps_of(part, push)),
+            )
+
+    @property
+    def mid_rad(self) -> FloatArray:
+        """Heading at the middle of each step, shape (n_steps,)."""
+        return self.steps.mid_rad
+
+    @property
+    def x_m(self) -> FloatArray:
+        """Position at the middle of each step, shape (n_steps,)."""
+        return self.steps.x_m
+
+    @property
+    def y_m(self) -> FloatArray:
+        """Position at the middle of each step, shape (n_steps,)."""
+        return self.steps.y_m
+
+    @property
+    def ds_m(self) -> FloatArray:
+        """Motion of the axle's middle along, shape (n_steps,)."""
+        return self.steps.ds_m
+
+    @property
+    def turn_rad(self) -> FloatArray:
+        """Turn of each step, shape (n_steps,)."""
+        return self.steps.turn_rad
 
     @cached_property
-    def cos(self) -> FloatArray:
-        """Cosine of the heading at the middle of each step, shape (n_steps,)."""
-        made: FloatArray = np.cos(self.mid_rad)
-        return made
+    def way_m(self) -> FloatArray:
+        """Way along of each unit, signed, shape (n_units,)."""
+        return self.of_parts(lambda part: part.s.total(part.ds_m))
 
     @cached_property
-    def sin(self) -> FloatArray:
-        """Sine of the heading at the middle of each step, shape (n_steps,)."""
-        made: FloatArray = np.sin(self.mid_rad)
-        return made
+    def rolling_radii_m(self) -> FloatArray:
+        """Travel of the left and right wheel over their rotation, shape (n_units, 2); NaN where a wheel stood."""
 
-    @cached_property
-    def lever_x(self) -> FloatArray:
-        """What a turn at a step moves the end point in x, per radian, shape (n_steps,)."""
-        made: FloatArray = self.y_m - self.end[self.s.unit, 1]
-        return made
+        def radii(part: Path) -> FloatArray:
+            s, steps = part.s, part.steps
+            wheels = ((steps.ds_left_m, s.roll_left_rad), (steps.ds_right_m, s.roll_right_rad))
+            with np.errstate(divide="ignore", invalid="ignore"):
+                ratios = [s.total(travel * np.sign(roll)) / s.total(np.abs(roll)) for travel, roll in wheels]
+            return np.stack(ratios, axis=1)
 
-    @cached_property
-    def lever_y(self) -> FloatArray:
-        """What a turn at a step moves the end point in y, per radian, shape (n_steps,)."""
-        made: FloatArray = self.end[self.s.unit, 0] - self.x_m
-        return made
+        return self.of_parts(radii)
+
+    def of_parts(self, what: Callable[[Path], FloatArray]) -> FloatArray:
+        """Return a quantity of each unit (n_units, ...) that is worked out from steps, part by part."""
+        return np.concatenate([what(part) for _, part in self._integrated()])
 
     @cached_property
     def frame(self) -> FloatArray:
@@ -83,23 +128,10 @@ class Path:
         measured = self.s.measured[:, Channel.HEADING]
         return np.where(np.isfinite(measured), measured, self.end[:, 2])
 
-    @cached_property
+    @property
     def way_sign(self) -> FloatArray:
         """Sign of the way along: -1 for a unit driven backwards, shape (n_units,)."""
-        return np.asarray(np.sign(self.s.total(self.ds_m)))
-
-    @cached_property
-    def weave_cos(self) -> FloatArray:
-        """Cosine of the heading about its own straight trend in each unit, shape (n_steps,)."""
-        s = self.s
-        along = s.cumulative(np.abs(self.ds_m)) - 0.5 * np.abs(self.ds_m)
-        total = np.maximum(s.total(np.abs(self.ds_m)), 1e-9)
-        weight = np.abs(self.ds_m)
-        mean_a = s.total(weight * along) / total
-        mean_h = s.total(weight * self.mid_rad) / total
-        da, dh = along - mean_a[s.unit], self.mid_rad - mean_h[s.unit]
-        slope = s.total(weight * da * dh) / np.maximum(s.total(weight * da * da), 1e-12)
-        return np.cos(dh - slope[s.unit] * da)
+        return np.asarray(np.sign(self.way_m))
 
     @cached_property
     def calibration(self) -> FloatArray:
@@ -107,19 +139,10 @@ class Path:
 
         The first three are relative changes, as is the fourth, which only the front channels feel.
         """
-        s = self.s
-        ones = np.ones(len(s))
-        if s.by_front:
-            # one wheel: it has a radius, which both that stand in for it share; wheelbase and zero are the steering's
-            both = 0.5 * signature(self, Push(left=ones, right=ones), by_steps=True)
-            return np.stack([both, both, np.zeros_like(both), np.zeros_like(both)], axis=2)
-        columns = [
-            signature(self, Push(left=ones), by_steps=True),
-            signature(self, Push(right=ones), by_steps=True),
-            signature(self, Push(track=ones), by_steps=True) * (0.0 if self.led_straight.all() else 1.0),
-            self._front_radius(),
-        ]
-        return np.stack(columns, axis=2)
+        columns = self.of_parts(_calibration)
+        if self.led_straight.all():
+            columns[:, :, 2] = 0.0
+        return columns
 
     @cached_property
     def led_straight(self) -> BoolArray:
@@ -134,12 +157,21 @@ class Path:
         straight: BoolArray = (s.total(np.abs(s.turn_rad)) < LED_STRAIGHT_RAD) & ~bent
         return straight | s.led_straight
 
-    def _front_radius(self) -> FloatArray:
-        made = np.zeros((len(self.s), N_CHANNELS))
-        front = np.nan_to_num(self.s.front_roll_rad) * self.s.vehicle.front_radius_m
-        made[:, Channel.FRONT] = -self.s.total(front * self.s.steer_cos)
-        made[:, Channel.STEERING] = -self.s.total(front * self.s.steer_sin) / self.s.vehicle.wheelbase_m
-        return made
+
+def _calibration(path: Path) -> FloatArray:
+    """Return the derivative by (left, right radius, track, front radius), shape (n_units, n_channels, 4)."""
+    s = path.s
+    ones = np.ones(len(s))
+    if s.by_front:
+        # one wheel: it has a radius, which both that stand in for it share; wheelbase and zero are the steering's
+        both = 0.5 * _along_path(path, Push(left=ones, right=ones))
+        return np.stack([both, both, np.zeros_like(both), np.zeros_like(both)], axis=2)
+    by_front = np.zeros((len(s), N_CHANNELS))
+    front = np.nan_to_num(s.front_roll_rad) * s.vehicle.front_radius_m
+    by_front[:, Channel.FRONT] = -s.total(front * s.steer_cos)
+    by_front[:, Channel.STEERING] = -s.total(front * s.steer_sin) / s.vehicle.wheelbase_m
+    wheels = (_along_path(path, push) for push in (Push(left=ones), Push(right=ones), Push(track=ones)))
+    return np.stack([*wheels, by_front], axis=2)
 
 
 def predict(s: Observations, pushes: list[Push] | None = None) -> Path:
@@ -158,71 +190,35 @@ def predict(s: Observations, pushes: list[Push] | None = None) -> Path:
         Path and predicted readings.
     """
     push = total_push(s, pushes or [])
-    unit = s.unit
-
-    def wide(part: FloatArray | None) -> FloatArray | float:
-        if part is None:
-            return 0.0
-        return part if len(part) == len(unit) else part[unit]
-
-    left = s.travel_left_m * (1.0 + wide(push.left))
-    right = s.travel_right_m * (1.0 + wide(push.right))
-    track = s.model.track_m * (1.0 + wide(push.track)) * np.ones(1)
-    ds = 0.5 * (left + right) + wide(push.along_m)
-    turn = (right - left) / track + wide(push.heading_rad)
-    slip = np.broadcast_to(np.asarray(wide(push.lateral_m), dtype=np.float64), ds.shape)
-    if s.aside_m is not None:
-        slip = slip + s.aside_m * (1.0 + 0.5 * (wide(push.left) + wide(push.right)))
-    heading = s.cumulative(turn)
-    mid = heading - 0.5 * turn + _bend(s, turn)
-    half = 0.5 * turn
-    chord = ds * (1.0 - half * half / 6.0)
-    c, sn = np.cos(mid), np.sin(mid)
-    dx, dy = chord * c - slip * sn, chord * sn + slip * c
-    x, y = s.cumulative(dx), s.cumulative(dy)
-    last = s.starts[1:] - 1
-    end = np.stack([x[last], y[last], heading[last]], axis=1)
-    path = Path(
-        s=s,
-        ds_left_m=left,
-        ds_right_m=right,
-        ds_m=ds,
-        turn_rad=turn,
-        track_m=track,
-        mid_rad=mid,
-        x_m=x - 0.5 * dx,
-        y_m=y - 0.5 * dy,
-        end=end,
-        reading=np.zeros((len(s), N_CHANNELS)),
+    if len(s.spans) == 1:
+        return _predicted(s, push)
+    parts = [_predicted(s.part(units), push.part(units, s)) for units in s.spans]
+    end, reading, line_m = (
+        np.concatenate([getattr(part, name) for part in parts]) for name in ("end", "reading", "line_m")
     )
-    reading = path.reading
+    return Path(s, push, end, reading, line_m)
+
+
+def _predicted(s: Observations, push: Push) -> Path:
+    """Return the path with all its steps."""
+    steps = steps_of(s, push)
+    end = steps.end
+    line_m = s.total(steps.ds_m * steps.weave_cos)
+    reading = np.zeros((len(s), N_CHANNELS))
+    path = Path(s, push, end, reading, line_m, steps)
     reading[:, [*POSE, Channel.HEADING]] = end
-    line = np.abs(s.total(ds * path.weave_cos))
     reading[:, Channel.DISTANCE] = np.where(
-        s.axis == 1, end[:, 0], np.where(s.axis == 2, np.hypot(end[:, 0], end[:, 1]), line)
+        s.axis == 1, end[:, 0], np.where(s.axis == 2, np.hypot(end[:, 0], end[:, 1]), np.abs(line_m))
     )
     if s.usable[:, Channel.FRONT :].any():
         wheelbase = s.vehicle.wheelbase_m
         front = np.nan_to_num(s.front_roll_rad) * s.vehicle.front_radius_m
         # what the rear wheels say, less what the front wheel and its steering say of the same (Eqs 12 to 14)
-        reading[:, Channel.FRONT] = s.total(ds - front * s.steer_cos)
-        reading[:, Channel.STEERING] = s.total(turn - front * s.steer_sin / wheelbase)
+        reading[:, Channel.FRONT] = s.total(steps.ds_m - front * s.steer_cos)
+        reading[:, Channel.STEERING] = s.total(steps.turn_rad - front * s.steer_sin / wheelbase)
     if push.reading is not None:
         reading += _in_start_frame(path, push.reading)
     return path
-
-
-def _bend(s: Observations, turn: FloatArray) -> FloatArray:
-    """Return by how much the mean heading of each step differs from the mean of its ends, shape (n_steps,).
-
-    The arc of a step is bent further where the curvature changes on the way: with the heading as a parabola the mean
-    differs by a twelfth of its second difference. Matters for logs of a few hertz on winding routes.
-    """
-    made = np.zeros(len(turn))
-    made[1:-1] = (turn[:-2] - turn[2:]) / 24.0
-    made[s.starts[:-1]] = 0.0
-    made[s.starts[1:] - 1] = 0.0
-    return made
 
 
 def _in_start_frame(path: Path, reading: FloatArray) -> FloatArray:
@@ -234,7 +230,7 @@ def _in_start_frame(path: Path, reading: FloatArray) -> FloatArray:
     return made
 
 
-def signature(path: Path, push: Push, *, by_steps: bool = False) -> FloatArray:
+def signature(path: Path, push: Push) -> FloatArray:
     """Return what a push does to the readings, to first order about a path.
 
     Parameters
@@ -243,8 +239,6 @@ def signature(path: Path, push: Push, *, by_steps: bool = False) -> FloatArray:
         Where to linearise.
     push : Push
         What one parameter does.
-    by_steps : bool
-        Integrate over the steps even where the push is constant in each unit.
 
     Returns
     -------
@@ -254,74 +248,38 @@ def signature(path: Path, push: Push, *, by_steps: bool = False) -> FloatArray:
     """
     s = path.s
     n_units, n_steps = len(s), len(s.unit)
-    made = np.zeros((n_units, N_CHANNELS))
-    stepwise: dict[str, FloatArray] = {}
-    for number, part in enumerate((push.left, push.right, push.track)):
+    change = np.zeros((n_units, N_CHANNELS))
+    wheels: dict[str, FloatArray] = {}
+    for number, (name, part) in enumerate((("left", push.left), ("right", push.right), ("track", push.track))):
         if part is None:
             continue
-        if len(part) == n_units and not by_steps and n_units != n_steps:
-            made += path.calibration[:, :, number] * part[:, None]
+        if len(part) == n_units and n_units != n_steps:
+            change += path.calibration[:, :, number] * part[:, None]
         else:
-            wide = part if len(part) == n_steps and n_units != n_steps else part[s.unit]
-            stepwise[("left", "right", "track")[number]] = wide
-    if stepwise or not push.of_units_only:
-        made += _along_path(path, stepwise, push)
+            wheels[name] = part
+    if wheels or not push.of_units_only:
+        stepwise = Push(**wheels, heading_rad=push.heading_rad, along_m=push.along_m, lateral_m=push.lateral_m)
+        for units, of_units in path.parts():
+            change[units] += _along_path(of_units, stepwise if path.kept is not None else stepwise.part(units, s))
     if push.reading is not None:
-        made += push.reading
-    return made
+        change += push.reading
+    return change
 
 
-def _added(first: FloatArray | None, second: FloatArray) -> FloatArray:
-    """Return the sum of two step arrays of which neither is needed any more."""
-    if first is None:
-        return second
-    first += second
-    return first
-
-
-def _along_path(path: Path, wide: dict[str, FloatArray], push: Push) -> FloatArray:
+def _along_path(path: Path, push: Push) -> FloatArray:
     """Integrate what varies along the path: shape (n_units, n_channels)."""
     s = path.s
-    # most pushes turn the vehicle or move it, not both: what is nought everywhere is not multiplied out
-    ds: FloatArray | None = None
-    turn: FloatArray | None = None
-    if "left" in wide:
-        change = path.ds_left_m * wide["left"]
-        ds, turn = 0.5 * change, -(change / path.track_m)
-    if "right" in wide:
-        change = path.ds_right_m * wide["right"]
-        ds, turn = _added(ds, 0.5 * change), _added(turn, change / path.track_m)
-    if "track" in wide:
-        turn = _added(turn, -((path.ds_right_m - path.ds_left_m) / path.track_m * wide["track"]))
-    if push.heading_rad is not None:
-        turn = push.heading_rad if turn is None else turn + push.heading_rad
-    if push.along_m is not None:
-        ds = push.along_m if ds is None else ds + push.along_m
-    moved = None if ds is None else (ds * path.cos, ds * path.sin)
-    turned = None if turn is None else (turn * path.lever_x, turn * path.lever_y)
-    if moved is None or turned is None:
-        dx, dy = moved or turned or (np.zeros(len(s.unit)), np.zeros(len(s.unit)))
-    else:
-        dx, dy = _added(moved[0], turned[0]), _added(moved[1], turned[1])
-    aside = push.lateral_m
-    if s.aside_m is not None:
-        mean = 0.5 * (wide.get("left", np.zeros(1)) + wide.get("right", np.zeros(1)))
-        aside = s.aside_m * mean + (0.0 if aside is None else aside)
-    if aside is not None:
-        dx -= aside * path.sin
-        dy += aside * path.cos
-    x, y = s.total(dx), s.total(dy)
-    made = np.zeros((len(s), N_CHANNELS))
+    sums = path.steps.sums(push)
+    x, y = sums[X], sums[Y]
+    change = np.zeros((len(s), N_CHANNELS))
     c, sn = np.cos(path.frame), np.sin(path.frame)
-    made[:, Channel.ALONG], made[:, Channel.LATERAL] = c * x + sn * y, c * y - sn * x
-    if turn is not None:
-        made[:, Channel.HEADING] = s.total(turn)
+    change[:, Channel.ALONG], change[:, Channel.LATERAL] = c * x + sn * y, c * y - sn * x
+    change[:, Channel.HEADING] = sums[TURN]
     with np.errstate(invalid="ignore", divide="ignore"):
         chord = np.nan_to_num((path.end[:, 0] * x + path.end[:, 1] * y) / np.hypot(path.end[:, 0], path.end[:, 1]))
-    line = np.zeros(len(s)) if ds is None else s.total(ds * path.weave_cos) * path.way_sign
-    made[:, Channel.DISTANCE] = np.where(s.axis == 1, x, np.where(s.axis == 2, chord, line))
+    line = sums[LINE] * path.way_sign
+    change[:, Channel.DISTANCE] = np.where(s.axis == 1, x, np.where(s.axis == 2, chord, line))
     if s.usable[:, Channel.FRONT :].any():
-        if ds is not None:
-            made[:, Channel.FRONT] = s.total(ds)
-        made[:, Channel.STEERING] = made[:, Channel.HEADING]
-    return made
+        change[:, Channel.FRONT] = sums[WAY]
+        change[:, Channel.STEERING] = sums[TURN]
+    return change

@@ -42,6 +42,19 @@ class Push:
         """Return the seven fields in order."""
         return (self.left, self.right, self.track, self.heading_rad, self.along_m, self.lateral_m, self.reading)
 
+    def part(self, units: slice, s: Observations) -> Push:
+        """Return what is pushed of some units alone, of a push on all units of `s`."""
+        n_steps = len(s.unit)
+        steps = slice(int(s.starts[units.start]), int(s.starts[units.stop]))
+
+        def of(part: FloatArray | None) -> FloatArray | None:
+            return None if part is None else part[steps if len(part) == n_steps else units]
+
+        parts = [of(part) for part in self.parts()]
+        if self.right is self.left:
+            parts[1] = parts[0]
+        return Push(*parts)
+
     @property
     def of_units_only(self) -> bool:
         """Whether no field varies within a unit; decided by the caller's shapes in `signature`."""

@@ -7,7 +7,7 @@ import pytest
 
 from calib.campaign.settings import Reference
 from calib.gap.data.from_campaign import observations_of
-from calib.gap.effects.floor import common_frame, floor_place, map_heading_rad
+from calib.gap.effects.floor import common_frame, far_end_m, floor_place, map_heading_rad
 from calib.gap.predict.path import predict
 from tests.gap.data.paths import ROUTE, Truth, campaign_of, seen
 
@@ -133,7 +133,7 @@ def test_places_on_the_floor_are_those_of_the_map(n: int) -> None:
     observations = observations_of(campaign_of(logs, Reference(frame="map")))
     assert common_frame(observations)
     path = predict(observations)
-    x, y = floor_place(path)
+    x, y = floor_place(path, far_end_m(path.s))
     heading = map_heading_rad(path)
     for run, truth in enumerate(truths):
         mine = observations.run[observations.unit] == run

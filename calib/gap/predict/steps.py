@@ -1,0 +1,239 @@
+"""Motion step by step under a hypothesis, and what a small change at a step does to what is measured at the end."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from calib.arrays import FloatArray
+from calib.gap.data.observations import Observations
+from calib.gap.predict.push import Push
+
+__all__ = ["LINE", "N_SUMS", "TURN", "WAY", "Lever", "Steps", "X", "Y", "steps_of"]
+
+#: what is summed over a unit: displacement of the end point, turn, way along the line led, way
+X, Y, TURN, LINE, WAY = range(5)
+N_SUMS: Final = 5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lever:
+    """What a change of 1 at each step adds to the sums of its unit.
+
+    Parameters
+    ----------
+    sums : tuple of int
+        Which of X, Y, TURN, LINE and WAY change.
+    by_step : array of float, shape (n_sums, n_steps)
+        By how much, for each of these.
+    """
+
+    sums: tuple[int, ...]
+    by_step: FloatArray
+
+    def __add__(self, other: Lever) -> Lever:
+        """Return what both changes do together; the same sums change."""
+        return Lever(self.sums, self.by_step + other.by_step)
+
+
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """Steps of every unit under a hypothesis, each unit in the frame of its own start.
+
+    Parameters
+    ----------
+    s : Observations
+        What was driven.
+    ds_left_m, ds_right_m : array of float, shape (n_steps,)
+        Travel of the wheels.
+    ds_m, turn_rad : array of float, shape (n_steps,)
+        Motion of the axle's middle along, and its turn.
+    track_m : array of float, shape (n_steps,) or (1,)
+        Track.
+    mid_rad, x_m, y_m : array of float, shape (n_steps,)
+        Heading at the middle of each step, position at its middle.
+    end : array of float, shape (n_units, 3)
+        End pose.
+    """
+
+    s: Observations
+    ds_left_m: FloatArray
+    ds_right_m: FloatArray
+    ds_m: FloatArray
+    turn_rad: FloatArray
+    track_m: FloatArray
+    mid_rad: FloatArray
+    x_m: FloatArray
+    y_m: FloatArray
+    end: FloatArray
+
+    @cached_property
+    def cos(self) -> FloatArray:
+        """Cosine of the heading at the middle of each step, shape (n_steps,)."""
+        return np.asarray(np.cos(self.mid_rad))
+
+    @cached_property
+    def sin(self) -> FloatArray:
+        """Sine of the heading at the middle of each step, shape (n_steps,)."""
+        return np.asarray(np.sin(self.mid_rad))
+
+    @cached_property
+    def lever_x(self) -> FloatArray:
+        """What a turn at a step moves the end point in x, per radian, shape (n_steps,)."""
+        return np.asarray(self.y_m - self.end[self.s.unit, 1])
+
+    @cached_property
+    def lever_y(self) -> FloatArray:
+        """What a turn at a step moves the end point in y, per radian, shape (n_steps,)."""
+        return np.asarray(self.end[self.s.unit, 0] - self.x_m)
+
+    @cached_property
+    def weave_cos(self) -> FloatArray:
+        """Cosine of the heading about its own straight trend in each unit, shape (n_steps,)."""
+        s = self.s
+        weight = np.abs(self.ds_m)
+        along = s.cumulative(weight) - 0.5 * weight
+        total = np.maximum(s.total(weight), 1e-9)
+        mean_a = s.total(weight * along) / total
+        mean_h = s.total(weight * self.mid_rad) / total
+        da, dh = along - mean_a[s.unit], self.mid_rad - mean_h[s.unit]
+        slope = s.total(weight * da * dh) / np.maximum(s.total(weight * da * da), 1e-12)
+        return np.asarray(np.cos(dh - slope[s.unit] * da))
+
+    @cached_property
+    def by_left(self) -> Lever:
+        """Of the left wheel's travel, relative."""
+        return self._by_wheel(self.ds_left_m, -1.0)
+
+    @cached_property
+    def by_right(self) -> Lever:
+        """Of the right wheel's travel, relative."""
+        return self._by_wheel(self.ds_right_m, 1.0)
+
+    @cached_property
+    def by_both(self) -> Lever:
+        """Of both wheels' travel, relative."""
+        return self.by_left + self.by_right
+
+    def _by_wheel(self, travel_m: FloatArray, sense: float) -> Lever:
+        ds, turn = 0.5 * travel_m, sense * travel_m / self.track_m
+        x, y = ds * self.cos + turn * self.lever_x, ds * self.sin + turn * self.lever_y
+        if self.s.aside_m is not None:
+            x -= 0.5 * self.s.aside_m * self.sin
+            y += 0.5 * self.s.aside_m * self.cos
+        return Lever((X, Y, TURN, LINE, WAY), np.stack([x, y, turn, ds * self.weave_cos, ds]))
+
+    @cached_property
+    def by_track(self) -> Lever:
+        """Of the track, relative."""
+        turn = -(self.ds_right_m - self.ds_left_m) / self.track_m
+        return Lever((X, Y, TURN), np.stack([turn * self.lever_x, turn * self.lever_y, turn]))
+
+    @cached_property
+    def by_turn(self) -> Lever:
+        """Of the heading, rad."""
+        return Lever((X, Y, TURN), np.stack([self.lever_x, self.lever_y, np.ones_like(self.lever_x)]))
+
+    @cached_property
+    def by_way(self) -> Lever:
+        """Of the way along, m."""
+        return Lever((X, Y, LINE, WAY), np.stack([self.cos, self.sin, self.weave_cos, np.ones_like(self.cos)]))
+
+    @cached_property
+    def by_slip(self) -> Lever:
+        """Of the way to the left, m."""
+        return Lever((X, Y), np.stack([-self.sin, self.cos]))
+
+    def sums(self, push: Push) -> FloatArray:
+        """Return what a push adds to the sums of each unit, to first order, shape (5, n_units)."""
+        s, summed = self.s, np.zeros((N_SUMS, len(self.s)))
+        for part, lever in self._levers(push):
+            wide = part if len(part) == len(s.unit) and len(s) != len(s.unit) else part[s.unit]
+            summed[list(lever.sums)] += np.add.reduceat(lever.by_step * wide, s.starts[:-1], axis=1)
+        return summed
+
+    def _levers(self, push: Push) -> Iterator[tuple[FloatArray, Lever]]:
+        """Yield each part of a push with its lever; levers that no push asks for are never made."""
+        if push.left is not None and push.left is push.right:
+            yield push.left, self.by_both
+        else:
+            if push.left is not None:
+                yield push.left, self.by_left
+            if push.right is not None:
+                yield push.right, self.by_right
+        if push.track is not None:
+            yield push.track, self.by_track
+        if push.heading_rad is not None:
+            yield push.heading_rad, self.by_turn
+        if push.along_m is not None:
+            yield push.along_m, self.by_way
+        if push.lateral_m is not None:
+            yield push.lateral_m, self.by_slip
+
+
+def steps_of(s: Observations, push: Push) -> Steps:
+    """Integrate the counts under a hypothesis (exact arcs).
+
+    Parameters
+    ----------
+    s : Observations
+        What was driven; its model gives radii and track.
+    push : Push
+        The hypothesis, already scaled by its parameters.
+
+    Returns
+    -------
+    Steps
+    """
+    unit = s.unit
+
+    def wide(part: FloatArray | None) -> FloatArray | float:
+        if part is None:
+            return 0.0
+        return part if len(part) == len(unit) else part[unit]
+
+    left = s.travel_left_m * (1.0 + wide(push.left))
+    right = s.travel_right_m * (1.0 + wide(push.right))
+    track = s.model.track_m * (1.0 + wide(push.track)) * np.ones(1)
+    ds = 0.5 * (left + right) + wide(push.along_m)
+    turn = (right - left) / track + wide(push.heading_rad)
+    slip = np.broadcast_to(np.asarray(wide(push.lateral_m), dtype=np.float64), ds.shape)
+    if s.aside_m is not None:
+        slip = slip + s.aside_m * (1.0 + 0.5 * (wide(push.left) + wide(push.right)))
+    heading = s.cumulative(turn)
+    mid = heading - 0.5 * turn + _bend(s, turn)
+    half = 0.5 * turn
+    chord = ds * (1.0 - half * half / 6.0)
+    c, sn = np.cos(mid), np.sin(mid)
+    dx, dy = chord * c - slip * sn, chord * sn + slip * c
+    x, y = s.cumulative(dx), s.cumulative(dy)
+    last = s.starts[1:] - 1
+    return Steps(
+        s=s,
+        ds_left_m=left,
+        ds_right_m=right,
+        ds_m=ds,
+        turn_rad=turn,
+        track_m=track,
+        mid_rad=mid,
+        x_m=x - 0.5 * dx,
+        y_m=y - 0.5 * dy,
+        end=np.stack([x[last], y[last], heading[last]], axis=1),
+    )
+
+
+def _bend(s: Observations, turn: FloatArray) -> FloatArray:
+    """Return by how much the mean heading of each step differs from the mean of its ends, shape (n_steps,).
+
+    The arc of a step is bent further where the curvature changes on the way: with the heading as a parabola the mean
+    differs by a twelfth of its second difference. Matters for logs of a few hertz on winding routes.
+    """
+    bend = np.zeros(len(turn))
+    bend[1:-1] = (turn[:-2] - turn[2:]) / 24.0
+    bend[s.starts[:-1]] = 0.0
+    bend[s.starts[1:] - 1] = 0.0
+    return bend
