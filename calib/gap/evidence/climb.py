@@ -55,8 +55,8 @@ class Settings:
         Power of the evidence; below 1 because the noise is never quite the one assumed.
     most_effects : int
         Effects named at once, at most.
-    pairs : int
-        Pairs tried that neither of them shows alone.
+    paired : int
+        Effects of which all pairs are tried, since one may hide the other; of a larger library those likeliest alone.
     """
 
     further: float = 0.5
@@ -64,7 +64,7 @@ class Settings:
     tolerance: float = 0.15
     temper: float = 0.9
     most_effects: int = 6
-    pairs: int = 400
+    paired: int = 60
 
 
 class Climb:
@@ -192,6 +192,10 @@ class Climb:
         for k in self.offered:
             best.setdefault(self.columns.forms[k].effect, k)
         numbers = [k for k in best.values() if len(self.columns.forms[k].parameters) <= 4]
+        if len(numbers) > self.settings.paired:
+            # their pairs would grow with the square of what is on offer
+            alone = _total(self.weigh([(k,) for k in numbers]))
+            numbers = [numbers[place] for place in np.sort(np.argsort(-alone, kind="stable")[: self.settings.paired])]
         return [(a, b) for i, a in enumerate(numbers) for b in numbers[i + 1 :]]
 
     def best_alone(self, count: int) -> Sequence[Model]:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from calib.gap.effects.library import library
+from calib.gap.evidence.climb import Settings
 from calib.gap.evidence.fit import fit
 from calib.gap.evidence.search import Search, search
 from calib.gap.plan.separability import noise_at
@@ -18,7 +19,7 @@ from tests.gap.effects.making import MODEL, RADIUS_M, Motion, Run, rich_runs, si
 Truth = Callable[[Run, Motion], None]
 
 
-def searched(truth: Truth, exclude: tuple[str, ...] = ()) -> Search:
+def searched(truth: Truth, exclude: tuple[str, ...] = (), settings: Settings | None = None) -> Search:
     """The search on rich runs with instruments that scatter as stated."""
     rng = np.random.default_rng(2)
 
@@ -35,7 +36,7 @@ def searched(truth: Truth, exclude: tuple[str, ...] = ()) -> Search:
     s = situation(runs, truth=shaken)
     nominal = predict(s)
     noise = noise_at(nominal, {})
-    return search(nominal, noise, fit(nominal, noise), library(s, exclude=exclude))
+    return search(nominal, noise, fit(nominal, noise), library(s, exclude=exclude), settings)
 
 
 def load_radius(run: Run, now: Motion) -> None:
@@ -81,6 +82,11 @@ def test_with_plenty_of_evidence_the_truth_comes_first(truth: Truth, expected: t
     assert list(found.probabilities) == sorted(found.probabilities, reverse=True)
     inclusion = found.inclusion()
     assert all(inclusion[name] > 0.5 for name in expected)
+
+
+def test_two_causes_are_found_among_the_pairs_of_the_likeliest_alone() -> None:
+    """As among all pairs: of a large library only those of so many effects are tried."""
+    assert searched(two, settings=Settings(paired=4)).effects == ("rangefinder_offset", "temperature_radius")
 
 
 def test_without_a_gap_nothing_comes_first() -> None:
