@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from calib.fleet.engines import engine
-from calib.fleet.members import Member, Part, labels_of, members_of
-from calib.fleet.part_sums import PartSums, sums_of_parts
-from calib.fleet.store import SUMS, Store
-from calib.fleet.vehicle import VehicleRecord, VehicleSums, records_of
+from calib.fleet.engines import Engine, engine
+from calib.fleet.members import Member, labels_of, members_of
+from calib.fleet.part_sums import PartSums
+from calib.fleet.pieces import PieceDone, do_pieces, given_up, pieces_of, size_of
+from calib.fleet.store import SUMS, Store, line_of
+from calib.fleet.vehicle import VehicleRecord
 from calib.fleet.view import FleetView, view_of
 
 __all__ = ["Fleet", "fit_fleet"]
@@ -80,23 +81,36 @@ def fit_fleet(
     Fleet
         The same whatever the engine, the number of workers and the order.
     """
-    members = members_of(folder)
     store = Store(Path(into) / SUMS, PartSums.from_dict)
-    kept = _still_valid(members, store.read())
-    todo = [part for member in members for part in member.parts if part.name not in kept]
-    n_kept = len(kept)
+    # workers start while this process lists the files
     with engine(workers, scheduler) as opened:
-        for number, part in enumerate(opened.run(sums_of_parts, todo, _given_up), 1):
-            store.append(part)
-            kept[part.name] = part
-            if progress is not None:
-                progress(number, len(todo))
-        store.rewrite(kept.values())
-        whole = [VehicleSums(member.vehicle, tuple(kept[part.name] for part in member.parts)) for member in members]
-        by_vehicle = {record.vehicle: record for record in opened.run(records_of, whole, _no_record)}
-    records = tuple(by_vehicle[member.vehicle] for member in members)
+        members = members_of(folder)
+        lines = {name: line_of(part) for name, part in _still_valid(members, store.read()).items()}
+        n_kept = len(lines)
+        n_new = sum(len(member.parts) for member in members) - n_kept
+        records: dict[str, VehicleRecord] = {}
+        with store.adding() as add:
+            for done in _done(opened, members, lines):
+                add(done.lines)
+                lines |= done.lines
+                if done.record is not None:
+                    records[done.record.vehicle] = done.record
+                if progress is not None and done.lines:
+                    progress(len(lines) - n_kept, n_new)
+        store.rewrite(lines)
+    by_id = tuple(records[member.vehicle] for member in members)
     labels = labels_of(folder, tuple(member.vehicle for member in members))
-    return Fleet(records, view_of(records, labels), len(todo), n_kept)
+    return Fleet(by_id, view_of(by_id, labels), n_new, n_kept)
+
+
+def _done(opened: Engine, members: tuple[Member, ...], lines: Mapping[str, str]) -> Iterator[PieceDone]:
+    """Yield what comes of the pieces; `lines` grows meanwhile; vehicles of many new files have their record last."""
+    before = dict(lines)
+    pieces = [piece for member in members for piece in pieces_of(member, before)]
+    yield from opened.run(do_pieces, pieces, given_up, size_of)
+    in_parts = {piece.vehicle for piece in pieces if not piece.whole}
+    rest = [piece for member in members if member.vehicle in in_parts for piece in pieces_of(member, lines)]
+    yield from opened.run(do_pieces, rest, given_up, size_of)
 
 
 def _still_valid(members: tuple[Member, ...], kept: dict[str, PartSums]) -> dict[str, PartSums]:
@@ -108,11 +122,3 @@ def _still_valid(members: tuple[Member, ...], kept: dict[str, PartSums]) -> dict
             if have is not None and have.key and part.path.exists() and have.key == part.key:
                 valid[part.name] = have
     return valid
-
-
-def _given_up(part: Part, why: str) -> PartSums:
-    return PartSums(part.name, "", 0.0, 0.0, None, None, why)
-
-
-def _no_record(sums: VehicleSums, why: str) -> VehicleRecord:
-    return VehicleRecord(sums.vehicle, 0, 0.0, None, None, why)

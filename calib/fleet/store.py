@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, Generic, Protocol, TypeVar
 
 from calib.errors import BadInputError
 from calib.leftovers import sweep, temporary_beside
 
-__all__ = ["SUMS", "Kept", "Store"]
+__all__ = ["SUMS", "Kept", "Store", "line_of"]
 
 SUMS: Final = "sums.jsonl"
 
@@ -68,26 +69,35 @@ class Store(Generic[Record]):
                 kept[record.name] = record
         return kept
 
-    def append(self, record: Record) -> None:
-        """Add a line, whole."""
-        line = (json.dumps(record.to_dict(), ensure_ascii=False) + "\n").encode()
+    @contextmanager
+    def adding(self) -> Iterator[Callable[[Mapping[str, str]], None]]:
+        """Give a function that adds lines (see `line_of`), by their names, each of them whole."""
         with self.path.open("ab") as stream:
             # after an interruption the last line may lack its end
             if stream.tell() and not _ends_whole(self.path):
                 stream.write(b"\n")
-            stream.write(line)
 
-    def rewrite(self, records: Iterable[Record]) -> None:
+            def add(lines: Mapping[str, str]) -> None:
+                stream.write("".join(lines.values()).encode())
+                stream.flush()
+
+            yield add
+
+    def rewrite(self, lines: Mapping[str, str]) -> None:
         """Put all lines in order of their names, each once; the same bytes whatever order they came in."""
         sweep(self.path)
         temporary = temporary_beside(self.path)
         try:
             with temporary.open("x", encoding="utf-8") as stream:
-                for record in sorted(records, key=lambda record: record.name):
-                    stream.write(json.dumps(record.to_dict(), ensure_ascii=False) + "\n")
+                stream.writelines(lines[name] for name in sorted(lines))
             temporary.replace(self.path)
         finally:
             temporary.unlink(missing_ok=True)
+
+
+def line_of(record: Kept) -> str:
+    """Return the line that is kept of a record."""
+    return json.dumps(record.to_dict(), ensure_ascii=False) + "\n"
 
 
 def _ends_whole(path: Path) -> bool:

@@ -16,7 +16,7 @@ from calib.fleet.member_tasks import MEMBER_TASKS, MemberRecord, key_of
 from calib.fleet.members import Member, labels_of, members_of
 from calib.fleet.quantities import Quantities, quantities_of
 from calib.fleet.run import Progress
-from calib.fleet.store import Store
+from calib.fleet.store import Store, line_of
 
 __all__ = ["Survey", "survey_fleet"]
 
@@ -85,12 +85,13 @@ def survey_fleet(
     todo = [member for member in members if member.vehicle not in kept]
     n_kept = len(kept)
     results = run_tasks(MEMBER_TASKS[what], todo, _given_up, workers=workers, scheduler=scheduler)
-    for number, record in enumerate(results, 1):
-        store.append(record)
-        kept[record.name] = record
-        if progress is not None:
-            progress(number, len(todo))
-    store.rewrite(kept.values())
+    with store.adding() as add:
+        for number, record in enumerate(results, 1):
+            add({record.name: line_of(record)})
+            kept[record.name] = record
+            if progress is not None:
+                progress(number, len(todo))
+    store.rewrite({name: line_of(record) for name, record in kept.items()})
     records = tuple(kept[member.vehicle] for member in members)
     labels = labels_of(folder, tuple(member.vehicle for member in members))
     shared = shared_causes(records, labels)

@@ -11,7 +11,7 @@ import numpy as np
 from calib.fleet.part_sums import PartSums
 from calib.radius.session_sums import SessionSums, line_from_sums
 
-__all__ = ["WHEELS", "Drift", "VehicleRecord", "VehicleSums", "WheelLine", "record_of", "records_of"]
+__all__ = ["WHEELS", "Drift", "VehicleRecord", "WheelLine", "record_of"]
 
 WHEELS: Final = ("left", "right")
 COVERAGE: Final = 0.95
@@ -93,19 +93,6 @@ class VehicleRecord:
             values[f"slope_{side}_ci95_m_per_N"] = list(line.slope_ci95_m_per_N)
             values[f"drift_{side}_m_per_day"] = None if line.drift is None else line.drift.per_day_m
         return values
-
-
-@dataclass(frozen=True, slots=True)
-class VehicleSums:
-    """A vehicle's id and the sums of its files."""
-
-    vehicle: str
-    parts: tuple[PartSums, ...]
-
-
-def records_of(vehicles: Sequence[VehicleSums]) -> list[VehicleRecord]:
-    """Return the records of some vehicles; see `record_of`."""
-    return [record_of(sums.vehicle, sums.parts) for sums in vehicles]
 
 
 def record_of(vehicle: str, parts: Sequence[PartSums]) -> VehicleRecord:

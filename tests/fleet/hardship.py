@@ -1,12 +1,15 @@
 """Engines side by side, and what befalls them: a command killed and resumed, workers killed in the middle.
 
 ``python -m tests.fleet.hardship --vehicles 2000 FOLDER`` makes a fleet in FOLDER where it is not there yet. Ratios of
-wall-clock seconds mean something on a quiet machine only; the load is printed beside them.
+wall-clock seconds mean something on a quiet machine only; the load is printed beside them, and what two processes that
+have nothing to do with one another reach on this machine: ideal scaling. One worker, two, and the two strangers each
+begin in a process of their own, three times in turns, of which the least count.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import multiprocessing
 import os
@@ -18,13 +21,17 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from calib.files import to_json
-from calib.fleet.run import fit_fleet
+from calib.fleet.run import Fleet, fit_fleet
 from calib.fleet.store import SUMS
 from calib.plant.fleet import FleetSize, make_fleet
+
+ROOT = Path(__file__).resolve().parents[2]
+TURNS = 3
 
 
 def _say(text: str) -> None:
@@ -42,7 +49,41 @@ def _timed(what: str, work: Callable[[], str]) -> tuple[str, float]:
 
 def _fit(folder: Path, into: Path, **options: object) -> str:
     shutil.rmtree(into, ignore_errors=True)
-    return to_json(fit_fleet(folder, into, **options).to_dict())  # type: ignore[arg-type]
+    return _hash(fit_fleet(folder, into, **options))  # type: ignore[arg-type]
+
+
+def _hash(fleet: Fleet) -> str:
+    return hashlib.sha256(to_json(fleet.to_dict()).encode()).hexdigest()
+
+
+def at_once(folder: Path, into: Path, *workers: int) -> list[dict[str, Any]]:
+    """Fit the fleet in processes of their own, all at once; see `tests.fleet.once`."""
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    command = [sys.executable, "-m", "tests.fleet.once", str(folder)]
+    running = [
+        subprocess.Popen(
+            [*command, f"{into}{number}", "--workers", str(n)], stdout=subprocess.PIPE, cwd=ROOT, env=environment
+        )
+        for number, n in enumerate(workers)
+    ]
+    answers: list[dict[str, Any]] = [json.loads(process.communicate()[0]) for process in running]
+    for number in range(len(workers)):
+        shutil.rmtree(f"{into}{number}", ignore_errors=True)
+    return answers
+
+
+def scaling(folder: Path, into: Path, vehicles: int) -> tuple[str, float]:
+    """Say what two workers gain, and what two strangers do; return the result's hash and two workers' seconds."""
+    turns = [(at_once(folder, into, 1), at_once(folder, into, 2), at_once(folder, into, 1, 1)) for _ in range(TURNS)]
+    hashes = {answer["sha256"] for turn in turns for answers in turn for answer in answers}
+    one, two, strangers = (min(max(answer["seconds"] for answer in turn[way]) for turn in turns) for way in range(3))
+    cpu = min(turn[0][0]["cpu"] for turn in turns)
+    cpu_two = min(turn[1][0]["cpu"] for turn in turns)
+    _say(f"one worker {one:.2f} s, {cpu:.2f} s of the processor: {vehicles / cpu:.0f} vehicles a second of it")
+    _say(f"two workers {two:.2f} s, {cpu_two:.2f} s of the processor: {one / two:.2f} times one worker")
+    _say(f"  each of two strangers {strangers:.2f} s: ideal scaling is {2 * one / strangers:.2f} times on this machine")
+    _say(f"  two workers reach {strangers / (2 * two):.2f} of it; same bytes: {len(hashes) == 1}")
+    return turns[0][0][0]["sha256"], two
 
 
 def _lines(path: Path) -> int:
@@ -93,20 +134,17 @@ def main() -> None:
         size = FleetSize(given.vehicles, n_months=1, n_outliers=given.vehicles // 20, n_common=given.vehicles // 10)
         make_fleet(fleet, np.random.default_rng(5), size)
     n_files = sum(1 for _ in fleet.rglob("*.parquet"))
-    cpu = time.process_time()
-    alone, one = _timed("one process", lambda: _fit(fleet, into))
-    cpu = time.process_time() - cpu
-    _say(f"  {given.vehicles / cpu:.0f} vehicles a second of the processor")
-    pooled, two = _timed("two workers", lambda: _fit(fleet, into, workers=2))
-    _say(f"  two workers are {one / two:.2f} times one; same bytes: {pooled == alone}")
+    _say(f"load {os.getloadavg()[0]:.1f}")
+    alone, two = scaling(fleet, into, given.vehicles)
     import distributed
 
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1"
     ) as cluster:
         address = cluster.scheduler_address
-        shared, dask = _timed("Dask, two workers", lambda: _fit(fleet, into, scheduler=address))
-        _say(f"  Dask is {two / dask:.2f} of the pool's speed; same bytes: {shared == alone}")
+        for when in ("fresh", *["used"] * (TURNS - 1)):
+            shared, dask = _timed(f"Dask, two {when} workers", lambda: _fit(fleet, into, scheduler=address))
+            _say(f"  Dask is {two / dask:.2f} of the pool's speed; same bytes: {shared == alone}")
 
         def kill() -> None:
             while _lines(into / SUMS) < 20:
@@ -119,8 +157,8 @@ def main() -> None:
         _say(f"Dask, a worker killed: same bytes: {_fit(fleet, into, scheduler=address) == alone}")
         killer.join()
     _say(f"a pool's worker killed: same bytes: {killed_worker(fleet, into) == alone}")
-    resumed = json.loads(killed_command(fleet, into, n_files))
-    _say(f"command killed and run again: same result: {resumed == json.loads(alone)}")
+    resumed = killed_command(fleet, into, n_files)
+    _say(f"command killed and run again: same result: {hashlib.sha256(resumed).hexdigest() == alone}")
 
 
 if __name__ == "__main__":

@@ -58,7 +58,7 @@ def test_partitions_shuffled_give_the_same_bytes(
     class Shuffled:
         """Hands items out in a drawn order."""
 
-        def run(self, task: Any, items: Sequence[Any], given_up: Any) -> Iterator[Any]:
+        def run(self, task: Any, items: Sequence[Any], given_up: Any, _weigh: Any) -> Iterator[Any]:
             order = np.random.default_rng(6).permutation(len(items))
             return run_tasks(task, [items[k] for k in order], given_up)
 

@@ -1,0 +1,53 @@
+"""Items shared out in batches: what is handed over at once, so that handing over costs little beside the work."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TypeVar
+
+__all__ = ["BATCHES_A_WORKER", "batches", "one_each"]
+
+Item = TypeVar("Item")
+
+#: some batches a worker, so that few items that take seconds each are shared out, too
+BATCHES_A_WORKER = 4
+
+
+def one_each(_item: object) -> int:
+    """Say that an item is one piece of work, as every other is."""
+    return 1
+
+
+def batches(
+    items: Sequence[Item], weigh: Callable[[Item], int], largest: int, workers: int = 1
+) -> list[Sequence[Item]]:
+    """Cut items into batches in their order.
+
+    Parameters
+    ----------
+    items : sequence
+        What to do.
+    weigh : callable
+        Pieces of work that an item stands for.
+    largest : int
+        Pieces of work in a batch, at most; a single item may stand for more.
+    workers : int
+        Who share them.
+
+    Returns
+    -------
+    list of sequence
+        None of them empty.
+    """
+    weights = [max(weigh(item), 1) for item in items]
+    size = max(1, min(largest, sum(weights) // (BATCHES_A_WORKER * workers)))
+    cut: list[Sequence[Item]] = []
+    first = filled = 0
+    for number, weight in enumerate(weights):
+        if filled and filled + weight > size:
+            cut.append(items[first:number])
+            first, filled = number, 0
+        filled += weight
+    if filled:
+        cut.append(items[first:])
+    return cut

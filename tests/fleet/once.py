@@ -1,0 +1,40 @@
+"""Fit a fleet once in a process of its own: ``python -m tests.fleet.once FLEET INTO --workers 2`` prints one JSON line.
+
+Seconds are those of the call, from listing the folder to the fleet's view, workers' start included, imports of this
+process before it not.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import resource
+import shutil
+import sys
+import time
+from pathlib import Path
+
+from calib.files import to_json
+from calib.fleet.run import fit_fleet
+
+
+def main() -> None:
+    """Fit, and print seconds and hash."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("fleet", type=Path)
+    parser.add_argument("into", type=Path)
+    parser.add_argument("--workers", type=int, default=1)
+    given = parser.parse_args()
+    shutil.rmtree(given.into, ignore_errors=True)
+    cpu, begun = time.process_time(), time.perf_counter()
+    result = to_json(fit_fleet(given.fleet, given.into, workers=given.workers).to_dict())
+    took = time.perf_counter() - begun
+    children = resource.getrusage(resource.RUSAGE_CHILDREN)
+    spent = time.process_time() - cpu + children.ru_utime + children.ru_stime
+    answer = {"seconds": took, "cpu": spent, "sha256": hashlib.sha256(result.encode()).hexdigest()}
+    sys.stdout.write(json.dumps(answer) + "\n")
+
+
+if __name__ == "__main__":
+    main()
