@@ -20,7 +20,7 @@ from calib.cli.terminal import KEPT, visible
 from calib.cli.typed import as_typed
 from calib.errors import CalibError, ImplausibleError
 
-__all__ = ["app", "main"]
+__all__ = ["main"]
 
 EXIT_FINE: Final = 0
 EXIT_FAILED: Final = 1
@@ -125,11 +125,6 @@ def _group(name: str) -> Application:
 
 def _elsewhere() -> None:
     """Stand in the list of commands for one that was not asked for."""
-
-
-def app() -> typer.Typer:
-    """Return the application (for documentation tools and tests)."""
-    return build()
 
 
 def main(arguments: list[str] | None = None) -> None:

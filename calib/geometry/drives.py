@@ -10,7 +10,7 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.geometry.parameters import Parameter
 
-__all__ = ["DRIVES", "STEERING_SCALE", "Differential", "Drive", "FrontWheel", "MeanHeld", "Mecanum", "Motion", "Steps"]
+__all__ = ["STEERING_SCALE", "Differential", "Drive", "FrontWheel", "MeanHeld", "Mecanum", "Motion", "Steps"]
 
 #: spread of a length about its nominal value, relative
 LENGTH_STD: Final = 0.10
@@ -216,7 +216,3 @@ class Mecanum:
         derivative[0] = np.stack([forward, left, turn / arm])
         derivative[1, 2] = -radius * turn / arm**2
         return Motion(body, derivative)
-
-
-#: what drives the odometry -> class
-DRIVES: Final = {"rear": Differential, "front": FrontWheel, "wheels": Mecanum}

@@ -38,7 +38,6 @@ __all__ = [
 
 #: effects that a recalibration absorbs by definition: their signal is taken without projecting it out
 CALIBRATION: Final = ("radius_scale", "unequal_radii", "track_width")
-CHANNELS: Final = ("distance", "x", "y", "theta", "front_distance", "front_theta")
 _SQUARED: Final = ("beam_misalignment", "path_weave")
 _ABSORBED = 1e-2  # share of its norm below which a change is taken up by the recalibration
 _LARGEST, _SMALLEST = 3.0, 0.05  # of the typical size

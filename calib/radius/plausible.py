@@ -22,7 +22,6 @@ __all__ = ["held_against_bounds", "refuse_implausible"]
 #: share of the radius by which load may change it over the measured range, and by which single runs may scatter
 MOST_CHANGE: Final = 0.2
 MOST_SCATTER: Final = 0.03
-_SHOWN: Final = 3
 
 
 def held_against_bounds(fit: Fit, campaign: Campaign) -> Fit:

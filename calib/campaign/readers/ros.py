@@ -17,7 +17,7 @@ from calib.campaign.readers.recording import Recording, Stream, WantedColumns, i
 from calib.campaign.readers.ros_messages import POSE, SUPPORTED, UNITS, finished, parts
 from calib.errors import BadFileError
 
-__all__ = ["record", "topics"]
+__all__ = ["record"]
 
 #: stamps of most messages have to be set for the stamps to be the clock
 _STAMPED: Final = 0.99
@@ -48,12 +48,6 @@ def record(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> Reco
         notes.append(Note("info", shown, f"messages that calib does not read: {', '.join(skipped)[:200]}", "skipped"))
     streams = _named([one.stream(shown, notes) for one in gathered.values() if len(one.arrival)])
     return Recording(tuple(streams), tuple(notes))
-
-
-def topics(path: Path, shown: str) -> list[tuple[str, str, int]]:
-    """Return topic, message type and number of messages of everything in the file, read or not."""
-    with _opened(path, shown) as reader:
-        return [(one.topic, one.msgtype, int(one.msgcount)) for one in reader.connections]
 
 
 @dataclass(slots=True)

@@ -19,7 +19,6 @@ __all__ = [
     "Nuisance",
     "columns_of_forms",
     "form_columns",
-    "log_evidence",
     "log_marginal",
     "project",
     "ridge_solve",
@@ -120,34 +119,6 @@ def project(nuisance: Nuisance, columns: FloatArray) -> FloatArray:
     """
     weights = nuisance.factor.T @ (nuisance.factor @ (nuisance.columns.T @ columns))
     made: FloatArray = columns - nuisance.columns @ weights
-    return made
-
-
-def log_evidence(gram: FloatArray, right: FloatArray, variance: FloatArray) -> FloatArray:
-    """Return the log Bayes factor of Gaussian columns against none.
-
-    Parameters
-    ----------
-    gram : array of float, shape (..., p, p)
-        Scalar products of the columns.
-    right : array of float, shape (..., p)
-        Their scalar products with the residual.
-    variance : array of float, shape (..., p)
-        Prior variances.
-
-    Returns
-    -------
-    array of float, shape (...)
-        -1/2 log |I + S G| + 1/2 g^T (S^-1 + G)^-1 g.
-    """
-    root = np.sqrt(variance)
-    inner = root[..., :, None] * gram * root[..., None, :] + np.eye(gram.shape[-1])
-    # scaled to a unit diagonal: columns exactly alike stay factorable
-    size = np.sqrt(np.diagonal(inner, axis1=-2, axis2=-1))
-    lower = np.linalg.cholesky(inner / (size[..., :, None] * size[..., None, :]) + 1e-11 * np.eye(gram.shape[-1]))
-    solved = np.linalg.solve(lower, (root * right / size)[..., None])[..., 0]
-    log_det = 2 * (np.log(np.diagonal(lower, axis1=-2, axis2=-1)) + np.log(size)).sum(axis=-1)
-    made: FloatArray = -0.5 * log_det + 0.5 * (solved**2).sum(axis=-1)
     return made
 
 

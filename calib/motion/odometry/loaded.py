@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import numpy.typing as npt
 
@@ -12,51 +10,7 @@ from calib.campaign.settings import Encoder, OdometryModel
 from calib.errors import BadInputError
 from calib.radius.law import RadiusLaw
 
-__all__ = ["LoadHistory", "loads_in_steps", "radii_of_model", "radii_under_load", "travel_from_counts", "unwrapped"]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LoadHistory:
-    """Wheel loads during a run: each holds from its time until the next one.
-
-    Parameters
-    ----------
-    t_s : array of float, shape (n_changes,)
-        Times from which the loads hold, rising; the first holds before it, too.
-    left_N, right_N : array of float, shape (n_changes,)
-        Wheel loads.
-    """
-
-    t_s: FloatArray
-    left_N: FloatArray
-    right_N: FloatArray
-
-    @staticmethod
-    def from_rows(changes: npt.ArrayLike) -> LoadHistory:
-        """Return the history of rows (time in s, left load in N, right load in N).
-
-        Raises
-        ------
-        BadInputError
-            Where there is no row, one is not finite, or the times do not rise.
-        """
-        rows = np.asarray(changes, dtype=np.float64)
-        if rows.ndim != 2 or rows.shape[1] != 3 or not len(rows) or not np.isfinite(rows).all():
-            raise BadInputError(
-                f"load history: found an array of shape {rows.shape}; expected rows (time, left load, right load) of "
-                "finite numbers; give one a change"
-            )
-        if (np.diff(rows[:, 0]) <= 0.0).any():
-            raise BadInputError("load history: found times that do not rise; expected each change after the one before")
-        return LoadHistory(rows[:, 0].copy(), rows[:, 1].copy(), rows[:, 2].copy())
-
-    def at(self, t_s: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Return the left and right load of the step that ends at each time, shape of `t_s`.
-
-        A change takes effect in the first step that ends after it: the vehicle stands while it is loaded.
-        """
-        index = np.maximum(np.searchsorted(self.t_s, np.asarray(t_s, dtype=np.float64), side="left") - 1, 0)
-        return self.left_N[index], self.right_N[index]
+__all__ = ["loads_in_steps", "radii_of_model", "radii_under_load", "travel_from_counts"]
 
 
 def loads_in_steps(run_N: npt.ArrayLike, logged_N: npt.ArrayLike | None, offsets: npt.ArrayLike) -> FloatArray:
@@ -161,9 +115,3 @@ def _wide(radius: FloatArray, edges: IntArray, n: int) -> FloatArray:
     raise BadInputError(
         f"radii: found {len(radius)} values; expected one, one a run ({len(edges) - 1}) or one a sample ({n})"
     )
-
-
-def unwrapped(counts: npt.ArrayLike, wrap_bits: int | None) -> FloatArray:
-    """Return counter readings with the wraps of a `wrap_bits` wide counter undone, shape (n,)."""
-    values = np.asarray(counts, dtype=np.float64)
-    return values if wrap_bits is None else np.unwrap(values, period=float(1 << wrap_bits))

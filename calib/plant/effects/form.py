@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Final
 
 import numpy as np
 
@@ -75,6 +74,3 @@ class Cause:
     size: float
     form: str = "plain"
     knobs: Knobs = field(default_factory=dict)
-
-
-PLAIN: Final = "plain"

@@ -7,8 +7,8 @@ import pytest
 
 from calib.campaign.settings import Encoder
 from calib.errors import BadInputError
-from calib.motion.odometry.integrate import end_poses, integrate
-from calib.motion.odometry.loaded import LoadHistory, radii_under_load, travel_from_counts, unwrapped
+from calib.motion.odometry.integrate import end_poses
+from calib.motion.odometry.loaded import loads_in_steps, radii_under_load, travel_from_counts
 from calib.radius.law import RadiusLaw, WheelLaw
 
 
@@ -45,10 +45,9 @@ def test_loading_at_a_stop_changes_the_radii_from_there_on() -> None:
     """Half the run unladen, half laden: the end is that of two runs, one after the other, with two constant radii."""
     counts_left = np.concatenate([np.arange(0, 20001, 10), np.full(20, 20000), np.arange(20000, 50001, 10)])
     counts_right = np.concatenate([np.arange(0, 20001, 10), np.full(20, 20000), np.arange(20000, 50001, 10)]) / 2
-    t = np.arange(len(counts_left)) * 0.02
     stop = 2005
-    history = LoadHistory.from_rows([[0.0, 300.0, 300.0], [t[stop] + 0.005, 900.0, 400.0]])
-    radii = radii_under_load(LAW, *history.at(t))
+    logged = np.where(np.arange(len(counts_left)) < stop, [[300.0], [300.0]], [[900.0], [400.0]])
+    radii = radii_under_load(LAW, *(loads_in_steps([300.0], load, [0, len(counts_left)]) for load in logged))
     left, right = travel_from_counts(counts_left, counts_right, ENCODER, *radii)
     whole = end_poses(left, right, 0.7)
     pose = np.zeros(3)
@@ -59,26 +58,3 @@ def test_loading_at_a_stop_changes_the_radii_from_there_on() -> None:
     np.testing.assert_allclose(whole.stacked(), pose, rtol=0.0, atol=1e-11)
     constant = travel_from_counts(counts_left, counts_right, ENCODER, *radii_under_load(LAW, 300.0, 300.0))
     assert np.hypot(*(end_poses(*constant, 0.7).stacked() - pose)[:2]) > 0.01
-
-
-def test_a_change_holds_from_the_first_step_after_it() -> None:
-    history = LoadHistory.from_rows([[0.0, 1.0, 2.0], [1.0, 3.0, 4.0]])
-    left, right = history.at([-1.0, 0.0, 0.5, 1.0, 1.5])
-    assert left.tolist() == [1.0, 1.0, 1.0, 1.0, 3.0]
-    assert right.tolist() == [2.0, 2.0, 2.0, 2.0, 4.0]
-
-
-@pytest.mark.parametrize("rows", [[], [[0.0, 1.0]], [[0.0, 1.0, np.nan]], [[1.0, 1.0, 1.0], [1.0, 2.0, 2.0]]])
-def test_impossible_histories_are_refused(rows: list[list[float]]) -> None:
-    with pytest.raises(BadInputError, match="load history"):
-        LoadHistory.from_rows(rows)
-
-
-def test_wrapped_counters_give_the_path_of_unwrapped_ones() -> None:
-    true = np.arange(-300, 200_000, 70).astype(np.float64)
-    wrapped = true % 2**16
-    back = unwrapped(wrapped, 16)
-    np.testing.assert_array_equal(np.diff(back), np.diff(true))
-    a = travel_from_counts(back, back, ENCODER, 0.1, 0.1)
-    b = travel_from_counts(true, true, ENCODER, 0.1, 0.1)
-    np.testing.assert_array_equal(integrate(*a, 0.7).stacked(), integrate(*b, 0.7).stacked())
