@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isfinite
 from typing import Any, Final
@@ -61,18 +60,6 @@ class Check:
             "p_value": _finite(self.p_value),
             "sentence": self.sentence,
         }
-
-    @staticmethod
-    def from_dict(value: Mapping[str, Any]) -> Check:
-        """Return the check that `to_dict` wrote."""
-        return Check(
-            name=str(value["name"]),
-            level=str(value["level"]),
-            sentence=str(value["sentence"]),
-            statistic=value.get("statistic"),
-            statistic_name=str(value.get("statistic_name", "")),
-            p_value=value.get("p_value"),
-        )
 
 
 def _finite(value: float | None) -> float | None:

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import numpy as np
 
 from calib.arrays import FloatArray
 from calib.radius.checks import Check
 from calib.radius.effective import Component, EffectiveRadii
+from calib.radius.estimate import Estimate
 from calib.radius.law import WheelLaw
 from calib.radius.regression import NaiveLine, WheelFit
-from calib.radius.sessions import Estimate
 from calib.radius.usable import LeftOut
 
 __all__ = ["pair", "plain_fields", "radii_from_rows", "rows_of", "wheel_from_dict", "wheel_to_dict"]
@@ -22,6 +22,8 @@ _TEXTS: Final = ("run_id", "session", "direction", "path_source")
 _RUN_COLUMNS: Final = tuple(
     column.name for column in fields(EffectiveRadii) if column.name not in {"budget", "left_out", "notes"}
 )
+_NUMBERS: Final = ("intercept_m", "r_squared", "residual_std_m", "run_std_m", "session_std_m", "dof_radius_ref")
+_ARRAYS: Final = ("load_N", "radius_m", "residual_m", "leverage", "cook")
 _ESTIMATE: Final = ("dof_within", "dof_between", "run_variance", "session_variance")
 
 
@@ -85,13 +87,14 @@ def wheel_to_dict(fit: WheelFit) -> dict[str, Any]:
             "dof": naive.dof,
             "covariance": naive.covariance.tolist(),
         },
-        "load_N": _numbers(fit.load_N),
-        "radius_m": _numbers(fit.radius_m),
-        "residual_m": _numbers(fit.residual_m),
-        "leverage": _numbers(fit.leverage),
-        "cook": _numbers(fit.cook),
+        **{name: _numbers(getattr(fit, name)) for name in _ARRAYS},
         "checks": [check.to_dict() for check in fit.checks],
     }
+
+
+def _check(value: Mapping[str, Any]) -> Check:
+    """Return the check that `Check.to_dict` wrote; whether it passed follows from its level."""
+    return cast("Check", plain_fields(Check, {key: part for key, part in value.items() if key != "passed"}))
 
 
 def _systematic(estimate: Estimate) -> dict[str, Any]:
@@ -128,6 +131,8 @@ def wheel_from_dict(wheel: str, value: Mapping[str, Any]) -> WheelFit:
         load_max_N=float(value["load_range_N"][1]),
         n_runs=int(value["n_runs"]),
     )
+    plain: dict[str, Any] = {name: float(value[name]) for name in _NUMBERS}
+    plain |= {name: _array(value[name]) for name in _ARRAYS}
     return WheelFit(
         wheel=wheel,
         law=law,
@@ -144,21 +149,11 @@ def wheel_from_dict(wheel: str, value: Mapping[str, Any]) -> WheelFit:
             radius_ref_ci95_m=pair(naive["radius_ref_ci95_m"]),
             slope_ci95_m_per_N=pair(naive["slope_ci95_m_per_N"]),
         ),
-        intercept_m=float(value["intercept_m"]),
-        r_squared=float(value["r_squared"]),
-        residual_std_m=float(value["residual_std_m"]),
-        run_std_m=float(value["run_std_m"]),
-        session_std_m=float(value["session_std_m"]),
-        dof_radius_ref=float(value["dof_radius_ref"]),
         dof_slope=float(value["dof_slope"]) if line else 0.0,
         radius_ref_ci95_m=pair(value["radius_ref_ci95_m"]),
         slope_ci95_m_per_N=pair(value["slope_ci95_m_per_N"]) if line else None,
-        load_N=_array(value["load_N"]),
-        radius_m=_array(value["radius_m"]),
-        residual_m=_array(value["residual_m"]),
-        leverage=_array(value["leverage"]),
-        cook=_array(value["cook"]),
-        checks=tuple(Check.from_dict(check) for check in value["checks"]),
+        **plain,
+        checks=tuple(_check(check) for check in value["checks"]),
     )
 
 

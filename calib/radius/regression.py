@@ -8,12 +8,12 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from calib.arrays import FloatArray
+from calib.arrays import FloatArray, IntArray
 from calib.errors import RefusedError
 from calib.radius.checks import Check
+from calib.radius.estimate import Estimate
 from calib.radius.law import WheelLaw
 from calib.radius.sessions import (
-    Estimate,
     Groups,
     groups_of,
     plain_line,
@@ -21,7 +21,7 @@ from calib.radius.sessions import (
     stratified_line,
 )
 
-__all__ = ["NaiveLine", "WheelFit", "distinct_loads", "fit_wheel", "t_interval", "t_quantile"]
+__all__ = ["NaiveLine", "WheelFit", "distinct_loads", "fit_wheel", "load_groups", "t_interval", "t_quantile"]
 
 #: loads nearer than this share of the largest count as one load
 SAME_LOAD: Final = 0.02
@@ -66,7 +66,7 @@ class WheelFit:
     model : str
         ``line``, or ``constant`` where the loads do not carry a slope.
     design : str
-        ``crossed``, ``mixed``, ``confounded``, ``single`` or ``constant``; see `calib.radius.sessions.Estimate`.
+        ``crossed``, ``mixed``, ``confounded``, ``single`` or ``constant``; see `calib.radius.estimate.Estimate`.
     estimate : Estimate
         Coefficients and covariance by stratum, for bands at any load.
     naive : NaiveLine or None
@@ -148,11 +148,11 @@ class WheelFit:
         return self.law.radius_m(load), np.asarray(half)
 
 
-def t_quantile(dof: npt.ArrayLike, coverage: float = COVERAGE) -> FloatArray:
-    """Return Student's t such that ``+-t`` covers `coverage` with `dof` degrees of freedom."""
+def t_quantile(dof: npt.ArrayLike) -> FloatArray:
+    """Return Student's t such that ``+-t`` covers 95 % with `dof` degrees of freedom."""
     from scipy.special import stdtrit
 
-    return np.asarray(stdtrit(np.asarray(dof, dtype=np.float64), 0.5 + coverage / 2))
+    return np.asarray(stdtrit(np.asarray(dof, dtype=np.float64), 0.5 + COVERAGE / 2))
 
 
 def t_interval(value: float, std: float, dof: float) -> tuple[float, float]:
@@ -162,14 +162,20 @@ def t_interval(value: float, std: float, dof: float) -> tuple[float, float]:
 
 
 def distinct_loads(load_N: FloatArray) -> int:
-    """Return how many distinct loads there are; loads within 2 % of the largest count as one."""
-    ordered = np.sort(load_N)
-    width = SAME_LOAD * float(np.max(np.abs(ordered)))
-    count, start = 1, float(ordered[0])
-    for value in ordered[1:]:
-        if value - start > width:
-            count, start = count + 1, float(value)
-    return count
+    """Return how many distinct loads there are; see `load_groups`."""
+    return int(load_groups(load_N).max()) + 1
+
+
+def load_groups(load_N: FloatArray) -> IntArray:
+    """Return the load group of each run, shape (n_runs,); loads within 2 % of the largest count as one."""
+    order = np.argsort(load_N, kind="stable")
+    width = SAME_LOAD * float(np.max(np.abs(load_N)))
+    group, number, start = np.zeros(len(load_N), dtype=np.int64), 0, float(load_N[order[0]])
+    for index in order:
+        if load_N[index] - start > width:
+            number, start = number + 1, float(load_N[index])
+        group[index] = number
+    return group
 
 
 def fit_wheel(

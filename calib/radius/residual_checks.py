@@ -7,10 +7,10 @@ from typing import Final
 
 import numpy as np
 
-from calib.arrays import BoolArray, FloatArray, IntArray, StrArray
+from calib.arrays import BoolArray, FloatArray, StrArray
 from calib.radius.checks import FAILED, NOTE, OK, Check
 from calib.radius.design_checks import design_check, range_check, session_check, session_influence_check
-from calib.radius.regression import SAME_LOAD, WheelFit
+from calib.radius.regression import WheelFit, load_groups
 from calib.radius.sessions import Groups, breusch_pagan, groups_of
 
 __all__ = ["checked"]
@@ -99,22 +99,10 @@ def _squares(design: FloatArray, y: FloatArray) -> tuple[float, int]:
     return float(rest @ rest), int(rank)
 
 
-def _clusters(load_N: FloatArray) -> IntArray:
-    """Return the load group of each run, shape (n_runs,); loads within 2 % of the largest count as one."""
-    order = np.argsort(load_N, kind="stable")
-    width = SAME_LOAD * float(np.max(np.abs(load_N)))
-    group, number, start = np.zeros(len(load_N), dtype=np.int64), 0, float(load_N[order[0]])
-    for index in order:
-        if load_N[index] - start > width:
-            number, start = number + 1, float(load_N[index])
-        group[index] = number
-    return group
-
-
 def _lack_of_fit(runs: _Runs) -> Check | None:
     if runs.fit.design == "confounded":
         return None  # the session check says it: sessions and loads are one there
-    cluster = _clusters(runs.fit.load_N)
+    cluster = load_groups(runs.fit.load_N)
     n, levels = len(runs.x), int(cluster.max()) + 1
     if levels < 3:
         return Check(

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import FloatArray, StrArray
-from calib.radius.sessions import NEGLIGIBLE_SHARE, WORKING_RATIO, Estimate
+from calib.radius.estimate import Estimate
+from calib.radius.sessions import Strata, line_of_strata
 
 __all__ = ["SessionSums", "line_from_sums"]
 
@@ -90,54 +91,14 @@ def line_from_sums(sums: SessionSums) -> Estimate | None:
         return None
     if not 2 <= n_sessions < n:
         return _plain(sums)
-    sizes = sums.table[:, 0]
     x_mean, y_mean, _ = sums.means.T
-    info_within, cross_within, square_within = sums.within
-    weight = 1.0 / (WORKING_RATIO + 1.0 / sizes)
-    centre = float(weight @ x_mean / weight.sum())
-    x_away = x_mean - centre
-    info_between = float(weight @ x_away**2)
-    whole = info_within + info_between
-    if not whole > 1e-12 * max(float(sums.table[:, 3].sum()), 1.0):
+    info, cross, square = sums.within
+    # what is left of sums of squares counted from a reference load must not be their rounding
+    if not info + float(np.ptp(x_mean)) ** 2 > 1e-12 * max(float(sums.table[:, 3].sum()), 1.0):
         return None
-    share = info_between / whole
-    only_between = share > 1 - NEGLIGIBLE_SHARE
-    only_within = share < NEGLIGIBLE_SHARE or (n_sessions == 2 and not only_between)
-    dof_within = n - n_sessions - (0 if only_between else 1)
-    dof_between = n_sessions - (1 if only_within else 2)
-    if dof_within < 1 or dof_between < 1:
-        return _plain(sums)
-    slope_within = 0.0 if only_between else cross_within / info_within
-    run_variance = max(square_within - slope_within * (0.0 if only_between else cross_within), 0.0) / dof_within
-    if only_within:
-        part, slope = 1.0, slope_within
-        mean_radius = float(weight @ (y_mean - slope * x_away) / weight.sum())
-        deviation = y_mean - slope * x_away - mean_radius
-    else:
-        mean_radius = float(weight @ y_mean / weight.sum())
-        slope_between = float(weight @ (x_away * (y_mean - mean_radius))) / info_between
-        deviation = y_mean - mean_radius - slope_between * x_away
-        part = 0.0 if only_between else info_within / whole
-        slope = part * slope_within + (1 - part) * slope_between
-    between_square = float(weight @ deviation**2) / dof_between
-    lever = np.array([[centre**2, -centre], [-centre, 1.0]])
-    cov_between = between_square / weight.sum() * np.array([[1.0, 0.0], [0.0, 0.0]])
-    if not only_within:
-        cov_between = cov_between + (1 - part) ** 2 * between_square / info_between * lever
-    harmonic = float(np.mean(1.0 / sizes))
-    mean_variance = between_square / float(weight.mean())
-    return Estimate(
-        design="crossed" if only_within else "confounded" if only_between else "mixed",
-        coefficients=np.array([mean_radius - slope * centre, slope]),
-        cov_within=lever * (part**2 * run_variance / info_within if part else 0.0),
-        dof_within=float(dof_within),
-        cov_between=cov_between,
-        dof_between=float(dof_between),
-        run_variance=run_variance,
-        session_variance=max(mean_variance - run_variance * harmonic, 0.0),
-        session_f=mean_variance / (run_variance * harmonic) if run_variance > 0 else None,
-        robust=False,
-    )
+    slope = cross / info if info > 0 else 0.0
+    strata = Strata(sums.table[:, 0], x_mean, y_mean, info, slope, square, max(square - slope * cross, 0.0))
+    return line_of_strata(strata) or _plain(sums)
 
 
 def _plain(sums: SessionSums) -> Estimate | None:

@@ -9,16 +9,25 @@ the exact t of the regression on session means, and between the two it follows `
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from calib.arrays import FloatArray, IntArray, StrArray
-from calib.radius.welch import critical_value, equivalent_dof
+from calib.radius.estimate import Estimate
 
-__all__ = ["Estimate", "Groups", "groups_of", "plain_line", "stratified_constant", "stratified_line"]
+__all__ = [
+    "Groups",
+    "Strata",
+    "breusch_pagan",
+    "groups_of",
+    "line_of_strata",
+    "plain_line",
+    "stratified_constant",
+    "stratified_line",
+]
 
 #: session variance over run variance for which strata are weighted; it sets efficiency, never validity, because the
 #: variances are estimated afterwards
@@ -67,121 +76,6 @@ def groups_of(session: npt.ArrayLike) -> Groups:
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order))
     return Groups(names=found[order], index=rank[inverse].astype(np.int64), sizes=sizes[order].astype(np.float64))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Estimate:
-    """Coefficients (radius at x = 0, slope) and their covariance by stratum.
-
-    Parameters
-    ----------
-    design : str
-        ``crossed`` (slope from within sessions), ``confounded`` (slope from session means only), ``mixed``, ``single``
-        (one session, or sessions that cannot be told from runs) or ``constant`` (no slope).
-    coefficients : array of float, shape (2,)
-        Radius at the reference load and slope.
-    cov_within, cov_between : array of float, shape (2, 2)
-        Parts of the covariance that come from the scatter of runs and of sessions; their sum is the covariance.
-    dof_within, dof_between : float
-        Degrees of freedom of each part; 0 where it has none.
-    run_variance, session_variance : float
-        Estimated variances of runs within a session and of sessions (0 where negative).
-    session_f : float or None
-        Ratio of the two mean squares; F(dof_between, dof_within) where sessions do not scatter.
-    robust : bool
-        Whether the within part is heteroscedasticity-consistent (HC3).
-    systematic : array of float, shape (n_sources, 2)
-        What each source that is the same in every run does to the coefficients, times its standard uncertainty.
-    systematic_dof : array of float, shape (n_sources,)
-        Degrees of freedom behind each of these.
-    """
-
-    design: str
-    coefficients: FloatArray
-    cov_within: FloatArray
-    dof_within: float
-    cov_between: FloatArray
-    dof_between: float
-    run_variance: float
-    session_variance: float
-    session_f: float | None
-    robust: bool
-    systematic: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
-    systematic_dof: FloatArray = field(default_factory=lambda: np.zeros(0))
-
-    @property
-    def cov_systematic(self) -> FloatArray:
-        """Part of the covariance that no number of runs makes smaller, shape (2, 2)."""
-        return np.asarray(self.systematic.T @ self.systematic)
-
-    @property
-    def covariance(self) -> FloatArray:
-        """Covariance of the coefficients, shape (2, 2)."""
-        return np.asarray(self.cov_within + self.cov_between + self.cov_systematic)
-
-    def _systematic_half(self, contrast: npt.ArrayLike, coverage: float) -> FloatArray:
-        """Return the half width that the systematic sources alone give ``contrast @ coefficients``, shape (...)."""
-        from scipy.special import stdtrit
-
-        each = np.asarray(contrast, dtype=np.float64) @ self.systematic.T
-        # in place of infinitely many: Student's t is then normal to six digits
-        factor = stdtrit(np.minimum(self.systematic_dof, 1e6), 0.5 + coverage / 2)
-        return np.asarray(np.sqrt(np.sum((each * factor) ** 2, axis=-1)))
-
-    def parts(self, contrast: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Return the within and between parts of the variance of ``contrast @ coefficients``.
-
-        Parameters
-        ----------
-        contrast : array_like, shape (..., 2)
-            For example (1, 0) for the radius and (0, 1) for the slope.
-
-        Returns
-        -------
-        within, between : array of float, shape (...)
-        """
-        c = np.asarray(contrast, dtype=np.float64)
-        within = np.einsum("...i,ij,...j->...", c, self.cov_within, c)
-        between = np.einsum("...i,ij,...j->...", c, self.cov_between, c)
-        return np.maximum(within, 0.0), np.maximum(between, 0.0)
-
-    def half_width(
-        self, contrast: npt.ArrayLike, coverage: float, *, more_within: float = 0.0, more_between: float = 0.0
-    ) -> FloatArray:
-        """Return the half width of the interval of ``contrast @ coefficients``, shape (...); see `parts`.
-
-        Parameters
-        ----------
-        contrast : array_like, shape (..., 2)
-            What is wanted of the coefficients.
-        coverage : float
-            Coverage of the interval.
-        more_within, more_between : float
-            Variances of a further run and session, for a prediction.
-        """
-        within, between = self.parts(contrast)
-        within, between = within + more_within, between + more_between
-        total = within + between
-        share = np.where(total > 0, between / np.where(total > 0, total, 1.0), 0.0)
-        random = critical_value(share, self.dof_between, self.dof_within, coverage) * np.sqrt(total)
-        return (
-            np.asarray(np.hypot(random, self._systematic_half(contrast, coverage))) if len(self.systematic) else random
-        )
-
-    def dof(self, contrast: npt.ArrayLike, coverage: float = 0.95) -> FloatArray:
-        """Return the degrees of freedom whose Student's t gives `half_width`, shape (...)."""
-        within, between = self.parts(contrast)
-        total = within + between
-        if len(self.systematic):
-            c = np.asarray(contrast, dtype=np.float64)
-            std = np.sqrt(total + np.einsum("...i,ij,...j->...", c, self.cov_systematic, c))
-            return equivalent_dof(self.half_width(contrast, coverage) / np.where(std > 0, std, 1.0), coverage)
-        share = np.where(total > 0, between / np.where(total > 0, total, 1.0), 0.0)
-        critical = critical_value(share, self.dof_between, self.dof_within, coverage)
-        dof = equivalent_dof(critical, coverage)
-        # pure parts to the last digit
-        dof = np.where(share <= 0, self.dof_within, dof)
-        return np.where(share >= 1, self.dof_between, dof)
 
 
 def breusch_pagan(residual: FloatArray, x: FloatArray) -> tuple[float, float]:
@@ -240,15 +134,38 @@ def plain_line(x: FloatArray, y: FloatArray, *, robust: bool = True) -> tuple[Es
     return estimate, results
 
 
-def stratified_line(x: FloatArray, y: FloatArray, groups: Groups) -> Estimate | None:
+@dataclass(frozen=True, slots=True, eq=False)
+class Strata:
+    """What the line needs of runs in sessions: their means, and the regression within sessions.
+
+    Parameters
+    ----------
+    sizes, x_mean, y_mean : array of float, shape (n_sessions,)
+        Number of runs, mean load (minus the reference load) and mean radius of each session.
+    info : float
+        Sum of squares of the loads within sessions.
+    slope : float
+        Of the regression within sessions; 0 where `info` is.
+    square, rest : float
+        Sum of squares of the radii within sessions, and about that regression.
+    """
+
+    sizes: FloatArray
+    x_mean: FloatArray
+    y_mean: FloatArray
+    info: float
+    slope: float
+    square: float
+    rest: float
+
+
+def line_of_strata(strata: Strata) -> Estimate | None:
     """Return the session-aware line, or None where these runs cannot carry one.
 
     Parameters
     ----------
-    x, y : array of float, shape (n_runs,)
-        Load minus reference load; radius.
-    groups : Groups
-        Sessions, two at least.
+    strata : Strata
+        Of two sessions at least.
 
     Returns
     -------
@@ -256,91 +173,87 @@ def stratified_line(x: FloatArray, y: FloatArray, groups: Groups) -> Estimate | 
         None where sessions cannot be told from runs (one run a session) or the session means leave no degree of
         freedom.
     """
-    from statsmodels.regression.linear_model import WLS
-
-    n, n_sessions = len(x), len(groups)
-    x_within, y_within = groups.within(x), groups.within(y)
-    x_mean, y_mean = groups.means(x), groups.means(y)
-    weight = 1.0 / (WORKING_RATIO + 1.0 / groups.sizes)
+    sizes, x_mean, y_mean = strata.sizes, strata.x_mean, strata.y_mean
+    n_sessions = len(sizes)
+    weight = 1.0 / (WORKING_RATIO + 1.0 / sizes)
     centre = float(weight @ x_mean / weight.sum())
-    info_within = float(x_within @ x_within)
-    info_between = float(weight @ (x_mean - centre) ** 2)
-    if info_within + info_between <= 0:
+    away = x_mean - centre
+    info_between = float(weight @ away**2)
+    if strata.info + info_between <= 0:
         return None
-    share = info_between / (info_within + info_between)
-
-    sloped = share < 1 - NEGLIGIBLE_SHARE
-    dof_within = n - n_sessions - (1 if sloped else 0)
-    if dof_within < 1:
+    share = info_between / (strata.info + info_between)
+    only_between = share >= 1 - NEGLIGIBLE_SHARE
+    only_within = share < NEGLIGIBLE_SHARE or (n_sessions == 2 and not only_between)
+    dof_within = float(sizes.sum()) - n_sessions - (0 if only_between else 1)
+    dof_between = n_sessions - (1 if only_within else 2)
+    if dof_within < 1 or dof_between < 1:
         return None
-    slope_within, slope_variance, robust = 0.0, 0.0, False
-    if sloped:
-        slope_within, run_variance, slope_variance, robust = _within_sessions(x, x_within, y_within, groups, dof_within)
-    else:
-        run_variance = float(y_within @ y_within) / dof_within
 
-    only_within = share < NEGLIGIBLE_SHARE or (n_sessions == 2 and share < 1 - NEGLIGIBLE_SHARE)
-    only_between = share > 1 - NEGLIGIBLE_SHARE
-    part, dof_between = 1.0, n_sessions - 1
-    if only_within:
-        level = y_mean - slope_within * (x_mean - centre)
-        deviation = level - weight @ level / weight.sum()
-        mean_radius = float(weight @ level / weight.sum())
-        slope = slope_within
-    else:
-        dof_between = n_sessions - 2
-        if dof_between < 1:
-            return None
-        outer = WLS(y_mean, np.column_stack((np.ones(n_sessions), x_mean - centre)), weights=weight).fit(method="qr")
-        part = 0.0 if only_between else info_within / (info_within + info_between)
-        deviation = np.asarray(outer.resid)
-        mean_radius = float(outer.params[0])
-        slope = part * slope_within + (1 - part) * float(outer.params[1])
-    between_square = float(weight @ deviation**2) / dof_between
+    part = 1.0 if only_within else 0.0 if only_between else strata.info / (strata.info + info_between)
+    run_variance = (strata.square if only_between else strata.rest) / dof_within
+    mean_radius = float(weight @ y_mean / weight.sum())
+    # what the line between sessions is; within sessions alone the means only scatter about the slope from there
+    between = strata.slope if only_within else float(weight @ (away * (y_mean - mean_radius))) / info_between
+    slope = part * strata.slope + (1 - part) * between if part else between
+    between_square = float(weight @ (y_mean - mean_radius - between * away) ** 2) / dof_between
 
     lever = np.array([[centre**2, -centre], [-centre, 1.0]])
     cov_between = np.diag([between_square / weight.sum(), 0.0])
     if not only_within:
         cov_between = cov_between + (1 - part) ** 2 * between_square / info_between * lever
-    session_variance, session_f = _session_scatter(between_square / float(weight.mean()), run_variance, groups)
+    session_variance, session_f = _session_scatter(between_square / float(weight.mean()), run_variance, sizes)
     return Estimate(
         design="crossed" if only_within else "confounded" if only_between else "mixed",
         coefficients=np.array([mean_radius - slope * centre, slope]),
-        cov_within=part**2 * slope_variance * lever,
-        dof_within=float(dof_within),
+        cov_within=lever * (part**2 * run_variance / strata.info if part else 0.0),
+        dof_within=dof_within,
         cov_between=cov_between,
         dof_between=float(dof_between),
         run_variance=run_variance,
         session_variance=session_variance,
         session_f=session_f,
-        robust=robust,
+        robust=False,
     )
 
 
-def _within_sessions(
-    x: FloatArray, x_within: FloatArray, y_within: FloatArray, groups: Groups, dof: int
-) -> tuple[float, float, float, bool]:
-    """Return slope, variance of runs, variance of the slope, and whether that is HC3's, from within sessions.
+def stratified_line(x: FloatArray, y: FloatArray, groups: Groups) -> Estimate | None:
+    """Return `line_of_strata` of runs, its within part HC3 where their scatter clearly depends on the load.
 
-    HC3 stands here by hand, because each run's leverage holds its share of the session's mean, which a regression of
-    values from which the means were taken knows nothing of.
+    Parameters
+    ----------
+    x, y : array of float, shape (n_runs,)
+        Load minus reference load; radius.
+    groups : Groups
+        Sessions, two at least.
     """
-    from statsmodels.regression.linear_model import OLS
-
+    x_within, y_within = groups.within(x), groups.within(y)
     info = float(x_within @ x_within)
-    inner = OLS(y_within, x_within[:, None]).fit(method="qr")
-    residual = np.asarray(inner.resid)
-    run_variance = float(residual @ residual) / dof
-    if dof < 4 or breusch_pagan(residual, x)[1] >= HC3_BELOW:
-        return float(inner.params[0]), run_variance, run_variance / info, False
+    slope = float(x_within @ y_within) / info if info > 0 else 0.0
+    residual = y_within - slope * x_within
+    strata = Strata(
+        groups.sizes,
+        groups.means(x),
+        groups.means(y),
+        info,
+        slope,
+        float(y_within @ y_within),
+        float(residual @ residual),
+    )
+    estimate = line_of_strata(strata)
+    if estimate is None or estimate.design == "confounded" or estimate.dof_within < 4:
+        return estimate
+    if breusch_pagan(residual, x)[1] >= HC3_BELOW:
+        return estimate
+    # by hand, because each run's leverage holds its share of the session's mean, which a regression of values from
+    # which the means were taken knows nothing of
     leverage = 1.0 / groups.sizes[groups.index] + x_within**2 / info
     variance = float(np.sum((x_within * residual / np.maximum(1 - leverage, 0.05)) ** 2)) / info**2
-    return float(inner.params[0]), run_variance, variance, True
+    return replace(estimate, cov_within=estimate.cov_within * (variance * info / estimate.run_variance), robust=True)
 
 
-def _session_scatter(mean_variance: float, run_variance: float, groups: Groups) -> tuple[float, float | None]:
+def _session_scatter(mean_variance: float, run_variance: float, sizes: FloatArray) -> tuple[float, float | None]:
     """Return the variance of sessions beyond that of their runs, and the ratio of the two mean squares."""
-    explained = run_variance * float(np.mean(1.0 / groups.sizes))
+    explained = run_variance * float(np.mean(1.0 / sizes))
     return max(mean_variance - explained, 0.0), mean_variance / explained if run_variance > 0 else None
 
 
@@ -359,7 +272,7 @@ def stratified_constant(y: FloatArray, groups: Groups) -> Estimate:
     weight = 1.0 / (WORKING_RATIO + 1.0 / groups.sizes)
     value = float(weight @ mean / weight.sum())
     between_square = float(weight @ (mean - value) ** 2) / (n_sessions - 1)
-    session_variance, session_f = _session_scatter(between_square / float(weight.mean()), run_variance, groups)
+    session_variance, session_f = _session_scatter(between_square / float(weight.mean()), run_variance, groups.sizes)
     return Estimate(
         design="constant",
         coefficients=np.array([value, 0.0]),
