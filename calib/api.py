@@ -231,6 +231,8 @@ def simulate(
     """
     from numpy.random import default_rng
 
+    from calib.motion.studies.law_source import AxleLaw
+    from calib.motion.studies.run import LawJourneys
     from calib.motion.studies.run import simulate as run
     from calib.vehicle import Vehicle
 
@@ -239,8 +241,7 @@ def simulate(
         study,
         routes=routes,
         track_m=vehicle.track_m,
-        law=None if law is None else law.law,
-        loads_N=loads_N,
+        under=None if law is None else LawJourneys(AxleLaw(law.law, vehicle.track_m), loads_N),
         rng=default_rng(seed),
     )
     return extended(Simulation, simulation)

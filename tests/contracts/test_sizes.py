@@ -23,7 +23,6 @@ DIAGNOSIS: Final = "waits for the typed results of the diagnosis"
 #: functions that are longer, and why
 LONG_FUNCTIONS: Final = {
     "cli/fit.py:run": OPTIONS,
-    "cli/simulate/journey.py:run": OPTIONS,
     "gap/apply.py:applied_model": DIAGNOSIS,
     "motion/odometry/numba_loop.py:_loop": "machine code: a call inside costs what the loop saves",
     "plant/drive.py:drive": "one loop over time: its state lives in local names, for speed",

@@ -63,7 +63,7 @@ def run(
     import numpy as np
 
     from calib.motion.studies.law_source import carried_loads_N, law_source, loading_on_the_way
-    from calib.motion.studies.run import CUSTOM, simulate
+    from calib.motion.studies.run import CUSTOM, LawJourneys, simulate
 
     refuse_existing([json], force=force)
     targets = Targets(output, tum, speed, json, force)
@@ -77,17 +77,9 @@ def run(
     pairs = [(pair[0], pair[1]) for pair in given]
     pairs += [carried_loads_N(source.vehicle, mass, x, y) for mass, x, y in carried]
     with waiting("driving"):
+        loading = loading_on_the_way(source.vehicle, changes) if changes else None
+        under = LawJourneys(source.axle(track), pairs, (base[0], base[1]), loading, draws)
         simulation = simulate(
-            CUSTOM,
-            routes=route or (),
-            track_m=source.vehicle.track_m if track is None else track,
-            law=source.law,
-            loads_N=pairs,
-            reference_N=(base[0], base[1]),
-            loading=loading_on_the_way(source.vehicle, changes) if changes else None,
-            track_std_m=source.track_std_m,
-            walk=source.walk,
-            draws=draws,
-            rng=np.random.default_rng(seed),
+            CUSTOM, routes=route or (), track_m=under.axle.track_m, under=under, rng=np.random.default_rng(seed)
         )
     finish(simulation, targets, seed=seed, notes=source.notes)

@@ -43,7 +43,7 @@ def run(
     import numpy as np
 
     from calib.motion.studies.law_source import law_source
-    from calib.motion.studies.run import simulate
+    from calib.motion.studies.run import LawJourneys, simulate
     from calib.motion.studies.sweeps import STUDIES
     from calib.vehicle import Vehicle
 
@@ -58,16 +58,13 @@ def run(
         raise BadInputError("--load: found 0 N or below; expected loads above 0 N; correct it")
     source = None if law is None else law_source(law)
     vehicle = Vehicle() if source is None else source.vehicle
+    loads = [(pair[0], pair[1]) for pair in pairs]
     with waiting("simulating"):
         simulation = simulate(
             name,
             routes=route or (),
             track_m=vehicle.track_m if track is None else track,
-            law=None if source is None else source.law,
-            loads_N=[(pair[0], pair[1]) for pair in pairs],
-            track_std_m=0.0 if source is None else source.track_std_m,
-            walk=None if source is None else source.walk,
-            draws=draws,
+            under=None if source is None else LawJourneys(source.axle(track), loads, draws=draws),
             rng=np.random.default_rng(seed),
         )
     finish(simulation, targets, seed=seed, notes=() if source is None else source.notes)

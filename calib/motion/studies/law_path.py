@@ -7,7 +7,6 @@ carried (with it, the scheme of Fig. 7).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -16,64 +15,16 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.errors import BadInputError
 from calib.motion.odometry.loaded import radii_under_load
-from calib.motion.pose_covariance import RandomWalk, ellipses, jacobian, parameter_covariance, steps
+from calib.motion.pose_covariance import ellipses, jacobian, parameter_covariance, steps
 from calib.motion.poses import PoseErrors, Poses, pose_errors
 from calib.motion.routes import Route
+from calib.motion.studies.law_source import AxleLaw, Loading
 from calib.motion.studies.sweeps import SPACING_M
-from calib.radius.law import RadiusLaw
 
-__all__ = ["COMPONENTS", "Driven", "LawPath", "Loading", "law_path"]
+__all__ = ["COMPONENTS", "Driven", "LawPath", "law_path"]
 
 #: components of an error: along and left of the path, of the heading, and in the global frame
 COMPONENTS: Final = ("along_m", "lateral_m", "heading_rad", "global_x_m", "global_y_m")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Loading:
-    """Wheel loads along a route: each pair holds from its distance on until the next one.
-
-    Parameters
-    ----------
-    from_m : array of float, shape (n,)
-        Distances along the route, rising from 0.
-    left_N, right_N : array of float, shape (n,)
-        Wheel loads.
-    """
-
-    from_m: FloatArray
-    left_N: FloatArray
-    right_N: FloatArray
-
-    @staticmethod
-    def from_rows(rows: Sequence[tuple[float, float, float]]) -> Loading:
-        """Return the loading of rows (distance in m, left load in N, right load in N) in any order.
-
-        Raises
-        ------
-        BadInputError
-            Where no row stands at 0 m, two stand at one place, or a number is not possible.
-        """
-        ordered = np.array(sorted(rows), dtype=np.float64).reshape(-1, 3)
-        if not len(ordered) or ordered[0, 0] != 0.0 or (np.diff(ordered[:, 0]) <= 0.0).any():
-            raise BadInputError(
-                f"loads along the path: found changes at {', '.join(f'{at:g}' for at in ordered[:, 0])} m; expected "
-                "the first at 0 m and each at a place of its own; give each place once"
-            )
-        if not np.isfinite(ordered).all() or (ordered[:, 1:] <= 0.0).any():
-            raise BadInputError(
-                "loads along the path: found one of 0 N or below, or no number; expected loads above 0 N"
-            )
-        return Loading(ordered[:, 0], ordered[:, 1], ordered[:, 2])
-
-    @property
-    def pairs(self) -> tuple[tuple[float, float], ...]:
-        """Pairs of loads (left, right), each once."""
-        return tuple(dict.fromkeys(zip(self.left_N.tolist(), self.right_N.tolist(), strict=True)))
-
-    def at(self, distance_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the loads (left, right) of pieces that begin at these distances, shape of `distance_m`."""
-        index = np.maximum(np.searchsorted(self.from_m, distance_m + 1e-9, side="right") - 1, 0)
-        return self.left_N[index], self.right_N[index]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -200,14 +151,11 @@ class LawPath:
 
 
 def law_path(
-    law: RadiusLaw,
+    axle: AxleLaw,
     route: Route,
     *,
     loading: Loading,
     reference_N: tuple[float, float],
-    track_m: float,
-    track_std_m: float = 0.0,
-    walk: RandomWalk | None = None,
     draws: int = 20_000,
     rng: np.random.Generator | None = None,
 ) -> LawPath:
@@ -215,18 +163,14 @@ def law_path(
 
     Parameters
     ----------
-    law : RadiusLaw
-        Both wheels.
+    axle : AxleLaw
+        Both wheels and the track between them.
     route : Route
         What the believed pose follows.
     loading : Loading
         Loads carried along it.
     reference_N : (float, float)
         Loads (left, right) whose radii the uncorrected odometry uses all along.
-    track_m, track_std_m : float
-        Track, believed and real, and its standard uncertainty.
-    walk : RandomWalk, optional
-        Random part of the error; None: none.
     draws : int
         Draws for the interval of the ratio.
     rng : numpy.random.Generator, optional
@@ -245,16 +189,17 @@ def law_path(
     fine = route.cut(loading.from_m).divided(SPACING_M)
     distance, reference = fine.distance_m(), fine.poses()
     loads = loading.at(distance[:-1])
+    law = axle.radii
     real = radii_under_load(law, *loads)
     kept = radii_under_load(law, *reference_N)
-    spread = parameter_covariance(law, track_std_m=track_std_m, single_run=True)
-    half = 0.5 * track_m * fine.turn_rad
+    spread = parameter_covariance(law, track_std_m=axle.track_std_m, single_run=True)
+    half = 0.5 * axle.track_m * fine.turn_rad
     driven = []
     for believed in (kept, real):
         path = steps(
             real[0] / believed[0] * (fine.length_m - half),
             real[1] / believed[1] * (fine.length_m + half),
-            track_m,
+            axle.track_m,
             radius_left_m=real[0],
             radius_right_m=real[1],
         )
@@ -264,7 +209,7 @@ def law_path(
             load_offset_right_N=loads[1] - law.right.reference_load_N,
         )
         systematic = _from_start(slopes @ spread @ np.swapaxes(slopes, -1, -2))
-        random = np.zeros_like(systematic) if walk is None else _from_start(walk.covariance(path))
+        random = np.zeros_like(systematic) if axle.walk is None else _from_start(axle.walk.covariance(path))
         poses = Poses.from_stacked(_from_start(path.poses.stacked()))
         std = _std(systematic + random, reference)
         # x and y at the end by the coefficients of each wheel

@@ -7,16 +7,86 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from calib.arrays import FloatArray
 from calib.errors import BadInputError
 from calib.motion.pose_covariance import RandomWalk
-from calib.motion.studies.law_path import Loading
 from calib.radius.law import RadiusLaw
 from calib.vehicle import Vehicle, check_wheel_loads, wheel_loads_N
 
 if TYPE_CHECKING:
     from calib.coefficients.file import CoefficientFile
 
-__all__ = ["LawSource", "carried_loads_N", "law_source", "loading_on_the_way"]
+__all__ = ["AxleLaw", "LawSource", "Loading", "carried_loads_N", "law_source", "loading_on_the_way"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Loading:
+    """Wheel loads along a route: each pair holds from its distance on until the next one.
+
+    Parameters
+    ----------
+    from_m : array of float, shape (n,)
+        Distances along the route, rising from 0.
+    left_N, right_N : array of float, shape (n,)
+        Wheel loads.
+    """
+
+    from_m: FloatArray
+    left_N: FloatArray
+    right_N: FloatArray
+
+    @staticmethod
+    def from_rows(rows: Sequence[tuple[float, float, float]]) -> Loading:
+        """Return the loading of rows (distance in m, left load in N, right load in N) in any order.
+
+        Raises
+        ------
+        BadInputError
+            Where no row stands at 0 m, two stand at one place, or a number is not possible.
+        """
+        ordered = np.array(sorted(rows), dtype=np.float64).reshape(-1, 3)
+        if not len(ordered) or ordered[0, 0] != 0.0 or (np.diff(ordered[:, 0]) <= 0.0).any():
+            raise BadInputError(
+                f"loads along the path: found changes at {', '.join(f'{at:g}' for at in ordered[:, 0])} m; expected "
+                "the first at 0 m and each at a place of its own; give each place once"
+            )
+        if not np.isfinite(ordered).all() or (ordered[:, 1:] <= 0.0).any():
+            raise BadInputError(
+                "loads along the path: found one of 0 N or below, or no number; expected loads above 0 N"
+            )
+        return Loading(ordered[:, 0], ordered[:, 1], ordered[:, 2])
+
+    @property
+    def pairs(self) -> tuple[tuple[float, float], ...]:
+        """Pairs of loads (left, right), each once."""
+        return tuple(dict.fromkeys(zip(self.left_N.tolist(), self.right_N.tolist(), strict=True)))
+
+    def at(self, distance_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the loads (left, right) of pieces that begin at these distances, shape of `distance_m`."""
+        index = np.maximum(np.searchsorted(self.from_m, distance_m + 1e-9, side="right") - 1, 0)
+        return self.left_N[index], self.right_N[index]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AxleLaw:
+    """The law of both wheels and the track between them, with what their odometry scatters by.
+
+    Parameters
+    ----------
+    radii : RadiusLaw
+        Radii by load.
+    track_m, track_std_m : float
+        Track, believed and real, and its standard uncertainty.
+    walk : RandomWalk, optional
+        Random part of the error; None: none.
+    """
+
+    radii: RadiusLaw
+    track_m: float
+    track_std_m: float = 0.0
+    walk: RandomWalk | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,6 +112,10 @@ class LawSource:
     track_std_m: float
     walk: RandomWalk
     notes: tuple[str, ...]
+
+    def axle(self, track_m: float | None) -> AxleLaw:
+        """Return law and track; `track_m` in place of the vehicle's where it is given."""
+        return AxleLaw(self.law, self.vehicle.track_m if track_m is None else track_m, self.track_std_m, self.walk)
 
 
 def law_source(path: Path) -> LawSource:

@@ -9,15 +9,15 @@ from typing import Any, Final
 import numpy as np
 
 from calib.errors import BadInputError
-from calib.motion.pose_covariance import RandomWalk
-from calib.motion.routes import find_route
+from calib.motion.routes import Route, find_route
 from calib.motion.studies.law_journey import BANDS, Journey, TableRow, law_journey, law_table
-from calib.motion.studies.law_path import LawPath, Loading, law_path
+from calib.motion.studies.law_path import LawPath, law_path
+from calib.motion.studies.law_source import AxleLaw, Loading
 from calib.motion.studies.paper_headline import Headline, headlines, paper_headline
 from calib.motion.studies.sweeps import STUDIES, Case, Sweep, run_sweep
 from calib.radius.law import RadiusLaw
 
-__all__ = ["CUSTOM", "LOADS_N", "TABLE_LOADS_N", "Headline", "LawPart", "Simulation", "simulate"]
+__all__ = ["CUSTOM", "LOADS_N", "TABLE_LOADS_N", "Headline", "LawJourneys", "LawPart", "Simulation", "simulate"]
 
 CUSTOM: Final = "custom"
 
@@ -62,6 +62,31 @@ class LawPart:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class LawJourneys:
+    """Journeys that are asked for under a law.
+
+    Parameters
+    ----------
+    axle : AxleLaw
+        The law, and the track that it is driven with.
+    loads_N : sequence of (float, float)
+        Loads (left, right) of the journeys, in place of the study's own.
+    reference_N : (float, float)
+        Loads whose radii the uncorrected odometry uses.
+    loading : Loading, optional
+        Loads that change on the way; None: the first of `loads_N` all along.
+    draws : int
+        Draws of the Monte Carlo.
+    """
+
+    axle: AxleLaw
+    loads_N: Sequence[tuple[float, float]] = ()
+    reference_N: tuple[float, float] = (300.0, 300.0)
+    loading: Loading | None = None
+    draws: int = 20_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Simulation:
     """A simulation: `sweeps` by the name of their figure, `headlines` by wheel, the law's part where one is given."""
 
@@ -101,13 +126,7 @@ def simulate(
     cases: Sequence[Case] = (),
     track_m: float,
     real_track_m: float | None = None,
-    law: RadiusLaw | None = None,
-    loads_N: Sequence[tuple[float, float]] = (),
-    reference_N: tuple[float, float] = (300.0, 300.0),
-    loading: Loading | None = None,
-    track_std_m: float = 0.0,
-    walk: RandomWalk | None = None,
-    draws: int = 20_000,
+    under: LawJourneys | None = None,
     rng: np.random.Generator,
 ) -> Simulation:
     """Run a study by name, or ``custom`` with routes and cases of one's own.
@@ -120,20 +139,8 @@ def simulate(
         In place of the study's own.
     track_m, real_track_m : float
         Track that the odometry believes, and the real one (None: the same).
-    law : RadiusLaw, optional
-        Adds Table 1, Fig. 15 and journeys under this law.
-    loads_N : sequence of (float, float)
-        Loads (left, right) of those journeys, in place of the study's own.
-    reference_N : (float, float)
-        Loads whose radii the uncorrected odometry uses.
-    loading : Loading, optional
-        Loads that change on the way; None: the first of `loads_N` all along.
-    track_std_m : float
-        Standard uncertainty of the track, for the covariance along the path.
-    walk : RandomWalk, optional
-        Random part of that covariance.
-    draws : int
-        Draws of the Monte Carlo.
+    under : LawJourneys, optional
+        Adds Table 1, Fig. 15 and journeys under a law.
     rng : numpy.random.Generator
         Source of chance.
 
@@ -149,50 +156,30 @@ def simulate(
     chosen = tuple(cases) or (
         tuple(Case.off(which, ratio) for which in known.which for ratio in known.ratios) if known else ()
     )
-    if not chosen and law is None:
+    if not chosen and under is None:
         raise BadInputError("custom study: found no radii; expected cases or a law; give one of them")
     figures = known.figures if known and not routes else tuple(f"route{k + 1}" for k in range(len(names)))
     sweeps = {
         figure: run_sweep(name, chosen or (Case.given(1.0, 1.0),), track_m=track_m, real_track_m=real_track_m)
         for figure, name in zip(figures, names, strict=True)
     }
-    part = None
-    if law is not None:
-        carried = loading.pairs if loading is not None and study == CUSTOM else ()
-        pairs = tuple(loads_N) or carried or LOADS_N.get(study, LOADS_N["corrected"])
-        if draws < 100:
-            raise BadInputError(f"draws: found {draws}; expected 100 or more; quantiles need them")
-        path = law_path(
-            law,
-            find_route(names[-1]),
-            loading=loading or Loading.from_rows([(0.0, *pairs[0])]),
-            reference_N=reference_N,
-            track_m=track_m,
-            track_std_m=track_std_m,
-            walk=walk,
-            draws=draws,
-            rng=rng.spawn(1)[0],
-        )
-        part = _law_part(law, names[-1], pairs, path, track_m, draws, rng)
     return Simulation(
         study=study,
         title=known.title if known else "Radii as given",
         sweeps=sweeps,
         headlines=headlines(next(iter(sweeps.values())).route, track_m) if study == "corrected" and not cases else (),
-        law=part,
+        law=None if under is None else _law_part(study, find_route(names[-1]), under, rng),
     )
 
 
-def _law_part(
-    law: RadiusLaw,
-    route_name: str,
-    pairs: tuple[tuple[float, float], ...],
-    path: LawPath,
-    track_m: float,
-    draws: int,
-    rng: np.random.Generator,
-) -> LawPart:
-    route, reference_N = find_route(route_name), path.reference_N
+def _law_part(study: str, route: Route, under: LawJourneys, rng: np.random.Generator) -> LawPart:
+    law, track_m, reference_N, draws = under.axle.radii, under.axle.track_m, under.reference_N, under.draws
+    if draws < 100:
+        raise BadInputError(f"draws: found {draws}; expected 100 or more; quantiles need them")
+    own = under.loading.pairs if under.loading is not None and study == CUSTOM else ()
+    pairs = tuple(under.loads_N) or own or LOADS_N.get(study, LOADS_N["corrected"])
+    loading = under.loading or Loading.from_rows([(0.0, *pairs[0])])
+    path = law_path(under.axle, route, loading=loading, reference_N=reference_N, draws=draws, rng=rng.spawn(1)[0])
     journeys = tuple(
         law_journey(law, route, loads_N=pair, reference_N=reference_N, track_m=track_m, band=band, draws=draws, rng=rng)
         for pair in pairs

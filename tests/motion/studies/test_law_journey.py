@@ -9,7 +9,8 @@ from scipy.stats import t as student
 from calib.errors import BadInputError
 from calib.motion.routes import find_route
 from calib.motion.studies.law_journey import law_journey, law_table
-from calib.motion.studies.run import simulate
+from calib.motion.studies.law_source import AxleLaw
+from calib.motion.studies.run import LawJourneys, simulate
 from calib.radius.law import RadiusLaw, WheelLaw
 
 SLOPES = {"growing": (1.4862e-5, 1.2996e-5), "shrinking": (-1.4688e-5, -1.2863e-5)}  # left, right, per newton
@@ -141,7 +142,8 @@ def test_the_headline_is_about_seventeen_at_both_tracks() -> None:
 
 
 def test_a_law_beyond_its_loads_says_so() -> None:
-    found = simulate("asymmetric", track_m=0.7, law=law(), draws=200, rng=np.random.default_rng(0))
+    under = LawJourneys(AxleLaw(law(), 0.7), draws=200)
+    found = simulate("asymmetric", track_m=0.7, under=under, rng=np.random.default_rng(0))
     assert found.law is not None
     assert any("200 N lie outside" in note for note in found.law.notes)
 

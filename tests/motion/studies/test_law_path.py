@@ -11,7 +11,8 @@ from calib.errors import BadInputError
 from calib.motion.pose_covariance import RandomWalk, ellipses
 from calib.motion.routes import NAMED, Route, arc, find_route, straight
 from calib.motion.studies.law_journey import law_journey
-from calib.motion.studies.law_path import COMPONENTS, LawPath, Loading, law_path
+from calib.motion.studies.law_path import COMPONENTS, LawPath, law_path
+from calib.motion.studies.law_source import AxleLaw, Loading
 from calib.radius.law import RadiusLaw, WheelLaw
 
 TRACK_M = 0.7
@@ -27,8 +28,16 @@ LAW = RadiusLaw(left=wheel(0.1, 1.3e-6), right=wheel(0.0995, -1.2e-6))
 TWO = Loading.from_rows([(4.0, 900.0, 400.0), (0.0, 300.0, 350.0)])
 
 
-def made(route: Route, loading: Loading = TWO, **more: object) -> LawPath:
-    return law_path(LAW, route, loading=loading, reference_N=(300.0, 300.0), track_m=TRACK_M, **more)  # type: ignore[arg-type]
+def made(
+    route: Route,
+    loading: Loading = TWO,
+    *,
+    rng: np.random.Generator | None = None,
+    draws: int = 20_000,
+    **more: object,
+) -> LawPath:
+    axle = AxleLaw(LAW, TRACK_M, **more)  # type: ignore[arg-type]
+    return law_path(axle, route, loading=loading, reference_N=(300.0, 300.0), draws=draws, rng=rng)
 
 
 def circle(pose: tuple[float, float, float], left_m: float, right_m: float) -> tuple[float, float, float]:
