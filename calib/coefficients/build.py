@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from calib.campaign.settings import Encoder
     from calib.radius.fitted import Fit
 
-__all__ = ["from_fit", "from_law", "load_points"]
+__all__ = ["Header", "PoseNoise", "from_fit", "from_law", "load_points"]
 
 # Defaults of what a corridor campaign does not measure; every one stands in the file, where it can be bettered.
 TRACK_STD_M: Final = 1e-3
@@ -43,7 +44,6 @@ def from_fit(
     outside: Outside = "refuse",
     created: str | None = None,
     inputs: Mapping[str, str] | None = None,
-    effects: Iterable[EffectSection] = (),
 ) -> CoefficientFile:
     """Return the coefficient file of a fit: its laws, vehicle, encoder and load points.
 
@@ -57,8 +57,6 @@ def from_fit(
         Date as YYYY-MM-DD; passed in, so that the same input gives the same file.
     inputs : mapping of str to str, optional
         Path of an input -> its SHA-256; None: those of the fit's provenance.
-    effects : iterable of EffectSection
-        Diagnosed effects that belong to the model.
 
     Raises
     ------
@@ -80,13 +78,8 @@ def from_fit(
             fit.law,
             fit.setup.vehicle,
             fit.setup.encoder,
-            name=fit.name,
-            simulated=fit.simulated,
-            outside=outside,
-            created=created,
+            Header(fit.name, fit.simulated, outside, created, hashes),
             load_table=load_points(fit.radii.load_left_N, fit.radii.load_right_N),
-            inputs=hashes,
-            effects=effects,
         )
     except (TypeError, OverflowError) as error:
         raise BadInputError(
@@ -120,24 +113,50 @@ def load_points(load_left_N: npt.ArrayLike, load_right_N: npt.ArrayLike) -> dict
     }
 
 
+@dataclass(frozen=True, slots=True)
+class Header:
+    """What a coefficient file says of itself.
+
+    Parameters
+    ----------
+    name : str
+        Name of the campaign.
+    simulated : bool
+        Whether a program made the measurements.
+    outside : {"refuse", "clamp"}
+        What the vehicle does with a load that was not measured.
+    created : str, optional
+        Date, YYYY-MM-DD.
+    inputs : mapping of str to str
+        Path of an input -> its SHA-256.
+    """
+
+    name: str
+    simulated: bool
+    outside: Outside = "refuse"
+    created: str | None = None
+    inputs: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class PoseNoise:
+    """Standard uncertainty of the track, and random walk of distance and heading per square root of metre."""
+
+    track_std_m: float = TRACK_STD_M
+    along_m_per_sqrt_m: float = ALONG_M_PER_SQRT_M
+    heading_rad_per_sqrt_m: float = HEADING_RAD_PER_SQRT_M
+
+
 def from_law(
     law: RadiusLaw,
     vehicle: Vehicle,
     encoder: Encoder,
+    header: Header,
     *,
-    name: str,
-    simulated: bool,
-    outside: Outside = "refuse",
-    created: str | None = None,
     load_table: Mapping[str, tuple[float, float]] | None = None,
     effects: Iterable[EffectSection] = (),
-    inputs: Mapping[str, str] | None = None,
     load_margin_N: float | None = None,
-    track_std_m: float = TRACK_STD_M,
-    along_m_per_sqrt_m: float = ALONG_M_PER_SQRT_M,
-    heading_rad_per_sqrt_m: float = HEADING_RAD_PER_SQRT_M,
-    max_step_m: float | None = None,
-    max_gap_s: float = MAX_GAP_S,
+    noise: PoseNoise = PoseNoise(),
 ) -> CoefficientFile:
     """Return the coefficient file of a law, a vehicle and an encoder; see `from_fit`.
 
@@ -149,36 +168,24 @@ def from_law(
         Geometry and mass.
     encoder : Encoder
         Counts of a turn, and where the counters wrap.
-    name : str
-        Name of the campaign.
-    simulated : bool
-        Whether a program made the measurements.
-    outside : str
-        What happens to a load that was not measured: ``refuse`` or ``clamp``.
-    created : str, optional
-        Date, YYYY-MM-DD.
+    header : Header
+        What the file says of itself.
     load_table : mapping of str to (float, float)
         Name of a line -> wheel loads left and right in N; lines outside the valid range are left out.
     effects : iterable of EffectSection
         Effects that a diagnosis added to the model.
-    inputs : mapping of str to str
-        Path of an input -> its SHA-256.
     load_margin_N : float, optional
         How far the valid range reaches beyond the loads measured. None: 1 % of their span, 1 N at least.
-    track_std_m : float
-        Standard uncertainty of the track.
-    along_m_per_sqrt_m, heading_rad_per_sqrt_m : float
-        Random walk of distance and heading per square root of metre.
-    max_step_m, max_gap_s : float
-        Travel and silence between two samples that the runtime takes for a fault. None: 0.5 m, less where the counter
-        wraps sooner.
+    noise : PoseNoise
+        What the pose scatters by.
     """
     lengths = [
         2.0**encoder.wrap_bits / per_rev * 2.0 * math.pi * wheel.radius_ref_m
         for per_rev, wheel in ((encoder.counts_per_rev_left, law.left), (encoder.counts_per_rev_right, law.right))
         if encoder.wrap_bits is not None
     ]
-    step = max_step_m if max_step_m is not None else min([MAX_STEP_M, *(0.25 * length for length in lengths)])
+    # a quarter of what the counter holds: which way it wrapped stays clear
+    step = min([MAX_STEP_M, *(0.25 * length for length in lengths)])
     sides = {"left": _wheel(law.left, load_margin_N), "right": _wheel(law.right, load_margin_N)}
     loads = [
         {"name": key, "load_left": _q(left, "N"), "load_right": _q(right, "N")}
@@ -189,26 +196,26 @@ def from_law(
         {
             "format": FORMAT,
             "calib_version": __version__,
-            "name": name,
-            "created": created,
-            "simulated": bool(simulated),
-            "outside": outside,
+            "name": header.name,
+            "created": header.created,
+            "simulated": bool(header.simulated),
+            "outside": header.outside,
             "wheels": sides,
-            "vehicle": _vehicle(vehicle, track_std_m),
+            "vehicle": _vehicle(vehicle, noise.track_std_m),
             "encoder": {
                 "counts_per_rev_left": _q(encoder.counts_per_rev_left, "count/rev"),
                 "counts_per_rev_right": _q(encoder.counts_per_rev_right, "count/rev"),
                 "wrap_bits": None if encoder.wrap_bits is None else _q(encoder.wrap_bits, "bit"),
             },
             "noise": {
-                "along": _q(along_m_per_sqrt_m, "m/m^0.5"),
-                "heading": _q(heading_rad_per_sqrt_m, "rad/m^0.5"),
+                "along": _q(noise.along_m_per_sqrt_m, "m/m^0.5"),
+                "heading": _q(noise.heading_rad_per_sqrt_m, "rad/m^0.5"),
                 "count_std": _q(COUNT_STD, "count"),
             },
-            "limits": {"max_step": _q(step, "m"), "max_gap": _q(max_gap_s, "s")},
+            "limits": {"max_step": _q(step, "m"), "max_gap": _q(MAX_GAP_S, "s")},
             "load_table": loads,
             "effects": [effect.model_dump(mode="json") for effect in effects],
-            "inputs": [{"path": key, "sha256": value} for key, value in sorted((inputs or {}).items())],
+            "inputs": [{"path": key, "sha256": value} for key, value in sorted(header.inputs.items())],
         }
     )
 

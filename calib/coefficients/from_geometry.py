@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from calib.coefficients.build import from_law, load_points
+from calib.coefficients.build import Header, PoseNoise, from_law, load_points
 from calib.coefficients.file import CoefficientFile, Outside
 from calib.errors import RefusedError
 from calib.radius.law import RadiusLaw, WheelLaw
@@ -71,15 +71,9 @@ def from_geometry(
         law,
         replace(vehicle, track_m=track, wheelbase_m=wheelbase),
         campaign.encoder,
-        name=geometry.name,
-        simulated=geometry.simulated,
-        outside=outside,
-        created=created,
+        Header(geometry.name, geometry.simulated, outside, created, geometry.inputs),
         load_table=load_points(runs.number("load_left_N"), runs.number("load_right_N")),
-        inputs=geometry.inputs,
-        track_std_m=track_std,
-        along_m_per_sqrt_m=geometry.noise["along_walk"],
-        heading_rad_per_sqrt_m=geometry.noise["heading_walk"],
+        noise=PoseNoise(track_std, geometry.noise["along_walk"], geometry.noise["heading_walk"]),
     )
     return file.changed(joint_geometry=_section(geometry))
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
-from calib.coefficients.build import from_law, load_points
+from calib.coefficients.build import Header, PoseNoise, from_law, load_points
 from calib.coefficients.file import CoefficientFile
 from calib.coefficients.quantities import Quantity
 from calib.coefficients.sections import EffectSection
@@ -88,13 +88,10 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[Effe
         RadiusLaw(left=laws["left"], right=laws["right"]),
         replace(observations.vehicle, track_m=model.track_m * (1.0 + float(fitted.calibration[2]))),
         campaign.encoder,
-        name=campaign.name,
-        simulated=campaign.simulated,
-        outside="clamp",
+        Header(campaign.name, campaign.simulated, "clamp", inputs=campaign.hashes),
         load_table=load_points(loads["left"], loads["right"]),
-        inputs=campaign.hashes,
         effects=sections,
-        track_std_m=float(np.sqrt(fitted.covariance[2, 2])) * model.track_m,
+        noise=PoseNoise(track_std_m=float(np.sqrt(fitted.covariance[2, 2])) * model.track_m),
     )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calib.campaign.settings import Encoder
-from calib.coefficients.build import from_law
+from calib.coefficients.build import Header, from_law
 from calib.coefficients.file import CoefficientFile
 from calib.radius.law import RadiusLaw, WheelLaw
 from calib.vehicle import Vehicle
@@ -39,11 +39,9 @@ def file(law: RadiusLaw) -> CoefficientFile:
         law,
         Vehicle(),
         Encoder(),
-        name="corridor",
+        Header("corridor", simulated=True, inputs={"runs.csv": "a" * 64}),
         load_margin_N=0.0,
-        simulated=True,
         load_table={"empty": (300.0, 301.5), "full": (900.0, 1000.25)},
-        inputs={"runs.csv": "a" * 64},
     )
 
 
@@ -56,4 +54,4 @@ def loadless(law: RadiusLaw) -> CoefficientFile:
         )
         for wheel in (law.left, law.right)
     )
-    return from_law(RadiusLaw(left, right), Vehicle(drive="differential"), Encoder(), name="squares", simulated=True)
+    return from_law(RadiusLaw(left, right), Vehicle(drive="differential"), Encoder(), Header("squares", True))

@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from calib.campaign.settings import Encoder
-from calib.coefficients.build import from_law, load_points
+from calib.coefficients.build import Header, from_law, load_points
 from calib.coefficients.file import CoefficientFile, load_coefficients
 from calib.coefficients.sections import EffectSection
 from calib.errors import BadFileError, BadInputError, CalibError, RefusedError
@@ -49,7 +49,7 @@ def test_a_file_reads_back_as_it_was_written(file: CoefficientFile, tmp_path: Pa
 
 
 def test_the_same_input_gives_the_same_bytes_on_any_day(law: RadiusLaw) -> None:
-    made = [from_law(law, Vehicle(), Encoder(), name="n", simulated=False).to_bytes() for _ in range(2)]
+    made = [from_law(law, Vehicle(), Encoder(), Header("n", False)).to_bytes() for _ in range(2)]
     assert made[0] == made[1]
     assert json.loads(made[0])["created"] is None
 
@@ -151,10 +151,10 @@ def test_the_valid_range_reaches_outwards_to_whole_millinewtons(file: Coefficien
 
 def test_the_valid_range_leaves_room_for_the_scatter_of_weighing(law: RadiusLaw) -> None:
     """1 % of the span measured, 1 N at least, never below zero."""
-    made = from_law(law, Vehicle(), Encoder(), name="n", simulated=False).law
+    made = from_law(law, Vehicle(), Encoder(), Header("n", False)).law
     assert (made.left.load_min_N, made.left.load_max_N) == (191.0, 1109.0)
     narrow = RadiusLaw(replace(law.left, load_min_N=0.5, load_max_N=1.5), law.right)
-    made = from_law(narrow, Vehicle(), Encoder(), name="n", simulated=False).law
+    made = from_law(narrow, Vehicle(), Encoder(), Header("n", False)).law
     assert (made.left.load_min_N, made.left.load_max_N) == (0.0, 2.5)
 
 
@@ -185,13 +185,14 @@ def test_impossible_coefficients_make_no_file(law: RadiusLaw) -> None:
     """A correlation beyond 1, a radius that reaches zero, a step beyond half a wrap."""
     with pytest.raises(BadInputError, match="correlation"):
         bad = replace(law.left, covariance=np.array([[1e-12, 1e-13], [1e-13, 1e-16]]))
-        from_law(RadiusLaw(bad, law.right), Vehicle(), Encoder(), name="n", simulated=False)
+        from_law(RadiusLaw(bad, law.right), Vehicle(), Encoder(), Header("n", False))
     with pytest.raises(BadInputError, match="above zero"):
         bad = replace(law.left, slope_m_per_N=-2e-4)
-        from_law(RadiusLaw(bad, law.right), Vehicle(), Encoder(), name="n", simulated=False)
+        from_law(RadiusLaw(bad, law.right), Vehicle(), Encoder(), Header("n", False))
+    narrow = from_law(law, Vehicle(), Encoder(wrap_bits=8), Header("n", False))
+    assert narrow.limits.max_step.value < 0.02
     with pytest.raises(BadInputError, match="half a wrap"):
-        from_law(law, Vehicle(), Encoder(wrap_bits=8), name="n", simulated=False, max_step_m=0.5)
-    assert from_law(law, Vehicle(), Encoder(wrap_bits=8), name="n", simulated=False).limits.max_step.value < 0.02
+        narrow.changed(limits=narrow.limits.model_dump() | {"max_step": {"value": 0.5, "unit": "m"}})
 
 
 def test_load_points_are_the_means_of_runs_that_agree_to_a_newton() -> None:

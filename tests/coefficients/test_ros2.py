@@ -13,7 +13,7 @@ import pytest
 import yaml
 
 from calib.campaign.settings import Encoder
-from calib.coefficients.build import from_law
+from calib.coefficients.build import Header, from_law
 from calib.coefficients.export import export
 from calib.coefficients.file import CoefficientFile
 from calib.coefficients.formats import FORMATS, ros2_covariance
@@ -186,7 +186,7 @@ def test_a_vehicle_that_drove_no_loads_exports_in_every_format(loadless: Coeffic
 def test_the_drive_comes_through_the_file_and_the_usual_one_leaves_no_trace(law: RadiusLaw) -> None:
     """A tricycle's file is byte for byte what it was before files knew drives."""
     for drive in get_args(Drive):
-        file = from_law(law, Vehicle(drive=drive), Encoder(), name="n", simulated=True)
+        file = from_law(law, Vehicle(drive=drive), Encoder(), Header("n", True))
         assert file.geometry.drive == drive
         assert ("drive" in file.to_dict()["vehicle"]) == (drive != "tricycle")
         assert Coefficients.parse(file.to_bytes().decode()).checksum == file.checksum

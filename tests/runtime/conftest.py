@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from calib.campaign.settings import Encoder
-from calib.coefficients.build import from_law
+from calib.coefficients.build import Header, from_law
 from calib.coefficients.export import export
 from calib.coefficients.file import CoefficientFile
 from calib.radius.law import RadiusLaw, WheelLaw
@@ -41,9 +41,8 @@ def file() -> CoefficientFile:
         RadiusLaw(wheel(0.0990, 1.3e-6), wheel(0.0991, -1.47e-6)),
         Vehicle(cog_y_m=0.01),
         Encoder(counts_per_rev_left=4096.0, counts_per_rev_right=4000.0, wrap_bits=16),
-        name="corridor",
+        Header("corridor", simulated=True),
         load_margin_N=0.0,
-        simulated=True,
         load_table={"empty": (300.0, 301.5), "full": (900.0, 1000.25)},
     )
 
