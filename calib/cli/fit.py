@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -12,7 +12,9 @@ from calib.cli.terminal import emit_json, progress, show, wants_stdout, wrote
 from calib.errors import BadInputError
 
 if TYPE_CHECKING:
+    from calib.coefficients.source import Source
     from calib.radius.fitted import Fit
+    from calib.report.blocks import Block
 
 __all__ = ["EPILOG", "run"]
 
@@ -61,43 +63,61 @@ def run(
 
     from calib import __version__
     from calib.campaign.opening import read_or_ingest
-    from calib.coefficients.source import coefficients_of, effects_left_out
-    from calib.radius.comparison import compare_laws
     from calib.radius.fit import fit_campaign
-    from calib.radius.result import FIT_FILE, RUNS_FILE, provenance, write_result
-    from calib.report.statements.fit import comparison_content, fit_content
+    from calib.radius.result import provenance, write_result
+    from calib.report.statements.fit import fit_content
 
-    results = (into / FIT_FILE, into / RUNS_FILE) if into else ()
-    refuse_existing([json, *results, *_pictures(figures)], force=force)
-    believed = None
-    if model is not None:
-        if reference_load is not None:
-            raise BadInputError(
-                "--reference-load: found with --model; expected one of them, since the model brings its own; leave one "
-                "out"
-            )
-        believed = coefficients_of(model)
-        reference_load = believed.file.law.left.reference_load_N
+    refuse_existing([json, *_results(into), *_pictures(figures)], force=force)
+    believed, reference_load = _believed(model, reference_load)
     with progress("fitting") as tick:
         read = read_or_ingest(campaign, mapping=mapping, progress=tick)
         fitted = fit_campaign(read, reference_load_N=reference_load)
     arguments = {"campaign": campaign.name, "reference_load_N": reference_load}
     fitted = replace(fitted, provenance=provenance(read, version=__version__, arguments=arguments))
-    document = fitted.to_dict()
-    content = fit_content(fitted, runs=runs)
+    document, content = fitted.to_dict(), fit_content(fitted, runs=runs)
     if believed is not None:
-        compared = compare_laws(fitted.left, fitted.right, believed.file.law)
-        left_out = (*believed.notes, *effects_left_out(believed.file, "not compared"))
-        document["model_comparison"] = compared.to_dict() | {"notes": list(left_out)}
-        content = (*content[:-1], *comparison_content(compared, left_out), content[-1])
+        comparison, blocks = _compared(fitted, believed)
+        document["model_comparison"] = comparison
+        content = (*content[:-1], *blocks, content[-1])
     if not wants_stdout(json):
         show(content)
-    if into is not None:
-        wrote([write_result(fitted, into, force=force)], target=json)
+    wrote([] if into is None else [write_result(fitted, into, force=force)], target=json)
     if figures is not None:
         _draw(fitted, figures, json, force=force)
     emit_json(document, json, force=force)
     return 0 if fitted.passed else 1
+
+
+def _believed(model: Path | None, reference_load: float | None) -> tuple[Source | None, float | None]:
+    """Return the coefficients that a simulator believes, and the load to fit at."""
+    from calib.coefficients.source import coefficients_of
+
+    if model is None:
+        return None, reference_load
+    if reference_load is not None:
+        raise BadInputError(
+            "--reference-load: found with --model; expected one of them, since the model brings its own; leave one out"
+        )
+    source = coefficients_of(model)
+    return source, source.file.law.left.reference_load_N
+
+
+def _compared(fitted: Fit, believed: Source) -> tuple[dict[str, Any], tuple[Block, ...]]:
+    """Return the fit held against the model, as plain values and as blocks."""
+    from calib.coefficients.source import effects_left_out
+    from calib.radius.comparison import compare_laws
+    from calib.report.statements.fit import comparison_content
+
+    notes = (*believed.notes, *effects_left_out(believed.file, "not compared"))
+    compared = compare_laws(fitted.left, fitted.right, believed.file.law)
+    return compared.to_dict() | {"notes": list(notes)}, comparison_content(compared, notes)
+
+
+def _results(folder: Path | None) -> list[Path]:
+    """Return the files of a result folder, so that existing ones are refused before the work."""
+    from calib.radius.result import FIT_FILE, RUNS_FILE
+
+    return [] if folder is None else [folder / FIT_FILE, folder / RUNS_FILE]
 
 
 def _pictures(folder: Path | None) -> list[Path]:

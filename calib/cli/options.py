@@ -13,7 +13,17 @@ import typer
 from calib.errors import BadInputError
 from calib.files import refuse_existing
 
-__all__ = ["AcceptImplausible", "Force", "JsonTarget", "MappingOption", "Seed", "nearest", "numbers", "refuse_existing"]
+__all__ = [
+    "AcceptImplausible",
+    "Force",
+    "JsonTarget",
+    "MappingOption",
+    "Seed",
+    "nearest",
+    "numbers",
+    "pairs",
+    "refuse_existing",
+]
 
 JsonTarget = Annotated[
     str | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON to FILE; '-' is standard output.")
@@ -59,6 +69,11 @@ def numbers(text: str, count: int | None, name: str) -> tuple[float, ...]:
         wanted = f"{count} numbers" if count else "numbers"
         raise BadInputError(f"{name}: found {text!r:.60}; expected {wanted} separated by commas; write them as 1.5,2")
     return values
+
+
+def pairs(texts: Iterable[str] | None, name: str) -> list[tuple[float, float]]:
+    """Return the pairs of numbers of texts such as ``300,1100``; `name` is the option, for the message."""
+    return [(left, right) for left, right in (numbers(text, 2, name) for text in texts or ())]
 
 
 def nearest(word: str, known: Iterable[str]) -> str:

@@ -16,14 +16,10 @@ SOURCES = sorted(PACKAGE.rglob("*.py"))
 MOST_IN_FUNCTION: Final = 60
 MOST_IN_FILE: Final = 400
 
-OPTIONS: Final = "most of it are the options, each with its help"
 WRITTEN_OUT: Final = "a list written out: no branch, nothing to call twice"
-DIAGNOSIS: Final = "waits for the typed results of the diagnosis"
 
 #: functions that are longer, and why
 LONG_FUNCTIONS: Final = {
-    "cli/fit.py:run": OPTIONS,
-    "gap/apply.py:applied_model": DIAGNOSIS,
     "motion/odometry/numba_loop.py:_loop": "machine code: a call inside costs what the loop saves",
     "plant/drive.py:drive": "one loop over time: its state lives in local names, for speed",
     "plant/measure.py:campaign_of": WRITTEN_OUT,

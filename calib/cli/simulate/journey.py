@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.options import Force, JsonTarget, Seed, numbers, refuse_existing
+from calib.cli.options import Force, JsonTarget, Seed, numbers, pairs, refuse_existing
 from calib.cli.simulate.common import DRAWS, SPEED_MPS, Draws, Output, Routes, Speed, Targets, Track, Tum, finish
 from calib.cli.terminal import waiting
 from calib.errors import BadInputError
@@ -68,18 +68,16 @@ def run(
     refuse_existing([json], force=force)
     targets = Targets(output, tum, speed, json, force)
     base = numbers(reference, 2, "--reference-load")
-    given = [numbers(text, 2, "--load") for text in load or ()]
+    loads_N = pairs(load, "--load")
     carried = [numbers(text, 3, "--payload") for text in payload or ()]
     changes = [numbers(text, 4, "--payload-at") for text in payload_at or ()]
-    if min([*base, *(value for pair in given for value in pair)]) <= 0.0:
+    if min([*base, *(value for pair in loads_N for value in pair)]) <= 0.0:
         raise BadInputError("--load, --reference-load: found 0 N or below; expected loads above 0 N; correct it")
     source = law_source(law)
-    pairs = [(pair[0], pair[1]) for pair in given]
-    pairs += [carried_loads_N(source.vehicle, mass, x, y) for mass, x, y in carried]
+    loads_N += [carried_loads_N(source.vehicle, mass, x, y) for mass, x, y in carried]
     with waiting("driving"):
         loading = loading_on_the_way(source.vehicle, changes) if changes else None
-        under = LawJourneys(source.axle(track), pairs, (base[0], base[1]), loading, draws)
-        simulation = simulate(
-            CUSTOM, routes=route or (), track_m=under.axle.track_m, under=under, rng=np.random.default_rng(seed)
-        )
+        under = LawJourneys(source.axle(track), loads_N, (base[0], base[1]), loading, draws)
+        rng = np.random.default_rng(seed)
+        simulation = simulate(CUSTOM, routes=route or (), track_m=under.axle.track_m, under=under, rng=rng)
     finish(simulation, targets, seed=seed, notes=source.notes)

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.options import Force, JsonTarget, Seed, nearest, numbers, refuse_existing
+from calib.cli.options import Force, JsonTarget, Seed, nearest, pairs, refuse_existing
 from calib.cli.simulate.common import DRAWS, SPEED_MPS, Draws, Law, Output, Speed, Targets, Track, Tum, finish
 from calib.cli.terminal import waiting
 from calib.errors import BadInputError
@@ -51,20 +51,19 @@ def run(
     targets = Targets(output, tum, speed, json, force)
     if name not in STUDIES:
         raise BadInputError(f"study: found {name!r}; expected one of {', '.join(STUDIES)}" + nearest(name, STUDIES))
-    pairs = [numbers(text, 2, "--load") for text in load or ()]
-    if pairs and law is None:
+    loads_N = pairs(load, "--load")
+    if loads_N and law is None:
         raise BadInputError("--load: found no law; expected --law PATH beside it; loads mean nothing without one")
-    if min((value for pair in pairs for value in pair), default=1.0) <= 0.0:
+    if min((value for pair in loads_N for value in pair), default=1.0) <= 0.0:
         raise BadInputError("--load: found 0 N or below; expected loads above 0 N; correct it")
     source = None if law is None else law_source(law)
     vehicle = Vehicle() if source is None else source.vehicle
-    loads = [(pair[0], pair[1]) for pair in pairs]
     with waiting("simulating"):
         simulation = simulate(
             name,
             routes=route or (),
             track_m=vehicle.track_m if track is None else track,
-            under=None if source is None else LawJourneys(source.axle(track), loads, draws=draws),
+            under=None if source is None else LawJourneys(source.axle(track), loads_N, draws=draws),
             rng=np.random.default_rng(seed),
         )
     finish(simulation, targets, seed=seed, notes=() if source is None else source.notes)
