@@ -89,7 +89,10 @@ def describe(sources: Sequence[Path]) -> Description:
     """
     paths = listed_files([Path(source) for source in sources])
     if not paths:
-        raise BadInputError("sources: found no files; expected tables, logs or recordings; name them")
+        raise BadInputError(
+            f"sources: found no file to read{_inside(sources)}; expected tables, logs or recordings; name them, or the "
+            "folder that holds them itself"
+        )
     kinds: dict[str, list[Path]] = {}
     for path in paths:
         kinds.setdefault(f"{path.parent}/*{path.suffix.lower()}", []).append(path)
@@ -102,6 +105,15 @@ def describe(sources: Sequence[Path]) -> Description:
         files = [table, *(one for one in files if one is not table)]
     logs = [one for one in files if one is not table]
     return Description(tuple(files), len(paths), table, propose(table, logs, [str(source) for source in sources]))
+
+
+def _inside(sources: Sequence[Path]) -> str:
+    """Return what lies in folders that hold no file to read, in words."""
+    folders = [path for source in sources if source.is_dir() for path in sorted(source.iterdir()) if path.is_dir()]
+    if not folders:
+        return ""
+    names = [path.name for path in folders[:3]] + ["..."] * (len(folders) > 3)
+    return f" in {sources[0]}, which holds folders ({', '.join(names)})"
 
 
 def group_is(table: FileFound | None, one: FileFound) -> bool:

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from calib.campaign.ingest.words import stem_and_unit
 from calib.campaign.readers import RawTable, holds_recording, read_recording, read_table
+from calib.campaign.readers.recording import refuse_nothing
 from calib.campaign.readers.table import comma_evidence, numbers
 from calib.campaign.readers.times import TIME_FORMATS, time_format
 from calib.campaign.wraps import detect_wrap_bits
@@ -191,6 +192,7 @@ def _column(
 
 def _recording(path: Path, shown: str) -> FileFound:
     recording = read_recording(path, shown)
+    refuse_nothing(recording, shown)
     columns, streams = [], []
     for stream in recording.streams:
         line = np.arange(1, len(stream) + 1)

@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Final
 
 from calib.campaign.columns import recognise
-from calib.campaign.ingest.found import ColumnFound, FileFound
+from calib.campaign.ingest.found import ColumnFound, FileFound, StreamFound
 from calib.campaign.ingest.log_files import run_number
 from calib.campaign.ingest.mapping import TABLE_COLUMNS
+from calib.campaign.ingest.unstated import missing_lines, settings_lines, with_other_wheels
 from calib.campaign.ingest.words import DIRECTION_WORDS, guessed_log_column, guessed_table_column, plain, stem_and_unit
 from calib.campaign.model import LOG_COLUMNS
 from calib.campaign.toml_text import to_toml
@@ -29,19 +30,9 @@ _POSES: Final = (
     "tf2_msgs/msg/TFMessage",
     "tf/msg/tfMessage",
 )
+#: streams whose kind does not say what they measure: only names do
+_UNTYPED: Final = ("channels", "variables")
 _ODOMETRY: Final = "nav_msgs/msg/Odometry"
-#: keys that only the laboratory knows, with what they are
-_STATE: Final = {
-    "vehicle": {
-        "track_m": "between the contact points of the rear wheels",
-        "wheelbase_m": "rear axle to front wheel",
-        "wheel_radius_m": "nominal",
-        "mass_kg": "without payload",
-        "cog_x_m": "centre of mass ahead of the rear axle",
-    },
-    "encoder": {"counts_per_rev": "counts a wheel revolution, gear and quadrature included"},
-    "rangefinder": {"sigma_m": "standard uncertainty of one distance"},
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +57,7 @@ def propose(table: FileFound | None, logs: Sequence[FileFound], sources: Sequenc
     """
     lines = [f"name = {_text(_name(table, logs))}"]
     bits = next((column.wrap_bits for one in logs for column in one.columns if column.wrap_bits), None)
-    lines += _settings(bits)
+    lines += settings_lines(bits)
     if table is not None:
         lines += ["", "[table]" + " " * 20 + "# calib's column = the table's column"]
         lines += _table_lines(table)
@@ -75,9 +66,8 @@ def propose(table: FileFound | None, logs: Sequence[FileFound], sources: Sequenc
         lines += _file_lines(table, logs)
         found = _log_lines(logs)
         lines += found
-        if any(line.startswith("counts_rear_left") for line in found):
-            at = next(index for index, line in enumerate(lines) if line.startswith("[vehicle]"))
-            lines.insert(at + 1, 'drive = "mecanum"   # four wheels are counted')
+        lines += missing_lines(found, logs)
+        lines = with_other_wheels(lines, found, logs)
     recordings = [one for one in logs if one.recording]
     if recordings and (table is None or len(logs) == 1):
         lines += ["", "[cut]" + " " * 22 + "# one recording holds many runs", 'by = "stops"', "min_stop_s = 1.0"]
@@ -96,19 +86,6 @@ def _name(table: FileFound | None, logs: Sequence[FileFound]) -> str:
 
 def _text(text: str) -> str:
     return json.dumps(text, ensure_ascii=False)
-
-
-def _settings(bits: int | None) -> list[str]:
-    lines: list[str] = []
-    for section, keys in _STATE.items():
-        lines += [
-            "",
-            f"[{section}]" + ("   # state what you know; what is left out is marked as assumed" if not lines else ""),
-        ]
-        lines += [f"#{key} =   # {what}" for key, what in keys.items()]
-        if section == "encoder" and bits:
-            lines.append(f"wrap_bits = {bits}   # found in the jumps of the counters")
-    return lines
 
 
 def _entry(name: str, column: ColumnFound, unit: str | None, further: dict[str, object] | None = None) -> str:
@@ -195,7 +172,7 @@ def _log_lines(logs: Sequence[FileFound]) -> list[str]:
     lines, taken = [], set()
     for column in one.columns:
         guess = guessed_log_column(column.name)
-        if guess is None or guess[0] in taken:
+        if guess is None or guess[0] in taken or _only_a_letter(column, guess[0]):
             continue
         name, unit = guess
         taken.add(name)
@@ -209,6 +186,29 @@ def _log_lines(logs: Sequence[FileFound]) -> list[str]:
     return lines
 
 
+def _only_a_letter(column: ColumnFound, target: str) -> bool:
+    """Return whether nothing but a letter speaks for a counter: `r` may as well be a range."""
+    return target.startswith("counts_") and len(stem_and_unit(column.name)[0]) <= len("re") and not column.whole
+
+
+def _is_rate(name: str) -> bool:
+    return ":velocity." in name
+
+
+def _passed_over(
+    stream: StreamFound, column: ColumnFound, target: str, reference: StreamFound | None, clocked: bool
+) -> bool:
+    """Return whether a stream's column is not what its name makes it look like."""
+    name = column.name
+    if ":effort." in name or ".velocity" in name or (_is_rate(name) and not target.startswith("counts_")):
+        return True
+    if not stream.kind.endswith("JointState") and _only_a_letter(column, target):
+        return True
+    if target.startswith("ref_") and stream is not reference and stream.kind not in _UNTYPED:
+        return True
+    return target == "t_s" and clocked
+
+
 def _recording_lines(one: FileFound) -> list[str]:
     lines, taken = [], set()
     found = {column.name: column for column in one.columns}
@@ -219,21 +219,20 @@ def _recording_lines(one: FileFound) -> list[str]:
         next((stream for stream in one.streams if stream.kind == _ODOMETRY), None),
     )
     for stream in kinds.values():
-        for name in stream.columns:
+        # a joint's rate stands in where there is no position of it
+        for name in sorted(stream.columns, key=_is_rate):
             column = found[name]
             guess = guessed_log_column(name)
-            if guess is None or guess[0] in taken or ".velocity" in name or ":velocity." in name or ":effort." in name:
+            if guess is None or guess[0] in taken or _passed_over(stream, column, guess[0], reference, clocked):
                 continue
             target, unit = guess
-            if target.startswith("ref_") and stream is not reference:
-                continue
-            if target == "t_s" and clocked:
-                continue
             further: dict[str, object] = {}
             remark = ""
             if target.startswith("counts_"):
                 angle = stream.kind.endswith("JointState") and not column.whole
-                if angle:
+                if _is_rate(name):
+                    further["unit"], remark = "rad/s", "   # a rate, in rad/s where the driver keeps ROS's units"
+                elif angle:
                     further["unit"] = "rad"
                 if column.low == column.high:
                     remark = "   # never changes"

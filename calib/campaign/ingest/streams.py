@@ -17,7 +17,7 @@ from calib.campaign.ingest.mapping import COUNT_UNITS, Line, MappingFile
 from calib.campaign.logs_file import log_column, refuse_incomplete
 from calib.campaign.model import LOG_COLUMNS
 from calib.campaign.readers import Layout, RawTable, Recording, holds_recording, read_recording, read_table
-from calib.campaign.readers.recording import NS_PER_S, Stream, WantedColumns, interpolated
+from calib.campaign.readers.recording import NS_PER_S, Stream, WantedColumns, interpolated, refuse_nothing
 from calib.campaign.settings import Encoder
 from calib.campaign.wraps import detect_wrap_bits, unwrap
 from calib.errors import BadFileError
@@ -129,14 +129,16 @@ def _refuse_absent(names: Sequence[str], lines: Iterable[Line], path: Path, show
         if line.column not in names:
             listed = names
             if holds_recording(path):
-                listed = read_recording(path, shown).column_names
+                whole = read_recording(path, shown)
+                refuse_nothing(whole, shown)
+                listed = whole.column_names
                 if line.column in listed:
                     continue
             raise BadFileError(
                 shown,
                 row=None if holds_recording(path) else 1,
                 column=line.name,
-                found=f"no column {line.column!r}, only {', '.join(listed)[:300] or 'none that holds numbers'}",
+                found=f"no column {line.column!r}, only {', '.join(listed)[:300]}",
                 expected="the column that the mapping names",
                 remedy=f"correct log.{line.name} in {shown_mapping}; 'calib ingest --describe' lists the columns",
             )
@@ -149,13 +151,7 @@ def _base(recording: Recording, lines: Mapping[str, Line], shown: str) -> Stream
             found = recording.stream_of(lines[name].column)
             if found is not None:
                 return found
-    if not recording.streams:
-        raise BadFileError(
-            shown,
-            found="no stream that calib reads",
-            expected="wheels, and what measures the path",
-            remedy="see what is inside with 'calib ingest --describe'",
-        )
+    refuse_nothing(recording, shown)
     return max(recording.streams, key=len)
 
 

@@ -12,10 +12,12 @@ import numpy.typing as npt
 from calib.arrays import FloatArray, IntArray
 from calib.campaign.model import Note
 from calib.campaign.readers.table import RawTable
+from calib.errors import BadFileError
 
 __all__ = [
     "GAP_STEPS",
     "NS_PER_S",
+    "UNREAD",
     "ClockReport",
     "Recording",
     "Stream",
@@ -24,11 +26,14 @@ __all__ = [
     "interpolated",
     "joined_table",
     "matrix_columns",
+    "refuse_nothing",
 ]
 
 NS_PER_S: Final = 1_000_000_000
 #: a step is a gap where it exceeds so many usual steps
 GAP_STEPS: Final = 5.0
+#: code of a note that lists the types of messages that nothing here reads
+UNREAD: Final = "skipped"
 
 
 @dataclass(frozen=True, slots=True)
@@ -247,6 +252,32 @@ def matrix_columns(name: str, values: npt.NDArray[Any]) -> dict[str, FloatArray]
         wide = flat.T if flat.shape[0] < flat.shape[1] else flat
         return {f"{name}[{index}]": column.astype(np.float64) for index, column in enumerate(wide.T)}
     return {}
+
+
+def refuse_nothing(recording: Recording, shown: str) -> None:
+    """Refuse a recording without a single number that calib reads, naming what it holds instead.
+
+    Parameters
+    ----------
+    recording : Recording
+        As read.
+    shown : str
+        Its name in messages.
+
+    Raises
+    ------
+    BadFileError
+        Where no stream holds a sample.
+    """
+    if any(len(stream) for stream in recording.streams):
+        return
+    unread = next((note.text for note in recording.notes if note.code == UNREAD), "")
+    raise BadFileError(
+        shown,
+        found=f"nothing but {unread}" if unread else "no messages or samples at all",
+        expected="wheels (JointState, or numbers of std_msgs) and what measures the path (poses, Odometry, TF, Range)",
+        remedy="record these topics too, or leave the recording out" if unread else "record again, or leave it out",
+    )
 
 
 def in_order(time_ns: IntArray, columns: Sequence[FloatArray]) -> tuple[IntArray, list[FloatArray], int]:

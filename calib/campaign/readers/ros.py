@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.arrays import FloatArray, IntArray
 from calib.campaign.model import Note
-from calib.campaign.readers.recording import Recording, Stream, WantedColumns, in_order
+from calib.campaign.readers.recording import UNREAD, Recording, Stream, WantedColumns, in_order
 from calib.campaign.readers.ros_messages import POSE, SUPPORTED, UNITS, finished, parts
 from calib.errors import BadFileError
 
@@ -44,8 +44,8 @@ def record(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> Reco
                     stream.add(numbers, arrival, stamp)
         skipped = sorted({one.msgtype for one in reader.connections} - set(SUPPORTED))
     notes: list[Note] = []
-    if skipped and wanted is None:
-        notes.append(Note("info", shown, f"messages that calib does not read: {', '.join(skipped)[:200]}", "skipped"))
+    if skipped and (wanted is None or not gathered):
+        notes.append(Note("info", shown, f"messages that calib does not read: {', '.join(skipped)[:200]}", UNREAD))
     streams = _named([one.stream(shown, notes) for one in gathered.values() if len(one.arrival)])
     return Recording(tuple(streams), tuple(notes))
 

@@ -1,0 +1,102 @@
+"""What a description proposes is what stands in the files: no mapping for nothing, no counter out of a letter."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.campaign.ingest import describe, ingest
+from calib.errors import CalibError
+
+
+def _write_bag(folder: Path, messages: list[tuple[str, str, dict[str, object]]]) -> Path:
+    """Write a rosbag2 of the given topics, types and fields, a message each 20 ms."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
+        kinds = {topic: kind for topic, kind, _ in messages}
+        topics = {topic: bag.add_connection(topic, kind, typestore=store) for topic, kind in kinds.items()}
+        for number, (topic, kind, fields) in enumerate(messages):
+            bag.write(topics[topic], 20_000_000 * (number + 1), store.serialize_cdr(store.types[kind](**fields), kind))
+    return folder
+
+
+def _joint_states(velocity: np.ndarray) -> list[tuple[str, str, dict[str, object]]]:
+    from rosbags.typesys import Stores, get_typestore
+
+    types = get_typestore(Stores.ROS2_HUMBLE).types
+    header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](0, 0), "")
+    fields = {"header": header, "name": ["left", "right"], "position": np.zeros(0), "effort": np.zeros(0)}
+    return [("/joints", "sensor_msgs/msg/JointState", {**fields, "velocity": row}) for row in velocity]
+
+
+def _log(path: Path, columns: dict[str, np.ndarray]) -> Path:
+    rows = [",".join(columns), *(",".join(map(repr, map(float, row))) for row in zip(*columns.values(), strict=True))]
+    path.write_text("\n".join(rows) + "\n")
+    return path
+
+
+@pytest.mark.parametrize("mapped", ["", 'counts_left = "/joints:position.left"\n'])
+def test_a_bag_of_other_messages_is_refused_by_their_types(mapped: str, tmp_path: Path) -> None:
+    """Neither a description nor ingest goes on without a number: one line names the types and what is read."""
+    bag = _write_bag(tmp_path / "bag", [("/chatter", "std_msgs/msg/String", {"data": "hello"})] * 3)
+    mapping = tmp_path / "m.toml"
+    mapping.write_text(f'[log]\n{mapped}[cut]\nby = "stops"\n')
+    for attempt in (lambda: describe([bag]), lambda: ingest([bag], tmp_path / "c", mapping=mapping)):
+        with pytest.raises(
+            CalibError, match=r"std_msgs/msg/String; expected wheels \(JointState.*record these"
+        ) as caught:
+            attempt()
+        assert "\n" not in str(caught.value)
+
+
+def test_an_empty_bag_says_so(tmp_path: Path) -> None:
+    with pytest.raises(CalibError, match=r"no messages or samples at all.*record again"):
+        describe([_write_bag(tmp_path / "bag", [])])
+
+
+def test_folders_of_folders_are_named(tmp_path: Path) -> None:
+    (tmp_path / "day" / "first").mkdir(parents=True)
+    with pytest.raises(CalibError, match=r"day, which holds folders \(first\).*the folder that holds them itself"):
+        describe([tmp_path / "day"])
+
+
+def test_a_letter_makes_no_counter(tmp_path: Path) -> None:
+    """`r` that is no whole number may be a range; what is missing is asked for instead."""
+    time = np.arange(100) / 10
+    text = describe([_log(tmp_path / "log.csv", {"t_s": time, "r": 4.0 - 0.1234 * time})]).to_toml()
+    assert "counts_right" not in text.replace('#counts_right = ""', "")
+    assert "no column looks like a wheel" in text
+    text = describe([_log(tmp_path / "log.csv", {"l": 1.0 + np.arange(100), "r": np.arange(100)})]).to_toml()
+    assert 'counts_right = "r"' in text
+    assert '#t_s = ""' in text
+
+
+@pytest.mark.parametrize(
+    ("wheels", "expected"),
+    [
+        (("counts_front", "steer_rad"), ('drive = "tricycle"', "#front_wheel_radius_m", "#counts_per_rev_front")),
+        (
+            tuple(f"counts_{end}_{side}" for end in ("front", "rear") for side in ("left", "right")),
+            ('drive = "mecanum"', "#half_length_plus_half_width_m"),
+        ),
+    ],
+)
+def test_the_vehicle_is_asked_for_what_its_wheels_need(
+    wheels: tuple[str, ...], expected: tuple[str, ...], tmp_path: Path
+) -> None:
+    count = np.arange(100)
+    text = describe([_log(tmp_path / "log.csv", {"t_s": count / 10, **dict.fromkeys(wheels, count)})]).to_toml()
+    for key in expected:
+        assert f"\n{key}" in text, text
+
+
+def test_rates_stand_in_for_positions(tmp_path: Path) -> None:
+    """A JointState of velocities alone gives wheels by their rates."""
+    bag = _write_bag(tmp_path / "bag", _joint_states(np.full((50, 2), 3.0) + np.arange(50)[:, None] / 7))
+    text = describe([bag]).to_toml()
+    assert 'counts_left = {column = "/joints:velocity.left", unit = "rad/s"}' in text
