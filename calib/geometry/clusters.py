@@ -7,9 +7,11 @@ from typing import Final
 
 import numpy as np
 
-from calib.arrays import BoolArray, FloatArray, IntArray, StrArray
+from calib.arrays import FloatArray, IntArray, StrArray
+from calib.geometry.freedom import own_directions
+from calib.geometry.parameters import Parameters
 from calib.geometry.recording import Recording
-from calib.geometry.sandwich import OF_RUNS, Uncertainty, block_scores, sandwich
+from calib.geometry.sandwich import OF_RUNS, Uncertainty, block_scores, sandwich, sandwich_along
 from calib.geometry.segments import Segments
 from calib.geometry.solve import Solution
 
@@ -39,7 +41,7 @@ class Clustering:
     uncertainty: Uncertainty
 
 
-def clustered(solution: Solution, free: BoolArray, recording: Recording, segments: Segments) -> Clustering:
+def clustered(solution: Solution, parameters: Parameters, recording: Recording, segments: Segments) -> Clustering:
     """Return the covariance of the free parameters with groups as large as the residuals ask for.
 
     Runs of one session, or of one route, that pull the parameters alike beyond chance are one group each: what they
@@ -49,13 +51,14 @@ def clustered(solution: Solution, free: BoolArray, recording: Recording, segment
     ----------
     solution : Solution
         Of the robust fit.
-    free : array of bool, shape (n_parameters,)
-        Which parameters were free.
+    parameters : Parameters
+        Which of them were free.
     recording : Recording
         Labels of the runs.
     segments : Segments
         The stretches.
     """
+    free = parameters.free
     block = np.unique(segments.block, return_inverse=True)[1]
     first = np.unique(block, return_index=True)[1]
     run = segments.run[first]
@@ -63,7 +66,8 @@ def clustered(solution: Solution, free: BoolArray, recording: Recording, segment
     if len(np.unique(run)) >= min(ENOUGH_RUNS, len(run)):
         best = Clustering("run", sandwich(solution, free, segments.run, power=OF_RUNS))
     else:
-        best = Clustering("block", sandwich(solution, free, block, along=True))
+        directions = own_directions(parameters.free_names, solution.values[free])
+        best = Clustering("block", sandwich_along(solution, free, block, directions))
     alone = best.name
     candidates = {"session": _codes(recording.session)[run], "route": _codes(_routes(recording))[run]}
     for name, group in candidates.items():

@@ -268,7 +268,7 @@ def _fit(
         if open_one is not None and wheels is not None and scale_is_weakest(solution, parameters):
             return _fit(campaign, MeanHeld(wheels), recording, segments, sensor)
         if open_one is None:
-            clustering = clustered(solution, parameters.free, recording, segments)
+            clustering = clustered(solution, parameters, recording, segments)
             open_one = loosest(clustering.uncertainty.std, parameters)
             covariance = clustering.uncertainty.covariance[:3, :3]
             if wheels is not None and scale_is_open(covariance, solution.values[:3]):
@@ -303,6 +303,8 @@ def _result(campaign: Campaign, fitted: _Fitted, source: str, using: Using, faul
         n_segments=len(model.segments),
         estimates=estimates,
         covariance=covariance,
+        # where one radius stands for two, directions of the free parameters say nothing of both
+        freedom=None if isinstance(model.drive, MeanHeld) else fitted.clustering.uncertainty.freedom,
         undetermined=(*fitted.dropped, *(("mean_radius_m",) if isinstance(model.drive, MeanHeld) else ())),
         held={name: float(nominal[at]) for at, name in enumerate(parameters.names) if not parameters.free[at]},
         clusters=(fitted.clustering.name, fitted.clustering.uncertainty.clusters),

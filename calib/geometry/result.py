@@ -10,6 +10,7 @@ import numpy as np
 
 from calib.arrays import FloatArray
 from calib.geometry.delays import Delay
+from calib.geometry.freedom import Freedom
 from calib.geometry.gross import Fault
 from calib.geometry.parts import CHANNELS, Estimate, RouteResidual, RunPath, Transfer
 from calib.geometry.umbmark import Umbmark
@@ -69,6 +70,8 @@ class Geometry:
         Path of an input -> its SHA-256.
     paths : tuple of RunPath
         Paths before and after, for a figure; empty where nobody asked.
+    freedom : Freedom or None
+        Degrees of freedom of sums of the estimates; None: those of the estimates themselves hold.
     """
 
     name: str
@@ -95,6 +98,7 @@ class Geometry:
     delays: tuple[Delay, ...] = ()
     inputs: Mapping[str, str] = field(default_factory=dict)
     paths: tuple[RunPath, ...] = ()
+    freedom: Freedom | None = None
 
     def __getitem__(self, name: str) -> Estimate:
         for estimate in self.estimates:
@@ -144,7 +148,7 @@ class Geometry:
             ]
         )
         std = float(np.sqrt(max(slope @ self.covariance @ slope, 0.0)))
-        dof = min(self[part].dof for part in (*over, *under))
+        dof = self.freedom.of(slope) if self.freedom else min(self[part].dof for part in (*over, *under))
         half = std * float(stdtrit(dof, 0.975))
         return Estimate(name, nominal[0] / nominal[1], value, std, (value - half, value + half), dof)
 

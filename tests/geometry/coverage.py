@@ -16,6 +16,7 @@ import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.geometry.estimate import estimate_geometry
+from calib.geometry.identifiability import NOMINAL_STD
 from tests.geometry.campaigns import Leg, Truth, campaign, square
 
 #: of the true heading, rad per root metre
@@ -25,10 +26,11 @@ ALIKE, SHARE = 10.0, 0.8
 
 
 def _truth(rng: np.random.Generator) -> Truth:
-    # the scale common to all lengths is off by 1 %, as is taken for granted where paths close at any scale
-    scale = 1.0 + 0.01 * rng.normal()
-    left, right = 0.05 * scale * (1.0 + 0.005 * rng.normal(size=2))
-    return Truth(left, right, 0.4 * scale * (1.0 + 0.02 * rng.normal()))
+    # the mean radius is off by 1 %, neither more nor less: it is what closed paths leave open, and what the intervals
+    # take for granted of the nominal value
+    mean = 0.05 * (1.0 + NOMINAL_STD * rng.normal())
+    half = 0.0035 * rng.normal()
+    return Truth(mean * (1.0 - half), mean * (1.0 + half), 8.0 * mean * (1.0 + 0.02 * rng.normal()))
 
 
 def squares(rng: np.random.Generator) -> tuple[Truth, Campaign]:
