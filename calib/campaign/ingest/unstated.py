@@ -65,7 +65,7 @@ def with_other_wheels(lines: list[str], found: Sequence[str], logs: Sequence[Fil
     if wheels is None or "counts_left" in named:
         return lines
     drive, vehicle, encoder = _OTHER_WHEELS[wheels]
-    out = []
+    out: list[str] = []
     for line in lines:
         if wheels == "counts_rear_left" and line.startswith("#track_m"):
             out += vehicle
