@@ -217,7 +217,8 @@ def test_recordings_of_different_delays_get_one_each(later_s: float) -> None:
     made = [campaign([("free", legs)], truth, rng, sigma=(5e-4, 3e-4), along=True, samples=400) for truth in truths]
     found = estimate_geometry(_together(made), using="windows")
     if later_s == 0.05:
-        assert not found.delays and found["delay_s"].value == pytest.approx(0.05, abs=SIGMAS * found["delay_s"].std)
+        # a hundredth of a sample: before the log begins the generator holds the pose still
+        assert not found.delays and found["delay_s"].value == pytest.approx(0.05, abs=5e-4)
         return
     assert [one.label for one in found.delays] == ["day 0", "day 1"]
     for one, truth in zip(found.delays, truths, strict=True):
