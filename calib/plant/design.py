@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -13,7 +13,7 @@ from calib.arrays import BoolArray, FloatArray, IntArray, StrArray
 from calib.plant.routes import SHORT
 from calib.vehicle import Vehicle
 
-__all__ = ["Design", "conditions"]
+__all__ = ["Design", "conditions", "lacks"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -143,3 +143,37 @@ def conditions(design: Design) -> IntArray:
         )
     ]
     return np.unique(np.array(rows), return_inverse=True)[1].astype(np.int64)
+
+
+def lacks(design: Design, needs: Iterable[str]) -> list[str]:
+    """Return what a design lacks of an effect's needs; see `calib.plant.effects.form.Form`."""
+    turning = bool((~design.corridor).any())
+    has = {
+        "loads": len(np.unique(design.payload_kg)) > 1,
+        "offsets": len(np.unique(design.payload_kg)) > 2 and len(np.unique(design.payload_y_m)) > 1,
+        "turns": turning,
+        "bends": len(set(design.kind[~design.corridor])) > 2,
+        "speeds": len(np.unique(design.speed_mps)) > 1,
+        "three_speeds": len(np.unique(design.speed_mps)) > 2,
+        "temperatures": float(np.ptp(design.temperature_C)) > 5.0,
+        "dwell": len(np.unique(design.minutes_under_load)) > 2,
+        "sessions": len(set(design.session)) > 1,
+        "directions": len(set(design.direction) & {"out", "back"}) > 1,
+        "corridor": bool(design.corridor.any()),
+        "laser": design.laser and bool(design.corridor.any()),
+        "poses": design.poses == "all" or (design.poses == "turning" and turning),
+        "front": design.front,
+        "flying": bool(design.flying.any()),
+        "stops": bool(design.stops.any()),
+        "slope": design.slope_per_N != 0.0,
+        "trace": design.trace,
+        "lengths": bool((design.kind == "corridor_short").any()),
+        "lanes": bool(np.char.endswith(design.kind, "_b").any()),
+        "outside": design.outside,
+        "no_logs": design.log_period_s == 0.0,
+    }
+    return sorted(
+        need
+        for need in needs
+        if not (need.partition(":")[2] in design.columns if need.startswith("column:") else has[need])
+    )

@@ -104,35 +104,11 @@ def simulated_poses(world: World, record: Record) -> FloatArray:
     return np.stack([x, y, theta[-1]])
 
 
-def campaign_of(
-    world: World,
-    noise: Noise,
-    draw: NoiseDraw,
-    record: Record,
-    *,
-    name: str = "campaign",
-    pick: IntArray | None = None,
-) -> Campaign:
-    """Return the campaign in memory, as it would be read from its folder.
-
-    Parameters
-    ----------
-    world, draw, record
-        What is true, its noise, and what was driven.
-    noise : Noise
-        The scales, of which the campaign file states the instruments' (not quite truly).
-    name : str
-        Name of the campaign.
-    pick : array of int, optional
-        Only these runs.
-    """
+def _columns(
+    world: World, draw: NoiseDraw, record: Record, end_counts: FloatArray, end_pose: FloatArray
+) -> dict[str, FloatArray]:
+    """Return the columns of the run table: what was set, counted, weighed and measured."""
     design = world.design
-    chosen = np.arange(len(design)) if pick is None else np.asarray(pick, dtype=np.int64)
-    n_runs = len(chosen)
-    counts = gross_counts(world, record.counts)
-    end_counts = record.last(counts)
-    poses = reference_poses(world, draw, record)
-    end_pose = record.last(poses) + draw.pose.T
     laser = world.laser_scale * record.last(record.x_m) + world.laser_offset_m + draw.laser_m
     posed = {"all": np.ones(len(design), dtype=bool), "turning": ~design.corridor}.get(
         design.poses, np.zeros(len(design), dtype=bool)
@@ -164,7 +140,37 @@ def campaign_of(
     if world.weave_m.any():
         numbers["amplitude_m"] = np.round(world.weave_m, 4)
         numbers["wavelength_m"] = np.where(world.weave_m > 0, np.round(world.wavelength_m, 3), np.nan)
-    numbers.update(design.columns)
+    return numbers | dict(design.columns)
+
+
+def campaign_of(
+    world: World,
+    noise: Noise,
+    draw: NoiseDraw,
+    record: Record,
+    *,
+    name: str = "campaign",
+    pick: IntArray | None = None,
+) -> Campaign:
+    """Return the campaign in memory, as it would be read from its folder.
+
+    Parameters
+    ----------
+    world, draw, record
+        What is true, its noise, and what was driven.
+    noise : Noise
+        The scales, of which the campaign file states the instruments' (not quite truly).
+    name : str
+        Name of the campaign.
+    pick : array of int, optional
+        Only these runs.
+    """
+    design = world.design
+    chosen = np.arange(len(design)) if pick is None else np.asarray(pick, dtype=np.int64)
+    n_runs = len(chosen)
+    counts = gross_counts(world, record.counts)
+    poses = reference_poses(world, draw, record)
+    numbers = _columns(world, draw, record, record.last(counts), record.last(poses) + draw.pose.T)
     width = max(3, len(str(n_runs)))
     logged = design.log_period_s > 0
     run_id = np.array([f"r{number:0{width}d}" for number in range(n_runs)])

@@ -12,7 +12,7 @@ from calib.plant.design import Design
 from calib.plant.effects.wheels import COLUMNS
 from calib.vehicle import Vehicle
 
-__all__ = ["DESIGNS", "good_design", "lacks", "poor_design"]
+__all__ = ["DESIGNS", "good_design", "poor_design"]
 
 #: names of the poor designs
 DESIGNS: Final = ("load_a_session", "corridor_only", "squares_one_load", "few_repeats")
@@ -66,16 +66,19 @@ def good_design(rng: np.random.Generator, *, n_runs: int = 60, needs: Iterable[s
         Fields of `Design` that are given instead of drawn (``front=True``, ``log_period_s=0.1``, ...).
     """
     need = set(needs)
-    column_names = [want.partition(":")[2] for want in need if want.startswith("column:")]
-    n_conditions = max(8, n_runs // 3)
     n_sessions = int(rng.integers(3, 6))
-    sessions = [f"s{number + 1}" for number in range(n_sessions)]
+    conditions = _crossed(rng, max(8, n_runs // 3), need, turning=settings.pop("turning", True))
+    rows = _scheduled(rng, conditions, n_runs, n_sessions)
+    return _frame(rows, np.arange(n_runs), **{**_surroundings(rng, need, n_runs), **settings})
+
+
+def _crossed(rng: np.random.Generator, n_conditions: int, need: set[str], *, turning: bool) -> list[dict[str, Any]]:
+    """Return conditions in which routes, loads, sides and speeds vary apart."""
     payloads = [0.0, *sorted(rng.choice([50.0, 80.0, 100.0, 120.0, 150.0, 200.0], 3, replace=False))]
     sides = [-0.15, 0.0, 0.15]
     quick = [0.25, 0.35, 0.5, 0.65] if "three_speeds" in need else [0.25, 0.35, 0.5, 0.65, 0.8]
     speeds = sorted(rng.choice(quick, 3, replace=False))
-    kinds = ["corridor", *_TURNING] if settings.get("turning", True) else ["corridor"]
-    settings.pop("turning", None)
+    kinds = ["corridor", *_TURNING] if turning else ["corridor"]
 
     def deal(values: list[Any]) -> list[Any]:
         """Return the values spread evenly over the conditions, in random order: no two factors go together."""
@@ -115,20 +118,27 @@ def good_design(rng: np.random.Generator, *, n_runs: int = 60, needs: Iterable[s
                 "flying": flying[number],
             }
         )
+    return conditions
+
+
+def _scheduled(
+    rng: np.random.Generator, conditions: list[dict[str, Any]], n_runs: int, n_sessions: int
+) -> list[dict[str, Any]]:
+    """Return the runs in the order driven: sessions, dwell and temperatures vary apart from the conditions."""
     # each session has a cold and a warm half; dwell varies from run to run; no condition goes with a session
     levels = []
-    for _ in sessions:
+    for _ in range(n_sessions):
         cold = float(rng.uniform(10, 20))
         halves = [cold, cold + float(rng.uniform(6, 12))]
         levels.append(halves if rng.random() < 0.5 else halves[::-1])
-    order = np.resize(np.arange(n_conditions), n_runs)
+    order = np.resize(np.arange(len(conditions)), n_runs)
     rows = []
     for number in range(n_runs):
         row = dict(conditions[order[number]])
-        row["session"] = sessions[number * n_sessions // n_runs]
+        row["session"] = f"s{number * n_sessions // n_runs + 1}"
         row["minutes"] = float(rng.choice([2.0, 10.0, 30.0, 60.0])) if row["payload_kg"] > 0 else 0.0
         rows.append(row)
-    shuffle = np.concatenate([rng.permutation(part) for part in np.array_split(np.arange(n_runs), n_conditions)])
+    shuffle = np.concatenate([rng.permutation(part) for part in np.array_split(np.arange(n_runs), len(conditions))])
     # conditions are dealt to sessions by a shuffle of the whole order, sessions stay contiguous
     labels = [row["session"] for row in rows]
     shuffled = [rows[number] for number in rng.permutation(shuffle)]
@@ -137,6 +147,11 @@ def good_design(rng: np.random.Generator, *, n_runs: int = 60, needs: Iterable[s
         place = number * n_sessions / n_runs
         level = levels[int(place)][int(2 * (place % 1))]
         row["temperature_C"] = round(level + float(rng.uniform(-0.3, 0.3)), 1)
+    return shuffled
+
+
+def _surroundings(rng: np.random.Generator, need: set[str], n_runs: int) -> dict[str, Any]:
+    """Return what is the same in all runs: vehicle, lengths, what is logged; and further columns."""
     drawn: dict[str, Any] = {
         "length_m": round(float(rng.uniform(15.0, 25.0)), 1),
         "side_m": round(float(rng.uniform(2.0, 3.5)), 1),
@@ -151,12 +166,13 @@ def good_design(rng: np.random.Generator, *, n_runs: int = 60, needs: Iterable[s
     }
     if "no_logs" in need:
         drawn["poses"] = "none"
+    column_names = [want.partition(":")[2] for want in need if want.startswith("column:")]
     if column_names:
         drawn["columns"] = {name: np.round(rng.uniform(0, 100, n_runs), 1) for name in column_names}
     elif rng.random() < 0.3:
         name = str(rng.choice(COLUMNS))
         drawn["columns"] = {name: np.round(rng.uniform(0, 100, n_runs), 1)}
-    return _frame(shuffled, np.arange(n_runs), **{**drawn, **settings})
+    return drawn
 
 
 def poor_design(name: str, rng: np.random.Generator, *, n_runs: int = 40, **settings: Any) -> Design:
@@ -179,97 +195,73 @@ def poor_design(name: str, rng: np.random.Generator, *, n_runs: int = 40, **sett
     BadInputError
         Where the name is none of these.
     """
-    rows: list[dict[str, Any]] = []
+    if name not in DESIGNS:
+        raise BadInputError(f"design {name!r} found; expected one of {', '.join(DESIGNS)}; name one of these")
     drawn: dict[str, Any] = {
         "length_m": round(float(rng.uniform(15.0, 30.0)), 1),
         "vehicle": _vehicle(rng),
         "log_period_s": float(rng.choice([0.1, 0.12])),
     }
+    if name == "few_repeats":
+        return _few_repeats(rng, n_runs, settings)
+    rows = [_POOR[name](rng, number, n_runs) for number in range(n_runs)]
     if name == "load_a_session":
-        loads = [0.0, 50.0, 100.0, 150.0, 200.0]
-        for number in range(n_runs):
-            session = number * len(loads) // n_runs
-            rows.append(
-                {
-                    "direction": "out" if number % 2 == 0 else "back",
-                    "session": f"s{session + 1}",
-                    "payload_kg": loads[session],
-                    "payload_x_m": 0.3 if loads[session] else 0.0,
-                    "temperature_C": round(19.0 + float(rng.uniform(-0.5, 0.5)), 1),
-                    "minutes": 10.0 if loads[session] else 0.0,
-                }
-            )
         drawn["poses"] = str(rng.choice(["all", "none"]))
-    elif name == "corridor_only":
-        for number in range(n_runs):
-            payload = float(rng.choice([0.0, 100.0, 200.0]))
-            rows.append(
-                {
-                    "direction": "out" if number % 2 == 0 else "back",
-                    "session": f"s{number * 3 // n_runs + 1}",
-                    "payload_kg": payload,
-                    "payload_x_m": 0.4 if payload else 0.0,
-                    "payload_y_m": float(rng.choice([-0.15, 0.0, 0.15])) if payload else 0.0,
-                    "speed_mps": float(rng.choice([0.3, 0.6])),
-                    "temperature_C": round(float(rng.uniform(12, 28)), 1),
-                    "minutes": 10.0 if payload else 0.0,
-                }
-            )
-    elif name == "squares_one_load":
-        rows = [
-            {
-                "kind": ("square_cw", "square_ccw")[number % 2],
-                "session": f"s{number * 2 // n_runs + 1}",
-                "payload_kg": 100.0,
-                "temperature_C": 20.0,
-                "minutes": 10.0,
-                "speed_mps": 0.4,
-            }
-            for number in range(n_runs)
-        ]
+    if name == "squares_one_load":
         drawn["laser"] = False
-    elif name == "few_repeats":
-        whole = good_design(rng, n_runs=3 * n_runs, **settings)
-        first = np.unique(
-            np.char.add(np.char.add(whole.kind, whole.direction), whole.payload_kg.astype(np.str_)), return_index=True
-        )[1]
-        rest = np.setdiff1d(np.arange(3 * n_runs), first)
-        take = np.sort(np.concatenate((first, rest))[:n_runs])
-        return whole.select(take)
-    else:
-        raise BadInputError(f"design {name!r} found; expected one of {', '.join(DESIGNS)}; name one of these")
     return _frame(rows, np.arange(n_runs), **{**drawn, **settings})
 
 
-def lacks(design: Design, needs: Iterable[str]) -> list[str]:
-    """Return what a design lacks of an effect's needs; see `calib.plant.effects.form.Form`."""
-    turning = bool((~design.corridor).any())
-    has = {
-        "loads": len(np.unique(design.payload_kg)) > 1,
-        "offsets": len(np.unique(design.payload_kg)) > 2 and len(np.unique(design.payload_y_m)) > 1,
-        "turns": turning,
-        "bends": len(set(design.kind[~design.corridor])) > 2,
-        "speeds": len(np.unique(design.speed_mps)) > 1,
-        "three_speeds": len(np.unique(design.speed_mps)) > 2,
-        "temperatures": float(np.ptp(design.temperature_C)) > 5.0,
-        "dwell": len(np.unique(design.minutes_under_load)) > 2,
-        "sessions": len(set(design.session)) > 1,
-        "directions": len(set(design.direction) & {"out", "back"}) > 1,
-        "corridor": bool(design.corridor.any()),
-        "laser": design.laser and bool(design.corridor.any()),
-        "poses": design.poses == "all" or (design.poses == "turning" and turning),
-        "front": design.front,
-        "flying": bool(design.flying.any()),
-        "stops": bool(design.stops.any()),
-        "slope": design.slope_per_N != 0.0,
-        "trace": design.trace,
-        "lengths": bool((design.kind == "corridor_short").any()),
-        "lanes": bool(np.char.endswith(design.kind, "_b").any()),
-        "outside": design.outside,
-        "no_logs": design.log_period_s == 0.0,
+def _load_a_session(rng: np.random.Generator, number: int, n_runs: int) -> dict[str, Any]:
+    loads = [0.0, 50.0, 100.0, 150.0, 200.0]
+    session = number * len(loads) // n_runs
+    return {
+        "direction": "out" if number % 2 == 0 else "back",
+        "session": f"s{session + 1}",
+        "payload_kg": loads[session],
+        "payload_x_m": 0.3 if loads[session] else 0.0,
+        "temperature_C": round(19.0 + float(rng.uniform(-0.5, 0.5)), 1),
+        "minutes": 10.0 if loads[session] else 0.0,
     }
-    return sorted(
-        need
-        for need in needs
-        if not (need.partition(":")[2] in design.columns if need.startswith("column:") else has[need])
-    )
+
+
+def _corridor_only(rng: np.random.Generator, number: int, n_runs: int) -> dict[str, Any]:
+    payload = float(rng.choice([0.0, 100.0, 200.0]))
+    return {
+        "direction": "out" if number % 2 == 0 else "back",
+        "session": f"s{number * 3 // n_runs + 1}",
+        "payload_kg": payload,
+        "payload_x_m": 0.4 if payload else 0.0,
+        "payload_y_m": float(rng.choice([-0.15, 0.0, 0.15])) if payload else 0.0,
+        "speed_mps": float(rng.choice([0.3, 0.6])),
+        "temperature_C": round(float(rng.uniform(12, 28)), 1),
+        "minutes": 10.0 if payload else 0.0,
+    }
+
+
+def _square_under_one_load(_rng: np.random.Generator, number: int, n_runs: int) -> dict[str, Any]:
+    return {
+        "kind": ("square_cw", "square_ccw")[number % 2],
+        "session": f"s{number * 2 // n_runs + 1}",
+        "payload_kg": 100.0,
+        "temperature_C": 20.0,
+        "minutes": 10.0,
+        "speed_mps": 0.4,
+    }
+
+
+def _few_repeats(rng: np.random.Generator, n_runs: int, settings: dict[str, Any]) -> Design:
+    whole = good_design(rng, n_runs=3 * n_runs, **settings)
+    first = np.unique(
+        np.char.add(np.char.add(whole.kind, whole.direction), whole.payload_kg.astype(np.str_)), return_index=True
+    )[1]
+    rest = np.setdiff1d(np.arange(3 * n_runs), first)
+    return whole.select(np.sort(np.concatenate((first, rest))[:n_runs]))
+
+
+#: poor design -> what one of its runs is
+_POOR: Final = {
+    "load_a_session": _load_a_session,
+    "corridor_only": _corridor_only,
+    "squares_one_load": _square_under_one_load,
+}

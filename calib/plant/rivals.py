@@ -8,11 +8,10 @@ import numpy as np
 
 from calib.arrays import FloatArray
 from calib.campaign.settings import OdometryModel
-from calib.plant.design import Design
+from calib.plant.design import Design, lacks
 from calib.plant.effects.form import Cause
 from calib.plant.effects.registry import ALL
 from calib.plant.noise import Noise
-from calib.plant.plans import lacks
 from calib.plant.signal import is_calibration, strength, strengths, whiten
 
 __all__ = ["Rival", "rivals", "signatures"]

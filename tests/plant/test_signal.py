@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.plant.design import lacks
 from calib.plant.drive import drive
 from calib.plant.effects.form import Cause
 from calib.plant.effects.registry import ALL, find
 from calib.plant.make import as_causes, make_campaign, random_model
 from calib.plant.noise import Noise, draw_noise
-from calib.plant.plans import good_design, lacks
+from calib.plant.plans import good_design
 from calib.plant.rivals import rivals
 from calib.plant.signal import covariance, outputs, recalibration, strength, strengths, to_signal
 from calib.plant.world import build_world
