@@ -97,10 +97,6 @@ class Fit(_Shown, radius_fitted.Fit):
         ----------
         kind : {"regressions", "runs", "path_deviation", "residuals"}
             Which figure.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
         """
         from calib.report.figures import radius as drawn
 
@@ -129,12 +125,7 @@ class Geometry(_Shown, geometry_result.Geometry):
         return self._content()[:2]
 
     def plot(self) -> Figure:
-        """Draw the paths of the runs before and after the calibration, beside the reference.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-        """
+        """Draw the paths of the runs before and after the calibration, beside the reference."""
         from calib.report.figures.geometry import draw_paths
 
         return draw_paths(self.paths, simulated=self.simulated)
@@ -184,10 +175,6 @@ class Diagnosis(_Shown, gap_diagnosis.Diagnosis):
         ----------
         kind : str, optional
             ``before-after`` (the default), ``gap-map`` or ``gap-by-covariate-<channel>``, where the data allow it.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
         """
         from calib.report.figures.gap_files import gap_pictures
 
@@ -237,12 +224,7 @@ class Plan(_Shown):
         }
 
     def plot(self) -> Figure:
-        """Draw which effects the runs driven so far tell apart.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-        """
+        """Draw which effects the runs driven so far tell apart."""
         from calib.gap.plan.next_runs import outlook_of
         from calib.report.figures.plan import plan_matrix
 
@@ -278,10 +260,6 @@ class Simulation(_Shown, motion_run.Simulation):
         ----------
         kind : str, optional
             Its name; the first one without.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
         """
         from calib.motion.studies.run import SHOWN
         from calib.report.figures.motion import sweep_figure
@@ -312,12 +290,7 @@ class Replay(_Shown, motion_replay.Replay):
         return replay_content(self)
 
     def plot(self) -> Figure:
-        """Draw the end errors of each odometry.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-        """
+        """Draw the end errors of each odometry."""
         from calib.report.figures.motion import replay_figure
 
         return replay_figure(self)

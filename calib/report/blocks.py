@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -12,73 +12,66 @@ if TYPE_CHECKING:
 __all__ = ["Block", "Column", "Equation", "Facts", "Heading", "Items", "Notice", "Picture", "Section", "Table", "Text"]
 
 
+class _Block:
+    """What all blocks have in common."""
+
+    __slots__ = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the block as plain values under the name of its kind; a drawing is in the file of its name."""
+        values = {part.name: getattr(self, part.name) for part in fields(self) if part.name != "draw"}  # type: ignore[arg-type]
+        return {"kind": type(self).__name__.lower()} | {name: _plain(value) for name, value in values.items()}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return [_plain(part) for part in value]
+    return asdict(value) if isinstance(value, Column) else value
+
+
 @dataclass(frozen=True, slots=True)
-class Heading:
+class Heading(_Block):
     """A heading within a section."""
 
     text: str
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the block as plain values."""
-        return {"kind": "heading", "text": self.text}
-
 
 @dataclass(frozen=True, slots=True)
-class Text:
+class Text(_Block):
     """A paragraph; `small` for remarks."""
 
     text: str
     small: bool = False
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the block as plain values."""
-        return {"kind": "text", "text": self.text, "small": self.small}
-
 
 @dataclass(frozen=True, slots=True)
-class Facts:
+class Facts(_Block):
     """Named facts, one a line: (name, value)."""
 
     rows: tuple[tuple[str, str], ...]
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the block as plain values."""
-        return {"kind": "facts", "rows": [list(row) for row in self.rows]}
-
 
 @dataclass(frozen=True, slots=True)
-class Items:
+class Items(_Block):
     """A list of sentences."""
 
     items: tuple[str, ...]
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the block as plain values."""
-        return {"kind": "items", "items": list(self.items)}
-
 
 @dataclass(frozen=True, slots=True)
-class Equation:
+class Equation(_Block):
     """One of the page's own equations, by name."""
 
     name: str
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the block as plain values."""
-        return {"kind": "equation", "name": self.name}
-
 
 @dataclass(frozen=True, slots=True)
-class Notice:
+class Notice(_Block):
     """A boxed statement: ``good``, ``note``, ``bad`` or ``simulated``."""
 
     level: str
     title: str
     text: str
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the block as plain values."""
-        return {"kind": "notice", "level": self.level, "title": self.title, "text": self.text}
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +106,7 @@ class Column:
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class Table(_Block):
     """A table with its caption; `dense` for long ones."""
 
     caption: str
@@ -126,15 +119,9 @@ class Table:
             if len(row) != len(self.columns):
                 raise ValueError(f"table {self.caption!r}: {len(row)} cells in a row of {len(self.columns)} columns")
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the block as plain values."""
-        columns = [asdict(one) for one in self.columns]
-        rows = [list(row) for row in self.rows]
-        return {"kind": "table", "caption": self.caption, "columns": columns, "rows": rows, "dense": self.dense}
-
 
 @dataclass(frozen=True, slots=True)
-class Picture:
+class Picture(_Block):
     """A figure: its name, caption, what it shows in words, and the function that draws it when it is needed."""
 
     name: str
