@@ -378,7 +378,7 @@ def export(
     from calib.coefficients.export import export as rendered
     from calib.coefficients.export import parse_loads, place
     from calib.coefficients.from_geometry import from_geometry
-    from calib.coefficients.options import ExportOptions
+    from calib.coefficients.loads import ExportOptions
 
     options = ExportOptions(loads=parse_loads(loads), controllers=tuple(controllers))
     if isinstance(source, Campaign) and without_rear_wheels(source):

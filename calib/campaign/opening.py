@@ -58,8 +58,8 @@ def read_or_ingest(
 
     with tempfile.TemporaryDirectory(prefix="calib-") as place:
         folder = Path(place) / (path.stem or "campaign")
-        made = ingest([path], folder, mapping=mapping, progress=progress)
+        ingested = ingest([path], folder, mapping=mapping, progress=progress)
         campaign = read_campaign(folder, lenient=lenient, progress=progress)
     known = {(note.code, note.text) for note in campaign.notes}
-    notes = (*(note for note in made.notes if (note.code, note.text) not in known), *campaign.notes)
+    notes = (*(note for note in ingested.notes if (note.code, note.text) not in known), *campaign.notes)
     return replace(campaign, root=None, notes=notes)

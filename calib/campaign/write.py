@@ -64,11 +64,11 @@ def write_campaign(
         Where a campaign stands there and `force` is False, or the folder cannot be written.
     """
 
-    def fill(made: Path) -> None:
-        _write_into(campaign, made, log_decimals or {})
+    def fill(scratch: Path) -> None:
+        _write_into(campaign, scratch, log_decimals or {})
         for name, data in (beside or {}).items():
-            (made / name).parent.mkdir(parents=True, exist_ok=True)
-            (made / name).write_bytes(data)
+            (scratch / name).parent.mkdir(parents=True, exist_ok=True)
+            (scratch / name).write_bytes(data)
 
     ingested = (Path(folder) / _OURS[-1]).is_file() or any(name.startswith(_RECORDINGS) for name in beside or ())
     # a folder of that name which no ingestion made is the user's own

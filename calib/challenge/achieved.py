@@ -88,8 +88,8 @@ def _forms_there(
     return tuple(matches)
 
 
-def _apart(one: dict[str, float], other: dict[str, float]) -> float:
-    return sum(abs(one.get(key, np.inf) - value) for key, value in other.items())
+def _apart(settings: dict[str, float], other: dict[str, float]) -> float:
+    return sum(abs(settings.get(key, np.inf) - value) for key, value in other.items())
 
 
 def _rms(there: Observations, values: FloatArray) -> float | None:

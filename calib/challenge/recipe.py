@@ -156,18 +156,18 @@ def _library() -> list[str]:
 
 def _singles(count: int, rng: np.random.Generator) -> list[tuple[str, float]]:
     """Return (effect/form, signal): every effect at every signal, forms in turn, strong ones twice; gross."""
-    gross = [(f"{form.effect}/{form.form}", float("nan")) for name in _GROSS for form in forms_of(name)]
+    faults = [(f"{form.effect}/{form.form}", float("nan")) for name in _GROSS for form in forms_of(name)]
     strong: list[tuple[str, float]] = []
     for turn, signal in enumerate((*SIGNALS, 10.0, 25.0)):
         for place, name in enumerate(_library()):
             # constant lost counts are an alias by construction, and have their own group
             forms = [item.form for item in forms_of(name) if (name, item.form) != ("lost_counts", "constant")]
             strong.append((f"{name}/{forms[(turn + place) % len(forms)]}", signal))
-    if count < len(strong) + len(gross):
+    if count < len(strong) + len(faults):
         # a small set: other effects each time, strong ones first
         names = [str(item) for item in rng.permutation(_library())]
         return [(names[n % len(names)], (10.0, 25.0, 25.0, 10.0, 5.0, 3.0)[n % 6]) for n in range(count)]
-    whole = strong + gross
+    whole = strong + faults
     return [whole[number % len(whole)] for number in range(count)]
 
 

@@ -286,7 +286,7 @@ def _summary(cases: list[Judged]) -> dict[str, Any]:
         "crowded_stated_minus_true": stated_minus_true,
         "median_set_size": median([float(case.set_size) for case in cases if case.set_size]),
         "interval_coverage": share([low <= truth <= high for _, truth, low, high in intervals]).to_dict(),
-        "interval_coverage_by_parameter": {name: share(found).to_dict() for name, found in sorted(hits.items())},
+        "interval_coverage_by_parameter": {name: share(covered).to_dict() for name, covered in sorted(hits.items())},
         "closure_predicted_minus_achieved_median": median([abs(p - a) for p, a in both]),
         "closure_compared": len(both),
         "closure_of_explained_median": median(explained),

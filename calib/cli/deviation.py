@@ -77,7 +77,7 @@ def run(
             "campaign": read.name,
             "simulated": read.simulated,
             "runs": judged.rows(),
-            "left_out": [{"run_id": one.run_id, "reason": one.reason} for one in judged.left_out],
+            "left_out": [{"run_id": run.run_id, "reason": run.reason} for run in judged.left_out],
             "notes": list(judged.notes),
             "passed": judged.passed,
         }

@@ -72,30 +72,30 @@ def run(
 ) -> None:
     """Write the coefficients as JSON, ROS 2 parameters, C99 header or look-up table."""
     from calib.coefficients.export import export, parse_loads
-    from calib.coefficients.options import ExportOptions
+    from calib.coefficients.loads import ExportOptions
     from calib.coefficients.source import coefficients_of
 
     # a dash is standard output, as for --json
     output = None if output == Path("-") else output
     refuse_existing([json, output if output is not None and output.is_file() else None], force=force)
-    found = coefficients_of(source, outside=outside, created=date, accept=accept_implausible.strip())
+    coefficients = coefficients_of(source, outside=outside, created=date, accept=accept_implausible.strip())
     options = ExportOptions(
         loads=parse_loads(load or []),
         controllers=tuple(controller or ()),
         position_feedback=not velocity_feedback,
         open_loop=open_loop,
     )
-    artifacts = export(found.file, to, options=options)
-    for text in found.notes:
+    artifacts = export(coefficients.file, to, options=options)
+    for text in coefficients.notes:
         note(text)
     files = _written(artifacts, output, json, force=force)
     document = {
         "to": to,
-        "checksum": found.file.checksum,
-        "outside": found.file.outside,
-        "simulated": found.file.simulated,
+        "checksum": coefficients.file.checksum,
+        "outside": coefficients.file.outside,
+        "simulated": coefficients.file.simulated,
         "files": files,
-        "notes": list(found.notes),
+        "notes": list(coefficients.notes),
     }
     emit_json(document, json, force=force)
 

@@ -57,25 +57,25 @@ def run(
     from calib.campaign.ingest import gathered, ingest
 
     with progress("reading") as tick:
-        made = ingest(sources, into, mapping=mapping, force=force, dry_run=dry_run, progress=tick)
+        ingested = ingest(sources, into, mapping=mapping, force=force, dry_run=dry_run, progress=tick)
     document = {
-        "campaign": str(made.folder),
-        "n_runs": made.n_runs,
-        "n_logs": made.n_logs,
+        "campaign": str(ingested.folder),
+        "n_runs": ingested.n_runs,
+        "n_logs": ingested.n_logs,
         "written": not dry_run,
-        "assumed": list(made.campaign.assumed),
-        "sources": dict(made.sources),
-        "cuts": [dict(cut) for cut in made.cuts],
-        "notes": [{"level": note.level, "where": note.where, "text": note.text} for note in made.notes],
+        "assumed": list(ingested.campaign.assumed),
+        "sources": dict(ingested.sources),
+        "cuts": [dict(cut) for cut in ingested.cuts],
+        "notes": [{"level": note.level, "where": note.where, "text": note.text} for note in ingested.notes],
     }
     emit_json(document, json, force=force)
     if wants_stdout(json):
         return
-    for note in gathered(made.notes):
+    for note in gathered(ingested.notes):
         say(f"{note.where}: {note.text}")
-    _say_cuts(made)
-    end = "nothing was written" if dry_run else f"look at it with 'calib check {made.folder}'"
-    say(f"{made.folder}: {made.n_runs} runs, {made.n_logs} logs; {end}")
+    _say_cuts(ingested)
+    end = "nothing was written" if dry_run else f"look at it with 'calib check {ingested.folder}'"
+    say(f"{ingested.folder}: {ingested.n_runs} runs, {ingested.n_logs} logs; {end}")
 
 
 def _describe(sources: list[Path], json: str | None, force: bool) -> None:
@@ -88,9 +88,9 @@ def _describe(sources: list[Path], json: str | None, force: bool) -> None:
         emit_text(description.to_toml())
 
 
-def _say_cuts(made: Ingested) -> None:
-    if not made.cuts:
+def _say_cuts(ingested: Ingested) -> None:
+    if not ingested.cuts:
         return
-    shown = ", ".join(f"{cut['run_id']} {cut['start_s']:.1f}-{cut['end_s']:.1f} s" for cut in made.cuts[:_LISTED])
-    more = f" and {len(made.cuts) - _LISTED} more" if len(made.cuts) > _LISTED else ""
+    shown = ", ".join(f"{cut['run_id']} {cut['start_s']:.1f}-{cut['end_s']:.1f} s" for cut in ingested.cuts[:_LISTED])
+    more = f" and {len(ingested.cuts) - _LISTED} more" if len(ingested.cuts) > _LISTED else ""
     say(f"Cut into runs: {shown}{more}.")

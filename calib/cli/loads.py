@@ -122,7 +122,7 @@ def _weighed(vehicle: Any, text: str, sigma: float, json: str | None, force: boo
     from calib.vehicle import payload_from_wheel_loads
 
     front, left, right = numbers(text, 3, "--weighed")
-    found = payload_from_wheel_loads(vehicle, front, left, right, sigma_N=sigma)
-    emit_json({"vehicle": asdict(vehicle), **asdict(found), "sigma_N": sigma}, json, force=force)
+    weighed = payload_from_wheel_loads(vehicle, front, left, right, sigma_N=sigma)
+    emit_json({"vehicle": asdict(vehicle), **asdict(weighed), "sigma_N": sigma}, json, force=force)
     if not wants_stdout(json):
-        show(weighed_content(found, known=sigma > 0))
+        show(weighed_content(weighed, known=sigma > 0))

@@ -11,8 +11,7 @@ from typing import Any
 
 from calib.coefficients import formats
 from calib.coefficients.file import CoefficientFile
-from calib.coefficients.loads import Artifact, LoadPair
-from calib.coefficients.options import ExportOptions
+from calib.coefficients.loads import Artifact, ExportOptions, LoadPair
 from calib.errors import BadInputError, RefusedError
 from calib.files import refuse_existing, write_bytes
 from calib.folders import write_files

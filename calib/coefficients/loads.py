@@ -1,4 +1,4 @@
-"""What every export format shares: load points, the files made, text that is safe in a comment."""
+"""What every export format shares: load points, choices, the files made, text that is safe in a comment."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Final
 
 from calib.coefficients.file import CoefficientFile
 
-__all__ = ["Artifact", "LoadPair", "accepted_lines", "ascii_line", "default_loads", "number"]
+__all__ = ["Artifact", "ExportOptions", "LoadPair", "accepted_lines", "ascii_line", "default_loads", "number"]
 
 COMMENT_LENGTH: Final = 120
 
@@ -27,6 +27,33 @@ class LoadPair:
     left_N: float
     right_N: float
     name: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class ExportOptions:
+    """Choices of an export; a format passes over those that it has no use for.
+
+    Parameters
+    ----------
+    loads : tuple of LoadPair
+        Load points, for formats that hold for single loads; none: the format's own choice.
+    controllers : tuple of str
+        Names of ROS 2 controllers; none: those of the vehicle's drive.
+    position_feedback : bool
+        Whether the wheels' joints report positions; False: velocities.
+    open_loop : bool
+        Whether the controllers integrate commands in place of what the encoders say.
+    """
+
+    loads: tuple[LoadPair, ...] = ()
+    controllers: tuple[str, ...] = ()
+    position_feedback: bool = True
+    open_loop: bool = False
+
+    @property
+    def has_controller_choices(self) -> bool:
+        """Whether something was chosen that only controllers have."""
+        return bool(self.controllers) or not self.position_feedback or self.open_loop
 
 
 def default_loads(file: CoefficientFile) -> tuple[LoadPair, ...]:

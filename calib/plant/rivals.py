@@ -129,7 +129,7 @@ def signatures(design: Design, model: OdometryModel, noise: Noise) -> dict[str, 
         if absorbed is not None:
             white = white - absorbed @ np.linalg.lstsq(absorbed, white, rcond=1e-10)[0]
         columns.append(white)
-    made: dict[str, list[FloatArray]] = {}
+    columns_by_effect: dict[str, list[FloatArray]] = {}
     for (effect, _), numbers in _families(causes, first=0).items():
-        made.setdefault(effect, []).append(np.stack([columns[number] for number in numbers], axis=1))
-    return made
+        columns_by_effect.setdefault(effect, []).append(np.stack([columns[number] for number in numbers], axis=1))
+    return columns_by_effect

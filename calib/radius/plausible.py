@@ -40,8 +40,8 @@ def held_against_bounds(fit: Fit, campaign: Campaign) -> Fit:
     for name, wheel in fit.wheels.items():
         other = "right" if name == "left" else "left"
         own = [text for text in shared if f"the {other} wheel" not in text]
-        told = any(f"the {name} wheel's radius" in text for text in own)
-        sentences = dict.fromkeys([*own, *_of_wheel(wheel, nominal, told=told)])
+        radius_named = any(f"the {name} wheel's radius" in text for text in own)
+        sentences = dict.fromkeys([*own, *_of_wheel(wheel, nominal, radius_named=radius_named)])
         checks = tuple(Check(PLAUSIBLE, FAILED, _sentence(text)) for text in sentences)
         wheels[name] = replace(wheel, checks=(*checks, *wheel.checks))
     return replace(fit, left=wheels["left"], right=wheels["right"])
@@ -60,12 +60,12 @@ def refuse_implausible(campaign: Campaign) -> None:
         raise ImplausibleError(campaign.name, findings)
 
 
-def _of_wheel(wheel: WheelFit, nominal_m: float | None, *, told: bool) -> Iterator[str]:
+def _of_wheel(wheel: WheelFit, nominal_m: float | None, *, radius_named: bool) -> Iterator[str]:
     radius = wheel.law.radius_ref_m
     if not (np.isfinite(radius) and radius > 0):
         yield f"the radius at the reference load comes out as {radius:.4g} m; expected one above zero; check the loads"
         return
-    if nominal_m is not None and off(radius / nominal_m) and not told:
+    if nominal_m is not None and off(radius / nominal_m) and not radius_named:
         yield (
             f"the radius comes out {radius / nominal_m:.2f} times nominal ({1e3 * radius:.4g} mm for "
             f"{1e3 * nominal_m:.4g} mm): {factor_reason(radius / nominal_m)}"

@@ -94,8 +94,8 @@ def _session_columns(runs: _Runs) -> FloatArray:
 
 def _squares(design: FloatArray, y: FloatArray) -> tuple[float, int]:
     """Return the residual sum of squares and the rank of a design."""
-    found, _, rank, _ = np.linalg.lstsq(design, y, rcond=1e-10)
-    rest = y - design @ found
+    coefficients, _, rank, _ = np.linalg.lstsq(design, y, rcond=1e-10)
+    rest = y - design @ coefficients
     return float(rest @ rest), int(rank)
 
 

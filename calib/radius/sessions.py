@@ -71,11 +71,11 @@ class Groups:
 def groups_of(session: npt.ArrayLike) -> Groups:
     """Return the sessions of runs; an empty label is a session of its own name."""
     labels = np.asarray(session, dtype=np.str_)
-    found, first, inverse, sizes = np.unique(labels, return_index=True, return_inverse=True, return_counts=True)
+    names, first, inverse, sizes = np.unique(labels, return_index=True, return_inverse=True, return_counts=True)
     order = np.argsort(first)
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order))
-    return Groups(names=found[order], index=rank[inverse].astype(np.int64), sizes=sizes[order].astype(np.float64))
+    return Groups(names=names[order], index=rank[inverse].astype(np.int64), sizes=sizes[order].astype(np.float64))
 
 
 def breusch_pagan(residual: FloatArray, x: FloatArray) -> tuple[float, float]:

@@ -99,8 +99,13 @@ class Report:
             "logo": None if self.logo is None else f"logo{self.logo.suffix}",
             "sections": [section.to_dict() for section in self.sections],
             "attachments": [
-                {"name": one.name, "relationship": one.relationship, "mime": one.mime, "description": one.description}
-                for one in self.attachments
+                {
+                    "name": attachment.name,
+                    "relationship": attachment.relationship,
+                    "mime": attachment.mime,
+                    "description": attachment.description,
+                }
+                for attachment in self.attachments
             ],
         }
 

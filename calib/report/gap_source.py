@@ -50,8 +50,8 @@ def findings_of(diagnosis: Diagnosis) -> GapFindings:
     GapFindings
         Residuals of channels that a unit lacks are NaN; paths are those of the model alone, each from its own start.
     """
-    s, nominal, held_out = diagnosis.observations, diagnosis.nominal, diagnosis.held_out
-    plain = np.where(s.usable, residuals(nominal, nominal), np.nan)
+    observations, nominal, held_out = diagnosis.observations, diagnosis.nominal, diagnosis.held_out
+    plain = np.where(observations.usable, residuals(nominal, nominal), np.nan)
     c, sn = np.cos(nominal.frame), np.sin(nominal.frame)
     along, lateral = plain[:, 1], plain[:, 2]
     offset = np.column_stack((c * along - sn * lateral, sn * along + c * lateral))
@@ -63,21 +63,21 @@ def findings_of(diagnosis: Diagnosis) -> GapFindings:
                 nominal.end[unit, :2],
             )
         )
-        for unit, (first, last) in enumerate(zip(s.starts[:-1], s.starts[1:], strict=True))
+        for unit, (first, last) in enumerate(zip(observations.starts[:-1], observations.starts[1:], strict=True))
     )
     covariates = {
         name: np.asarray(values, dtype=np.float64)
-        for name, values in covariate_values(s).items()
+        for name, values in covariate_values(observations).items()
         if values.dtype.kind == "f"
     }
     return GapFindings(
         verdict=diagnosis.verdict,
         headline=headline(diagnosis.verdict),
         channels=tuple((channel.label, channel.unit) for channel in Channel),
-        before=np.where(s.usable, held_out.before, np.nan),
-        after=np.where(s.usable, held_out.after, np.nan),
-        floor=np.where(s.usable, held_out.floor, np.nan),
-        group=s.labels["kind"],
+        before=np.where(observations.usable, held_out.before, np.nan),
+        after=np.where(observations.usable, held_out.after, np.nan),
+        floor=np.where(observations.usable, held_out.floor, np.nan),
+        group=observations.labels["kind"],
         covariates=covariates,
         paths_m=paths if np.isfinite(offset).any() else (),
         offset_m=offset if np.isfinite(offset).any() else None,

@@ -91,14 +91,14 @@ def _law_files(part: LawPart) -> tuple[dict[str, Figure], dict[str, Sequence[Map
 
 def simulation_trajectories(simulation: Simulation, folder: Path, *, speed_mps: float, force: bool) -> list[Path]:
     """Write each vehicle's path and the route as TUM files, timed by a constant speed along the route."""
-    made = []
+    written = []
     for name, sweep in simulation.sweeps.items():
         t = sweep.distance_m / speed_mps
-        made.append(write_tum(folder / f"{name}_route.tum", t, sweep.reference, force=force))
+        written.append(write_tum(folder / f"{name}_route.tum", t, sweep.reference, force=force))
         for number, case in enumerate(sweep.cases):
             stem = f"{name}_{case.which}_{case.ratio:g}.tum"
-            made.append(write_tum(folder / stem, t, sweep.poses[number], force=force))
-    return made
+            written.append(write_tum(folder / stem, t, sweep.poses[number], force=force))
+    return written
 
 
 def write_replay(replay: Replay, folder: Path, document: Mapping[str, Any], *, force: bool) -> list[Path]:
@@ -124,7 +124,7 @@ def replay_trajectories(campaign: Campaign, coefficients: CoefficientFile, folde
     force : bool
         Whether existing files are replaced.
     """
-    made = []
+    written = []
     runs = campaign.runs
     for run in np.flatnonzero(campaign.logs.present).tolist():
         log = campaign.logs.of(run)
@@ -132,29 +132,29 @@ def replay_trajectories(campaign: Campaign, coefficients: CoefficientFile, folde
         if driven is None:
             continue
         stem = "".join(c if c.isalnum() or c in "-_" else "_" for c in str(runs.run_id[run]))
-        made.append(write_tum(folder / f"{stem}.tum", log["t_s"], driven, force=force))
+        written.append(write_tum(folder / f"{stem}.tum", log["t_s"], driven, force=force))
         if {"ref_x_m", "ref_y_m", "ref_theta_rad"} <= log.keys():
             poses = Poses(log["ref_x_m"], log["ref_y_m"], log["ref_theta_rad"])
             fine = np.isfinite(poses.stacked()).all(axis=1)
-            made.append(write_tum(folder / f"{stem}_ref.tum", log["t_s"][fine], poses[fine], force=force))
-    return made
+            written.append(write_tum(folder / f"{stem}_ref.tum", log["t_s"][fine], poses[fine], force=force))
+    return written
 
 
-def _driven(one: Campaign, log: Mapping[str, FloatArray], coefficients: CoefficientFile) -> Poses | None:
+def _driven(campaign: Campaign, log: Mapping[str, FloatArray], coefficients: CoefficientFile) -> Poses | None:
     """Return the odometry of a campaign of one run; None where its counts or its loads are not known."""
-    if without_rear_wheels(one):
-        poses, _ = stood_in(one, believed_model(coefficients, one.model.reference_load_N))
+    if without_rear_wheels(campaign):
+        poses, _ = stood_in(campaign, believed_model(coefficients, campaign.model.reference_load_N))
         return poses if np.isfinite(poses.stacked()).all() else None
     if not {"t_s", "counts_left", "counts_right"} <= log.keys():
         return None
     loads = (
-        loads_in_steps(one.runs.number(name), log.get(name), one.logs.offsets)
+        loads_in_steps(campaign.runs.number(name), log.get(name), campaign.logs.offsets)
         for name in ("load_left_N", "load_right_N")
     )
     radii = radii_under_load(coefficients.law, *loads)
     if not np.isfinite(radii).all():
         return None
-    left, right = travel_from_counts(log["counts_left"], log["counts_right"], one.encoder, *radii)
+    left, right = travel_from_counts(log["counts_left"], log["counts_right"], campaign.encoder, *radii)
     return integrate(left, right, coefficients.geometry.track_m)
 
 

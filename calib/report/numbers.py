@@ -83,14 +83,14 @@ def aligned(rows: Iterable[Sequence[str]], *columns: int) -> tuple[tuple[str, ..
 
     Shorter fractions are filled up with blanks as wide as a figure, since they have fewer significant digits.
     """
-    made = [list(row) for row in rows]
+    padded = [list(row) for row in rows]
     for column in columns:
-        fractions = [len(row[column].partition(".")[2]) for row in made]
+        fractions = [len(row[column].partition(".")[2]) for row in padded]
         most = max(fractions, default=0)
-        for row, fraction in zip(made, fractions, strict=True):
+        for row, fraction in zip(padded, fractions, strict=True):
             if row[column] and row[column] != MISSING and fraction < most:
                 row[column] += (_STOP if fraction == 0 else "") + _FIGURE * (most - fraction)
-    return tuple(tuple(row) for row in made)
+    return tuple(tuple(row) for row in padded)
 
 
 def plural(count: int, noun: str) -> str:

@@ -70,8 +70,8 @@ class Source:
     @property
     def inputs(self) -> dict[str, str]:
         """SHA-256 of every input file, by path relative to the campaign."""
-        found = self.fit.provenance.get("inputs", {})
-        return {str(key): str(value) for key, value in found.items()} if isinstance(found, Mapping) else {}
+        hashes = self.fit.provenance.get("inputs", {})
+        return {str(key): str(value) for key, value in hashes.items()} if isinstance(hashes, Mapping) else {}
 
     @property
     def report_id(self) -> str:
@@ -189,5 +189,5 @@ def from_campaign(campaign: Campaign, *, issued: str, accept: str = "") -> Sourc
     """Return what a report on `campaign`, fitted now, is made from; see `source_of`."""
     fit = fit_campaign(campaign)
     fit = replace(fit, provenance=provenance(campaign, version=__version__, arguments={}), accepted=accept)
-    made = from_fit(fit, created=issued, inputs=campaign.hashes)
-    return Source(fit, made, issued, stated_of(campaign), logo=logo_of(campaign))
+    file = from_fit(fit, created=issued, inputs=campaign.hashes)
+    return Source(fit, file, issued, stated_of(campaign), logo=logo_of(campaign))

@@ -68,7 +68,7 @@ def texts_of(section: Any, where: Path | str) -> dict[str, str]:
     remedy = f"write text under these keys: {', '.join(STATED)}"
     if not isinstance(section, Mapping):
         raise BadFileError(where, column="report", found=type(section).__name__, expected="a section", remedy=remedy)
-    made = {}
+    stated = {}
     for key, value in section.items():
         texts = value if isinstance(value, (list, tuple)) else [value]
         if key not in STATED or not all(isinstance(text, (str, int, float)) or _is_date(text) for text in texts):
@@ -81,8 +81,8 @@ def texts_of(section: Any, where: Path | str) -> dict[str, str]:
             )
         joined = "; ".join(str(text).strip() for text in texts if str(text).strip())
         if joined:
-            made[str(key)] = joined
-    return made
+            stated[str(key)] = joined
+    return stated
 
 
 def _is_date(value: Any) -> bool:

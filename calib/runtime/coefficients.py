@@ -131,7 +131,7 @@ class Coefficients:
                 _number(point, "load_right", "N", at, low=0.0),
             )
         vehicle, noise, limits = (_part(document, key) for key in ("vehicle", "noise", "limits"))
-        made = cls(
+        coefficients = cls(
             name=str(document.get("name", "")),
             simulated=document.get("simulated") is not False,
             checksum=computed,
@@ -156,10 +156,10 @@ class Coefficients:
             cross_covariance=_cross_covariance(document),
             unapplied_effects=tuple(str(item.get("effect")) for item in _parts(document, "effects")),
         )
-        for side, wheel in (("left", made.left), ("right", made.right)):
+        for side, wheel in (("left", coefficients.left), ("right", coefficients.right)):
             if not (wheel.radius_m(wheel.load_min_N) > 0.0 and wheel.radius_m(wheel.load_max_N) > 0.0):
                 raise CoefficientError(f"wheels.{side}: the radius is not above zero in the valid range")
-        return made
+        return coefficients
 
     def wheel_loads_N(self, payload_kg: float, payload_x_m: float, payload_y_m: float) -> tuple[float, float, float]:
         """Return the static loads (left, right, front) in N under a payload (Eqs 1-2 and the force balance).

@@ -15,7 +15,7 @@ from calib.coefficients.export import export
 from calib.coefficients.file import CoefficientFile
 from calib.coefficients.formats import FORMATS
 from calib.coefficients.formats.ros2_controllers import CONTROLLERS
-from calib.coefficients.options import ExportOptions
+from calib.coefficients.loads import ExportOptions
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "exports.md").read_text(encoding="utf-8")
 #: what the page shows as code; the words of a command's output do not count

@@ -18,8 +18,7 @@ from calib.coefficients.export import export
 from calib.coefficients.file import CoefficientFile
 from calib.coefficients.formats import FORMATS, ros2_covariance
 from calib.coefficients.formats.ros2_controllers import CONTROLLERS, OF_DRIVE
-from calib.coefficients.loads import LoadPair
-from calib.coefficients.options import ExportOptions
+from calib.coefficients.loads import ExportOptions, LoadPair
 from calib.errors import BadInputError, RefusedError
 from calib.radius.law import RadiusLaw
 from calib.runtime import Coefficients, Odometer

@@ -32,7 +32,7 @@ def run(
 
     refuse_existing([json], force=force)
     with progress("making") as tick:
-        made = make(
+        sealed_set = make(
             seeds,
             into,
             limit=cases,
@@ -42,6 +42,11 @@ def run(
             tick=lambda stage, done, total: tick(done, total, stage),
             sealed=lambda digest: say(f"truth sealed, SHA-256 {digest}", target=json),
         )
-    say(f"{made.cases} cases in {made.folder}, truth apart in {made.truth}", target=json)
-    document = {"folder": str(made.folder), "truth": str(made.truth), "sha256": made.sha256, "cases": made.cases}
+    say(f"{sealed_set.cases} cases in {sealed_set.folder}, truth apart in {sealed_set.truth}", target=json)
+    document = {
+        "folder": str(sealed_set.folder),
+        "truth": str(sealed_set.truth),
+        "sha256": sealed_set.sha256,
+        "cases": sealed_set.cases,
+    }
     emit_json(document, json, force=force)

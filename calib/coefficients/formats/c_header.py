@@ -9,8 +9,7 @@ from importlib.resources import files
 from typing import Final
 
 from calib.coefficients.file import CoefficientFile
-from calib.coefficients.loads import Artifact, accepted_lines, ascii_line
-from calib.coefficients.options import ExportOptions
+from calib.coefficients.loads import Artifact, ExportOptions, accepted_lines, ascii_line
 from calib.coefficients.sections import WheelSection
 from calib.errors import RefusedError
 from calib.radius.law import JOINT

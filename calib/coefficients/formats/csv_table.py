@@ -7,8 +7,7 @@ from typing import Final
 import numpy as np
 
 from calib.coefficients.file import CoefficientFile
-from calib.coefficients.loads import Artifact
-from calib.coefficients.options import ExportOptions
+from calib.coefficients.loads import Artifact, ExportOptions
 from calib.errors import RefusedError
 from calib.files import csv_text
 from calib.radius.law import WheelLaw

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from calib.coefficients.file import CoefficientFile
-from calib.coefficients.loads import Artifact
-from calib.coefficients.options import ExportOptions
+from calib.coefficients.loads import Artifact, ExportOptions
 
 __all__ = ["render"]
 

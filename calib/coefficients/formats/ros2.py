@@ -11,8 +11,7 @@ from typing import Final
 
 from calib.coefficients.file import CoefficientFile
 from calib.coefficients.formats.ros2_controllers import CONTROLLERS, OF_DRIVE, OF_FRONT
-from calib.coefficients.loads import Artifact, LoadPair, accepted_lines, ascii_line, default_loads
-from calib.coefficients.options import ExportOptions
+from calib.coefficients.loads import Artifact, ExportOptions, LoadPair, accepted_lines, ascii_line, default_loads
 from calib.errors import BadInputError
 
 __all__ = ["render"]

@@ -7,8 +7,7 @@ from typing import Final
 
 from calib.coefficients.file import CoefficientFile
 from calib.coefficients.formats import ros2_covariance as covariance
-from calib.coefficients.loads import LoadPair, number
-from calib.coefficients.options import ExportOptions
+from calib.coefficients.loads import ExportOptions, LoadPair, number
 from calib.errors import RefusedError
 from calib.geometry.drives import STEERING_SCALE
 

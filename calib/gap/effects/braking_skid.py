@@ -34,19 +34,23 @@ class BrakingSkid(Effect):
         if not stops(observations).any():
             return []
         speed = driven_speed_mps(observations)
-        found = [("the same at each stop", np.ones_like(speed), Parameter("per_stop", "m", typical=5e-4, largest=1e-2))]
+        slips = [("the same at each stop", np.ones_like(speed), Parameter("per_stop", "m", typical=5e-4, largest=1e-2))]
         if varies(speed, 0.02):
-            found.append(("~ v^2", speed**2, Parameter("per_speed_squared", "s2/m", typical=2e-3, largest=4e-2)))
+            slips.append(("~ v^2", speed**2, Parameter("per_speed_squared", "s2/m", typical=2e-3, largest=4e-2)))
 
         def form(label: str, size: FloatArray, parameter: Parameter) -> Form:
             def pushes(path: Path) -> list[Push]:
-                s = path.s
-                along = np.where(stops(s), np.where(s.path_m < 0.0, -1.0, 1.0) * s.here(size)[s.unit], 0.0)
-                return [Push(along_m=along, heading_rad=np.abs(along) * curvature_per_m(s))]
+                observations = path.s
+                along = np.where(
+                    stops(observations),
+                    np.where(observations.path_m < 0.0, -1.0, 1.0) * observations.here(size)[observations.unit],
+                    0.0,
+                )
+                return [Push(along_m=along, heading_rad=np.abs(along) * curvature_per_m(observations))]
 
-            return Form(self.id, label, (parameter,), pushes, tries=len(found), by_parts=True)
+            return Form(self.id, label, (parameter,), pushes, tries=len(slips), by_parts=True)
 
-        return [form(*one) for one in found]
+        return [form(*slip) for slip in slips]
 
 
 def stops(observations: Observations) -> BoolArray:

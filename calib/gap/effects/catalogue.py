@@ -60,8 +60,14 @@ class Entry:
             "parameters": []
             if form is None
             else [
-                {"name": one.name, "unit": one.unit, "typical": one.typical, "largest": one.largest, "sign": one.sign}
-                for one in form.parameters
+                {
+                    "name": parameter.name,
+                    "unit": parameter.unit,
+                    "typical": parameter.typical,
+                    "largest": parameter.largest,
+                    "sign": parameter.sign,
+                }
+                for parameter in form.parameters
             ],
             "signature": {
                 kind: {channel.label: float(rms[channel]) for channel in Channel if np.isfinite(rms[channel])}

@@ -38,11 +38,21 @@ class CurveLoadTransfer(Effect):
             return []
 
         def pushes(path: Path) -> list[Push]:
-            s = path.s
+            observations = path.s
             # the curvature counts turn per way without sign: rolling backward, the same turn pulls to the other side
-            pull_mps2 = s.speed_mps * np.abs(s.speed_mps) * curvature_per_m(s)
-            moved_N = s.weight_N[s.unit] * pull_mps2 * s.vehicle.cog_z_m / (GRAVITY_MPS2 * s.model.track_m)
-            return [Push(left=-moved_N / s.radius_left_m[s.unit], right=moved_N / s.radius_right_m[s.unit])]
+            pull_mps2 = observations.speed_mps * np.abs(observations.speed_mps) * curvature_per_m(observations)
+            moved_N = (
+                observations.weight_N[observations.unit]
+                * pull_mps2
+                * observations.vehicle.cog_z_m
+                / (GRAVITY_MPS2 * observations.model.track_m)
+            )
+            return [
+                Push(
+                    left=-moved_N / observations.radius_left_m[observations.unit],
+                    right=moved_N / observations.radius_right_m[observations.unit],
+                )
+            ]
 
         radius = 0.5 * (observations.model.radius_left_m + observations.model.radius_right_m) * softness(observations)
         parameter = Parameter("slope", "m/N", typical=1e-5 * radius, largest=6e-5 * radius)

@@ -86,7 +86,7 @@ class DriveSlip(Effect):
                 about=None if centre is None else lambda elsewhere: form(label, force, parts, parameters, elsewhere),
             )
 
-        return [form(*one) for one in slips]
+        return [form(*slip) for slip in slips]
 
 
 def _over_mean(values: FloatArray) -> FloatArray:

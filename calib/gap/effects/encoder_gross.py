@@ -74,16 +74,16 @@ class GrossFault:
 
 
 def _candidates() -> list[GrossFault]:
-    made = [GrossFault(_SWAPPED, 1.0, 1.0, swapped=True)]
+    faults = [GrossFault(_SWAPPED, 1.0, 1.0, swapped=True)]
     for label, factor in FACTORS.items():
-        made.append(GrossFault(f"both wheels' counts are to be multiplied by {label}", factor, factor))
-        made.append(GrossFault(f"the left wheel's counts are to be multiplied by {label}", factor, 1.0))
-        made.append(GrossFault(f"the right wheel's counts are to be multiplied by {label}", 1.0, factor))
-    made.append(GrossFault("the left wheel counts backwards", -1.0, 1.0))
-    made.append(GrossFault("the right wheel counts backwards", 1.0, -1.0))
-    made.append(GrossFault("both wheels count backwards", -1.0, -1.0))
-    made.append(GrossFault(f"{_SWAPPED}, both counting backwards", -1.0, -1.0, swapped=True))
-    return made
+        faults.append(GrossFault(f"both wheels' counts are to be multiplied by {label}", factor, factor))
+        faults.append(GrossFault(f"the left wheel's counts are to be multiplied by {label}", factor, 1.0))
+        faults.append(GrossFault(f"the right wheel's counts are to be multiplied by {label}", 1.0, factor))
+    faults.append(GrossFault("the left wheel counts backwards", -1.0, 1.0))
+    faults.append(GrossFault("the right wheel counts backwards", 1.0, -1.0))
+    faults.append(GrossFault("both wheels count backwards", -1.0, -1.0))
+    faults.append(GrossFault(f"{_SWAPPED}, both counting backwards", -1.0, -1.0, swapped=True))
+    return faults
 
 
 def corrected(observations: Observations, fault: GrossFault) -> Observations:

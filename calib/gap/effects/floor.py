@@ -56,7 +56,7 @@ def far_end_m(observations: Observations) -> FloatArray:
 def lanes(observations: Observations) -> IntArray:
     """Return the lane of each unit: 0, or a number for each ending of the kind of route such as ``_b`` or ``_2``."""
     ending = [_LANE.search(str(kind)) for kind in observations.labels["kind"]]
-    names = np.array([found.group(1) if found else "" for found in ending])
+    names = np.array([match.group(1) if match else "" for match in ending])
     others = [name for name in np.unique(names) if name]
     number = np.zeros(len(observations), dtype=np.int64)
     for place, name in enumerate(others, start=1):

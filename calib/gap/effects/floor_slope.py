@@ -63,15 +63,15 @@ class FloorSlope(Effect):
             return Push(heading_rad=np.abs(path.s.path_m) * np.cos(map_heading_rad(path)))
 
         tries = 4 if sided else 2
-        made = [
+        forms = [
             Form(self.id, "along x, radii alone", (radii,), lambda path: [by_cos(path)], tries=tries, by_parts=True),
             Form(self.id, "across, pull alone", (pull,), lambda path: [crosswise(path)], tries=tries, by_parts=True),
         ]
         if sided:
             along_and_pull = ("along x, radii and pull", (radii, pull))
             both = (replace(radii, name="radii_x"), replace(radii, name="radii_y"))
-            made.append(
+            forms.append(
                 Form(self.id, *along_and_pull, lambda path: [by_cos(path), by_sin(path)], tries=tries, by_parts=True)
             )
-            made.append(Form(self.id, "any direction, radii alone", both, any_way, tries=tries, by_parts=True))
-        return made
+            forms.append(Form(self.id, "any direction, radii alone", both, any_way, tries=tries, by_parts=True))
+        return forms

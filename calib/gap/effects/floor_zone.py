@@ -63,14 +63,14 @@ class FloorZone(Effect):
 
             def pushes(path: Path) -> list[Push]:
                 at_x, at_y, cosine = place(path)
-                s = path.s
-                inside = s.from_log[s.unit] & (np.abs(at_x - x) < 0.5 * CELL_M)
+                observations = path.s
+                inside = observations.from_log[observations.unit] & (np.abs(at_x - x) < 0.5 * CELL_M)
                 if not strip:
-                    inside &= (s.here(lane) == number)[s.unit] & (np.abs(at_y - y) < 0.5 * CELL_M)
+                    inside &= (observations.here(lane) == number)[observations.unit] & (np.abs(at_y - y) < 0.5 * CELL_M)
                 share = inside.astype(np.float64)
-                way = share * np.abs(s.path_m)
-                found = [Push(left=share, right=share), Push(heading_rad=way)]
-                return [*found, Push(heading_rad=way * cosine)] if both_ways else found
+                way = share * np.abs(observations.path_m)
+                pushes = [Push(left=share, right=share), Push(heading_rad=way)]
+                return [*pushes, Push(heading_rad=way * cosine)] if both_ways else pushes
 
             where = ", whole width" if strip else f", y {y:g} m" + (f", lane {number + 1}" if lane.max() > 0 else "")
             label = f"x {x:g} m{where}"
@@ -92,12 +92,12 @@ def _cells(
     most = MOST_FORMS // len(grids)
     kept: list[tuple[int, float, float, bool]] = []
     for of_lane, across in grids:
-        found = _grid(observations, of_lane, x, across, cosine, 0.5)
-        if 2 * len(found) <= most:
+        zones = _grid(observations, of_lane, x, across, cosine, 0.5)
+        if 2 * len(zones) <= most:
             # a zone that lies across the edge of two cells fills one of the second grid
-            found += _grid(observations, of_lane, x, across, cosine, 1.0)
-        found.sort(key=lambda one: -one[0])
-        kept += sorted(one[1] for one in found[:most])
+            zones += _grid(observations, of_lane, x, across, cosine, 1.0)
+        zones.sort(key=lambda one: -one[0])
+        kept += sorted(one[1] for one in zones[:most])
     return kept
 
 
@@ -118,7 +118,7 @@ def _grid(
     logged = observations.from_log
     visits = in_cell > 0.25 * CELL_M
     lateral = bool(observations.usable[:, 2].any())
-    found = []
+    zones = []
     for number in np.flatnonzero(visits.sum(axis=0) >= _FEWEST_UNITS):
         seen = visits[:, number]
         cosines = heading[seen, number] / in_cell[seen, number]
@@ -130,5 +130,5 @@ def _grid(
         first = int(np.flatnonzero(cell == number)[0])
         centre = (float(column[first] + shift) * CELL_M, float(row[first]) * CELL_M)
         worth = spread + (float(np.mean(in_cell[logged, number])) if both_ways else 0.0)
-        found.append((worth, (int(lane[first]), *centre, both_ways)))
-    return found
+        zones.append((worth, (int(lane[first]), *centre, both_ways)))
+    return zones

@@ -76,8 +76,8 @@ def effect_class(name: str) -> type[Effect] | None:
     if name not in REGISTRY:
         return None
     module, kind = REGISTRY[name].rsplit(".", 1)
-    found: type[Effect] = getattr(importlib.import_module(module), kind)
-    return found
+    effect_type: type[Effect] = getattr(importlib.import_module(module), kind)
+    return effect_type
 
 
 def title_of(name: str) -> str:

@@ -42,7 +42,7 @@ def radius_slopes_m_per_N(path: Path, use: BoolArray | None = None) -> tuple[flo
     if model.slope_left_m_per_N != 0.0 or model.slope_right_m_per_N != 0.0:
         return model.slope_left_m_per_N, model.slope_right_m_per_N
     keep = np.ones(len(observations), dtype=bool) if use is None else use
-    found = []
+    slopes = []
     for rolled, load, radius in zip(
         path.rolling_radii_m.T,
         (observations.number("load_left_N"), observations.number("load_right_N")),
@@ -54,8 +54,8 @@ def radius_slopes_m_per_N(path: Path, use: BoolArray | None = None) -> tuple[flo
         if good.sum() > 1 and np.ptp(load[good]) > 20.0:
             over = load[good] - load[good].mean()
             slope = float(over @ rolled[good] / (over @ over))
-        found.append(slope if abs(slope) > 0.1 * nominal_per_N * radius else nominal_per_N * radius)
-    return found[0], found[1]
+        slopes.append(slope if abs(slope) > 0.1 * nominal_per_N * radius else nominal_per_N * radius)
+    return slopes[0], slopes[1]
 
 
 def payload_load_N(observations: Observations) -> tuple[FloatArray, FloatArray]:

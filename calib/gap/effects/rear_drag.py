@@ -43,8 +43,10 @@ class RearDrag(Effect):
 
         def form(side: str) -> Form:
             def pushes(path: Path) -> list[Push]:
-                s = path.s
-                part = np.asarray(s.path_m >= 0.0 if forward is None else s.here(forward), dtype=np.float64)
+                observations = path.s
+                part = np.asarray(
+                    observations.path_m >= 0.0 if forward is None else observations.here(forward), dtype=np.float64
+                )
                 return [Push(left=part) if side == "left" else Push(right=part)]
 
             return Form(self.id, f"{side} wheel, {label}", (parameter,), pushes, tries=2, by_parts=True)

@@ -42,7 +42,7 @@ class ReferenceLatency(Effect):
         wanted = [("end pose", has_pose, True, False), ("laser", has_laser, False, True)]
         wanted.append(("end pose and laser", has_pose and has_laser, True, True))
         parameter = Parameter("latency", "s", typical=5e-2, largest=5e-1)
-        tries = sum(one[1] for one in wanted)
+        tries = sum(pair[1] for pair in wanted)
 
         def form(label: str, pose: bool, laser: bool) -> Form:
             def pushes(path: Path) -> list[Push]:

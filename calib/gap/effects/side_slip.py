@@ -30,9 +30,9 @@ class SideSlip(Effect):
             return []
 
         def pushes(path: Path) -> list[Push]:
-            s = path.s
+            observations = path.s
             # v^2 kappa ds is v |v| times the turn: it changes sides when the vehicle rolls backward
-            return [Push(lateral_m=-(s.speed_mps**2) * curvature_per_m(s) * s.path_m)]
+            return [Push(lateral_m=-(observations.speed_mps**2) * curvature_per_m(observations) * observations.path_m)]
 
         parameter = Parameter("slip_per_acceleration", "s2/m", typical=2e-3, largest=5e-2)
         return [Form(self.id, "", (parameter,), pushes, by_parts=True)]

@@ -53,17 +53,17 @@ class SteeringBacklash(Effect):
         wheel = _wheel_rad(observations, angle)
         rough = _noise_rad(observations, wheel)
         tries = 1 + 2 * len(PLAYS_RAD)
-        made = []
+        forms = []
         for play in PLAYS_RAD:
             settings = {"play_rad": play}
             ahead = _lost_in_play(observations, moved, play, 6.0 * noise) / play
-            made.append((f"by the moves of the motor, through {1e3 * play:g} mrad", ahead, settings))
+            forms.append((f"by the moves of the motor, through {1e3 * play:g} mrad", ahead, settings))
             behind = -_lost_in_play(observations, wheel, play, 3.0 * rough) / play
-            made.append((f"by the moves of the wheel, through {1e3 * play:g} mrad", behind, settings))
-        made.append(("by the side of the turn", 0.5 * by_side, {}))
+            forms.append((f"by the moves of the wheel, through {1e3 * play:g} mrad", behind, settings))
+        forms.append(("by the side of the turn", 0.5 * by_side, {}))
         return [
             error_form(observations, self.id, label, parameter, error, tries=tries, settings=settings)
-            for label, error, settings in made
+            for label, error, settings in forms
         ]
 
 
@@ -91,11 +91,11 @@ def _wheel_rad(observations: Observations, angle: FloatArray) -> FloatArray:
     first = np.maximum(first, observations.starts[observations.unit])
     last = np.minimum(last, observations.starts[observations.unit + 1] - 1)
     length = path[last] - path[first]
-    told = np.abs(length) > 0.5 * _SMOOTH_M
+    long_enough = np.abs(length) > 0.5 * _SMOOTH_M
     with np.errstate(divide="ignore", invalid="ignore"):
-        bend = np.where(told, (turn[last] - turn[first]) / length, np.nan)
+        bend = np.where(long_enough, (turn[last] - turn[first]) / length, np.nan)
     made = np.arctan(observations.vehicle.wheelbase_m * bend)
-    straight = (np.abs(angle) < _TURN_RAD) & told
+    straight = (np.abs(angle) < _TURN_RAD) & long_enough
     return np.asarray(made - (np.median(made[straight]) if straight.any() else 0.0))
 
 

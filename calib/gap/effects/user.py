@@ -155,7 +155,7 @@ def declared_effects(declared: object, observations: Observations, taken: Collec
         return []
     if isinstance(declared, str | bytes | Mapping) or not isinstance(declared, Sequence):
         raise _wrong("effects", declared, "a list of tables", "write each effect as its own [[effects]] table")
-    made: list[Effect] = []
+    effects: list[Effect] = []
     used = set(taken)
     for number, entry in enumerate(declared):
         if not isinstance(entry, Mapping):
@@ -179,9 +179,9 @@ def declared_effects(declared: object, observations: Observations, taken: Collec
             key = f"effects[{number}].largest"
             raise _wrong(key, largest, f"no less than typical ({typical:g})", "raise largest or lower typical")
         title = _text(entry, number, "title") if "title" in entry else f"an influence of the column {column}"
-        made.append(Declared(id=name, title=title, column=column, acts_on=acts_on, typical=typical, largest=largest))
+        effects.append(Declared(id=name, title=title, column=column, acts_on=acts_on, typical=typical, largest=largest))
         used.add(name)
-    return made
+    return effects
 
 
 def entry_point_effects(taken: Collection[str], points: Sequence[EntryPoint] | None = None) -> list[Effect]:
@@ -215,7 +215,7 @@ def entry_point_origins() -> dict[str, str]:
 
 def _offered(taken: Collection[str], points: Sequence[EntryPoint] | None) -> list[tuple[EntryPoint, Effect]]:
     """Return the installed effects, each with its entry point."""
-    made: list[tuple[EntryPoint, Effect]] = []
+    loaded: list[tuple[EntryPoint, Effect]] = []
     used = set(taken)
     for point in entry_points(group=GROUP) if points is None else points:
         where = f"entry point {point.name} = {point.value} of group {GROUP}"
@@ -233,6 +233,6 @@ def _offered(taken: Collection[str], points: Sequence[EntryPoint] | None) -> lis
         name = getattr(effect, "id", None)
         if not isinstance(name, str) or not name or name in used:
             raise BadInputError(f"{where}: found the id {name!r}; expected one that no other effect has; {remedy}")
-        made.append((point, effect))
+        loaded.append((point, effect))
         used.add(name)
-    return made
+    return loaded

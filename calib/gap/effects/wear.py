@@ -28,15 +28,15 @@ class Wear(Effect):
 
     def forms(self, observations: Observations) -> list[Form]:
         """Return a form per km and, with two sessions and more, one per session."""
-        found: list[tuple[str, str, FloatArray, float, float]] = []
+        measures: list[tuple[str, str, FloatArray, float, float]] = []
         km = observations.number("travelled_km")
         if varies(km, 1e-3):
-            found.append(("per km", "1/km", km, 1e-5, 1e-4))
+            measures.append(("per km", "1/km", km, 1e-5, 1e-4))
         session = sessions(observations)
         names, first, of = np.unique(session, return_index=True, return_inverse=True)
         if len(names) > 1:
             rank = np.argsort(np.argsort(first))
-            found.append(("per session", "1/session", rank[of].astype(np.float64), 1e-4, 1e-3))
+            measures.append(("per session", "1/session", rank[of].astype(np.float64), 1e-4, 1e-3))
 
         def form(
             label: str, unit: str, driven: FloatArray, typical: float, largest: float, centre: Centre | None = None
@@ -49,9 +49,9 @@ class Wear(Effect):
                 label,
                 parameters,
                 lambda _: [Push(left=grows), Push(right=grows)],
-                tries=len(found),
+                tries=len(measures),
                 centre=centre,
                 about=lambda elsewhere: form(label, unit, driven, typical, largest, elsewhere),
             )
 
-        return [form(*one) for one in found]
+        return [form(*measure) for measure in measures]

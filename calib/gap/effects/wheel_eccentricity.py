@@ -36,12 +36,15 @@ class WheelEccentricity(Effect):
             return []
 
         def relative(
-            s: Observations, angle: FloatArray, roll: FloatArray, radius: FloatArray
+            observations: Observations, angle: FloatArray, roll: FloatArray, radius: FloatArray
         ) -> tuple[FloatArray, FloatArray]:
             """Return the relative change of each step's travel per metre of e cos(phi_0) and of e sin(phi_0)."""
             middle, half = angle - 0.5 * roll, 0.5 * roll
             # sin(a) - sin(b) = 2 cos(middle) sin(half), so the quotient by the roll stays finite at rest
-            share = np.where(s.from_log[s.unit], np.sinc(half / np.pi), 0.0) / radius[s.unit]
+            share = (
+                np.where(observations.from_log[observations.unit], np.sinc(half / np.pi), 0.0)
+                / radius[observations.unit]
+            )
             return np.cos(middle) * share, -np.sin(middle) * share
 
         def left(path: Path) -> list[Push]:

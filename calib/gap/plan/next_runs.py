@@ -69,7 +69,7 @@ class Outlook:
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON values; the diagonal is null."""
-        told = self.told_apart
+        apart = self.told_apart
         return {
             "effects": list(self.effects),
             "absent": list(self.absent),
@@ -77,11 +77,11 @@ class Outlook:
             "distance": [[float(d) if np.isfinite(d) else None for d in row] for row in self.distance],
             "smallest": {name: limit.sentence for name, limit in self.smallest.items()},
             "not_seen": [name for name, value in zip(self.effects, self.signal, strict=True) if value < NEAR],
-            "told_apart": [name for name, yes in zip(self.effects, told, strict=True) if yes],
+            "told_apart": [name for name, yes in zip(self.effects, apart, strict=True) if yes],
             "confused": {
                 name: [self.effects[k] for k in np.flatnonzero(self.distance[number] < NEAR)]
                 for number, name in enumerate(self.effects)
-                if self.signal[number] >= NEAR and not told[number]
+                if self.signal[number] >= NEAR and not apart[number]
             },
         }
 
@@ -96,17 +96,17 @@ def outlook_of(campaign: Campaign, progress: Progress = silent) -> Outlook:
     progress : callable
         See `calib.progress.Progress`.
     """
-    s = observations_of(campaign)
-    path = predict(s)
+    observations = observations_of(campaign)
+    path = predict(observations)
     noise = noise_at(path, {})
-    effects = library(s, declared=campaign.extra.get("effects", ()))
-    made = Signatures(path, noise, effects)
-    signal, distance = made.distances(made.gram(np.ones(len(s), dtype=bool)))
-    forms = {effect.id: effect.forms(s) for effect in effects}
+    effects = library(observations, declared=campaign.extra.get("effects", ()))
+    signatures = Signatures(path, noise, effects)
+    signal, distance = signatures.distances(signatures.gram(np.ones(len(observations), dtype=bool)))
+    forms = {effect.id: effect.forms(observations) for effect in effects}
     bench = WhitenedSystem(path, path, noise)
     return Outlook(
-        effects=tuple(made.names),
-        absent=tuple(name for name, found in forms.items() if not found),
+        effects=tuple(signatures.names),
+        absent=tuple(name for name, tried in forms.items() if not tried),
         signal=signal,
         distance=distance,
         smallest=_smallest(bench, effects, forms, only_blind=False, progress=progress),
@@ -143,12 +143,12 @@ def _smallest(
     only_blind: bool,
     progress: Progress = silent,
 ) -> dict[str, Detectable]:
-    s = bench.path.s
+    observations = bench.path.s
     recalibration = Nuisance.of(bench.calibration)
     own_left_out = Nuisance.of(bench.calibration[:, 3:])
     limits: dict[str, Detectable] = {}
     for effect in stepped(effects, progress, "effects"):
-        forms = known.get(effect.id) or effect.forms(s)
+        forms = known.get(effect.id) or effect.forms(observations)
         if not forms:
             why = "nothing that it acts through is measured, or varies, in these runs"
             limits[effect.id] = Detectable(effect.id, why, never=True)
@@ -237,16 +237,16 @@ def next_runs(
     reference = PlannedRun("corridor", "out", temperature_C=_usual(driven))
     planned = drive(driven, [reference, *offered], measured, corridor_m)
     whole = joined(driven, planned)
-    s = observations_of(whole)
-    path = predict(s)
-    future = np.array([str(name).startswith("next") for name in s.labels["run_id"]])
-    number_of = {str(name): unit for unit, name in enumerate(s.labels["run_id"])}
+    observations = observations_of(whole)
+    path = predict(observations)
+    future = np.array([str(name).startswith("next") for name in observations.labels["run_id"]])
+    number_of = {str(name): unit for unit, name in enumerate(observations.labels["run_id"])}
     of_run = [number_of.get(f"next{number:03d}") for number in range(len(offered) + 1)]
-    sizes = _sizes(s, effects, fitted)
-    made = Signatures(path, noise_at(path, noise.scales), effects, sizes)
-    base = made.gram(~future) + (_one(made, of_run[0]) if of_run[0] is not None else 0.0)
-    grams = {number: _one(made, unit) for number, unit in enumerate(of_run[1:]) if unit is not None}
-    task = _Task(made, ties)
+    sizes = _sizes(observations, effects, fitted)
+    signatures = Signatures(path, noise_at(path, noise.scales), effects, sizes)
+    base = signatures.gram(~future) + (_one(signatures, of_run[0]) if of_run[0] is not None else 0.0)
+    grams = {number: _one(signatures, unit) for number, unit in enumerate(of_run[1:]) if unit is not None}
+    task = _Task(signatures, ties)
     chosen: list[PlannedRunAdvice] = []
     for _ in range(most):
         before = task.distances(base)
@@ -263,24 +263,24 @@ def next_runs(
     return chosen
 
 
-def _one(made: Signatures, unit: int | None) -> FloatArray:
-    columns = made.columns[made.unit == unit]
+def _one(signatures: Signatures, unit: int | None) -> FloatArray:
+    columns = signatures.columns[signatures.unit == unit]
     return np.asarray(columns.T @ columns)
 
 
 class _Task:
     """What the next runs are to tell apart."""
 
-    def __init__(self, made: Signatures, ties: Sequence[Sequence[str]]) -> None:
-        self.made = made
-        number = {name: index for index, name in enumerate(made.names)}
+    def __init__(self, signatures: Signatures, ties: Sequence[Sequence[str]]) -> None:
+        self.made = signatures
+        number = {name: index for index, name in enumerate(signatures.names)}
         self.pairs = [
             (number[group[0]], number[other])
             for group in ties
             for other in group[1:]
             if group[0] in number and other in number
         ]
-        self.truths = sorted({a for a, _ in self.pairs}) if self.pairs else list(range(len(made.names)))
+        self.truths = sorted({a for a, _ in self.pairs}) if self.pairs else list(range(len(signatures.names)))
 
     def distances(self, gram: FloatArray) -> FloatArray:
         """Return the distance of each tied pair, or how well each effect stands apart where there is no tie."""
@@ -290,15 +290,15 @@ class _Task:
             return np.array([distance[row[a], b] for a, b in self.pairs])
         return np.asarray(np.minimum(signal, distance.min(axis=1, initial=np.inf)))
 
-    def done(self, found: FloatArray) -> bool:
+    def done(self, gain: FloatArray) -> bool:
         """Return whether all is told apart with something to spare."""
-        return bool((found >= 2 * NEAR).all())
+        return bool((gain >= 2 * NEAR).all())
 
-    def score(self, found: FloatArray) -> tuple[float, float]:
+    def score(self, gain: FloatArray) -> tuple[float, float]:
         """Return what is to be made large: the smallest distance, then all of them; numbers told apart first."""
         if self.pairs:
-            return (round(float(np.min(np.minimum(found, 4 * NEAR))), 6), float(np.minimum(found, 4 * NEAR).sum()))
-        return (float(np.minimum(found / NEAR, 1.0).sum()), float(np.minimum(found, 4 * NEAR).sum()))
+            return (round(float(np.min(np.minimum(gain, 4 * NEAR))), 6), float(np.minimum(gain, 4 * NEAR).sum()))
+        return (float(np.minimum(gain / NEAR, 1.0).sum()), float(np.minimum(gain, 4 * NEAR).sum()))
 
     def why(self, before: FloatArray, after: FloatArray) -> str:
         """Say what a run tells apart, most gained first."""
@@ -306,36 +306,38 @@ class _Task:
         order = np.argsort(-(np.minimum(after, 4 * NEAR) - np.minimum(before, 4 * NEAR)))[:NAMED]
         order = np.array([k for k in order if after[k] > before[k] + 0.05], dtype=np.int64)
         if self.pairs:
-            said = []
+            sentences = []
             for k in order:
                 a, b = self.pairs[int(k)]
                 word = "tells" if after[k] >= NEAR else "begins to tell"
-                said.append(f"{word} {names[a]} from {names[b]}")
-            return ", ".join(said) or "repeats what is least sure"
+                sentences.append(f"{word} {names[a]} from {names[b]}")
+            return ", ".join(sentences) or "repeats what is least sure"
         clear = [names[self.truths[int(k)]] for k in order if after[k] >= NEAR]
         return f"shows {', '.join(clear or [names[self.truths[int(k)]] for k in order])}" + ("" if clear else " better")
 
 
-def _sizes(s: Observations, effects: Sequence[Effect], fitted: Fitted | None) -> dict[str, tuple[Form, FloatArray]]:
+def _sizes(
+    observations: Observations, effects: Sequence[Effect], fitted: Fitted | None
+) -> dict[str, tuple[Form, FloatArray]]:
     """Return form and size, on the joint runs, of the effects that were fitted."""
-    made: dict[str, tuple[Form, FloatArray]] = {}
+    sizes: dict[str, tuple[Form, FloatArray]] = {}
     if fitted is None:
-        return made
+        return sizes
     by_id = {effect.id: effect for effect in effects}
     for form, theta in zip(fitted.forms, fitted.theta, strict=True):
         if form.effect not in by_id:
             continue
-        here = matching_form(by_id[form.effect].forms(s), form.label, form.settings)
+        here = matching_form(by_id[form.effect].forms(observations), form.label, form.settings)
         if here is None:
             continue
         known = {parameter.name: float(value) for parameter, value in zip(form.parameters, theta, strict=True)}
-        made[form.effect] = (here, np.array([known.get(parameter.name, 0.0) for parameter in here.parameters]))
+        sizes[form.effect] = (here, np.array([known.get(parameter.name, 0.0) for parameter in here.parameters]))
     calibration = np.linalg.solve(DIRECTIONS[:, :3].T, fitted.calibration[:3])
     for name, size in zip(NAMES, calibration, strict=True):
-        forms = by_id[name].forms(s) if name in by_id else []
+        forms = by_id[name].forms(observations) if name in by_id else []
         if forms and abs(size) > 1e-12:
-            made[name] = (forms[0], np.full(len(forms[0].parameters), float(size)))
-    return made
+            sizes[name] = (forms[0], np.full(len(forms[0].parameters), float(size)))
+    return sizes
 
 
 def _measured(campaign: Campaign) -> Measured:
@@ -352,8 +354,8 @@ def _measured(campaign: Campaign) -> Measured:
 def _corridor_m(campaign: Campaign) -> float:
     distance = campaign.runs.number("distance_m")
     corridor = (campaign.runs.label("kind") == "corridor") & np.isfinite(distance)
-    found = float(np.median(distance[corridor])) if corridor.any() else DEFAULT_CORRIDOR_M
-    return found if 2.0 <= found <= 500.0 else DEFAULT_CORRIDOR_M
+    length = float(np.median(distance[corridor])) if corridor.any() else DEFAULT_CORRIDOR_M
+    return length if 2.0 <= length <= 500.0 else DEFAULT_CORRIDOR_M
 
 
 def _usual(campaign: Campaign) -> float:

@@ -66,8 +66,8 @@ def read_candidates(path: Path) -> list[PlannedRun]:
     """
     document = load_toml(path, str(path))
     _format(document, path)
-    found = _runs(document.get("runs"), path)
-    return list({repr(run): run for run in found}.values())
+    runs = _runs(document.get("runs"), path)
+    return list({repr(run): run for run in runs}.values())
 
 
 def _format(document: dict[str, Any], path: Path) -> None:
@@ -94,16 +94,16 @@ def _measured(section: object, path: Path) -> tuple[Measured, float]:
             corridor_m = _number(path, "measured.corridor_m", value, low=1.0, high=1000.0)
         else:
             raise _wrong(path, f"measured.{key}", value, f"{', '.join(_MEASURED)} (true or false), or corridor_m")
-    made = Measured(**flags)
-    if not (made.distance or made.poses):
+    measured = Measured(**flags)
+    if not (measured.distance or measured.poses):
         raise _wrong(path, "measured", dict(section), "distance or poses to be true, else nothing is measured")
-    return made, corridor_m
+    return measured, corridor_m
 
 
 def _runs(section: object, path: Path) -> list[PlannedRun]:
     if not isinstance(section, list) or not section:
         raise _wrong(path, "runs", section, "one [[runs]] or more")
-    made: list[PlannedRun] = []
+    runs: list[PlannedRun] = []
     for number, entry in enumerate(section, start=1):
         where = f"runs[{number}]"
         if not isinstance(entry, Mapping):
@@ -111,10 +111,10 @@ def _runs(section: object, path: Path) -> list[PlannedRun]:
         count = entry.get("count", 1)
         if isinstance(count, bool) or not isinstance(count, int) or not 1 <= count <= MOST_RUNS:
             raise _wrong(path, f"{where}.count", count, f"a whole number from 1 to {MOST_RUNS}")
-        made += [_run(path, where, entry)] * count
-        if len(made) > MOST_RUNS:
-            raise _wrong(path, "runs", len(made), f"at most {MOST_RUNS} runs")
-    return made
+        runs += [_run(path, where, entry)] * count
+        if len(runs) > MOST_RUNS:
+            raise _wrong(path, "runs", len(runs), f"at most {MOST_RUNS} runs")
+    return runs
 
 
 def _run(path: Path, where: str, entry: Mapping[str, Any]) -> PlannedRun:

@@ -71,19 +71,19 @@ class PlannedRun:
 
     def to_dict(self) -> dict[str, Any]:
         """Return what there is to say of it as plain JSON values."""
-        made: dict[str, Any] = {"kind": self.kind}
+        document: dict[str, Any] = {"kind": self.kind}
         if self.direction:
-            made["direction"] = self.direction
+            document["direction"] = self.direction
         numbers = asdict(self)
         for name in ("payload_kg", "payload_x_m", "payload_y_m", "speed_mps", "temperature_C", "minutes_under_load"):
             value = float(numbers[name])
             if np.isfinite(value) and not (name.startswith("payload_") and name != "payload_kg" and value == 0.0):
-                made[name] = value
+                document[name] = value
         if self.stops:
-            made["stops"] = self.stops
+            document["stops"] = self.stops
         if self.read_rolling:
-            made["read_rolling"] = True
-        return made | dict(self.columns)
+            document["read_rolling"] = True
+        return document | dict(self.columns)
 
     def advice(self, why: str, distance: float | None = None) -> PlannedRunAdvice:
         """Return the run as advice to drive it, with what it tells."""
@@ -164,22 +164,24 @@ def default_candidates(campaign: Campaign) -> list[PlannedRun]:
     routes = [("corridor", "out"), ("corridor", "back"), ("square_cw", ""), ("square_ccw", ""), ("figure8", "")]
     routes += [("route_left", ""), ("route_right", "")]
     base = PlannedRun("corridor", temperature_C=usual)
-    made = []
+    candidates = []
     for kind, direction in routes:
         for payload, x, y in payloads:
             for speed in (0.3, 0.7):
-                one = replace(base, kind=kind, direction=direction, speed_mps=speed)
+                run = replace(base, kind=kind, direction=direction, speed_mps=speed)
                 dwell = 10.0 if payload else 0.0
-                made.append(replace(one, payload_kg=payload, payload_x_m=x, payload_y_m=y, minutes_under_load=dwell))
+                candidates.append(
+                    replace(run, payload_kg=payload, payload_x_m=x, payload_y_m=y, minutes_under_load=dwell)
+                )
     loaded = replace(base, direction="out", payload_kg=most, payload_x_m=ahead, speed_mps=0.5)
-    made += [replace(loaded, minutes_under_load=minutes) for minutes in (1.0, 60.0)]
-    made.append(replace(base, direction="out", stops=4))
-    made.append(replace(base, direction="out", speed_mps=0.7, read_rolling=True))
-    made.append(replace(base, kind="corridor_short", direction="out"))
-    made.append(replace(base, kind="corridor_b", direction="out"))
+    candidates += [replace(loaded, minutes_under_load=minutes) for minutes in (1.0, 60.0)]
+    candidates.append(replace(base, direction="out", stops=4))
+    candidates.append(replace(base, direction="out", speed_mps=0.7, read_rolling=True))
+    candidates.append(replace(base, kind="corridor_short", direction="out"))
+    candidates.append(replace(base, kind="corridor_b", direction="out"))
     if np.isfinite(usual):
-        made += [replace(base, direction="out", temperature_C=usual + step) for step in (-10.0, 10.0)]
-    return made
+        candidates += [replace(base, direction="out", temperature_C=usual + step) for step in (-10.0, 10.0)]
+    return candidates
 
 
 def drive(

@@ -98,8 +98,8 @@ class Signatures:
     def gram(self, units: BoolArray) -> FloatArray:
         """Return the scalar products of all columns over some units (n_units,)."""
         kept = self.columns[units[self.unit]]
-        made: FloatArray = kept.T @ kept
-        return made
+        gram: FloatArray = kept.T @ kept
+        return gram
 
     def distances(self, gram: FloatArray, truths: Sequence[int] | None = None) -> tuple[FloatArray, FloatArray]:
         """Return how well each effect is seen, and how far it lies from each other one.

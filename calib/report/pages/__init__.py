@@ -32,5 +32,5 @@ PAGES: Final = (
 
 def sections_of(source: Source) -> tuple[Section, ...]:
     """Return the sections of all pages that have something to say on `source`, in the order of `PAGES`."""
-    made = (importlib.import_module(f"calib.report.pages.{name}").section(source) for name in PAGES)
-    return tuple(section for section in made if section is not None)
+    sections = (importlib.import_module(f"calib.report.pages.{name}").section(source) for name in PAGES)
+    return tuple(section for section in sections if section is not None)

@@ -52,13 +52,13 @@ def section(source: Source) -> Section:
 def _propagation(source: Source) -> tuple[Block, ...]:
     if all(wheel.model != "line" for wheel in source.fit.wheels.values()):
         return ()
-    said = "The standard uncertainty of the radius at a load F follows from both and their covariance,"
-    return Text(said), Equation("law_uncertainty")
+    text = "The standard uncertainty of the radius at a load F follows from both and their covariance,"
+    return Text(text), Equation("law_uncertainty")
 
 
 def _rows(wheel: WheelFit) -> list[tuple[str, ...]]:
     law = wheel.law
-    made = [
+    lines = [
         _row(
             wheel.wheel,
             f"radius at {law.reference_load_N:.4g} N",
@@ -69,7 +69,7 @@ def _rows(wheel: WheelFit) -> list[tuple[str, ...]]:
         )
     ]
     if wheel.model == "line":
-        made.append(
+        lines.append(
             _row(
                 "",
                 "slope",
@@ -79,7 +79,7 @@ def _rows(wheel: WheelFit) -> list[tuple[str, ...]]:
                 wheel.dof_slope,
             )
         )
-    return made
+    return lines
 
 
 def _row(wheel: str, name: str, unit: str, value: float, std: float, dof: float) -> tuple[str, ...]:

@@ -125,7 +125,7 @@ def scatter_text(fit: Fit) -> Text | None:
     """Say by how much runs scatter more than the instruments explain; None where they do not."""
     known = [float(np.sqrt(np.mean(std**2))) for std in (fit.radii.std_left_m, fit.radii.std_right_m)]
     scatter = [wheel.run_std_m for wheel in fit.wheels.values()]
-    if not all(one > 2 * two for one, two in zip(scatter, known, strict=True)):
+    if not all(spread > 2 * two for spread, two in zip(scatter, known, strict=True)):
         return None
     return Text(
         f"Runs scatter {scatter[0] / known[0]:.1f} (left) and {scatter[1] / known[1]:.1f} (right) times as "

@@ -42,34 +42,34 @@ def check_content(report: CheckReport) -> tuple[Block, ...]:
 
 
 def _facts(report: CheckReport) -> list[tuple[str, str]]:
-    found = report.found
-    rows = [("runs", str(found.n_runs) + (f", {found.n_excluded} excluded" if found.n_excluded else ""))]
-    for title, counted in (("sessions", found.sessions), ("kinds", found.kinds)):
+    contents = report.found
+    rows = [("runs", str(contents.n_runs) + (f", {contents.n_excluded} excluded" if contents.n_excluded else ""))]
+    for title, counted in (("sessions", contents.sessions), ("kinds", contents.kinds)):
         if counted:
             names = ", ".join(f"{key} ({count})" for key, count in list(counted.items())[:_MOST])
             rows.append((title, f"{len(counted)}: {names}" + (", ..." if len(counted) > _MOST else "")))
-    if found.payloads_kg:
-        shown = ", ".join(f"{value:g}" for value in found.payloads_kg[:_MOST])
-        rows.append(("payloads", shown + (", ..." if len(found.payloads_kg) > _MOST else "") + " kg"))
+    if contents.payloads_kg:
+        shown = ", ".join(f"{value:g}" for value in contents.payloads_kg[:_MOST])
+        rows.append(("payloads", shown + (", ..." if len(contents.payloads_kg) > _MOST else "") + " kg"))
     for title, ends, unit in (
-        ("left load", found.load_left_N, "N"),
-        ("right load", found.load_right_N, "N"),
-        ("distance", found.distance_m, "m"),
-        ("speed", found.speed_mps, "m/s"),
-        ("hall", found.temperature_C, "°C"),
+        ("left load", contents.load_left_N, "N"),
+        ("right load", contents.load_right_N, "N"),
+        ("distance", contents.distance_m, "m"),
+        ("speed", contents.speed_mps, "m/s"),
+        ("hall", contents.temperature_C, "°C"),
     ):
         if ends:
             rows.append((title, span(*ends, unit, ".5g")))
-    if found.n_logs and found.rate_Hz and found.duration_s:
+    if contents.n_logs and contents.rate_Hz and contents.duration_s:
         rows.append(
             (
                 "logs",
-                f"{found.n_logs}, {found.n_samples} samples at {span(*found.rate_Hz, 'Hz')}, "
-                f"{span(*found.duration_s, 's')} ({', '.join(found.log_columns)})",
+                f"{contents.n_logs}, {contents.n_samples} samples at {span(*contents.rate_Hz, 'Hz')}, "
+                f"{span(*contents.duration_s, 's')} ({', '.join(contents.log_columns)})",
             )
         )
-    if found.covariates:
-        rows.append(("covariates", ", ".join(found.covariates)))
+    if contents.covariates:
+        rows.append(("covariates", ", ".join(contents.covariates)))
     return rows
 
 

@@ -18,10 +18,10 @@ _MOST: Final = 3
 
 def checks_table(fit: Fit) -> Table:
     """Return the checks of both wheels: verdict, statistic, and what it means for the user."""
-    found: dict[tuple[str, str, str], list[tuple[str, Check]]] = {}
+    wheels_by_check: dict[tuple[str, str, str], list[tuple[str, Check]]] = {}
     for name, wheel in fit.wheels.items():
         for check in wheel.checks:
-            found.setdefault((check.name, check.level, check.sentence), []).append((name, check))
+            wheels_by_check.setdefault((check.name, check.level, check.sentence), []).append((name, check))
     order = {check.name: number for number, check in enumerate(fit.left.checks + fit.right.checks)}
     rows = [
         (
@@ -32,7 +32,7 @@ def checks_table(fit: Fit) -> Table:
             " / ".join(dict.fromkeys(probability(check.p_value) for _, check in pairs)),
             prose(sentence),
         )
-        for (check_name, level, sentence), pairs in sorted(found.items(), key=lambda item: order[item[0][0]])
+        for (check_name, level, sentence), pairs in sorted(wheels_by_check.items(), key=lambda item: order[item[0][0]])
     ]
     return Table(
         "Checks of the fit; p is the probability of a statistic at least as extreme where nothing is wrong.",

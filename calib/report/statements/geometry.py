@@ -75,8 +75,8 @@ def geometry_sentences(geometry: Geometry) -> list[str]:
     if geometry.outliers:
         lines.append(f"Outliers, hardly weighed: {', '.join(geometry.outliers)}.")
     if geometry.delays:
-        told = ", ".join(f"{one.label} {one.value_s:.4f} s" for one in geometry.delays)
-        lines.append(f"The reference lags by another delay in each recording, taken out of each: {told}.")
+        delays = ", ".join(f"{one.label} {one.value_s:.4f} s" for one in geometry.delays)
+        lines.append(f"The reference lags by another delay in each recording, taken out of each: {delays}.")
     umbmark = geometry.umbmark
     if umbmark.applies:
         driven = f"{umbmark.n_cw} clockwise, {umbmark.n_ccw} counter-clockwise squares of {umbmark.side_m:.3g} m"

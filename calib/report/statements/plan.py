@@ -51,19 +51,21 @@ def _row(number: int, run: Mapping[str, Any]) -> tuple[str, ...]:
 def outlook_content(name: str, n_runs: int, outlook: Outlook) -> tuple[Block, ...]:
     """Return what a plan of runs could show, effect by effect."""
     document = outlook.to_dict()
-    told = set(document["told_apart"])
+    told_apart = set(document["told_apart"])
     rows = []
     for number, effect in enumerate(outlook.effects):
         others = document["confused"].get(effect, [])
         words = (
-            "yes" if effect in told else ("not seen at its typical size" if not others else ", ".join(others[:_NAMED]))
+            "yes"
+            if effect in told_apart
+            else ("not seen at its typical size" if not others else ", ".join(others[:_NAMED]))
         )
         if len(others) > _NAMED:
             words += f" and {len(others) - _NAMED} more"
         rows.append((effect, fixed(float(outlook.signal[number]), 1), prose(outlook.smallest[effect].sentence), words))
     table = Table(
-        f"{name}, {n_runs} runs: {len(told)} of {len(outlook.effects) + len(outlook.absent)} effects told apart. The "
-        "signal is that at the effect's typical size, in standard deviations.",
+        f"{name}, {n_runs} runs: {len(told_apart)} of {len(outlook.effects) + len(outlook.absent)} effects told apart. "
+        "The signal is that at the effect's typical size, in standard deviations.",
         (
             left("Effect"),
             Column("Signal"),
