@@ -207,6 +207,36 @@ class Climb:
             forms.setdefault(self.columns.forms[number].effect, number)
         return [(number,) for number in forms.values()][:count]
 
+    def by_effects(self, models: Sequence[Model], probability: FloatArray) -> dict[tuple[str, ...], float]:
+        """Return the probability of each set of effects, forms together, from that of each model, shape (n_models,)."""
+        by_set: dict[tuple[str, ...], float] = {}
+        for model, p in zip(models, probability, strict=True):
+            key = tuple(sorted(self.columns.forms[f].effect for f in model))
+            by_set[key] = by_set.get(key, 0.0) + float(p)
+        return by_set
+
+    def likeliest(self, models: Sequence[Model], probability: FloatArray, something: bool) -> Model | None:
+        """Return the best form of the likeliest set of effects; None where that set is at hand.
+
+        Parameters
+        ----------
+        models : sequence of Model
+            Of which.
+        probability : array of float, shape (n_scales, n_models)
+            Of each at each scale of the rest.
+        something : bool
+            Whether something is off: no effect then counts by the rest alone.
+        """
+        total = probability.sum(axis=0)
+        by_set = self.by_effects(models, total)
+        if something:
+            by_set[()] = float(probability[1:, models.index(())].sum())
+        best = max(by_set, key=lambda key: by_set[key])
+        if best == tuple(sorted(self.columns.forms[k].effect for k in self.current)):
+            return None
+        alike = [n for n, m in enumerate(models) if best == tuple(sorted(self.columns.forms[k].effect for k in m))]
+        return models[max(alike, key=lambda n: float(total[n]))]
+
     def with_only(self, model: Model) -> Climb:
         """Return this linearisation with another model at hand."""
         other = copy(self)
@@ -273,13 +303,6 @@ class Climb:
             if {self.columns.forms[k].effect for k in models[int(n)]} != held
         ]
         return tuple(one for one in others[:_RIVALS] if one[1] > _LEAST_RIVAL)
-
-    def nothing(self) -> float:
-        """Return the probability that there is neither an effect nor a rest."""
-        models = self.neighbours(()) + self._pairs()
-        weight = self.weigh(models)
-        total = np.exp(weight - weight.max())
-        return float(total[0, 0] / total.sum())
 
 
 def _total(weight: FloatArray) -> FloatArray:

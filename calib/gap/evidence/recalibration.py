@@ -4,26 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import combinations, pairwise
 from typing import Final
 
 import numpy as np
 
 from calib.arrays import FloatArray
-from calib.gap.effects.calibration import DIRECTIONS, NAMES, TYPICAL
+from calib.gap.effects.calibration import DIRECTIONS, NAMES
 from calib.gap.evidence.fit import Fitted
-from calib.gap.evidence.marginal import CALIBRATION_SD, log_marginal
-from calib.gap.evidence.models import SCALE_COST, effect_scale, log_evidence_parts
+from calib.gap.evidence.marginal import CALIBRATION_SD
 from calib.gap.evidence.noise import Noise
 from calib.gap.evidence.search import Search, Settings
+from calib.gap.evidence.subsets import SUBSETS, sizes_beside, weigh_subsets
 from calib.gap.evidence.system import LinearSystem
-from calib.gap.evidence.weighting import prior_precision
 from calib.gap.predict.path import Path
 
-__all__ = ["PRIOR", "Recalibration", "judge_recalibration"]
-
-#: prior odds of each being off
-PRIOR: Final = 0.1
+__all__ = ["Recalibration", "judge_recalibration"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,15 +51,10 @@ class Recalibration:
         return float(sum(p for s, p in zip(self.subsets, self.probabilities, strict=True) if name in s))
 
 
-#: share of an effect's whitened size that a calibration shift may have and still belong to it
-EXCUSE: Final = 0.5
-#: prior standard deviation of a found effect's size, at least, in typical sizes
-LOOSE: Final = 3.0
 #: a rival set is as likely as the best where it has more than this share of its probability
 LIKELY: Final = 0.1
 #: a calibration parameter less probable than this beside a rival set is needless there
 NEEDLESS: Final = 0.2
-SUBSETS: Final = tuple(subset for count in range(4) for subset in combinations(range(3), count))
 
 
 def judge_recalibration(
@@ -77,9 +67,7 @@ def judge_recalibration(
 ) -> Recalibration:
     """Weigh the subsets of the calibration's parameters against each other.
 
-    A found effect may be centred elsewhere than assumed, or deviate from its form; a shift of the calibration up to
-    `EXCUSE` times the effect's own size counts as part of the effect. Where other sets of effects are likely too, the
-    calibration is judged beside each of them.
+    Where other sets of effects are likely too, the calibration is judged beside each of them.
 
     Parameters
     ----------
@@ -107,16 +95,12 @@ def judge_recalibration(
     inverse = np.linalg.inv(matrix)
     sd = np.sqrt(np.diag(inverse @ fitted.covariance[:3, :3] @ inverse.T))
     shifts = shifts or {}
-    weighed = [(1.0, _subsets_beside(system, range(len(own)), own, values, settings, shifts))]
+    weighed = [(1.0, weigh_subsets(system, range(len(own)), own, values, settings, shifts).probabilities)]
     for model, weight in search.rivals if search is not None else ():
         assert search is not None
         whole = search.system
-        columns = np.concatenate([whole.calibration, *(whole.of(k) for k in model)], axis=1)
-        estimates, _ = search.weighting.solve(columns, prior_precision(columns.shape[1]))
-        cuts = np.cumsum([4, *(len(whole.forms[k].parameters) for k in model)])
-        sizes = [estimates[first:last] for first, last in pairwise(cuts)]
-        theirs = np.linalg.solve(matrix, estimates[:3] * CALIBRATION_SD[:3])
-        weighed.append((weight, _subsets_beside(whole, model, sizes, theirs, settings, shifts)))
+        sizes, theirs = sizes_beside(whole, model, search.weighting)
+        weighed.append((weight, weigh_subsets(whole, model, sizes, theirs, settings, shifts).probabilities))
     instead = {name: _instead(k, fitted, search, weighed) for k, name in enumerate(NAMES)}
     total = sum(weight for weight, _ in weighed)
     probability = np.asarray(sum(weight * beside for weight, beside in weighed)) / total
@@ -146,38 +130,3 @@ def _instead(
         if weight > LIKELY and len(extra) == 1 and probability[holds].sum() < NEEDLESS:
             effects += extra
     return tuple(dict.fromkeys(effects))
-
-
-def _subsets_beside(
-    system: LinearSystem,
-    model: Sequence[int],
-    sizes: Sequence[FloatArray],
-    values: FloatArray,
-    settings: Settings,
-    shifts: Mapping[str, tuple[str, ...]],
-) -> FloatArray:
-    """Return the probability of each of `SUBSETS` beside some forms at their sizes, shape (n_subsets,)."""
-    directions = (system.calibration / CALIBRATION_SD) @ DIRECTIONS.T
-    norm = np.maximum(np.sqrt((directions**2).sum(axis=0)), 1e-12)
-    fixed = [system.calibration[:, 3:]]
-    deviations = np.zeros((len(system.gap), len(model)))
-    for place, (number, size) in enumerate(zip(model, sizes, strict=True)):
-        form = system.forms[number]
-        contribution = system.of(number) @ size
-        fixed.append(system.of(number) * max(effect_scale(size, form), LOOSE))
-        deviations[:, place] = settings.tolerance * contribution
-        looks_like = [NAMES.index(name) for name in shifts.get(form.effect, ())]
-        fixed.append((directions / norm)[:, looks_like] * (EXCUSE * np.sqrt((contribution**2).sum())))
-    scaled = directions * TYPICAL * np.clip(np.abs(values) / TYPICAL, 0.1, 10.0)
-    sums = system.sums(scaled, np.concatenate(fixed, axis=1), deviations, prior_rest=settings.prior_rest)
-    weights = np.zeros(len(SUBSETS))
-    for place, subset in enumerate(SUBSETS):
-        picked = list(subset)
-        gram, right = sums.gram[:, picked][:, :, picked], sums.right[:, picked]
-        log_det, gain = log_evidence_parts(gram, right, np.ones(len(picked)))
-        value = settings.temper * (log_marginal(sums.square - gain, sums.log_det + log_det, sums.n_rows))
-        value = value + sums.log_prior + len(picked) * (np.log(PRIOR) - settings.temper * SCALE_COST)
-        top = value.max()
-        weights[place] = top + np.log(np.exp(value - top).sum())
-    weight = np.exp(weights - weights.max())
-    return np.asarray(weight / weight.sum())

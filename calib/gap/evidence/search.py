@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from typing import Final
@@ -14,6 +14,7 @@ from calib.gap.effects.effect import Effect, Form
 from calib.gap.evidence.climb import Climb, Model, Settings
 from calib.gap.evidence.fit import Fitted
 from calib.gap.evidence.noise import Noise
+from calib.gap.evidence.subsets import sizes_beside, weigh_subsets
 from calib.gap.evidence.system import LinearSystem
 from calib.gap.evidence.weighting import Weighting
 from calib.gap.predict.path import Path
@@ -26,6 +27,11 @@ _PASSES: Final = 7
 _SETTLED: Final = 0.2
 #: causes fitted alone, the likeliest about the path of the recalibration, of which the best is begun with
 _ALONE: Final = 3
+#: models weighed together with the calibration: so many at most, those within so many nats of the best
+_LIKELY: Final = 12
+_LIKELY_NATS: Final = 7.0
+#: what is likelier than not
+_LIKELIER: Final = 0.5
 #: beside a larger rest, the search begins again from elsewhere
 _SMALL_REST: Final = 1.0
 
@@ -115,6 +121,7 @@ def search(
         Called before each pass.
     """
     settings = settings or Settings()
+    shifts = {effect.id: effect.shifts for effect in effects}
     if start is None:
         forms = {e.id: e.forms(nominal.s) for e in effects if not e.calibration}
         forms = {name: made for name, made in forms.items() if made}
@@ -136,13 +143,14 @@ def search(
             settled, settled_fitted = _settle(other, noise, every, settings, passed, most=most)
             if settled.evidence() > room.evidence():
                 room, fitted = settled, settled_fitted
-    models, weight = room.posterior()
-    total = np.exp(weight - weight.max())
-    total /= total.sum()
-    by_set: dict[tuple[str, ...], float] = {}
-    for column, model in enumerate(models):
-        key = tuple(sorted(room.columns.forms[f].effect for f in model))
-        by_set[key] = by_set.get(key, 0.0) + float(total[:, column].sum())
+    models, probability = _weighed(begun, settings, shifts)
+    nothing = float(probability[0, models.index(())])
+    models, probability = _weighed(room, settings, shifts)
+    likeliest = room.likeliest(models, probability, something=nothing < 1.0 - _LIKELIER)
+    if likeliest is not None:
+        room, fitted = _settle(room.with_only(likeliest), noise, every, settings, passed, climbs=False)
+        models, probability = _weighed(room, settings, shifts)
+    by_set = room.by_effects(models, probability.sum(axis=0))
     order = sorted(by_set, key=lambda key: -by_set[key])
     return Search(
         fitted=fitted,
@@ -152,11 +160,31 @@ def search(
         forms=forms,
         models=tuple(order),
         probabilities=np.array([by_set[key] for key in order]),
-        rivals=room.rivals(models, total.sum(axis=0)),
-        rest=float(total[1:].sum()),
+        rivals=room.rivals(models, probability.sum(axis=0)),
+        rest=float(probability[1:].sum()),
         weighting=room.weighting(),
-        nothing=begun.nothing(),
+        nothing=nothing,
     )
+
+
+def _weighed(room: Climb, settings: Settings, shifts: Mapping[str, tuple[str, ...]]) -> tuple[list[Model], FloatArray]:
+    """Return the models about the best ones and their probabilities, shape (n_scales, n_models).
+
+    The moves leave the calibration free beside every model. What is likely at the end is weighed together with which of
+    the calibration's parameters it needs to be off: an effect that explains their shift too needs none.
+    """
+    models, weight = room.posterior()
+    total = np.logaddexp.reduce(weight, axis=0)
+    likely = [int(n) for n in np.argsort(-total)[:_LIKELY] if total[n] > total.max() - _LIKELY_NATS]
+    over_free = {n: _over_free(room, models[n], settings, shifts) for n in {*likely, models.index(room.current)}}
+    weight = weight + np.array([over_free.get(n, min(over_free.values())) for n in range(len(models))])
+    probability = np.exp(weight - weight.max())
+    return models, probability / probability.sum()
+
+
+def _over_free(room: Climb, model: Model, settings: Settings, shifts: Mapping[str, tuple[str, ...]]) -> float:
+    sizes, values = sizes_beside(room.system, model, room.weighting())
+    return weigh_subsets(room.system, model, sizes, values, settings, shifts).over_free
 
 
 def _settle(

@@ -103,12 +103,19 @@ class Evidence:
     @cached_property
     def calibration(self) -> tuple[str, ...]:
         """Calibration parameters that are off, of those that the library holds."""
-        return tuple(name for name in self.recalibration.subsets[0] if name in self.effects)
+        return tuple(name for name in self._recalibrated if name in self.effects)
+
+    @property
+    def _recalibrated(self) -> tuple[str, ...]:
+        """The likeliest set of calibration parameters; not the empty one where nothing else says what is off."""
+        subsets = self.recalibration.subsets
+        only = not self.search.effects and not subsets[0] and self.recalibration.probabilities[0] < 0.5
+        return subsets[1] if only else subsets[0]
 
     @property
     def denied(self) -> bool:
         """Whether a calibration parameter is off that the library was denied: a cause outside the library."""
-        return len(self.calibration) < len(self.recalibration.subsets[0])
+        return len(self.calibration) < len(self._recalibrated)
 
     @property
     def named(self) -> tuple[str, ...]:

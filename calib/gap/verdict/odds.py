@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 from typing import Final
 
 from calib.gap.effects.calibration import NAMES
-from calib.gap.evidence.recalibration import PRIOR
+from calib.gap.evidence.subsets import PRIOR
 from calib.gap.verdict.calibrated import calibrated
 from calib.gap.verdict.evidence import Evidence
 

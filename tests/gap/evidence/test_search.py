@@ -89,6 +89,54 @@ def test_two_causes_are_found_among_the_pairs_of_the_likeliest_alone() -> None:
     assert searched(two, settings=Settings(paired=4)).effects == ("rangefinder_offset", "temperature_radius")
 
 
+def scrub(run: Run, now: Motion) -> None:
+    # nine tenths of it look like another track: what is left beside that shows by five floors
+    now.track = 5e-4 * np.abs(now.kappa)
+
+
+def drag(run: Run, now: Motion) -> None:
+    # all but a twentieth looks like unequal wheels
+    now.right = np.where(now.ds_m > 0.0, 2e-3, 0.0)
+
+
+@pytest.mark.parametrize(("truth", "expected"), [(scrub, ("curve_scrub",)), (drag, ("rear_drag",))])
+def test_an_effect_that_explains_the_shift_of_the_calibration_comes_before_it(
+    truth: Truth, expected: tuple[str]
+) -> None:
+    """One cause for all of it is likelier than a calibration that is off and a smaller cause beside it."""
+    found = searched(truth)
+    assert found.effects == expected
+    assert found.inclusion()[expected[0]] > 0.5
+
+
+def unequal(run: Run, now: Motion) -> None:
+    now.left, now.right = -2e-3, 2e-3
+
+
+def wide(run: Run, now: Motion) -> None:
+    now.track = 0.016
+
+
+@pytest.mark.parametrize("truth", [unequal, wide])
+def test_a_calibration_that_is_off_is_no_effect(truth: Truth) -> None:
+    """What a recalibration explains alone, no effect that could imitate it explains better."""
+    found = searched(truth)
+    assert found.effects == ()
+    assert found.models[0] == ()
+    assert found.nothing > 0.5
+
+
+def test_something_that_is_off_gets_its_likeliest_name() -> None:
+    """Where a gap is probable, the likeliest cause is at hand, though each alone be less likely than none."""
+
+    def faint(run: Run, now: Motion) -> None:
+        now.track = 3e-4 * np.abs(now.kappa)
+
+    found = searched(faint)
+    assert found.nothing < 0.5
+    assert found.effects == ("curve_scrub",)
+
+
 def test_without_a_gap_nothing_comes_first() -> None:
     found = searched(lambda run, now: None)
     assert found.effects == ()

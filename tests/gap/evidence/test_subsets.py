@@ -1,0 +1,75 @@
+"""Weights of calibration subsets, against the normal density with its whole covariance matrix."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.gap.effects.calibration import DIRECTIONS, TYPICAL
+from calib.gap.effects.temperature_radius import TemperatureRadius
+from calib.gap.evidence.fit import fit
+from calib.gap.evidence.marginal import CALIBRATION_SD, FLOOR_DOF
+from calib.gap.evidence.search import Settings
+from calib.gap.evidence.subsets import EXCUSE, LOOSE, PRIOR, SUBSETS, SubsetWeights, weigh_subsets
+from calib.gap.evidence.system import LinearSystem
+from calib.gap.plan.separability import noise_at
+from calib.gap.predict.path import predict
+from tests.gap.effects.making import Motion, Run, rich_runs, situation
+
+#: rounding of sums over some hundred rows, in nats
+ROUNDING = 1e-6
+#: without a rest, and with the evidence as it is
+PLAIN = Settings(prior_rest=1e-300, temper=1.0, tolerance=1e-9)
+
+
+def _system() -> LinearSystem:
+    rng = np.random.default_rng(3)
+
+    def truth(run: Run, now: Motion) -> None:
+        now.left = now.right = 3e-4 * (run.numbers["temperature_C"] - 20.0)
+        now.laser_m, now.end_x_m, now.end_y_m = rng.normal(0, [0.0015, 0.002, 0.002])
+        now.end_rad = rng.normal(0, 0.0008)
+
+    s = situation([replace(run, front=False) for run in rich_runs()], truth=truth)
+    nominal = predict(s)
+    noise = noise_at(nominal, {})
+    forms = TemperatureRadius().forms(s)[:1]
+    return LinearSystem(fit(nominal, noise, forms, steps=8), nominal, noise, forms)
+
+
+def _log_density(gap: np.ndarray, columns: np.ndarray) -> float:
+    """Student's t whose scale matrix is I + X X^T, without its constant."""
+    covariance = np.eye(len(gap)) + columns @ columns.T
+    square = gap @ np.linalg.solve(covariance, gap)
+    return float(-0.5 * (FLOOR_DOF + len(gap)) * np.log1p(square / FLOOR_DOF) - 0.5 * np.linalg.slogdet(covariance)[1])
+
+
+def test_each_subset_weighs_what_its_density_says() -> None:
+    """Log weights beside a form are those of the dense normal model, up to one constant; so is the free calibration."""
+    system = _system()
+    size, values = np.array([2.0]), np.array([0.002, 0.001, 0.02])
+    weights = weigh_subsets(system, [0], [size], values, PLAIN, {"temperature_radius": ("radius_scale",)})
+    directions = (system.calibration / CALIBRATION_SD) @ DIRECTIONS.T
+    contribution = system.of(0) @ size
+    excused = directions[:, :1] / np.linalg.norm(directions[:, 0]) * EXCUSE * np.linalg.norm(contribution)
+    fixed = np.concatenate([system.calibration[:, 3:], system.of(0) * LOOSE, excused], axis=1)
+    scaled = directions * TYPICAL * np.clip(values / TYPICAL, 0.1, 10.0)
+    expected = np.array(
+        [
+            _log_density(system.gap, np.concatenate([fixed, scaled[:, list(subset)]], axis=1))
+            + len(subset) * (np.log(PRIOR) - np.log(4.0))
+            for subset in SUBSETS
+        ]
+    )
+    free = _log_density(system.gap, np.concatenate([fixed, system.calibration[:, :3]], axis=1))
+    assert weights.each - weights.free == pytest.approx(expected - free, abs=ROUNDING)
+    assert weights.over_free == pytest.approx(np.log(np.exp(expected - free).sum()), abs=ROUNDING)
+
+
+def test_probabilities_are_weights_over_their_sum() -> None:
+    each = np.log(np.arange(1.0, 9.0)) - 700.0
+    weights = SubsetWeights(each, free=-699.0)
+    assert weights.probabilities == pytest.approx(np.arange(1.0, 9.0) / 36.0)
+    assert weights.over_free == pytest.approx(np.log(36.0) - 1.0)
