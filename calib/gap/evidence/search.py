@@ -148,8 +148,11 @@ def search(
     models, probability = _weighed(room, settings, shifts)
     likeliest = room.likeliest(models, probability, something=nothing < 1.0 - _LIKELIER)
     if likeliest is not None:
-        room, fitted = _settle(room.with_only(likeliest), noise, every, settings, passed, climbs=False)
-        models, probability = _weighed(room, settings, shifts)
+        other, other_fitted = _settle(room.with_only(likeliest), noise, every, settings, passed, climbs=False)
+        weighed = _weighed(other, settings, shifts)
+        # about its own path, too
+        if other.likeliest(*weighed, something=float(weighed[1][0, weighed[0].index(())]) < 1.0 - _LIKELIER) is None:
+            room, fitted, (models, probability) = other, other_fitted, weighed
     by_set = room.by_effects(models, probability.sum(axis=0))
     order = sorted(by_set, key=lambda key: -by_set[key])
     return Search(

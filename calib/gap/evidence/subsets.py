@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, pairwise
+from math import comb
 from typing import Final
 
 import numpy as np
@@ -17,15 +18,18 @@ from calib.gap.evidence.models import SCALE_COST, effect_scale, log_evidence_par
 from calib.gap.evidence.system import LinearSystem
 from calib.gap.evidence.weighting import Weighting, prior_precision
 
-__all__ = ["PRIOR", "SUBSETS", "SubsetWeights", "sizes_beside", "weigh_subsets"]
+__all__ = ["PRIOR", "SUBSETS", "SubsetWeights", "log_prior_of", "sizes_beside", "weigh_subsets"]
 
-#: prior odds of each being off
+#: prior odds of each being off by itself
 PRIOR: Final = 0.1
 #: share of an effect's whitened size that a calibration shift may have and still belong to it
 EXCUSE: Final = 0.5
 #: prior standard deviation of a found effect's size, at least, in typical sizes
 LOOSE: Final = 3.0
 SUBSETS: Final = tuple(subset for count in range(4) for subset in combinations(range(3), count))
+#: the radius of one wheel, left (3) or right (4), is as likely off by itself: the radii are then off both in scale and
+#: in ratio; alone, or beside the track (2)
+_ONE_WHEEL: Final = ((3,), (4,), (2, 3), (2, 4))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,6 +52,17 @@ class SubsetWeights:
         A set of causes that explains the gap with the calibration as it is says more than one that needs it off.
         """
         return float(np.logaddexp.reduce(self.each)) - self.free
+
+
+def log_prior_of(count: int, settings: Settings) -> float:
+    """Return the log prior odds of one subset of so many parameters, over none being off.
+
+    Of a vehicle that was never calibrated more than one is off: as with effects, every number is less likely than one
+    fewer by the same odds, and of so many all subsets are as likely.
+    """
+    if not count:
+        return 0.0
+    return float(np.log(len(NAMES) * PRIOR) + (count - 1) * np.log(settings.further) - np.log(comb(len(NAMES), count)))
 
 
 def sizes_beside(
@@ -100,16 +115,30 @@ def weigh_subsets(
         deviations[:, place] = settings.tolerance * contribution
         looks_like = [NAMES.index(name) for name in shifts.get(form.effect, ())]
         fixed.append((directions / norm)[:, looks_like] * (EXCUSE * np.sqrt((contribution**2).sum())))
-    scaled = directions * TYPICAL * np.clip(np.abs(values) / TYPICAL, 0.1, 10.0)
-    columns = np.concatenate([scaled, system.calibration[:, :3]], axis=1)
+    ways = np.concatenate([DIRECTIONS, np.eye(4)[:2]])
+    typical = np.concatenate([TYPICAL, TYPICAL[:1], TYPICAL[:1]])
+    times = np.concatenate([values, (values @ DIRECTIONS)[:2]]) / typical
+    columns = np.concatenate(
+        [(system.calibration / CALIBRATION_SD) @ ways.T * typical, system.calibration[:, :3]], axis=1
+    )
     sums = system.sums(columns, np.concatenate(fixed, axis=1), deviations, prior_rest=settings.prior_rest)
 
-    def weight(picked: Sequence[int]) -> float:
+    def weight(picked: Sequence[int], scale: float) -> float:
         gram, right = sums.gram[:, picked][:, :, picked], sums.right[:, picked]
-        log_det, gain = log_evidence_parts(gram, right, np.ones(len(picked)))
+        log_det, gain = log_evidence_parts(gram, right, np.full(len(picked), scale**2))
         value = settings.temper * (log_marginal(sums.square - gain, sums.log_det + log_det, sums.n_rows))
         return float(np.logaddexp.reduce(value + sums.log_prior))
 
-    cost = np.log(PRIOR) - settings.temper * SCALE_COST
-    each = [weight(list(subset)) + len(subset) * cost for subset in SUBSETS]
-    return SubsetWeights(np.array(each), weight([3, 4, 5]))
+    def of_subset(subset: tuple[int, ...]) -> float:
+        picked = list(subset)
+        if not picked:
+            return weight(picked, 1.0)
+        # as with the parameters of a form: one scale for all that is off, chosen by its size and paid for once
+        scale = float(np.clip(np.sqrt(np.mean(times[picked] ** 2)), 0.1, 10.0))
+        return weight(picked, scale) + log_prior_of(len(picked), settings) - settings.temper * SCALE_COST
+
+    weights = {subset: of_subset(subset) for subset in SUBSETS + _ONE_WHEEL}
+    for subset in _ONE_WHEEL:
+        both = (0, 1, *subset[:-1])
+        weights[both] = float(np.logaddexp(weights[both], weights[subset]))
+    return SubsetWeights(np.array([weights[subset] for subset in SUBSETS]), weight([5, 6, 7], 1.0))

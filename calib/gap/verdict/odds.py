@@ -16,6 +16,8 @@ __all__ = ["any_probability", "credible_sets", "effect_probabilities", "gap_prob
 CREDIBLE: Final = 0.95
 #: a radius or track is mis-set so many times as often as any one effect that looks like it is at work
 RARER: Final = 5.0
+#: an effect more probable than this by the search was weighed together with the calibration there
+WEIGHED: Final = 0.01
 #: smallest probability that is listed
 LISTED: Final = 1e-4
 
@@ -65,13 +67,18 @@ def any_probability(evidence: Evidence, names: Collection[str]) -> float:
 def _shared_with_aliases(evidence: Evidence, groups: Sequence[Sequence[str]]) -> dict[str, dict[str, float]]:
     """Return which shares of each calibration parameter's probability go to the effects that look like it.
 
-    Those effects were projected out of the search, so that only their prior odds speak for them.
+    Of those that were not among what the search weighed together with the calibration, only prior odds speak.
     """
+    weighed = {name for name, probability in evidence.search.inclusion().items() if probability > WEIGHED}
     shared: dict[str, dict[str, float]] = {}
     for group in groups:
         ours = [name for name in group if name in NAMES and name in evidence.calibration]
         if ours and group[0] in ours:
-            odds = {name: PRIOR / RARER * _most_likely_form(evidence, name) for name in group if name not in ours}
+            odds = {
+                name: PRIOR / RARER * _most_likely_form(evidence, name)
+                for name in group
+                if name not in {*ours, *weighed}
+            }
             total = PRIOR + sum(odds.values())
             shared |= {name: {alias: each / total for alias, each in odds.items()} for name in ours}
     return shared

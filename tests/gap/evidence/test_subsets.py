@@ -12,7 +12,7 @@ from calib.gap.effects.temperature_radius import TemperatureRadius
 from calib.gap.evidence.fit import fit
 from calib.gap.evidence.marginal import CALIBRATION_SD, FLOOR_DOF
 from calib.gap.evidence.search import Settings
-from calib.gap.evidence.subsets import EXCUSE, LOOSE, PRIOR, SUBSETS, SubsetWeights, weigh_subsets
+from calib.gap.evidence.subsets import EXCUSE, LOOSE, SUBSETS, SubsetWeights, weigh_subsets
 from calib.gap.evidence.system import LinearSystem
 from calib.gap.plan.separability import noise_at
 from calib.gap.predict.path import predict
@@ -22,6 +22,8 @@ from tests.gap.effects.making import Motion, Run, rich_runs, situation
 ROUNDING = 1e-6
 #: without a rest, and with the evidence as it is
 PLAIN = Settings(prior_rest=1e-300, temper=1.0, tolerance=1e-9)
+#: of one subset of so many: 0.3, 0.15 and 0.075 for all of a size together
+PRIOR_ODDS = (1.0, 0.1, 0.05, 0.075)
 
 
 def _system() -> LinearSystem:
@@ -46,6 +48,14 @@ def _log_density(gap: np.ndarray, columns: np.ndarray) -> float:
     return float(-0.5 * (FLOOR_DOF + len(gap)) * np.log1p(square / FLOOR_DOF) - 0.5 * np.linalg.slogdet(covariance)[1])
 
 
+def _of_subset(gap: np.ndarray, fixed: np.ndarray, unit: np.ndarray, times: np.ndarray) -> float:
+    """The density with these columns at their common scale, its prior and the choice of the scale paid for."""
+    if not len(times):
+        return _log_density(gap, fixed)
+    scale = np.clip(np.sqrt(np.mean(times**2)), 0.1, 10.0)
+    return _log_density(gap, np.concatenate([fixed, scale * unit], axis=1)) + np.log(PRIOR_ODDS[len(times)] / 4.0)
+
+
 def test_each_subset_weighs_what_its_density_says() -> None:
     """Log weights beside a form are those of the dense normal model, up to one constant; so is the free calibration."""
     system = _system()
@@ -55,14 +65,16 @@ def test_each_subset_weighs_what_its_density_says() -> None:
     contribution = system.of(0) @ size
     excused = directions[:, :1] / np.linalg.norm(directions[:, 0]) * EXCUSE * np.linalg.norm(contribution)
     fixed = np.concatenate([system.calibration[:, 3:], system.of(0) * LOOSE, excused], axis=1)
-    scaled = directions * TYPICAL * np.clip(values / TYPICAL, 0.1, 10.0)
-    expected = np.array(
-        [
-            _log_density(system.gap, np.concatenate([fixed, scaled[:, list(subset)]], axis=1))
-            + len(subset) * (np.log(PRIOR) - np.log(4.0))
-            for subset in SUBSETS
-        ]
-    )
+    unit, times = directions * TYPICAL, values / TYPICAL
+    expected = np.array([_of_subset(system.gap, fixed, unit[:, list(k)], times[list(k)]) for k in SUBSETS])
+    # one wheel's radius alone, or beside the track, is what a scale and a ratio do together
+    wheels = system.calibration[:, :2] / CALIBRATION_SD[:2] * TYPICAL[0]
+    of_wheels = (values @ DIRECTIONS)[:2] / TYPICAL[0]
+    for beside, place in (([], SUBSETS.index((0, 1))), ([2], SUBSETS.index((0, 1, 2)))):
+        for wheel in (0, 1):
+            columns = np.concatenate([unit[:, beside], wheels[:, [wheel]]], axis=1)
+            sizes = np.concatenate([times[beside], of_wheels[[wheel]]])
+            expected[place] = np.logaddexp(expected[place], _of_subset(system.gap, fixed, columns, sizes))
     free = _log_density(system.gap, np.concatenate([fixed, system.calibration[:, :3]], axis=1))
     assert weights.each - weights.free == pytest.approx(expected - free, abs=ROUNDING)
     assert weights.over_free == pytest.approx(np.log(np.exp(expected - free).sum()), abs=ROUNDING)
