@@ -179,15 +179,13 @@ def _weighed(room: Climb, settings: Settings, shifts: Mapping[str, tuple[str, ..
     models, weight = room.posterior()
     total = np.logaddexp.reduce(weight, axis=0)
     likely = [int(n) for n in np.argsort(-total)[:_LIKELY] if total[n] > total.max() - _LIKELY_NATS]
-    over_free = {n: _over_free(room, models[n], settings, shifts) for n in {*likely, models.index(room.current)}}
+    weighting, over_free = room.weighting(), dict[int, float]()
+    for n in {*likely, models.index(room.current)}:
+        sizes, values = sizes_beside(room.system, models[n], weighting)
+        over_free[n] = weigh_subsets(room.system, models[n], sizes, values, settings, shifts).over_free
     weight = weight + np.array([over_free.get(n, min(over_free.values())) for n in range(len(models))])
     probability = np.exp(weight - weight.max())
     return models, probability / probability.sum()
-
-
-def _over_free(room: Climb, model: Model, settings: Settings, shifts: Mapping[str, tuple[str, ...]]) -> float:
-    sizes, values = sizes_beside(room.system, model, room.weighting())
-    return weigh_subsets(room.system, model, sizes, values, settings, shifts).over_free
 
 
 def _settle(

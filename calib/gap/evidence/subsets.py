@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, pairwise
-from math import comb
 from typing import Final
 
 import numpy as np
@@ -18,10 +17,10 @@ from calib.gap.evidence.models import SCALE_COST, effect_scale, log_evidence_par
 from calib.gap.evidence.system import LinearSystem
 from calib.gap.evidence.weighting import Weighting, prior_precision
 
-__all__ = ["PRIOR", "SUBSETS", "SubsetWeights", "log_prior_of", "sizes_beside", "weigh_subsets"]
+__all__ = ["ANY", "SUBSETS", "SubsetWeights", "log_prior_of", "sizes_beside", "weigh_subsets"]
 
-#: prior odds of each being off by itself
-PRIOR: Final = 0.1
+#: prior odds of one being off by itself, whichever it is
+ANY: Final = 0.3
 #: share of an effect's whitened size that a calibration shift may have and still belong to it
 EXCUSE: Final = 0.5
 #: prior standard deviation of a found effect's size, at least, in typical sizes
@@ -62,7 +61,8 @@ def log_prior_of(count: int, settings: Settings) -> float:
     """
     if not count:
         return 0.0
-    return float(np.log(len(NAMES) * PRIOR) + (count - 1) * np.log(settings.further) - np.log(comb(len(NAMES), count)))
+    alike = sum(len(subset) == count for subset in SUBSETS + _ONE_WHEEL)
+    return float(np.log(ANY) + (count - 1) * np.log(settings.further) - np.log(alike))
 
 
 def sizes_beside(

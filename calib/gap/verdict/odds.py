@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 from typing import Final
 
 from calib.gap.effects.calibration import NAMES
-from calib.gap.evidence.subsets import PRIOR
+from calib.gap.evidence.subsets import ANY
 from calib.gap.verdict.calibrated import calibrated
 from calib.gap.verdict.evidence import Evidence
 
@@ -69,17 +69,18 @@ def _shared_with_aliases(evidence: Evidence, groups: Sequence[Sequence[str]]) ->
 
     Of those that were not among what the search weighed together with the calibration, only prior odds speak.
     """
+    prior = ANY / len(NAMES)
     weighed = {name for name, probability in evidence.search.inclusion().items() if probability > WEIGHED}
     shared: dict[str, dict[str, float]] = {}
     for group in groups:
         ours = [name for name in group if name in NAMES and name in evidence.calibration]
         if ours and group[0] in ours:
             odds = {
-                name: PRIOR / RARER * _most_likely_form(evidence, name)
+                name: prior / RARER * _most_likely_form(evidence, name)
                 for name in group
                 if name not in {*ours, *weighed}
             }
-            total = PRIOR + sum(odds.values())
+            total = prior + sum(odds.values())
             shared |= {name: {alias: each / total for alias, each in odds.items()} for name in ours}
     return shared
 
