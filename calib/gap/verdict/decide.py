@@ -14,7 +14,7 @@ from calib.gap.verdict.evidence import Evidence
 from calib.gap.verdict.gross import gross_cause
 from calib.gap.verdict.groups import groups_of
 from calib.gap.verdict.odds import any_probability, credible_sets, effect_probabilities, gap_probability
-from calib.gap.verdict.outcome import DRIVEN, JOURNEYS
+from calib.gap.verdict.outcome import DRIVEN, JOURNEYS, Rest
 from calib.gap.verdict.rest import rest_of
 from calib.gap.verdict.result import ALIKE, SURE, Cause, Closure, Fix, Group, NoiseSummary, Verdict, VerdictKind
 from calib.gap.verdict.sentence import sentence
@@ -36,6 +36,8 @@ LEAST: Final = 0.1
 ALONE: Final = 0.8
 #: a rest, or causes that cannot be told apart, that carry a larger share of the gap are part of the verdict's word
 SMALL: Final = 0.05
+#: beside a larger rest a fix needs causes that show so many times as strongly; half of a fainter one may be the rest
+CLEAR: Final = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +114,7 @@ def recommended(
     closure: Closure,
     trials: Sequence[Trial] = (),
     agreement: float | None = None,
+    rest: Rest | None = None,
 ) -> bool:
     """Return whether all that is named is likely at work, and the fix helps on runs left out and wherever it is tried.
 
@@ -127,8 +130,13 @@ def recommended(
         Kinds, speeds, loads, directions and sessions left out in turn.
     agreement : float or None
         How far the corrections of causes that cannot be told apart differ, in metres; None where nothing is tied.
+    rest : Rest or None
+        What no cause explains.
     """
     if not causes or prod(certain) < SURE:
+        return False
+    beside = rest.signal if rest is not None and rest.share > SMALL else 0.0
+    if any(cause.share > SMALL and cause.signal < CLEAR * beside for cause in causes):
         return False
     if closure.fraction is None or closure.fraction < CLOSES or closure.ci95 is None:
         return False
@@ -168,7 +176,7 @@ def decide(evidence: Evidence) -> Verdict:
         recommended=kind is not VerdictKind.UNDECIDED
         and names.issuperset(evidence.named)
         and not any(evidence.effects[name].per_session for name in concerned)
-        and recommended(causes, [certain[cause.effect] for cause in causes], closure, evidence.trials, agreement),
+        and recommended(causes, [certain[cause.effect] for cause in causes], closure, evidence.trials, agreement, rest),
         agreement_m=agreement,
         agreement_on=DRIVEN if evidence.journeys is None else JOURNEYS,
         transfer=() if nothing_named else tuple(trial.transfer for trial in evidence.trials),

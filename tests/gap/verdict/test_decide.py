@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 
 from calib.gap.verdict.decide import Balance, kind_of, recommended
+from calib.gap.verdict.outcome import Rest
 from calib.gap.verdict.result import Cause, Closure, VerdictKind
 from calib.gap.verdict.transfer import Trial
 
@@ -125,3 +126,18 @@ def test_corrections_of_tied_causes_decide_whether_it_matters_which() -> None:
     """Nearer than the floor: either way, apply it. Further: find out first."""
     assert recommended([cause()], [0.9], CLOSED, (), 0.002)
     assert not recommended([cause()], [0.9], CLOSED, (), 0.020)
+
+
+@pytest.mark.parametrize(
+    ("rest", "expected"),
+    [
+        (None, True),
+        (Rest(share=0.2, signal=4.0), True),
+        (Rest(share=0.2, signal=6.0), False),
+        (Rest(share=0.01, signal=6.0), True),
+    ],
+)
+def test_beside_a_rest_that_shows_half_as_strongly_a_cause_is_no_fix(rest: Rest | None, expected: bool) -> None:
+    """What leaves much behind may itself be an imitation of it; a rest that carries little does not matter."""
+    named = replace(cause(), share=0.8, signal=10.0)
+    assert recommended([named], [0.9], CLOSED, (), None, rest) is expected
