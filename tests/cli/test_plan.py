@@ -77,3 +77,19 @@ def test_a_plan_is_judged_as_matrix_and_picture(plan: Path, tmp_path: Path, caps
 def test_bad_usage_is_one_line(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["plan", *arguments]) == 2
     assert capsys.readouterr().err.count("\n") == 1
+
+
+@pytest.mark.parametrize("wheels", ["front", "wheels"])
+def test_a_plan_without_rear_encoders_needs_its_logs(
+    wheels: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A steered wheel, or four, are counted along the way: a plan that takes no log is refused for that reason."""
+    vehicle = {"front": 'drive = "tricycle"\n', "wheels": 'drive = "mecanum"\nhalf_length_plus_half_width_m = 0.4\n'}
+    sections = PLAN.replace("[vehicle]\n", f"[vehicle]\n{vehicle[wheels]}", 1)
+    sections = sections.replace("[[runs]]", f'[odometry]\nfrom = "{wheels}"\n[measured]\nlog = false\n[[runs]]', 1)
+    path = tmp_path / "p.toml"
+    path.write_text(sections)
+    assert run(["plan", "--from", str(path)]) == 2
+    error = capsys.readouterr().err
+    assert "measured.log" in error and "without a log" in error
+    assert "Traceback" not in error and error.count("\n") == 1

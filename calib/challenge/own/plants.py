@@ -28,14 +28,13 @@ NOT_PLANTED: Final = {
     "encoder_gross": "a gross fault is found before the search, by trial",
     "integration_scheme": "it is in the simulator, not in the vehicle",
     "path_weave": "it needs runs without logs",
-    "steering_backlash": "only the front wheel shows it",
-    "steering_delay": "only the front wheel shows it",
-    "drive_slip": "only the front wheel shows it",
 }
 #: share of what an effect does that is left beside a recalibration, below which it cannot be asked for
 ABSORBED: Final = 0.02
 #: what is planted where the front wheel alone drives the odometry, which is calibrated by them
 STEERED: Final = ("steering_zero", "steering_scale")
+#: what only the front wheel shows, and its odometry where no rear wheel is counted
+OF_THE_FRONT: Final = (*STEERED, "steering_backlash", "steering_delay", "drive_slip")
 #: a planted change of so much of the path driven, or of the heading, is no small effect any more
 LARGEST_SHARE, LARGEST_RAD = 0.2, 1.0
 _SIZE: Final = re.compile(r"\s*([+-]?[0-9.]+(?:[eE][+-]?[0-9]+)?)\s*([sx]?)\s*")
@@ -177,7 +176,7 @@ def _candidates(
     for effect in diagnosis.effects:
         if effect.id in NOT_PLANTED:
             left_out[effect.id] = NOT_PLANTED[effect.id]
-        elif effect.id in STEERED and not diagnosis.observations.by_front:
+        elif effect.id in OF_THE_FRONT and not diagnosis.observations.by_front:
             left_out[effect.id] = "only the front wheel shows it"
         elif not effect.forms(diagnosis.observations):
             left_out[effect.id] = f"these runs cannot show it: it needs {effect.needs or 'other runs'}"

@@ -14,6 +14,7 @@ import numpy as np
 
 from calib.arrays import FloatArray, IntArray
 from calib.campaign.settings import FrontModel
+from calib.challenge.own.steering import true_angles
 from calib.gap.data.observations import Observations
 from calib.plant.design import Design
 from calib.plant.world import Moment, World, build_world
@@ -217,6 +218,7 @@ def _driven(replay: Replay, world: World) -> _Ends:
     route, n_units = replay.route, len(replay.observations)
     now = Moment.at_rest(n_units)
     path = np.zeros(n_units)
+    angles = true_angles(route.steer_rad, route.time_s, route.last, world) if replay.observations.by_front else None
     # a count that is lost was rolled all the same: what the wheel did is more than what was logged
     left_m, right_m = world.believed_left_m * world.left, world.believed_right_m * world.right
     track_m = world.model.track_m * world.track
@@ -234,9 +236,10 @@ def _driven(replay: Replay, world: World) -> _Ends:
         right = route.roll_right_rad[step] * right_m * (1.0 + now.right) / (1.0 - now.lost_right)
         way = 0.5 * (left + right) / (1.0 + world.rise)
         turn = (right - left) / (track_m * (1.0 + now.track)) + now.yaw_radps * duration
-        if replay.observations.by_front:
-            ahead, curve = _steered(replay, world, step)
-            way, turn = way * ahead, turn * ahead + curve
+        if angles is not None:
+            ahead, curve = _steered(replay, world, step, angles[step])
+            # of a wheel that slips more is counted than the vehicle moves
+            way, turn = way * ahead / (1.0 + now.drive), (turn * ahead + curve) / (1.0 + now.drive)
         middle = now.theta_rad + 0.5 * turn
         chord, drift = way * np.sinc(turn / (2 * np.pi)), now.lateral_mps * duration
         now.x_m = now.x_m + chord * np.cos(middle) - drift * np.sin(middle)
@@ -249,13 +252,12 @@ def _driven(replay: Replay, world: World) -> _Ends:
     return _Ends(pose, path, speed, speed * route.curvature_per_m[route.last, units])
 
 
-def _steered(replay: Replay, world: World, step: int) -> tuple[FloatArray, FloatArray]:
+def _steered(replay: Replay, world: World, step: int, true: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return by what the way ahead is multiplied where the front wheel's angle is other than read, and what it turns.
 
     The turn comes on top of the one that is read, multiplied alike (Eqs 12 to 14).
     """
     read, way = replay.route.steer_rad[step], replay.route.front_m[step]
-    true = (read - world.steer_zero_rad) / world.steer_scale
     ahead = np.cos(true) / np.cos(read)
     wheelbase_m = (world.model.front or FrontModel.of(replay.observations.vehicle)).wheelbase_m
     return ahead, way * (np.sin(true) - ahead * np.sin(read)) / wheelbase_m

@@ -28,6 +28,11 @@ _NUMBERS: Final = (
     "temperature_C",
     "minutes_under_load",
 )
+#: sensors that drive the odometry without rear encoders -> what only a log holds of them
+_ALONG_THE_WAY: Final = {
+    "front": "a front wheel is counted, and its angle read,",
+    "wheels": "four wheels are counted",
+}
 _MEASURED: Final = tuple(field.name for field in fields(Measured))
 
 
@@ -51,6 +56,9 @@ def read_plan(path: Path) -> Campaign:
     runs = _runs(document.pop("runs", None), path)
     measured, corridor_m = _measured(document.pop("measured", {}), path)
     settings = parse_settings(document, str(path), path.stem)
+    if settings.odometry.source in _ALONG_THE_WAY and not measured.log:
+        counted = _ALONG_THE_WAY[settings.odometry.source]
+        raise _wrong(path, "measured.log", False, f"true: {counted} along the way only, so nothing goes without a log")
     nothing = RunTable({"run_id": np.zeros(0, dtype=np.str_)}, {}, np.zeros(0, dtype=bool), np.zeros(0, dtype=np.int64))
     bare = settings.campaign(nothing, Logs.empty(0), simulated=True, notes=settings.notes)
     return drive(bare, runs, measured, corridor_m)
@@ -79,7 +87,8 @@ def _format(document: dict[str, Any], path: Path) -> None:
 
 
 def _wrong(path: Path, column: str, found: object, expected: str) -> BadFileError:
-    return BadFileError(path, column=column, found=repr(found)[:60], expected=expected, remedy="correct the plan")
+    shown = str(found).lower() if isinstance(found, bool) else repr(found)
+    return BadFileError(path, column=column, found=shown[:60], expected=expected, remedy="correct the plan")
 
 
 def _measured(section: object, path: Path) -> tuple[Measured, float]:

@@ -13,6 +13,7 @@ from calib.challenge.own.noise import own_noise
 from calib.challenge.own.plants import parse_sizes, plants_of
 from calib.challenge.own.replay import Replay
 from calib.challenge.own.run import Asked, challenge_own
+from calib.challenge.own.steering import true_angles
 from calib.errors import BadInputError
 from calib.gap.diagnose import diagnose_in_full
 from calib.gap.diagnosis import Diagnosis
@@ -38,6 +39,12 @@ def diagnosis(campaign: Campaign) -> Diagnosis:
     return diagnose_in_full(campaign, plan=False)
 
 
+@pytest.fixture(scope="module")
+def steered() -> Diagnosis:
+    """A vehicle on its front wheel alone."""
+    return diagnose_in_full(tricycle(np.random.default_rng(1)), plan=False)
+
+
 def test_the_replay_goes_where_the_diagnosis_predicts(diagnosis: Diagnosis) -> None:
     """Without any cause the plant's step-by-step drive and the diagnosis' integration end at the same poses."""
     replay = Replay.of(diagnosis.observations)
@@ -57,26 +64,62 @@ def test_a_wider_track_turns_less(diagnosis: Diagnosis) -> None:
     np.testing.assert_allclose(replay.change(wider)[:, 3], -0.01 * turn, rtol=0.011, atol=SECOND_ORDER)
 
 
-def test_a_front_wheel_is_replayed_at_its_true_angle() -> None:
+def test_a_front_wheel_is_replayed_at_its_true_angle(steered: Diagnosis) -> None:
     """A vehicle on its front wheel alone: at a constant angle d read, zero z and scale k turn it by travel sin / L."""
-    diagnosis = diagnose_in_full(tricycle(np.random.default_rng(1)), plan=False)
-    replay = Replay.of(diagnosis.observations)
+    replay = Replay.of(steered.observations)
     zero, scale = 5e-3, 1.01
 
     def other(world: World) -> None:
         world.steer_zero_rad, world.steer_scale = world.steer_zero_rad + zero, world.steer_scale * scale
 
     # lines, left and right arcs have one angle each, their own; the fourth kind weaves
-    constant = np.array([not kind.startswith("weave") for kind in diagnosis.observations.labels["kind"]])
+    constant = np.array([not kind.startswith("weave") for kind in steered.observations.labels["kind"]])
     read = replay.route.steer_rad[1][constant]
     travel = replay.route.front_m.sum(axis=0)[constant]
-    wheelbase_m = diagnosis.observations.vehicle.wheelbase_m
+    wheelbase_m = steered.observations.vehicle.wheelbase_m
     wanted = travel * (np.sin((read - zero) / scale) - np.sin(read)) / wheelbase_m
     np.testing.assert_allclose(replay.change(other)[constant, 3], wanted, atol=1e-9)
-    plants, left_out = plants_of(
-        diagnosis, replay, ("steering_zero", "steering_scale"), parse_sizes("10s"), np.random.default_rng(0)
-    )
-    assert {plant.effect for plant in plants} == {"steering_zero", "steering_scale"} and not left_out
+    names = ("steering_zero", "steering_scale", "steering_backlash", "steering_delay", "drive_slip")
+    plants, left_out = plants_of(steered, replay, names, parse_sizes("10s"), np.random.default_rng(0))
+    assert {plant.effect for plant in plants} | set(left_out) == set(names)
+    assert {plant.effect for plant in plants} >= {"steering_zero", "steering_scale", "steering_backlash"}, left_out
+    assert not any("only the front wheel" in reason for reason in left_out.values())
+    for plant in plants:
+        # what a delay does to whole periods of a weave has a bound, and its signal is said as it is
+        bounded = plant.effect == "steering_delay" and plant.signal < 10.0
+        assert bounded or plant.signal == pytest.approx(10.0, rel=0.02), plant.effect
+
+
+def test_true_angles_are_those_that_a_late_sensor_with_play_would_read(steered: Diagnosis) -> None:
+    """The plant's own sensor, fed with the true angles, reads what was logged: late by 0.1 s, play of 0.02 rad."""
+    route = Replay.of(steered.observations).route
+    read = 0.3 * np.sin(0.3 * route.time_s)
+    worlds = [World.__new__(World) for _ in range(2)]
+    for world, (play, delay) in zip(worlds, ((0.02, 0.0), (0.0, 0.1)), strict=True):
+        world.steer_zero_rad, world.steer_scale = 0.0, 1.0
+        world.steer_backlash_rad, world.steer_delay_s = np.full(read.shape[1], play), np.full(read.shape[1], delay)
+    with_play = true_angles(read, route.time_s, route.last, worlds[0])
+    shown, at = np.empty_like(read), read[0]
+    for step, angle in enumerate(with_play):
+        at = shown[step] = np.clip(at, angle - 0.01, angle + 0.01)
+    # until 2 mrad of a move are over, its side is not known
+    np.testing.assert_allclose(shown, read, atol=2.1e-3)
+    assert np.abs(with_play - read).max() == pytest.approx(0.01)
+    late = true_angles(read, route.time_s, route.last, worlds[1])
+    middle = slice(10, int(route.last.min()) - 10)
+    np.testing.assert_allclose(late[middle], 0.3 * np.sin(0.3 * (route.time_s[middle] + 0.1)), atol=1e-4)
+
+
+def test_a_slipping_front_wheel_counts_more_than_the_way(steered: Diagnosis) -> None:
+    """A share of one in a hundred beyond the way: the vehicle ends a hundredth short, whatever its path."""
+    replay = Replay.of(steered.observations)
+
+    def slips(world: World) -> None:
+        world.during.append(lambda now: np.add(now.drive, 0.01, out=now.drive))
+
+    plain, slipped = replay.readings(None), replay.readings(slips)
+    np.testing.assert_allclose(slipped[:, 4], plain[:, 4] / 1.01, rtol=1e-9)
+    np.testing.assert_allclose(slipped[:, 3], plain[:, 3] / 1.01, atol=1e-9)
 
 
 def test_the_noise_is_the_campaigns_own(diagnosis: Diagnosis) -> None:
