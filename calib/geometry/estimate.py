@@ -14,7 +14,8 @@ from calib.errors import BadInputError, RefusedError
 from calib.geometry.clusters import ENOUGH_RUNS, Clustering, clustered
 from calib.geometry.delays import Delay, own_delays, sought_delays
 from calib.geometry.drives import Differential, Drive, FrontWheel, MeanHeld, Mecanum
-from calib.geometry.gross import Fault, factor_faults, front_faults, rear_faults, repaired
+from calib.geometry.gross import Fault, factor_faults
+from calib.geometry.gross_wheels import put_right
 from calib.geometry.identifiability import NOMINAL_STD, loosest, scale_is_open, scale_is_weakest, weakest
 from calib.geometry.model import Model
 from calib.geometry.noise import COMPONENTS
@@ -120,7 +121,7 @@ def estimate_geometry(
     way = using or _way(recording)
     divisions = _divisions(recording, way)
     coarse = next(divisions)
-    recording, faults = _put_right(recording, coarse, source)
+    recording, faults = put_right(recording, coarse, source, drive_of(campaign, source, recording))
     drive = drive_of(campaign, source, recording)
     estimated = (way == "windows") if sensor is None else sensor
     progress(0, 0, "fits")
@@ -184,17 +185,11 @@ def _divisions(recording: Recording, using: Using) -> Iterator[Segments]:
         before = count
 
 
-def _put_right(recording: Recording, segments: Segments, source: str) -> tuple[Recording, tuple[Fault, ...]]:
-    if source == "front":
-        return front_faults(recording, segments)
-    fault = rear_faults(recording, segments) if source == "rear" else None
-    return (recording, ()) if fault is None else (repaired(recording, fault), (fault,))
-
-
 def recordings_put_right(campaign: Campaign, source: str) -> tuple[Recording, tuple[Fault, ...]]:
     """Return wheels and reference with gross faults put right, and these faults."""
     recording = recording_of(campaign, source)
-    return _put_right(recording, next(_divisions(recording, _way(recording))), source)
+    divisions = _divisions(recording, _way(recording))
+    return put_right(recording, next(divisions), source, drive_of(campaign, source, recording))
 
 
 def drive_of(campaign: Campaign, source: str, recording: Recording) -> Drive:

@@ -1,0 +1,58 @@
+"""Four wheels whose columns are exchanged or run backwards: recognised, named, put right; sound ones are left alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calib.geometry.estimate import drive_of
+from calib.geometry.gross_wheels import WHEELS, wheels_faults
+from calib.geometry.recording import Recording, recording_of
+from calib.geometry.segments import end_pose_segments
+from tests.geometry.campaigns import mecanum
+
+
+@pytest.fixture(scope="module")
+def campaign() -> object:
+    return mecanum(np.random.default_rng(4))
+
+
+@pytest.fixture(scope="module")
+def recording(campaign: object) -> Recording:
+    return recording_of(campaign, "wheels")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("turned_by", [0.0, 1.5])
+@pytest.mark.parametrize(
+    ("order", "signs", "code", "named"),
+    [
+        ([0, 1, 2, 3], [1, 1, 1, 1], None, ""),
+        ([1, 0, 2, 3], [1, 1, 1, 1], "swapped_wheels", "counts_front_left and counts_front_right"),
+        ([0, 2, 1, 3], [1, 1, 1, 1], "swapped_wheels", "counts_front_right and counts_rear_left"),
+        ([2, 3, 0, 1], [1, 1, 1, 1], "swapped_wheels", "counts_front_left and counts_rear_left"),
+        ([0, 1, 2, 3], [1, 1, -1, 1], "reversed_rear_left", "the rear left counter"),
+        ([0, 1, 2, 3], [-1, -1, -1, -1], "reversed_both", "all four"),
+    ],
+)
+def test_columns_are_put_right(
+    campaign: object,
+    recording: Recording,
+    order: list[int],
+    signs: list[int],
+    code: str | None,
+    named: str,
+    turned_by: float,
+) -> None:
+    """Whichever wheels are exchanged and however the sensor is turned, the wheels' own angles come back."""
+    true = recording.steps.turned_rad
+    spoilt = recording.with_turned(true[order] * np.array(signs, dtype=float)[:, None])
+    segments = end_pose_segments(spoilt)
+    cosine, sine = np.cos(turned_by), np.sin(turned_by)
+    forward, left = segments.measured[:, 0].copy(), segments.measured[:, 1].copy()
+    segments.measured[:, 0], segments.measured[:, 1] = cosine * forward + sine * left, cosine * left - sine * forward
+    drive = drive_of(campaign, "wheels", spoilt)  # type: ignore[arg-type]
+    right, faults = wheels_faults(spoilt, segments, drive)
+    assert [fault.code for fault in faults] == ([] if code is None else [code])
+    assert all(named in fault.text for fault in faults)
+    np.testing.assert_array_equal(right.steps.turned_rad, true)
+    assert len(WHEELS) == len(true)
