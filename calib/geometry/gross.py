@@ -9,11 +9,12 @@ from typing import Final
 import numpy as np
 
 from calib.arrays import FloatArray
+from calib.errors import RefusedError
 from calib.geometry.drives import Steps
 from calib.geometry.recording import Recording
 from calib.geometry.segments import Segments
 
-__all__ = ["Fault", "factor_faults", "front_faults", "rear_faults", "repaired"]
+__all__ = ["Fault", "factor_faults", "front_faults", "rear_faults", "refuse_heading_unit", "repaired"]
 
 #: how far a ratio may be from a factor and still be taken for it, relative
 NEAR: Final = 0.08
@@ -25,7 +26,17 @@ RADIUS_FACTORS: Final = {
     4.0: "four times the radius: a quarter of the counts per revolution (quadrature)",
     0.25: "a quarter of the radius: four times the counts per revolution (quadrature)",
     float(np.pi): "pi times the radius",
+    1e-3: "a thousandth: positions in m taken for mm, or lengths of the settings in mm taken for m",
+    1e3: "a thousand times: positions in mm taken for m",
+    1e-2: "a hundredth: positions in m taken for cm, or lengths of the settings in cm taken for m",
+    1e2: "a hundred times: positions in cm taken for m",
+    float(np.pi / 180.0): "pi / 180 times: angles of the wheels in degrees taken for rad",
+    float(180.0 / np.pi): "180 / pi times: angles of the wheels in rad taken for degrees",
 }
+#: a radius off by more than this factor is no radius, whatever made it
+FARTHEST: Final = 5.0
+#: turns of the wheels by less, root mean square over the stretches, say nothing of the heading's unit
+TURNS_RAD: Final = 0.1
 #: standard deviations by which a sign must stand out
 CLEAR: Final = 5.0
 
@@ -135,15 +146,47 @@ def factor_faults(nominal: Mapping[str, float], found: Mapping[str, float]) -> t
             faults += _factor(name, found[name] / nominal[name], factors)
     for name in ("radius_left_m", "radius_right_m", "front_radius_m", "wheel_radius_m"):
         if name in found:
-            faults += _factor(name, found[name] / nominal[name], RADIUS_FACTORS)
+            ratio = found[name] / nominal[name]
+            explained = _factor(name, ratio, RADIUS_FACTORS)
+            if not explained and not 1.0 / FARTHEST < ratio < FARTHEST:
+                text = f"{name} is {ratio:.3g} times the nominal value; check counts per revolution and units"
+                explained = [Fault("radius_factor", text)]
+            faults += explained
     return tuple(faults)
+
+
+def refuse_heading_unit(told_rad: FloatArray, measured_rad: FloatArray) -> None:
+    """Refuse a reference whose heading is in another unit than radians.
+
+    Parameters
+    ----------
+    told_rad, measured_rad : array of float, shape (n,)
+        Turns of stretches by the wheels of the nominal vehicle, and by the reference.
+
+    Raises
+    ------
+    RefusedError
+        Where the reference turns by pi / 180, or 180 / pi, of what the wheels say.
+    """
+    square = float(told_rad @ told_rad)
+    if not len(told_rad) or square < len(told_rad) * TURNS_RAD**2:
+        return
+    # of either sign: counters may run backwards
+    ratio = abs(float(told_rad @ measured_rad)) / square
+    words = {np.pi / 180.0: "radians taken for degrees", 180.0 / np.pi: "degrees taken for radians"}
+    for factor, what in words.items():
+        if abs(ratio / factor - 1.0) < 2.0 * NEAR:
+            raise RefusedError(
+                f"ref_theta_rad: found turns that are {ratio:.3g} times those of the wheels; expected about as much; "
+                f"the heading's unit is wrong ({what}): correct it in the mapping or the log"
+            )
 
 
 def _factor(name: str, ratio: float, factors: dict[float, str]) -> list[Fault]:
     return [
         Fault(
             "half_track" if meaning.endswith("the track") else "radius_factor",
-            f"{name} is {ratio:.3g} times the nominal value, {meaning}; correct the settings",
+            f"{name} is {ratio:.3g} times the nominal value, {meaning}; correct the settings or the mapping",
         )
         for factor, meaning in factors.items()
         if abs(ratio / factor - 1.0) < NEAR

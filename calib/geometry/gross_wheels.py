@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.arrays import FloatArray
 from calib.geometry.drives import Drive
-from calib.geometry.gross import Fault, front_faults, rear_faults, repaired
+from calib.geometry.gross import Fault, front_faults, rear_faults, refuse_heading_unit, repaired
 from calib.geometry.model import Model
 from calib.geometry.recording import Recording
 from calib.geometry.segments import Segments
@@ -43,7 +43,18 @@ def put_right(
         What drives the odometry.
     drive : Drive
         With its nominal values.
+
+    Raises
+    ------
+    RefusedError
+        Where the reference's heading is in another unit than radians.
     """
+    # first: with a heading of another unit any reading of the wheels that hardly turns would look best
+    seen = segments.seen[:, 2]
+    measured = segments.measured[seen, 2]
+    nominal = np.array([item.nominal for item in drive.parameters])
+    rest = Model(drive, recording, segments).predict(np.concatenate([nominal, np.zeros(4)])).residuals[seen, 2]
+    refuse_heading_unit(measured - rest, measured)
     if source == "front":
         return front_faults(recording, segments)
     if source == "wheels":

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from calib.errors import RefusedError
 from calib.geometry.estimate import drive_of
+from calib.geometry.gross import factor_faults, refuse_heading_unit
 from calib.geometry.gross_wheels import WHEELS, wheels_faults
 from calib.geometry.recording import Recording, recording_of
 from calib.geometry.segments import end_pose_segments
@@ -56,3 +58,26 @@ def test_columns_are_put_right(
     assert all(named in fault.text for fault in faults)
     np.testing.assert_array_equal(right.steps.turned_rad, true)
     assert len(WHEELS) == len(true)
+
+
+@pytest.mark.parametrize(("factor", "what"), [(np.pi / 180, "taken for degrees"), (180 / np.pi, "taken for radians")])
+def test_a_heading_in_another_unit_is_refused(factor: float, what: str) -> None:
+    """The wheels say how far the vehicle turned; a heading 57 times more or less is no radian."""
+    told = np.array([1.5, -0.4, 0.7, 0.0])
+    with pytest.raises(RefusedError, match=what):
+        refuse_heading_unit(told, factor * told * np.array([1.0, 1.05, 0.95, 1.0]))
+    # a track of half the size, a sensor upside down, hardly a turn: none of them is a unit
+    for measured in (told, 0.5 * told, -told, 1e-3 * told):
+        refuse_heading_unit(told, measured)
+    refuse_heading_unit(1e-2 * told, factor * 1e-2 * told)
+
+
+@pytest.mark.parametrize(
+    ("ratio", "words"),
+    [(1e-3, "taken for mm"), (1e3, "mm taken for m"), (57.3, "rad taken for degrees"), (7.0, "check")],
+)
+def test_a_radius_of_another_unit_is_a_fault(ratio: float, words: str) -> None:
+    """No radius is a thousandth of its nominal value; what makes it so is said."""
+    (fault,) = factor_faults({"wheel_radius_m": 0.07}, {"wheel_radius_m": 0.07 * ratio})
+    assert words in fault.text
+    assert not factor_faults({"wheel_radius_m": 0.07}, {"wheel_radius_m": 0.07 * 1.3})
