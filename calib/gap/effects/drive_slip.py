@@ -9,6 +9,7 @@ from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Centre, Effect, Form, Parameter
 from calib.gap.effects.family import Family
 from calib.gap.effects.steering import excess, front_travel_m, has_front
+from calib.gap.predict.push import Push
 
 __all__ = ["DriveSlip"]
 
@@ -47,35 +48,38 @@ class DriveSlip(Effect):
         if np.isfinite(over_front).all() and np.ptp(_over_mean(over_front) / _over_mean(observations.weight_N)) > 0.02:
             forces["by the force over the front load"] = over_front
         # label, the force (None where the load does nothing), the parts that go with it, their parameters
-        slips: list[tuple[str, FloatArray | None, list[FloatArray], tuple[Parameter, ...]]] = []
+        slips: list[tuple[str, FloatArray | None, list[Push], tuple[Parameter, ...]]] = []
+
+        def slipped(part: FloatArray) -> Push:
+            way = front * part
+            return excess(observations, way * cosine, way * sine / wheelbase)
+
+        # of the steps only this is kept by the forms
+        with_speeding, with_acceleration, with_way = slipped(speeding), slipped(acceleration), slipped(ones)
         for name, force in forces.items():
             if gains:
-                slips.append((f"{name}, speeding up", force, [speeding], (per_acceleration,)))
+                slips.append((f"{name}, speeding up", force, [with_speeding], (per_acceleration,)))
                 both = (per_acceleration, rolling)
-                slips.append((f"{name}, speeding up and rolling", force, [speeding, ones], both))
+                slips.append((f"{name}, speeding up and rolling", force, [with_speeding, with_way], both))
             wide = Centre(0.0, float(np.mean(force))).deviations(force)[observations.unit]
             if (np.abs(observations.total(front * acceleration * wide)) > 1e-2).any():
                 both = (per_acceleration, rolling)
-                slips.append((f"{name}, speeding up, braking and rolling", force, [acceleration, ones], both))
-            slips.append((f"{name}, rolling", force, [ones], (rolling,)))
+                slips.append((f"{name}, speeding up, braking and rolling", force, [with_acceleration, with_way], both))
+            slips.append((f"{name}, rolling", force, [with_way], (rolling,)))
         if float(np.ptp(_over_mean(observations.weight_N))) > 1e-9:
-            slips.append(("a constant share, or the front wheel's radius", None, [ones], (rolling,)))
+            slips.append(("a constant share, or the front wheel's radius", None, [with_way], (rolling,)))
 
         def form(
             label: str,
             force: FloatArray | None,
-            parts: list[FloatArray],
+            parts: list[Push],
             parameters: tuple[Parameter, ...],
             centre: Centre | None = None,
         ) -> Form:
-            share = ones
+            pushes = parts
             if force is not None:
                 centre = centre or Centre(0.0, float(np.mean(force)))
-                share = centre.deviations(force)[observations.unit]
-            pushes = []
-            for part in parts:
-                slipped = front * part * share
-                pushes.append(excess(observations, slipped * cosine, slipped * sine / wheelbase))
+                pushes = [_shared(observations, push, centre.deviations(force)) for push in parts]
             return Form(
                 self.id,
                 label,
@@ -87,6 +91,16 @@ class DriveSlip(Effect):
             )
 
         return [form(*slip) for slip in slips]
+
+
+def _shared(observations: Observations, push: Push, share: FloatArray) -> Push:
+    """Return a push times a share of each unit, shape (n_units,)."""
+    if push.reading is not None:
+        return Push(reading=push.reading * share[:, None])
+    assert push.along_m is not None
+    assert push.heading_rad is not None
+    wide = share[observations.unit]
+    return Push(along_m=push.along_m * wide, heading_rad=push.heading_rad * wide)
 
 
 def _over_mean(values: FloatArray) -> FloatArray:

@@ -48,6 +48,7 @@ class LeftOut:
         numbers = [next(k for k, form in enumerate(system.forms) if form is own) for own in fitted.forms]
         self.columns = np.concatenate([system.calibration, *(system.of(k) for k in numbers)], axis=1)
         self.precision = prior_precision(self.columns.shape[1])
+        self._solved: dict[bytes, tuple[FloatArray, FloatArray]] = {}
 
     @property
     def observations(self) -> Observations:
@@ -70,16 +71,23 @@ class LeftOut:
         """Return the residuals, (n_units, n_channels), of the fit without the units `out`."""
         if out.all():
             return self.fitted.left
-        estimates = self.weighting.solve(self.columns, self.precision, use=~out)[0]
+        estimates = self._without(out)[0]
         left: FloatArray = self.fitted.left - self.derivative @ (estimates - self.everything)
         return left
+
+    def _without(self, out: BoolArray) -> tuple[FloatArray, FloatArray]:
+        """Return estimates (p,) and covariance (p, p) without the units `out`; kept, as both are asked for in turn."""
+        key = out.tobytes()
+        if key not in self._solved:
+            self._solved[key] = self.weighting.solve(self.columns, self.precision, use=~out)
+        return self._solved[key]
 
     def foretells(self, out: BoolArray) -> bool:
         """Return whether the other units determine what the correction does on the units `out`.
 
         Where they do not (a turn's effect without any turn), leaving out says nothing for the correction or against it.
         """
-        covariance = self.weighting.solve(self.columns, self.precision, use=~out)[1]
+        covariance = self._without(out)[1]
         on = out[self.weighting.system.blocks.unit]
         correction = self.columns[on] @ self.everything
         uncertain = np.einsum("np,pq,nq->", self.columns[on], covariance, self.columns[on])

@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.arrays import FloatArray
 from calib.gap.effects.effect import Form
-from calib.gap.evidence.noise import Noise, whiten
+from calib.gap.evidence.noise import Noise
 from calib.gap.predict.path import Path, signature
 
 __all__ = [
@@ -37,8 +37,8 @@ FLOOR_DOF: Final = 20.0
 def rows(path: Path, noise: Noise, columns: FloatArray) -> FloatArray:
     """Whiten columns (n_units, 6, k) and lay the usable rows end to end, shape (n_rows, k)."""
     masked = np.where(path.s.usable[:, :, None], columns, 0.0)
-    made = whiten(noise.covariance, masked)
-    return made[path.s.usable]
+    whitened: FloatArray = (noise.whitener @ masked)[path.s.usable]
+    return whitened
 
 
 def form_columns(path: Path, form: Form) -> FloatArray:

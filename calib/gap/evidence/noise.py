@@ -8,6 +8,7 @@ differs between units driven alike, after a mean in each channel and a calibrati
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -43,7 +44,7 @@ AS_STATED: Final = 2.0
 MOST_GROWTH: Final = 2.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Noise:
     """Covariance of every unit, and what it rests on.
 
@@ -84,6 +85,11 @@ class Noise:
             f"Runs driven alike scatter in the {Channel(most).label} channel {self.excess[most]:.0f} times as much as "
             "the stated sigmas and typical wheels would: the floor itself is a finding."
         )
+
+    @cached_property
+    def whitener(self) -> FloatArray:
+        """Inverse Cholesky factor of each unit's covariance, shape (n_units, 6, 6)."""
+        return np.linalg.inv(np.linalg.cholesky(self.covariance))
 
     @property
     def floor(self) -> FloatArray:

@@ -90,9 +90,9 @@ class Weighting:
                 if not on.any():
                     continue
                 part, covariance = part[on], covariance[np.ix_(on, on)]
-            turned = np.linalg.solve(np.linalg.cholesky(covariance), part)
-            normal += turned[:, :n].T @ turned[:, :n]
-            right += turned[:, :n].T @ turned[:, n]
+            weighed = part[:, :n].T @ np.linalg.solve(covariance, part)
+            normal += weighed[:, :n]
+            right += weighed[:, n]
         # scaled to a unit diagonal, a little added: columns exactly alike stay solvable
         root = np.sqrt(np.diag(normal))
         inverse = np.linalg.inv(normal / np.outer(root, root) + 1e-11 * np.eye(n)) / np.outer(root, root)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from calib.arrays import FloatArray, IntArray
 from calib.gap.effects.effect import Form
-from calib.gap.evidence.marginal import CALIBRATION_SD, form_columns, rows
+from calib.gap.evidence.marginal import CALIBRATION_SD, columns_of_forms, rows
 from calib.gap.evidence.noise import Noise
 from calib.gap.evidence.system import LinearSystem
 from calib.gap.predict.path import Path
@@ -16,9 +18,21 @@ __all__ = ["WhitenedSystem"]
 
 
 class WhitenedSystem:
-    """The whitened system about one path: residual, recalibration and form columns, made once each."""
+    """The whitened system about one path: residual, recalibration and form columns, made once each.
 
-    def __init__(self, path: Path, nominal: Path, noise: Noise) -> None:
+    Parameters
+    ----------
+    path : Path
+        Where it is linear.
+    nominal : Path
+        The model alone.
+    noise : Noise
+        Covariance of each unit.
+    offered : sequence of Form
+        Forms that will be asked for: on a path that is worked through in parts, all at once.
+    """
+
+    def __init__(self, path: Path, nominal: Path, noise: Noise, offered: Sequence[Form] = ()) -> None:
         self.path, self.nominal, self.noise = path, nominal, noise
         self.gap = rows(path, noise, residuals(path, nominal)[:, :, None])[:, 0]
         self.calibration = rows(path, noise, path.calibration * CALIBRATION_SD)
@@ -26,6 +40,7 @@ class WhitenedSystem:
         self.unit: IntArray = np.repeat(np.arange(len(path.s))[:, None], 6, axis=1)[usable]
         self.channel: IntArray = np.repeat(np.arange(6)[None, :], len(path.s), axis=0)[usable]
         self.condition: IntArray = path.s.condition[self.unit]
+        self._offered = () if path.kept is not None else tuple(offered)
         self._columns: dict[int, tuple[Form, FloatArray]] = {}
         self._known: LinearSystem | None = None
         self._places: dict[int, int] = {}
@@ -40,16 +55,10 @@ class WhitenedSystem:
         """Return the whitened signatures of a form in typical sizes, shape (n_rows, n_parameters)."""
         if self._known is not None and id(form) in self._places:
             return self._known.of(self._places[id(form)])[self._back]
-        found = self._columns.get(id(form))
-        if found is None:
-            # the form is kept with its columns, so that its id stays its own
-            found = (form, rows(self.path, self.noise, form_columns(self.path, form)))
-            self._columns[id(form)] = found
-        return found[1]
-
-    def by_condition(self, contribution: FloatArray) -> FloatArray:
-        """Split a whitened contribution (n_rows,) by condition, shape (n_rows, n_conditions)."""
-        labels, index = np.unique(self.condition, return_inverse=True)
-        made = np.zeros((len(contribution), len(labels)))
-        made[np.arange(len(contribution)), index] = contribution
-        return made
+        if id(form) not in self._columns:
+            wanted = [form, *(other for other in self._offered if id(other) not in self._columns and other is not form)]
+            self._offered = ()
+            for other, columns in zip(wanted, columns_of_forms(self.path, wanted), strict=True):
+                # the form is kept with its columns, so that its id stays its own
+                self._columns[id(other)] = other, rows(self.path, self.noise, columns)
+        return self._columns[id(form)][1]

@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.arrays import BoolArray, FloatArray
 from calib.gap.effects.effect import Effect, Form
-from calib.gap.evidence.marginal import CALIBRATION_SD, Nuisance, form_columns, project, rows
+from calib.gap.evidence.marginal import CALIBRATION_SD, Nuisance, columns_of_forms, project, rows
 from calib.gap.evidence.noise import COMPONENTS, Noise, kernels, masked, quantisation
 from calib.gap.predict.path import Path
 from calib.gap.verdict.alternatives import NEAR, STRETCH
@@ -67,8 +67,10 @@ class Signatures:
         self.forms: list[tuple[int, int, int]] = []
         calibration = rows(path, noise, blocks[0])
         position = 4
-        for effect in effects:
-            forms = effect.forms(path.s)
+        offered = [(effect, effect.forms(path.s)) for effect in effects]
+        every = [form for _, forms in offered for form in forms] + [form for form, _ in given.values()]
+        known = {id(form): columns for form, columns in zip(every, columns_of_forms(path, every), strict=True)}
+        for effect, forms in offered:
             if not forms:
                 continue
             number = len(self.names)
@@ -76,7 +78,7 @@ class Signatures:
             self.names.append(effect.id)
             self.own_calibration.append(effect.calibration)
             for form in forms:
-                columns = form_columns(path, form)
+                columns = known[id(form)]
                 largest = np.array([p.largest / p.typical for p in form.parameters]) * STRETCH
                 blocks.append(columns * largest)
                 self.forms.append((number, position, position + columns.shape[2]))
@@ -85,7 +87,7 @@ class Signatures:
                     shown.append(columns @ np.resize(np.array(_DIRECTIONS), columns.shape[2]))
             if effect.id in given:
                 form, theta = given[effect.id]
-                shown.append(form_columns(path, form) @ (theta / form.typical))
+                shown.append(known[id(form)] @ (theta / form.typical))
             # an effect is asked of in the form that shows best
             free = calibration[:, 3:] if effect.calibration else calibration
             left = project(Nuisance.of(free), rows(path, noise, np.stack(shown, axis=2)))

@@ -125,7 +125,8 @@ class Evidence:
     @cached_property
     def system(self) -> WhitenedSystem:
         """The whitened system about the best hypothesis' path."""
-        return WhitenedSystem(self.fitted.path, self.nominal, self.noise)
+        offered = [form for forms in self.search.forms.values() for form in forms]
+        return WhitenedSystem(self.fitted.path, self.nominal, self.noise, offered)
 
     @cached_property
     def per_unit(self) -> FloatArray:
