@@ -8,6 +8,7 @@ a grid that includes nought.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -27,7 +28,7 @@ FEWEST_CELLS: Final = 8
 REST_SCALES: Final = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Blocks:
     """The rows of the whitened system, ordered so that a condition's rows stand together.
 
@@ -48,6 +49,16 @@ class Blocks:
 
     def __len__(self) -> int:
         return len(self.starts) - 1
+
+    @cached_property
+    def alike(self) -> list[tuple[IntArray, IntArray]]:
+        """Blocks of one length together: their numbers (n,), and the rows of each (n, length)."""
+        lengths = np.diff(self.starts)
+        groups = []
+        for length in np.unique(lengths):
+            numbers = np.flatnonzero(lengths == length)
+            groups.append((numbers, self.starts[numbers][:, None] + np.arange(length)))
+        return groups
 
     def slices(self) -> list[slice]:
         """Return the rows of each block."""

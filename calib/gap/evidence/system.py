@@ -208,33 +208,37 @@ class _Reduced:
         self.log_det = 0.0
         self.factors: list[FloatArray] = []
         if deviations.shape[1]:
-            taken = []
-            for rows_b in blocks.slices():
-                own = deviations[rows_b]
-                lower = np.linalg.cholesky(np.eye(own.shape[1]) + own.T @ own)
-                self.log_det += 2 * float(np.log(np.diag(lower)).sum())
-                factor = np.linalg.solve(lower, own.T)
-                self.factors.append(factor)
-                taken.append(factor @ whole[rows_b])
-            stacked = np.concatenate(taken)
-            self.gram = self.gram - stacked.T @ stacked
+            self.factors = [np.zeros((0, 0))] * len(blocks)
+            for numbers, places in blocks.alike:
+                own = deviations[places]
+                turned = own.transpose(0, 2, 1)
+                lower = np.linalg.cholesky(np.eye(own.shape[2]) + turned @ own)
+                self.log_det += 2 * float(np.log(np.diagonal(lower, axis1=1, axis2=2)).sum())
+                factor = np.linalg.solve(lower, turned)
+                for number, of_block in zip(numbers, factor, strict=True):
+                    self.factors[number] = of_block
+                taken = (factor @ whole[places]).reshape(-1, whole.shape[1])
+                self.gram = self.gram - taken.T @ taken
 
     def of_blocks(self, parts: Sequence[FloatArray], core: int) -> tuple[FloatArray, FloatArray]:
         """Return eigenvalues (q,) of the parts' scalar products and the turned products (q, core) with the columns."""
-        eigens, turned = [], []
-        for number, (rows_b, part) in enumerate(zip(self.blocks.slices(), parts, strict=True)):
-            if not part.shape[1]:
-                continue
-            own, cross = part.T @ part, part.T @ self.whole[rows_b, :core]
-            if self.factors:
-                factor = self.factors[number]
-                with_part = factor @ part
-                own = own - with_part.T @ with_part
-                cross = cross - with_part.T @ (factor @ self.whole[rows_b, :core])
-            eigen, vectors = np.linalg.eigh(own)
-            keep = eigen > 1e-9 * max(float(eigen[-1]), 1e-12)
-            eigens.append(eigen[keep])
-            turned.append(vectors[:, keep].T @ cross)
-        if not eigens:
-            return np.zeros(0), np.zeros((0, core))
+        eigens, turned = [np.zeros(0)], [np.zeros((0, core))]
+        for numbers, places in self.blocks.alike:
+            widths = np.array([parts[number].shape[1] for number in numbers])
+            for width in np.unique(widths[widths > 0]):
+                # blocks of one shape at once: there are hundreds of small ones
+                same = widths == width
+                part = np.stack([parts[number] for number in numbers[same]])
+                whole = self.whole[places[same], :core]
+                across = part.transpose(0, 2, 1)
+                own, cross = across @ part, across @ whole
+                if self.factors:
+                    factor = np.stack([self.factors[number] for number in numbers[same]])
+                    with_part = factor @ part
+                    own = own - with_part.transpose(0, 2, 1) @ with_part
+                    cross = cross - with_part.transpose(0, 2, 1) @ (factor @ whole)
+                eigen, vectors = np.linalg.eigh(own)
+                keep = eigen > 1e-9 * np.maximum(eigen[:, -1:], 1e-12)
+                eigens.append(eigen[keep])
+                turned.append((vectors.transpose(0, 2, 1) @ cross)[keep])
         return np.concatenate(eigens), np.concatenate(turned)

@@ -83,14 +83,18 @@ class Weighting:
         n = whole.shape[1] - 1
         normal = np.diag(np.concatenate([precision, np.ones(self.common.shape[1])]))
         right = np.zeros(n)
-        for rows_b, covariance in zip(system.blocks.slices(), self.covariance, strict=True):
-            part = whole[rows_b]
+        for numbers, places in system.blocks.alike:
+            part = whole[places]
+            covariance = np.stack([self.covariance[number] for number in numbers])
             if use is not None:
-                on = use[system.blocks.unit[rows_b]]
-                if not on.any():
-                    continue
-                part, covariance = part[on], covariance[np.ix_(on, on)]
-            weighed = part[:, :n].T @ np.linalg.solve(covariance, part)
+                on = use[system.blocks.unit[places]]
+                some = on.any(axis=1)
+                part, covariance, on = part[some], covariance[some], on[some]
+                # a row that is left out stands alone, and says nothing
+                part = part * on[:, :, None]
+                covariance = covariance * (on[:, :, None] & on[:, None, :]) + np.eye(on.shape[1]) * ~on[:, :, None]
+            solved = np.linalg.solve(covariance, part).reshape(-1, n + 1)
+            weighed = part.reshape(-1, n + 1)[:, :n].T @ solved
             normal += weighed[:, :n]
             right += weighed[:, n]
         # scaled to a unit diagonal, a little added: columns exactly alike stay solvable

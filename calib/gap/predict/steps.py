@@ -18,6 +18,8 @@ __all__ = ["LINE", "N_SUMS", "TURN", "WAY", "Lever", "Steps", "X", "Y", "steps_o
 #: what is summed over a unit: displacement of the end point, turn, way along the line led, way
 X, Y, TURN, LINE, WAY = range(5)
 N_SUMS: Final = 5
+#: where not even one step in so many has a part, the others are passed over
+FEW: Final = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,7 +155,14 @@ class Steps:
         s, summed = self.s, np.zeros((N_SUMS, len(self.s)))
         for part, lever in self._levers(push):
             wide = part if len(part) == len(s.unit) and len(s) != len(s.unit) else part[s.unit]
-            summed[list(lever.sums)] += np.add.reduceat(lever.by_step * wide, s.starts[:-1], axis=1)
+            there = np.flatnonzero(wide != 0.0)
+            if len(there) * FEW < len(wide):
+                # a place on the floor, a stop: most steps have no part in it
+                some, unit = lever.by_step[:, there] * wide[there], s.unit[there]
+                for number, values in zip(lever.sums, some, strict=True):
+                    summed[number] += np.bincount(unit, values, len(s))
+            else:
+                summed[list(lever.sums)] += np.add.reduceat(lever.by_step * wide, s.starts[:-1], axis=1)
         return summed
 
     def _levers(self, push: Push) -> Iterator[tuple[FloatArray, Lever]]:
