@@ -78,7 +78,7 @@ def clocked() -> Iterator[Clock]:
     clock = Clock()
     places = [
         (system, "columns_of_forms", "signatures"),
-        (whitened, "form_columns", "signatures"),
+        (whitened, "columns_of_forms", "signatures"),
         (whole, "estimate_noise", "noise"),
         (whole, "search", "search"),
         (climb, "log_weights", "evidence"),

@@ -48,6 +48,8 @@ def form_columns(path: Path, form: Form) -> FloatArray:
 
 def columns_of_forms(path: Path, forms: Sequence[Form]) -> list[FloatArray]:
     """Return `form_columns` of many forms, every part of the path gone through once for all of them."""
+    if not forms:
+        return []
     pushes = [None if form.by_parts else form.pushes(path) for form in forms]
     columns = [np.zeros((len(path.s), path.s.usable.shape[1], len(form.parameters))) for form in forms]
     for units, part in path.parts():

@@ -139,10 +139,13 @@ class Path:
 
         The first three are relative changes, as is the fourth, which only the front channels feel.
         """
-        columns = self.of_parts(_calibration)
+        return self.beside_straights(self.of_parts(_calibration))
+
+    def beside_straights(self, calibration: FloatArray) -> FloatArray:
+        """Return the derivative (n_units, n_channels, 4) without the track, where all units were led straight."""
         if self.led_straight.all():
-            columns[:, :, 2] = 0.0
-        return columns
+            calibration[:, :, 2] = 0.0
+        return calibration
 
     @cached_property
     def led_straight(self) -> BoolArray:
@@ -192,11 +195,15 @@ def predict(s: Observations, pushes: list[Push] | None = None) -> Path:
     push = total_push(s, pushes or [])
     if len(s.spans) == 1:
         return _predicted(s, push)
-    parts = [_predicted(s.part(units), push.part(units, s)) for units in s.spans]
-    end, reading, line_m = (
-        np.concatenate([getattr(part, name) for part in parts]) for name in ("end", "reading", "line_m")
-    )
-    return Path(s, push, end, reading, line_m)
+    path = Path(s, push, np.zeros((len(s), 3)), np.zeros((len(s), N_CHANNELS)), np.zeros(len(s)))
+    derivatives = []
+    for units in s.spans:
+        part = _predicted(s.part(units), push.part(units, s))
+        path.end[units], path.reading[units], path.line_m[units] = part.end, part.reading, part.line_m
+        # asked of every path, and the steps are at hand
+        derivatives.append(_calibration(part))
+    vars(path)["calibration"] = path.beside_straights(np.concatenate(derivatives))
+    return path
 
 
 def _predicted(s: Observations, push: Push) -> Path:
