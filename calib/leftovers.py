@@ -35,13 +35,7 @@ def temporary_beside(path: Path, where: Path | None = None) -> Path:
 
 
 def sweep(path: Path) -> None:
-    """Remove what earlier writers of `path` left beside it when they were killed; those still at work are left alone.
-
-    Parameters
-    ----------
-    path : Path
-        The target.
-    """
+    """Remove what earlier writers of `path` left beside it when they were killed; those at work are left alone."""
     for leftover in path.parent.glob(f"{PREFIX}{_mark(path)}-{_host()}-*{SUFFIX}"):
         if is_dead(leftover):
             remove(leftover)

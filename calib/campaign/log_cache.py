@@ -110,13 +110,7 @@ class LogCache:
 
 
 def log_cache(files: Iterable[Path]) -> LogCache | None:
-    """Return the cache for a campaign's logs, or None where they are few or the environment says ``off``.
-
-    Parameters
-    ----------
-    files : iterable of Path
-        The logs.
-    """
+    """Return the cache for a campaign's logs, or None where they are few or the environment says ``off``."""
     chosen = os.environ.get(CACHE, "")
     if chosen == "off":
         return None

@@ -28,15 +28,6 @@ _FALSE: Final = frozenset({"false", "0", "0.0", "no", "n", "", "-"})
 def run_table(raw: RawTable, shown: str, border: Border) -> RunTable:
     """Recognise columns, convert units, and check what every later stage relies on.
 
-    Parameters
-    ----------
-    raw : RawTable
-        Columns as read.
-    shown : str
-        File, for messages.
-    border : Border
-        Takes notes and faults.
-
     Returns
     -------
     RunTable

@@ -159,13 +159,7 @@ def parse_settings(document: dict[str, Any], shown: str, default_name: str) -> S
 
 
 def not_stated(document: Mapping[str, Any]) -> list[str]:
-    """Return the keys of `STATED` that a settings document leaves out, whatever unit it gives the others in.
-
-    Parameters
-    ----------
-    document : mapping
-        As read from TOML.
-    """
+    """Return the keys of `STATED` that a settings document leaves out, whatever unit it gives the others in."""
     missing = []
     for section, keys in STATED.items():
         part = document.get(section, {})

@@ -20,11 +20,6 @@ def respelled(arguments: Sequence[str]) -> list[str]:
     ``calib simulate --replay C`` is ``calib simulate replay C``; ``calib simulate corrected`` is ``calib simulate
     study corrected``; ``calib simulate custom --route R`` is ``calib simulate route R``, or ``calib simulate journey
     R`` with a law. ``calib fleet FOLDER`` is ``calib fleet run FOLDER``.
-
-    Parameters
-    ----------
-    arguments : sequence of str
-        As typed, without the program's name.
     """
     words = list(arguments)
     if len(words) > 1 and words[0] == "fleet" and words[1] not in ("run", "simulate", "-h", "--help"):

@@ -113,15 +113,7 @@ class PlannedFleet:
 
 
 def plan_fleet(rng: np.random.Generator, size: FleetSize) -> PlannedFleet:
-    """Draw a fleet: who is odd, who drifts, who is in hall B, and every wheel's radius and slope.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Chance.
-    size : FleetSize
-        How many.
-    """
+    """Draw a fleet: who is odd, who drifts, who is in hall B, and every wheel's radius and slope."""
     n_vehicles, n_outliers, n_drifting = size.n_vehicles, size.n_outliers, size.n_drifting
     names = tuple(f"v{k:05d}" for k in range(n_vehicles))
     order = rng.permutation(n_vehicles)

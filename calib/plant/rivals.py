@@ -71,13 +71,6 @@ def _variants(design: Design, slope_per_N: float) -> list[Cause]:
 def rivals(design: Design, model: OdometryModel, noise: Noise, cause: Cause) -> tuple[Rival, ...]:
     """Return the other effects, nearest first.
 
-    Parameters
-    ----------
-    design, model, noise
-        The case.
-    cause : Cause
-        The true cause at its size.
-
     Returns
     -------
     tuple of Rival
@@ -110,11 +103,6 @@ def _families(causes: list[Cause], first: int) -> dict[tuple[str, str], list[int
 
 def signatures(design: Design, model: OdometryModel, noise: Noise) -> dict[str, list[FloatArray]]:
     """Return what each effect can do on a design: whitened, a recalibration projected out.
-
-    Parameters
-    ----------
-    design, model, noise
-        The case.
 
     Returns
     -------

@@ -100,13 +100,6 @@ def compare_laws(left: WheelFit, right: WheelFit, model: RadiusLaw) -> ModelComp
 
     The intervals are the fit's own: the model counts as given, since a model that was made from the same runs shares
     their errors, and one that was not is judged as it stands.
-
-    Parameters
-    ----------
-    left, right : WheelFit
-        From `calib.radius.fit.fit_campaign`.
-    model : RadiusLaw
-        The law believed.
     """
     compared = []
     for fit, law in ((left, model.left), (right, model.right)):

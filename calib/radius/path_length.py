@@ -54,11 +54,6 @@ class RunPaths:
 def correct_paths(campaign: Campaign) -> RunPaths:
     """Return each run's path from its log, else from its measured weave, and from its measured final heading.
 
-    Parameters
-    ----------
-    campaign : Campaign
-        Of straight runs with a distance.
-
     Returns
     -------
     RunPaths

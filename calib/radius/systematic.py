@@ -154,17 +154,7 @@ def _source(section: str, key: str, entry: Any, where: Any) -> SystematicSource:
 
 
 def with_systematic(wheel: WheelFit, radii: EffectiveRadii, sources: tuple[SystematicSource, ...]) -> WheelFit:
-    """Return a wheel's fit with the systematic parts in the covariance of its law and in every interval.
-
-    Parameters
-    ----------
-    wheel : WheelFit
-        From `calib.radius.regression.fit_wheel`.
-    radii : EffectiveRadii
-        The runs of that fit.
-    sources : tuple of SystematicSource
-        From `declared_sources`.
-    """
+    """Return a wheel's fit with the systematic parts in the covariance of its law and in every interval."""
     if not sources:
         return wheel
     gradients = [_gradient(source, wheel, radii.distance_m) for source in sources]

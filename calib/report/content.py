@@ -111,15 +111,7 @@ class Report:
 
 
 def head_of(report_id: str, issued: str, stated: Mapping[str, str]) -> tuple[tuple[str, str], ...]:
-    """Return the facts under a report's title.
-
-    Parameters
-    ----------
-    report_id, issued : str
-        Identification and date of issue.
-    stated : mapping of str to str
-        What the campaign states, by the keys of `calib.report.stated.STATED`.
-    """
+    """Return the facts under a report's title."""
     facts = [("Report", report_id), ("Date of issue", issued)]
     facts += [
         (title, stated[key]) for title, key in (("Replaces report", "replaces"), ("Method", "method")) if key in stated
@@ -137,11 +129,6 @@ def head_of(report_id: str, issued: str, stated: Mapping[str, str]) -> tuple[tup
 
 def compose(source: Source) -> Report:
     """Return the report on a fit.
-
-    Parameters
-    ----------
-    source : Source
-        From `calib.report.source.source_of`.
 
     Returns
     -------

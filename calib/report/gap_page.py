@@ -27,13 +27,6 @@ WAY_POINTS = 120
 def diagnosis_page(diagnosis: Diagnosis, campaign: Campaign) -> str:
     """Return a diagnosis as a self-contained HTML page.
 
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-        From `calib.gap.diagnose.diagnose_in_full`.
-    campaign : Campaign
-        The same campaign.
-
     Raises
     ------
     MissingExtraError
@@ -61,17 +54,7 @@ def linked_panels(diagnosis: Diagnosis, campaign: Campaign, findings: GapFinding
 
 
 def panels_of(diagnosis: Diagnosis, campaign: Campaign, findings: GapFindings | None = None) -> PanelData:
-    """Return what the panels show of a diagnosis.
-
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-        From `calib.gap.diagnose.diagnose_in_full`.
-    campaign : Campaign
-        The same campaign, whose logs hold the gap along each run.
-    findings : GapFindings, optional
-        Of the diagnosis, where they were made before.
-    """
+    """Return what the panels show of a diagnosis."""
     gap = findings or findings_of(diagnosis)
     observations = diagnosis.observations
     labels = observations.labels

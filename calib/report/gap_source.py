@@ -22,13 +22,6 @@ __all__ = ["findings_of", "with_diagnosis"]
 def with_diagnosis(source: Source, campaign: Campaign) -> Source:
     """Return `source` with the findings of a diagnosis of its campaign.
 
-    Parameters
-    ----------
-    source : Source
-        From `calib.report.source.source_of`.
-    campaign : Campaign
-        The same campaign.
-
     Raises
     ------
     RefusedError

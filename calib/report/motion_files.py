@@ -30,15 +30,6 @@ __all__ = ["replay_trajectories", "simulation_trajectories", "write_replay", "wr
 def write_simulation(simulation: Simulation, folder: Path, *, force: bool) -> list[Path]:
     """Write the figures of a simulation with their numbers as CSV beside them, and everything as JSON.
 
-    Parameters
-    ----------
-    simulation : Simulation
-        From `calib.motion.studies.run.simulate`.
-    folder : Path
-        Where to.
-    force : bool
-        Replace existing files.
-
     Returns
     -------
     list of Path
@@ -111,19 +102,7 @@ def write_replay(replay: Replay, folder: Path, document: Mapping[str, Any], *, f
 
 
 def replay_trajectories(campaign: Campaign, coefficients: CoefficientFile, folder: Path, *, force: bool) -> list[Path]:
-    """Write the odometry of each logged run with its radii under load, and its reference where logged, as TUM files.
-
-    Parameters
-    ----------
-    campaign : Campaign
-        The runs and logs.
-    coefficients : CoefficientFile
-        Radii under load and track, or front wheel, or four wheels.
-    folder : Path
-        Where to.
-    force : bool
-        Whether existing files are replaced.
-    """
+    """Write the odometry of each logged run with its radii under load, and its reference where logged, as TUM files."""
     written = []
     runs = campaign.runs
     for run in np.flatnonzero(campaign.logs.present).tolist():

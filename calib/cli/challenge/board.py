@@ -14,13 +14,7 @@ _MET: Final = {True: "met", False: "MISSED", None: ""}
 
 
 def score_content(score: Score) -> list[Block]:
-    """Return what a score says.
-
-    Parameters
-    ----------
-    score : Score
-        From `calib.challenge.score.score`.
-    """
+    """Return what a score says."""
     from calib.report.blocks import Items
 
     summary = score.summary

@@ -65,13 +65,7 @@ def run(
 
 
 def own_content(own: Own) -> list[Block]:
-    """Return what was found, as blocks.
-
-    Parameters
-    ----------
-    own : Own
-        From `calib.challenge.own.run.challenge_own`.
-    """
+    """Return what was found, as blocks."""
     from calib.challenge.intervals import clopper_pearson
     from calib.report.blocks import Column, Items, Table
     from calib.report.numbers import left

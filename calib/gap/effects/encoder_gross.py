@@ -121,15 +121,7 @@ def misfit(path: Path) -> FloatArray:
 
 
 def find_gross(observations: Observations, nominal: Path) -> GrossFault | None:
-    """Return the gross fault that puts the counts right, None where the counts are roughly right or nothing helps.
-
-    Parameters
-    ----------
-    observations : Observations
-        What was driven.
-    nominal : Path
-        The model alone.
-    """
+    """Return the gross fault that puts the counts right, None where the counts are roughly right or nothing helps."""
     if np.isfinite(observations.simulated).any():
         return None
     now = float(np.mean(misfit(nominal)))

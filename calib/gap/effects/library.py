@@ -149,30 +149,12 @@ def check_excluded(exclude: Collection[str], observations: Observations, declare
 
 
 def fault_before_search(observations: Observations, nominal: Path, exclude: Collection[str] = ()) -> GrossFault | None:
-    """Return the fault that is so gross that it is found, and put right, before the search; None where there is none.
-
-    Parameters
-    ----------
-    observations : Observations
-        The campaign.
-    nominal : Path
-        The model alone.
-    exclude : collection of str
-        Ids of effects to leave out.
-    """
+    """Return the fault so gross that it is found, and put right, before the search; None where there is none."""
     return None if GrossFault.effect.id in exclude else find_gross(observations, nominal)
 
 
 def turned_before_search(nominal: Path, exclude: Collection[str] = ()) -> TurnedReference | None:
-    """Return by how much the reference's sensor is turned where that is far from small; None else.
-
-    Parameters
-    ----------
-    nominal : Path
-        The model alone.
-    exclude : collection of str
-        Ids of effects to leave out.
-    """
+    """Return by how much the reference's sensor is turned where that is far from small; None else."""
     return None if TurnedReference.effect.id in exclude else find_turned(nominal)
 
 

@@ -155,17 +155,7 @@ def _carried_on(
 
 
 def laser_share(observations: Observations, effect: str, parameter: Parameter) -> list[Form]:
-    """Return the form by which the laser's distances are too large by a share; empty where no unit has one.
-
-    Parameters
-    ----------
-    observations : Observations
-        Units and steps.
-    effect : str
-        Id of the effect.
-    parameter : Parameter
-        The share, a plain number.
-    """
+    """Return the form by which the laser's distances are too large by a share; empty where no unit has one."""
     if not observations.usable[:, 0].any():
         return []
 

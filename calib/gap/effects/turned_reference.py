@@ -68,11 +68,6 @@ def find_turned(nominal: Path) -> TurnedReference | None:
 
     A sensor at the place l on the vehicle and turned by psi sees the end z of a run that turned by theta as
     ``exp(-i psi) (z + (exp(i theta) - 1) l)``: least squares in two complex unknowns.
-
-    Parameters
-    ----------
-    nominal : Path
-        The model alone.
     """
     observations = nominal.s
     on = observations.usable[:, POSE].all(axis=1)

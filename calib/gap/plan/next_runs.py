@@ -87,15 +87,7 @@ class Outlook:
 
 
 def outlook_of(campaign: Campaign, progress: Progress = silent) -> Outlook:
-    """Return what the runs of a campaign, driven or not, can show of the whole library.
-
-    Parameters
-    ----------
-    campaign : Campaign
-        The runs; of `calib.gap.plan.planned_runs.drive` where they are only planned.
-    progress : callable
-        See `calib.progress.Progress`.
-    """
+    """Return what the runs of a campaign, driven or not, can show of the whole library."""
     observations = observations_of(campaign)
     path = predict(observations)
     noise = noise_at(path, {})

@@ -53,15 +53,7 @@ class Headline:
 
 
 def headlines(route: Route, track_m: float) -> tuple[Headline, ...]:
-    """Set the study of corrected radii against that of uncorrected ones, on the same route, wheel by wheel.
-
-    Parameters
-    ----------
-    route : Route
-        Driven closed on the odometry.
-    track_m : float
-        Track, believed and real.
-    """
+    """Set the study of corrected radii against that of uncorrected ones, on the same route, wheel by wheel."""
     before, after = STUDIES["asymmetric"], STUDIES["corrected"]
     lines = []
     for which in before.which:

@@ -11,13 +11,7 @@ __all__ = ["assumed_notice", "assumed_text"]
 
 
 def assumed_text(assumed: Mapping[str, str]) -> Text:
-    """Return the keys of ``campaign.toml`` that nobody stated, with the values that stand in.
-
-    Parameters
-    ----------
-    assumed : mapping of str to str
-        From `calib.campaign.checks.assumed.stand_ins`.
-    """
+    """Return the keys of ``campaign.toml`` that nobody stated, with the values that stand in."""
     if not assumed:
         return Text("Every setting that these results rest on is stated by the campaign; none is assumed.")
     return Text(

@@ -20,13 +20,7 @@ _LIKE: Final = 8
 
 
 def check_content(report: CheckReport) -> tuple[Block, ...]:
-    """Return what a check says.
-
-    Parameters
-    ----------
-    report : CheckReport
-        From `calib.campaign.check.check_campaign`.
-    """
+    """Return what a check says."""
     blocks: list[Block] = [
         Heading(f"{report.campaign}{' (simulated)' if report.simulated else ''}"),
         Facts(tuple(_facts(report))),

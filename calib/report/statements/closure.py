@@ -13,15 +13,7 @@ __all__ = ["closure_blocks"]
 
 
 def closure_blocks(verdict: Verdict, headline: PaperHeadline | None = None) -> list[Block]:
-    """Return how far the gap shrinks and whether the fix is recommended.
-
-    Parameters
-    ----------
-    verdict : Verdict
-        Of a diagnosis.
-    headline : PaperHeadline, optional
-        The paper's headline beside it; from `calib.gap.verdict.paper_headline.headline`.
-    """
+    """Return how far the gap shrinks and whether the fix is recommended."""
     blocks: list[Block] = []
     if verdict.causes and verdict.closure.channels:
         blocks.append(_by_channel(verdict))

@@ -42,13 +42,7 @@ def verdict_content(verdict: Verdict) -> tuple[Block, ...]:
 
 
 def diagnosis_content(gap: GapFindings) -> tuple[Block, ...]:
-    """Return what a diagnosis says, with the pictures that its arrays allow.
-
-    Parameters
-    ----------
-    gap : GapFindings
-        The verdict, and what is known of the arrays behind it.
-    """
+    """Return what a diagnosis says, with the pictures that its arrays allow."""
     verdict = gap.verdict
     blocks: list[Block] = [
         verdict_notice(verdict),

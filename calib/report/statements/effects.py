@@ -36,15 +36,7 @@ def size_text(value: float, unit: str) -> str:
 
 
 def effects_content(entries: Sequence[Entry], runs: str) -> tuple[Block, ...]:
-    """Return the catalogue as a table.
-
-    Parameters
-    ----------
-    entries : sequence of Entry
-        From `calib.gap.effects.catalogue.catalogue`.
-    runs : str
-        Whose runs they are judged on, for the caption.
-    """
+    """Return the catalogue as a table."""
     rows = tuple((entry.effect.id, entry.effect.title, str(entry.effect.family), _typical(entry)) for entry in entries)
     table = Table(
         f"{plural(len(entries), 'effect')}; typical size of the form that shows most on {runs}.",
@@ -68,15 +60,7 @@ def effects_content(entries: Sequence[Entry], runs: str) -> tuple[Block, ...]:
 
 
 def effect_content(entry: Entry, runs: str) -> tuple[Block, ...]:
-    """Return all that is known of one effect: words, sizes, and its signature by kind of run.
-
-    Parameters
-    ----------
-    entry : Entry
-        From `calib.gap.effects.catalogue.catalogue`.
-    runs : str
-        Whose runs the signature is of.
-    """
+    """Return all that is known of one effect: words, sizes, and its signature by kind of run."""
     effect = entry.effect
     facts = [
         ("From", entry.origin),

@@ -22,15 +22,7 @@ def simulated_notice() -> Notice:
 
 
 def fit_content(fit: Fit, *, runs: bool = False) -> tuple[Block | Section, ...]:
-    """Return what a fit says, the most important first and last.
-
-    Parameters
-    ----------
-    fit : Fit
-        From `calib.radius.fit.fit_campaign`.
-    runs : bool
-        With the radius of every run.
-    """
+    """Return what a fit says, the most important first and last; with `runs` the radius of every run, too."""
     sessions = len(set(fit.radii.session.tolist()))
     blocks: list[Block | Section] = [
         Heading(f"{fit.name}: {plural(len(fit.radii), 'run')} in {plural(sessions, 'session')}")
@@ -54,15 +46,7 @@ def fit_content(fit: Fit, *, runs: bool = False) -> tuple[Block | Section, ...]:
 
 
 def comparison_content(compared: ModelComparison, notes: Sequence[str]) -> tuple[Block, ...]:
-    """Return a fitted law held against a model's.
-
-    Parameters
-    ----------
-    compared : ModelComparison
-        From `calib.radius.comparison.compare_laws`.
-    notes : sequence of str
-        What the reader should know of the model.
-    """
+    """Return a fitted law held against a model's."""
     rows = []
     for side, wheel in (("left", compared.left), ("right", compared.right)):
         rows.append(_row(f"{side}: radius at {compared.reference_load_N:.0f} N", wheel.radius_ref, 1e3, "mm"))

@@ -27,13 +27,7 @@ FIT_PICTURES: Final = ("runs-by-series", "regressions", "path-deviation", "resid
 
 
 def fit_pictures(fit: Fit) -> tuple[Picture, ...]:
-    """Return the pictures that a report on a fit shows.
-
-    Parameters
-    ----------
-    fit : Fit
-        From `calib.radius.fit.fit_campaign`.
-    """
+    """Return the pictures that a report on a fit shows."""
     draw = (runs_picture, regressions_picture, deviation_picture, residuals_picture)
     return (*(picture(fit) for picture in draw), *((budget_picture(fit),) if fit.radii.budget else ()))
 

@@ -30,13 +30,7 @@ _ROUTE: Final = (
 
 
 def geometry_content(geometry: Geometry) -> tuple[Block, ...]:
-    """Return the result as blocks.
-
-    Parameters
-    ----------
-    geometry : Geometry
-        From `calib.geometry`.
-    """
+    """Return the result as blocks."""
     blocks: list[Block] = [Text(_heading(geometry))]
     parameters = [_cells(estimate) for estimate in geometry.estimates]
     blocks.append(_table("Parameters, with 95 % intervals.", _HEADER, parameters))

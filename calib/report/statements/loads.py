@@ -34,15 +34,7 @@ def loads_content(vehicle: Vehicle, sweep: LoadSweep) -> tuple[Block, ...]:
 
 
 def weighed_content(payload: WeighedPayload, *, known: bool) -> tuple[Block, ...]:
-    """Return the payload found from three weighed wheels.
-
-    Parameters
-    ----------
-    payload : WeighedPayload
-        With standard uncertainties.
-    known : bool
-        Whether the uncertainty of the weighings was given.
-    """
+    """Return the payload found from three weighed wheels."""
     rows = []
     for title, unit, value, std, decimals in (
         ("mass", "kg", payload.payload_kg, payload.payload_std_kg, 3),

@@ -20,13 +20,7 @@ _BY_GEOMETRY: Final = {"model": "as the simulator believes", "corrected": "the c
 
 
 def replay_content(replay: Replay) -> tuple[Block, ...]:
-    """Return what a replay says.
-
-    Parameters
-    ----------
-    replay : Replay
-        From `calib.motion.studies.replay.replay`.
-    """
+    """Return what a replay says."""
     name = replay.campaign + (" (simulated)" if replay.simulated else "")
     table = Table(
         f"{name}: end error of {int(replay.in_range.sum())} runs.",

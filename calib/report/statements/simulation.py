@@ -19,13 +19,7 @@ _FACTORS: Final = {"along_m": 1.0, "lateral_m": 1.0, "heading_rad": 1e3, "global
 
 
 def simulation_content(simulation: Simulation) -> tuple[Block, ...]:
-    """Return what a simulation says.
-
-    Parameters
-    ----------
-    simulation : Simulation
-        From `calib.motion.studies.run.simulate`.
-    """
+    """Return what a simulation says."""
     blocks: list[Block] = [_sweep(name, sweep) for name, sweep in simulation.sweeps.items()]
     if simulation.headlines:
         blocks.append(_headline(simulation))
