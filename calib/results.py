@@ -225,7 +225,7 @@ class Plan(_Shown):
 
     def plot(self) -> Figure:
         """Draw which effects the runs driven so far tell apart."""
-        from calib.gap.plan.next_runs import outlook_of
+        from calib.gap.plan.outlook import outlook_of
         from calib.report.figures.plan import plan_matrix
 
         return plan_matrix(outlook_of(self.campaign))

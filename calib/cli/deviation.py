@@ -58,7 +58,8 @@ def run(
     Exit status 1 where a run's path moved a radius by more than the tolerance.
     """
     from calib.campaign.read import read_campaign
-    from calib.radius.run_deviation import arc_row, deviation_rows, judge_runs, table_setting
+    from calib.radius.deviation_table import arc_row, deviation_rows, table_setting
+    from calib.radius.run_deviation import judge_runs
     from calib.report.statements.deviation import arc_content, runs_content, weave_content
 
     refuse_existing([json], force=force)

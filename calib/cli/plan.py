@@ -90,7 +90,7 @@ def _next(campaign: Path, candidates: Path | None, most: int, seed: int, json: s
 
 
 def _judge(source: Path, figures: Path | None, json: str | None, *, force: bool) -> int:
-    from calib.gap.plan.next_runs import outlook_of
+    from calib.gap.plan.outlook import outlook_of
     from calib.gap.plan.plan_file import read_plan
     from calib.report.figures.files import FORMS, write_figures
     from calib.report.statements.plan import outlook_content

@@ -44,7 +44,7 @@ def export(
     """
     chosen = options or ExportOptions()
     if to not in formats.FORMATS:
-        raise BadInputError(f"--to: found {to!r}; expected one of {', '.join(formats.FORMATS)}; choose one of them")
+        raise BadInputError(f"to: found {to!r}; expected one of {', '.join(formats.FORMATS)}; choose one of them")
     if to != "ros2" and chosen.has_controller_choices:
         raise BadInputError(
             f"controllers, position feedback and open loop: found a choice of them for {to!r}; expected 'ros2', which "
@@ -80,7 +80,7 @@ def parse_loads(texts: Iterable[str]) -> tuple[LoadPair, ...]:
             values = []
         # the comparison also refuses NaN
         if len(values) not in (1, 2) or not all(0.0 <= value < float("inf") for value in values):
-            raise BadInputError(f"--load: found {text!r}; expected N, or LEFT,RIGHT in N; for example 600 or 500,700")
+            raise BadInputError(f"load: found {text!r}; expected N, or LEFT,RIGHT in N; for example 600 or 500,700")
         pairs.append(LoadPair(values[0], values[-1]))
     return tuple(pairs)
 

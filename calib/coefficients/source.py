@@ -124,7 +124,7 @@ def _outside(text: str | None) -> Outside | None:
         return "refuse" if text else None
     if text == "clamp":
         return "clamp"
-    raise BadInputError(f"--outside: found {text!r}; expected refuse or clamp; choose one of them")
+    raise BadInputError(f"outside: found {text!r}; expected refuse or clamp; choose one of them")
 
 
 def _check_date(text: str) -> None:
@@ -133,7 +133,7 @@ def _check_date(text: str) -> None:
     except ValueError:
         fine = False
     if not fine:
-        raise BadInputError(f"--date: found {text!r}; expected a date as YYYY-MM-DD; for example 2025-03-31")
+        raise BadInputError(f"date: found {text!r}; expected a date as YYYY-MM-DD; for example 2025-03-31")
 
 
 def _is_coefficients(path: Path) -> bool:

@@ -28,7 +28,8 @@ from calib.gap.evidence.noise import Noise, estimate_noise
 from calib.gap.evidence.recalibration import judge_recalibration
 from calib.gap.evidence.search import Search, Settings, search
 from calib.gap.evidence.whitened import WhitenedSystem
-from calib.gap.plan.next_runs import next_runs, undetectable
+from calib.gap.plan.next_runs import next_runs
+from calib.gap.plan.outlook import undetectable
 from calib.gap.plan.planned_runs import joined
 from calib.gap.predict.path import Path, predict
 from calib.gap.predict.residuals import residuals

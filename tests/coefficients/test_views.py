@@ -96,7 +96,7 @@ def test_a_load_valid_for_no_wheel_gets_no_row(file: CoefficientFile) -> None:
 def test_loads_are_given_for_both_wheels_or_for_each() -> None:
     assert parse_loads(["300", "500,700.5"]) == (LoadPair(300.0, 300.0), LoadPair(500.0, 700.5))
     for bad in ("x", "1,2,3", "-5", "nan", "inf", ""):
-        with pytest.raises(BadInputError, match="--load"):
+        with pytest.raises(BadInputError, match="load: found"):
             parse_loads([bad])
 
 

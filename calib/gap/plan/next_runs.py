@@ -1,14 +1,13 @@
-"""Which runs to drive next, and what a plan of runs could show: before anything is driven, or beside what was."""
+"""Which runs to drive next, best first."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Final
+from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 
-from calib.arrays import BoolArray, FloatArray
+from calib.arrays import FloatArray
 from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
 from calib.gap.data.from_campaign import observations_of
@@ -16,163 +15,19 @@ from calib.gap.data.observations import Observations
 from calib.gap.effects.applied import matching_form
 from calib.gap.effects.calibration import DIRECTIONS, NAMES
 from calib.gap.effects.effect import Effect, Form
-from calib.gap.effects.library import library
 from calib.gap.evidence.fit import Fitted
-from calib.gap.evidence.marginal import Nuisance, project
 from calib.gap.evidence.noise import Noise
-from calib.gap.evidence.whitened import WhitenedSystem
 from calib.gap.plan.planned_runs import DEFAULT_CORRIDOR_M, Measured, PlannedRun, default_candidates, drive, joined
-from calib.gap.plan.separability import SEEN, Signatures, noise_at
+from calib.gap.plan.separability import Signatures, noise_at
 from calib.gap.predict.path import predict
 from calib.gap.verdict.alternatives import NEAR
-from calib.gap.verdict.result import Detectable, PlannedRunAdvice
-from calib.progress import Progress, silent, stepped
+from calib.gap.verdict.result import PlannedRunAdvice
 
-__all__ = ["Outlook", "next_runs", "outlook_of", "undetectable"]
+__all__ = ["next_runs"]
 
-#: an effect of which a recalibration leaves less than this share is hidden in it for good
-HIDDEN: Final = 1e-3
 MOST_RUNS: Final = 5
 #: pairs named in one line
 NAMED: Final = 3
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Outlook:
-    """What a set of runs can show.
-
-    Parameters
-    ----------
-    effects : tuple of str
-        Effects that the runs vary anything for, shape (n,).
-    absent : tuple of str
-        Effects that have nothing to act on in these runs.
-    signal : array of float, shape (n,)
-        Whitened norm of each at its typical size, beside a free recalibration.
-    distance : array of float, shape (n, n)
-        Row's effect at its typical size against all that the column's could do, in standard deviations; infinite on
-        the diagonal.
-    smallest : mapping of str to Detectable
-        Smallest size of each effect that would be seen.
-    """
-
-    effects: tuple[str, ...]
-    absent: tuple[str, ...]
-    signal: FloatArray
-    distance: FloatArray
-    smallest: dict[str, Detectable]
-
-    @property
-    def told_apart(self) -> BoolArray:
-        """Which effects, at typical size, are seen and stand apart from every other, shape (n,)."""
-        return np.asarray((self.signal >= NEAR) & (self.distance.min(axis=1) >= NEAR))
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return it as plain JSON values; the diagonal is null."""
-        apart = self.told_apart
-        return {
-            "effects": list(self.effects),
-            "absent": list(self.absent),
-            "signal": [float(value) for value in self.signal],
-            "distance": [[float(d) if np.isfinite(d) else None for d in row] for row in self.distance],
-            "smallest": {name: limit.sentence for name, limit in self.smallest.items()},
-            "not_seen": [name for name, value in zip(self.effects, self.signal, strict=True) if value < NEAR],
-            "told_apart": [name for name, yes in zip(self.effects, apart, strict=True) if yes],
-            "confused": {
-                name: [self.effects[k] for k in np.flatnonzero(self.distance[number] < NEAR)]
-                for number, name in enumerate(self.effects)
-                if self.signal[number] >= NEAR and not apart[number]
-            },
-        }
-
-
-def outlook_of(campaign: Campaign, progress: Progress = silent) -> Outlook:
-    """Return what the runs of a campaign, driven or not, can show of the whole library."""
-    observations = observations_of(campaign)
-    path = predict(observations)
-    noise = noise_at(path, {})
-    effects = library(observations, declared=campaign.extra.get("effects", ()))
-    signatures = Signatures(path, noise, effects)
-    signal, distance = signatures.distances(signatures.gram(np.ones(len(observations), dtype=bool)))
-    forms = {effect.id: effect.forms(observations) for effect in effects}
-    bench = WhitenedSystem(path, path, noise)
-    return Outlook(
-        effects=tuple(signatures.names),
-        absent=tuple(name for name, tried in forms.items() if not tried),
-        signal=signal,
-        distance=distance,
-        smallest=_smallest(bench, effects, forms, only_blind=False, progress=progress),
-    )
-
-
-def undetectable(
-    bench: WhitenedSystem, effects: Sequence[Effect], forms: Mapping[str, Sequence[Form]] | None = None
-) -> tuple[Detectable, ...]:
-    """Return the effects that these runs could not have shown at their typical size, with the smallest that they could.
-
-    Parameters
-    ----------
-    bench : WhitenedSystem
-        The whitened system of the runs.
-    effects : sequence of Effect
-        The library.
-    forms : mapping of str to sequence of Form, optional
-        Forms of some effects on these runs, where they are known already.
-
-    Returns
-    -------
-    tuple of Detectable
-        `never` where nothing in the runs varies what the effect acts through, or a recalibration hides it wholly.
-    """
-    return tuple(_smallest(bench, effects, forms or {}, only_blind=True).values())
-
-
-def _smallest(
-    bench: WhitenedSystem,
-    effects: Sequence[Effect],
-    known: Mapping[str, Sequence[Form]],
-    *,
-    only_blind: bool,
-    progress: Progress = silent,
-) -> dict[str, Detectable]:
-    observations = bench.path.s
-    recalibration = Nuisance.of(bench.calibration)
-    own_left_out = Nuisance.of(bench.calibration[:, 3:])
-    limits: dict[str, Detectable] = {}
-    for effect in stepped(effects, progress, "effects"):
-        forms = known.get(effect.id) or effect.forms(observations)
-        if not forms:
-            why = "nothing that it acts through is measured, or varies, in these runs"
-            limits[effect.id] = Detectable(effect.id, why, never=True)
-            continue
-        nuisance = own_left_out if effect.calibration else recalibration
-        best: tuple[float, Form, int] | None = None
-        raw_norm = 0.0
-        for form in forms:
-            columns = bench.columns(form)
-            # a single direction of the form is asked at a time, the recalibration free beside it
-            left = np.sqrt((project(nuisance, columns) ** 2).sum(axis=0))
-            raw = np.sqrt((columns**2).sum(axis=0))
-            raw_norm = max(raw_norm, float(raw.max(initial=0.0)))
-            for number, value in enumerate(left):
-                if value > HIDDEN * max(float(raw[number]), 1e-12) and value > 0.0:
-                    times = SEEN / float(value)
-                    if best is None or times < best[0]:
-                        best = (times, form, number)
-        if best is None:
-            why = "hidden in the calibration" if raw_norm > 0.0 else "it moves nothing measured here"
-            limits[effect.id] = Detectable(effect.id, why, never=True)
-            continue
-        times, form, number = best
-        if only_blind and times <= 1.0:
-            continue
-        parameter = form.parameters[number]
-        unit = "" if parameter.unit == "1" else f" {parameter.unit}"
-        words = [parameter.name.replace("_", " ")] if parameter.name else []
-        words += ["more than is plausible"] if times * parameter.typical > parameter.largest else []
-        size = f"{times * parameter.typical:.2g}{unit}" + (f" ({', '.join(words)})" if words else "")
-        limits[effect.id] = Detectable(effect.id, size)
-    return limits
 
 
 def next_runs(

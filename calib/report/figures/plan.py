@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 
-from calib.gap.plan.next_runs import Outlook
+from calib.gap.plan.outlook import Outlook
 from calib.report.figures.style import INK, axes_grid, canvas, styled
 
 __all__ = ["plan_matrix"]
@@ -25,7 +25,7 @@ def plan_matrix(outlook: Outlook) -> Figure:
     Parameters
     ----------
     outlook : Outlook
-        From `calib.gap.plan.next_runs.outlook_of`.
+        From `calib.gap.plan.outlook.outlook_of`.
 
     Returns
     -------

@@ -17,7 +17,8 @@ from calib.gap.effects.library import library
 from calib.gap.evidence.fit import fit
 from calib.gap.evidence.noise import Noise
 from calib.gap.evidence.whitened import WhitenedSystem
-from calib.gap.plan.next_runs import next_runs, outlook_of, undetectable
+from calib.gap.plan.next_runs import next_runs
+from calib.gap.plan.outlook import outlook_of, undetectable
 from calib.gap.plan.plan_file import read_plan
 from calib.gap.plan.planned_runs import Measured, PlannedRun, default_candidates, drive, joined
 from calib.gap.plan.separability import noise_at
