@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
 from calib.cli.options import Force, JsonTarget, refuse_existing
 from calib.cli.terminal import emit_json, show, waiting, wants_stdout
+
+if TYPE_CHECKING:
+    from calib.campaign.model import Campaign
+    from calib.radius.run_deviation import RunDeviations
 
 __all__ = ["EPILOG", "run"]
 
@@ -57,18 +61,15 @@ def run(
 
     Exit status 1 where a run's path moved a radius by more than the tolerance.
     """
-    from calib.campaign.read import read_campaign
-    from calib.radius.deviation_table import arc_row, deviation_rows, table_setting
-    from calib.radius.run_deviation import judge_runs
+    from calib.radius import deviation_table as table
     from calib.report.statements.deviation import arc_content, runs_content, weave_content
 
     refuse_existing([json], force=force)
     with waiting("reading"):
-        read = None if campaign is None else read_campaign(campaign)
-        judged = None if read is None else judge_runs(read, tolerance)
-    distance_m, track_m = table_setting(read, distance, track, default_distance_m=DISTANCE_M)
-    rows = deviation_rows(amplitude or AMPLITUDES_M, wavelength or WAVELENGTHS_M, distance_m, track_m, tolerance)
-    arc = None if radius_ratio is None else arc_row(radius_ratio, distance_m, track_m)
+        read, judged = _judged(campaign, tolerance)
+    distance_m, track_m = table.table_setting(read, distance, track, default_distance_m=DISTANCE_M)
+    rows = table.deviation_rows(amplitude or AMPLITUDES_M, wavelength or WAVELENGTHS_M, distance_m, track_m, tolerance)
+    arc = None if radius_ratio is None else table.arc_row(radius_ratio, distance_m, track_m)
     document: dict[str, Any] = {"tolerance": tolerance, "track_m": track_m, "table": rows, "arc": arc}
     content = weave_content(rows, tolerance, track_m) if judged is None or amplitude or wavelength else ()
     content += () if arc is None else arc_content(arc)
@@ -86,3 +87,14 @@ def run(
         show(content)
     emit_json(document, json, force=force)
     return 0 if judged is None or judged.passed else 1
+
+
+def _judged(folder: Path | None, tolerance: float) -> tuple[Campaign | None, RunDeviations | None]:
+    """Return the campaign and the verdict on its runs; nothing without a folder."""
+    from calib.campaign.read import read_campaign
+    from calib.radius.run_deviation import judge_runs
+
+    if folder is None:
+        return None, None
+    campaign = read_campaign(folder)
+    return campaign, judge_runs(campaign, tolerance)
