@@ -11,13 +11,13 @@ from typing import Final
 
 from calib.arrays import FloatArray
 from calib.campaign.faults import Border
+from calib.campaign.known_hashes import Content, FileState, KnownHashes
 from calib.campaign.log_cache import LogCache, ReadLog, log_cache
 from calib.campaign.log_stack import LogStack
 from calib.campaign.logs_file import LogFile, Renames, read_log
 from calib.campaign.model import Logs, Note
 from calib.campaign.settings import Encoder
 from calib.errors import BadFileError
-from calib.files import sha256_file
 from calib.progress import Progress, silent, stepped
 
 __all__ = ["read_logs"]
@@ -38,19 +38,6 @@ class _Outcome:
     notes: tuple[Note, ...]
     sha256: str
     error: BadFileError | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class _Content:
-    """The hash of a file's bytes, empty where it cannot be read, and the state that the file was in before."""
-
-    sha256: str
-    state: tuple[int, int] | None
-
-    @staticmethod
-    def of(path: Path) -> _Content:
-        state = _state(path)
-        return _Content(_hash(path), state)
 
 
 def read_logs(
@@ -105,11 +92,12 @@ def read_logs(
 def _outcomes(files: Sequence[LogFile], renames: Renames | None) -> Iterator[_Outcome]:
     """Yield what came of each log, in their order."""
     cache = log_cache(path for _, _, path, _ in files)
+    known = KnownHashes.read(None if cache is None else cache.folder, files[0][2].parent if files else Path())
     stored = 0
     threads = min(MOST_THREADS, _processors())
     if threads < 2 or len(files) < MANY:
         for _, _, path, name in files:
-            outcome, new = _read(path, name, renames, cache, _Content.of(path))
+            outcome, new = _read(path, name, renames, cache, known.content(path))
             stored += new
             yield outcome
     else:
@@ -120,18 +108,19 @@ def _outcomes(files: Sequence[LogFile], renames: Renames | None) -> Iterator[_Ou
         pool = ThreadPoolExecutor(1 if small else threads)
         try:
             if small:
-                contents = pool.map(_Content.of, (path for _, _, path, _ in files))
+                contents = pool.map(known.content, (path for _, _, path, _ in files))
                 read: Iterator[tuple[_Outcome, bool]] = (
                     _read(file[2], file[3], renames, cache, content)
                     for file, content in zip(files, contents, strict=True)
                 )
             else:
-                read = pool.map(lambda file: _read(file[2], file[3], renames, cache, _Content.of(file[2])), files)
+                read = pool.map(lambda file: _read(file[2], file[3], renames, cache, known.content(file[2])), files)
             for outcome, new in read:
                 stored += new
                 yield outcome
         finally:
             pool.shutdown(cancel_futures=True)
+    known.keep()
     if cache is not None and stored:
         cache.trim()
 
@@ -143,7 +132,7 @@ def _mean_bytes(files: Sequence[LogFile]) -> float:
 
 
 def _read(
-    path: Path, name: str, renames: Renames | None, cache: LogCache | None, content: _Content
+    path: Path, name: str, renames: Renames | None, cache: LogCache | None, content: Content
 ) -> tuple[_Outcome, bool]:
     """Return what came of a log, and whether it was put into the cache."""
     sha256, place = content.sha256, None
@@ -158,27 +147,13 @@ def _read(
     except BadFileError as error:
         return _Outcome({}, tuple(own.notes), sha256, error), False
     notes = tuple(own.notes)
-    if not sha256 or _state(path) != content.state:
+    if not sha256 or FileState.of(path) != content.state:
         # a file that changed while it was read is neither kept nor named under the hash of what it was
-        return _Outcome(columns, notes, _hash(path)), False
+        return _Outcome(columns, notes, KnownHashes(None).content(path).sha256), False
     if cache is None or place is None:
         return _Outcome(columns, notes, sha256), False
     cache.put(place, ReadLog(columns, notes))
     return _Outcome(columns, notes, sha256), True
-
-
-def _hash(path: Path) -> str:
-    with suppress(OSError):
-        return sha256_file(path)
-    return ""
-
-
-def _state(path: Path) -> tuple[int, int] | None:
-    try:
-        status = path.stat()
-    except OSError:
-        return None
-    return status.st_size, status.st_mtime_ns
 
 
 def _processors() -> int:
