@@ -14,7 +14,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,12 +26,14 @@ from calib.plant.fleet import FleetSize, make_fleet
 from tests.benchmarks import reading_bag, test_odometry
 from tests.benchmarks.test_diagnosis import campaign_of, of_rows
 from tests.benchmarks.test_startup import NEEDED
+from tests.fleet.hardship import scaling
 
 ROOT = Path(__file__).resolve().parents[2]
 SAMPLE = "sample_runs/corridor_crossed"
 PANDAS = "import pandas, pathlib; [pandas.read_csv(path) for path in sorted(pathlib.Path({!r}, 'logs').iterdir())]"
 #: rows of a log where growth with the number of runs is asked
 GROWTH_ROWS = 200
+PARTS = ("commands", "reading", "odometry", "fleet", "growth")
 
 
 def spent(arguments: Sequence[str]) -> float:
@@ -125,17 +126,13 @@ def odometry(turns: int, into: Path) -> None:
 
 
 def fleets(into: Path, vehicles: int) -> None:
-    """A fleet by one and by two processes, against ideal scaling, in wall-clock seconds."""
-    from calib.fleet.run import fit_fleet
-
+    """A fleet by one and by two workers, against two processes that share nothing, in wall-clock seconds."""
     folder = into / "fleet"
     make_fleet(folder, np.random.default_rng(5), FleetSize(vehicles, n_months=1))
-    fit_fleet(folder, into / "warm")
-    one = test_odometry.seconds(lambda: fit_fleet(folder, into / "one"))
-    two = test_odometry.seconds(lambda: fit_fleet(folder, into / "two", workers=2))
-    cpu = within(lambda: fit_fleet(folder, into / "three"))
-    row(f"fleet of {vehicles} vehicles, two workers (wall)", two, "half of one's time", 0.5 * one)
-    say(f"fleet: {vehicles / cpu:.0f} vehicles a second of the processor", "", "", "", "")
+    way = scaling(folder, into / "out")
+    row(f"fleet of {vehicles} vehicles, two workers (wall)", way.two_s, "ideal scaling", 0.5 * way.strangers_s)
+    row(f"fleet of {vehicles} vehicles, one worker (wall)", way.one_s, "two workers", way.two_s)
+    say(f"a vehicle of {vehicles}, one worker", f"{way.cpu_s / vehicles:.4f}", "", "", "")
 
 
 def growth(into: Path, sizes: Sequence[int]) -> None:
@@ -157,18 +154,23 @@ def main() -> None:
     parser.add_argument("--turns", type=int, default=5)
     parser.add_argument("--vehicles", type=int, default=2000)
     parser.add_argument("--sizes", type=int, nargs=3, default=(40, 80, 160))
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS)
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as place:
         into = Path(place)
         sys.stdout.write(f"Load at the start {os.getloadavg()[0]:.1f}.\n\n")
         say("what", "s", "reference", "s", "ratio")
         say("---", "---:", "---", "---:", "---:")
-        commands(given.turns, into)
-        made = campaign_of(160)
-        reading(given.turns, into, of_rows(replace(made), 4000))
-        odometry(given.turns, into)
-        fleets(into, given.vehicles)
-        growth(into, given.sizes)
+        if "commands" in given.parts:
+            commands(given.turns, into)
+        if "reading" in given.parts:
+            reading(given.turns, into, of_rows(campaign_of(160), 4000))
+        if "odometry" in given.parts:
+            odometry(given.turns, into)
+        if "fleet" in given.parts:
+            fleets(into, given.vehicles)
+        if "growth" in given.parts:
+            growth(into, given.sizes)
         sys.stdout.write(f"\nLoad at the end {os.getloadavg()[0]:.1f}.\n")
 
 

@@ -20,6 +20,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -72,18 +73,40 @@ def at_once(folder: Path, into: Path, *workers: int) -> list[dict[str, Any]]:
     return answers
 
 
-def scaling(folder: Path, into: Path, vehicles: int) -> tuple[str, float]:
-    """Say what two workers gain, and what two strangers do; return the result's hash and two workers' seconds."""
+@dataclass(frozen=True)
+class Scaling:
+    """Least wall-clock seconds of one worker, of two, and of two processes at once that share nothing.
+
+    `cpu_s` and `cpu_two_s` are seconds of the processor by one and by two workers, `hashes` those of all results.
+    """
+
+    one_s: float
+    two_s: float
+    strangers_s: float
+    cpu_s: float
+    cpu_two_s: float
+    hashes: frozenset[str]
+
+
+def scaling(folder: Path, into: Path) -> Scaling:
+    """Fit a fleet in turns by one worker, by two, and by two strangers."""
     turns = [(at_once(folder, into, 1), at_once(folder, into, 2), at_once(folder, into, 1, 1)) for _ in range(TURNS)]
-    hashes = {answer["sha256"] for turn in turns for answers in turn for answer in answers}
     one, two, strangers = (min(max(answer["seconds"] for answer in turn[way]) for turn in turns) for way in range(3))
-    cpu = min(turn[0][0]["cpu"] for turn in turns)
-    cpu_two = min(turn[1][0]["cpu"] for turn in turns)
-    _say(f"one worker {one:.2f} s, {cpu:.2f} s of the processor: {vehicles / cpu:.0f} vehicles a second of it")
-    _say(f"two workers {two:.2f} s, {cpu_two:.2f} s of the processor: {one / two:.2f} times one worker")
-    _say(f"  each of two strangers {strangers:.2f} s: ideal scaling is {2 * one / strangers:.2f} times on this machine")
-    _say(f"  two workers reach {strangers / (2 * two):.2f} of it; same bytes: {len(hashes) == 1}")
-    return turns[0][0][0]["sha256"], two
+    cpu, cpu_two = (min(turn[way][0]["cpu"] for turn in turns) for way in range(2))
+    hashes = frozenset(answer["sha256"] for turn in turns for answers in turn for answer in answers)
+    return Scaling(one, two, strangers, cpu, cpu_two, hashes)
+
+
+def say_scaling(way: Scaling, vehicles: int) -> None:
+    """Say what two workers gain, and what two strangers do."""
+    rate = vehicles / way.cpu_s
+    _say(f"one worker {way.one_s:.2f} s, {way.cpu_s:.2f} s of the processor: {rate:.0f} vehicles a second of it")
+    _say(
+        f"two workers {way.two_s:.2f} s, {way.cpu_two_s:.2f} s of the processor: {way.one_s / way.two_s:.2f} times one"
+    )
+    ideal = 2 * way.one_s / way.strangers_s
+    _say(f"  each of two strangers {way.strangers_s:.2f} s: ideal scaling is {ideal:.2f} times on this machine")
+    _say(f"  two workers reach {way.strangers_s / (2 * way.two_s):.2f} of it; same bytes: {len(way.hashes) == 1}")
 
 
 def _lines(path: Path) -> int:
@@ -135,7 +158,9 @@ def main() -> None:
         make_fleet(fleet, np.random.default_rng(5), size)
     n_files = sum(1 for _ in fleet.rglob("*.parquet"))
     _say(f"load {os.getloadavg()[0]:.1f}")
-    alone, two = scaling(fleet, into, given.vehicles)
+    way = scaling(fleet, into)
+    say_scaling(way, given.vehicles)
+    alone, two = min(way.hashes), way.two_s
     import distributed
 
     with distributed.LocalCluster(
