@@ -4,21 +4,26 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from calib.arrays import FloatArray
 from calib.campaign.faults import Border
 from calib.campaign.known_hashes import Content, FileState, KnownHashes
 from calib.campaign.log_cache import LogCache, ReadLog, log_cache
 from calib.campaign.log_stack import LogStack
-from calib.campaign.logs_file import LogFile, Renames, read_log
+from calib.campaign.logs_file import LogFile, Renames, read_log, wanted_in_log
 from calib.campaign.model import Logs, Note
+from calib.campaign.readers.alike import read_alike
+from calib.campaign.readers.table import RawTable
 from calib.campaign.settings import Encoder
 from calib.errors import BadFileError
 from calib.progress import Progress, silent, stepped
+
+if TYPE_CHECKING:
+    from concurrent.futures import ThreadPoolExecutor
 
 __all__ = ["read_logs"]
 
@@ -28,6 +33,8 @@ MOST_THREADS: Final = 8
 MANY: Final = 8
 #: and smaller ones, too: threads that take turns with the interpreter cost more there than a second core gives
 LARGE_BYTES: Final = 512 << 10
+#: small logs that are parsed as one
+TOGETHER: Final = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,36 +100,50 @@ def _outcomes(files: Sequence[LogFile], renames: Renames | None) -> Iterator[_Ou
     """Yield what came of each log, in their order."""
     cache = log_cache(path for _, _, path, _ in files)
     known = KnownHashes.read(None if cache is None else cache.folder, files[0][2].parent if files else Path())
+    reader = _Reader(renames, cache, known)
+    threads = min(MOST_THREADS, _processors()) if len(files) >= MANY else 1
     stored = 0
-    threads = min(MOST_THREADS, _processors())
-    if threads < 2 or len(files) < MANY:
-        for _, _, path, name in files:
-            outcome, new = _read(path, name, renames, cache, known.content(path))
-            stored += new
-            yield outcome
-    else:
-        from concurrent.futures import ThreadPoolExecutor
-
-        # small logs: one thread hashes ahead, which needs the interpreter for a moment only, and this one parses
-        small = _mean_bytes(files) < LARGE_BYTES
-        pool = ThreadPoolExecutor(1 if small else threads)
-        try:
-            if small:
-                contents = pool.map(known.content, (path for _, _, path, _ in files))
-                read: Iterator[tuple[_Outcome, bool]] = (
-                    _read(file[2], file[3], renames, cache, content)
-                    for file, content in zip(files, contents, strict=True)
-                )
-            else:
-                read = pool.map(lambda file: _read(file[2], file[3], renames, cache, known.content(file[2])), files)
-            for outcome, new in read:
-                stored += new
-                yield outcome
-        finally:
-            pool.shutdown(cancel_futures=True)
+    for outcome, new in (_small if _mean_bytes(files) < LARGE_BYTES else _large)(reader, files, threads):
+        stored += new
+        yield outcome
     known.keep()
     if cache is not None and stored:
         cache.trim()
+
+
+def _small(reader: _Reader, files: Sequence[LogFile], threads: int) -> Iterator[tuple[_Outcome, bool]]:
+    """Read small logs, some at a time as one; a thread hashes ahead, which needs the interpreter for a moment only."""
+    paths = (path for _, _, path, _ in files)
+    with _pool(min(threads, 2) - 1) as pool:
+        contents = iter(pool.map(reader.known.content, paths) if pool else map(reader.known.content, paths))
+        for first in range(0, len(files), TOGETHER):
+            batch = files[first : first + TOGETHER]
+            yield from reader.read(batch, [next(contents) for _ in batch])
+
+
+def _large(reader: _Reader, files: Sequence[LogFile], threads: int) -> Iterator[tuple[_Outcome, bool]]:
+    """Read large logs one by one, several threads at once."""
+
+    def read(file: LogFile) -> tuple[_Outcome, bool]:
+        return reader.read([file], [reader.known.content(file[2])])[0]
+
+    with _pool(threads if threads > 1 else 0) as pool:
+        yield from pool.map(read, files) if pool else map(read, files)
+
+
+@contextmanager
+def _pool(threads: int) -> Iterator[ThreadPoolExecutor | None]:
+    """Give so many threads, None where that is none; what they have not begun is not begun any more at the end."""
+    if not threads:
+        yield None
+        return
+    from concurrent.futures import ThreadPoolExecutor
+
+    pool = ThreadPoolExecutor(threads)
+    try:
+        yield pool
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 def _mean_bytes(files: Sequence[LogFile]) -> float:
@@ -131,29 +152,53 @@ def _mean_bytes(files: Sequence[LogFile]) -> float:
     return 0.0
 
 
-def _read(
-    path: Path, name: str, renames: Renames | None, cache: LogCache | None, content: Content
-) -> tuple[_Outcome, bool]:
-    """Return what came of a log, and whether it was put into the cache."""
-    sha256, place = content.sha256, None
-    if cache is not None and sha256:
-        place = cache.path_of(sha256, [name, sorted((renames or {}).items())])
-        kept = cache.get(place)
-        if kept is not None:
-            return _Outcome(dict(kept.columns), kept.notes, sha256), False
-    own = Border(lenient=False)
-    try:
-        columns = read_log(path, name, own, renames)
-    except BadFileError as error:
-        return _Outcome({}, tuple(own.notes), sha256, error), False
-    notes = tuple(own.notes)
-    if not sha256 or FileState.of(path) != content.state:
-        # a file that changed while it was read is neither kept nor named under the hash of what it was
-        return _Outcome(columns, notes, KnownHashes(None).content(path).sha256), False
-    if cache is None or place is None:
-        return _Outcome(columns, notes, sha256), False
-    cache.put(place, ReadLog(columns, notes))
-    return _Outcome(columns, notes, sha256), True
+@dataclass(frozen=True, slots=True)
+class _Reader:
+    """What reading a log depends on beside its file."""
+
+    renames: Renames | None
+    cache: LogCache | None
+    known: KnownHashes
+
+    def read(self, files: Sequence[LogFile], contents: Sequence[Content]) -> list[tuple[_Outcome, bool]]:
+        """Return what came of each of some logs, and whether it was put into the cache."""
+        places = [self._place(file, content) for file, content in zip(files, contents, strict=True)]
+        kept = [None if self.cache is None or place is None else self.cache.get(place) for place in places]
+        anew = [number for number, log in enumerate(kept) if log is None]
+        raws: dict[int, RawTable | None] = {}
+        if len(anew) > 1:
+            plain = [(files[number][2], files[number][3]) for number in anew]
+            raws = dict(zip(anew, read_alike(plain, wanted_in_log(self.renames)), strict=True))
+        outcomes = []
+        for number, (file, content, place, log) in enumerate(zip(files, contents, places, kept, strict=True)):
+            if log is not None:
+                outcomes.append((_Outcome(dict(log.columns), log.notes, content.sha256), False))
+            else:
+                outcomes.append(self._parsed(file, content, place, raws.get(number)))
+        return outcomes
+
+    def _place(self, file: LogFile, content: Content) -> Path | None:
+        if self.cache is None or not content.sha256:
+            return None
+        return self.cache.path_of(content.sha256, [file[3], sorted((self.renames or {}).items())])
+
+    def _parsed(
+        self, file: LogFile, content: Content, place: Path | None, raw: RawTable | None
+    ) -> tuple[_Outcome, bool]:
+        _, _, path, name = file
+        own = Border(lenient=False)
+        try:
+            columns = read_log(path, name, own, self.renames, raw=raw)
+        except BadFileError as error:
+            return _Outcome({}, tuple(own.notes), content.sha256, error), False
+        notes = tuple(own.notes)
+        if not content.sha256 or FileState.of(path) != content.state:
+            # a file that changed while it was read is neither kept nor named under the hash of what it was
+            return _Outcome(columns, notes, KnownHashes(None).content(path).sha256), False
+        if self.cache is None or place is None:
+            return _Outcome(columns, notes, content.sha256), False
+        self.cache.put(place, ReadLog(columns, notes))
+        return _Outcome(columns, notes, content.sha256), True
 
 
 def _processors() -> int:

@@ -14,9 +14,10 @@ from calib.campaign.columns import Recognised, converted, recognise, second_colu
 from calib.campaign.faults import Border
 from calib.campaign.model import LOG_COLUMNS, WHEEL_SETS
 from calib.campaign.readers import Layout, read_table
+from calib.campaign.readers.table import RawTable, Wanted
 from calib.errors import BadFileError
 
-__all__ = ["LogFile", "Renames", "log_column", "read_log", "refuse_incomplete"]
+__all__ = ["LogFile", "Renames", "log_column", "read_log", "refuse_incomplete", "wanted_in_log"]
 
 #: run number, run id, path, and its name in messages
 LogFile = tuple[int, str, Path, str]
@@ -26,7 +27,12 @@ Renames = Mapping[str, tuple[str, float]]
 
 
 def read_log(
-    path: Path, shown: str, border: Border, renames: Renames | None = None, layout: Layout | None = None
+    path: Path,
+    shown: str,
+    border: Border,
+    renames: Renames | None = None,
+    layout: Layout | None = None,
+    raw: RawTable | None = None,
 ) -> dict[str, FloatArray]:
     """Read one log.
 
@@ -42,6 +48,8 @@ def read_log(
         Column as found -> name that it stands for, with a unit (``t_ms``), and a factor.
     layout : Layout, optional
         Sheet and header row where they are known.
+    raw : RawTable, optional
+        The file's columns of `wanted_in_log` where they were read already.
 
     Returns
     -------
@@ -54,15 +62,12 @@ def read_log(
         Where a required column is missing or holds a gap, or a cell is no number.
     """
     names = renames or {}
-
-    def called(found: str) -> Recognised:
-        return log_column(names[found][0] if found in names else found)
-
-    raw = read_table(path, shown, lambda name: called(name).name in LOG_COLUMNS, layout)
+    if raw is None:
+        raw = read_table(path, shown, wanted_in_log(renames), layout)
     border.notes.extend(raw.notes)
     columns: dict[str, FloatArray] = {}
     for found, cells in raw.columns.items():
-        match = called(found)
+        match = log_column(names[found][0] if found in names else found)
         if match.name in columns:
             raise second_column(match, found, shown)
         if match.said:
@@ -76,6 +81,12 @@ def read_log(
         border.say(shown, f"times count from the first sample, which stood at {start:.10g} s", "start_time")
         columns["t_s"] = columns["t_s"] - start
     return columns
+
+
+def wanted_in_log(renames: Renames | None = None) -> Wanted:
+    """Return what says of a column's name whether a log may hold it; see `read_log`."""
+    names = renames or {}
+    return lambda found: log_column(names[found][0] if found in names else found).name in LOG_COLUMNS
 
 
 def log_column(name: str) -> Recognised:

@@ -17,7 +17,7 @@ from calib.campaign.readers.layout import LOOKED_AT, Layout, find_delimiter, fin
 from calib.campaign.readers.table import LARGEST, RawTable, Wanted, made_numeric, refuse_duplicates
 from calib.errors import BadFileError
 
-__all__ = ["read"]
+__all__ = ["begins_with_its_header", "read"]
 
 _NAMES: Final = {",": "commas", ";": "semicolons", "\t": "tabs"}
 _MAX_BYTES: Final = 4 << 30
@@ -95,6 +95,11 @@ def _begin(data: bytes, layout: Layout, shown: str) -> tuple[str, int]:
     if delimiter != usual:
         found = find_header(_split(lines, delimiter))
     return (delimiter, found) if found else (usual, 0)
+
+
+def begins_with_its_header(data: bytes, shown: str) -> bool:
+    """Return whether the header of a text of commas is its first line."""
+    return _begin(data, Layout(), shown) == (",", 0)
 
 
 def _usual(lines: list[str]) -> str:
