@@ -11,6 +11,6 @@ def drawn_once(monkeypatch: pytest.MonkeyPatch) -> None:
     from calib.report.figures.style import render
 
     monkeypatch.setattr(
-        "calib.report.figures.files.render",
-        lambda figure, form: render(figure, form) if form == "svg" else form.encode(),
+        "calib.report.figures.files.render_all",
+        lambda figure, forms: {form: render(figure, form) if form == "svg" else form.encode() for form in forms},
     )

@@ -83,7 +83,9 @@ def test_a_signature_is_drawn_once(
 ) -> None:
     """Three forms of one picture; an existing one is refused."""
     # how a figure becomes bytes has its own tests
-    monkeypatch.setattr("calib.report.figures.files.render", lambda _figure, form: form.encode())
+    monkeypatch.setattr(
+        "calib.report.figures.files.render_all", lambda _figure, forms: {form: form.encode() for form in forms}
+    )
     assert run(["effects", "curve_scrub", "--figures", str(tmp_path)]) == 0
     names = sorted(path.name for path in tmp_path.iterdir())
     assert names == [f"signature-curve_scrub.{form}" for form in ("pdf", "png", "svg")]

@@ -133,7 +133,9 @@ def test_the_figures_are_those_of_the_report(
 ) -> None:
     """Every picture of the report's pages, no other; existing ones are refused before anything is fitted."""
     # how a figure becomes bytes has its own tests
-    monkeypatch.setattr("calib.report.figures.files.render", lambda _figure, form: form.encode())
+    monkeypatch.setattr(
+        "calib.report.figures.files.render_all", lambda _figure, forms: {form: form.encode() for form in forms}
+    )
     assert run(["fit", str(folder), "--figures", str(tmp_path / "f")]) == 0
     shown = compose(from_campaign(read_campaign(folder), issued="2026-01-01")).pictures
     assert {path.stem for path in (tmp_path / "f").iterdir()} == {picture.name for picture in shown}

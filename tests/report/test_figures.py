@@ -18,7 +18,7 @@ from calib.report.blocks import Picture
 from calib.report.content import Report, compose
 from calib.report.figures import gap as gap_figures
 from calib.report.figures.radius import path_deviation, regressions, residuals, runs_by_series
-from calib.report.figures.style import render
+from calib.report.figures.style import render, render_all
 from calib.report.source import Source
 from tests.report.making import CHANNELS, findings
 
@@ -166,3 +166,15 @@ def test_root_mean_squares_before_and_after_stand_at_the_figure() -> None:
     labels = [tick.get_text() for tick in figure.axes[0].get_xticklabels()]
     # sqrt((9 + 16) / 2) = 3.54 mm; NaN is left out
     assert labels == ["before\n3.54 mm", "after\n1 mm"]
+
+
+def test_laid_out_once_a_figure_is_the_same_in_every_format() -> None:
+    """The SVG as alone; the others by the same places of their axes; the figure keeps its layout engine."""
+    figure = path_deviation(radii_like(12, 3, loads=4))
+    engine = figure.get_layout_engine()
+    forms = render_all(figure, ("png", "svg", "pdf"))
+    assert figure.get_layout_engine() is engine
+    assert list(forms) == ["png", "svg", "pdf"]
+    assert forms["svg"] == render(path_deviation(radii_like(12, 3, loads=4)), "svg")
+    assert forms["png"].startswith(b"\x89PNG")
+    assert forms["pdf"].startswith(b"%PDF")

@@ -12,7 +12,7 @@ from calib.errors import BadInputError
 from calib.files import refuse_existing
 from calib.folders import write_files
 from calib.progress import Progress, silent, stepped
-from calib.report.figures.style import render
+from calib.report.figures.style import render_all
 
 __all__ = ["FORMS", "figure_paths", "write_figures"]
 
@@ -53,8 +53,8 @@ def write_figures(
     folder = Path(folder)
     if folder.exists() and not folder.is_dir():
         raise BadInputError(f"{folder}: found a file; expected a folder for the figures; choose another path")
-    targets = {f"{name}.{form}": (figure, form) for name, figure in figures.items() for form in FORMS}
-    refuse_existing([folder / name for name in targets], force=force)
-    parts = stepped(targets.items(), progress, "figure files")
-    drawn = {name: render(figure, form) for name, (figure, form) in parts}
+    refuse_existing(figure_paths(folder, figures), force=force)
+    drawn: dict[str, bytes] = {}
+    for name, figure in stepped(figures.items(), progress, "figures"):
+        drawn |= {f"{name}.{form}": data for form, data in render_all(figure, FORMS).items()}
     return write_files(folder, drawn, force=force) if drawn else []
