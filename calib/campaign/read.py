@@ -79,6 +79,7 @@ def read_campaign(folder: Path, *, logs: bool = True, lenient: bool = False, pro
     raw = read_table(path, shown)
     hashes[shown] = sha256_file(path)
     border.notes.extend(raw.notes)
+    _say_look_alikes(folder, shown, border)
     runs = run_table(raw, shown, border)
     found_logs = Logs.empty(len(runs))
     if logs:
@@ -118,6 +119,20 @@ def _runs_path(folder: Path) -> tuple[str, Path]:
         expected="runs.csv, one row a run",
         remedy="add it, or make the campaign out of lab files with 'calib ingest'",
     )
+
+
+def _say_look_alikes(folder: Path, shown: str, border: Border) -> None:
+    """Name what could be meant for the files that are read, and is not read: another case, another format."""
+    tables = {f"runs{suffix}" for suffix in READERS}
+    for name in sorted(entry.name for entry in folder.iterdir()):
+        meant = shown if name.casefold() in tables else SETTINGS if name.casefold() == SETTINGS else ""
+        if meant and name not in (shown, SETTINGS):
+            border.say(
+                name,
+                f"found beside {meant}, which is read; this is not; remove one of them",
+                "look_alike",
+                level="suspicious",
+            )
 
 
 def _is_file(path: Path) -> bool:

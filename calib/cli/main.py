@@ -189,6 +189,8 @@ def _meant(message: str, given: list[str]) -> str:
         path = Path(word)
         with suppress(OSError, ValueError):
             if path.name and message.startswith(f"{path}: found no") and path.parent.is_dir() and not path.exists():
+                if path.is_symlink():
+                    return "; this is a symbolic link that leads nowhere"
                 return nearest(path.name, (beside.name for beside in path.parent.iterdir()))
     return ""
 

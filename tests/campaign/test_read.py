@@ -252,3 +252,15 @@ def test_files_read_are_hashed(tmp_path: Path) -> None:
     assert len(made.hashes) == 7
     for name, digest in made.hashes.items():
         assert digest == hashlib.sha256((tmp_path / "c" / name).read_bytes()).hexdigest()
+
+
+@pytest.mark.parametrize(
+    ("name", "meant"), [("Runs.csv", "runs.csv"), ("runs.xlsx", "runs.csv"), ("Campaign.toml", "campaign.toml")]
+)
+def test_a_look_alike_that_is_not_read_is_named(name: str, meant: str, tmp_path: Path) -> None:
+    """Another case or another format beside the file that counts."""
+    made = folder(tmp_path, RUNS + "a,s,10,100,100,0,0,0\n")
+    (made / name).write_text("nothing to read")
+    (note,) = (note for note in read_campaign(made).notes if note.code == "look_alike")
+    assert (note.where, note.level) == (name, "suspicious")
+    assert meant in note.text

@@ -61,6 +61,14 @@ def test_arguments_of_the_library_become_options(message: str, typed: str) -> No
     assert as_typed(message, {"--draws", "--payload-at", "--force"}) == typed
 
 
+def test_a_loop_of_links_is_said_to_be_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "loop").symlink_to("loop")
+    assert run(["check", str(tmp_path / "loop")]) == 2
+    error = capsys.readouterr().err
+    assert "a symbolic link that leads nowhere" in error
+    assert "did you mean" not in error
+
+
 def test_an_effect_that_is_misspelled_gets_a_suggestion(project_root: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["diagnose", str(project_root / "sample_runs/corridor"), "--exclude", "load_radus"]) == 2
     error = capsys.readouterr().err
