@@ -14,6 +14,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -135,17 +136,21 @@ def fleets(into: Path, vehicles: int) -> None:
     say(f"a vehicle of {vehicles}, one worker", f"{way.cpu_s / vehicles:.4f}", "", "", "")
 
 
-def growth(into: Path, sizes: Sequence[int]) -> None:
-    """What grows how with the number of runs, start-up taken off."""
+def growth(turns: int, into: Path, sizes: Sequence[int]) -> None:
+    """What a further run costs between three numbers of runs; start-up, which is the same in all, falls out."""
     sys.stdout.write("\n")
-    say("command", *(f"{size} runs" for size in sizes), "last over first, per run")
-    say("---", *("---:" for _ in sizes), "---:")
-    start = min(spent(["-c", NEEDED]) for _ in range(3))
+    steps = [f"ms a run, {low} to {high}" for low, high in pairwise(sizes)]
+    say("command", *(f"{size} runs" for size in sizes), *steps, "ratio")
+    say("---", *("---:" for _ in range(len(sizes) + len(steps) + 1)))
     folders = [write_campaign(of_rows(campaign_of(size), GROWTH_ROWS), into / f"g{size}") for size in sizes]
     for name in ("check", "fit", "geometry", "diagnose"):
-        times = [min(spent(["-m", "calib", name, str(folder)]) for _ in range(2)) - start for folder in folders]
-        per_run = (times[-1] / sizes[-1]) / (times[0] / sizes[0])
-        say(f"`calib {name}`", *(f"{took:.2f}" for took in times), f"{per_run:.2f}")
+        times = least(
+            turns,
+            *(lambda command=["-m", "calib", name, str(folder)]: spent(command) for folder in folders),  # type: ignore[misc]
+        )
+        further = 1e3 * np.diff(times) / np.diff(sizes)
+        ratio = f"{further[-1] / further[0]:.2f}"
+        say(f"`calib {name}`", *(f"{took:.2f}" for took in times), *(f"{each:.1f}" for each in further), ratio)
 
 
 def main() -> None:
@@ -153,7 +158,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--turns", type=int, default=5)
     parser.add_argument("--vehicles", type=int, default=2000)
-    parser.add_argument("--sizes", type=int, nargs=3, default=(40, 80, 160))
+    parser.add_argument("--sizes", type=int, nargs=3, default=(60, 240, 960))
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS)
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as place:
@@ -170,7 +175,7 @@ def main() -> None:
         if "fleet" in given.parts:
             fleets(into, given.vehicles)
         if "growth" in given.parts:
-            growth(into, given.sizes)
+            growth(min(given.turns, 2), into, given.sizes)
         sys.stdout.write(f"\nLoad at the end {os.getloadavg()[0]:.1f}.\n")
 
 

@@ -18,6 +18,7 @@ from calib.fleet.member_tasks import MemberRecord
 from calib.fleet.members import Member
 from calib.fleet.survey import survey_fleet
 from calib.geometry.estimate import estimate_geometry
+from calib.plant.posed_fleet import make_posed_fleet
 from calib.report.fleet_files import Heads, write_survey
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -104,6 +105,17 @@ def test_the_geometry_of_a_vehicle_is_that_of_its_campaign(fleet: Path, tmp_path
         assert record.why == " ".join(str(error).split())
         return
     assert record.values["estimates"] == {estimate.name: estimate.to_dict() for estimate in alone.estimates}
+
+
+def test_a_fleet_with_poses_shows_its_odd_track(tmp_path: Path) -> None:
+    """Three vehicles of the independent plant: every interval of the track holds the truth but one at most."""
+    truth = make_posed_fleet(tmp_path / "fleet", np.random.default_rng(3), 3, 12, n_outliers=1, n_common=0)
+    survey = survey_fleet(tmp_path / "fleet", tmp_path / "out", "geometry")
+    tracks = {record.name: record.values["estimates"]["track_m"] for record in survey.records}
+    held = [tracks[name]["ci95"][0] <= track <= tracks[name]["ci95"][1] for name, track in truth.track_m.items()]
+    assert sum(held) >= len(held) - 1
+    low, high = tracks[truth.outliers[0]]["ci95"]
+    assert all(not low <= tracks[name]["value"] <= high for name in tracks if name not in truth.outliers)
 
 
 def test_a_zone_that_a_hall_shares_is_said_with_its_place() -> None:

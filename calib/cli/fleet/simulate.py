@@ -23,11 +23,20 @@ def run(
     outliers: Annotated[int, typer.Option("--outliers", min=0, help="Vehicles with a wheel of their own.")] = 20,
     drifting: Annotated[int, typer.Option("--drifting", min=0, help="Vehicles whose radius drifts.")] = 5,
     common: Annotated[int, typer.Option("--common", min=0, help="Vehicles in hall B, whose floor shows.")] = 40,
+    poses: Annotated[
+        bool,
+        typer.Option(
+            "--poses", help="A campaign folder a vehicle, with logs and end poses, for geometry and diagnose."
+        ),
+    ] = False,
     seed: Seed = 0,
     json: JsonTarget = None,
     force: Force = False,
 ) -> None:
     """Write a simulated fleet as Parquet, partitioned by vehicle and month, and what was planted as truth.json.
+
+    With --poses each vehicle has a folder with logs and end poses instead: outliers have a track of their own, and the
+    floor of hall B has a zone that turns what crosses it; --months and --drifting do nothing there.
 
     With --force the files of the same vehicles and months are replaced in a folder that exists.
     """
@@ -35,13 +44,18 @@ def run(
 
     from numpy.random import default_rng
 
-    from calib.plant.fleet import FleetSize, make_fleet
+    from calib.plant.fleet import FleetSize, FleetTruth, make_fleet
+    from calib.plant.posed_fleet import PosedTruth, make_posed_fleet
 
     # a folder that is there may be added to
     refuse_existing([json, None if force and into.is_dir() else into], force=force)
+    odd, in_hall = min(outliers, vehicles), min(common, vehicles)
+    truth: FleetTruth | PosedTruth
     with waiting("driving"):
-        odd = min(outliers, vehicles)
-        size = FleetSize(vehicles, runs, months, odd, min(drifting, vehicles - odd), min(common, vehicles))
-        truth = make_fleet(into, default_rng(seed), size)
+        if poses:
+            truth = make_posed_fleet(into, default_rng(seed), vehicles, runs, odd, in_hall)
+        else:
+            size = FleetSize(vehicles, runs, months, odd, min(drifting, vehicles - odd), in_hall)
+            truth = make_fleet(into, default_rng(seed), size)
     wrote([into], target=json)
     emit_json(asdict(truth), json, force=force)
