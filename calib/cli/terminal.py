@@ -157,7 +157,23 @@ def progress(what: str) -> Iterator[Callable[[int, int, str], None]]:
         yield lambda _done, _total, _stage: None
         return
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        SpinnerColumn,
+        Task,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+    from rich.text import Text
+
+    class Left(TimeRemainingColumn):
+        """The time that is left, where the end is known."""
+
+        def render(self, task: Task) -> Text:
+            return Text("") if task.total is None else super().render(task).append(" left")
 
     columns = (
         SpinnerColumn(),
@@ -165,6 +181,7 @@ def progress(what: str) -> Iterator[Callable[[int, int, str], None]]:
         BarColumn(bar_width=BAR),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
+        Left(compact=True),
     )
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(what, total=None)
