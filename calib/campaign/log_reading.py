@@ -148,7 +148,7 @@ def _pool(threads: int) -> Iterator[ThreadPoolExecutor | None]:
 
 def _mean_bytes(files: Sequence[LogFile]) -> float:
     with suppress(OSError):
-        return sum(path.stat().st_size for _, _, path, _ in files) / len(files)
+        return sum(path.stat().st_size for _, _, path, _ in files) / max(len(files), 1)
     return 0.0
 
 

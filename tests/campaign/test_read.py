@@ -264,3 +264,8 @@ def test_a_look_alike_that_is_not_read_is_named(name: str, meant: str, tmp_path:
     (note,) = (note for note in read_campaign(made).notes if note.code == "look_alike")
     assert (note.where, note.level) == (name, "suspicious")
     assert meant in note.text
+
+
+def test_a_campaign_without_logs_is_read(tmp_path: Path) -> None:
+    made = read_campaign(folder(tmp_path, RUNS + "a,s,10,100,100,0,0,0\n"))
+    assert (len(made.runs), int(made.logs.lengths.sum())) == (1, 0)
