@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.arrays import FloatArray
 from calib.campaign.model import Note
-from calib.campaign.readers.layout import LOOKED_AT, Layout, find_delimiter, find_header, with_units
+from calib.campaign.readers.layout import LOOKED_AT, Layout, find_delimiter, find_header, is_number, with_units
 from calib.campaign.readers.table import LARGEST, RawTable, Wanted, made_numeric, refuse_duplicates
 from calib.errors import BadFileError
 
@@ -56,7 +56,7 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
         notes.append(Note("info", shown, f"the header was found in row {skipped + 1}", "preamble"))
     if wanted is not None and data.find(b'"', start) < 0:
         names = [name.strip() for name in header.split(delimiter)]
-        refuse_duplicates(names, shown, skipped + 1)
+        _refuse_names(names, shown, skipped + 1)
         fast = _fast(data, (end if end >= 0 else len(data)) + 1, names, delimiter, wanted)
         if fast is not None:
             columns, rows, comma = fast
@@ -65,6 +65,20 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
             line = np.arange(skipped + 2, rows + skipped + 2, dtype=np.int64)
             return RawTable(columns, line, tuple(notes))
     return _careful(data[start:].decode("utf-8"), shown, delimiter, wanted, notes, skipped)
+
+
+def _refuse_names(names: list[str], shown: str, row: int) -> None:
+    """Refuse a header that names a column twice, or is a row of numbers: a file without names."""
+    filled = [name for name in names if name]
+    if len(filled) > 1 and all(is_number(name) for name in filled):
+        raise BadFileError(
+            shown,
+            row=row,
+            found=f"numbers alone ({', '.join(filled[:4])})",
+            expected="the names of the columns",
+            remedy="put a line of names above, as t_s,counts_left,counts_right; a mapping can rename them",
+        )
+    refuse_duplicates(names, shown, row)
 
 
 def _begin(data: bytes, layout: Layout, shown: str) -> tuple[str, int]:
@@ -238,7 +252,7 @@ def _careful(text: str, shown: str, delimiter: str, wanted: Wanted | None, notes
         for cells in reader:
             if not names:
                 names = [name.strip() for name in cells]
-                refuse_duplicates(names, shown, skipped + 1)
+                _refuse_names(names, shown, skipped + 1)
                 continue
             if not rows and (named := with_units(names, cells)):
                 names = named

@@ -11,7 +11,7 @@ from typing import Any, Final
 from calib.campaign.readers.times import time_format
 from calib.units import SUFFIXES
 
-__all__ = ["Layout", "find_delimiter", "find_header", "with_units"]
+__all__ = ["Layout", "find_delimiter", "find_header", "is_number", "with_units"]
 
 #: rows looked at in search of the header
 LOOKED_AT: Final = 60
@@ -27,7 +27,8 @@ class Layout:
     header_row: int | None = None
 
 
-def _is_number(cell: Any) -> bool:
+def is_number(cell: Any) -> bool:
+    """Return whether a cell is a number or a time."""
     if isinstance(cell, int | float):
         return True
     text = str(cell).strip().replace("−", "-")
@@ -55,11 +56,11 @@ def find_header(rows: Sequence[Sequence[Any]]) -> int | None:
         if len(cells) < 2 or not below:
             continue
         usual = below[len(below) // 2]
-        texts = sum(not _is_number(cell) for cell in cells)
+        texts = sum(not is_number(cell) for cell in cells)
         if len(cells) < 0.6 * usual or texts < 0.6 * len(cells):
             continue
         following = [one for one in rows[index + 1 : index + 4] if _filled(one)]
-        if not any(any(_is_number(cell) for cell in _filled(one)) for one in following):
+        if not any(any(is_number(cell) for cell in _filled(one)) for one in following):
             continue
         if following and len(_filled(following[0])) > len(row) and widths[index] < usual:
             continue
@@ -72,7 +73,7 @@ def with_units(header: Sequence[str], below: Sequence[Any]) -> list[str] | None:
     cells = ["" if cell is None else str(cell).strip() for cell in below]
     bare = [cell.strip("[]()") for cell in cells]
     filled = [cell for cell in bare if cell]
-    if not filled or not all(cell in _UNIT_WORDS for cell in filled) or all(_is_number(cell) for cell in filled):
+    if not filled or not all(cell in _UNIT_WORDS for cell in filled) or all(is_number(cell) for cell in filled):
         return None
     units = [*bare, *[""] * (len(header) - len(bare))]
     return [

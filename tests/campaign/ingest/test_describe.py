@@ -100,3 +100,12 @@ def test_rates_stand_in_for_positions(tmp_path: Path) -> None:
     bag = _write_bag(tmp_path / "bag", _joint_states(np.full((50, 2), 3.0) + np.arange(50)[:, None] / 7))
     text = describe([bag]).to_toml()
     assert 'counts_left = {column = "/joints:velocity.left", unit = "rad/s"}' in text
+
+
+def test_a_file_without_names_asks_for_them(tmp_path: Path) -> None:
+    """A first row of numbers names no column, whether or not a number stands there twice."""
+    for first in ("0,0,0,0", "0.05,1.5,-2,1e-3"):
+        path = tmp_path / "log.csv"
+        path.write_text(f"{first}\n0.1,1.0,2.0,3.0\n0.2,1.0,2.0,3.0\n")
+        with pytest.raises(CalibError, match=r"row 1: found numbers alone.*put a line of names above"):
+            describe([path])
