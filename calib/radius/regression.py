@@ -219,15 +219,14 @@ def fit_wheel(
     estimate = stratified_line(x, radius, groups) if 2 <= len(groups) < len(load) else None
     estimate = estimate or plain
     design = "confounded" if estimate is plain and 2 <= len(groups) < len(load) else estimate.design
-    influence = _influence(x, radius, results.residual, results.variance)
-    std = np.sqrt(np.diag(results.covariance)).tolist()
+    influence = _influence(x, radius, np.asarray(results.resid), float(results.scale))
     naive = NaiveLine(
         radius_ref_m=float(plain.coefficients[0]),
         slope_m_per_N=float(plain.coefficients[1]),
-        covariance=results.covariance,
-        dof=results.dof,
-        radius_ref_ci95_m=t_interval(plain.coefficients[0], std[0], results.dof),
-        slope_ci95_m_per_N=t_interval(plain.coefficients[1], std[1], results.dof),
+        covariance=np.asarray(results.cov_params()),
+        dof=float(results.df_resid),
+        radius_ref_ci95_m=t_interval(plain.coefficients[0], float(results.bse[0]), results.df_resid),
+        slope_ci95_m_per_N=t_interval(plain.coefficients[1], float(results.bse[1]), results.df_resid),
     )
     return _wheel_fit(wheel, load, radius, estimate, design, naive, reference_load_N, influence)
 

@@ -10,7 +10,6 @@ import numpy as np
 from calib.arrays import BoolArray, FloatArray, StrArray
 from calib.radius.checks import FAILED, NOTE, OK, Check
 from calib.radius.design_checks import design_check, range_check, session_check, session_influence_check
-from calib.radius.normality import shapiro_wilk
 from calib.radius.regression import WheelFit, load_groups
 from calib.radius.sessions import Groups, breusch_pagan, groups_of
 
@@ -224,7 +223,9 @@ def _normality(runs: _Runs) -> Check | None:
     n = len(runs.rest)
     if not 8 <= n <= 5000 or float(runs.rest @ runs.rest) <= 0:
         return None
-    statistic, p_value = shapiro_wilk(runs.rest)
+    from scipy.stats import shapiro
+
+    statistic, p_value = (float(number) for number in shapiro(runs.rest))
     sentence = (
         "The residuals look normal, as the intervals assume."
         if p_value >= NOTE_BELOW

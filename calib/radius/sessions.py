@@ -10,14 +10,13 @@ the exact t of the regression on session means, and between the two it follows `
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from calib.arrays import FloatArray, IntArray, StrArray
 from calib.radius.estimate import Estimate
-from calib.radius.least_squares import LeastSquares, least_squares
 
 __all__ = [
     "Groups",
@@ -96,7 +95,7 @@ def breusch_pagan(residual: FloatArray, x: FloatArray) -> tuple[float, float]:
     return statistic, float(chdtrc(1.0, statistic))
 
 
-def plain_line(x: FloatArray, y: FloatArray, *, robust: bool = True) -> tuple[Estimate, LeastSquares]:
+def plain_line(x: FloatArray, y: FloatArray, *, robust: bool = True) -> tuple[Estimate, Any]:
     """Return the ordinary least-squares line, every run counted as independent.
 
     Parameters
@@ -110,20 +109,24 @@ def plain_line(x: FloatArray, y: FloatArray, *, robust: bool = True) -> tuple[Es
     -------
     Estimate
         With everything in the within part.
-    LeastSquares
-        The fit itself, for its residuals.
+    statsmodels results
+        The fit itself, for its leverages and residuals.
     """
-    results = least_squares(y, np.column_stack((np.ones_like(x), x)))
-    hc3 = bool(robust and results.dof >= 4 and breusch_pagan(results.residual, x)[1] < HC3_BELOW)
-    covariance = results.covariance_hc3 if hc3 else results.covariance
+    from statsmodels.regression.linear_model import OLS
+
+    results = OLS(y, np.column_stack((np.ones_like(x), x))).fit(method="qr")
+    covariance = np.asarray(results.cov_params(), dtype=np.float64)
+    hc3 = bool(robust and results.df_resid >= 4 and breusch_pagan(results.resid, x)[1] < HC3_BELOW)
+    if hc3:
+        covariance = np.asarray(results.cov_HC3, dtype=np.float64)
     estimate = Estimate(
         design="single",
-        coefficients=results.params,
+        coefficients=np.asarray(results.params, dtype=np.float64),
         cov_within=covariance,
-        dof_within=results.dof,
+        dof_within=float(results.df_resid),
         cov_between=np.zeros((2, 2)),
         dof_between=0.0,
-        run_variance=results.variance,
+        run_variance=float(results.scale),
         session_variance=0.0,
         session_f=None,
         robust=hc3,
