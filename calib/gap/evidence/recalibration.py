@@ -37,6 +37,8 @@ class Recalibration:
         Whitened norm of each at its fitted size.
     instead : mapping of str to tuple of str
         For each, effects of other likely sets beside which it is hardly off.
+    needed : tuple of str
+        The likeliest subset beside the best hypothesis alone; empty where other sets of effects make it unlikely.
     """
 
     subsets: tuple[tuple[str, ...], ...]
@@ -45,6 +47,7 @@ class Recalibration:
     sd: FloatArray
     signal: FloatArray
     instead: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    needed: tuple[str, ...] = ()
 
     def probability(self, name: str) -> float:
         """Return the probability that one of the three is off."""
@@ -105,6 +108,7 @@ def judge_recalibration(
     total = sum(weight for weight, _ in weighed)
     probability = np.asarray(sum(weight * beside for weight, beside in weighed)) / total
     order = np.argsort(-probability, kind="stable")
+    own_best = int(np.argmax(weighed[0][1]))
     norm = np.sqrt((((system.calibration / CALIBRATION_SD) @ DIRECTIONS.T) ** 2).sum(axis=0))
     return Recalibration(
         subsets=tuple(tuple(NAMES[k] for k in SUBSETS[int(number)]) for number in order),
@@ -113,6 +117,7 @@ def judge_recalibration(
         sd=sd,
         signal=np.maximum(norm, 1e-12) * np.abs(values),
         instead=instead,
+        needed=tuple(NAMES[k] for k in SUBSETS[own_best]) if probability[own_best] > LIKELY else (),
     )
 
 

@@ -108,9 +108,14 @@ class Evidence:
     @property
     def _recalibrated(self) -> tuple[str, ...]:
         """The likeliest set of calibration parameters; not the empty one where nothing else says what is off."""
-        subsets = self.recalibration.subsets
-        only = not self.search.effects and not subsets[0] and self.recalibration.probabilities[0] < 0.5
-        return subsets[1] if only else subsets[0]
+        recalibration = self.recalibration
+        likeliest = recalibration.subsets[0]
+        if likeliest or self.search.effects:
+            return likeliest
+        if recalibration.needed:
+            # needless beside another cause, which is not the one at hand
+            return recalibration.needed
+        return recalibration.subsets[1] if recalibration.probabilities[0] < 0.5 else ()
 
     @property
     def denied(self) -> bool:

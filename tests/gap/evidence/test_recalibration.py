@@ -57,7 +57,7 @@ TRUE = {"radius_scale": 0.004, "unequal_radii": 0.003, "track_width": 0.015}
 def test_the_parameter_that_is_off_is_named_alone(truth: Callable[[Run, Motion], None]) -> None:
     made = judged(truth)
     name = truth.__name__
-    assert made.subsets[0] == (name,)
+    assert made.subsets[0] == made.needed == (name,)
     assert made.probability(name) > 0.95
     expected = np.array([TRUE[name] if one == name else 0.0 for one in NAMES])
     # four standard uncertainties
