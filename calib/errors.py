@@ -8,16 +8,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-__all__ = [
-    "BadFileError",
-    "BadInputError",
-    "CalibError",
-    "ImplausibleError",
-    "MissingExtraError",
-    "RefusedError",
-    "would_overwrite",
-]
-
 
 class CalibError(Exception):
     """Any failure that is the input's, not the program's; its text is one helpful line."""

@@ -14,18 +14,6 @@ from calib.errors import BadFileError, BadInputError, would_overwrite
 from calib.inputs import refuse_input
 from calib.leftovers import sweep, temporary_beside
 
-__all__ = [
-    "csv_text",
-    "inside",
-    "refuse_existing",
-    "sha256_file",
-    "spreadsheet_cell",
-    "to_json",
-    "write_bytes",
-    "write_json",
-    "write_text",
-]
-
 _STREAMS: Final = frozenset({"/dev/stdout", "/dev/stderr"})
 
 

@@ -20,8 +20,6 @@ from calib.errors import BadInputError, would_overwrite
 from calib.inputs import refuse_input
 from calib.leftovers import PREFIX, inside, remove, sweep, temporary_beside
 
-__all__ = ["settle", "write_files", "write_folder"]
-
 #: other entries that are carried over beside the folder; a folder with more is renewed from inside
 MOST_OTHERS: Final = 500
 _LIST: Final = ".ready.json"

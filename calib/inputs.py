@@ -12,8 +12,6 @@ from typing import Final
 
 from calib.errors import BadInputError
 
-__all__ = ["inputs_kept", "refuse_input", "refuse_special"]
-
 #: what the command at work was given to read; empty for a program that uses calib as a library
 _INPUTS: Final[ContextVar[tuple[Path, ...]]] = ContextVar("inputs", default=())
 #: files that calib makes and never takes for measurements: inside an input folder they may be replaced

@@ -11,8 +11,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-__all__ = ["PREFIX", "inside", "is_dead", "remove", "sweep", "temporary_beside"]
-
 PREFIX: Final = ".calib-"
 SUFFIX: Final = ".tmp"
 #: stands for the target's name where a folder is renewed from inside

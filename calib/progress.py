@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator
 from typing import TypeVar
 
-__all__ = ["Progress", "silent", "stepped"]
-
 #: called with the steps done, all steps (0 where nobody knows), and the name of the stage; one stage follows another
 Progress = Callable[[int, int, str], None]
 

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from calib.campaign.model import Campaign
 from calib.errors import BadInputError
 from calib.gap import diagnosis as gap_diagnosis
-from calib.gap.verdict.result import PlannedRunAdvice, Verdict
+from calib.gap.verdict.outcome import PlannedRunAdvice
+from calib.gap.verdict.result import Verdict
 from calib.geometry import result as geometry_result
 from calib.motion.studies import replay as motion_replay
 from calib.motion.studies import run as motion_run

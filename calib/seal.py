@@ -6,8 +6,6 @@ import hashlib
 import json
 from typing import Any, Final
 
-__all__ = ["CHECKSUM_KEY", "canonical_bytes", "checksum"]
-
 CHECKSUM_KEY: Final = "checksum"
 
 

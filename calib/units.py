@@ -7,8 +7,6 @@ from __future__ import annotations
 
 from typing import Final
 
-__all__ = ["GRAVITY_MPS2", "SUFFIXES", "convertible", "split_suffix"]
-
 GRAVITY_MPS2: Final = 9.81
 
 #: suffix as labs write it -> (suffix as calib writes it, factor, offset): calib value = factor * value + offset

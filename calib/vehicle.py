@@ -12,16 +12,6 @@ from calib.arrays import FloatArray
 from calib.errors import BadInputError, RefusedError
 from calib.units import GRAVITY_MPS2
 
-__all__ = [
-    "DRIVES",
-    "Drive",
-    "Vehicle",
-    "WeighedPayload",
-    "check_wheel_loads",
-    "payload_from_wheel_loads",
-    "wheel_loads_N",
-]
-
 Drive = Literal["tricycle", "differential", "mecanum"]
 
 #: drives that are known

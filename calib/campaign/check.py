@@ -11,8 +11,6 @@ from calib.campaign.checks import CHECKS
 from calib.campaign.model import Campaign, Note
 from calib.progress import Progress, silent, stepped
 
-__all__ = ["CheckReport", "Found", "check_campaign", "summarise"]
-
 Span = tuple[float, float]
 
 

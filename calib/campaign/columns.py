@@ -13,8 +13,6 @@ from calib.arrays import FloatArray
 from calib.errors import BadFileError
 from calib.units import SUFFIXES, convertible, split_suffix
 
-__all__ = ["Recognised", "converted", "recognise", "second_column", "spelled"]
-
 _BRACKETS: Final = re.compile(r"(.*?)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]\s*")
 _SPELLINGS: Final = {
     "m/s": "mps",

@@ -5,8 +5,6 @@ from __future__ import annotations
 from calib.campaign.model import Note
 from calib.errors import BadFileError
 
-__all__ = ["Border"]
-
 
 class Border:
     """Notes made while reading; a fault is raised, or in a lenient reading kept as a note of level ``wrong``."""

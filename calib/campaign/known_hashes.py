@@ -16,8 +16,6 @@ from typing import Final
 from calib.errors import CalibError
 from calib.files import sha256_file, write_bytes
 
-__all__ = ["Content", "FileState", "KnownHashes"]
-
 #: a file that changed less than this before its hash was taken may change again and bear the same times: not kept
 SETTLED_NS: Final = 2_000_000_000
 

@@ -20,8 +20,6 @@ from calib.campaign.model import Note
 from calib.errors import CalibError
 from calib.files import write_bytes
 
-__all__ = ["CACHE", "LogCache", "ReadLog", "log_cache"]
-
 #: environment variable: a folder for the cache, or ``off``
 CACHE: Final = "CALIB_CACHE"
 #: smaller campaigns are read in less time than it takes to ask

@@ -25,8 +25,6 @@ from calib.progress import Progress, silent, stepped
 if TYPE_CHECKING:
     from concurrent.futures import ThreadPoolExecutor
 
-__all__ = ["read_logs"]
-
 #: parsers and hashes let go of the interpreter; beyond some threads what they hold it for is all that is left
 MOST_THREADS: Final = 8
 #: fewer logs are read sooner than threads are started

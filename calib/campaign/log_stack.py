@@ -13,8 +13,6 @@ from calib.campaign.model import LOG_COLUMNS, Logs
 from calib.campaign.settings import Encoder
 from calib.campaign.wraps import detect_wrap_bits, unwrap
 
-__all__ = ["LogStack"]
-
 _COUNTS: Final = tuple(name for name in LOG_COLUMNS if name.startswith("counts_"))
 #: samples by which the columns grow at least, and the share of what they hold
 _GROWTH: Final = 1 << 16

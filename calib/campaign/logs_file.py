@@ -17,8 +17,6 @@ from calib.campaign.readers import Layout, read_table
 from calib.campaign.readers.table import RawTable, Wanted
 from calib.errors import BadFileError
 
-__all__ = ["LogFile", "Renames", "log_column", "read_log", "refuse_incomplete", "wanted_in_log"]
-
 #: run number, run id, path, and its name in messages
 LogFile = tuple[int, str, Path, str]
 

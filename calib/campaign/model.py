@@ -21,18 +21,6 @@ from calib.vehicle import Vehicle
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-__all__ = [
-    "LABEL_COLUMNS",
-    "LOG_COLUMNS",
-    "NUMERIC_COLUMNS",
-    "WHEEL_SETS",
-    "Campaign",
-    "Logs",
-    "Note",
-    "RunTable",
-]
-
-
 #: text columns of ``runs.csv``
 LABEL_COLUMNS: Final = ("run_id", "session", "kind", "direction", "log", "exclusion_reason")
 

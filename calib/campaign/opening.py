@@ -12,8 +12,6 @@ from calib.campaign.readers import is_bag_folder
 from calib.errors import BadInputError
 from calib.progress import Progress, silent
 
-__all__ = ["read_or_ingest"]
-
 
 def read_or_ingest(
     path: Path,

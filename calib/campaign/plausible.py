@@ -16,9 +16,7 @@ from calib.arrays import FloatArray
 from calib.campaign.model import Campaign, Note
 from calib.campaign.plausible_loads import implausible_loads
 from calib.campaign.plausible_poses import implausible_poses
-from calib.campaign.plausible_terms import CODE, LEAST_RUNS, SIDES, note, stated
-
-__all__ = ["CODE", "MOST_RATIO", "factor_reason", "implausible", "off"]
+from calib.campaign.plausible_terms import LEAST_RUNS, SIDES, note, stated
 
 #: a measured radius, track or load may differ from its nominal value by this factor either way
 MOST_RATIO: Final = 4.0 / 3.0

@@ -13,8 +13,6 @@ from calib.campaign.model import Campaign, Note
 from calib.campaign.plausible_terms import LEAST_RUNS, SIDES, note, stated
 from calib.campaign.read import loads_from_payload
 
-__all__ = ["implausible_loads"]
-
 #: the payload's weight may differ by this factor from what the scales say it adds
 _MOST_PAYLOAD: Final = 1.6
 #: share of the runs that must agree

@@ -12,8 +12,6 @@ from calib.arrays import FloatArray
 from calib.campaign.model import Campaign, Note
 from calib.campaign.plausible_terms import LEAST_RUNS, SIDES, note
 
-__all__ = ["implausible_poses"]
-
 #: share of the runs that must agree
 _MOST: Final = 0.8
 #: nearly straight runs turn against their counts beyond doubt: so many standard errors, and at least so many times

@@ -6,8 +6,6 @@ from typing import Final
 
 from calib.campaign.model import Campaign, Note
 
-__all__ = ["CODE", "LEAST_RUNS", "SIDES", "note", "stated"]
-
 CODE: Final = "implausible"
 SIDES: Final = ("left", "right")
 #: runs that must agree before a column as a whole is spoken of

@@ -24,8 +24,6 @@ from calib.folders import settle
 from calib.progress import Progress, silent
 from calib.vehicle import Vehicle, wheel_loads_N
 
-__all__ = ["loads_from_payload", "log_totals", "read_campaign"]
-
 SETTINGS: Final = "campaign.toml"
 _MAX_PATH: Final = 500
 #: counts that a total and the log of the same run may differ by, since they are not read at the same instant

@@ -16,8 +16,6 @@ from calib.campaign.readers.table import RawTable, comma_evidence, numbers
 from calib.errors import BadFileError
 from calib.limits import LABEL_CHARACTERS, RUNS, refuse_beyond
 
-__all__ = ["run_table"]
-
 _KNOWN: Final = (*LABEL_COLUMNS, *NUMERIC_COLUMNS, "excluded")
 #: ways along a corridor
 DIRECTIONS: Final = ("out", "back")

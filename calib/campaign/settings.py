@@ -7,19 +7,6 @@ from typing import Final, Literal, get_args
 
 from calib.vehicle import Vehicle
 
-__all__ = [
-    "FRAMES",
-    "ODOMETRY_SOURCES",
-    "Encoder",
-    "FrontModel",
-    "MecanumModel",
-    "Odometry",
-    "OdometryModel",
-    "OdometrySource",
-    "Rangefinder",
-    "Reference",
-]
-
 Frame = Literal["start", "map"]
 OdometrySource = Literal["rear", "front", "wheels"]
 

@@ -30,8 +30,6 @@ from calib.limits import (
 )
 from calib.vehicle import DRIVES, Vehicle
 
-__all__ = ["FORMAT", "STATED", "Settings", "load_toml", "not_stated", "parse_settings", "read_settings"]
-
 FORMAT: Final = "calib-campaign/1"
 
 _VEHICLE: Final = tuple(field.name for field in fields(Vehicle) if field.name != "drive")

@@ -11,8 +11,6 @@ from calib.campaign.model import Note
 from calib.campaign.readers.table import LARGEST
 from calib.errors import BadFileError
 
-__all__ = ["Sections", "typed"]
-
 _POSITIVE: Final = frozenset(
     {
         "track_m",

@@ -11,8 +11,6 @@ from typing import Any, Final
 
 from calib.errors import BadInputError
 
-__all__ = ["to_toml"]
-
 _BARE: Final = re.compile(r"[A-Za-z0-9_-]+")
 
 

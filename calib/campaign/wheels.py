@@ -20,16 +20,6 @@ if TYPE_CHECKING:
 
     from calib.campaign.model import Campaign, Logs
 
-__all__ = [
-    "ASIDE",
-    "WHEEL_COLUMNS",
-    "front_motion",
-    "mecanum_model",
-    "odometry_source",
-    "on_one_axle",
-    "without_rear_wheels",
-]
-
 #: what drives the odometry -> columns of the log with the counts of its wheels
 WHEEL_COLUMNS: Final[dict[str, tuple[str, ...]]] = {
     "rear": ("counts_left", "counts_right"),

@@ -8,8 +8,6 @@ import numpy as np
 
 from calib.arrays import FloatArray, IntArray
 
-__all__ = ["detect_wrap_bits", "rewrap_total", "unwrap"]
-
 #: widths that are looked for where the settings name none
 WIDTHS: Final = (13, 16, 32)
 

@@ -19,8 +19,6 @@ from calib.campaign.toml_text import to_toml
 from calib.errors import BadInputError
 from calib.folders import write_folder
 
-__all__ = ["write_campaign"]
-
 #: what a campaign folder is made of; ``ingest`` adds its record and the recordings it cut
 _OURS: Final = ("campaign.toml", "runs.csv", "logs", "ingest.json")
 _RECORDINGS: Final = "recordings"

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from calib.gap.diagnosis import Diagnosis
     from calib.gap.effects.effect import Form
 
-__all__ = ["achieved"]
-
 
 def achieved(diagnosis: Diagnosis, fresh: Campaign, exclude: tuple[str, ...] = ()) -> dict[str, Any] | None:
     """Return the gap of the fresh campaign under the model alone and under the fitted fix; nothing is refitted.

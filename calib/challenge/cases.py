@@ -21,8 +21,6 @@ from calib.plant.plans import good_design, poor_design
 from calib.plant.rivals import rivals, signatures
 from calib.plant.signal import to_signal
 
-__all__ = ["ONE_SIGN", "Truth", "campaigns_of", "case_design", "truth_of"]
-
 _UNSIGNED: Final = ("encoder_gross", "integration_scheme")
 #: effects of which only positive sizes have a meaning
 ONE_SIGN: Final = (

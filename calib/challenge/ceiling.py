@@ -15,8 +15,6 @@ import numpy as np
 
 from calib.arrays import FloatArray
 
-__all__ = ["ALARMS", "Ceiling", "ceiling_of"]
-
 #: false alarms that the gate allows
 ALARMS: Final = 0.05
 #: draws of effect and noise; the standard error of a share is then at most 0.018

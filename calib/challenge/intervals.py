@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-__all__ = ["Share", "clopper_pearson", "share", "wilson"]
-
 
 def wilson(hits: int, total: int) -> tuple[float, float]:
     """Return Wilson's 95 % score interval of hits / total; (0, 1) where there is nothing."""

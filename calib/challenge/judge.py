@@ -11,8 +11,6 @@ from calib.challenge.cases import Truth
 from calib.challenge.parameters import Compared, compare
 from calib.gap.effects.library import effect_class
 
-__all__ = ["APART", "Judged", "judge"]
-
 #: two causes nearer than this, in standard deviations of the noise, form one group: no diagnosis can tell them apart
 APART: Final = 3.0
 #: an effect of a crowded case that shows by so much has to be named

@@ -10,8 +10,6 @@ import numpy as np
 from calib.challenge.cases import Truth
 from calib.plant.effects.form import Cause
 
-__all__ = ["Compared", "compare"]
-
 Compared = tuple[str, float, float, float]  # parameter, truth, low, high
 
 _Expected = Mapping[str, float]

@@ -14,8 +14,6 @@ from calib.errors import BadFileError
 from calib.plant.effects.registry import ALL, forms_of
 from calib.plant.signal import CALIBRATION
 
-__all__ = ["GROUPS", "SEEDS", "Recipe", "Seeds", "read_seeds", "recipes"]
-
 GROUPS: Final = ("empty", "calibration", "single", "natural", "pair", "outside", "alias", "deleted", "crowded")
 SEEDS: Final = Path(__file__).parent / "seeds"
 SIGNALS: Final = (3.0, 5.0, 10.0, 25.0)

@@ -15,8 +15,6 @@ from calib.challenge.seal import read_public, workers_of
 from calib.errors import CalibError
 from calib.files import inside, write_json
 
-__all__ = ["Ran", "run", "run_case"]
-
 #: campaign, seed, effects to leave out, the fresh campaign of the same truth -> verdict and, where it can be had, what
 #: the verdict's fix achieves on the fresh campaign
 Diagnoser = Callable[[Campaign, int, tuple[str, ...], Campaign | None], tuple[dict[str, Any], dict[str, Any] | None]]

@@ -17,8 +17,6 @@ from calib.challenge.seal import TRUTH_FORMAT, read_public, truth_path
 from calib.errors import BadFileError
 from calib.files import sha256_file
 
-__all__ = ["TARGETS", "Score", "open_truth", "score", "score_of"]
-
 _BINS: Final = 10
 
 #: line of the board -> (what it must reach, whether at least or at most)

@@ -18,8 +18,6 @@ from calib.challenge.recipe import Recipe, read_seeds, recipes
 from calib.errors import BadFileError
 from calib.files import refuse_existing, sha256_file, to_json, write_text
 
-__all__ = ["PUBLIC", "Sealed", "make", "read_public", "truth_path", "workers_of"]
-
 PUBLIC: Final = "challenge.json"
 HASH: Final = "truth.sha256"
 _PUBLIC_FORMAT: Final = "calib-challenge/1"

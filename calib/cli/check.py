@@ -7,10 +7,9 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.options import Force, JsonTarget, MappingOption, refuse_existing
+from calib.cli.options import Force, JsonTarget, MappingOption
 from calib.cli.terminal import emit_json, progress, show, wants_stdout
-
-__all__ = ["EPILOG", "run"]
+from calib.files import refuse_existing
 
 EPILOG = "Example: calib check sample_runs/corridor --json -"
 

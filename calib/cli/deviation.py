@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from calib.cli.options import Force, JsonTarget, refuse_existing
+from calib.cli.options import Force, JsonTarget
 from calib.cli.terminal import emit_json, show, waiting, wants_stdout
+from calib.files import refuse_existing
 
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign
     from calib.radius.run_deviation import RunDeviations
-
-__all__ = ["EPILOG", "run"]
 
 EPILOG = (
     "Examples: calib deviation sample_runs/corridor --tolerance 0.0005; "

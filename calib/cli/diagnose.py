@@ -7,18 +7,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calib.cli.options import Force, JsonTarget, MappingOption, nearest, refuse_existing
+from calib.cli.options import Force, JsonTarget, MappingOption, nearest
 from calib.cli.terminal import emit_json, progress, say, show, waiting, wrote
 from calib.cli.threads import one_blas_thread
 from calib.errors import BadInputError
+from calib.files import refuse_existing
 
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign
     from calib.coefficients.sections import EffectSection
     from calib.gap.diagnosis import Diagnosis
     from calib.progress import Progress
-
-__all__ = ["EPILOG", "run"]
 
 EPILOG = "Example: calib diagnose sample_runs/corridor_crossed --apply coefficients.json"
 RESULT_FILE = "diagnosis.json"

@@ -7,16 +7,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calib.cli.options import Force, JsonTarget, nearest, refuse_existing
+from calib.cli.options import Force, JsonTarget, nearest
 from calib.cli.terminal import emit_json, progress, show, waiting, wrote
 from calib.cli.threads import one_blas_thread
 from calib.errors import BadInputError
+from calib.files import refuse_existing
 
 if TYPE_CHECKING:
     from calib.gap.effects.catalogue import Entry
     from calib.gap.predict.path import Path as DrivenPath
-
-__all__ = ["EPILOG", "run"]
 
 EPILOG = "Example: calib effects track_width --figures pictures"
 

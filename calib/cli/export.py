@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from calib.cli.options import AcceptImplausible, Force, JsonTarget, refuse_existing
+from calib.cli.options import AcceptImplausible, Force, JsonTarget
 from calib.cli.terminal import emit_json, emit_text, note, wants_stdout, wrote
 from calib.coefficients.formats import FORMATS
+from calib.files import refuse_existing
 
 if TYPE_CHECKING:
     from calib.coefficients.loads import Artifact
-
-__all__ = ["EPILOG", "run"]
 
 EPILOG = "Example: calib export sample_runs/corridor --to ros2 --load 300 --load 500,700 --output params"
 

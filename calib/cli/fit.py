@@ -7,16 +7,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from calib.cli.options import Force, JsonTarget, MappingOption, refuse_existing
+from calib.cli.options import Force, JsonTarget, MappingOption
 from calib.cli.terminal import emit_json, progress, show, wants_stdout, wrote
 from calib.errors import BadInputError
+from calib.files import refuse_existing
 
 if TYPE_CHECKING:
     from calib.coefficients.source import Source
     from calib.radius.fitted import Fit
     from calib.report.blocks import Block
-
-__all__ = ["EPILOG", "run"]
 
 EPILOG = "Example: calib fit sample_runs/corridor --into results/corridor"
 

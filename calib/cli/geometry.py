@@ -7,15 +7,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from calib.cli.options import Force, JsonTarget, MappingOption, refuse_existing
+from calib.cli.options import Force, JsonTarget, MappingOption
 from calib.cli.terminal import emit_json, progress, show, wrote
 from calib.cli.threads import one_blas_thread
+from calib.files import refuse_existing
 
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign
     from calib.geometry.result import Geometry
-
-__all__ = ["EPILOG", "run"]
 
 EPILOG = "Example: calib geometry my_squares --figures pictures --output coefficients.json"
 

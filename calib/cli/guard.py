@@ -12,8 +12,6 @@ from typer.core import TyperCommand
 from calib.errors import BadInputError
 from calib.inputs import inputs_kept, refuse_special
 
-__all__ = ["Application", "Guarded"]
-
 #: parameters that say where something is written; every other path is an input
 OUTPUTS: Final = frozenset({"into", "output", "json", "json_target", "figures", "apply", "html", "tum", "plot"})
 #: commands with further outputs: what one makes, another reads

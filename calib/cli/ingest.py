@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calib.cli.options import Force, JsonTarget, refuse_existing
+from calib.cli.options import Force, JsonTarget
 from calib.cli.terminal import emit_json, emit_text, progress, say, waiting, wants_stdout
+from calib.files import refuse_existing
 
 if TYPE_CHECKING:
     from calib.campaign.ingest import Ingested
-
-__all__ = ["EPILOG", "run"]
 
 EPILOG = "Example: calib ingest export.xlsx logger/ --mapping lab.toml --into hall3"
 #: runs cut out of a recording that are listed

@@ -7,10 +7,9 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.options import Force, JsonTarget, refuse_existing
+from calib.cli.options import Force, JsonTarget
 from calib.cli.terminal import emit_json, say, wants_stdout, wrote
-
-__all__ = ["EPILOG", "run"]
+from calib.files import refuse_existing
 
 EPILOG = "Example: calib init hall3"
 

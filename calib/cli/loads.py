@@ -7,11 +7,10 @@ from typing import Annotated, Any, Final
 
 import typer
 
-from calib.cli.options import Force, JsonTarget, nearest, numbers, refuse_existing
+from calib.cli.options import Force, JsonTarget, nearest, numbers
 from calib.cli.terminal import emit_json, show, wants_stdout, wrote
 from calib.errors import BadInputError
-
-__all__ = ["EPILOG", "run"]
+from calib.files import refuse_existing
 
 EPILOG = "Example: calib loads --payload 100 --x 0.5 --sweep y --from -0.2333 --to 0.2333 --figures loads"
 

@@ -20,8 +20,6 @@ from calib.cli.terminal import KEPT, visible
 from calib.cli.typed import as_typed
 from calib.errors import CalibError, ImplausibleError
 
-__all__ = ["main"]
-
 EXIT_FINE: Final = 0
 EXIT_FAILED: Final = 1
 #: characters of the one line about an error; a message that quotes data may hold much of it

@@ -11,19 +11,6 @@ from typing import Annotated
 import typer
 
 from calib.errors import BadInputError
-from calib.files import refuse_existing
-
-__all__ = [
-    "AcceptImplausible",
-    "Force",
-    "JsonTarget",
-    "MappingOption",
-    "Seed",
-    "nearest",
-    "numbers",
-    "pairs",
-    "refuse_existing",
-]
 
 JsonTarget = Annotated[
     str | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON to FILE; '-' is standard output.")

@@ -7,12 +7,11 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.options import Force, JsonTarget, refuse_existing
+from calib.cli.options import Force, JsonTarget
 from calib.cli.terminal import emit_json, progress, say, show, wrote
 from calib.cli.threads import one_blas_thread
 from calib.errors import BadInputError
-
-__all__ = ["EPILOG", "run"]
+from calib.files import refuse_existing
 
 EPILOG = "Example: calib plan sample_runs/corridor; calib plan --from PLAN.toml --figures pictures"
 

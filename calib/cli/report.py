@@ -8,18 +8,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from calib.cli.options import AcceptImplausible, Force, JsonTarget, refuse_existing
+from calib.cli.options import AcceptImplausible, Force, JsonTarget
 from calib.cli.terminal import emit_json, progress, say, wrote
 from calib.cli.threads import one_blas_thread
 from calib.errors import BadInputError, RefusedError
+from calib.files import refuse_existing
 
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign
     from calib.gap.diagnosis import Diagnosis
     from calib.progress import Progress
     from calib.report.content import Report
-
-__all__ = ["EPILOG", "run"]
 
 EPILOG = "Example: calib report sample_runs/corridor_crossed --into corridor_crossed.pdf --date 2025-03-31"
 

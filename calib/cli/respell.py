@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
-__all__ = ["respelled"]
-
 #: the studies of ``calib simulate study``
 _STUDIES: Final = ("symmetric", "asymmetric", "corrected")
 _COMMANDS: Final = ("route", "journey", "study", "replay")

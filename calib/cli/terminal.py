@@ -18,21 +18,6 @@ from calib.errors import BadInputError
 if TYPE_CHECKING:
     from calib.report.blocks import Block, Section
 
-__all__ = [
-    "KEPT",
-    "emit_json",
-    "emit_text",
-    "keep",
-    "note",
-    "progress",
-    "say",
-    "show",
-    "visible",
-    "waiting",
-    "wants_stdout",
-    "wrote",
-]
-
 #: what the command at work has written so far, for the line after an interruption
 KEPT: Final[ContextVar[list[str]]] = ContextVar("kept")
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 
-__all__ = ["one_blas_thread"]
-
 #: read by OpenMP, OpenBLAS and MKL when numpy is first imported
 SETTINGS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 

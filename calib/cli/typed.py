@@ -5,8 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Collection
 
-__all__ = ["as_typed"]
-
 _LEADING = re.compile(r"^([a-z][a-z_]*)(?=: )")
 _FLAG = re.compile(r"\bforce=True\b")
 

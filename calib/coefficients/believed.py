@@ -6,8 +6,6 @@ from calib.campaign.settings import FrontModel, MecanumModel, OdometryModel
 from calib.coefficients.file import CoefficientFile
 from calib.geometry.drives import STEERING_SCALE
 
-__all__ = ["believed_model"]
-
 
 def believed_model(file: CoefficientFile, reference_load_N: float) -> OdometryModel:
     """Return the odometry's model of a coefficient file.

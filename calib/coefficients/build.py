@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from calib.campaign.settings import Encoder
     from calib.radius.fitted import Fit
 
-__all__ = ["Header", "PoseNoise", "from_fit", "from_law", "load_points"]
-
 # Defaults of what a corridor campaign does not measure; every one stands in the file, where it can be bettered.
 TRACK_STD_M: Final = 1e-3
 ALONG_M_PER_SQRT_M: Final = 5e-4

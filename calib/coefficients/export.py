@@ -16,8 +16,6 @@ from calib.errors import BadInputError, RefusedError
 from calib.files import refuse_existing, write_bytes
 from calib.folders import write_files
 
-__all__ = ["export", "parse_loads", "place"]
-
 
 def export(
     file: CoefficientFile, to: str, loads: Sequence[LoadPair] = (), *, options: ExportOptions | None = None

@@ -33,8 +33,6 @@ from calib.radius.law import JOINT, RadiusLaw, WheelLaw
 from calib.seal import checksum
 from calib.vehicle import Vehicle
 
-__all__ = ["FORMAT", "CoefficientFile", "Outside", "load_coefficients", "sealed"]
-
 FORMAT: Final = "calib-coefficients/1"
 
 Outside = Literal["refuse", "clamp"]

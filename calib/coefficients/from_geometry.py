@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from calib.campaign.model import Campaign
     from calib.geometry.result import Geometry
 
-__all__ = ["from_geometry"]
-
 #: spread of a radius' change with load where no loads were driven, relative to the radius, per newton: 1 % per kN
 SLOPE_STD_PER_N: Final = 1e-5
 #: spread of a length that nobody measured, relative

@@ -7,8 +7,6 @@ from typing import Final
 
 from calib.coefficients.file import CoefficientFile
 
-__all__ = ["Artifact", "ExportOptions", "LoadPair", "accepted_lines", "ascii_line", "default_loads", "number"]
-
 COMMENT_LENGTH: Final = 120
 
 

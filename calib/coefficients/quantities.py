@@ -6,28 +6,6 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-__all__ = [
-    "Bits",
-    "CountStd",
-    "CountsPerRev",
-    "Force",
-    "GravityAcceleration",
-    "HeadingPerRootMetre",
-    "Length",
-    "LengthPerForce",
-    "LengthPerRootMetre",
-    "LengthSquared",
-    "LengthSquaredPerForce",
-    "LengthSquaredPerForceSquared",
-    "Mass",
-    "NonNegativeLength",
-    "Number",
-    "PositiveLength",
-    "Quantity",
-    "Section",
-    "Time",
-]
-
 Positive = Annotated[float, Field(gt=0.0)]
 NonNegative = Annotated[float, Field(ge=0.0)]
 

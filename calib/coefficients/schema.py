@@ -8,8 +8,6 @@ from typing import Any, Final
 from calib.coefficients.file import CoefficientFile
 from calib.files import to_json
 
-__all__ = ["SCHEMA_NAME", "committed_schema_text", "fresh_schema", "fresh_schema_text"]
-
 SCHEMA_NAME: Final = "coefficients.schema.json"
 
 

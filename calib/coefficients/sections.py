@@ -29,22 +29,6 @@ from calib.coefficients.quantities import (
 )
 from calib.vehicle import Drive
 
-__all__ = [
-    "AcceptedSection",
-    "CovarianceEntry",
-    "EffectSection",
-    "EncoderSection",
-    "GeometrySection",
-    "InputFile",
-    "LimitsSection",
-    "LoadPoint",
-    "LoadRange",
-    "NoiseSection",
-    "VehicleSection",
-    "WheelSection",
-    "WheelsSection",
-]
-
 #: how far a covariance may miss being positive semi-definite through rounding, relative
 ROUNDING = 1e-9
 

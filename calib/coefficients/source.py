@@ -14,8 +14,6 @@ from calib.errors import BadFileError, BadInputError
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign
 
-__all__ = ["Source", "coefficients_of", "effects_left_out"]
-
 
 @dataclass(frozen=True, slots=True)
 class Source:

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
-__all__ = ["BATCHES_A_WORKER", "batches", "one_each"]
-
 Item = TypeVar("Item")
 
 #: some batches a worker, so that few items that take seconds each are shared out, too

@@ -9,8 +9,6 @@ from typing import Any, Final, TypeVar
 from calib.errors import MissingExtraError, RefusedError
 from calib.fleet.batches import batches, one_each
 
-__all__ = ["DaskWorkers", "dask_workers"]
-
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 

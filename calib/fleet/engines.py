@@ -10,8 +10,6 @@ from calib.fleet.batches import batches, one_each
 from calib.fleet.dask_workers import dask_workers
 from calib.fleet.processes import Processes
 
-__all__ = ["Engine", "engine", "run_tasks"]
-
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 

@@ -13,8 +13,6 @@ from calib.arrays import BoolArray
 from calib.fleet.member_tasks import MemberRecord
 from calib.fleet.random_effects import false_discovery
 
-__all__ = ["SharedCause", "shared_causes"]
-
 #: fewest vehicles that share a cause before it is said of them together
 FEWEST: Final = 3
 

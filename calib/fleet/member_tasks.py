@@ -14,8 +14,6 @@ from calib.fleet.part_sums import campaign_of
 if TYPE_CHECKING:
     from calib.gap.verdict.result import Cause
 
-__all__ = ["MEMBER_TASKS", "MemberRecord", "key_of"]
-
 
 @dataclass(frozen=True, slots=True)
 class MemberRecord:

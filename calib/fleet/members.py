@@ -14,8 +14,6 @@ from calib.campaign.readers import READERS, read_table
 from calib.errors import BadFileError
 from calib.files import inside
 
-__all__ = ["Member", "Part", "any_simulated", "labels_of", "members_of"]
-
 SETTINGS: Final = "campaign.toml"
 LABELS: Final = "vehicles.csv"
 SUFFIX: Final = ".parquet"

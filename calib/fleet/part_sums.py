@@ -21,8 +21,6 @@ from calib.fleet.members import Part
 from calib.radius.effective import effective_radii
 from calib.radius.session_sums import SessionSums
 
-__all__ = ["PartSums", "campaign_of", "sums_of_parts"]
-
 #: column of the run table that says the day of a run; any origin
 DAY: Final = "day"
 

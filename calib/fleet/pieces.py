@@ -12,8 +12,6 @@ from calib.fleet.part_sums import PartSums, sums_of_parts
 from calib.fleet.store import line_of
 from calib.fleet.vehicle import VehicleRecord, record_of
 
-__all__ = ["Piece", "PieceDone", "do_pieces", "given_up", "pieces_of", "size_of"]
-
 #: files of a vehicle that are read in one piece; the record of one that has more new ones is a piece of its own
 MOST_FILES: Final = 64
 

@@ -12,8 +12,6 @@ from calib.fleet.batches import batches, one_each
 if TYPE_CHECKING:
     from concurrent.futures import Future, ProcessPoolExecutor
 
-__all__ = ["Processes"]
-
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 

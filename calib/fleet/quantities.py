@@ -11,16 +11,6 @@ import numpy as np
 from calib.arrays import BoolArray, FloatArray
 from calib.fleet.random_effects import Population, any_false, false_discovery, outlying, population
 
-__all__ = [
-    "Difference",
-    "LabelDifference",
-    "Quantities",
-    "QuantityOutlier",
-    "difference_of",
-    "quantities_of",
-    "shown_quantity",
-]
-
 #: fewest vehicles that are judged against each other, and that a label must have in common
 FEWEST: Final = 5
 

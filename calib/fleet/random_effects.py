@@ -9,8 +9,6 @@ import numpy as np
 
 from calib.arrays import BoolArray, FloatArray
 
-__all__ = ["Population", "any_false", "false_discovery", "outlying", "population"]
-
 COVERAGE: Final = 0.95
 #: of those named, this share may be named wrongly (Benjamini and Hochberg); a vehicle named costs a visit, and at a
 #: hundredth a list of twenty holds a wrong one in one fleet of five

@@ -15,8 +15,6 @@ from calib.fleet.store import SUMS, Store, line_of
 from calib.fleet.vehicle import VehicleRecord
 from calib.fleet.view import FleetView, view_of
 
-__all__ = ["Fleet", "fit_fleet"]
-
 #: called with the number of files done and the number to do
 Progress = Callable[[int, int], None]
 

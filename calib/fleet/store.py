@@ -12,8 +12,6 @@ from typing import Any, Final, Generic, Protocol, TypeVar
 from calib.errors import BadInputError
 from calib.leftovers import sweep, temporary_beside
 
-__all__ = ["SUMS", "Kept", "Store", "line_of"]
-
 SUMS: Final = "sums.jsonl"
 
 

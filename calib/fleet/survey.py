@@ -18,8 +18,6 @@ from calib.fleet.quantities import Quantities, quantities_of
 from calib.fleet.run import Progress
 from calib.fleet.store import Store, line_of
 
-__all__ = ["Survey", "survey_fleet"]
-
 
 @dataclass(frozen=True, slots=True)
 class Survey:

@@ -11,8 +11,6 @@ import numpy as np
 from calib.fleet.part_sums import PartSums
 from calib.radius.session_sums import SessionSums, line_from_sums
 
-__all__ = ["WHEELS", "Drift", "VehicleRecord", "WheelLine", "record_of"]
-
 WHEELS: Final = ("left", "right")
 COVERAGE: Final = 0.95
 

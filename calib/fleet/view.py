@@ -13,8 +13,6 @@ from calib.fleet.quantities import FEWEST, difference_of
 from calib.fleet.random_effects import Population, any_false, false_discovery, outlying, population
 from calib.fleet.vehicle import WHEELS, VehicleRecord
 
-__all__ = ["CommonCause", "DriftingVehicle", "FleetView", "Outlier", "view_of"]
-
 #: relative change of a radius from which on a vehicle is due for recalibration: the share by which the deviation check
 #: of a single radius is held (0.05 %), 5 mm over 10 m
 DUE_RELATIVE: Final = 5e-4

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from calib.gap.diagnosis import Diagnosis
     from calib.gap.verdict.result import Cause, Verdict
 
-__all__ = ["applied_model"]
-
 SIDES = ("left", "right")
 
 

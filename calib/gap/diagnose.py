@@ -21,12 +21,13 @@ from calib.gap.effects.effect import Effect
 from calib.gap.effects.encoder_gross import GrossFault, corrected
 from calib.gap.effects.library import fault_before_search, library, turned_before_search
 from calib.gap.effects.turned_reference import TurnedReference
+from calib.gap.evidence.climb import Settings
 from calib.gap.evidence.fit import Fitted, fit
 from calib.gap.evidence.left_out import LeftOut
 from calib.gap.evidence.marginal import FLOOR_DOF
 from calib.gap.evidence.noise import Noise, estimate_noise
 from calib.gap.evidence.recalibration import judge_recalibration
-from calib.gap.evidence.search import Search, Settings, search
+from calib.gap.evidence.search import Search, search
 from calib.gap.evidence.whitened import WhitenedSystem
 from calib.gap.plan.next_runs import next_runs
 from calib.gap.plan.outlook import undetectable
@@ -43,8 +44,6 @@ from calib.progress import Progress, silent
 
 if TYPE_CHECKING:
     from calib.coefficients.sections import EffectSection
-
-__all__ = ["diagnose", "diagnose_in_full"]
 
 #: by which factor at most what the fit leaves may enlarge the floor's variance
 MOST_FLOOR: Final = 1.5

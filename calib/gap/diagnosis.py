@@ -14,8 +14,6 @@ from calib.gap.predict.path import Path
 from calib.gap.verdict.closure import HeldOut
 from calib.gap.verdict.result import Verdict
 
-__all__ = ["Diagnosis"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Diagnosis:

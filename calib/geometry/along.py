@@ -16,8 +16,6 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.geometry.freedom import Freedom
 
-__all__ = ["covariance_along", "level_at_nought"]
-
 #: cosines for n blocks: this times n to the power 2/3, so that of many blocks only the slower part of them counts
 COSINES: Final = 3.3
 #: how much steeper than level a spectrum may be: by the slope at nought over the square of the frequency

@@ -15,8 +15,6 @@ from calib.geometry.sandwich import OF_RUNS, Uncertainty, block_scores, sandwich
 from calib.geometry.segments import Segments
 from calib.geometry.solve import Solution
 
-__all__ = ["ENOUGH_RUNS", "Clustering", "clustered"]
-
 #: groups that a covariance needs at least
 FEWEST: Final = 4
 #: so many runs are the groups to begin with; of fewer runs, blocks within them

@@ -14,8 +14,6 @@ from calib.geometry.recording import Recording
 from calib.geometry.sandwich import whitened
 from calib.geometry.solve import DEGREES, Solution
 
-__all__ = ["Delay", "own_delays", "sought_delays"]
-
 #: chance with which recordings of one delay are taken for ones of several
 CHANCE: Final = 0.001
 #: how far from the common delay one is sought, and in how many steps

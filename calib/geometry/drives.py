@@ -10,8 +10,6 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.geometry.parameters import Parameter
 
-__all__ = ["STEERING_SCALE", "Differential", "Drive", "FrontWheel", "MeanHeld", "Mecanum", "Motion", "Steps"]
-
 #: spread of a length about its nominal value, relative
 LENGTH_STD: Final = 0.10
 #: spread of the radius' change with load, relative to the radius, per newton: 1 % per kN

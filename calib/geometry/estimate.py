@@ -33,8 +33,6 @@ from calib.progress import Progress, silent, stepped
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign
 
-__all__ = ["Using", "drive_of", "estimate_geometry", "recordings_put_right"]
-
 Using = Literal["end_poses", "windows"]
 
 #: blocks that windows of a few long recordings are laid in, coarse to fine; many runs are blocks themselves

@@ -10,8 +10,6 @@ import numpy as np
 
 from calib.arrays import FloatArray
 
-__all__ = ["Freedom", "own_directions"]
-
 #: a length that turns show only beside a radius -> these radii, of which the mean counts
 _BESIDE: Final[Mapping[str, tuple[str, ...]]] = {
     "track_m": ("radius_left_m", "radius_right_m"),

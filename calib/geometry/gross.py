@@ -14,8 +14,6 @@ from calib.geometry.drives import Steps
 from calib.geometry.recording import Recording
 from calib.geometry.segments import Segments
 
-__all__ = ["Fault", "factor_faults", "front_faults", "rear_faults", "refuse_heading_unit", "repaired"]
-
 #: how far a ratio may be from a factor and still be taken for it, relative
 NEAR: Final = 0.08
 #: factors that faults of settings leave, and what they mean

@@ -15,8 +15,6 @@ from calib.geometry.model import Model
 from calib.geometry.recording import Recording
 from calib.geometry.segments import Segments
 
-__all__ = ["put_right", "wheels_faults"]
-
 WHEELS: Final = ("front_left", "front_right", "rear_left", "rear_right")
 #: the columns as they stand count as wrong where others leave less than this part of what they leave
 CLEARLY_LESS: Final = 0.25

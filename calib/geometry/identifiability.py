@@ -10,8 +10,6 @@ from calib.arrays import FloatArray
 from calib.geometry.parameters import Parameters
 from calib.geometry.solve import Solution
 
-__all__ = ["NOMINAL_STD", "loosest", "scale_is_open", "scale_is_weakest", "weakest"]
-
 #: a direction in which data leave more than this part of the prior spread is not determined
 TOLERATED: Final = 0.5
 #: how well the scale of radii and track is known beforehand, relative

@@ -12,8 +12,6 @@ from calib.geometry.path import Path, displacement, integrate_motion
 from calib.geometry.recording import Recording
 from calib.geometry.segments import Segments
 
-__all__ = ["Model", "Prediction"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:

@@ -10,8 +10,6 @@ from calib.arrays import BoolArray, FloatArray
 from calib.geometry.path import Path
 from calib.geometry.segments import Segments
 
-__all__ = ["COMPONENTS", "LEAST", "covariances", "kernels", "update_scales"]
-
 #: variances that make up the covariance of a displacement: of position and heading by the reference (m^2, rad^2),
 #: of the random walks of heading and of distance (rad^2/m, m^2/m)
 COMPONENTS: Final = ("reference_xy", "reference_theta", "heading_walk", "along_walk")

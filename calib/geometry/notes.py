@@ -6,8 +6,6 @@ from calib.geometry.clusters import Clustering
 from calib.geometry.identifiability import NOMINAL_STD
 from calib.geometry.recording import Recording
 
-__all__ = ["notes_on"]
-
 
 def notes_on(clustering: Clustering, recording: Recording, *, mean_held: bool, converged: bool) -> tuple[str, ...]:
     """Return notes in sentences.

@@ -10,8 +10,6 @@ import numpy as np
 
 from calib.arrays import FloatArray
 
-__all__ = ["SENSOR", "Parameter", "Parameters", "sensor_parameters"]
-
 #: pose of the reference's sensor on the vehicle, and the time by which its stamps lag behind the encoders'
 SENSOR: Final = ("sensor_x_m", "sensor_y_m", "sensor_yaw_rad", "delay_s")
 

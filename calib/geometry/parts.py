@@ -7,8 +7,6 @@ from typing import Any, Final
 
 from calib.arrays import FloatArray
 
-__all__ = ["CHANNELS", "Estimate", "RouteResidual", "RunPath", "Transfer"]
-
 #: residual channels and their units
 CHANNELS: Final = ("x_m", "y_m", "theta_rad")
 

@@ -10,8 +10,6 @@ import numpy as np
 from calib.arrays import FloatArray, IntArray
 from calib.geometry.drives import Motion
 
-__all__ = ["Path", "displacement", "integrate_motion"]
-
 #: turn of half a step below which the derivative of sin(h)/h is its series
 SMALL_RAD: Final = 1e-4
 

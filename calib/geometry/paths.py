@@ -15,8 +15,6 @@ from calib.geometry.result import Geometry
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign
 
-__all__ = ["paths_of"]
-
 
 def paths_of(campaign: Campaign, geometry: Geometry) -> tuple[RunPath, ...]:
     """Return the paths of the runs of a campaign.

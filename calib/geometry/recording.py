@@ -15,8 +15,6 @@ from calib.geometry.drives import Steps
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign
 
-__all__ = ["Recording", "recording_of"]
-
 REFERENCE: Final = ("ref_x_m", "ref_y_m", "ref_theta_rad")
 #: kinds of runs that were led along a line, and the turn by nominal wheels up to which that is believed
 LED: Final = ("corridor", "straight", "line")

@@ -15,8 +15,6 @@ from calib.geometry.gross import Fault
 from calib.geometry.parts import CHANNELS, Estimate, RouteResidual, RunPath, Transfer
 from calib.geometry.umbmark import Umbmark
 
-__all__ = ["Geometry"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Geometry:

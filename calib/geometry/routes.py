@@ -16,8 +16,6 @@ from calib.geometry.segments import Segments
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign
 
-__all__ = ["of_kinds", "rms", "route_table"]
-
 
 def rms(residuals: FloatArray) -> tuple[float, float, float]:
     """Return the root mean square of each channel, shape (n, 3) in, three numbers out."""

@@ -19,7 +19,6 @@ from calib.geometry.along import covariance_along
 from calib.geometry.freedom import Freedom
 from calib.geometry.solve import DEGREES, Solution
 
-__all__ = ["OF_RUNS", "Uncertainty", "block_scores", "sandwich", "sandwich_along", "whitened"]
 #: power that is unbiased for known weights (CR2); 1 is the jackknife (CR3)
 UNBIASED: Final = 0.5
 #: for single runs, from which the noise's sizes are estimated too; the coverage lies between the two

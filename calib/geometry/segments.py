@@ -11,8 +11,6 @@ from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.errors import RefusedError
 from calib.geometry.recording import Recording
 
-__all__ = ["LEVELS", "Segments", "end_pose_segments", "window_segments"]
-
 #: windows as parts of a block: whole, half, quarter
 LEVELS: Final = (1.0, 0.5, 0.25)
 

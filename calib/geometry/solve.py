@@ -19,8 +19,6 @@ from calib.geometry.model import Model, Prediction
 from calib.geometry.noise import LEAST, covariances, kernels, update_scales
 from calib.geometry.parameters import Parameters
 
-__all__ = ["DEGREES", "Solution", "solve"]
-
 #: degrees of freedom of the Student t
 DEGREES: Final = 5.0
 #: linearisations; those in which the noise is estimated too; steps within one

@@ -15,8 +15,6 @@ from calib.arrays import BoolArray, FloatArray
 from calib.geometry.model import Prediction
 from calib.geometry.segments import Segments
 
-__all__ = ["Umbmark", "squares", "umbmark"]
-
 #: how far from a side's direction a piece of the way may point and still belong to it
 SIDE_RAD: Final = 0.35
 #: share of the way that belongs to sides, and of the shortest side beside the mean one

@@ -18,8 +18,6 @@ from calib.motion.odometry.arc import sinc
 from calib.motion.poses import Poses
 from calib.radius.law import JOINT, RadiusLaw
 
-__all__ = ["PARAMETERS", "Ellipses", "PathSteps", "RandomWalk", "ellipses", "jacobian", "parameter_covariance", "steps"]
-
 #: what the Jacobian is taken by
 PARAMETERS: Final = JOINT
 

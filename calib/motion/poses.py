@@ -10,8 +10,6 @@ import numpy.typing as npt
 
 from calib.arrays import FloatArray
 
-__all__ = ["PoseErrors", "Poses", "pose_errors", "wrapped"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Poses:

@@ -19,8 +19,6 @@ from calib.motion.odometry.integrate import integrate
 from calib.motion.poses import Poses
 from calib.motion.trajectory import read_tum
 
-__all__ = ["FORMAT", "NAMED", "Route", "arc", "driven_route", "find_route", "read_route", "straight"]
-
 Segment = tuple[float, float]
 
 FORMAT: Final = "calib-route/1"

@@ -13,8 +13,6 @@ from calib.errors import BadFileError, BadInputError
 from calib.files import write_text
 from calib.motion.poses import Poses
 
-__all__ = ["read_tum", "write_tum"]
-
 FILE_LIMIT_BYTES = 2 << 30
 
 

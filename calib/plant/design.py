@@ -13,8 +13,6 @@ from calib.arrays import BoolArray, FloatArray, IntArray, StrArray
 from calib.plant.routes import SHORT
 from calib.vehicle import Vehicle
 
-__all__ = ["Design", "conditions", "lacks"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Design:

@@ -12,8 +12,6 @@ from calib.plant.noise import NoiseDraw
 from calib.plant.routes import PITCH_M, tabulate
 from calib.plant.world import Moment, World
 
-__all__ = ["Record", "drive"]
-
 STEP_S: Final = 0.02
 _ACCELERATION_MPS2: Final = 0.35
 _STEER_LAG_S: Final = 0.12

@@ -12,8 +12,6 @@ import numpy as np
 from calib.arrays import FloatArray, IntArray
 from calib.errors import MissingExtraError
 
-__all__ = ["FleetSize", "FleetTruth", "PlannedFleet", "make_fleet", "plan_fleet"]
-
 #: a run table: its columns
 Table = dict[str, FloatArray | IntArray | list[str]]
 

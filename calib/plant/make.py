@@ -17,8 +17,6 @@ from calib.plant.measure import campaign_of
 from calib.plant.noise import Noise, draw_noise, random_noise
 from calib.plant.world import REFERENCE_LOAD_N, World, build_world
 
-__all__ = ["apply_causes", "as_causes", "make_campaign", "make_campaigns", "random_model"]
-
 
 def random_model(design: Design, rng: np.random.Generator) -> OdometryModel:
     """Return what the simulator believes: a calibrated vehicle, with the load law that the design shares."""

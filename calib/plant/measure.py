@@ -11,8 +11,6 @@ from calib.plant.drive import Record
 from calib.plant.noise import Noise, NoiseDraw
 from calib.plant.world import World, wheel_loads
 
-__all__ = ["campaign_of", "gross_counts", "reference_poses", "simulated_poses", "steering_readings"]
-
 _STEER_STEP_RAD = 5e-4
 
 

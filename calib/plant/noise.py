@@ -9,8 +9,6 @@ import numpy as np
 
 from calib.arrays import FloatArray
 
-__all__ = ["Noise", "NoiseDraw", "draw_noise", "quiet", "random_noise"]
-
 
 @dataclass(frozen=True, slots=True)
 class Noise:

@@ -12,8 +12,6 @@ from calib.plant.design import Design
 from calib.plant.effects.wheels import COLUMNS
 from calib.vehicle import Vehicle
 
-__all__ = ["DESIGNS", "good_design", "poor_design"]
-
 #: names of the poor designs
 DESIGNS: Final = ("load_a_session", "corridor_only", "squares_one_load", "few_repeats")
 

@@ -14,8 +14,6 @@ from calib.plant.effects.form import Cause
 from calib.plant.make import make_campaign, random_model
 from calib.plant.plans import good_design
 
-__all__ = ["PosedTruth", "make_posed_fleet"]
-
 #: what each metre of the zone takes from the way of one wheel and adds to the other's
 ZONE_SHARE: Final = 5e-3
 

@@ -14,8 +14,6 @@ from calib.plant.effects.registry import ALL
 from calib.plant.noise import Noise
 from calib.plant.signal import is_calibration, strength, strengths, whiten
 
-__all__ = ["Rival", "rivals", "signatures"]
-
 _EXPONENTS = {"hertz": 2 / 3, "root": 0.5, "quadratic": 2.0, "power": 0.87, "running_in": 0.8}
 _SKIPPED = ("encoder_gross", "integration_scheme", "path_weave", "floor_zone")
 

@@ -12,8 +12,6 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.errors import BadInputError
 
-__all__ = ["PITCH_M", "SHORT", "RouteTables", "segments_of", "tabulate"]
-
 PITCH_M: Final = 0.01
 #: length of ``corridor_short`` over that of ``corridor``
 SHORT: Final = 0.6

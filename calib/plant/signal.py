@@ -23,19 +23,6 @@ from calib.plant.measure import reference_poses, simulated_poses, steering_readi
 from calib.plant.noise import Noise, NoiseDraw, quiet
 from calib.plant.world import World, build_world
 
-__all__ = [
-    "CALIBRATION",
-    "Strength",
-    "covariance",
-    "is_calibration",
-    "outputs",
-    "recalibration",
-    "strength",
-    "strengths",
-    "to_signal",
-    "whiten",
-]
-
 #: effects that a recalibration absorbs by definition: their signal is taken without projecting it out
 CALIBRATION: Final = ("radius_scale", "unequal_radii", "track_width")
 _SQUARED: Final = ("beam_misalignment", "path_weave")

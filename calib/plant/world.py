@@ -13,8 +13,6 @@ from calib.plant.design import Design
 from calib.units import GRAVITY_MPS2
 from calib.vehicle import Vehicle
 
-__all__ = ["REFERENCE_LOAD_N", "Moment", "World", "build_world", "wheel_loads"]
-
 REFERENCE_LOAD_N = 300.0
 
 

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Any, Final
 
-__all__ = ["FAILED", "NOTE", "OK", "PLAUSIBLE", "Check"]
-
 OK: Final = "ok"
 NOTE: Final = "note"
 FAILED: Final = "failed"

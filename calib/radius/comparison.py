@@ -8,8 +8,6 @@ from typing import Any
 from calib.radius.law import RadiusLaw
 from calib.radius.regression import WheelFit
 
-__all__ = ["Difference", "ModelComparison", "WheelComparison", "compare_laws"]
-
 
 @dataclass(frozen=True, slots=True)
 class Difference:

@@ -10,8 +10,6 @@ from calib.radius.checks import NOTE, OK, Check
 from calib.radius.regression import WheelFit, distinct_loads
 from calib.radius.sessions import Groups
 
-__all__ = ["design_check", "range_check", "session_check", "session_influence_check"]
-
 UM: Final = 1e6
 NOTE_BELOW: Final = 0.01
 #: the reference load may lie this share of the load range outside it before that is worth a word

@@ -13,19 +13,6 @@ import numpy.typing as npt
 
 from calib.arrays import FloatArray
 
-__all__ = [
-    "PathExcess",
-    "allowed_amplitude_m",
-    "allowed_amplitude_on_run_m",
-    "arc_excess",
-    "arc_of_radii_rad",
-    "excess_of_radius_error",
-    "radius_error",
-    "small_amplitude_excess",
-    "weave_excess",
-    "whole_period_excess",
-]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PathExcess:

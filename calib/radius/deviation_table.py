@@ -18,8 +18,6 @@ from calib.radius.deviation import (
 )
 from calib.vehicle import Vehicle
 
-__all__ = ["arc_row", "deviation_rows", "table_setting"]
-
 
 def deviation_rows(
     amplitudes_m: npt.ArrayLike, wavelengths_m: npt.ArrayLike, distance_m: float, track_m: float, tolerance: float

@@ -16,8 +16,6 @@ from calib.radius.law import WheelLaw
 from calib.radius.regression import NaiveLine, WheelFit
 from calib.radius.usable import LeftOut
 
-__all__ = ["pair", "plain_fields", "radii_from_rows", "rows_of", "wheel_from_dict", "wheel_to_dict"]
-
 _TEXTS: Final = ("run_id", "session", "direction", "path_source")
 _RUN_COLUMNS: Final = tuple(
     column.name for column in fields(EffectiveRadii) if column.name not in {"budget", "left_out", "notes"}

@@ -12,8 +12,6 @@ from calib.campaign.model import Campaign
 from calib.radius.path_length import correct_paths
 from calib.radius.usable import LeftOut, usable_runs
 
-__all__ = ["Component", "EffectiveRadii", "LeftOut", "effective_radii"]
-
 #: standard deviation, in counts, of the difference of two readings of a counter that shows whole counts
 QUANTISATION_COUNTS: Final = (1.0 / 6.0) ** 0.5
 #: factor between measured and nominal radius that no load explains

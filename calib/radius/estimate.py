@@ -10,8 +10,6 @@ import numpy.typing as npt
 from calib.arrays import FloatArray
 from calib.radius.welch import critical_value, equivalent_dof
 
-__all__ = ["Estimate"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimate:

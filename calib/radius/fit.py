@@ -17,8 +17,6 @@ from calib.radius.regression import WheelFit, fit_wheel
 from calib.radius.residual_checks import checked
 from calib.radius.systematic import declared_sources, systematic_components, with_systematic
 
-__all__ = ["fit_campaign", "fit_law"]
-
 #: the reference load may lie beyond the largest load driven by this factor; further out the line has no digits left
 MOST_REFERENCE: Final = 1e4
 #: columns whose span tells the conditions of a campaign

@@ -20,8 +20,6 @@ from calib.vehicle import Vehicle
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-__all__ = ["FORMAT", "Fit", "Setup"]
-
 FORMAT: Final = "calib-fit/1"
 
 _SECTIONS: Final[dict[str, type]] = {

@@ -10,8 +10,6 @@ import numpy.typing as npt
 
 from calib.arrays import FloatArray
 
-__all__ = ["JOINT", "RadiusLaw", "WheelLaw"]
-
 #: order of the joint covariance of both wheels' laws and the track
 JOINT: Final = ("radius_left_m", "slope_left_m_per_N", "radius_right_m", "slope_right_m_per_N", "track_m")
 

@@ -12,8 +12,6 @@ from calib.campaign.model import Campaign
 from calib.radius.deviation import arc_excess, whole_period_excess
 from calib.radius.weave import Weaves, estimate_weaves
 
-__all__ = ["RunPaths", "correct_paths"]
-
 #: a heading reference is used where it tells more than its own noise
 LEAST_RELIABILITY: Final = 0.05
 

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from calib.radius.fitted import Fit
     from calib.radius.regression import WheelFit
 
-__all__ = ["held_against_bounds", "refuse_implausible"]
-
 #: share of the radius by which load may change it over the measured range, and by which single runs may scatter
 MOST_CHANGE: Final = 0.2
 MOST_SCATTER: Final = 0.03

@@ -21,8 +21,6 @@ from calib.radius.sessions import (
     stratified_line,
 )
 
-__all__ = ["NaiveLine", "WheelFit", "distinct_loads", "fit_wheel", "load_groups", "t_interval", "t_quantile"]
-
 #: loads nearer than this share of the largest count as one load
 SAME_LOAD: Final = 0.02
 COVERAGE: Final = 0.95

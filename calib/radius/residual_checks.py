@@ -13,8 +13,6 @@ from calib.radius.design_checks import design_check, range_check, session_check,
 from calib.radius.regression import WheelFit, load_groups
 from calib.radius.sessions import Groups, breusch_pagan, groups_of
 
-__all__ = ["checked"]
-
 #: p-values below which a check speaks up, and below which the law should not be used as it is. With some nine checks a
 #: wheel the usual 5 % would cry wolf in every third campaign.
 NOTE_BELOW: Final = 0.01

@@ -14,8 +14,6 @@ from calib.folders import settle, write_files
 from calib.radius.fitted import Fit
 from calib.seal import CHECKSUM_KEY, checksum
 
-__all__ = ["FIT_FILE", "RUNS_FILE", "is_result", "provenance", "read_result", "write_result"]
-
 FIT_FILE: Final = "fit.json"
 RUNS_FILE: Final = "runs.csv"
 #: what ``calib fit --json`` adds for other programs; nothing here reads it

@@ -21,8 +21,6 @@ from calib.radius.deviation import (
 from calib.radius.path_length import correct_paths
 from calib.radius.usable import LeftOut, usable_runs
 
-__all__ = ["RunDeviations", "judge_runs"]
-
 PASSED: Final = "within"
 BEYOND: Final = "beyond"
 UNKNOWN: Final = "unknown"

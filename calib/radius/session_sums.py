@@ -15,8 +15,6 @@ from calib.arrays import FloatArray, StrArray
 from calib.radius.estimate import Estimate
 from calib.radius.sessions import Strata, line_of_strata
 
-__all__ = ["SessionSums", "line_from_sums"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SessionSums:

@@ -18,17 +18,6 @@ import numpy.typing as npt
 from calib.arrays import FloatArray, IntArray, StrArray
 from calib.radius.estimate import Estimate
 
-__all__ = [
-    "Groups",
-    "Strata",
-    "breusch_pagan",
-    "groups_of",
-    "line_of_strata",
-    "plain_line",
-    "stratified_constant",
-    "stratified_line",
-]
-
 #: session variance over run variance for which strata are weighted; it sets efficiency, never validity, because the
 #: variances are estimated afterwards
 WORKING_RATIO: Final = 1.0

@@ -30,8 +30,6 @@ from calib.errors import BadFileError
 from calib.radius.effective import Component, EffectiveRadii
 from calib.radius.regression import WheelFit, t_interval
 
-__all__ = ["SystematicSource", "declared_sources", "systematic_components", "with_systematic"]
-
 #: half width over standard deviation; that of a normal distribution holds 95 %
 _DIVISORS: Final[Mapping[str, float]] = {"rectangular": math.sqrt(3.0), "triangular": math.sqrt(6.0), "normal": 1.96}
 #: fourth moment over the squared variance: what a beam's angle does to a distance is of second order in it

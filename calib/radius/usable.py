@@ -12,8 +12,6 @@ from calib.campaign.model import Campaign
 from calib.campaign.wheels import odometry_source, without_rear_wheels
 from calib.errors import RefusedError
 
-__all__ = ["LeftOut", "usable_runs"]
-
 #: apparent turn beyond which a run was not straight; radii 1.5 % apart show 0.9 rad over 42 m on a track of 0.7 m
 STRAIGHT_TURN_RAD: Final = 1.2
 STRAIGHT_HEADING_RAD: Final = 0.5

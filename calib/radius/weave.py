@@ -17,8 +17,6 @@ import numpy.typing as npt
 from calib.arrays import BoolArray, FloatArray
 from calib.campaign.model import Logs
 
-__all__ = ["Weaves", "estimate_weaves", "fit_headings"]
-
 POINTS: Final = 256
 #: runs handled at once; keeps memory small in campaigns of many thousand runs
 CHUNK: Final = 128

@@ -17,8 +17,6 @@ import numpy.typing as npt
 
 from calib.arrays import FloatArray
 
-__all__ = ["critical_curve", "critical_value", "equivalent_dof"]
-
 SHARES: Final = 0.5 * (1 - np.cos(np.pi * np.arange(25) / 24))
 ROUNDS: Final = 12
 #: nodes of equal probability for a chi-squared of few and of many degrees of freedom

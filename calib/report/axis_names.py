@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Final
 
-__all__ = ["in_words", "with_unit"]
-
 #: suffix of a name -> unit; and whole names whose unit is not their suffix
 _UNITS: Final = {
     "mps": "m/s", "C": "°C", "kg": "kg", "N": "N", "rad": "rad", "m": "m", "s": "s", "km": "km", "min": "min",

@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Block", "Column", "Equation", "Facts", "Heading", "Items", "Notice", "Picture", "Section", "Table", "Text"]
-
 
 class _Block:
     """What all blocks have in common."""

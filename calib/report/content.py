@@ -12,8 +12,6 @@ from calib.report.pages import sections_of
 from calib.report.source import Source
 from calib.report.stated import Logo, signatures_of
 
-__all__ = ["Attachment", "Report", "compose", "head_of"]
-
 #: longest campaign name in the header of a page; the title has it whole
 SHORT_NAME: Final = 44
 

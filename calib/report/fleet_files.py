@@ -14,8 +14,6 @@ from calib.folders import write_files
 from calib.report.blocks import Block
 from calib.report.statements.fleet import fleet_content, survey_content
 
-__all__ = ["Heads", "write_fleet", "write_survey"]
-
 FORMS = ("png", "svg")
 
 

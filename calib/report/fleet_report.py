@@ -10,8 +10,6 @@ from calib.files import to_json
 from calib.report.blocks import Block, Heading, Section
 from calib.report.content import Attachment, Report
 
-__all__ = ["fleet_report"]
-
 
 def fleet_report(
     name: str, blocks: Sequence[Block], document: Mapping[str, Any], *, issued: str, simulated: bool

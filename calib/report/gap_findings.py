@@ -10,8 +10,6 @@ from calib.arrays import FloatArray, StrArray
 from calib.gap.verdict.paper_headline import PaperHeadline, headline
 from calib.gap.verdict.result import Verdict
 
-__all__ = ["GapFindings"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GapFindings:

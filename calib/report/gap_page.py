@@ -16,8 +16,6 @@ from calib.report.html import Page, page_html
 from calib.report.interactive import CauseBar, PanelData, interactive_panels
 from calib.report.statements.diagnosis import diagnosis_content
 
-__all__ = ["diagnosis_page", "linked_panels", "panels_of"]
-
 #: effects named beside a cause that they cannot be told from
 NAMED = 3
 #: samples of a gap along a run that are drawn at most

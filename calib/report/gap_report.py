@@ -16,8 +16,6 @@ from calib.report.pages.diagnosis import gap_section
 from calib.report.stated import logo_of, signatures_of, stated_of
 from calib.report.statements.assumed import assumed_text
 
-__all__ = ["diagnosis_report"]
-
 
 def diagnosis_report(campaign: Campaign, gap: GapFindings, *, issued: str, why: str) -> Report:
     """Return the report on what a diagnosis found, without a law.

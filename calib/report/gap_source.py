@@ -16,8 +16,6 @@ from calib.gap.where.covariates import covariate_values
 from calib.report.gap_findings import GapFindings
 from calib.report.source import Source
 
-__all__ = ["findings_of", "with_diagnosis"]
-
 
 def with_diagnosis(source: Source, campaign: Campaign) -> Source:
     """Return `source` with the findings of a diagnosis of its campaign.

@@ -15,8 +15,6 @@ from calib.report.figures.style import render
 from calib.report.statements.gap_pictures import GAP_PICTURES
 from calib.report.text import EQUATIONS
 
-__all__ = ["Page", "block_html", "blocks_html", "page_html", "to_html"]
-
 HOW_TO_LOOK: Final = (
     "Choose runs by clicking or drawing a box in any panel, or a session, kind or run in the list: they light up in "
     "every panel. Colours are kinds. The gap can be shown for any channel, and against any covariate."

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from bokeh.models import ColumnDataSource, Model
     from bokeh.plotting import figure
 
-__all__ = ["CauseBar", "PanelData", "interactive_panels"]
-
 #: Okabe and Ito's colours, told apart by colour-blind eyes too
 COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999")
 FADED: Final = 0.12

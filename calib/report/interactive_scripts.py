@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Final
 
-__all__ = ["CHOOSE", "ENLARGE", "LIGHT", "UNPACK"]
-
 #: selects the units of the chosen sessions, kinds and runs
 LIGHT: Final = """
 const rows = [];

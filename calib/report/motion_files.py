@@ -24,8 +24,6 @@ from calib.motion.studies.stood_in import stood_in
 from calib.motion.trajectory import write_tum
 from calib.report.figures.files import write_figures
 
-__all__ = ["replay_trajectories", "simulation_trajectories", "write_replay", "write_simulation"]
-
 
 def write_simulation(simulation: Simulation, folder: Path, *, force: bool) -> list[Path]:
     """Write the figures of a simulation with their numbers as CSV beside them, and everything as JSON.

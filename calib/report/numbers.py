@@ -9,24 +9,6 @@ from typing import Final
 
 from calib.report.blocks import Column
 
-__all__ = [
-    "MISSING",
-    "aligned",
-    "fixed",
-    "left",
-    "length",
-    "measured",
-    "percent",
-    "places",
-    "plural",
-    "probability",
-    "prose",
-    "readable",
-    "span",
-    "three_digits",
-    "two_digits",
-]
-
 MISSING: Final = "–"
 #: metres or radians from which on nobody wants thousandths
 LARGE: Final = 1.0

@@ -14,11 +14,8 @@ from calib.errors import CalibError
 from calib.files import to_json
 from calib.progress import Progress, silent, stepped
 from calib.report.content import Report
-from calib.report.figures.files import FORMS
 from calib.report.figures.files import write_figures as files_of
 from calib.report.figures.style import render
-
-__all__ = ["FORMS", "to_pdf", "write_figures"]
 
 #: PDF/A-3 at its accessible level: tagged, with alternative texts
 STANDARD: Final = "a-3a"

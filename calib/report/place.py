@@ -9,8 +9,6 @@ from typing import Final
 from calib.errors import BadInputError
 from calib.files import refuse_existing
 
-__all__ = ["DEFAULT_FOLDER", "file_name", "place_of"]
-
 DEFAULT_FOLDER: Final = Path("reports")
 LONGEST: Final = 80
 

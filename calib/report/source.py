@@ -26,8 +26,6 @@ from calib.report.stated import Logo, logo_of, stated_of, texts_of
 if TYPE_CHECKING:
     from calib.report.gap_findings import GapFindings
 
-__all__ = ["Source", "from_campaign", "issue_date", "source_of", "source_of_fit"]
-
 #: a PDF cannot carry an earlier date of creation
 FIRST_YEAR: Final = 1970
 

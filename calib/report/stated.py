@@ -11,8 +11,6 @@ from calib.campaign.model import Campaign
 from calib.errors import BadFileError
 from calib.files import inside
 
-__all__ = ["OPTIONAL", "STATED", "Logo", "logo_of", "signatures_of", "stated_of", "texts_of"]
-
 #: keys of the campaign's ``[report]`` section, and what a reader is told where one is missing
 STATED: Final[Mapping[str, str]] = {
     "laboratory": "name and address of the laboratory",

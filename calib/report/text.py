@@ -10,8 +10,6 @@ from typing import Final
 from calib.report.blocks import Block, Equation, Facts, Heading, Items, Notice, Picture, Section, Table, Text
 from calib.report.text_table import table_lines
 
-__all__ = ["EQUATIONS", "WIDTH", "Line", "plain", "text_lines", "to_text"]
-
 WIDTH: Final = 80
 #: widest column of names in a list of facts
 _NAME: Final = 26

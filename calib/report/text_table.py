@@ -9,8 +9,6 @@ from typing import Final
 
 from calib.report.blocks import Column, Table
 
-__all__ = ["table_lines"]
-
 GAP: Final = 2
 #: a column of texts beyond this width may be wrapped between words
 LONG: Final = 30

@@ -30,7 +30,7 @@ def _load(name: str) -> ModuleType:
 
 def _public(module: ModuleType) -> Iterator[tuple[str, object]]:
     """Yield what a module defines and offers, methods of its classes included."""
-    for name in getattr(module, "__all__", ()):
+    for name in [name for name in vars(module) if not name.startswith("_")]:
         thing = getattr(module, name)
         if getattr(thing, "__module__", None) != module.__name__:
             continue

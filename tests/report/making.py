@@ -7,17 +7,8 @@ from itertools import pairwise
 import numpy as np
 
 from calib.gap.data.channels import Channel
-from calib.gap.verdict.result import (
-    Cause,
-    ChannelClosure,
-    Closure,
-    Detectable,
-    Group,
-    PlannedRunAdvice,
-    Quantity,
-    Verdict,
-    VerdictKind,
-)
+from calib.gap.verdict.outcome import ChannelClosure, Closure, Detectable, Group, PlannedRunAdvice
+from calib.gap.verdict.result import Cause, Quantity, Verdict, VerdictKind
 from calib.gap.where.result import ChannelGap, CovariateLine, RunLine, Where
 from calib.report.gap_findings import GapFindings
 

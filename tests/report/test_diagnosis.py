@@ -9,7 +9,8 @@ from html import unescape
 import pytest
 
 from calib.gap.data.channels import Channel
-from calib.gap.verdict.result import Cause, Closure, PlannedRunAdvice, Quantity, Verdict, VerdictKind
+from calib.gap.verdict.outcome import Closure, PlannedRunAdvice
+from calib.gap.verdict.result import Cause, Quantity, Verdict, VerdictKind
 from calib.gap.where.result import ChannelGap, Where
 from calib.report.blocks import Notice, Picture, Section, Table
 from calib.report.content import compose

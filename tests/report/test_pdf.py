@@ -16,7 +16,8 @@ from calib.coefficients.file import load_coefficients
 from calib.files import to_json
 from calib.report.blocks import Column, Facts, Items, Notice, Section, Table, Text
 from calib.report.content import Report, compose
-from calib.report.pdf import FORMS, to_pdf, write_figures
+from calib.report.figures.files import FORMS
+from calib.report.pdf import to_pdf, write_figures
 from calib.report.source import Source
 
 HOSTILE = '#panic("x") $a^b$ *bold* _it_ @ref <lab> `raw` \\ \\u{41} // /* ~ [b] = h -- ... \'q\' #let " {{}} ümläut λ'

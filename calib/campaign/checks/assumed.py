@@ -7,8 +7,6 @@ from typing import Final
 
 from calib.campaign.model import Campaign, Note
 
-__all__ = ["WEIGHTY", "assumed_values", "relevant", "stand_ins"]
-
 #: keys that every radius or path scales with
 WEIGHTY: Final = ("vehicle.track_m", "vehicle.wheel_radius_m", "encoder.counts_per_rev")
 #: section -> columns of the run table or of logs that make its values matter

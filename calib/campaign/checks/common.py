@@ -9,8 +9,6 @@ import numpy as np
 from calib.arrays import FloatArray, StrArray
 from calib.campaign.model import Campaign, Note
 
-__all__ = ["SIDES", "Run", "listed", "load_label", "note", "raw_radius_ratio", "robust_spread"]
-
 SIDES: Final = ("left", "right")
 
 #: number of a run

@@ -14,8 +14,6 @@ from calib.campaign.model import Campaign, Note
 from calib.campaign.plausible_terms import stated
 from calib.campaign.read import log_totals
 
-__all__ = ["count_scale", "counts_against_log", "reversed_wheels", "swapped_wheels", "turn_direction"]
-
 #: radius found over nominal -> what usually lies behind it
 _FACTORS: Final = (
     (1.09361, "a distance in yards, or a nominal radius that is not this wheel's"),

@@ -9,8 +9,6 @@ import numpy as np
 from calib.campaign.checks.common import SIDES, load_label
 from calib.campaign.model import Campaign, Note
 
-__all__ = ["few_loads", "load_and_session", "model_against_vehicle"]
-
 
 def load_and_session(campaign: Campaign) -> Iterator[Note]:
     """Say where every session has one load, or loads were driven in one rising or falling order."""

@@ -10,8 +10,6 @@ from calib.campaign.checks.common import listed, note
 from calib.campaign.model import Campaign, Note
 from calib.campaign.wheels import WHEEL_COLUMNS, odometry_source, without_rear_wheels
 
-__all__ = ["distance_against_log", "distance_span", "missing_values"]
-
 
 def missing_values(campaign: Campaign) -> Iterator[Note]:
     """Say which runs lack counts, and which lack both a distance and an end pose."""

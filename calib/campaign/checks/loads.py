@@ -10,8 +10,6 @@ from calib.campaign.checks.common import SIDES, listed, note
 from calib.campaign.model import Campaign, Note
 from calib.campaign.read import loads_from_payload
 
-__all__ = ["loads_against_payload", "wheel_loads"]
-
 
 def wheel_loads(campaign: Campaign) -> Iterator[Note]:
     """Find loads that no rolling wheel has, and loads beyond the permitted one."""

@@ -11,8 +11,6 @@ from calib.campaign.checks.common import note
 from calib.campaign.model import Campaign, Note
 from calib.campaign.wheels import odometry_source, on_one_axle
 
-__all__ = ["clock", "count_jumps", "log_speed"]
-
 
 def clock(campaign: Campaign) -> Iterator[Note]:
     """Find gaps (the vehicle moved on), clock jumps (it did not), and time that stands or runs backwards."""

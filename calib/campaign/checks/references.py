@@ -12,8 +12,6 @@ from calib.arrays import BoolArray, FloatArray
 from calib.campaign.checks.common import per_rev, robust_spread
 from calib.campaign.model import Campaign, Note
 
-__all__ = ["distance_against_pose", "track_against_bows"]
-
 #: runs that must agree, and standard errors beyond which they do
 _LEAST: Final = 8
 _SIGMAS: Final = 6.0

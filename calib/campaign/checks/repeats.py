@@ -11,8 +11,6 @@ import numpy as np
 from calib.campaign.checks.common import SIDES, load_label, note, raw_radius_ratio, robust_spread
 from calib.campaign.model import Campaign, Note
 
-__all__ = ["far_from_repeats", "pasted_rows"]
-
 _FAR: Final = 6.0
 
 

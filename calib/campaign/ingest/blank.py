@@ -10,8 +10,6 @@ from calib.campaign.toml_text import to_toml
 from calib.errors import would_overwrite
 from calib.files import write_text
 
-__all__ = ["RUNS_HEADER", "write_blank"]
-
 #: columns of an empty run table; those that do not apply may be taken out
 RUNS_HEADER: Final = (
     "run_id",

@@ -13,8 +13,6 @@ from calib.arrays import BoolArray, FloatArray
 from calib.campaign.readers.times import moment_ns
 from calib.errors import BadFileError
 
-__all__ = ["METHODS", "Cut", "Piece", "cut_pieces", "parse_cut"]
-
 METHODS: Final = ("stops", "length", "column", "times")
 _NS: Final = 1_000_000_000
 #: counts that a standing wheel may toggle by

@@ -13,8 +13,6 @@ from calib.campaign.ingest.propose import Proposal, propose
 from calib.campaign.ingest.words import guessed_log_column, guessed_table_column
 from calib.errors import BadInputError
 
-__all__ = ["Description", "describe"]
-
 #: files of one kind that are read to the end; of more, the first and the last
 _READ_TO_THE_END: Final = 40
 _WIDTH: Final = 78

@@ -18,8 +18,6 @@ from calib.campaign.readers.times import TIME_FORMATS, time_format
 from calib.campaign.wraps import detect_wrap_bits
 from calib.errors import BadFileError
 
-__all__ = ["ColumnFound", "FileFound", "StreamFound", "look_into"]
-
 _TEXTS: int = 6
 _FEW_TEXTS: int = 40
 

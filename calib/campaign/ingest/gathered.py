@@ -8,8 +8,6 @@ from pathlib import PurePath
 
 from calib.campaign.model import Note
 
-__all__ = ["gathered"]
-
 _NUMBER = re.compile(r"(?<![\w.])[+-]?\d+(?:\.\d+)?(?![\w.:-])")
 
 

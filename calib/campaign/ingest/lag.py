@@ -9,8 +9,6 @@ import numpy as np
 
 from calib.arrays import FloatArray
 
-__all__ = ["Lag", "estimate_lag"]
-
 _BLOCKS: Final = 12
 _GOLDEN: Final = 0.6180339887498949
 _MOST_POINTS: Final = 40_000

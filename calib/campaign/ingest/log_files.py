@@ -13,8 +13,6 @@ from calib.campaign.readers import READERS, is_bag_folder
 from calib.errors import BadFileError, BadInputError
 from calib.files import sha256_file
 
-__all__ = ["expected_name", "listed_files", "match_logs", "run_number"]
-
 
 def listed_files(sources: Sequence[Path]) -> list[Path]:
     """Return the files that sources stand for: themselves, rosbag2 folders, and what lies in other folders.

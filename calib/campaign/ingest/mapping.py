@@ -46,8 +46,6 @@ from calib.errors import BadFileError
 from calib.files import inside
 from calib.units import SUFFIXES, split_suffix
 
-__all__ = ["COUNT_UNITS", "TABLE_COLUMNS", "Line", "LogFiles", "MappingFile", "bad_line", "read_mapping"]
-
 TABLE_COLUMNS: Final = (*LABEL_COLUMNS, *NUMERIC_COLUMNS, "excluded")
 
 #: what a wheel's column may hold instead of counts -> what it is, and how many turns one of its units makes

@@ -22,8 +22,6 @@ from calib.campaign.settings_file import Settings
 from calib.campaign.wraps import detect_wrap_bits, unwrap
 from calib.errors import BadFileError
 
-__all__ = ["Part", "cut_recordings"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Part:

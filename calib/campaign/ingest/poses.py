@@ -9,8 +9,6 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.campaign.ingest.cut import moving
 
-__all__ = ["end_values", "from_start"]
-
 _REFERENCE = ("ref_x_m", "ref_y_m", "ref_theta_rad")
 
 

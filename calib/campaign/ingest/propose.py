@@ -19,8 +19,6 @@ from calib.campaign.model import LOG_COLUMNS
 from calib.campaign.toml_text import to_toml
 from calib.units import SUFFIXES, split_suffix
 
-__all__ = ["Proposal", "propose"]
-
 #: message types whose poses measure from outside, best first; wheel odometry is no reference
 _POSES: Final = (
     "geometry_msgs/msg/PoseStamped",

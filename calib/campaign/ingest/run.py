@@ -28,8 +28,6 @@ from calib.errors import BadInputError
 from calib.files import refuse_existing, sha256_file, to_json
 from calib.progress import Progress, silent, stepped
 
-__all__ = ["Ingested", "ingest"]
-
 RECORD: Final = "ingest.json"
 RECORDINGS: Final = "recordings"
 

@@ -22,8 +22,6 @@ from calib.campaign.settings import Encoder
 from calib.campaign.wraps import detect_wrap_bits, unwrap
 from calib.errors import BadFileError
 
-__all__ = ["MappedLog", "read_mapped"]
-
 #: name under which the column that tells the runs is kept
 CUT: Final = "cut"
 _POSE: Final = ("ref_x_m", "ref_y_m")

@@ -17,8 +17,6 @@ from calib.campaign.readers import RawTable
 from calib.campaign.runs_file import run_table
 from calib.errors import BadFileError
 
-__all__ = ["mapped_runs", "names_runs", "without_repeats"]
-
 
 def names_runs(raw: RawTable, mapping: MappingFile) -> bool:
     """Return whether a table names runs, by the mapping or by calib's own name."""

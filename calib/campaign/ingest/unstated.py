@@ -9,8 +9,6 @@ from calib.campaign.columns import recognise
 from calib.campaign.ingest.found import FileFound
 from calib.campaign.model import LOG_COLUMNS
 
-__all__ = ["missing_lines", "settings_lines", "with_other_wheels"]
-
 #: keys that only the laboratory knows, with what they are
 _STATE: Final = {
     "vehicle": {

@@ -11,8 +11,6 @@ from calib.campaign.ingest.mapping import TABLE_COLUMNS
 from calib.campaign.model import LOG_COLUMNS
 from calib.units import SUFFIXES, split_suffix
 
-__all__ = ["DIRECTION_WORDS", "guessed_log_column", "guessed_table_column", "stem_and_unit"]
-
 _COUNTS: Final = r"(impuls|count|enc|tick|inkrement|increment|zaehl|pulse|wheel|rad_|joint|drehgeber)"
 
 #: column of the run table -> what its name may look like, letters lower and umlauts spelt out

@@ -16,8 +16,6 @@ from calib.campaign.readers.delimited import begins_with_its_header
 from calib.campaign.readers.table import LARGEST, RawTable, Wanted, refuse_duplicates
 from calib.errors import BadFileError
 
-__all__ = ["SUFFIX", "read_alike"]
-
 SUFFIX: Final = ".csv"
 #: what takes a file out: quotes, other ends of lines, other separators, no text, and a zero with a sign, which is one
 #: among decimals and none among whole numbers

@@ -17,8 +17,6 @@ from calib.campaign.readers.layout import LOOKED_AT, Layout, find_delimiter, fin
 from calib.campaign.readers.table import LARGEST, RawTable, Wanted, made_numeric, refuse_duplicates
 from calib.errors import BadFileError
 
-__all__ = ["begins_with_its_header", "read"]
-
 _NAMES: Final = {",": "commas", ";": "semicolons", "\t": "tabs"}
 _MAX_BYTES: Final = 4 << 30
 #: bytes in which the header is looked for

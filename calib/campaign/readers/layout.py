@@ -11,8 +11,6 @@ from typing import Any, Final
 from calib.campaign.readers.times import time_format
 from calib.units import SUFFIXES
 
-__all__ = ["Layout", "find_delimiter", "find_header", "is_number", "with_units"]
-
 #: rows looked at in search of the header
 LOOKED_AT: Final = 60
 _NUMBER: Final = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?", re.ASCII)

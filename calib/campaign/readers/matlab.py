@@ -14,8 +14,6 @@ from calib.campaign.readers.matlab_elements import damage
 from calib.campaign.readers.recording import Recording, Stream, matrix_columns
 from calib.errors import BadFileError
 
-__all__ = ["record"]
-
 _NUMERIC: Final = frozenset(
     {"double", "single", "logical", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))}
 )

@@ -8,8 +8,6 @@ from typing import Final
 
 from calib.limits import MATLAB_UNPACKED_BYTES
 
-__all__ = ["damage"]
-
 _HEADER: Final = 128
 _TAG: Final = 8
 _INT32, _UINT32, _MATRIX, _COMPRESSED = 5, 6, 14, 15

@@ -12,8 +12,6 @@ from calib.campaign.readers.recording import NS_PER_S
 from calib.campaign.readers.table import RawTable, Wanted, numbers, refuse_duplicates
 from calib.errors import BadFileError
 
-__all__ = ["read"]
-
 _MAX_ROWS: Final = 200_000_000
 #: below this many rows threads cost more than they save
 _MANY_ROWS: Final = 100_000

@@ -14,21 +14,6 @@ from calib.campaign.model import Note
 from calib.campaign.readers.table import RawTable
 from calib.errors import BadFileError
 
-__all__ = [
-    "GAP_STEPS",
-    "NS_PER_S",
-    "UNREAD",
-    "ClockReport",
-    "Recording",
-    "Stream",
-    "WantedColumns",
-    "in_order",
-    "interpolated",
-    "joined_table",
-    "matrix_columns",
-    "refuse_nothing",
-]
-
 NS_PER_S: Final = 1_000_000_000
 #: a step is a gap where it exceeds so many usual steps
 GAP_STEPS: Final = 5.0

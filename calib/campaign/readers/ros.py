@@ -17,8 +17,6 @@ from calib.campaign.readers.recording import UNREAD, Recording, Stream, WantedCo
 from calib.campaign.readers.ros_messages import POSE, SUPPORTED, UNITS, finished, parts
 from calib.errors import BadFileError
 
-__all__ = ["record"]
-
 #: stamps of most messages have to be set for the stamps to be the clock
 _STAMPED: Final = 0.99
 

@@ -11,8 +11,6 @@ import numpy as np
 
 from calib.arrays import FloatArray
 
-__all__ = ["POSE", "SUPPORTED", "Part", "finished", "parts"]
-
 #: a part of a message: suffix of its stream, names of its columns, its numbers, the nanoseconds of its stamp or None
 Part = tuple[str, tuple[str, ...], Sequence[float], "int | None"]
 

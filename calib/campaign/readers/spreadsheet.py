@@ -13,8 +13,6 @@ from calib.campaign.readers.table import RawTable, Wanted, made_numeric, refuse_
 from calib.campaign.readers.workbook_size import weigh
 from calib.errors import BadFileError
 
-__all__ = ["read"]
-
 
 def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTable:
     """Read a sheet of a workbook; see `calib.campaign.readers.read_table`."""

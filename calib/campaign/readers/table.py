@@ -15,8 +15,6 @@ from calib.campaign.readers.times import TIME_FORMATS, moments_ns, time_format
 from calib.errors import BadFileError
 from calib.limits import COLUMNS, refuse_beyond
 
-__all__ = ["LARGEST", "RawTable", "Wanted", "comma_evidence", "made_numeric", "numbers", "refuse_duplicates"]
-
 Wanted = Callable[[str], bool]
 
 #: nothing measured is larger; a cell that is has been spoilt, and would overflow later

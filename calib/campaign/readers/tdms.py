@@ -15,8 +15,6 @@ from calib.campaign.model import Note
 from calib.campaign.readers.recording import Recording, Stream
 from calib.errors import BadFileError
 
-__all__ = ["record"]
-
 _NS: Final = 1_000_000_000
 _FROM_1904_S: Final = 2_082_844_800
 #: samples read at a time, so that a channel is never held twice

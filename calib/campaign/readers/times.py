@@ -11,8 +11,6 @@ import numpy.typing as npt
 
 from calib.arrays import IntArray
 
-__all__ = ["TIME_FORMATS", "decimal_ns", "moment_ns", "moments_ns", "time_format"]
-
 _NS: Final = 1_000_000_000
 _CLOCK: Final = r"(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,](\d{1,9}))?)?"
 _ZONE: Final = r"\s*(Z|UTC|[+-]\d{2}:?\d{2}|[+-]\d{2})?"

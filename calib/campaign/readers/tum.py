@@ -13,8 +13,6 @@ from calib.campaign.readers.ros_messages import POSE, finished
 from calib.campaign.readers.times import decimal_ns
 from calib.errors import BadFileError
 
-__all__ = ["record"]
-
 _WIDTH: Final = 1 + len(POSE)
 
 

@@ -13,8 +13,6 @@ from typing import Final
 from calib.errors import BadFileError
 from calib.limits import SHEET_CELLS, SHEET_EMPTY, SHEET_UNPACKED_BYTES, SHEETS, refuse_beyond
 
-__all__ = ["weigh"]
-
 #: parts of the archive that hold cells and their texts; all others describe, and are small
 _SHEET: Final = re.compile(r"(?i)/?xl/worksheets/[^/]*\.xml")
 _TEXTS: Final = re.compile(r"(?i)/?xl/sharedstrings\.xml")

@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
-__all__ = ["Answer", "answer_of"]
-
 #: verdicts that name no cause
 SILENT: Final = ("no_gap", "undecided", "unknown")
 #: verdicts that see no gap

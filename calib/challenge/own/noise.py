@@ -10,8 +10,6 @@ import numpy as np
 from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.gap.data.observations import Observations
 
-__all__ = ["OwnNoise", "own_noise"]
-
 #: with fewer units to draw from, the draws repeat one another: the next wider circle is taken
 ENOUGH: Final = 8
 

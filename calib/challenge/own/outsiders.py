@@ -11,8 +11,6 @@ from calib.arrays import FloatArray, IntArray
 from calib.challenge.own.replay import Replay
 from calib.plant.world import Moment, World
 
-__all__ = ["OUTSIDERS", "SizedAct", "column_act", "outsiders"]
-
 #: changes a world by a size
 SizedAct = Callable[[World, float], None]
 

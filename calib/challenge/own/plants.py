@@ -21,8 +21,6 @@ from calib.plant.effects.registry import effects as plant_effects
 from calib.plant.effects.registry import forms_of
 from calib.plant.signal import CALIBRATION, strength
 
-__all__ = ["Plant", "Size", "absorbed_by_calibration", "parse_sizes", "plants_of", "signal_of"]
-
 #: what the counts alone cannot be made to show, or what a drive has to be planned for
 NOT_PLANTED: Final = {
     "encoder_gross": "a gross fault is found before the search, by trial",

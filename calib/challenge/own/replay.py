@@ -19,8 +19,6 @@ from calib.gap.data.observations import Observations
 from calib.plant.design import Design
 from calib.plant.world import Moment, World, build_world
 
-__all__ = ["Replay", "Route", "design_of", "route_of", "world_of"]
-
 #: the log's speed is smoothed over so long before it is differentiated: counters come in whole steps
 SMOOTH_S: Final = 0.5
 #: a unit that turns by less goes straight

@@ -10,8 +10,6 @@ from calib.challenge.intervals import clopper_pearson
 from calib.challenge.own.answers import Answer
 from calib.challenge.own.plants import Plant
 
-__all__ = ["Found", "Own", "found_of"]
-
 FORMAT: Final = "calib-challenge-own/1"
 #: more false alarms, or wrong names, than this share are a finding
 ALLOWED: Final = 0.05

@@ -23,8 +23,6 @@ from calib.gap.data.observations import Observations
 from calib.gap.diagnose import diagnose_in_full
 from calib.gap.diagnosis import Diagnosis
 
-__all__ = ["SIZES", "Asked", "challenge_own"]
-
 #: sizes by default: hardly seen, seen, strong
 SIZES: Final = "5s,10s,25s"
 #: empty campaigns for each round of plants

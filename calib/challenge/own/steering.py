@@ -9,8 +9,6 @@ import numpy as np
 from calib.arrays import FloatArray, IntArray
 from calib.plant.world import World
 
-__all__ = ["true_angles"]
-
 #: the sensor has turned round once it came back by this, or by so many standard deviations of its noise
 TURNED_RAD: Final = 2e-3
 TURNED_STD: Final = 6.0

@@ -8,8 +8,6 @@ if TYPE_CHECKING:
     from calib.challenge.score import Score
     from calib.report.blocks import Block
 
-__all__ = ["score_content"]
-
 _MET: Final = {True: "met", False: "MISSED", None: ""}
 
 

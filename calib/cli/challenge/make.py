@@ -8,11 +8,10 @@ from typing import Annotated
 import typer
 
 from calib.cli.challenge.options import Cases, Truth, Workers
-from calib.cli.options import Force, JsonTarget, refuse_existing
+from calib.cli.options import Force, JsonTarget
 from calib.cli.terminal import emit_json, progress, say
 from calib.cli.threads import one_blas_thread
-
-__all__ = ["EPILOG", "run"]
+from calib.files import refuse_existing
 
 EPILOG = "Example: calib challenge make --seeds calib/challenge/seeds/development.toml --into blind --cases 40"
 

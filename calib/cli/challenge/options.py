@@ -7,8 +7,6 @@ from typing import Annotated
 
 import typer
 
-__all__ = ["Cases", "Folder", "Truth", "Workers"]
-
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="A set made by 'calib challenge make'.")]
 Cases = Annotated[int | None, typer.Option("--cases", metavar="N", min=1, help="Only so many cases.")]
 Workers = Annotated[int, typer.Option("--workers", metavar="N", min=1, help="Processes.")]

@@ -8,15 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from calib.cli.challenge.options import Workers
-from calib.cli.options import Force, JsonTarget, refuse_existing
+from calib.cli.options import Force, JsonTarget
 from calib.cli.terminal import emit_json, note, progress, show
 from calib.cli.threads import one_blas_thread
+from calib.files import refuse_existing
 
 if TYPE_CHECKING:
     from calib.challenge.own.result import Own
     from calib.report.blocks import Block
-
-__all__ = ["EPILOG", "run"]
 
 EPILOG = "Example: calib challenge own sample_runs/yard --effects track_width,temperature_radius --planted 3"
 

@@ -9,11 +9,10 @@ import typer
 
 from calib.cli.challenge.board import score_content
 from calib.cli.challenge.options import Folder, Truth
-from calib.cli.options import Force, JsonTarget, refuse_existing
+from calib.cli.options import Force, JsonTarget
 from calib.cli.terminal import emit_json, show, wrote
 from calib.cli.threads import one_blas_thread
-
-__all__ = ["EPILOG", "run"]
+from calib.files import refuse_existing
 
 EPILOG = "Example: calib challenge score blind --plot blind.png --json blind-score.json"
 

@@ -7,11 +7,10 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.options import Force, JsonTarget, refuse_existing
+from calib.cli.options import Force, JsonTarget
 from calib.cli.terminal import emit_json, keep, progress, show, wants_stdout, wrote
 from calib.cli.threads import one_blas_thread
-
-__all__ = ["EPILOG", "run"]
+from calib.files import refuse_existing
 
 EPILOG = "Example: calib fleet run vehicles --into fleet --workers 2"
 

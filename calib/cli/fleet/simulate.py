@@ -7,10 +7,9 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.options import Force, JsonTarget, Seed, refuse_existing
+from calib.cli.options import Force, JsonTarget, Seed
 from calib.cli.terminal import emit_json, waiting, wrote
-
-__all__ = ["EPILOG", "run"]
+from calib.files import refuse_existing
 
 EPILOG = "Example: calib fleet simulate --into vehicles --vehicles 400 --seed 1"
 

@@ -15,8 +15,6 @@ from calib.errors import BadInputError
 if TYPE_CHECKING:
     from calib.motion.studies.run import Simulation
 
-__all__ = ["DRAWS", "SPEED_MPS", "Draws", "Law", "Output", "Routes", "Speed", "Targets", "Track", "Tum", "finish"]
-
 SPEED_MPS: Final = 0.5
 DRAWS: Final = 20_000
 

@@ -7,12 +7,11 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.options import Force, JsonTarget, Seed, numbers, pairs, refuse_existing
+from calib.cli.options import Force, JsonTarget, Seed, numbers, pairs
 from calib.cli.simulate.common import DRAWS, SPEED_MPS, Draws, Output, Routes, Speed, Targets, Track, Tum, finish
 from calib.cli.terminal import waiting
 from calib.errors import BadInputError
-
-__all__ = ["EPILOG", "run"]
+from calib.files import refuse_existing
 
 EPILOG = "Example: calib simulate journey figure8 --law sample_runs/corridor --payload-at 5,100,0.5,0.1"
 

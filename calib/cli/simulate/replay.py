@@ -7,11 +7,10 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.options import Force, JsonTarget, Seed, refuse_existing
+from calib.cli.options import Force, JsonTarget, Seed
 from calib.cli.simulate.common import Law, Output, Tum
 from calib.cli.terminal import emit_json, show, waiting, wants_stdout, wrote
-
-__all__ = ["EPILOG", "run"]
+from calib.files import refuse_existing
 
 EPILOG = "Example: calib simulate replay sample_runs/corridor_crossed --law coefficients.json --output replay"
 

@@ -6,11 +6,10 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.options import Force, JsonTarget, numbers, refuse_existing
+from calib.cli.options import Force, JsonTarget, numbers
 from calib.cli.simulate.common import SPEED_MPS, Output, Routes, Speed, Targets, Track, Tum, finish
 from calib.errors import BadInputError
-
-__all__ = ["EPILOG", "run"]
+from calib.files import refuse_existing
 
 EPILOG = "Example: calib simulate route square_cw square_ccw --real 0.099,0.1 --output squares"
 

@@ -6,12 +6,11 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.options import Force, JsonTarget, Seed, nearest, pairs, refuse_existing
+from calib.cli.options import Force, JsonTarget, Seed, nearest, pairs
 from calib.cli.simulate.common import DRAWS, SPEED_MPS, Draws, Law, Output, Speed, Targets, Track, Tum, finish
 from calib.cli.terminal import waiting
 from calib.errors import BadInputError
-
-__all__ = ["EPILOG", "run"]
+from calib.files import refuse_existing
 
 EPILOG = "Example: calib simulate study corrected --law sample_runs/corridor --output section7"
 

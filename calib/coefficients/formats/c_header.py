@@ -14,8 +14,6 @@ from calib.coefficients.sections import WheelSection
 from calib.errors import RefusedError
 from calib.radius.law import JOINT
 
-__all__ = ["BODY_NAME", "FixedPoint", "fixed_point", "render"]
-
 #: see `calib.coefficients.formats`
 AXLE_ONLY: Final = True
 

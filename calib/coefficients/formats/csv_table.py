@@ -12,8 +12,6 @@ from calib.errors import RefusedError
 from calib.files import csv_text
 from calib.radius.law import WheelLaw
 
-__all__ = ["COLUMNS", "render"]
-
 #: see `calib.coefficients.formats`
 AXLE_ONLY: Final = True
 

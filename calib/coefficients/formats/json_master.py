@@ -5,8 +5,6 @@ from __future__ import annotations
 from calib.coefficients.file import CoefficientFile
 from calib.coefficients.loads import Artifact, ExportOptions
 
-__all__ = ["render"]
-
 
 def render(file: CoefficientFile, options: ExportOptions) -> tuple[Artifact, ...]:
     """Return the coefficient file; it holds the whole law, so `options` change nothing."""

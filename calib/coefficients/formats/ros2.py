@@ -14,8 +14,6 @@ from calib.coefficients.formats.ros2_controllers import CONTROLLERS, OF_DRIVE, O
 from calib.coefficients.loads import Artifact, ExportOptions, LoadPair, accepted_lines, ascii_line, default_loads
 from calib.errors import BadInputError
 
-__all__ = ["render"]
-
 INDENT: Final = " " * 4
 
 

@@ -11,8 +11,6 @@ from calib.coefficients.loads import ExportOptions, LoadPair, number
 from calib.errors import RefusedError
 from calib.geometry.drives import STEERING_SCALE
 
-__all__ = ["CONTROLLERS", "OF_DRIVE", "OF_FRONT"]
-
 #: parameters that are the track, or make it
 TRACKS: Final = ("track_m", "half_length_plus_half_width_m")
 

@@ -22,19 +22,6 @@ from calib.coefficients.loads import LoadPair
 from calib.geometry.drives import STEERING_SCALE
 from calib.radius.law import WheelLaw
 
-__all__ = [
-    "SPEED_MPS",
-    "TURN_RAD",
-    "TURN_RATE_RADPS",
-    "UNSEEN",
-    "WAY_M",
-    "WINDOW_S",
-    "Diagonals",
-    "mecanum_diagonals",
-    "rear_diagonals",
-    "steered_diagonals",
-]
-
 #: way and turning after which the variances of the pose are stated: an aisle and the corner at its end
 WAY_M: Final = 10.0
 TURN_RAD: Final = math.pi / 2.0

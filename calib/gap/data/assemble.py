@@ -26,8 +26,6 @@ from calib.gap.data.straightness import heading_by_straightness, weave_of_log, w
 from calib.gap.data.unit import CountsPerRadian, Unit
 from calib.gap.data.wheel_loads import filled_loads
 
-__all__ = ["assemble"]
-
 _LABELS = ("run_id", "session", "kind", "direction")
 
 

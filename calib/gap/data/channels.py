@@ -5,8 +5,6 @@ from __future__ import annotations
 from enum import IntEnum
 from typing import Final
 
-__all__ = ["N_CHANNELS", "POSE", "Channel"]
-
 
 class Channel(IntEnum):
     """A channel; its value is its column in arrays of shape (n_units, n_channels).

@@ -12,8 +12,6 @@ import numpy as np
 from calib.arrays import BoolArray, FloatArray, IntArray, StrArray
 from calib.vehicle import Vehicle
 
-__all__ = ["Driven", "joined", "lane_names", "levels", "load_width_N", "measured_speed", "routes", "speed_width_mps"]
-
 #: places along a route at which two are compared
 KNOTS: Final = 10
 #: routes are alike within this share of their length, at every place

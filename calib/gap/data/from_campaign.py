@@ -24,8 +24,6 @@ from calib.gap.data.reference_poses import (
 from calib.gap.data.unit import CountsPerRadian, Unit, log_rows, unit_from_log, unit_from_row
 from calib.gap.data.windows import FEW_RUNS, cut, whole, window_length_m
 
-__all__ = ["observations_of"]
-
 #: what the wheels may still roll after the last pose of the reference, so that it counts as the end pose
 AT_THE_END_M = 1e-3
 #: with fewer runs than this driven like another one, recordings are cut into windows

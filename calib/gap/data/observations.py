@@ -16,8 +16,6 @@ from calib.campaign.settings import OdometryModel
 from calib.units import GRAVITY_MPS2
 from calib.vehicle import Vehicle
 
-__all__ = ["CHANNELS", "STRAIGHT_RAD", "Observations"]
-
 #: channels of a residual: distance by laser; along, left of and heading of the end pose; front wheel against rear
 CHANNELS: Final = ("distance", "along", "lateral", "heading", "front", "steering")
 

@@ -13,8 +13,6 @@ from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel, Reference
 from calib.gap.data.unit import CountsPerRadian, log_rows
 
-__all__ = ["ReferencePoses", "end_pose_of_vehicle", "poses_are_in_a_map", "reference_poses", "relative_pose"]
-
 #: a log needs so many poses for a reference of its own
 FEWEST_POSES: Final = 3
 #: a first pose so far from nought, in stated uncertainties, was not taken in the frame of the run's start

@@ -12,8 +12,6 @@ import numpy as np
 
 from calib.arrays import BoolArray, FloatArray, IntArray
 
-__all__ = ["ASSUMED_LATERAL_M", "heading_by_straightness", "weave_of_log", "were_led_straight"]
-
 #: how far a run led along a corridor is taken to stray from its line, where nobody says
 ASSUMED_LATERAL_M: Final = 0.05
 #: wheels that differ by no more than this share may have rolled a straight line

@@ -13,8 +13,6 @@ from calib.campaign.model import RunTable
 from calib.campaign.settings import Encoder
 from calib.campaign.wheels import ASIDE
 
-__all__ = ["MAX_STEPS", "CountsPerRadian", "Unit", "log_rows", "thinned", "unit_from_log", "unit_from_row"]
-
 #: a log is thinned to so many steps; the arcs between are exact for what the wheels really rolled
 MAX_STEPS: Final = 400
 #: steps of a run whose totals alone are known

@@ -8,8 +8,6 @@ from calib.arrays import FloatArray
 from calib.campaign.model import Campaign
 from calib.vehicle import wheel_loads_N
 
-__all__ = ["filled_loads"]
-
 
 def filled_loads(campaign: Campaign) -> tuple[FloatArray, FloatArray, bool]:
     """Return the wheel loads of all runs, each shape (n_runs,), and whether any of them is known."""

@@ -14,8 +14,6 @@ from calib.campaign.settings import Reference
 from calib.gap.data.reference_poses import ReferencePoses, relative_pose
 from calib.gap.data.unit import CountsPerRadian, Unit, log_rows, unit_from_log
 
-__all__ = ["FEW_RUNS", "WINDOW_M", "cut", "whole", "window_length_m"]
-
 #: with fewer runs than this, recordings are cut into windows
 FEW_RUNS: Final = 12
 #: longest window

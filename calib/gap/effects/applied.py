@@ -22,8 +22,6 @@ from calib.gap.predict.push import Push
 if TYPE_CHECKING:
     from calib.coefficients.sections import EffectSection
 
-__all__ = ["applied_pushes", "matching_form", "model_of", "section_of", "with_effects"]
-
 #: settings that say where a covariate's effect is nought, added to a form's own
 CENTRE: Final = "centre"
 SPREAD: Final = "spread"

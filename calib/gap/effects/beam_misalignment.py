@@ -7,8 +7,6 @@ from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.family import Family
 from calib.gap.effects.shapes import laser_share
 
-__all__ = ["BeamMisalignment"]
-
 
 class BeamMisalignment(Effect):
     """The laser reads the distance over cos(alpha); the parameter is 1 / cos(alpha) - 1, never negative."""

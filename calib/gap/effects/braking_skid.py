@@ -12,8 +12,6 @@ from calib.gap.effects.shapes import curvature_per_m, driven_speed_mps, stands_m
 from calib.gap.predict.path import Path
 from calib.gap.predict.push import Push
 
-__all__ = ["BrakingSkid", "stops"]
-
 
 class BrakingSkid(Effect):
     """A slide at each stop, the same at every stop or growing with the square of the speed before it.

@@ -10,8 +10,6 @@ from calib.gap.effects.radius_scale import RadiusScale
 from calib.gap.effects.track_width import TrackWidth
 from calib.gap.effects.unequal_radii import UnequalRadii
 
-__all__ = ["DIRECTIONS", "HIDES_IN", "NAMES", "TYPICAL"]
-
 _OWN: Final = (RadiusScale, UnequalRadii, TrackWidth)
 NAMES: Final = tuple(effect.id for effect in _OWN)
 #: each as a change of (left radius, right radius, track, front radius) per unit, shape (3, 4)

@@ -17,8 +17,6 @@ from calib.gap.effects.signatures import EffectSignature, signature_of
 from calib.gap.effects.user import Declared, entry_point_origins
 from calib.gap.predict.path import Path
 
-__all__ = ["LIBRARY", "Entry", "catalogue", "kind_changes"]
-
 #: origin of the registered effects
 LIBRARY: Final = "the library"
 

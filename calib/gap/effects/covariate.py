@@ -13,8 +13,6 @@ from calib.gap.effects.family import Family
 from calib.gap.predict.path import Path
 from calib.gap.predict.push import Push
 
-__all__ = ["ACTS_ON", "Covariate", "column_of", "covariate_columns", "covariate_effects"]
-
 PREFIX: Final = "covariate:"
 ACTS_ON: Final = ("both radii", "left radius", "right radius", "yaw per metre")
 

@@ -13,8 +13,6 @@ from calib.gap.predict.path import Path
 from calib.gap.predict.push import Push
 from calib.units import GRAVITY_MPS2
 
-__all__ = ["CurveLoadTransfer"]
-
 
 class CurveLoadTransfer(Effect):
     """dF = W v^2 kappa h / (g b) from the inner to the outer rear wheel, dr = c dF: e_theta ~ W v^2 theta.

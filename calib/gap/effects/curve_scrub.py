@@ -12,8 +12,6 @@ from calib.gap.effects.shapes import curvature_per_m, shows_curves
 from calib.gap.predict.path import Path
 from calib.gap.predict.push import Push
 
-__all__ = ["CurveScrub"]
-
 
 class CurveScrub(Effect):
     """b (1 + k |kappa|), so e_theta = -k |kappa| theta."""

@@ -11,8 +11,6 @@ from calib.gap.effects.family import Family
 from calib.gap.effects.steering import excess, front_travel_m, has_front
 from calib.gap.predict.push import Push
 
-__all__ = ["DriveSlip"]
-
 
 class DriveSlip(Effect):
     """The front wheel counts a share s = F_x / C more than it travels; only the front channels see it.

@@ -15,8 +15,6 @@ from calib.gap.effects.family import Family
 from calib.gap.predict.path import Path
 from calib.gap.predict.push import Push
 
-__all__ = ["Centre", "Effect", "Form", "Parameter", "varies"]
-
 
 @dataclass(frozen=True, slots=True)
 class Parameter:

@@ -15,8 +15,6 @@ from calib.gap.effects.family import Family
 from calib.gap.predict.path import Path, predict
 from calib.gap.predict.residuals import residuals
 
-__all__ = ["EncoderGross", "GrossFault", "corrected", "find_gross"]
-
 FACTORS: Final = {"2": 2.0, "4": 4.0, "pi": np.pi, "1/2": 0.5, "1/4": 0.25, "1/pi": 1 / np.pi, "10": 10.0, "1/10": 0.1}
 _SWAPPED: Final = "swapped wheels"
 #: a fault is gross where runs are off by more than this share of their length (or of a radian) on average

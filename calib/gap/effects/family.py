@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from enum import StrEnum
 
-__all__ = ["Family"]
-
 
 class Family(StrEnum):
     """Effects that act through the same thing, so that one stands in for another where the runs vary too little.

@@ -12,9 +12,6 @@ from calib.gap.data.driven_alike import LENGTH_SHARE
 from calib.gap.data.observations import Observations
 from calib.gap.predict.path import LED_STRAIGHT_RAD, Path
 
-__all__ = ["common_frame", "far_end_m", "floor_place", "is_back", "lanes", "map_heading_rad"]
-
-
 #: a kind that ends so is driven on another lane of the same floor
 _LANE: Final = re.compile(r"_([b-z]|\d+)$")
 

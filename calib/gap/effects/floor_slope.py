@@ -14,8 +14,6 @@ from calib.gap.effects.floor import common_frame, map_heading_rad
 from calib.gap.predict.path import Path, predict
 from calib.gap.predict.push import Push
 
-__all__ = ["FloorSlope"]
-
 
 class FloorSlope(Effect):
     """By the heading phi on the floor: both radii ~ cos(phi - phi_0) with phi_0 downhill, a pull ~ sin(phi - phi_0).

@@ -13,8 +13,6 @@ from calib.gap.effects.family import Family
 from calib.gap.effects.floor import common_frame
 from calib.gap.predict.push import Push
 
-__all__ = ["FloorUndulation"]
-
 _MOST: Final = 8
 #: a run that turns by more than this in all, to and fro, is no lane
 _BENT_RAD: Final = 2.5

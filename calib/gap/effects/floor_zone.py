@@ -15,8 +15,6 @@ from calib.gap.effects.floor import common_frame, far_end_m, floor_place, lanes,
 from calib.gap.predict.path import Path, predict
 from calib.gap.predict.push import Push
 
-__all__ = ["CELL_M", "MOST_FORMS", "FloorZone"]
-
 CELL_M: Final = 2.0
 MOST_FORMS: Final = 40
 _FEWEST_UNITS: Final = 3

@@ -11,8 +11,6 @@ from calib.gap.effects.shapes import start_to_end_frame
 from calib.gap.predict.path import Path, predict
 from calib.gap.predict.push import Push
 
-__all__ = ["IntegrationScheme"]
-
 
 class IntegrationScheme(Effect):
     """Exact arcs less steps along the heading at their end (Eq. 7 as printed) or start (Euler): e_n ~ v dt theta / 2.

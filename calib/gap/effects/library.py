@@ -16,18 +16,6 @@ from calib.gap.effects.user import declared_effects, entry_point_effects
 from calib.gap.predict.path import Path
 from calib.limits import COVARIATES, refuse_beyond
 
-__all__ = [
-    "REGISTRY",
-    "check_excluded",
-    "effect_class",
-    "every_effect",
-    "fault_before_search",
-    "library",
-    "steps_by_session",
-    "title_of",
-    "turned_before_search",
-]
-
 #: id -> class; the order is the order of listings
 REGISTRY: Final[dict[str, str]] = {
     "radius_scale": "calib.gap.effects.radius_scale.RadiusScale",

@@ -13,8 +13,6 @@ from calib.gap.effects.family import Family
 from calib.gap.effects.scales import softness
 from calib.gap.predict.push import Push
 
-__all__ = ["LoadCreep"]
-
 TIMES_MIN: Final = (3.0, 10.0, 30.0, 90.0)
 
 

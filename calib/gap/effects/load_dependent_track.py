@@ -9,8 +9,6 @@ from calib.gap.effects.scales import softness
 from calib.gap.effects.shapes import shows_curves
 from calib.gap.predict.push import Push
 
-__all__ = ["LoadDependentTrack"]
-
 
 class LoadDependentTrack(Effect):
     """b (1 + k (F - F_0)), F the load of both rear wheels, F_0 twice the reference load of a wheel."""

@@ -8,8 +8,6 @@ from calib.gap.effects.family import Family
 from calib.gap.effects.load_slopes import slope_parameters
 from calib.gap.predict.push import Push
 
-__all__ = ["LoadRadius"]
-
 
 class LoadRadius(Effect):
     """dr_i = c_i (F_i - F_0), each wheel its own c and either sign: e_s ~ S dF, e_theta ~ S (F_R - F_L) / b."""

@@ -13,8 +13,6 @@ from calib.gap.effects.family import Family
 from calib.gap.effects.load_slopes import slope_parameters
 from calib.gap.predict.push import Push
 
-__all__ = ["LoadRadiusNonlinear"]
-
 EXPONENTS: Final = (0.5, 0.7, 0.85, 2.0)
 
 

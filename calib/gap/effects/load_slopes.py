@@ -13,8 +13,6 @@ from calib.gap.effects.scales import softness
 from calib.gap.predict.path import Path
 from calib.vehicle import wheel_loads_N
 
-__all__ = ["NOMINAL_PER_N", "payload_load_N", "radius_slopes_m_per_N", "slope_parameters"]
-
 #: relative slope where neither the model nor the hypothesis has any
 NOMINAL_PER_N: Final = 1e-5
 

@@ -11,8 +11,6 @@ from calib.gap.effects.family import Family
 from calib.gap.effects.shapes import driven_speed_mps
 from calib.gap.predict.push import Push
 
-__all__ = ["LostCounts"]
-
 
 class LostCounts(Effect):
     """One wheel travels a share p more than its counts say: p constant, or growing with the speed above v_0.

@@ -12,8 +12,6 @@ from calib.gap.effects.shapes import distance_m, start_to_end_frame
 from calib.gap.predict.path import Path, predict
 from calib.gap.predict.push import Push
 
-__all__ = ["PathWeave", "sine_excess"]
-
 
 class PathWeave(Effect):
     """Wheels roll (pi A / lambda)^2 further than the distance shows; the parameter is the share of the known weave.

@@ -14,8 +14,6 @@ from calib.gap.effects.load_slopes import payload_load_N, radius_slopes_m_per_N
 from calib.gap.predict.path import Path
 from calib.gap.predict.push import Push
 
-__all__ = ["PayloadMass"]
-
 _MOST: Final = 6
 
 

@@ -13,8 +13,6 @@ from calib.gap.predict.path import Path
 from calib.gap.predict.push import Push
 from calib.units import GRAVITY_MPS2
 
-__all__ = ["PayloadPosition"]
-
 
 class PayloadPosition(Effect):
     """All payloads stand dy further left or dx further ahead: the loads shift, and with them the radii.

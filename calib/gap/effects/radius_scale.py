@@ -9,8 +9,6 @@ from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.family import Family
 from calib.gap.predict.push import Push
 
-__all__ = ["RadiusScale"]
-
 
 class RadiusScale(Effect):
     """e_s = -eps S, no heading error apart from the turn's own scale (calibration, absorbed by both radii)."""

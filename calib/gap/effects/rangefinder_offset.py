@@ -9,8 +9,6 @@ from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.family import Family
 from calib.gap.predict.push import Push
 
-__all__ = ["RangefinderOffset"]
-
 
 class RangefinderOffset(Effect):
     """The laser reads a constant too much, whatever the distance; end poses do not change."""

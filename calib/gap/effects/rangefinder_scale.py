@@ -7,8 +7,6 @@ from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.family import Family
 from calib.gap.effects.shapes import laser_share
 
-__all__ = ["RangefinderScale"]
-
 
 class RangefinderScale(Effect):
     """The laser reads (1 + k) times the distance; end poses do not change."""

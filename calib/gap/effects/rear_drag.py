@@ -10,8 +10,6 @@ from calib.gap.effects.family import Family
 from calib.gap.predict.path import Path
 from calib.gap.predict.push import Push
 
-__all__ = ["RearDrag"]
-
 
 class RearDrag(Effect):
     """One wheel travels a share more for its counts, in one rolling sense only.

@@ -11,8 +11,6 @@ from calib.gap.effects.shapes import end_motion, stands_mps, start_motion, start
 from calib.gap.predict.path import Path
 from calib.gap.predict.push import Push
 
-__all__ = ["ReferenceLatency"]
-
 
 class ReferenceLatency(Effect):
     """The reading is tau old (or, below 0, ahead of the counts): e_s = -tau v_end and e_theta = -tau omega_end.

@@ -13,8 +13,6 @@ from calib.gap.effects.shapes import start_to_end_frame
 from calib.gap.predict.path import Path, predict
 from calib.gap.predict.push import Push
 
-__all__ = ["ReferenceLeverArm"]
-
 
 class ReferenceLeverArm(Effect):
     """A point l = (l_x, l_y) of the vehicle is read instead of its origin: the position moves by R(theta) l - l."""

@@ -10,8 +10,6 @@ from calib.gap.effects.family import Family
 from calib.gap.predict.path import Path
 from calib.gap.predict.push import Push
 
-__all__ = ["ReferenceYaw"]
-
 
 class ReferenceYaw(Effect):
     """e_n = alpha_0 S on straight runs: the end pose is read in axes turned by alpha_0."""

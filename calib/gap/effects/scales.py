@@ -10,8 +10,6 @@ from typing import Final
 
 from calib.gap.data.observations import Observations
 
-__all__ = ["reach", "softness", "wheel_size"]
-
 _LOAD_N: Final = 300.0
 _LENGTH_M: Final = 1.0
 _RADIUS_M: Final = 0.1

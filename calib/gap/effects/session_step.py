@@ -10,8 +10,6 @@ from calib.gap.effects.family import Family
 from calib.gap.effects.shapes import sessions
 from calib.gap.predict.push import Push
 
-__all__ = ["SessionStep"]
-
 
 class SessionStep(Effect):
     """A relative step of each radius in every session but the first, counted from the campaign's mean."""

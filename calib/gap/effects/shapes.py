@@ -10,20 +10,6 @@ from calib.gap.effects.effect import Form, Parameter
 from calib.gap.predict.path import Path
 from calib.gap.predict.push import Push
 
-__all__ = [
-    "MOVING_MPS",
-    "curvature_per_m",
-    "distance_m",
-    "driven_speed_mps",
-    "end_motion",
-    "laser_share",
-    "sessions",
-    "shows_curves",
-    "stands_mps",
-    "start_motion",
-    "start_to_end_frame",
-]
-
 #: slower than this counts as standing still
 MOVING_MPS = 0.05
 #: loads that differ by less are one load

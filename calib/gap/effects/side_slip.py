@@ -9,8 +9,6 @@ from calib.gap.effects.shapes import curvature_per_m, shows_curves
 from calib.gap.predict.path import Path
 from calib.gap.predict.push import Push
 
-__all__ = ["SideSlip"]
-
 
 class SideSlip(Effect):
     """A slip angle -K v^2 kappa: a step of ds moves -K v^2 kappa ds to the left, e_n ~ v^2 theta."""

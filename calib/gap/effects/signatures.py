@@ -10,8 +10,6 @@ from calib.arrays import FloatArray
 from calib.gap.effects.effect import Effect, Form
 from calib.gap.predict.path import Path, predict, signature
 
-__all__ = ["EffectSignature", "signature_of"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EffectSignature:

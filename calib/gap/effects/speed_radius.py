@@ -8,8 +8,6 @@ from calib.gap.effects.family import Family
 from calib.gap.effects.shapes import driven_speed_mps
 from calib.gap.predict.push import Push
 
-__all__ = ["SpeedRadius"]
-
 
 class SpeedRadius(Effect):
     """dr / r = k (v - v_0) for both wheels, v_0 the campaign's mean speed; the speed of a run is its driven mean."""

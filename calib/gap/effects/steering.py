@@ -11,8 +11,6 @@ from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Form, Parameter
 from calib.gap.predict.push import Push
 
-__all__ = ["error_form", "excess", "front_travel_m", "has_front", "steer_rad"]
-
 
 def has_front(observations: Observations) -> BoolArray:
     """Return which units have the front wheel's counts and steering angle, shape (n_units,)."""

@@ -12,8 +12,6 @@ from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.family import Family
 from calib.gap.effects.steering import error_form, has_front, steer_rad
 
-__all__ = ["SteeringBacklash"]
-
 #: logged angle from which on a step belongs to a turn
 _TURN_RAD: Final = 0.02
 #: logged angle below which nothing moves, however fine the sensor

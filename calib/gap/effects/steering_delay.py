@@ -10,8 +10,6 @@ from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.family import Family
 from calib.gap.effects.steering import error_form, has_front, steer_rad
 
-__all__ = ["SteeringDelay"]
-
 
 class SteeringDelay(Effect):
     """The logged angle is tau old, so short of the true one by tau d(delta)/dt.

@@ -11,8 +11,6 @@ from calib.gap.effects.steering import error_form, excess, front_travel_m, has_f
 from calib.gap.predict.path import Path
 from calib.gap.predict.push import Push
 
-__all__ = ["SteeringScale"]
-
 
 class SteeringScale(Effect):
     """The logged angle is (1 + k) times the true one, or the wheelbase is (1 + k) times the believed one."""

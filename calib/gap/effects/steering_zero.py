@@ -9,8 +9,6 @@ from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.family import Family
 from calib.gap.effects.steering import error_form, has_front
 
-__all__ = ["SteeringZero"]
-
 
 class SteeringZero(Effect):
     """The logged angle is too large by delta_0: e_delta = S delta_0 / L on a straight."""

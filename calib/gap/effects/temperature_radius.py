@@ -7,8 +7,6 @@ from calib.gap.effects.effect import Centre, Effect, Form, Parameter, varies
 from calib.gap.effects.family import Family
 from calib.gap.predict.push import Push
 
-__all__ = ["TemperatureRadius"]
-
 
 class TemperatureRadius(Effect):
     """dr / r = alpha (T - T_0) for both wheels, T_0 the campaign's mean temperature."""

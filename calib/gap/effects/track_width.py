@@ -9,8 +9,6 @@ from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.family import Family
 from calib.gap.predict.push import Push
 
-__all__ = ["TrackWidth"]
-
 
 class TrackWidth(Effect):
     """e_theta = -(db / b) theta (Eq. 16, E_b)."""

@@ -10,8 +10,6 @@ from calib.gap.effects.effect import Effect, Form, Parameter, varies
 from calib.gap.effects.family import Family
 from calib.gap.predict.push import Push
 
-__all__ = ["TravelDirection"]
-
 
 class TravelDirection(Effect):
     """dr / r = d sigma for both wheels, sigma +1 out and -1 back."""

@@ -14,8 +14,6 @@ from calib.gap.effects.reference_yaw import ReferenceYaw
 from calib.gap.predict.path import Path
 from calib.gap.predict.residuals import residuals
 
-__all__ = ["TurnedReference", "find_turned"]
-
 #: a smaller angle is left to `ReferenceYaw`, whose form is linear in it: at 0.1 rad it errs by a two-hundredth
 LEAST_RAD: Final = 0.1
 #: a turned reference keeps lengths; one that stretches them by more is another fault

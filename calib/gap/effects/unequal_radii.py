@@ -9,8 +9,6 @@ from calib.gap.effects.effect import Effect, Form, Parameter
 from calib.gap.effects.family import Family
 from calib.gap.predict.push import Push
 
-__all__ = ["UnequalRadii"]
-
 
 class UnequalRadii(Effect):
     """e_theta = eps S / b and e_n = eps S^2 / 2b, with eps = (r_R - r_L) / r (Borenstein and Feng's E_d, Eq. 15)."""

@@ -16,8 +16,6 @@ from calib.gap.effects.family import Family
 from calib.gap.predict.path import Path
 from calib.gap.predict.push import Push
 
-__all__ = ["ACTS_ON", "GROUP", "Declared", "declared_effects", "entry_point_effects", "entry_point_origins"]
-
 #: group of entry points under which packages offer classes of effects
 GROUP: Final = "calib.effects"
 

@@ -11,8 +11,6 @@ from calib.gap.effects.family import Family
 from calib.gap.effects.shapes import sessions
 from calib.gap.predict.push import Push
 
-__all__ = ["Wear"]
-
 
 class Wear(Effect):
     """dr_i / r_i = w_i times the km driven in the campaign, or the number of the session; each wheel its own w."""

@@ -12,8 +12,6 @@ from calib.gap.effects.scales import wheel_size
 from calib.gap.predict.path import Path
 from calib.gap.predict.push import Push
 
-__all__ = ["WheelEccentricity"]
-
 
 class WheelEccentricity(Effect):
     """The travel of a wheel gains e [sin(phi + phi_0) - sin(phi_0)], never more than 2 e.

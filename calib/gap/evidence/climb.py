@@ -19,8 +19,6 @@ from calib.gap.evidence.system import LinearSystem, Sums
 from calib.gap.evidence.weighting import Weighting, prior_precision
 from calib.gap.predict.residuals import residuals
 
-__all__ = ["Climb", "Model", "Settings"]
-
 #: forms of an effect that are kept beside the best
 _FORMS: Final = 2
 #: moves of one pass

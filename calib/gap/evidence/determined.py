@@ -10,8 +10,6 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.gap.effects.effect import Parameter
 
-__all__ = ["said_of_undetermined", "undetermined"]
-
 
 def undetermined(parameters: Sequence[Parameter], sizes: FloatArray, half_width: FloatArray) -> tuple[str, ...]:
     """Return the names of the parameters that the runs do not determine.

@@ -17,9 +17,6 @@ from calib.gap.predict.path import Path, predict
 from calib.gap.predict.push import Push
 from calib.gap.predict.residuals import residuals
 
-__all__ = ["SIZE_SD", "Fitted", "calibration_pushes", "fit", "hypothesis_path"]
-
-
 #: prior standard deviation of each size in typical sizes; wide, it only keeps the solution finite
 SIZE_SD = 30.0
 

@@ -13,8 +13,6 @@ from calib.arrays import FloatArray, IntArray
 from calib.gap.evidence.trends import driven, interactions, surroundings
 from calib.gap.predict.path import Path
 
-__all__ = ["ENOUGH_PER_CHANNEL", "FEWEST_DOF", "MOST_EXCESS", "Basis", "Support", "bases", "neighbours"]
-
 #: repeats with fewer degrees of freedom for each channel are joined with coarser ones
 ENOUGH_PER_CHANNEL: Final = 15.0
 #: and in all

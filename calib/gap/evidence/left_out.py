@@ -16,9 +16,6 @@ from calib.gap.evidence.system import LinearSystem
 from calib.gap.evidence.weighting import Weighting, prior_precision
 from calib.gap.predict.path import Path
 
-__all__ = ["LeftOut"]
-
-
 #: variance of a foretold correction, at most, as a share of its square
 FORETELLS: Final = 0.1
 

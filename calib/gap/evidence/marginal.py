@@ -13,18 +13,6 @@ from calib.gap.effects.effect import Form
 from calib.gap.evidence.noise import Noise
 from calib.gap.predict.path import Path, signature
 
-__all__ = [
-    "CALIBRATION_SD",
-    "FLOOR_DOF",
-    "Nuisance",
-    "columns_of_forms",
-    "form_columns",
-    "log_marginal",
-    "project",
-    "ridge_solve",
-    "rows",
-]
-
 #: prior standard deviation of a plain recalibration: left, right radius, track, front radius (relative); the front
 #: radius is held, because a front wheel that disagrees with the rear ones is a gap to be named
 CALIBRATION_SD: Final = np.array([0.03, 0.03, 0.1, 1e-6])

@@ -14,8 +14,6 @@ from calib.gap.effects.effect import Form
 from calib.gap.evidence.marginal import log_marginal, ridge_solve
 from calib.gap.evidence.system import Sums
 
-__all__ = ["Columns", "log_weights", "model_sizes"]
-
 #: what choosing the prior's scale by the fitted size costs, in nats
 SCALE_COST: Final = float(np.log(4.0))
 #: hypotheses weighed at a time

@@ -16,23 +16,10 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.gap.data.channels import Channel
 from calib.gap.evidence.floor_support import FEWEST_DOF, MOST_EXCESS, Basis, Support, bases
-from calib.gap.evidence.noise_kernels import COMPONENTS, MEDIANS, kernels, masked, quantisation, whiten
+from calib.gap.evidence.noise_kernels import COMPONENTS, MEDIANS
 from calib.gap.evidence.noise_scales import Grouped, NoiseShapes, ScaleLikelihood, most_likely, thinned_groups
-from calib.gap.evidence.trends import interactions, surroundings
 from calib.gap.evidence.window_growth import Growth, window_growth
 from calib.gap.predict.path import Path
-
-__all__ = [
-    "COMPONENTS",
-    "Noise",
-    "estimate_noise",
-    "interactions",
-    "kernels",
-    "masked",
-    "quantisation",
-    "surroundings",
-    "whiten",
-]
 
 #: fewest units for which stated sigmas alone are a floor
 FEWEST_UNITS: Final = 4

@@ -10,8 +10,6 @@ import numpy as np
 from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.gap.predict.path import Path
 
-__all__ = ["COMPONENTS", "MEDIANS", "fixed_noise", "kernels", "masked", "quantisation", "whiten"]
-
 #: components: (name, prior median of the standard deviation's scale, prior spread of its natural logarithm)
 COMPONENTS: Final[tuple[tuple[str, float, float], ...]] = (
     ("distance", 1.0, 0.4),  # times the rangefinder's stated sigma

@@ -11,8 +11,6 @@ from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.gap.evidence.noise_kernels import COMPONENTS, MEDIANS, fixed_noise, kernels, masked
 from calib.gap.predict.path import Path
 
-__all__ = ["Grouped", "NoiseShapes", "ScaleLikelihood", "most_likely", "thinned_groups"]
-
 SPREADS: Final = np.array([spread for _, _, spread in COMPONENTS])
 #: Student-t weights of units far from their repeats have so many degrees of freedom
 ROBUST_DOF: Final = 5.0

@@ -10,15 +10,14 @@ import numpy as np
 
 from calib.arrays import FloatArray
 from calib.gap.effects.calibration import DIRECTIONS, NAMES
+from calib.gap.evidence.climb import Settings
 from calib.gap.evidence.fit import Fitted
 from calib.gap.evidence.marginal import CALIBRATION_SD
 from calib.gap.evidence.noise import Noise
-from calib.gap.evidence.search import Search, Settings
+from calib.gap.evidence.search import Search
 from calib.gap.evidence.subsets import SUBSETS, sizes_beside, weigh_subsets
 from calib.gap.evidence.system import LinearSystem
 from calib.gap.predict.path import Path
-
-__all__ = ["Recalibration", "judge_recalibration"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

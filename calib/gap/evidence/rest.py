@@ -16,10 +16,9 @@ import numpy as np
 from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.gap.data.observations import Observations
 from calib.gap.evidence.marginal import CALIBRATION_SD, rows
-from calib.gap.evidence.noise import Noise, interactions, surroundings
+from calib.gap.evidence.noise import Noise
+from calib.gap.evidence.trends import interactions, surroundings
 from calib.gap.predict.path import Path
-
-__all__ = ["REST_SCALES", "Blocks", "RestKind", "blocks_of", "rest_kinds"]
 
 INTERACTION: Final = "interaction"
 #: offsets of fewer conditions than this are no sample of a rest: a recalibration and an effect make them as well

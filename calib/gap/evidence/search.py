@@ -19,8 +19,6 @@ from calib.gap.evidence.system import LinearSystem
 from calib.gap.evidence.weighting import Weighting
 from calib.gap.predict.path import Path
 
-__all__ = ["Search", "Settings", "search"]
-
 #: passes: linearise, search, fit
 _PASSES: Final = 7
 #: a step below this share of the standard uncertainty ends the passes

@@ -17,8 +17,6 @@ from calib.gap.evidence.models import SCALE_COST, effect_scale, log_evidence_par
 from calib.gap.evidence.system import LinearSystem
 from calib.gap.evidence.weighting import Weighting, prior_precision
 
-__all__ = ["ANY", "SUBSETS", "SubsetWeights", "log_prior_of", "sizes_beside", "weigh_subsets"]
-
 #: prior odds of one being off by itself, whichever it is
 ANY: Final = 0.3
 #: share of an effect's whitened size that a calibration shift may have and still belong to it

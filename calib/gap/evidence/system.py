@@ -21,8 +21,6 @@ from calib.gap.evidence.rest import REST_SCALES, Blocks, RestKind, blocks_of, re
 from calib.gap.predict.path import Path
 from calib.gap.predict.residuals import residuals
 
-__all__ = ["LinearSystem", "Sums"]
-
 #: prior odds that something is left that no named cause explains
 PRIOR_REST = 0.15
 

@@ -10,8 +10,6 @@ from calib.arrays import FloatArray
 from calib.campaign.model import NUMERIC_COLUMNS
 from calib.gap.predict.path import Path
 
-__all__ = ["driven", "interactions", "surroundings"]
-
 Column = tuple[FloatArray, tuple[int, ...]]
 
 

@@ -11,8 +11,6 @@ from calib.arrays import BoolArray, FloatArray
 from calib.gap.evidence.fit import SIZE_SD
 from calib.gap.evidence.system import LinearSystem
 
-__all__ = ["Weighting", "prior_precision"]
-
 #: keeps a covariance positive definite, relative to its diagonal
 _ROUNDING: Final = 1e-11
 

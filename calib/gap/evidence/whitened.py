@@ -14,8 +14,6 @@ from calib.gap.evidence.system import LinearSystem
 from calib.gap.predict.path import Path
 from calib.gap.predict.residuals import residuals
 
-__all__ = ["WhitenedSystem"]
-
 
 class WhitenedSystem:
     """The whitened system about one path: residual, recalibration and form columns, made once each.

@@ -16,8 +16,6 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.gap.predict.path import Path
 
-__all__ = ["Growth", "window_growth"]
-
 #: windows joined to a longer one
 JOINED: Final = (1, 2, 4, 8)
 #: fewest windows of a length

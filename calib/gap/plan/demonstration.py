@@ -11,8 +11,6 @@ from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Referen
 from calib.gap.plan.planned_runs import Measured, PlannedRun, drive
 from calib.vehicle import Vehicle
 
-__all__ = ["demonstration"]
-
 CORRIDOR_M: Final = 20.0
 #: route and direction of six runs, driven in three sessions under changing conditions
 ROUTES: Final = (

@@ -21,9 +21,7 @@ from calib.gap.plan.planned_runs import DEFAULT_CORRIDOR_M, Measured, PlannedRun
 from calib.gap.plan.separability import Signatures, noise_at
 from calib.gap.predict.path import predict
 from calib.gap.verdict.alternatives import NEAR
-from calib.gap.verdict.result import PlannedRunAdvice
-
-__all__ = ["next_runs"]
+from calib.gap.verdict.outcome import PlannedRunAdvice
 
 MOST_RUNS: Final = 5
 #: pairs named in one line

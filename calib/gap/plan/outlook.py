@@ -18,10 +18,8 @@ from calib.gap.evidence.whitened import WhitenedSystem
 from calib.gap.plan.separability import SEEN, Signatures, noise_at
 from calib.gap.predict.path import predict
 from calib.gap.verdict.alternatives import NEAR
-from calib.gap.verdict.result import Detectable
+from calib.gap.verdict.outcome import Detectable
 from calib.progress import Progress, silent, stepped
-
-__all__ = ["Outlook", "outlook_of", "undetectable"]
 
 #: an effect of which a recalibration leaves less than this share is hidden in it for good
 HIDDEN: Final = 1e-3

@@ -15,8 +15,6 @@ from calib.campaign.settings_file import load_toml, parse_settings
 from calib.errors import BadFileError, BadInputError
 from calib.gap.plan.planned_runs import DEFAULT_CORRIDOR_M, Measured, PlannedRun, drive, route_of
 
-__all__ = ["FORMAT", "read_candidates", "read_plan"]
-
 FORMAT: Final = "calib-plan/1"
 MOST_RUNS: Final = 5000
 _TEXTS: Final = ("kind", "direction", "session")

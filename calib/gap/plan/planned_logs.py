@@ -13,8 +13,6 @@ from calib.campaign.settings import FrontModel
 from calib.campaign.wheels import WHEEL_COLUMNS, mecanum_model, odometry_source, without_rear_wheels
 from calib.errors import BadInputError
 
-__all__ = ["stop_and_go", "wheel_counts"]
-
 ACCELERATION_MPS2: Final = 0.5
 LOG_PERIOD_S: Final = 0.1
 

@@ -13,11 +13,9 @@ from calib.campaign.model import LABEL_COLUMNS, Campaign, Logs, RunTable
 from calib.campaign.wheels import WHEEL_COLUMNS
 from calib.errors import BadInputError
 from calib.gap.plan.planned_logs import stop_and_go, wheel_counts
-from calib.gap.verdict.result import PlannedRunAdvice
+from calib.gap.verdict.outcome import PlannedRunAdvice
 from calib.motion.routes import NAMED, Route, arc, straight
 from calib.vehicle import wheel_loads_N
-
-__all__ = ["Measured", "PlannedRun", "default_candidates", "drive", "joined", "route_of"]
 
 SPACING_M: Final = 0.05
 SHORT: Final = 0.6

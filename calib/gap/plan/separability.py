@@ -10,11 +10,10 @@ import numpy as np
 from calib.arrays import BoolArray, FloatArray
 from calib.gap.effects.effect import Effect, Form
 from calib.gap.evidence.marginal import CALIBRATION_SD, Nuisance, columns_of_forms, project, rows
-from calib.gap.evidence.noise import COMPONENTS, Noise, kernels, masked, quantisation
+from calib.gap.evidence.noise import Noise
+from calib.gap.evidence.noise_kernels import COMPONENTS, kernels, masked, quantisation
 from calib.gap.predict.path import Path
 from calib.gap.verdict.alternatives import NEAR, STRETCH
-
-__all__ = ["SEEN", "Signatures", "noise_at"]
 
 #: whitened norm at which an effect is seen
 SEEN: Final = 5.0

@@ -18,8 +18,6 @@ from calib.gap.data.observations import Observations
 from calib.gap.predict.push import Push, total_push
 from calib.gap.predict.steps import LINE, TURN, WAY, Steps, X, Y, steps_of
 
-__all__ = ["Path", "predict", "signature"]
-
 #: a run whose wheels turn by less than this in all, to and fro, was led straight
 LED_STRAIGHT_RAD: Final = 1.0
 

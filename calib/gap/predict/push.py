@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from calib.arrays import FloatArray
 from calib.gap.data.observations import Observations
 
-__all__ = ["Push", "total_push"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Push:

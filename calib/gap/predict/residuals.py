@@ -8,8 +8,6 @@ from calib.arrays import FloatArray
 from calib.gap.data.channels import Channel
 from calib.gap.predict.path import Path
 
-__all__ = ["residuals"]
-
 
 def residuals(path: Path, nominal: Path) -> FloatArray:
     """Return measured minus predicted, shape (n_units, n_channels), 0 where a unit lacks the channel.

@@ -13,8 +13,6 @@ from calib.arrays import FloatArray
 from calib.gap.data.observations import Observations
 from calib.gap.predict.push import Push
 
-__all__ = ["LINE", "N_SUMS", "TURN", "WAY", "Lever", "Steps", "X", "Y", "steps_of"]
-
 #: what is summed over a unit: displacement of the end point, turn, way along the line led, way
 X, Y, TURN, LINE, WAY = range(5)
 N_SUMS: Final = 5

@@ -19,8 +19,6 @@ from calib.gap.evidence.weighting import Weighting, prior_precision
 from calib.gap.predict.path import Path, predict
 from calib.gap.verdict.evidence import Evidence
 
-__all__ = ["agreement_m"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Correction:

@@ -12,8 +12,6 @@ from calib.gap.effects.effect import Form
 from calib.gap.evidence.marginal import Nuisance, project
 from calib.gap.evidence.whitened import WhitenedSystem
 
-__all__ = ["NEAR", "aliases_of", "distance"]
-
 #: signatures nearer than this (in standard deviations) count as alike
 NEAR: Final = 3.0
 #: an alternative may not need a size beyond this many times its largest plausible one

@@ -11,8 +11,6 @@ from typing import Final
 
 import numpy as np
 
-__all__ = ["TABLE", "calibrated"]
-
 #: the model's probability, and the share of such statements that held
 TABLE: Final = (
     (0.0, 0.50, 0.65, 0.75, 0.85, 0.95, 0.99, 0.995, 1.0),

@@ -18,8 +18,6 @@ from calib.gap.verdict.evidence import Evidence
 from calib.gap.verdict.rest import explained_share
 from calib.gap.verdict.result import Cause, Quantity
 
-__all__ = ["causes_of"]
-
 #: within one of these classes of probability the order is by the signal
 CLASSES: Final = (0.3, 0.6, 0.8)
 

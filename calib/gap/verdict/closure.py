@@ -16,9 +16,7 @@ from calib.gap.evidence.marginal import rows
 from calib.gap.evidence.noise import Noise
 from calib.gap.predict.path import Path
 from calib.gap.predict.residuals import residuals
-from calib.gap.verdict.result import ChannelClosure, Closure
-
-__all__ = ["HeldOut", "closure_of", "end_rms_m", "folds", "measure_closure"]
+from calib.gap.verdict.outcome import ChannelClosure, Closure
 
 BOOTSTRAPS: Final = 400
 MAX_FOLDS: Final = 6

@@ -14,13 +14,11 @@ from calib.gap.verdict.evidence import Evidence
 from calib.gap.verdict.gross import gross_cause
 from calib.gap.verdict.groups import groups_of
 from calib.gap.verdict.odds import any_probability, credible_sets, effect_probabilities, gap_probability
-from calib.gap.verdict.outcome import DRIVEN, JOURNEYS, Rest
+from calib.gap.verdict.outcome import DRIVEN, JOURNEYS, Closure, Fix, Group, NoiseSummary, Rest
 from calib.gap.verdict.rest import rest_of
-from calib.gap.verdict.result import ALIKE, SURE, Cause, Closure, Fix, Group, NoiseSummary, Verdict, VerdictKind
+from calib.gap.verdict.result import ALIKE, SURE, Cause, Verdict, VerdictKind
 from calib.gap.verdict.sentence import sentence
 from calib.gap.verdict.transfer import Trial
-
-__all__ = ["Balance", "decide", "kind_of", "recommended"]
 
 #: a gap is said to exist where it is likelier than not; 5 of 140 sound development campaigns then raise a false alarm
 DETECTION: Final = 0.5

@@ -14,19 +14,19 @@ from calib.gap.effects.calibration import DIRECTIONS, NAMES
 from calib.gap.effects.effect import Effect, Form
 from calib.gap.effects.encoder_gross import GrossFault
 from calib.gap.effects.turned_reference import TurnedReference
+from calib.gap.evidence.climb import Settings
 from calib.gap.evidence.fit import Fitted
 from calib.gap.evidence.marginal import CALIBRATION_SD
 from calib.gap.evidence.noise import Noise
 from calib.gap.evidence.recalibration import Recalibration
-from calib.gap.evidence.search import Search, Settings
+from calib.gap.evidence.search import Search
 from calib.gap.evidence.whitened import WhitenedSystem
 from calib.gap.predict.path import Path
 from calib.gap.verdict.closure import HeldOut
-from calib.gap.verdict.result import BY_MODEL, Detectable
+from calib.gap.verdict.outcome import Detectable
+from calib.gap.verdict.result import BY_MODEL
 from calib.gap.verdict.transfer import Trial
 from calib.gap.where.result import Where
-
-__all__ = ["Evidence"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,8 +6,6 @@ from calib.gap.effects.encoder_gross import GrossFault
 from calib.gap.effects.turned_reference import TurnedReference
 from calib.gap.verdict.result import Cause, Quantity
 
-__all__ = ["gross_cause"]
-
 
 def gross_cause(fault: GrossFault | TurnedReference) -> Cause:
     """Return a gross fault as a cause: sure, and the whole gap."""

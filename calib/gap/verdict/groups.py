@@ -11,8 +11,6 @@ from calib.gap.evidence.marginal import Nuisance
 from calib.gap.verdict.alternatives import NEAR, aliases_of
 from calib.gap.verdict.evidence import Evidence
 
-__all__ = ["groups_of"]
-
 #: hypotheses whose weights differ by less (a factor of ten) are not told apart either
 LIKELY_NATS: Final = 2.3
 #: how free, in prior sizes, the other named effects are while one is asked for what could stand in for it

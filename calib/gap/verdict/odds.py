@@ -10,8 +10,6 @@ from calib.gap.evidence.subsets import ANY
 from calib.gap.verdict.calibrated import calibrated
 from calib.gap.verdict.evidence import Evidence
 
-__all__ = ["any_probability", "credible_sets", "effect_probabilities", "gap_probability"]
-
 #: a credible set holds so much
 CREDIBLE: Final = 0.95
 #: a radius or track is mis-set so many times as often as any one effect that looks like it is at work

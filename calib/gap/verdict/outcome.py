@@ -11,21 +11,6 @@ import numpy as np
 from calib.gap.data.channels import Channel
 from calib.gap.evidence.noise import Noise
 
-__all__ = [
-    "DRIVEN",
-    "JOURNEYS",
-    "ChannelClosure",
-    "Closure",
-    "Detectable",
-    "Fix",
-    "Group",
-    "NoiseSummary",
-    "PlannedRunAdvice",
-    "Rest",
-    "Transfer",
-    "json_number",
-]
-
 #: on which runs corrections are compared
 DRIVEN: Final = "runs driven"
 JOURNEYS: Final = "journeys"

@@ -8,8 +8,6 @@ from calib.gap.effects.library import effect_class
 from calib.gap.verdict.result import Verdict
 from calib.motion.studies.paper_headline import Improvement, paper_headline
 
-__all__ = ["PaperHeadline", "headline"]
-
 
 @dataclass(frozen=True, slots=True)
 class PaperHeadline:

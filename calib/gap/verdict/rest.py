@@ -10,9 +10,7 @@ from calib.gap.data.channels import Channel
 from calib.gap.evidence.marginal import rows
 from calib.gap.predict.residuals import residuals
 from calib.gap.verdict.evidence import Evidence
-from calib.gap.verdict.result import Rest
-
-__all__ = ["explained_share", "rest_of"]
+from calib.gap.verdict.outcome import Rest
 
 #: a rest is stated where it is at least so probable
 STATED: Final = 0.5

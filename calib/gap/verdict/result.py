@@ -8,7 +8,6 @@ from enum import StrEnum
 from typing import Any, Final
 
 from calib.gap.verdict.outcome import (
-    ChannelClosure,
     Closure,
     Detectable,
     Fix,
@@ -16,31 +15,9 @@ from calib.gap.verdict.outcome import (
     NoiseSummary,
     PlannedRunAdvice,
     Rest,
-    Transfer,
     json_number,
 )
 from calib.gap.where.result import Where
-
-__all__ = [
-    "ALIKE",
-    "BY_MODEL",
-    "BY_SIMULATOR",
-    "FORMAT",
-    "SURE",
-    "Cause",
-    "ChannelClosure",
-    "Closure",
-    "Detectable",
-    "Fix",
-    "Group",
-    "NoiseSummary",
-    "PlannedRunAdvice",
-    "Quantity",
-    "Rest",
-    "Transfer",
-    "Verdict",
-    "VerdictKind",
-]
 
 FORMAT: Final = "calib-diagnosis/1"
 #: all causes of a recommended fix together are at least so probable

@@ -8,10 +8,9 @@ from typing import Final
 
 from calib.gap.effects.calibration import HIDES_IN
 from calib.gap.effects.library import steps_by_session, title_of
-from calib.gap.verdict.result import ALIKE, SURE, Cause, ChannelClosure, Verdict, VerdictKind
+from calib.gap.verdict.outcome import ChannelClosure
+from calib.gap.verdict.result import ALIKE, SURE, Cause, Verdict, VerdictKind
 from calib.gap.where.result import PlaceLine, Where
-
-__all__ = ["advice", "sentence"]
 
 #: channels that the headline names
 MOST_CHANNELS: Final = 3

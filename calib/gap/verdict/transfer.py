@@ -11,9 +11,7 @@ from calib.arrays import BoolArray, FloatArray, StrArray
 from calib.gap.data.observations import Observations
 from calib.gap.evidence.left_out import LeftOut
 from calib.gap.verdict.closure import end_rms_m
-from calib.gap.verdict.result import Transfer
-
-__all__ = ["Trial", "trials"]
+from calib.gap.verdict.outcome import Transfer
 
 #: values of a quantity that are left out one by one; more are joined into so many groups
 MOST_VALUES: Final = 8

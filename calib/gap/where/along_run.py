@@ -15,8 +15,6 @@ from calib.gap.where.stretches import CHANNELS, FEWEST_RUNS, scan_route
 from calib.gap.where.traces import Trace, traces_of
 from calib.gap.where.windows import compare_windows
 
-__all__ = ["find_places"]
-
 FALSE_FINDING: Final = 0.05
 
 

@@ -12,8 +12,6 @@ from calib.gap.data.observations import Observations
 from calib.gap.effects.covariate import covariate_columns
 from calib.gap.effects.shapes import driven_speed_mps
 
-__all__ = ["FEWEST_UNITS", "covariate_values"]
-
 #: with fewer known values nothing is asked of a covariate
 FEWEST_UNITS: Final = 6
 #: turns and lengths that differ by less are noise of the wheels themselves, which the gap shares

@@ -11,8 +11,6 @@ from calib.gap.data.channels import Channel
 from calib.gap.where.covariates import FEWEST_UNITS
 from calib.gap.where.result import CovariateLine
 
-__all__ = ["dependence_on", "interval"]
-
 
 def dependence_on(
     name: str, values: FloatArray | StrArray, scaled: FloatArray, weights: FloatArray, most_dof: float

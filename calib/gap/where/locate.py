@@ -19,8 +19,6 @@ from calib.gap.where.dependence import dependence_on
 from calib.gap.where.result import ChannelGap, CovariateLine, PlaceLine, RunLine, Where
 from calib.gap.where.wheels import dependence_on_wheels
 
-__all__ = ["FALSE_FINDING", "held_to_one_error", "locate"]
-
 #: chance of any false finding over the whole table
 FALSE_FINDING: Final = 0.05
 BOOTSTRAPS: Final = 300

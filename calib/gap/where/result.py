@@ -7,8 +7,6 @@ from typing import Any
 
 from calib.gap.data.channels import Channel
 
-__all__ = ["ChannelGap", "CovariateLine", "PlaceLine", "RunLine", "Where"]
-
 #: what a line is called that stands for all channels together
 ALL_CHANNELS = "all"
 

@@ -12,8 +12,6 @@ from calib.gap.data.channels import Channel
 from calib.gap.where.result import PlaceLine
 from calib.gap.where.traces import Trace
 
-__all__ = ["CHANNELS", "FEWEST_RUNS", "scan_route"]
-
 #: channels whose gap is traced along the way
 CHANNELS: Final = (Channel.ALONG, Channel.HEADING)
 BOOTSTRAPS: Final = 300

@@ -14,8 +14,6 @@ from calib.campaign.wheels import on_one_axle
 from calib.gap.data.observations import Observations
 from calib.gap.effects.shapes import MOVING_MPS
 
-__all__ = ["Trace", "traces_of"]
-
 FEWEST_SAMPLES: Final = 10
 COUNTED: Final = ("t_s", "counts_left", "counts_right")
 POSED: Final = ("ref_x_m", "ref_y_m", "ref_theta_rad")

@@ -15,8 +15,6 @@ from calib.gap.where.covariates import FEWEST_UNITS
 from calib.gap.where.dependence import interval
 from calib.gap.where.result import CovariateLine
 
-__all__ = ["dependence_on_wheels"]
-
 BOOTSTRAPS: Final = 300
 #: wheels whose travel is correlated by more cannot be asked beside each other
 MOST_ALIKE: Final = 0.9999

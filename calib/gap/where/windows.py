@@ -12,8 +12,6 @@ from calib.gap.data.channels import Channel
 from calib.gap.where.result import PlaceLine
 from calib.gap.where.traces import Trace
 
-__all__ = ["compare_windows"]
-
 WINDOW_M: Final = 1.0
 FEWEST_WINDOWS: Final = 10
 FEWEST_STOPS: Final = 5

@@ -10,8 +10,6 @@ import numpy.typing as npt
 
 from calib.arrays import FloatArray
 
-__all__ = ["shorten", "sinc"]
-
 #: sin(d/2)/d as a series in d^2: half the ratio of chord to arc for a turn of d
 _SERIES: Final = tuple((-1) ** k / (2 ** (2 * k + 1) * factorial(2 * k + 1)) for k in range(12))
 

@@ -19,8 +19,6 @@ from calib.arrays import FloatArray, IntArray
 from calib.motion.odometry.arc import shorten
 from calib.motion.odometry.steps import Flat
 
-__all__ = ["ROW", "WHOLE", "Block", "Part", "blocks", "prefix_sums"]
-
 #: steps a row
 ROW: Final = 16
 

@@ -13,13 +13,10 @@ import numpy.typing as npt
 
 from calib.arrays import FloatArray
 from calib.errors import BadInputError
-from calib.motion.odometry.arc import shorten, sinc
 from calib.motion.odometry.blocks import WHOLE, Block, blocks
 from calib.motion.odometry.numba_loop import compiled_fill, is_installed
 from calib.motion.odometry.steps import Flat, after, before, cut, lay_flat
 from calib.motion.poses import Poses
-
-__all__ = ["SCHEMES", "Poses", "end_poses", "integrate", "shorten", "sinc"]
 
 #: how a step is drawn -> by which part of its turn the heading used lies behind the heading at its end
 _BEHIND: Final = {"exact": 0.5, "mid_point": 0.5, "euler": 1.0, "end_point": 0.0}

@@ -10,8 +10,6 @@ from calib.campaign.settings import Encoder, OdometryModel
 from calib.errors import BadInputError
 from calib.radius.law import RadiusLaw
 
-__all__ = ["loads_in_steps", "radii_of_model", "radii_under_load", "travel_from_counts"]
-
 
 def loads_in_steps(run_N: npt.ArrayLike, logged_N: npt.ArrayLike | None, offsets: npt.ArrayLike) -> FloatArray:
     """Return the load of one wheel in the step that ends at each sample of runs laid end to end.

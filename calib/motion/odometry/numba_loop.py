@@ -18,8 +18,6 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.motion.odometry.steps import Flat
 
-__all__ = ["compiled_fill", "is_installed"]
-
 #: steps at a time
 _COUNT: Final = 64
 

@@ -10,8 +10,6 @@ import numpy.typing as npt
 from calib.arrays import FloatArray, IntArray
 from calib.errors import BadInputError
 
-__all__ = ["Flat", "after", "before", "cut", "lay_flat"]
-
 
 @dataclass(slots=True, eq=False)
 class Flat:

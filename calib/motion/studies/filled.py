@@ -10,8 +10,6 @@ from calib.campaign.model import Campaign
 from calib.campaign.wheels import without_rear_wheels
 from calib.radius.law import RadiusLaw
 
-__all__ = ["with_end_poses", "with_loads"]
-
 
 def with_end_poses(campaign: Campaign) -> Campaign:
     """Return the campaign with the end poses that its logs' own references say, where a row has none."""

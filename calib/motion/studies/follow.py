@@ -20,8 +20,6 @@ from calib.motion.odometry.integrate import integrate
 from calib.motion.poses import Poses
 from calib.motion.routes import Route
 
-__all__ = ["Axle", "end_of_route", "follow", "wheel_travel"]
-
 #: vehicles a block: the arrays in use stay in the second-level cache
 BLOCK: Final = 16384
 

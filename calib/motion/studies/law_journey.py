@@ -20,8 +20,6 @@ from calib.motion.routes import Route
 from calib.motion.studies.follow import Axle, end_of_route, wheel_travel
 from calib.radius.law import RadiusLaw, WheelLaw
 
-__all__ = ["BANDS", "Interval", "Journey", "TableRow", "law_journey", "law_table"]
-
 BANDS: Final = ("mean", "prediction")
 COMPONENTS: Final = ("along_m", "lateral_m", "heading_rad", "global_x_m", "global_y_m")
 

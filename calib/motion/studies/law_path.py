@@ -21,8 +21,6 @@ from calib.motion.routes import Route
 from calib.motion.studies.law_source import AxleLaw, Loading
 from calib.motion.studies.sweeps import SPACING_M
 
-__all__ = ["COMPONENTS", "Driven", "LawPath", "law_path"]
-
 #: components of an error: along and left of the path, of the heading, and in the global frame
 COMPONENTS: Final = ("along_m", "lateral_m", "heading_rad", "global_x_m", "global_y_m")
 

@@ -18,8 +18,6 @@ from calib.vehicle import Vehicle, check_wheel_loads, wheel_loads_N
 if TYPE_CHECKING:
     from calib.coefficients.file import CoefficientFile
 
-__all__ = ["AxleLaw", "LawSource", "Loading", "carried_loads_N", "law_source", "loading_on_the_way"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Loading:

@@ -11,8 +11,6 @@ from calib.arrays import FloatArray
 from calib.errors import BadInputError
 from calib.vehicle import Vehicle, check_wheel_loads, wheel_loads_N
 
-__all__ = ["SWEPT", "LoadSweep", "sweep_loads"]
-
 #: what can be swept -> unit
 SWEPT: Final = {"payload_kg": "kg", "payload_x_m": "m", "payload_y_m": "m"}
 

@@ -13,8 +13,6 @@ from typing import Final
 from calib.motion.routes import Route, find_route
 from calib.motion.studies.sweeps import STUDIES, Case, run_sweep
 
-__all__ = ["PAPER_AFTER_M", "PAPER_BEFORE_M", "Headline", "Improvement", "headlines", "paper_headline"]
-
 #: end error along the route without and with the load correction, as the paper prints them (Sect. 7.3)
 PAPER_BEFORE_M: Final = 1.1
 PAPER_AFTER_M: Final = 0.06

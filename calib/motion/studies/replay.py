@@ -26,8 +26,6 @@ from calib.motion.studies.runtime_check import NOT_FED, RuntimeCheck, runtime_ch
 from calib.motion.studies.stood_in import of_vehicle, stood_in
 from calib.radius.law import RadiusLaw
 
-__all__ = ["METHODS", "Replay", "RuntimeCheck", "replay", "runtime_check"]
-
 METHODS = ("model", "constant", "corrected")
 
 #: of the bootstrap over runs

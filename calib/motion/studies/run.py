@@ -17,8 +17,6 @@ from calib.motion.studies.paper_headline import Headline, headlines, paper_headl
 from calib.motion.studies.sweeps import STUDIES, Case, Sweep, run_sweep
 from calib.radius.law import RadiusLaw
 
-__all__ = ["CUSTOM", "LOADS_N", "TABLE_LOADS_N", "Headline", "LawJourneys", "LawPart", "Simulation", "simulate"]
-
 CUSTOM: Final = "custom"
 
 #: wheel loads (left, right) of the studies' journeys: the extremes of Fig. 3

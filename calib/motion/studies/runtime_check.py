@@ -13,8 +13,6 @@ from calib.motion.odometry.integrate import integrate
 from calib.motion.odometry.loaded import loads_in_steps, radii_under_load, travel_from_counts
 from calib.runtime import Coefficients, Odometer, OdometerFault, Status
 
-__all__ = ["NOT_FED", "RuntimeCheck", "runtime_check"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RuntimeCheck:

@@ -13,8 +13,6 @@ from calib.motion.odometry.integrate import integrate
 from calib.motion.odometry.loaded import travel_from_counts
 from calib.motion.poses import Poses
 
-__all__ = ["of_vehicle", "stood_in"]
-
 
 def stood_in(campaign: Campaign, model: OdometryModel, *, scheme: str = "exact") -> tuple[Poses, FloatArray]:
     """Return the poses at all samples of the logs, and what was rolled in each step.

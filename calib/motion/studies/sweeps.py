@@ -15,8 +15,6 @@ from calib.motion.poses import PoseErrors, Poses, pose_errors
 from calib.motion.routes import Route, find_route
 from calib.motion.studies.follow import Axle, follow
 
-__all__ = ["STUDIES", "WHICH", "Case", "Study", "Sweep", "ratios", "run_sweep"]
-
 #: spacing of the points that figures and trajectories show
 SPACING_M: Final = 0.05
 

@@ -10,8 +10,6 @@ from typing import Any
 from calib.errors import BadInputError
 from calib.vehicle import Vehicle
 
-__all__ = ["vehicle_of"]
-
 
 def vehicle_of(source: Path | None, **changes: float | None) -> Vehicle:
     """Return a vehicle.

@@ -9,8 +9,6 @@ from calib.plant.design import Design
 from calib.plant.effects.form import Form, Knobs
 from calib.plant.world import Moment, World
 
-__all__ = ["FORMS", "map_x_m", "map_y_m"]
-
 
 def map_x_m(world: World, now: Moment) -> FloatArray:
     """Return where the runs are on the hall's map, along the corridor; ``back`` starts at its far end."""

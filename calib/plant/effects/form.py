@@ -11,8 +11,6 @@ from calib.arrays import FloatArray
 from calib.plant.design import Design
 from calib.plant.world import World
 
-__all__ = ["Cause", "Form", "Knobs", "no_knobs"]
-
 Knobs = Mapping[str, float]
 
 

@@ -9,8 +9,6 @@ from calib.plant.design import Design
 from calib.plant.effects.form import Form, Knobs
 from calib.plant.world import Moment, World
 
-__all__ = ["FORMS"]
-
 
 def _laser_scale(world: World, size: FloatArray, _knobs: Knobs) -> None:
     world.laser_scale = world.laser_scale * (1 + size)

@@ -9,8 +9,6 @@ from calib.plant.design import Design
 from calib.plant.effects.form import Form, Knobs
 from calib.plant.world import REFERENCE_LOAD_N, Moment, World
 
-__all__ = ["FORMS"]
-
 
 def _speed(world: World, size: FloatArray, _knobs: Knobs) -> None:
     def during(now: Moment) -> None:

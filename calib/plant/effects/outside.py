@@ -10,8 +10,6 @@ from calib.plant.effects.floor import map_x_m, map_y_m
 from calib.plant.effects.form import Form, Knobs
 from calib.plant.world import Moment, World
 
-__all__ = ["FORMS"]
-
 
 def _standard(values: FloatArray) -> FloatArray:
     spread: FloatArray = (values - values.mean()) / max(float(values.std()), 1e-12)

@@ -8,8 +8,6 @@ from calib.errors import BadInputError
 from calib.plant.effects import floor, instruments, motion, outside, wheels
 from calib.plant.effects.form import Form
 
-__all__ = ["ALL", "effects", "find", "forms_of"]
-
 ALL: Final[tuple[Form, ...]] = (*wheels.FORMS, *motion.FORMS, *floor.FORMS, *instruments.FORMS, *outside.FORMS)
 
 

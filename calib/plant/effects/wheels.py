@@ -11,8 +11,6 @@ from calib.plant.design import Design
 from calib.plant.effects.form import Form, Knobs
 from calib.plant.world import REFERENCE_LOAD_N, Moment, World
 
-__all__ = ["FORMS"]
-
 
 def _scale(world: World, size: FloatArray, _knobs: Knobs) -> None:
     world.left = world.left * (1 + size)

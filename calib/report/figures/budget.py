@@ -10,8 +10,6 @@ from matplotlib.figure import Figure
 from calib.radius.effective import Component
 from calib.report.figures.style import BLUE, GREY, ORANGE, axes_grid, canvas, legible, shared_legend, styled
 
-__all__ = ["budget_bars"]
-
 
 @styled
 def budget_bars(budget: Sequence[Component]) -> Figure:

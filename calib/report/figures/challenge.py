@@ -16,8 +16,6 @@ from calib.files import refuse_existing, write_bytes
 from calib.report.figures.files import FORMS
 from calib.report.figures.style import BLUE, GREY, INK, ORANGE, PALETTE, canvas, figure_title, render, styled
 
-__all__ = ["board_figure", "confusion_figure", "save"]
-
 GREEN: Final = PALETTE[2]
 #: the board is a page of its own, wider than the report's text
 BOARD_CM: Final = (24.0, 19.0)

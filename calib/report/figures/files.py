@@ -14,8 +14,6 @@ from calib.folders import write_files
 from calib.progress import Progress, silent, stepped
 from calib.report.figures.style import render_all
 
-__all__ = ["FORMS", "figure_paths", "write_figures"]
-
 FORMS: Final = ("png", "svg", "pdf")
 
 

@@ -10,8 +10,6 @@ from calib.fleet.run import Fleet
 from calib.fleet.vehicle import WHEELS, Drift, VehicleRecord
 from calib.report.figures.style import GREY, ORANGE, axes_grid, canvas, colour, styled
 
-__all__ = ["fleet_distribution", "fleet_drift"]
-
 
 @styled
 def fleet_distribution(fleet: Fleet) -> Figure:

@@ -26,8 +26,6 @@ from calib.report.figures.style import (
 )
 from calib.report.numbers import readable
 
-__all__ = ["before_after", "gap_by_covariate", "gap_map"]
-
 #: groups that still get a legend entry each
 LEGEND_LIMIT: Final = 8
 MANY: Final = 2000

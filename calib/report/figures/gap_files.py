@@ -17,8 +17,6 @@ from calib.report.figures.files import write_figures
 from calib.report.figures.gap import before_after, gap_by_covariate, gap_map
 from calib.report.gap_source import findings_of
 
-__all__ = ["GAP_FILES", "gap_pictures", "write_gap_pictures"]
-
 #: names of all figures that a diagnosis may give
 GAP_FILES: Final = ("gap-map", "before-after", *(f"gap-by-covariate-{channel.label}" for channel in Channel))
 MOST_PANELS: Final = 6

@@ -10,8 +10,6 @@ from matplotlib.figure import Figure
 from calib.geometry.parts import RunPath
 from calib.report.figures.style import BLUE, GREY, INK, ORANGE, axes_grid, canvas, shared_legend, styled
 
-__all__ = ["draw_paths"]
-
 COLUMNS: Final = 3
 PANEL_CM: Final = 5.6
 #: paths drawn a panel; more of one kind lie on one another

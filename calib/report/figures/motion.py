@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from calib.motion.studies.law_journey import TableRow
     from calib.motion.studies.replay import Replay
 
-__all__ = ["DASHES", "load_figure", "ratio_figure", "replay_figure", "sweep_figure", "sweep_keys", "sweep_styles"]
-
 DASHES: Final[dict[str, Any]] = {"right": "-", "left": "--", "both": ":", "equal": "-", "given": "-"}
 
 _SWEEP_LABELS: Final = {

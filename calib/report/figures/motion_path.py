@@ -19,8 +19,6 @@ from calib.report.figures.style import BLUE, GREY, INK, ORANGE, SKY, canvas, fig
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["law_errors_figure", "law_path_figure", "sweep_errors_figure"]
-
 #: component -> what its axis says, and by what its values are multiplied
 _AXES: Final = {
     "along_m": ("along the route (m)", 1.0),

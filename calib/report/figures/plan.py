@@ -11,8 +11,6 @@ from matplotlib.figure import Figure
 from calib.gap.plan.outlook import Outlook
 from calib.report.figures.style import INK, axes_grid, canvas, styled
 
-__all__ = ["plan_matrix"]
-
 #: bounds of the classes in standard deviations; below 3 two effects cannot be told apart
 BOUNDS: Final = (0.0, 1.0, 3.0, 5.0, 10.0, 1e12)
 SHADES: Final = ("#B2482C", "#E39A72", "#F1E3C8", "#8FBBD3", "#2F78A8")

@@ -25,8 +25,6 @@ from calib.report.figures.style import (
     styled,
 )
 
-__all__ = ["path_deviation", "regressions", "residuals", "runs_by_series"]
-
 MM: Final = 1e3
 UM: Final = 1e6
 PPM: Final = 1e6

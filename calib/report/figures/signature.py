@@ -11,8 +11,6 @@ from calib.gap.effects.signatures import EffectSignature
 from calib.gap.predict.path import Path
 from calib.report.figures.style import GREY, PALETTE, canvas, styled
 
-__all__ = ["signature_figure"]
-
 CHANNELS = ("distance", "along", "lateral", "heading", "front", "steering")
 ANGLES = frozenset({"heading", "steering"})
 #: a channel that changes by less (m or rad) counts as still: no instrument sees a micrometre

@@ -10,25 +10,6 @@ from typing import Any, Final, ParamSpec
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-__all__ = [
-    "BLUE",
-    "GREY",
-    "INK",
-    "ORANGE",
-    "PALETTE",
-    "SKY",
-    "WIDTH_CM",
-    "axes_grid",
-    "canvas",
-    "colour",
-    "figure_title",
-    "legible",
-    "render",
-    "render_all",
-    "shared_legend",
-    "styled",
-]
-
 P = ParamSpec("P")
 
 #: Okabe and Ito's colours, told apart by colour-blind readers, dark ones first

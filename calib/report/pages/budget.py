@@ -6,8 +6,6 @@ from calib.report.blocks import Block, Section
 from calib.report.source import Source
 from calib.report.statements.budget import budget_picture, declared_text, law_budget, radius_budget, scatter_text
 
-__all__ = ["section"]
-
 
 def section(source: Source) -> Section:
     """Return what the uncertainty is made of."""

@@ -10,8 +10,6 @@ from calib.report.numbers import aligned, fixed, left, measured, span, two_digit
 from calib.report.source import Source
 from calib.report.statements.law import MM, UM, coverage_factor
 
-__all__ = ["section"]
-
 
 def section(source: Source) -> Section:
     """Return every coefficient with its uncertainty, and how to get the radius at a load from them."""

@@ -7,8 +7,6 @@ from calib.report.numbers import span
 from calib.report.source import Source
 from calib.report.statements.assumed import assumed_text
 
-__all__ = ["section"]
-
 _CONDITIONS = {
     "temperature_C": ("Temperature of the hall", "°C", ".1f"),
     "speed_mps": ("Set speed", "m/s", ".3g"),

@@ -6,8 +6,6 @@ from calib.radius.residual_checks import FAIL_BELOW, NOTE_BELOW
 from calib.report.blocks import Items, Section, Text
 from calib.report.source import Source
 
-__all__ = ["section"]
-
 
 def section(source: Source) -> Section:
     """Return by which rule the checks were judged, and what was not judged."""

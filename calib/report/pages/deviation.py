@@ -12,8 +12,6 @@ from calib.report.numbers import fixed, left, plural
 from calib.report.source import Source
 from calib.report.statements.fit_pictures import deviation_picture
 
-__all__ = ["section"]
-
 #: relative error of a radius against which the runs are held
 TOLERANCE: Final = 5e-4
 _SOURCES: Final = {

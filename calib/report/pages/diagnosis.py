@@ -7,8 +7,6 @@ from calib.report.gap_findings import GapFindings
 from calib.report.source import Source
 from calib.report.statements.diagnosis import diagnosis_content
 
-__all__ = ["gap_section", "section"]
-
 
 def section(source: Source) -> Section | None:
     """Return the findings of the diagnosis, or None where none was asked for."""

@@ -10,8 +10,6 @@ from calib.report.blocks import Block, Column, Facts, Section, Table, Text
 from calib.report.numbers import left
 from calib.report.source import Source
 
-__all__ = ["section"]
-
 #: beyond this many files their logs are given as one hash
 MOST_FILES: Final = 12
 

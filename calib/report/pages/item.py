@@ -7,8 +7,6 @@ from calib.report.numbers import MISSING
 from calib.report.source import Source
 from calib.report.stated import OPTIONAL, STATED
 
-__all__ = ["section"]
-
 
 def section(source: Source) -> Section:
     """Return the vehicle as the campaign states it."""

@@ -5,8 +5,6 @@ from __future__ import annotations
 from calib.report.blocks import Items, Section, Text
 from calib.report.source import Source
 
-__all__ = ["section"]
-
 
 def section(source: Source) -> Section:
     """Return the limits of the result, as they follow from these runs."""

@@ -6,8 +6,6 @@ from calib.report.blocks import Equation, Items, Section, Text
 from calib.report.numbers import prose
 from calib.report.source import Source
 
-__all__ = ["section"]
-
 _DESIGNS = {
     "crossed": "The slope comes from differences between loads within the sessions.",
     "confounded": "Each session has a load of its own, so the slope comes from the session means alone.",

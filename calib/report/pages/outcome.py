@@ -10,8 +10,6 @@ from calib.report.statements.checks import usable_notice
 from calib.report.statements.diagnosis import TITLES, verdict_notice
 from calib.report.statements.law import law_table, single_run_text
 
-__all__ = ["section"]
-
 
 def section(source: Source) -> Section:
     """Return the laws in one table and the verdict of the checks in one sentence."""

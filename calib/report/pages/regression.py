@@ -11,8 +11,6 @@ from calib.report.source import Source
 from calib.report.statements.fit_pictures import regressions_picture
 from calib.report.statements.law import quality_text
 
-__all__ = ["section"]
-
 
 def section(source: Source) -> Section:
     """Return figure and table of both wheels' laws with the band of the mean and the prediction band."""

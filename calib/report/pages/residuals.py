@@ -7,8 +7,6 @@ from calib.report.source import Source
 from calib.report.statements.checks import checks_table
 from calib.report.statements.fit_pictures import residuals_picture
 
-__all__ = ["section"]
-
 
 def section(source: Source) -> Section:
     """Return the checks of both wheels: verdict, statistic, and what it means for the user."""

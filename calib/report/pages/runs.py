@@ -9,8 +9,6 @@ from calib.report.statements.fit_pictures import runs_picture
 from calib.report.statements.law import static_table
 from calib.report.statements.runs import MOST_ROWS, left_out_table, runs_table, sessions_table
 
-__all__ = ["section"]
-
 
 def section(source: Source) -> Section:
     """Return the runs used, and those left out with the reason."""

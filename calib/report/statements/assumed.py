@@ -7,8 +7,6 @@ from collections.abc import Mapping
 from calib.campaign.checks.assumed import WEIGHTY
 from calib.report.blocks import Notice, Text
 
-__all__ = ["assumed_notice", "assumed_text"]
-
 
 def assumed_text(assumed: Mapping[str, str]) -> Text:
     """Return the keys of ``campaign.toml`` that nobody stated, with the values that stand in."""

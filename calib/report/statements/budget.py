@@ -14,8 +14,6 @@ from calib.report.numbers import aligned, fixed, left, prose, two_digits
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["budget_picture", "declared_text", "law_budget", "radius_budget", "scatter_text"]
-
 _NAMES: Final = {
     "rangefinder": "rangefinder",
     "quantisation": "quantisation",

@@ -9,8 +9,6 @@ from calib.gap.verdict.result import Quantity, Verdict
 from calib.report.blocks import Block, Column, Items, Table, Text
 from calib.report.numbers import MISSING, fixed, left, percent, places, prose
 
-__all__ = ["apart_blocks", "cause_blocks", "effect_name", "limit_blocks"]
-
 #: most rows of a table made from a verdict
 _MOST: Final = 24
 #: sets that hold the cause, named in one sentence; the JSON has them all

@@ -10,8 +10,6 @@ from calib.campaign.model import Note
 from calib.report.blocks import Block, Facts, Heading, Items, Notice
 from calib.report.numbers import plural, prose, span
 
-__all__ = ["check_content"]
-
 #: entries of a list of names, and runs named for one note
 _MOST: Final = 12
 _RUNS: Final = 6

@@ -9,8 +9,6 @@ from calib.radius.fitted import Fit
 from calib.report.blocks import Column, Notice, Table
 from calib.report.numbers import left, probability, prose
 
-__all__ = ["checks_table", "usable_notice"]
-
 _LEVELS: Final = {"ok": "passed", "note": "remark", "failed": "FAILED"}
 #: remarks told in one sentence each beside the result
 _MOST: Final = 3

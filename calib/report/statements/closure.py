@@ -9,8 +9,6 @@ from calib.gap.verdict.sentence import advice
 from calib.report.blocks import Block, Column, Items, Table, Text
 from calib.report.numbers import MISSING, aligned, left, length, percent, prose, readable, three_digits
 
-__all__ = ["closure_blocks"]
-
 
 def closure_blocks(verdict: Verdict, headline: PaperHeadline | None = None) -> list[Block]:
     """Return how far the gap shrinks and whether the fix is recommended."""

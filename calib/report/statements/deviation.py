@@ -8,8 +8,6 @@ from calib.radius.run_deviation import RunDeviations
 from calib.report.blocks import Block, Column, Items, Table, Text
 from calib.report.numbers import MISSING, fixed, left, prose
 
-__all__ = ["arc_content", "runs_content", "weave_content"]
-
 
 def _percent(share: float | None, decimals: int = 4) -> str:
     return MISSING if share is None else fixed(100 * share, decimals)

@@ -16,8 +16,6 @@ from calib.report.statements.gap_pictures import before_after_picture, covariate
 from calib.report.statements.plan import next_runs_table
 from calib.report.statements.where import where_blocks
 
-__all__ = ["TITLES", "diagnosis_content", "verdict_content", "verdict_notice"]
-
 #: verdict -> how it is shown, and its title
 TITLES: Final[Mapping[VerdictKind, tuple[str, str]]] = {
     VerdictKind.NO_GAP: ("good", "No gap beyond the noise"),

@@ -13,8 +13,6 @@ from calib.gap.effects.effect import Parameter
 from calib.report.blocks import Block, Column, Facts, Heading, Items, Table, Text
 from calib.report.numbers import MISSING, left, plural, three_digits
 
-__all__ = ["effect_content", "effects_content", "size_text"]
-
 #: below this (m or rad) a channel counts as still: no instrument sees a micrometre
 STILL: Final = 1e-6
 #: unit as effects give it -> (factor, unit) from the largest to the smallest, as people read it

@@ -13,8 +13,6 @@ from calib.report.statements.checks import checks_table, usable_notice
 from calib.report.statements.law import law_table, naive_text, quality_text, single_run_text, static_table
 from calib.report.statements.runs import left_out_table, runs_table
 
-__all__ = ["comparison_content", "fit_content", "simulated_notice"]
-
 
 def simulated_notice() -> Notice:
     """Return the words that stand over everything made from a program's data."""

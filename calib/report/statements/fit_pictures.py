@@ -13,15 +13,6 @@ from calib.report.blocks import Picture
 from calib.report.figures import radius as figures
 from calib.report.statements.budget import budget_picture
 
-__all__ = [
-    "FIT_PICTURES",
-    "deviation_picture",
-    "fit_pictures",
-    "regressions_picture",
-    "residuals_picture",
-    "runs_picture",
-]
-
 #: names of all of them, in the order of the report's pages
 FIT_PICTURES: Final = ("runs-by-series", "regressions", "path-deviation", "residuals", "budget")
 

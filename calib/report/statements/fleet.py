@@ -10,8 +10,6 @@ from calib.fleet.run import Fleet
 from calib.fleet.survey import Survey
 from calib.report.blocks import Block, Column, Facts, Heading, Items, Picture, Table, Text
 
-__all__ = ["fleet_content", "survey_content"]
-
 #: rows of a list at most; the rest is in the tables
 MOST = 40
 

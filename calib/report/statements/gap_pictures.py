@@ -16,8 +16,6 @@ from calib.report.statements.causes import effect_name
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["GAP_PICTURES", "before_after_picture", "covariate_picture", "map_picture"]
-
 #: names of all of them
 GAP_PICTURES: Final = ("gap-map", "gap-by-covariate", "gap-before-after")
 

@@ -12,8 +12,6 @@ from calib.report.numbers import left
 if TYPE_CHECKING:
     from calib.geometry.result import Geometry
 
-__all__ = ["geometry_content", "geometry_sentences"]
-
 _HEADER: Final = ("parameter", "nominal", "estimate", "sd", "95 % interval", "change")
 _TRANSFER: Final = ("left out", "n", "before", "after")
 _ROUTE: Final = (

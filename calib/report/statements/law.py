@@ -12,8 +12,6 @@ from calib.radius.regression import WheelFit, t_quantile
 from calib.report.blocks import Column, Table, Text
 from calib.report.numbers import MISSING, fixed, left, measured, span, two_digits
 
-__all__ = ["MM", "UM", "coverage_factor", "law_table", "naive_text", "quality_text", "single_run_text", "static_table"]
-
 MM: Final = 1e3
 UM: Final = 1e6
 

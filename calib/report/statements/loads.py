@@ -7,8 +7,6 @@ from calib.report.blocks import Block, Column, Table
 from calib.report.numbers import fixed, left, measured
 from calib.vehicle import Vehicle, WeighedPayload
 
-__all__ = ["loads_content", "weighed_content"]
-
 
 def loads_content(vehicle: Vehicle, sweep: LoadSweep) -> tuple[Block, ...]:
     """Return the wheel loads of a payload or a sweep."""

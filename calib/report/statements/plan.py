@@ -9,8 +9,6 @@ from calib.gap.plan.outlook import Outlook
 from calib.report.blocks import Block, Column, Items, Table, Text
 from calib.report.numbers import MISSING, fixed, left, prose
 
-__all__ = ["next_runs_table", "outlook_content"]
-
 #: effects named in one cell
 _NAMED: Final = 4
 

@@ -8,8 +8,6 @@ from calib.motion.studies.replay import Replay
 from calib.report.blocks import Block, Column, Table, Text
 from calib.report.numbers import fixed, left
 
-__all__ = ["replay_content"]
-
 _RADII: Final = {
     "model": "as the simulator believes",
     "constant": "law's radii, unladen, kept",

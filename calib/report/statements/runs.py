@@ -11,8 +11,6 @@ from calib.radius.fitted import Fit
 from calib.report.blocks import Column, Table
 from calib.report.numbers import fixed, left, listed
 
-__all__ = ["MOST_ROWS", "left_out_table", "runs_table", "sessions_table"]
-
 #: beyond this many runs the report's table is one of sessions
 MOST_ROWS: Final = 200
 

@@ -12,8 +12,6 @@ from calib.motion.studies.sweeps import Sweep
 from calib.report.blocks import Block, Column, Table, Text
 from calib.report.numbers import fixed, left
 
-__all__ = ["simulation_content"]
-
 #: component of the error -> by what it is multiplied to be read
 _FACTORS: Final = {"along_m": 1.0, "lateral_m": 1.0, "heading_rad": 1e3, "global_x_m": 1.0, "global_y_m": 1.0}
 

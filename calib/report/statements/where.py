@@ -9,8 +9,6 @@ from calib.report.axis_names import in_words
 from calib.report.blocks import Block, Column, Items, Table, Text
 from calib.report.numbers import MISSING, fixed, left, probability, prose, readable, three_digits
 
-__all__ = ["where_blocks"]
-
 #: most covariates, runs and places shown; the JSON has them all
 _LINES: Final = 12
 _RUNS: Final = 5

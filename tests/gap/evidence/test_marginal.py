@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.stats import multivariate_normal, multivariate_t
 
 from calib.gap.evidence.marginal import FLOOR_DOF, Nuisance, form_columns, log_marginal, project, rows
-from calib.gap.evidence.noise import whiten
+from calib.gap.evidence.noise_kernels import whiten
 from calib.gap.plan.separability import noise_at
 from calib.gap.predict.path import predict
 from tests.gap.effects.making import rich_runs, situation

@@ -8,16 +8,10 @@ import numpy as np
 import pytest
 
 from calib.gap.data.observations import Observations
-from calib.gap.evidence.noise import (
-    COMPONENTS,
-    Noise,
-    estimate_noise,
-    interactions,
-    kernels,
-    quantisation,
-    surroundings,
-)
+from calib.gap.evidence.noise import Noise, estimate_noise
+from calib.gap.evidence.noise_kernels import COMPONENTS, kernels, quantisation
 from calib.gap.evidence.noise_scales import Grouped, NoiseShapes, ScaleLikelihood
+from calib.gap.evidence.trends import interactions, surroundings
 from calib.gap.predict.path import Path, predict
 from calib.gap.predict.residuals import residuals
 from tests.gap.effects.making import (

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from calib.gap.effects.temperature_radius import TemperatureRadius
+from calib.gap.evidence.climb import Settings
 from calib.gap.evidence.fit import fit
 from calib.gap.evidence.recalibration import NAMES, Recalibration, judge_recalibration
-from calib.gap.evidence.search import Settings
 from calib.gap.plan.separability import noise_at
 from calib.gap.predict.path import predict
 from tests.gap.effects.making import Motion, Run, rich_runs, situation

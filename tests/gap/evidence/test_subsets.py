@@ -9,9 +9,9 @@ import pytest
 
 from calib.gap.effects.calibration import DIRECTIONS, TYPICAL
 from calib.gap.effects.temperature_radius import TemperatureRadius
+from calib.gap.evidence.climb import Settings
 from calib.gap.evidence.fit import fit
 from calib.gap.evidence.marginal import CALIBRATION_SD, FLOOR_DOF
-from calib.gap.evidence.search import Settings
 from calib.gap.evidence.subsets import EXCUSE, LOOSE, SUBSETS, SubsetWeights, weigh_subsets
 from calib.gap.evidence.system import LinearSystem
 from calib.gap.plan.separability import noise_at

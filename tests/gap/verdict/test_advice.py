@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from calib.gap.verdict.result import Cause, Fix, Group, Verdict, VerdictKind
+from calib.gap.verdict.outcome import Fix, Group
+from calib.gap.verdict.result import Cause, Verdict, VerdictKind
 from calib.gap.verdict.sentence import advice
 
 

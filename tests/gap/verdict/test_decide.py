@@ -7,8 +7,8 @@ from dataclasses import replace
 import pytest
 
 from calib.gap.verdict.decide import Balance, kind_of, recommended
-from calib.gap.verdict.outcome import Rest
-from calib.gap.verdict.result import Cause, Closure, VerdictKind
+from calib.gap.verdict.outcome import Closure, Rest
+from calib.gap.verdict.result import Cause, VerdictKind
 from calib.gap.verdict.transfer import Trial
 
 #: one effect surely at work, whose fix closes the gap on runs left out

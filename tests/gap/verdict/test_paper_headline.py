@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import pytest
 
+from calib.gap.verdict.outcome import Closure, Fix, Group
 from calib.gap.verdict.paper_headline import headline
-from calib.gap.verdict.result import Cause, Closure, Fix, Group, Verdict, VerdictKind
+from calib.gap.verdict.result import Cause, Verdict, VerdictKind
 
 
 def _verdict(effect: str, *, group: tuple[str, ...] = (), before: float | None = 2.2, after: float = 0.1) -> Verdict:

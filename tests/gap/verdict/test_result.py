@@ -7,21 +7,8 @@ import json
 import pytest
 
 from calib.gap.data.channels import Channel
-from calib.gap.verdict.result import (
-    BY_MODEL,
-    Cause,
-    ChannelClosure,
-    Closure,
-    Detectable,
-    Fix,
-    Group,
-    PlannedRunAdvice,
-    Quantity,
-    Rest,
-    Transfer,
-    Verdict,
-    VerdictKind,
-)
+from calib.gap.verdict.outcome import ChannelClosure, Closure, Detectable, Fix, Group, PlannedRunAdvice, Rest, Transfer
+from calib.gap.verdict.result import BY_MODEL, Cause, Quantity, Verdict, VerdictKind
 
 FULL = Verdict(
     kind=VerdictKind.PARTLY_EXPLAINED,

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from calib.gap.data.channels import Channel
-from calib.gap.verdict.result import BY_SIMULATOR, Cause, ChannelClosure, Closure, Verdict, VerdictKind
+from calib.gap.verdict.outcome import ChannelClosure, Closure
+from calib.gap.verdict.result import BY_SIMULATOR, Cause, Verdict, VerdictKind
 from calib.gap.verdict.sentence import sentence
 
 DISTANCE = ChannelClosure(Channel.DISTANCE, 0.0061, 0.0019, 0.0023, 0.98)
