@@ -20,16 +20,8 @@ class BadInputError(CalibError):
 class BadFileError(BadInputError):
     """A file that cannot be used.
 
-    Parameters
-    ----------
-    path : Path or str
-        The file.
-    found, expected, remedy : str
-        What stands there, what should stand there, what to do about it.
-    row : int, optional
-        Line of the file, counted from 1, header included.
-    column : str, optional
-        Name of the column or key.
+    `found`, `expected`, `remedy`: what stands there, what should stand there, what to do about it; `row`: line of the
+    file, counted from 1, header included; `column`: name of the column or key.
     """
 
     def __init__(
@@ -59,12 +51,7 @@ class RefusedError(CalibError):
 class ImplausibleError(CalibError):
     """Numbers that cannot be: a check has failed, and what rests on them is refused.
 
-    Parameters
-    ----------
-    name : str
-        Name of the campaign.
-    findings : sequence of str
-        What is beyond its bounds, each with the likely unit or setting.
+    `findings`: what is beyond its bounds, each with the likely unit or setting.
     """
 
     def __init__(self, name: str, findings: Sequence[str]) -> None:
@@ -76,14 +63,7 @@ class ImplausibleError(CalibError):
 class MissingExtraError(CalibError):
     """Something that an optional part of the installation does.
 
-    Parameters
-    ----------
-    what : str
-        What was asked for.
-    package : str
-        The package that is missing.
-    extra : str
-        The extra of calib that installs it.
+    `what`: what was asked for; `package`: the package that is missing; `extra`: the extra of calib that installs it.
     """
 
     def __init__(self, what: str, package: str, extra: str) -> None:

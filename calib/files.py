@@ -20,25 +20,9 @@ _STREAMS: Final = frozenset({"/dev/stdout", "/dev/stderr"})
 def write_bytes(path: Path, data: bytes, *, force: bool = False) -> Path:
     """Write `data` to `path` whole: to a temporary file beside it, then renamed.
 
-    Parameters
-    ----------
-    path : Path
-        Target; its folder is made where missing.
-    data : bytes
-        The content.
-    force : bool
-        Replace an existing file.
-
-    Returns
-    -------
-    Path
-        `path`.
-
-    Raises
-    ------
-    BadInputError
-        Where the path is an input of the command at work, the file exists and `force` is False, or the folder cannot be
-        written. A device or a FIFO is written to and never replaced.
+    `path`: target; its folder is made where missing. Raises BadInputError where the path is an input of the command at
+    work, the file exists and `force` is False, or the folder cannot be written. A device or a FIFO is written to and
+    never replaced.
     """
     path = Path(path)
     try:
@@ -99,17 +83,8 @@ def _pour(path: Path, data: bytes) -> None:
 def refuse_existing(targets: Iterable[Path | str | None], *, force: bool = False) -> None:
     """Refuse targets that cannot be written, before the work is done.
 
-    Parameters
-    ----------
-    targets : iterable of Path, str or None
-        Where files will go; None and ``-`` are no files.
-    force : bool
-        Allow existing files; never those that the command at work was given to read.
-
-    Raises
-    ------
-    BadInputError
-        Where a target is an input, or exists and `force` is False.
+    `targets`: where files will go; None and ``-`` are no files. Raises BadInputError where a target is an input, or
+    exists and `force` is False.
     """
     for target in targets:
         if target is None or str(target) == "-":
@@ -141,12 +116,8 @@ def write_text(path: Path, text: str, *, force: bool = False) -> Path:
 def to_json(value: Any, *, ascii_only: bool = False) -> str:
     """Return `value` as indented JSON with a final newline; NaN and infinity are refused, never written.
 
-    Parameters
-    ----------
-    value : object
-        Plain values, numpy's among them.
-    ascii_only : bool
-        Write other characters as escapes, as is always done where one has no UTF-8 (half a pair).
+    `value`: plain values, numpy's among them; `ascii_only`: write other characters as escapes, as is always done where
+    one has no UTF-8 (half a pair).
     """
     text = json.dumps(value, indent=2, ensure_ascii=ascii_only, allow_nan=False, default=_plain) + "\n"
     try:
@@ -159,10 +130,7 @@ def to_json(value: Any, *, ascii_only: bool = False) -> str:
 def spreadsheet_cell(value: Any) -> Any:
     """Return a cell that a spreadsheet shows and never computes: a text that begins like a formula gets a quote.
 
-    Parameters
-    ----------
-    value : object
-        Of a table meant for spreadsheets. Numbers stay numbers, also those written as texts.
+    `value`: of a table meant for spreadsheets. Numbers stay numbers, also those written as texts.
     """
     if not isinstance(value, str) or not value.startswith(("=", "+", "-", "@", "\t", "\r")):
         return value
@@ -176,12 +144,7 @@ def spreadsheet_cell(value: Any) -> Any:
 def csv_text(columns: Sequence[str], rows: Iterable[Iterable[Any]]) -> str:
     """Return a table for people and spreadsheets as CSV; every one that calib writes for them is written here.
 
-    Parameters
-    ----------
-    columns : sequence of str
-        Names of the columns.
-    rows : iterable of iterable
-        Cells; None is an empty one, and no cell is a formula (`spreadsheet_cell`).
+    `columns`: names of the columns; `rows`: cells; None is an empty one, and no cell is a formula (`spreadsheet_cell`).
     """
     import csv
     import io

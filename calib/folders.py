@@ -30,19 +30,7 @@ _HERE: Final = -100
 def write_files(folder: Path, files: Mapping[str, bytes], *, force: bool = False) -> list[Path]:
     """Write files of one generation into a folder, all of them or none; see `write_folder`.
 
-    Parameters
-    ----------
-    folder : Path
-        Made where missing.
-    files : mapping of str to bytes
-        Name in the folder -> content.
-    force : bool
-        Replace files of these names.
-
-    Returns
-    -------
-    list of Path
-        The files, in the order given.
+    `folder`: made where missing; `files`: name in the folder -> content.
     """
 
     def fill(made: Path) -> None:
@@ -57,27 +45,10 @@ def write_files(folder: Path, files: Mapping[str, bytes], *, force: bool = False
 def write_folder(folder: Path, names: Sequence[str], fill: Callable[[Path], None], *, force: bool = False) -> Path:
     """Write a folder all at once; what stands there under other names is kept.
 
-    Parameters
-    ----------
-    folder : Path
-        The target; made where missing.
-    names : sequence of str
-        Entries of the folder that belong together: those of an earlier generation go when the new ones come.
-    fill : callable
-        Called with an empty folder, into which it writes the entries.
-    force : bool
-        Replace an earlier generation.
-
-    Returns
-    -------
-    Path
-        `folder`.
-
-    Raises
-    ------
-    BadInputError
-        Where an entry is an input of the command at work, or exists and `force` is False, or the folder cannot be
-        written; nothing has changed then.
+    `folder`: the target; made where missing; `names`: entries of the folder that belong together: those of an earlier
+    generation go when the new ones come; `fill`: called with an empty folder, into which it writes the entries. Raises
+    BadInputError where an entry is an input of the command at work, or exists and `force` is False, or the folder
+    cannot be written; nothing has changed then.
     """
     folder = Path(folder)
     try:
@@ -100,10 +71,7 @@ def write_folder(folder: Path, names: Sequence[str], fill: Callable[[Path], None
 def settle(folder: Path) -> None:
     """Finish what a killed writer began inside `folder`: a generation made ready is moved in, the rest removed.
 
-    Raises
-    ------
-    BadInputError
-        Where the folder needs it and cannot be written.
+    Raises BadInputError where the folder needs it and cannot be written.
     """
     for leftover in inside(Path(folder)):
         if (leftover / _LIST).is_file():

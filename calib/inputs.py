@@ -25,10 +25,7 @@ MOST_LOOKED_AT: Final = 200_000
 def inputs_kept(paths: Iterable[Path | str]) -> Iterator[None]:
     """Hold `paths` sacred inside the block: no writer of `calib.files` or `calib.folders` replaces them.
 
-    Parameters
-    ----------
-    paths : iterable of Path or str
-        Files, or folders whose data files are meant (campaigns, result folders, folders of logs).
+    `paths`: files, or folders whose data files are meant (campaigns, result folders, folders of logs).
     """
     token = _INPUTS.set((*_INPUTS.get(), *(Path(path) for path in paths)))
     try:
@@ -40,10 +37,7 @@ def inputs_kept(paths: Iterable[Path | str]) -> Iterator[None]:
 def refuse_input(target: Path) -> None:
     """Refuse to write to `target` where it is an input, under whatever name: links, ``..``, another case.
 
-    Raises
-    ------
-    BadInputError
-        Where it is one; the message never advises to force.
+    Raises BadInputError where it is one; the message never advises to force.
     """
     for given in _INPUTS.get():
         if _is_input(Path(target), given):
@@ -56,10 +50,7 @@ def refuse_input(target: Path) -> None:
 def refuse_special(path: Path) -> None:
     """Refuse to read what is no regular file and no folder: a device may be endless, a FIFO may never speak.
 
-    Raises
-    ------
-    BadInputError
-        Where `path` is a device, a FIFO or a socket.
+    Raises BadInputError where `path` is a device, a FIFO or a socket.
     """
     try:
         mode = Path(path).stat().st_mode

@@ -20,12 +20,7 @@ INSIDE: Final = "inside"
 def temporary_beside(path: Path, where: Path | None = None) -> Path:
     """Return a fresh name for what will become `path`: short, hidden, and telling whose it is.
 
-    Parameters
-    ----------
-    path : Path
-        The target.
-    where : Path, optional
-        The folder for it; None: the target's own.
+    `where`: the folder for it; None: the target's own.
     """
     mark = _mark(path) if where is None else INSIDE
     stem = f"{PREFIX}{mark}-{_host()}-{os.getpid()}-{secrets.token_hex(3)}{SUFFIX}"

@@ -89,10 +89,7 @@ def refuse_beyond(
 def refuse_hostile_keys(text: str, shown: str) -> None:
     """Refuse TOML with a dotted key of too many parts, whose parsing takes the square of its length.
 
-    Raises
-    ------
-    BadFileError
-        With the row.
+    Raises BadFileError with the row.
     """
     deep = _DEEP.search(text)
     if deep is not None:
@@ -108,10 +105,7 @@ def refuse_hostile_keys(text: str, shown: str) -> None:
 def refuse_hostile_document(document: dict[str, Any], shown: str) -> None:
     """Refuse a settings document with keys, texts or a nesting beyond all use.
 
-    Raises
-    ------
-    BadFileError
-        With the key.
+    Raises BadFileError with the key.
     """
     level: list[tuple[str, Any]] = list(document.items())
     for _ in range(KEY_PARTS):

@@ -15,10 +15,7 @@ def canonical_bytes(document: dict[str, Any]) -> bytes:
     The document without its checksum; keys sorted, no white space, ASCII only, every number written as the shortest
     decimal that reads back as the same double, so that 4096 and 4096.0 are one number.
 
-    Raises
-    ------
-    ValueError, OverflowError
-        Where a number is not a finite double.
+    Raises ValueError, OverflowError where a number is not a finite double.
     """
     body = {key: value for key, value in document.items() if key != CHECKSUM_KEY}
     text = json.dumps(_doubles(body), sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False)

@@ -42,17 +42,8 @@ SUFFIXES: Final[dict[str, tuple[str, float, float]]] = {
 def split_suffix(name: str) -> tuple[str, str | None]:
     """Split a column name into its stem and its unit suffix.
 
-    Parameters
-    ----------
-    name : str
-        For example ``distance_mm``.
-
-    Returns
-    -------
-    stem : str
-        ``distance``
-    suffix : str or None
-        ``mm``, or None where the name ends in no known unit.
+    `name`: for example ``distance_mm``. Returns `stem`: ``distance``; `suffix`: ``mm``, or None where the name ends in
+    no known unit.
     """
     stem, sep, suffix = name.rpartition("_")
     if sep and suffix in SUFFIXES:

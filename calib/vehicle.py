@@ -23,41 +23,29 @@ class Vehicle:
     """Geometry and mass of a vehicle; by default a driven, steered front wheel and two free rear wheels.
 
     The origin is the middle of the rear axle, x forward, y left, yaw counter-clockwise (REP-103).
-
-    Parameters
-    ----------
-    track_m : float
-        Distance between the contact points of the rear wheels.
-    wheelbase_m : float
-        Rear axle to front wheel.
-    wheel_radius_m : float
-        Nominal free radius of the rear wheels.
-    mass_kg : float
-        Mass without payload.
-    cog_x_m, cog_y_m : float
-        Centre of mass without payload, ahead of the rear axle and left of the centre line.
-    cog_z_m : float
-        Height of the centre of mass above the floor.
-    max_wheel_load_N : float
-        Permissible wheel load.
-    drive : {"tricycle", "differential", "mecanum"}
-        Front wheel driven and steered; the two rear wheels driven; four wheels with rollers at 45 degrees.
-    front_wheel_radius_m : float or None
-        Radius of the front wheel; None where the rear wheels' holds for it too.
-    half_length_plus_half_width_m : float or None
-        Half the wheelbase plus half the track of a mecanum vehicle; None where nobody says.
     """
 
+    #: distance between the contact points of the rear wheels
     track_m: float = 0.700
+    #: rear axle to front wheel
     wheelbase_m: float = 1.000
+    #: nominal free radius of the rear wheels
     wheel_radius_m: float = 0.100
+    #: mass without payload
     mass_kg: float = 100.0
+    #: centre of mass without payload, ahead of the rear axle and left of the centre line
     cog_x_m: float = 0.388
     cog_y_m: float = 0.0
+    #: height of the centre of mass above the floor
     cog_z_m: float = 0.4
+    #: permissible wheel load
     max_wheel_load_N: float = 5000.0
+    #: tricycle: front wheel driven and steered; differential: two rear wheels driven; mecanum: four wheels with rollers
+    #: at 45 degrees
     drive: Drive = "tricycle"
+    #: radius of the front wheel; None where the rear wheels' holds for it too
     front_wheel_radius_m: float | None = None
+    #: half the wheelbase plus half the track of a mecanum vehicle; None where nobody says
     half_length_plus_half_width_m: float | None = None
 
     @property
@@ -79,18 +67,9 @@ def wheel_loads_N(
     Moments about the rear axle and about its centre line; the vehicle's own centre of mass may stand off the centre
     line. With ``cog_y_m = 0`` and ``y_paper = y + track / 2`` these are the paper's equations.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        Geometry and mass.
-    payload_kg, payload_x_m, payload_y_m : array_like of float
-        Payload, its distance ahead of the rear axle, and left of the centre line; any shapes that broadcast. A negative
-        result means that a wheel would lift off.
-
-    Returns
-    -------
-    front_N, left_N, right_N : array of float
-        Wheel loads, of the broadcast shape.
+    `payload_kg`, `payload_x_m`, `payload_y_m`: payload, its distance ahead of the rear axle, and left of the centre
+    line; any shapes that broadcast. A negative result means that a wheel would lift off. Returns `front_N`, `left_N`,
+    `right_N`: wheel loads, of the broadcast shape.
     """
     mass, x, y = np.broadcast_arrays(
         np.asarray(payload_kg, dtype=np.float64),
@@ -144,19 +123,13 @@ def check_wheel_loads(
 
 @dataclass(frozen=True, slots=True)
 class WeighedPayload:
-    """Payload and its position from three weighed wheels, with standard uncertainties.
+    """Payload and its position from three weighed wheels, with standard uncertainties."""
 
-    Parameters
-    ----------
-    payload_kg, payload_x_m, payload_y_m : float
-        Mass, distance ahead of the rear axle, distance left of the centre line.
-    payload_std_kg, payload_x_std_m, payload_y_std_m : float
-        Standard uncertainties that those of the weighings cause.
-    """
-
+    #: mass, distance ahead of the rear axle, distance left of the centre line
     payload_kg: float
     payload_x_m: float
     payload_y_m: float
+    #: standard uncertainties that those of the weighings cause
     payload_std_kg: float
     payload_x_std_m: float
     payload_y_std_m: float

@@ -40,23 +40,13 @@ class Found:
 
 @dataclass(frozen=True, slots=True)
 class CheckReport:
-    """What was found, and the notes by level.
-
-    Parameters
-    ----------
-    campaign : str
-        Its name.
-    simulated : bool
-        Whether a program made the data.
-    found : Found
-        Summary.
-    wrong, suspicious, info : tuple of Note
-        Faults to put right; things to look at; what was recognised and converted.
-    """
+    """What was found, and the notes by level."""
 
     campaign: str
+    #: whether a program made the data
     simulated: bool
     found: Found
+    #: faults to put right; things to look at; what was recognised and converted
     wrong: tuple[Note, ...]
     suspicious: tuple[Note, ...]
     info: tuple[Note, ...]
@@ -77,17 +67,8 @@ class CheckReport:
 def check_campaign(campaign: Campaign, progress: Progress = silent) -> CheckReport:
     """Run every check; nothing is changed or deleted.
 
-    Parameters
-    ----------
-    campaign : Campaign
-        Read leniently, so that faults of single runs are among its notes.
-    progress : callable
-        See `calib.progress.Progress`.
-
-    Returns
-    -------
-    CheckReport
-        The notes of the reading and of every check, those of a run that is flagged as excluded left out but for faults.
+    `campaign`: read leniently, so that faults of single runs are among its notes. The notes of the reading and of every
+    check, those of a run that is flagged as excluded left out but for faults.
     """
     excluded = {str(name) for name in campaign.runs.run_id[campaign.runs.excluded]}
     kept = campaign.included()

@@ -56,19 +56,9 @@ def spelled(found: str) -> str:
 def recognise(found: str, known: Sequence[str] | Iterable[str], *, further: bool = True) -> Recognised:
     """Match one column name against the known ones.
 
-    Parameters
-    ----------
-    found : str
-        Name as it stands in the file, for example ``distance [mm]`` or ``Load_Left_kN``.
-    known : sequence of str
-        Names with calib's unit suffixes.
-    further : bool
-        Convert an unknown name that ends in a unit (``static_radius_mm``) to its SI name too.
-
-    Returns
-    -------
-    Recognised
-        With ``name`` equal to `found` (cleaned of blanks) where nothing matches.
+    `found`: name as it stands in the file, for example ``distance [mm]`` or ``Load_Left_kN``; `known`: names with
+    calib's unit suffixes; `further`: convert an unknown name that ends in a unit (``static_radius_mm``) to its SI name
+    too. With ``name`` equal to `found` (cleaned of blanks) where nothing matches.
     """
     known = tuple(known)
     name = found.strip()
@@ -103,17 +93,8 @@ def recognise(found: str, known: Sequence[str] | Iterable[str], *, further: bool
 def converted(values: FloatArray, factor: float, offset: float = 0.0) -> FloatArray:
     """Return ``factor * values + offset`` as decimal arithmetic would give it: 0.4348 kN is 434.8 N, not 434.79999999.
 
-    Parameters
-    ----------
-    values : array of float
-        As written.
-    factor, offset : float
-        The conversion.
-
-    Returns
-    -------
-    array of float
-        Rounded to 15 significant digits, which is more than any decimal number in a file holds.
+    `factor`, `offset`: the conversion. Rounded to 15 significant digits, which is more than any decimal number in a
+    file holds.
     """
     if factor == 1.0 and not offset:
         return values
@@ -128,14 +109,7 @@ def converted(values: FloatArray, factor: float, offset: float = 0.0) -> FloatAr
 def second_column(match: Recognised, column: str, shown: str) -> BadFileError:
     """Return the error of a column that means what another one of the same file means already.
 
-    Parameters
-    ----------
-    match : Recognised
-        What it was recognised as.
-    column : str
-        Its name in the file.
-    shown : str
-        The file's name in messages.
+    `column`: its name in the file.
     """
     return BadFileError(
         shown,

@@ -22,19 +22,13 @@ SETTLED_NS: Final = 2_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class FileState:
-    """What the system says of a file without its being read: any writing to it moves the time of its last change.
+    """What the system says of a file without its being read: any writing to it moves the time of its last change."""
 
-    Parameters
-    ----------
-    device, inode, size : int
-        Which file, and its bytes.
-    modified_ns, changed_ns : int
-        Time of its content, which programs may set, and of its last change, which the system alone sets.
-    """
-
+    #: which file, and its bytes
     device: int
     inode: int
     size: int
+    #: time of its content, which programs may set, and of its last change, which the system alone sets
     modified_ns: int
     changed_ns: int
 
@@ -63,17 +57,11 @@ class Content:
 
 @dataclass
 class KnownHashes:
-    """The hashes of the files of one folder; kept in a file of the cache, safe to delete at any time.
+    """The hashes of the files of one folder; kept in a file of the cache, safe to delete at any time."""
 
-    Parameters
-    ----------
-    place : Path or None
-        Where they are kept; None keeps nothing.
-    known : mapping of str to str
-        SHA-256 by `FileState.key`, from before.
-    """
-
+    #: where they are kept; None keeps nothing
     place: Path | None
+    #: SHA-256 by `FileState.key`, from before
     known: Mapping[str, str] = field(default_factory=dict)
     _seen: dict[str, str] = field(default_factory=dict)
 

@@ -52,12 +52,8 @@ class LogCache:
     def path_of(self, sha256: str, asked: Sequence[Any]) -> Path:
         """Return the place of a log.
 
-        Parameters
-        ----------
-        sha256 : str
-            Of the file's bytes.
-        asked : sequence
-            What else the answer depends on: the file's name in messages, columns renamed.
+        `sha256`: of the file's bytes; `asked`: what else the answer depends on: the file's name in messages, columns
+        renamed.
         """
         what = json.dumps([_read_by(), sha256, *asked], sort_keys=True)
         name = hashlib.sha256(what.encode("utf-8", "backslashreplace")).hexdigest()

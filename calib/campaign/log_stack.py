@@ -22,10 +22,7 @@ _GROWTH_SHARE: Final = 0.125
 class LogStack:
     """Columns that grow as logs come, one array each, so that no log is held twice.
 
-    Parameters
-    ----------
-    n_runs : int
-        Rows of the run table.
+    `n_runs`: rows of the run table.
     """
 
     def __init__(self, n_runs: int) -> None:
@@ -53,19 +50,8 @@ class LogStack:
     def finished(self, encoder: Encoder, names: Mapping[int, tuple[str, str]], border: Border) -> Logs:
         """Return the logs of all runs with the overflow of their counters undone; the stack is empty afterwards.
 
-        Parameters
-        ----------
-        encoder : Encoder
-            ``wrap_bits`` where the settings name it; else overflows are looked for.
-        names : mapping of int to (str, str)
-            Run id and name of the log, for messages.
-        border : Border
-            Takes notes.
-
-        Returns
-        -------
-        Logs
-            Of all runs, end to end.
+        `encoder`: ``wrap_bits`` where the settings name it; else overflows are looked for; `names`: run id and name of
+        the log, for messages. Of all runs, end to end.
         """
         offsets = np.concatenate(([0], np.cumsum(self._lengths))).astype(np.int64)
         columns: dict[str, FloatArray] = {}

@@ -90,10 +90,7 @@ def wanted_in_log(renames: Renames | None = None) -> Wanted:
 def log_column(name: str) -> Recognised:
     """Return what a column of a log is, by its whole name or, in a recording, by the part after its stream or group.
 
-    Parameters
-    ----------
-    name : str
-        As found: ``counts_left``, ``Encoder/counts_left`` or ``/wheels:counts_left``.
+    `name`: as found: ``counts_left``, ``Encoder/counts_left`` or ``/wheels:counts_left``.
     """
     whole = recognise(name, LOG_COLUMNS, further=False)
     if whole.name in LOG_COLUMNS:
@@ -104,19 +101,8 @@ def log_column(name: str) -> Recognised:
 def refuse_incomplete(columns: Mapping[str, FloatArray], shown: str, line: IntArray) -> None:
     """Refuse a log without time or wheels, or with gaps in them.
 
-    Parameters
-    ----------
-    columns : mapping of str to array of float, shape (n_samples,)
-        Under calib's names.
-    shown : str
-        The log's name in messages.
-    line : array of int, shape (n_samples,)
-        Line of each sample in the file.
-
-    Raises
-    ------
-    BadFileError
-        Names the column that is missing, or the row of the empty cell.
+    `columns` (shape (n_samples,)); `line` (shape (n_samples,)): line of each sample in the file. Raises BadFileError:
+    names the column that is missing, or the row of the empty cell.
     """
     wheels = max(WHEEL_SETS, key=lambda names: sum(name in columns for name in names) / len(names))
     for name in ("t_s", *wheels):

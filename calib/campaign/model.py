@@ -80,48 +80,31 @@ WHEEL_SETS: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """Something recognised, converted or found on the way in.
+    """Something recognised, converted or found on the way in."""
 
-    Parameters
-    ----------
-    level : str
-        ``info`` (recognised or converted), ``suspicious`` or ``wrong``.
-    where : str
-        File, row, column as one text.
-    text : str
-        What was found, what was expected, what to do, in one sentence.
-    code : str
-        Stable name of the check, for example ``swapped_wheels``.
-    run_id : str
-        The run concerned, or empty.
-    """
-
+    #: ``info`` (recognised or converted), ``suspicious`` or ``wrong``
     level: str
+    #: file, row, column as one text
     where: str
+    #: what was found, what was expected, what to do, in one sentence
     text: str
+    #: stable name of the check, for example ``swapped_wheels``
     code: str = ""
+    #: the run concerned, or empty
     run_id: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class RunTable:
-    """The run table as arrays over runs, in the order driven.
+    """The run table as arrays over runs, in the order driven."""
 
-    Parameters
-    ----------
-    labels : mapping of str to array of str, shape (n_runs,)
-        Text columns present in the file (of `LABEL_COLUMNS`); ``run_id`` always is.
-    numbers : mapping of str to array of float, shape (n_runs,)
-        Numeric columns present, NaN where a cell is empty; SI units.
-    excluded : array of bool, shape (n_runs,)
-        Rows flagged out; they stay in the table.
-    line : array of int, shape (n_runs,)
-        Line of each row in the file, counted from 1, header included.
-    """
-
+    #: text columns present in the file (of `LABEL_COLUMNS`); ``run_id`` always is, shape (n_runs,)
     labels: Mapping[str, StrArray]
+    #: numeric columns present, NaN where a cell is empty; SI units, shape (n_runs,)
     numbers: Mapping[str, FloatArray]
+    #: rows flagged out; they stay in the table, shape (n_runs,)
     excluded: BoolArray
+    #: line of each row in the file, counted from 1, header included, shape (n_runs,)
     line: IntArray
 
     def __len__(self) -> int:
@@ -172,18 +155,13 @@ class RunTable:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Logs:
-    """The logs of all runs laid end to end.
+    """The logs of all runs laid end to end."""
 
-    Parameters
-    ----------
-    offsets : array of int, shape (n_runs + 1,)
-        Samples of run i stand at ``offsets[i]:offsets[i + 1]``; an empty stretch means that the run has no log.
-    columns : mapping of str to array of float, shape (n_samples,)
-        Columns of `LOG_COLUMNS` that any log has, NaN in the stretches of logs that lack one. Counts are unwrapped
-        and start at the log's own first value; times are seconds from the run's start.
-    """
-
+    #: samples of run i stand at ``offsets[i]:offsets[i + 1]``; an empty stretch means that the run has no log, shape
+    #: (n_runs + 1,)
     offsets: IntArray
+    #: columns of `LOG_COLUMNS` that any log has, NaN in the stretches of logs that lack one. Counts are unwrapped and
+    #: start at the log's own first value; times are seconds from the run's start, shape (n_samples,)
     columns: Mapping[str, FloatArray]
 
     @property
@@ -231,48 +209,31 @@ class Logs:
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Campaign:
-    """A campaign: vehicle, instruments, what the simulator believes, runs and logs.
+    """A campaign: vehicle, instruments, what the simulator believes, runs and logs."""
 
-    Parameters
-    ----------
-    root : Path or None
-        Its folder; None where it was made in memory.
-    name : str
-        Name of the campaign.
-    simulated : bool
-        True where a program made the data; every report then says so.
-    vehicle, encoder, model, rangefinder, reference
-        Sections of ``campaign.toml``.
-    runs : RunTable
-        The run table.
-    logs : Logs
-        Logs of the same runs in the same order.
-    notes : tuple of Note
-        What was recognised and converted on the way in.
-    hashes : mapping of str to str
-        SHA-256 of every file read, by path relative to the folder.
-    extra : mapping
-        Sections of ``campaign.toml`` that the contract does not name, as read (``effects`` for one).
-    odometry : Odometry
-        What the vehicle's own odometry runs on.
-    assumed : tuple of str
-        Keys of ``campaign.toml`` whose values nobody stated: a program filled them in (``rangefinder.sigma_m``).
-    """
-
+    #: its folder; None where it was made in memory
     root: Path | None
     name: str
+    #: True where a program made the data; every report then says so
     simulated: bool
+    #: sections of ``campaign.toml``
     vehicle: Vehicle
     encoder: Encoder
     model: OdometryModel
     rangefinder: Rangefinder
     reference: Reference
     runs: RunTable
+    #: logs of the same runs in the same order
     logs: Logs
+    #: what was recognised and converted on the way in
     notes: tuple[Note, ...] = ()
+    #: SHA-256 of every file read, by path relative to the folder
     hashes: Mapping[str, str] = field(default_factory=dict)
+    #: sections of ``campaign.toml`` that the contract does not name, as read (``effects`` for one)
     extra: Mapping[str, Any] = field(default_factory=dict)
+    #: what the vehicle's own odometry runs on
     odometry: Odometry = field(default_factory=Odometry)
+    #: keys of ``campaign.toml`` whose values nobody stated: a program filled them in (``rangefinder.sigma_m``)
     assumed: tuple[str, ...] = ()
 
     def select(self, keep: npt.ArrayLike) -> Campaign:

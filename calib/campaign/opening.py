@@ -22,26 +22,10 @@ def read_or_ingest(
 ) -> Campaign:
     """Read a campaign folder, or make a campaign out of a recording or table as `ingest` would, and read that.
 
-    Parameters
-    ----------
-    path : Path
-        A campaign folder; or a file, or the folder of a rosbag2 recording.
-    mapping : Path, optional
-        The mapping of a file; a campaign folder takes none.
-    lenient : bool
-        As for `read_campaign`.
-    progress : callable
-        See `calib.progress.Progress`.
-
-    Returns
-    -------
-    Campaign
-        Without a folder of its own (``root`` is None) where it was made on the way.
-
-    Raises
-    ------
-    BadInputError
-        Where a campaign folder is given with a mapping, or the file cannot be used.
+    `path`: a campaign folder; or a file, or the folder of a rosbag2 recording; `mapping`: the mapping of a file; a
+    campaign folder takes none; `lenient`: as for `read_campaign`. Without a folder of its own (``root`` is None) where
+    it was made on the way. Raises BadInputError where a campaign folder is given with a mapping, or the file cannot be
+    used.
     """
     path = Path(path)
     if path.is_dir() and not is_bag_folder(path) and ((path / SETTINGS).exists() or mapping is None):

@@ -58,10 +58,7 @@ _HALL: Final = (-50.0, 60.0)
 def implausible(campaign: Campaign) -> Iterator[Note]:
     """Yield what cannot be, as notes of level ``wrong``; nothing for a campaign within all bounds.
 
-    Parameters
-    ----------
-    campaign : Campaign
-        Rows that are flagged as excluded are passed over.
+    `campaign`: rows that are flagged as excluded are passed over.
     """
     kept = campaign.included()
     for check in _CHECKS:

@@ -33,29 +33,12 @@ _SAME_COUNTS: Final = 50.0
 def read_campaign(folder: Path, *, logs: bool = True, lenient: bool = False, progress: Progress = silent) -> Campaign:
     """Read a campaign.
 
-    Parameters
-    ----------
-    folder : Path
-        Holds ``campaign.toml``, ``runs.csv`` (or ``.xlsx``, ``.parquet``) and the logs that the table names, or
-        ``logs/<run_id>.csv`` where it names none.
-    logs : bool
-        Read the logs too.
-    lenient : bool
-        Keep faults of single runs (a run id twice, a log missing or damaged) as notes of level ``wrong`` instead of
-        raising the first, for a check that names them all.
-    progress : callable
-        See `calib.progress.Progress`.
-
-    Returns
-    -------
-    Campaign
-        In SI units. Wheel loads that the table lacks are computed from the payload (Eqs 1 and 2), counts and distance
-        that it lacks are taken from the logs; every such step is in ``notes``.
-
-    Raises
-    ------
-    BadFileError
-        Where something cannot be used; the message names file, row and column.
+    `folder`: holds ``campaign.toml``, ``runs.csv`` (or ``.xlsx``, ``.parquet``) and the logs that the table names, or
+    ``logs/<run_id>.csv`` where it names none; `logs`: read the logs too; `lenient`: keep faults of single runs (a run
+    id twice, a log missing or damaged) as notes of level ``wrong`` instead of raising the first, for a check that names
+    them all. In SI units. Wheel loads that the table lacks are computed from the payload (Eqs 1 and 2), counts and
+    distance that it lacks are taken from the logs; every such step is in ``notes``. Raises BadFileError where something
+    cannot be used; the message names file, row and column.
     """
     folder = Path(folder)
     if not folder.is_dir():

@@ -26,15 +26,8 @@ _FALSE: Final = frozenset({"false", "0", "0.0", "no", "n", "", "-"})
 def run_table(raw: RawTable, shown: str, border: Border) -> RunTable:
     """Recognise columns, convert units, and check what every later stage relies on.
 
-    Returns
-    -------
-    RunTable
-        Rows in the file's order, SI units.
-
-    Raises
-    ------
-    BadFileError
-        Where run_id is missing, a cell is no number, or (not lenient) a run_id stands twice.
+    Rows in the file's order, SI units. Raises BadFileError where run_id is missing, a cell is no number, or (not
+    lenient) a run_id stands twice.
     """
     matched = _match(raw, shown, border)
     line = raw.line

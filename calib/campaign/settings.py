@@ -18,21 +18,14 @@ ODOMETRY_SOURCES: Final[tuple[str, ...]] = get_args(OdometrySource)
 
 @dataclass(frozen=True, slots=True)
 class Encoder:
-    """Encoders: counts per wheel revolution, and the counter's width where it wraps.
+    """Encoders: counts per wheel revolution, and the counter's width where it wraps."""
 
-    Parameters
-    ----------
-    counts_per_rev_left, counts_per_rev_right : float
-        Counts a revolution of the rear wheels.
-    wrap_bits : int or None
-        Width of the counter; None where it does not wrap or nobody says.
-    counts_per_rev_front : float or None
-        Counts a revolution of the front wheel; None where the left wheel's value holds for it too.
-    """
-
+    #: counts a revolution of the rear wheels
     counts_per_rev_left: float = 4096.0
     counts_per_rev_right: float = 4096.0
+    #: width of the counter; None where it does not wrap or nobody says
     wrap_bits: int | None = None
+    #: counts a revolution of the front wheel; None where the left wheel's value holds for it too
     counts_per_rev_front: float | None = None
 
     @property
@@ -93,36 +86,24 @@ class Rangefinder:
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """Pose reference: its uncertainties, where its frame sits on the vehicle, and the frame its poses stand in.
+    """Pose reference: its uncertainties, where its frame sits on the vehicle, and the frame its poses stand in."""
 
-    Parameters
-    ----------
-    sigma_xy_m, sigma_theta_rad : float
-        Standard uncertainties of position (each axis) and heading.
-    sensor_x_m, sensor_y_m, sensor_yaw_rad : float
-        Place of the reference's frame on the vehicle: ahead of the rear axle's middle, left of it, and turned
-        counter-clockwise against the vehicle's heading.
-    frame : {"start", "map"} or None
-        Poses in each run's own start frame, or in one frame common to all runs; None where nobody says.
-    """
-
+    #: standard uncertainties of position (each axis) and heading
     sigma_xy_m: float = 0.002
     sigma_theta_rad: float = 0.0008
+    #: place of the reference's frame on the vehicle: ahead of the rear axle's middle, left of it, and turned
+    #: counter-clockwise against the vehicle's heading
     sensor_x_m: float = 0.0
     sensor_y_m: float = 0.0
     sensor_yaw_rad: float = 0.0
+    #: start: poses in each run's own start frame; map: in one frame common to all runs; None where nobody says
     frame: Frame | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Odometry:
-    """What the vehicle's own odometry runs on.
+    """What the vehicle's own odometry runs on."""
 
-    Parameters
-    ----------
-    source : {"rear", "front", "wheels"} or None
-        The two rear wheels' encoders; the front wheel's encoder and steering angle; all wheels (mecanum). The key in
-        the file is ``from``. None where nobody says.
-    """
-
+    #: rear: the two rear wheels' encoders; front: the front wheel's encoder and steering angle; wheels: all (mecanum);
+    #: None where nobody says. The key in the file is ``from``
     source: OdometrySource | None = None

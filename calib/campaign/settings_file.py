@@ -83,22 +83,8 @@ class Settings:
 def read_settings(path: Path, shown: str) -> Settings:
     """Read and check ``campaign.toml``.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    shown : str
-        Its name in messages.
-
-    Returns
-    -------
-    Settings
-        With defaults where keys are missing; without ``[model]`` the simulator believes in the nominal vehicle.
-
-    Raises
-    ------
-    BadFileError
-        Where the file is missing, is no TOML, or holds a value of the wrong kind or range.
+    With defaults where keys are missing; without ``[model]`` the simulator believes in the nominal vehicle. Raises
+    BadFileError where the file is missing, is no TOML, or holds a value of the wrong kind or range.
     """
     return parse_settings(load_toml(path, shown), shown, path.parent.resolve().name)
 
@@ -177,14 +163,7 @@ def _declared(document: dict[str, Any], shown: str) -> list[str]:
 def load_toml(path: Path, shown: str, *, remedy: str = "") -> dict[str, Any]:
     """Return a TOML file as read, within the sizes of `calib.limits`, with errors that name the place.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    shown : str
-        Its name in messages.
-    remedy : str
-        What to do where there is none; without it, how to make a campaign.
+    `remedy`: what to do where there is none; without it, how to make a campaign.
     """
     if not path.is_file():
         raise BadFileError(

@@ -17,10 +17,7 @@ _BARE: Final = re.compile(r"[A-Za-z0-9_-]+")
 def to_toml(document: Mapping[str, Any]) -> str:
     """Return `document` as TOML: plain keys first, then one section a nested mapping.
 
-    Raises
-    ------
-    BadInputError
-        Where a value cannot be written (a number that is not finite, None, an unknown type).
+    Raises BadInputError where a value cannot be written (a number that is not finite, None, an unknown type).
     """
     lines: list[str] = []
     _section(document, (), lines)

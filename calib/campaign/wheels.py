@@ -60,18 +60,9 @@ def on_one_axle(campaign: Campaign, model: OdometryModel | None = None) -> Campa
     turning, are the motion of the axle's middle, and that is written as the counts of a left and a right wheel of the
     model's radii and track; what mecanum wheels roll to the side stands in the column `ASIDE`.
 
-    Parameters
-    ----------
-    campaign : Campaign
-        Any campaign.
-    model : OdometryModel, optional
-        What the simulator believes; the campaign's own by default. Its `front` or `mecanum` part, where it has one,
-        takes the place of the vehicle's nominal lengths.
-
-    Raises
-    ------
-    BadInputError
-        Where a mecanum vehicle does not say its l + w.
+    `model`: what the simulator believes; the campaign's own by default. Its `front` or `mecanum` part, where it has
+    one, takes the place of the vehicle's nominal lengths. Raises BadInputError where a mecanum vehicle does not say its
+    l + w.
     """
     if not without_rear_wheels(campaign):
         return campaign
@@ -144,10 +135,7 @@ def _motion(
 def mecanum_model(campaign: Campaign) -> MecanumModel:
     """Return what the campaign's model, else its vehicle, says of four mecanum wheels.
 
-    Raises
-    ------
-    BadInputError
-        Where neither says l + w.
+    Raises BadInputError where neither says l + w.
     """
     if campaign.model.mecanum is not None:
         return campaign.model.mecanum
@@ -163,14 +151,8 @@ def mecanum_model(campaign: Campaign) -> MecanumModel:
 def front_motion(front: FrontModel, rolled_rad: FloatArray, steer_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return what the axle's middle moves ahead (m) and turns (rad) in each step of the front wheel (Eqs 12 to 14).
 
-    Parameters
-    ----------
-    front : FrontModel
-        Radius, wheelbase, zero and scale of the steering angle.
-    rolled_rad : array of float, shape (n,)
-        Angle that the wheel rolled since the sample before.
-    steer_rad : array of float, shape (n,)
-        Steering angle at the samples, as the sensor says it.
+    `front`: radius, wheelbase, zero and scale of the steering angle; `rolled_rad` (shape (n,)): angle that the wheel
+    rolled since the sample before; `steer_rad` (shape (n,)): steering angle at the samples, as the sensor says it.
     """
     angle = front.scale * steer_rad + front.zero_rad
     before = np.concatenate((angle[:1], angle[:-1]))

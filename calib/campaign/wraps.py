@@ -18,17 +18,8 @@ def detect_wrap_bits(counts: FloatArray, offsets: IntArray) -> int | None:
     A jump counts as an overflow where it comes within an eighth of 2^bits, and the log's range never leaves one span of
     the counter, so that a jump of the wheel itself is never mistaken for one.
 
-    Parameters
-    ----------
-    counts : array of float, shape (n_samples,)
-        Logs laid end to end.
-    offsets : array of int, shape (n_runs + 1,)
-        Where each log begins.
-
-    Returns
-    -------
-    int or None
-        13, 16 or 32, or None where nothing overflows.
+    `counts` (shape (n_samples,)): logs laid end to end; `offsets` (shape (n_runs + 1,)): where each log begins. 13, 16
+    or 32, or None where nothing overflows.
     """
     if not len(counts) or np.isnan(counts).all():
         return None
@@ -50,21 +41,9 @@ def detect_wrap_bits(counts: FloatArray, offsets: IntArray) -> int | None:
 def unwrap(counts: FloatArray, offsets: IntArray, bits: int) -> tuple[FloatArray, IntArray]:
     """Undo overflows: every step is taken as the shortest one around the counter.
 
-    Parameters
-    ----------
-    counts : array of float, shape (n_samples,)
-        Logs laid end to end.
-    offsets : array of int, shape (n_runs + 1,)
-        Where each log begins.
-    bits : int
-        Width of the counter.
-
-    Returns
-    -------
-    counts : array of float, shape (n_samples,)
-        Each log continues from its own first value.
-    wraps : array of int, shape (n_runs,)
-        Overflows undone in each log.
+    `counts` (shape (n_samples,)): logs laid end to end; `offsets` (shape (n_runs + 1,)): where each log begins; `bits`:
+    width of the counter. Returns `counts` (shape (n_samples,)): each log continues from its own first value; `wraps`
+    (shape (n_runs,)): overflows undone in each log.
     """
     full = 2.0**bits
     step = _steps(counts, offsets)
@@ -81,17 +60,8 @@ def unwrap(counts: FloatArray, offsets: IntArray, bits: int) -> tuple[FloatArray
 def rewrap_total(total: FloatArray, expected: FloatArray, bits: int, tolerance: FloatArray) -> FloatArray:
     """Return how many full counters to add to `total` so that it meets `expected`; 0 where none fits.
 
-    Parameters
-    ----------
-    total, expected, tolerance : array of float, shape (n_runs,)
-        Counts found, counts expected, and how far they may be apart.
-    bits : int
-        Width of the counter.
-
-    Returns
-    -------
-    array of float, shape (n_runs,)
-        Whole numbers.
+    `total`, `expected`, `tolerance` (shape (n_runs,)): counts found, counts expected, and how far they may be apart;
+    `bits`: width of the counter. Shape (n_runs,): whole numbers.
     """
     full = 2.0**bits
     turns = np.rint((expected - total) / full)

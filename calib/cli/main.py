@@ -75,11 +75,8 @@ _COMPLETE, _COMPLETE_WORDS = "_CALIB_COMPLETE", ("_TYPER_COMPLETE_ARGS", "COMP_W
 def build(arguments: Sequence[str] | None = None) -> typer.Typer:
     """Return the application.
 
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        With a command's name in it, only that command is imported; with none, names and summaries alone. Without
-        arguments every command is there in full. A command's heavy imports happen inside its body.
+    `arguments`: with a command's name in it, only that command is imported; with none, names and summaries alone.
+    Without arguments every command is there in full. A command's heavy imports happen inside its body.
     """
     application = Application(
         name="calib",

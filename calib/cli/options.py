@@ -34,19 +34,7 @@ Seed = Annotated[int, typer.Option("--seed", metavar="N", help="Seed of everythi
 def numbers(text: str, count: int | None, name: str) -> tuple[float, ...]:
     """Return the numbers of a text such as ``300,1100``.
 
-    Parameters
-    ----------
-    text : str
-        Numbers separated by commas.
-    count : int or None
-        How many are expected; None: one or more.
-    name : str
-        The option, for the message.
-
-    Raises
-    ------
-    BadInputError
-        Where the text holds something else.
+    `count`: how many are expected; None: one or more. Raises BadInputError where the text holds something else.
     """
     try:
         values = tuple(float(part) for part in text.split(","))

@@ -111,14 +111,8 @@ def note(text: str) -> None:
 def wrote(paths: Iterable[Path | str], *, target: str | None = None, what: str = "") -> None:
     """Say which files were written, and keep that for the line after an interruption.
 
-    Parameters
-    ----------
-    paths : iterable of Path or str
-        The files.
-    target : str, optional
-        Where the JSON goes.
-    what : str
-        What they are, in place of their names, where they are many: ``18 figure files in FOLDER``.
+    `target`: where the JSON goes; `what`: what they are, in place of their names, where they are many: ``18 figure
+    files in FOLDER``.
     """
     stream = sys.stderr if wants_stdout(target) else sys.stdout
     texts = [what] if what else [str(path) for path in paths]

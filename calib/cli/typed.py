@@ -12,12 +12,8 @@ _FLAG = re.compile(r"\bforce=True\b")
 def as_typed(message: str, options: Collection[str]) -> str:
     """Return a message whose argument names are the options that were typed.
 
-    Parameters
-    ----------
-    message : str
-        Of the library: ``draws: found 0; expected 100 or more``.
-    options : collection of str
-        Options of the command, ``--draws`` and so on; other names stay as they are.
+    `message`: of the library: ``draws: found 0; expected 100 or more``; `options`: options of the command, ``--draws``
+    and so on; other names stay as they are.
     """
     named = _LEADING.match(message)
     if named and f"--{named[1].replace('_', '-')}" in options:

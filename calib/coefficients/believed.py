@@ -10,12 +10,8 @@ from calib.geometry.drives import STEERING_SCALE
 def believed_model(file: CoefficientFile, reference_load_N: float) -> OdometryModel:
     """Return the odometry's model of a coefficient file.
 
-    Parameters
-    ----------
-    file : CoefficientFile
-        Its laws, its track and, where a geometry was estimated, its front wheel or its four wheels.
-    reference_load_N : float
-        Load on which the model is centred.
+    `file`: its laws, its track and, where a geometry was estimated, its front wheel or its four wheels;
+    `reference_load_N`: load on which the model is centred.
     """
     law, together = file.law, file.joint_geometry
     values = {} if together is None else {name: part.value for name, part in together.parameters.items()}

@@ -45,23 +45,10 @@ def from_fit(
 ) -> CoefficientFile:
     """Return the coefficient file of a fit: its laws, vehicle, encoder and load points.
 
-    Parameters
-    ----------
-    fit : Fit
-        From `fit_campaign`, or read from a result folder.
-    outside : {"refuse", "clamp"}
-        What the vehicle does with a load that was not measured.
-    created : str, optional
-        Date as YYYY-MM-DD; passed in, so that the same input gives the same file.
-    inputs : mapping of str to str, optional
-        Path of an input -> its SHA-256; None: those of the fit's provenance.
-
-    Raises
-    ------
-    BadInputError
-        Where the fit lacks vehicle and encoder, or its provenance is damaged.
-    ImplausibleError
-        Where the fit is beyond the bounds of its vehicle and nobody accepted that.
+    `outside` ({"refuse", "clamp"}): what the vehicle does with a load that was not measured; `created`: date as
+    YYYY-MM-DD; passed in, so that the same input gives the same file; `inputs`: path of an input -> its SHA-256; None:
+    those of the fit's provenance. Raises BadInputError where the fit lacks vehicle and encoder, or its provenance is
+    damaged; ImplausibleError where the fit is beyond the bounds of its vehicle and nobody accepted that.
     """
     if fit.implausible and not fit.accepted:
         raise ImplausibleError(fit.name, fit.implausible)
@@ -94,10 +81,7 @@ def load_points(load_left_N: npt.ArrayLike, load_right_N: npt.ArrayLike) -> dict
 
     Runs whose loads agree to a newton are one point. Empty where there are more than 64 points: no table is then meant.
 
-    Parameters
-    ----------
-    load_left_N, load_right_N : array_like of float, shape (n_runs,)
-        Wheel loads; runs where one is not finite are passed over.
+    `load_left_N`, `load_right_N` (shape (n_runs,)): wheel loads; runs where one is not finite are passed over.
     """
     pairs = np.column_stack([load_left_N, load_right_N])
     pairs = pairs[np.isfinite(pairs).all(axis=1)]
@@ -113,26 +97,16 @@ def load_points(load_left_N: npt.ArrayLike, load_right_N: npt.ArrayLike) -> dict
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """What a coefficient file says of itself.
-
-    Parameters
-    ----------
-    name : str
-        Name of the campaign.
-    simulated : bool
-        Whether a program made the measurements.
-    outside : {"refuse", "clamp"}
-        What the vehicle does with a load that was not measured.
-    created : str, optional
-        Date, YYYY-MM-DD.
-    inputs : mapping of str to str
-        Path of an input -> its SHA-256.
-    """
+    """What a coefficient file says of itself."""
 
     name: str
+    #: whether a program made the measurements
     simulated: bool
+    #: what the vehicle does with a load that was not measured: ``refuse`` or ``clamp``
     outside: Outside = "refuse"
+    #: date, YYYY-MM-DD
     created: str | None = None
+    #: path of an input -> its SHA-256
     inputs: Mapping[str, str] = field(default_factory=dict)
 
 

@@ -22,23 +22,10 @@ def export(
 ) -> tuple[Artifact, ...]:
     """Return the files of a coefficient file in another format.
 
-    Parameters
-    ----------
-    file : CoefficientFile
-        The master.
-    to : str
-        A name of `calib.coefficients.formats.FORMATS`.
-    loads : sequence of LoadPair
-        Load points, for formats that hold for single loads; none: those of `options`, else the format's own choice.
-    options : ExportOptions, optional
-        What else was chosen.
-
-    Raises
-    ------
-    BadInputError
-        Where there is no such format, or a controller's choice is given for another format than ``ros2``.
-    RefusedError
-        Where the format cannot say what the file says.
+    `to`: a name of `calib.coefficients.formats.FORMATS`; `loads`: load points, for formats that hold for single loads;
+    none: those of `options`, else the format's own choice. Raises BadInputError where there is no such format, or a
+    controller's choice is given for another format than ``ros2``; RefusedError where the format cannot say what the
+    file says.
     """
     chosen = options or ExportOptions()
     if to not in formats.FORMATS:
@@ -64,10 +51,7 @@ def export(
 def parse_loads(texts: Iterable[str]) -> tuple[LoadPair, ...]:
     """Return load points from texts: ``600`` for both wheels, ``500,700`` for left and right, in N.
 
-    Raises
-    ------
-    BadInputError
-        Where a text is neither.
+    Raises BadInputError where a text is neither.
     """
     pairs = []
     for text in texts:
@@ -86,24 +70,8 @@ def parse_loads(texts: Iterable[str]) -> tuple[LoadPair, ...]:
 def place(artifacts: Sequence[Artifact], output: Path, *, force: bool) -> list[dict[str, Any]]:
     """Write the files of an export.
 
-    Parameters
-    ----------
-    artifacts : sequence of Artifact
-        The files.
-    output : Path
-        A file where there is one artifact and `output` is no folder; else the folder that gets them.
-    force : bool
-        Replace existing files.
-
-    Returns
-    -------
-    list of dict
-        ``path`` and ``sha256`` of each.
-
-    Raises
-    ------
-    BadInputError
-        Where a file exists and `force` is False; nothing is written then.
+    `output`: a file where there is one artifact and `output` is no folder; else the folder that gets them. ``path`` and
+    ``sha256`` of each. Raises BadInputError where a file exists and `force` is False; nothing is written then.
     """
     single = len(artifacts) == 1 and not output.is_dir() and output.suffix != ""
     targets = [output if single else output / artifact.name for artifact in artifacts]

@@ -161,22 +161,9 @@ class CoefficientFile(Section):
     def radius_m(self, load_left_N: npt.ArrayLike, load_right_N: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return the effective radii of both wheels, obeying the file outside the valid range.
 
-        Parameters
-        ----------
-        load_left_N, load_right_N : array_like of float
-            Wheel loads, any shape each.
-
-        Returns
-        -------
-        left_m, right_m : array of float
-            Radii, of the shapes of the loads.
-
-        Raises
-        ------
-        RefusedError
-            Where a load lies outside the valid range and the file says ``refuse``.
-        BadInputError
-            Where a load is not finite.
+        `load_left_N`, `load_right_N`: wheel loads, any shape each. Returns `left_m`, `right_m`: radii, of the shapes of
+        the loads. Raises RefusedError where a load lies outside the valid range and the file says ``refuse``;
+        BadInputError where a load is not finite.
         """
         return (
             _radius(self.wheels.left, load_left_N, self.outside, "left"),
@@ -187,10 +174,7 @@ class CoefficientFile(Section):
 def load_coefficients(path: Path | str) -> CoefficientFile:
     """Read a coefficient file and verify its schema and checksum.
 
-    Raises
-    ------
-    BadFileError
-        Where it cannot be read, breaks the schema, or is not what was written.
+    Raises BadFileError where it cannot be read, breaks the schema, or is not what was written.
     """
     path = Path(path)
     try:
@@ -230,10 +214,7 @@ def load_coefficients(path: Path | str) -> CoefficientFile:
 def sealed(document: dict[str, Any]) -> CoefficientFile:
     """Return the coefficient file of a document without checksum.
 
-    Raises
-    ------
-    BadInputError
-        Where the document breaks the schema.
+    Raises BadInputError where the document breaks the schema.
     """
     blank = {**document, "checksum": "sha256:" + "0" * 64}
     try:

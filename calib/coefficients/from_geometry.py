@@ -32,21 +32,9 @@ def from_geometry(
     the mean load of the runs: the uncertainty of a radius grows with the distance from that load. The valid range is
     then all that the vehicle may carry. Lengths that were not determined stand at their nominal value with 1 %.
 
-    Parameters
-    ----------
-    geometry : Geometry
-        From `calib.geometry`.
-    campaign : Campaign
-        The one it was estimated from.
-    outside : {"refuse", "clamp"}
-        What the vehicle does with a load outside the valid range.
-    created : str, optional
-        Date as YYYY-MM-DD.
-
-    Raises
-    ------
-    RefusedError
-        Where a gross fault was recognised: the file would carry it to the vehicle.
+    `campaign`: the one it was estimated from; `outside` ({"refuse", "clamp"}): what the vehicle does with a load
+    outside the valid range; `created`: date as YYYY-MM-DD. Raises RefusedError where a gross fault was recognised: the
+    file would carry it to the vehicle.
     """
     if geometry.faults:
         raise RefusedError(

@@ -29,23 +29,15 @@ class LoadPair:
 
 @dataclass(frozen=True, slots=True)
 class ExportOptions:
-    """Choices of an export; a format passes over those that it has no use for.
+    """Choices of an export; a format passes over those that it has no use for."""
 
-    Parameters
-    ----------
-    loads : tuple of LoadPair
-        Load points, for formats that hold for single loads; none: the format's own choice.
-    controllers : tuple of str
-        Names of ROS 2 controllers; none: those of the vehicle's drive.
-    position_feedback : bool
-        Whether the wheels' joints report positions; False: velocities.
-    open_loop : bool
-        Whether the controllers integrate commands in place of what the encoders say.
-    """
-
+    #: load points, for formats that hold for single loads; none: the format's own choice
     loads: tuple[LoadPair, ...] = ()
+    #: names of ROS 2 controllers; none: those of the vehicle's drive
     controllers: tuple[str, ...] = ()
+    #: whether the wheels' joints report positions; False: velocities
     position_feedback: bool = True
+    #: whether the controllers integrate commands in place of what the encoders say
     open_loop: bool = False
 
     @property

@@ -30,23 +30,11 @@ def coefficients_of(
 
     A campaign whose odometry has no rear wheels, a front wheel or four of them alone, has those of its geometry.
 
-    Parameters
-    ----------
-    path : Path or str
-        The campaign's folder, the result folder or its ``fit.json``, or a coefficient file.
-    outside : {"refuse", "clamp"}, optional
-        What happens outside the valid load range; None: as the coefficient file says, else refuse.
-    created : str, optional
-        Date as YYYY-MM-DD; None: as the coefficient file says, else none.
-    accept : str
-        Why a law beyond the bounds of its vehicle is passed on all the same; empty: it is refused.
-
-    Raises
-    ------
-    BadInputError
-        Where the path, `outside` or `created` cannot be used.
-    RefusedError
-        Where the campaign allows no law.
+    `path`: the campaign's folder, the result folder or its ``fit.json``, or a coefficient file; `outside` ({"refuse",
+    "clamp"}): what happens outside the valid load range; None: as the coefficient file says, else refuse; `created`:
+    date as YYYY-MM-DD; None: as the coefficient file says, else none; `accept`: why a law beyond the bounds of its
+    vehicle is passed on all the same; empty: it is refused. Raises BadInputError where the path, `outside` or `created`
+    cannot be used; RefusedError where the campaign allows no law.
     """
     from calib.radius.result import is_result, read_result
 
@@ -104,12 +92,8 @@ def _by_geometry(campaign: Campaign, outside: Outside, created: str | None) -> S
 def effects_left_out(file: CoefficientFile, what: str) -> tuple[str, ...]:
     """Return one sentence that names the model's effects that `what` leaves out; nothing where there are none.
 
-    Parameters
-    ----------
-    file : CoefficientFile
-        Perhaps with effects beside its laws, as ``calib diagnose --apply`` writes them.
-    what : str
-        What does not use them, for example ``not simulated``.
+    `file`: perhaps with effects beside its laws, as ``calib diagnose --apply`` writes them; `what`: what does not use
+    them, for example ``not simulated``.
     """
     if not file.effects:
         return ()

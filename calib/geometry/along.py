@@ -32,17 +32,9 @@ def _cosines(n: int) -> tuple[FloatArray, FloatArray]:
 def level_at_nought(powers: FloatArray, squares: FloatArray, dof: float) -> tuple[float, float, FloatArray]:
     """Return the level of a spectrum at frequency nought, its degrees of freedom, and the spectrum's shape.
 
-    Parameters
-    ----------
-    powers : array of float, shape (n_cosines,)
-        Squared amplitudes.
-    squares : array of float, shape (n_cosines,)
-        Squares of the frequencies.
-    dof : float
-        Degrees of freedom of the amplitudes together; fewer than there are of them where blocks are unequal.
+    `powers` (shape (n_cosines,)): squared amplitudes; `squares` (shape (n_cosines,)): squares of the frequencies;
+    `dof`: degrees of freedom of the amplitudes together; fewer than there are of them where blocks are unequal.
 
-    Notes
-    -----
     For each steepness the level has a scaled inverse chi squared distribution; steepnesses are weighted by the
     likelihood with the level integrated out. The mixture is met by the one such distribution whose logarithm has the
     same mean and variance, so that a t distribution gives the intervals.
@@ -67,21 +59,11 @@ def level_at_nought(powers: FloatArray, squares: FloatArray, dof: float) -> tupl
 def covariance_along(pulls: FloatArray, information: FloatArray, directions: FloatArray) -> tuple[FloatArray, Freedom]:
     """Return the covariance of sums of parameters, and what is known of it.
 
-    Parameters
-    ----------
-    pulls : array of float, shape (n_blocks, n_parameters)
-        Of each block, in the order driven, in columns in which all blocks together have unit information.
-    information : array of float, shape (n_blocks, n_parameters, n_parameters)
-        Of each block in the same columns; their sum is the identity.
-    directions : array of float, shape (n_parameters, n_parameters)
-        Rows: sums of parameters that err for reasons of their own, in the same columns.
-
-    Returns
-    -------
-    covariance : array of float, shape (n_parameters, n_parameters)
-        Of the directions.
-    freedom : Freedom
-        Standard deviations of the directions, and their degrees of freedom.
+    `pulls` (shape (n_blocks, n_parameters)): of each block, in the order driven, in columns in which all blocks
+    together have unit information; `information` (shape (n_blocks, n_parameters, n_parameters)): of each block in the
+    same columns; their sum is the identity; `directions` (shape (n_parameters, n_parameters)): rows: sums of parameters
+    that err for reasons of their own, in the same columns. Returns `covariance` (shape (n_parameters, n_parameters)):
+    of the directions; `freedom`: standard deviations of the directions, and their degrees of freedom.
     """
     waves, squares = _cosines(len(pulls))
     number = len(squares)

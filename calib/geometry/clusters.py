@@ -25,17 +25,11 @@ ALIKE: Final = 2.6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Clustering:
-    """The groups taken for independent, and the covariance that follows.
+    """The groups taken for independent, and the covariance that follows."""
 
-    Parameters
-    ----------
-    name : str
-        ``run``, ``block``, ``session`` or ``route``.
-    uncertainty : Uncertainty
-        Of the free parameters.
-    """
-
+    #: ``run``, ``block``, ``session`` or ``route``
     name: str
+    #: of the free parameters
     uncertainty: Uncertainty
 
 
@@ -45,16 +39,7 @@ def clustered(solution: Solution, parameters: Parameters, recording: Recording, 
     Runs of one session, or of one route, that pull the parameters alike beyond chance are one group each: what they
     share does not average out over repeats. Of several such groupings the one with the widest intervals holds.
 
-    Parameters
-    ----------
-    solution : Solution
-        Of the robust fit.
-    parameters : Parameters
-        Which of them were free.
-    recording : Recording
-        Labels of the runs.
-    segments : Segments
-        The stretches.
+    `solution`: of the robust fit.
     """
     free = parameters.free
     block = np.unique(segments.block, return_inverse=True)[1]

@@ -42,14 +42,7 @@ def sought_delays(model: Model, solution: Solution, parameters: Parameters) -> F
     A recording that lags by another delay than most looks like a failure throughout, and hardly pulls: it has to be
     sought. Nothing is added where each recording is met best by about the common delay.
 
-    Parameters
-    ----------
-    model : Model
-        With windows.
-    solution : Solution
-        Of the joint fit.
-    parameters : Parameters
-        The delay is the last of them.
+    `model`: with windows; `solution`: of the joint fit; `parameters`: the delay is the last of them.
     """
     group = _groups(model.recording)
     n_groups = int(group.max()) + 1
@@ -72,21 +65,9 @@ def sought_delays(model: Model, solution: Solution, parameters: Parameters) -> F
 def own_delays(model: Model, solution: Solution, parameters: Parameters) -> tuple[tuple[Delay, ...], FloatArray]:
     """Return the delay of each recording, and of each run what it adds to the common one; nothing where one will do.
 
-    Parameters
-    ----------
-    model : Model
-        With windows; its recording knows what the delay of each run was taken to add so far.
-    solution : Solution
-        Of the joint fit.
-    parameters : Parameters
-        The delay is the last of them.
-
-    Returns
-    -------
-    delays : tuple of Delay
-        In the order driven; empty where the recordings do not ask for several.
-    added_s : array of float, shape (n_runs,)
-        To be added to the common delay in each run.
+    `model`: with windows; its recording knows what the delay of each run was taken to add so far; `solution`: of the
+    joint fit; `parameters`: the delay is the last of them. Returns `delays`: in the order driven; empty where the
+    recordings do not ask for several; `added_s` (shape (n_runs,)): to be added to the common delay in each run.
     """
     recording, segments = model.recording, model.segments
     nothing: tuple[tuple[Delay, ...], FloatArray] = (), np.zeros(len(recording))

@@ -22,36 +22,23 @@ STEERING_SCALE_STD: Final = 0.1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Steps:
-    """What the wheels did from sample to sample, all runs laid end to end.
+    """What the wheels did from sample to sample, all runs laid end to end."""
 
-    Parameters
-    ----------
-    turned_rad : array of float, shape (n_wheels, n_samples)
-        Angle that each wheel turned since the sample before; 0 at the first sample of a run.
-    steer_rad : array of float, shape (n_samples,), optional
-        Steering angle in the middle of the step, as the sensor says it.
-    load_offset_N : array of float, shape (2, n_samples), optional
-        Load of the left and right wheel less the reference load.
-    """
-
+    #: angle that each wheel turned since the sample before; 0 at the first sample of a run, shape (n_wheels, n_samples)
     turned_rad: FloatArray
+    #: steering angle in the middle of the step, as the sensor says it, shape (n_samples,)
     steer_rad: FloatArray | None = None
+    #: load of the left and right wheel less the reference load, shape (2, n_samples)
     load_offset_N: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
-    """Motion of the body in each step, in its own frame, and its derivatives.
+    """Motion of the body in each step, in its own frame, and its derivatives."""
 
-    Parameters
-    ----------
-    body : array of float, shape (3, n_samples)
-        Forward and to the left in m, and turn in rad.
-    by_parameter : array of float, shape (n_parameters, 3, n_samples)
-        Derivatives of `body`.
-    """
-
+    #: forward and to the left in m, and turn in rad, shape (3, n_samples)
     body: FloatArray
+    #: derivatives of `body`, shape (n_parameters, 3, n_samples)
     by_parameter: FloatArray
 
 

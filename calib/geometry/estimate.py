@@ -193,14 +193,8 @@ def recordings_put_right(campaign: Campaign, source: str) -> tuple[Recording, tu
 def drive_of(campaign: Campaign, source: str, recording: Recording) -> Drive:
     """Return the drive with its nominal values.
 
-    Parameters
-    ----------
-    campaign : Campaign
-        Its vehicle, and its model of the wheels.
-    source : {"rear", "front", "wheels"}
-        What drives the odometry.
-    recording : Recording
-        Says whether the loads varied, so that radii have slopes.
+    `campaign`: its vehicle, and its model of the wheels; `source` ({"rear", "front", "wheels"}); `recording`: says
+    whether the loads varied, so that radii have slopes.
     """
     vehicle, model = campaign.vehicle, campaign.model
     if source == "front":

@@ -21,20 +21,13 @@ _WHEELS: Final = ("radius_left_m", "radius_right_m")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Freedom:
-    """How well the standard deviations themselves are known.
+    """How well the standard deviations themselves are known."""
 
-    Parameters
-    ----------
-    directions : array of float, shape (n_parameters, n_parameters)
-        Rows: sums of parameters that err independently of one another, about.
-    std : array of float, shape (n_parameters,)
-        Standard deviation of each.
-    dof : array of float, shape (n_parameters,)
-        Degrees of freedom of that standard deviation.
-    """
-
+    #: rows: sums of parameters that err independently of one another, about, shape (n_parameters, n_parameters)
     directions: FloatArray
+    #: standard deviation of each, shape (n_parameters,)
     std: FloatArray
+    #: degrees of freedom of that standard deviation, shape (n_parameters,)
     dof: FloatArray
 
     def of(self, contrast: FloatArray) -> float:
@@ -48,17 +41,7 @@ def own_directions(names: Sequence[str], values: FloatArray) -> FloatArray:
 
     What turns show, they show by headings, whose errors follow another law along the way than those of distances.
 
-    Parameters
-    ----------
-    names : sequence of str, length n
-        The parameters.
-    values : array of float, shape (n,)
-        Their values.
-
-    Returns
-    -------
-    array of float, shape (n, n)
-        A row a direction, of full rank.
+    `values` (shape (n,)). Shape (n, n): a row a direction, of full rank.
     """
     at = {name: number for number, name in enumerate(names)}
     out = np.eye(len(names))

@@ -156,15 +156,8 @@ def factor_faults(nominal: Mapping[str, float], found: Mapping[str, float]) -> t
 def refuse_heading_unit(told_rad: FloatArray, measured_rad: FloatArray) -> None:
     """Refuse a reference whose heading is in another unit than radians.
 
-    Parameters
-    ----------
-    told_rad, measured_rad : array of float, shape (n,)
-        Turns of stretches by the wheels of the nominal vehicle, and by the reference.
-
-    Raises
-    ------
-    RefusedError
-        Where the reference turns by pi / 180, or 180 / pi, of what the wheels say.
+    `told_rad`, `measured_rad` (shape (n,)): turns of stretches by the wheels of the nominal vehicle, and by the
+    reference. Raises RefusedError where the reference turns by pi / 180, or 180 / pi, of what the wheels say.
     """
     square = float(told_rad @ told_rad)
     if not len(told_rad) or square < len(told_rad) * TURNS_RAD**2:

@@ -31,21 +31,8 @@ def put_right(
 ) -> tuple[Recording, tuple[Fault, ...]]:
     """Return the recording with gross faults put right, and these faults.
 
-    Parameters
-    ----------
-    recording : Recording
-        Wheels and reference.
-    segments : Segments
-        Stretches of it.
-    source : {"rear", "front", "wheels"}
-        What drives the odometry.
-    drive : Drive
-        With its nominal values.
-
-    Raises
-    ------
-    RefusedError
-        Where the reference's heading is in another unit than radians.
+    `recording`: wheels and reference; `source` ({"rear", "front", "wheels"}); `drive`: with its nominal values. Raises
+    RefusedError where the reference's heading is in another unit than radians.
     """
     # first: with a heading of another unit any reading of the wheels that hardly turns would look best
     seen = segments.seen[:, 2]
@@ -64,14 +51,8 @@ def put_right(
 def wheels_faults(recording: Recording, segments: Segments, drive: Drive) -> tuple[Recording, tuple[Fault, ...]]:
     """Return the recording with the wheels' signs and sides put right, and what was wrong.
 
-    Parameters
-    ----------
-    recording : Recording
-        Of four wheels.
-    segments : Segments
-        Stretches of it.
-    drive : Drive
-        Its nominal values tell which of the ways to read the four columns meets the reference.
+    `recording`: of four wheels; `drive`: its nominal values tell which of the ways to read the four columns meets the
+    reference.
     """
     nominal = np.array([item.nominal for item in drive.parameters])
     # neither sensor nor delay is known yet

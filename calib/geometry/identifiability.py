@@ -21,12 +21,8 @@ ALIKE: Final = 0.3
 def weakest(solution: Solution, parameters: Parameters) -> str | None:
     """Return the parameter that the least determined direction is mostly made of; None where all are determined.
 
-    Parameters
-    ----------
-    solution : Solution
-        Its whitened Jacobian, in units of the prior spread of each parameter, is decomposed.
-    parameters : Parameters
-        Which are free, and their prior spread.
+    `solution`: its whitened Jacobian, in units of the prior spread of each parameter, is decomposed; `parameters`:
+    which are free, and their prior spread.
     """
     singular, directions = _directions(solution, parameters)
     if singular[-1] * TOLERATED >= 1.0:
@@ -37,12 +33,7 @@ def weakest(solution: Solution, parameters: Parameters) -> str | None:
 def scale_is_open(covariance: FloatArray, values: FloatArray) -> bool:
     """Return whether data know the common scale of radii and track less well than their nominal values do.
 
-    Parameters
-    ----------
-    covariance : array of float, shape (3, 3)
-        Of both radii and the track.
-    values : array of float, shape (3,)
-        Their values.
+    `covariance` (shape (3, 3)): of both radii and the track; `values` (shape (3,)).
     """
     return bool(np.mean(covariance / np.outer(values, values)) > NOMINAL_STD**2)
 
@@ -50,12 +41,7 @@ def scale_is_open(covariance: FloatArray, values: FloatArray) -> bool:
 def scale_is_weakest(solution: Solution, parameters: Parameters) -> bool:
     """Return whether the least determined direction is that in which radii and track grow alike.
 
-    Parameters
-    ----------
-    solution : Solution
-        Of two wheels on one axle.
-    parameters : Parameters
-        Both radii and the track come first and are free.
+    `solution`: of two wheels on one axle; `parameters`: both radii and the track come first and are free.
     """
     return bool(np.min(np.abs(_directions(solution, parameters)[1][-1, :3])) > ALIKE)
 
@@ -63,12 +49,8 @@ def scale_is_weakest(solution: Solution, parameters: Parameters) -> bool:
 def loosest(std: FloatArray, parameters: Parameters) -> str | None:
     """Return the parameter whose standard deviation is largest beside its prior spread, where that is too large.
 
-    Parameters
-    ----------
-    std : array of float, shape (n_free,)
-        Standard deviations that allow for shared noise.
-    parameters : Parameters
-        Which are free, and their prior spread.
+    `std` (shape (n_free,)): standard deviations that allow for shared noise; `parameters`: which are free, and their
+    prior spread.
     """
     ratio = std / parameters.prior_std[parameters.free]
     at = int(np.argmax(ratio))

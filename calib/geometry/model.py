@@ -15,20 +15,13 @@ from calib.geometry.segments import Segments
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:
-    """Residuals, their derivatives, and the path behind them.
+    """Residuals, their derivatives, and the path behind them."""
 
-    Parameters
-    ----------
-    residuals : array of float, shape (n, 3)
-        Measured less predicted displacement; 0 where nothing was measured.
-    jacobian : array of float, shape (n, 3, n_parameters)
-        Derivatives of the prediction by drive parameters, sensor pose and delay.
-    path : Path
-        Poses at the samples.
-    """
-
+    #: measured less predicted displacement; 0 where nothing was measured, shape (n, 3)
     residuals: FloatArray
+    #: derivatives of the prediction by drive parameters, sensor pose and delay, shape (n, 3, n_parameters)
     jacobian: FloatArray
+    #: poses at the samples
     path: Path
 
 

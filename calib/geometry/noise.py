@@ -22,21 +22,9 @@ POWER: Final = 0.9
 def kernels(path: Path, body: FloatArray, segments: Segments, yaw_rad: float) -> FloatArray:
     """Return the covariance of each displacement for each component of unit size.
 
-    Parameters
-    ----------
-    path : Path
-        Poses at the samples.
-    body : array of float, shape (3, n_samples)
-        Motion of the body in each step.
-    segments : Segments
-        The stretches.
-    yaw_rad : float
-        Yaw of the sensor on the vehicle.
-
-    Returns
-    -------
-    array of float, shape (4, n, 3, 3)
-        In the order of `COMPONENTS`, in the sensor's frame at the start of the stretch.
+    `path`: poses at the samples; `body` (shape (3, n_samples)): motion of the body in each step; `yaw_rad`: yaw of the
+    sensor on the vehicle. Shape (4, n, 3, 3): in the order of `COMPONENTS`, in the sensor's frame at the start of the
+    stretch.
     """
     n = len(segments)
     found = np.zeros((len(COMPONENTS), n, 3, 3))
@@ -107,16 +95,9 @@ def covariances(kernel: FloatArray, scales: FloatArray, seen: BoolArray) -> Floa
 def update_scales(kernel: FloatArray, scales: FloatArray, inverse: FloatArray, whitened: FloatArray) -> FloatArray:
     """Return better variances of the components: one step that never lowers the likelihood (Zhou et al. 2019).
 
-    Parameters
-    ----------
-    kernel : array of float, shape (4, n, 3, 3)
-        From `kernels`.
-    scales : array of float, shape (4,)
-        Variances now.
-    inverse : array of float, shape (n, 3, 3)
-        Inverse covariances at `scales`.
-    whitened : array of float, shape (n, 3)
-        Inverse covariances times residuals, times the square root of the robust weights.
+    `kernel` (shape (4, n, 3, 3)); `scales` (shape (4,)): variances now; `inverse` (shape (n, 3, 3)): inverse
+    covariances at `scales`; `whitened` (shape (n, 3)): inverse covariances times residuals, times the square root of
+    the robust weights.
     """
     outer = (whitened[:, :, None] * whitened[:, None, :]).ravel()
     flat = kernel.reshape(len(kernel), -1)

@@ -10,16 +10,8 @@ from calib.geometry.recording import Recording
 def notes_on(clustering: Clustering, recording: Recording, *, mean_held: bool, converged: bool) -> tuple[str, ...]:
     """Return notes in sentences.
 
-    Parameters
-    ----------
-    clustering : Clustering
-        What was taken for independent.
-    recording : Recording
-        Says which runs could not be used.
-    mean_held : bool
-        Whether the mean radius was held at its nominal value.
-    converged : bool
-        Whether the search settled.
+    `clustering`: what was taken for independent; `recording`: says which runs could not be used; `mean_held`: whether
+    the mean radius was held at its nominal value; `converged`: whether the search settled.
     """
     notes = []
     name, n = clustering.name, clustering.uncertainty.clusters

@@ -19,37 +19,24 @@ SENSOR_STD: Final = {"sensor_x_m": 0.2, "sensor_y_m": 0.2, "sensor_yaw_rad": 0.5
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One parameter: its name, which ends in its unit, its nominal value, and the spread of what is possible.
+    """One parameter: its name, which ends in its unit, its nominal value, and the spread of what is possible."""
 
-    Parameters
-    ----------
-    name : str
-        For example ``track_m``.
-    nominal : float
-        Value before the calibration.
-    prior_std : float
-        Standard deviation of the true value about the nominal one, before any data; it scales the parameter, and data
-        that do not do clearly better leave the parameter undetermined.
-    """
-
+    #: for example ``track_m``
     name: str
+    #: value before the calibration
     nominal: float
+    #: standard deviation of the true value about the nominal one, before any data; it scales the parameter, and data
+    #: that do not do clearly better leave the parameter undetermined
     prior_std: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Parameters:
-    """Parameters in a fixed order, with those that are to be estimated.
+    """Parameters in a fixed order, with those that are to be estimated."""
 
-    Parameters
-    ----------
-    items : tuple of Parameter
-        All parameters of drive and sensor.
-    free : array of bool, shape (n_parameters,)
-        Which are estimated; the others stay at their nominal value.
-    """
-
+    #: all parameters of drive and sensor
     items: tuple[Parameter, ...]
+    #: which are estimated; the others stay at their nominal value, shape (n_parameters,)
     free: np.ndarray[tuple[int], np.dtype[np.bool_]]
 
     @staticmethod

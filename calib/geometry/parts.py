@@ -78,20 +78,13 @@ class Transfer:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunPath:
-    """One run: its path by nominal and calibrated odometry and by the reference, in its own start frame.
+    """One run: its path by nominal and calibrated odometry and by the reference, in its own start frame."""
 
-    Parameters
-    ----------
-    run_id, kind : str
-        Labels.
-    before, after : array of float, shape (n_samples, 2)
-        x and y in m.
-    reference : array of float, shape (n_poses, 2)
-        Along the way, or the end pose alone.
-    """
-
+    #: labels
     run_id: str
     kind: str
+    #: x and y in m, shape (n_samples, 2)
     before: FloatArray
     after: FloatArray
+    #: along the way, or the end pose alone, shape (n_poses, 2)
     reference: FloatArray

@@ -16,27 +16,18 @@ SMALL_RAD: Final = 1e-4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Path:
-    """Poses at the samples; runs continue one another, since only displacements within a run are used.
+    """Poses at the samples; runs continue one another, since only displacements within a run are used."""
 
-    Parameters
-    ----------
-    pose : array of float, shape (3, n_samples)
-        x and y in m, heading in rad.
-    by_parameter : array of float, shape (n_parameters, 3, n_samples)
-        Derivatives of `pose`.
-    """
-
+    #: x and y in m, heading in rad, shape (3, n_samples)
     pose: FloatArray
+    #: derivatives of `pose`, shape (n_parameters, 3, n_samples)
     by_parameter: FloatArray
 
 
 def integrate_motion(motion: Motion) -> Path:
     """Integrate steps of constant twist: each is the chord of its arc, at the heading in its middle.
 
-    Parameters
-    ----------
-    motion : Motion
-        Motion of the body in each step.
+    `motion`: motion of the body in each step.
     """
     forward, left, turn = motion.body
     d_forward, d_left, d_turn = (motion.by_parameter[:, axis] for axis in range(3))
@@ -61,21 +52,9 @@ def displacement(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the displacement from pose `first` to pose `last` in the frame of the former, and its derivatives.
 
-    Parameters
-    ----------
-    pose : array of float, shape (3, n)
-        Poses.
-    by_parameter : array of float, shape (n_parameters, 3, n)
-        Their derivatives.
-    first, last : array of int, shape (n_segments,)
-        Which poses.
-
-    Returns
-    -------
-    moved : array of float, shape (n_segments, 3)
-        Forward, left, turn.
-    derivative : array of float, shape (n_segments, 3, n_parameters)
-        Derivatives of `moved`.
+    `pose` (shape (3, n)); `by_parameter` (shape (n_parameters, 3, n)): their derivatives; `first`, `last` (shape
+    (n_segments,)): which poses. Returns `moved` (shape (n_segments, 3)): forward, left, turn; `derivative` (shape
+    (n_segments, 3, n_parameters)): derivatives of `moved`.
     """
     delta = pose[:, last] - pose[:, first]
     cosine, sine = np.cos(pose[2, first]), np.sin(pose[2, first])

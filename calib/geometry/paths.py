@@ -19,12 +19,7 @@ if TYPE_CHECKING:
 def paths_of(campaign: Campaign, geometry: Geometry) -> tuple[RunPath, ...]:
     """Return the paths of the runs of a campaign.
 
-    Parameters
-    ----------
-    campaign : Campaign
-        The one that was calibrated.
-    geometry : Geometry
-        Its result.
+    `campaign`: the one that was calibrated.
     """
     recording, _ = recordings_put_right(campaign, geometry.source)
     drive = drive_of(campaign, geometry.source, recording)

@@ -25,38 +25,26 @@ ONE_ARC_RAD: Final = 0.2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """Wheels and reference of a campaign's runs.
+    """Wheels and reference of a campaign's runs."""
 
-    Parameters
-    ----------
-    run_id, session, kind : array of str, shape (n_runs,)
-        Labels of the runs.
-    offsets : array of int, shape (n_runs + 1,)
-        Samples of run i stand at ``offsets[i]:offsets[i + 1]``.
-    t_s : array of float, shape (n_samples,)
-        Time since the run's start.
-    steps : Steps
-        What the wheels did from sample to sample.
-    reference : array of float, shape (3, n_samples)
-        Pose by the reference at the samples, heading not wrapped; NaN where it has none.
-    end_pose : array of float, shape (n_runs, 3)
-        End pose against the start by the reference; NaN where it was not measured. Of a straight run whose length alone
-        was measured, that is the way ahead.
-    left_out : tuple of (str, str)
-        Runs that cannot be used: id and reason.
-    own_delay_s : array of float, shape (n_runs,), optional
-        What each run's delay of the reference adds to the common one; None: nothing.
-    """
-
+    #: labels of the runs, shape (n_runs,)
     run_id: StrArray
     session: StrArray
     kind: StrArray
+    #: samples of run i stand at ``offsets[i]:offsets[i + 1]``, shape (n_runs + 1,)
     offsets: IntArray
+    #: time since the run's start, shape (n_samples,)
     t_s: FloatArray
+    #: what the wheels did from sample to sample
     steps: Steps
+    #: pose by the reference at the samples, heading not wrapped; NaN where it has none, shape (3, n_samples)
     reference: FloatArray
+    #: end pose against the start by the reference; NaN where it was not measured. Of a straight run whose length alone
+    #: was measured, that is the way ahead, shape (n_runs, 3)
     end_pose: FloatArray
+    #: runs that cannot be used: id and reason
     left_out: tuple[tuple[str, str], ...] = ()
+    #: what each run's delay of the reference adds to the common one; None: nothing, shape (n_runs,)
     own_delay_s: FloatArray | None = None
 
     def __len__(self) -> int:
@@ -88,10 +76,7 @@ class Recording:
     def unwrapped(self, turn_rad: FloatArray) -> Recording:
         """Return the recording with whole turns added to end headings, where the reference states them within a half.
 
-        Parameters
-        ----------
-        turn_rad : array of float, shape (n_runs,)
-            Turn of each run by its wheels.
+        `turn_rad` (shape (n_runs,)): turn of each run by its wheels.
         """
         heading = self.end_pose[:, 2]
         within = np.abs(heading) <= np.pi + 1e-6
@@ -113,17 +98,8 @@ MANY_POSES: Final = 20
 def recording_of(campaign: Campaign, source: str) -> Recording:
     """Return wheels and reference of the runs that are not excluded.
 
-    Parameters
-    ----------
-    campaign : Campaign
-        With logs; a straight run may have its end counts alone.
-    source : {"rear", "front", "wheels"}
-        Which wheels drive the odometry.
-
-    Raises
-    ------
-    RefusedError
-        Where no run has both wheels and a reference.
+    `campaign`: with logs; a straight run may have its end counts alone; `source` ({"rear", "front", "wheels"}): which
+    wheels drive the odometry. Raises RefusedError where no run has both wheels and a reference.
     """
     campaign = campaign.included()
     per_rev = _counts_per_rev(campaign, source)
@@ -241,16 +217,9 @@ def _end_counts(
 def _straight_end(campaign: Campaign, row: int, source: str, turned_rad: FloatArray) -> FloatArray:
     """Return the way ahead of a straight run by its measured length, nothing said of the rest; NaN for other runs.
 
-    Parameters
-    ----------
-    campaign : Campaign
-        Its row says a ``distance_m`` where one was measured.
-    row : int
-        Number of the run.
-    source : str
-        Only two wheels on one axle tell by themselves whether a run was straight.
-    turned_rad : array of float, shape (2,)
-        Angle that each wheel turned in all.
+    `campaign`: its row says a ``distance_m`` where one was measured; `row`: number of the run; `source`: only two
+    wheels on one axle tell by themselves whether a run was straight; `turned_rad` (shape (2,)): angle that each wheel
+    turned in all.
     """
     model, end = campaign.model, np.full(3, np.nan)
     if source != "rear":

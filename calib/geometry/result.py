@@ -18,84 +18,55 @@ from calib.geometry.umbmark import Umbmark
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Geometry:
-    """Radii, track and sensor of a vehicle, estimated together.
-
-    Parameters
-    ----------
-    name : str
-        Name of the campaign.
-    simulated : bool
-        True where a program made the data.
-    drive : str
-        ``differential``, ``tricycle`` or ``mecanum``.
-    source : str
-        What drives the odometry: ``rear``, ``front`` or ``wheels``.
-    using : str
-        ``end_poses`` or ``windows``.
-    n_runs, n_segments : int
-        Runs, and stretches of them, that were used.
-    estimates : tuple of Estimate
-        Parameters that the data determine.
-    covariance : array of float, shape (n_estimates, n_estimates)
-        Joint covariance in the same order.
-    undetermined : tuple of str
-        Parameters that the data cannot determine; they stayed at their nominal value.
-    held : mapping of str to float
-        Parameters that were not asked for, and those undetermined, at their nominal value.
-    clusters : tuple of (str, int)
-        What was taken for independent (``run``, ``block``, ``session``, ``route``), and how many there are.
-    noise : mapping of str to float
-        Standard deviations of the noise's components.
-    residual_rms : tuple of float
-        Along, across (m), heading (rad), after the calibration.
-    outliers : tuple of str
-        Runs that the noise cannot explain.
-    faults : tuple of Fault
-        Gross faults that were recognised.
-    mirrored : bool
-        Whether the data met a mirrored solution better, which was turned round.
-    umbmark : Umbmark
-        What squares both ways say on their own.
-    routes : tuple of RouteResidual
-        Table by route.
-    transfer : tuple of Transfer
-        Recordings left out in turn, where that was asked for.
-    notes : tuple of str
-        What the user should know.
-    delays : tuple of Delay
-        Delay of each recording, where they differ beyond chance; ``delay_s`` is then what they have in common.
-    inputs : mapping of str to str
-        Path of an input -> its SHA-256.
-    paths : tuple of RunPath
-        Paths before and after, for a figure; empty where nobody asked.
-    freedom : Freedom or None
-        Degrees of freedom of sums of the estimates; None: those of the estimates themselves hold.
-    """
+    """Radii, track and sensor of a vehicle, estimated together."""
 
     name: str
+    #: True where a program made the data
     simulated: bool
+    #: ``differential``, ``tricycle`` or ``mecanum``
     drive: str
+    #: what drives the odometry: ``rear``, ``front`` or ``wheels``
     source: str
+    #: ``end_poses`` or ``windows``
     using: str
+    #: runs, and stretches of them, that were used
     n_runs: int
     n_segments: int
+    #: parameters that the data determine
     estimates: tuple[Estimate, ...]
+    #: joint covariance in the same order, shape (n_estimates, n_estimates)
     covariance: FloatArray
+    #: parameters that the data cannot determine; they stayed at their nominal value
     undetermined: tuple[str, ...]
+    #: parameters that were not asked for, and those undetermined, at their nominal value
     held: Mapping[str, float]
+    #: what was taken for independent (``run``, ``block``, ``session``, ``route``), and how many there are
     clusters: tuple[str, int]
+    #: standard deviations of the noise's components
     noise: Mapping[str, float]
+    #: along, across (m), heading (rad), after the calibration
     residual_rms: tuple[float, float, float]
+    #: runs that the noise cannot explain
     outliers: tuple[str, ...]
+    #: gross faults that were recognised
     faults: tuple[Fault, ...]
+    #: whether the data met a mirrored solution better, which was turned round
     mirrored: bool
+    #: what squares both ways say on their own
     umbmark: Umbmark
+    #: table by route
     routes: tuple[RouteResidual, ...]
+    #: recordings left out in turn, where that was asked for
     transfer: tuple[Transfer, ...] = ()
+    #: what the user should know
     notes: tuple[str, ...] = ()
+    #: delay of each recording, where they differ beyond chance; ``delay_s`` is then what they have in common
     delays: tuple[Delay, ...] = ()
+    #: path of an input -> its SHA-256
     inputs: Mapping[str, str] = field(default_factory=dict)
+    #: paths before and after, for a figure; empty where nobody asked
     paths: tuple[RunPath, ...] = ()
+    #: degrees of freedom of sums of the estimates; None: those of the estimates themselves hold
     freedom: Freedom | None = None
 
     def __getitem__(self, name: str) -> Estimate:
@@ -122,10 +93,7 @@ class Geometry:
     def ratio(self, over: str, under: str) -> Estimate:
         """Return the ratio of two parameters with its interval, as the joint covariance gives it.
 
-        Parameters
-        ----------
-        over, under : str
-            Names of parameters that were determined.
+        `over`, `under`: names of parameters that were determined.
         """
         return self._derived(f"{over}/{under}", {over: 1.0}, {under: 1.0})
 

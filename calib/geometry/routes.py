@@ -28,14 +28,7 @@ def route_table(
 ) -> tuple[RouteResidual, ...]:
     """Return the residuals by kind of route; where no kind is given, by the sense of the turn.
 
-    Parameters
-    ----------
-    recording : Recording
-        Labels of the runs.
-    segments : Segments
-        The stretches.
-    before, after : array of float, shape (n, 3)
-        Residuals of the nominal and the calibrated vehicle.
+    `before`, `after` (shape (n, 3)): residuals of the nominal and the calibrated vehicle.
     """
     kind = recording.kind[segments.run]
     if (kind == "").all():
@@ -56,17 +49,7 @@ def route_table(
 def of_kinds(campaign: Campaign, kinds: Iterable[str]) -> Campaign:
     """Return the campaign with the runs of some kinds of routes; of all where none is named.
 
-    Parameters
-    ----------
-    campaign : Campaign
-        Any.
-    kinds : iterable of str
-        Labels in its column ``kind``.
-
-    Raises
-    ------
-    BadInputError
-        Where no run has such a label.
+    `kinds`: labels in its column ``kind``. Raises BadInputError where no run has such a label.
     """
     wanted = set(kinds)
     if not wanted:

@@ -27,26 +27,18 @@ OF_RUNS: Final = 0.75
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Uncertainty:
-    """Covariance of the free parameters and the degrees of freedom of each.
+    """Covariance of the free parameters and the degrees of freedom of each."""
 
-    Parameters
-    ----------
-    covariance : array of float, shape (n_free, n_free)
-        Of the free parameters.
-    dof : array of float, shape (n_free,)
-        Degrees of freedom of each standard deviation.
-    clusters : int
-        Groups whose noise was taken for independent, or shared with neighbours.
-    apart : array of float, shape (n_free,)
-        Standard deviations as if no group shared anything: less right, but steadier, to compare estimates by.
-    freedom : Freedom or None
-        Degrees of freedom of sums of parameters, where these are known.
-    """
-
+    #: of the free parameters, shape (n_free, n_free)
     covariance: FloatArray
+    #: degrees of freedom of each standard deviation, shape (n_free,)
     dof: FloatArray
+    #: groups whose noise was taken for independent, or shared with neighbours
     clusters: int
+    #: standard deviations as if no group shared anything: less right, but steadier, to compare estimates by, shape
+    #: (n_free,)
     apart: FloatArray
+    #: degrees of freedom of sums of parameters, where these are known
     freedom: Freedom | None = None
 
     @property
@@ -98,16 +90,9 @@ def _rows_of(cluster: IntArray) -> Iterator[IntArray]:
 def sandwich_along(solution: Solution, free: BoolArray, block: IntArray, directions: FloatArray) -> Uncertainty:
     """Return the covariance of the free parameters from blocks along the way, which share noise with neighbours.
 
-    Parameters
-    ----------
-    solution : Solution
-        Of the robust fit.
-    free : array of bool, shape (n_parameters,)
-        Which parameters were free.
-    block : array of int, shape (n,)
-        Blocks are numbered along the way.
-    directions : array of float, shape (n_free, n_free)
-        Rows: sums of parameters that err for reasons of their own.
+    `solution`: of the robust fit; `free` (shape (n_parameters,)): which parameters were free; `block` (shape (n,)):
+    blocks are numbered along the way; `directions` (shape (n_free, n_free)): rows: sums of parameters that err for
+    reasons of their own.
     """
     flat, residuals, root, scale = _unit_columns(solution, free)
     parts = [(flat[rows], residuals[rows]) for rows in _rows_of(block)]
@@ -127,16 +112,9 @@ def sandwich_along(solution: Solution, free: BoolArray, block: IntArray, directi
 def sandwich(solution: Solution, free: BoolArray, cluster: IntArray, *, power: float = UNBIASED) -> Uncertainty:
     """Return the covariance of the free parameters.
 
-    Parameters
-    ----------
-    solution : Solution
-        Of the robust fit.
-    free : array of bool, shape (n_parameters,)
-        Which parameters were free.
-    cluster : array of int, shape (n,)
-        Stretches of one cluster share their noise.
-    power : float
-        Of what leverage takes from the residuals; they are enlarged by it.
+    `solution`: of the robust fit; `free` (shape (n_parameters,)): which parameters were free; `cluster` (shape (n,)):
+    stretches of one cluster share their noise; `power`: of what leverage takes from the residuals; they are enlarged by
+    it.
     """
     flat, residuals, root, scale = _unit_columns(solution, free)
     cluster = np.unique(cluster, return_inverse=True)[1]

@@ -17,28 +17,19 @@ LEVELS: Final = (1.0, 0.5, 0.25)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Segments:
-    """Stretches and what the reference says of them.
+    """Stretches and what the reference says of them."""
 
-    Parameters
-    ----------
-    run, first, last : array of int, shape (n,)
-        Number of the run, first and last sample.
-    measured : array of float, shape (n, 3)
-        Displacement of the sensor in its own frame at the start: forward, left, turn.
-    seen : array of bool, shape (n, 3)
-        Which of these were measured.
-    block : array of int, shape (n,)
-        Stretches of one block share their noise; they are nested in it.
-    level : array of int, shape (n,)
-        0 for the longest windows.
-    """
-
+    #: number of the run, first and last sample, shape (n,)
     run: IntArray
     first: IntArray
     last: IntArray
+    #: displacement of the sensor in its own frame at the start: forward, left, turn, shape (n, 3)
     measured: FloatArray
+    #: which of these were measured, shape (n, 3)
     seen: BoolArray
+    #: stretches of one block share their noise; they are nested in it, shape (n,)
     block: IntArray
+    #: 0 for the longest windows, shape (n,)
     level: IntArray
 
     def __len__(self) -> int:
@@ -64,10 +55,7 @@ class Segments:
 def end_pose_segments(recording: Recording) -> Segments:
     """Return each run with an end pose as one stretch.
 
-    Raises
-    ------
-    RefusedError
-        Where no run has an end pose.
+    Raises RefusedError where no run has an end pose.
     """
     runs = np.flatnonzero(np.isfinite(recording.end_pose[:, 0]))
     if not len(runs):
@@ -87,20 +75,9 @@ def end_pose_segments(recording: Recording) -> Segments:
 def window_segments(recording: Recording, blocks: int) -> Segments:
     """Return windows of three lengths, nested in blocks of equal travel.
 
-    Parameters
-    ----------
-    recording : Recording
-        With a reference along the way.
-    blocks : int
-        How many blocks all runs together are cut into, about; a run is one at least.
+    `recording`: with a reference along the way; `blocks`: how many blocks all runs together are cut into, about; a run
+    is one at least. Raises RefusedError where the reference follows the vehicle nowhere.
 
-    Raises
-    ------
-    RefusedError
-        Where the reference follows the vehicle nowhere.
-
-    Notes
-    -----
     The travel of the wheels, not the time, sets the length, so that a standing vehicle makes no windows. Shorter
     windows overlap by half. No window reaches over the end of its block.
     """

@@ -39,48 +39,29 @@ LONGEST: Final = 3.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """Where the search ended.
+    """Where the search ended."""
 
-    Parameters
-    ----------
-    values : array of float, shape (n_parameters,)
-        All parameters; those not free at their nominal value.
-    prediction : Prediction
-        At `values`.
-    scales : array of float, shape (4,)
-        Variances of the noise's components.
-    whitener : array of float, shape (n, 3, 3)
-        Turns residuals into ones of unit covariance.
-    weights : array of float, shape (n,)
-        Robust weights.
-    squares : array of float, shape (n,)
-        Squared whitened residuals, rescaled so that their middle is where normal noise has it.
-    converged : bool
-        Whether the last step was small.
-    """
-
+    #: all parameters; those not free at their nominal value, shape (n_parameters,)
     values: FloatArray
+    #: at `values`
     prediction: Prediction
+    #: variances of the noise's components, shape (4,)
     scales: FloatArray
+    #: turns residuals into ones of unit covariance, shape (n, 3, 3)
     whitener: FloatArray
+    #: robust weights, shape (n,)
     weights: FloatArray
+    #: squared whitened residuals, rescaled so that their middle is where normal noise has it, shape (n,)
     squares: FloatArray
+    #: whether the last step was small
     converged: bool
 
 
 def solve(model: Model, parameters: Parameters, start: FloatArray, scales: FloatArray) -> Solution:
     """Return the parameters that the data make most likely.
 
-    Parameters
-    ----------
-    model : Model
-        Predicts displacements.
-    parameters : Parameters
-        Which are free.
-    start : array of float, shape (n_parameters,)
-        Where to begin.
-    scales : array of float, shape (4,)
-        Variances of the noise's components to begin with.
+    `model`: predicts displacements; `start` (shape (n_parameters,)): where to begin; `scales` (shape (4,)): variances
+    of the noise's components to begin with.
     """
     values, least = start.copy(), LEAST * scales
     free, prior = parameters.free, parameters.prior_std

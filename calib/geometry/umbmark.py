@@ -26,36 +26,25 @@ FEWEST: Final = 2
 
 @dataclass(frozen=True, slots=True)
 class Umbmark:
-    """What squares both ways say.
+    """What squares both ways say."""
 
-    Parameters
-    ----------
-    applies : bool
-        Whether there are squares of both senses.
-    E_d, E_b : float
-        Right diameter over left one; actual track over nominal one.
-    c_left, c_right : float
-        Factors on the nominal diameters that keep their mean.
-    E_d_std, E_b_std : float
-        Standard deviations from the scatter of the runs; NaN with fewer than two runs of a sense.
-    side_m : float
-        Mean side of the squares.
-    n_cw, n_ccw : int
-        Squares of each sense.
-    why : str
-        Why it does not apply; empty where it does.
-    """
-
+    #: whether there are squares of both senses
     applies: bool
+    #: right diameter over left one; actual track over nominal one
     E_d: float = float("nan")
     E_b: float = float("nan")
+    #: factors on the nominal diameters that keep their mean
     c_left: float = float("nan")
     c_right: float = float("nan")
+    #: standard deviations from the scatter of the runs; NaN with fewer than two runs of a sense
     E_d_std: float = float("nan")
     E_b_std: float = float("nan")
+    #: mean side of the squares
     side_m: float = float("nan")
+    #: squares of each sense
     n_cw: int = 0
     n_ccw: int = 0
+    #: why it does not apply; empty where it does
     why: str = ""
 
     def to_dict(self) -> dict[str, Any]:
@@ -98,16 +87,8 @@ def squares(prediction: Prediction, segments: Segments) -> tuple[FloatArray, Boo
 def umbmark(prediction: Prediction, calibrated: Prediction, segments: Segments, track_m: float) -> Umbmark:
     """Return what the squares among whole runs say, from the residuals of the nominal vehicle.
 
-    Parameters
-    ----------
-    prediction : Prediction
-        Of the nominal vehicle: its errors are what is looked at.
-    calibrated : Prediction
-        Of the calibrated one: its way shows which runs are squares.
-    segments : Segments
-        Whole runs.
-    track_m : float
-        Nominal track.
+    `prediction`: of the nominal vehicle: its errors are what is looked at; `calibrated`: of the calibrated one: its way
+    shows which runs are squares; `track_m`: nominal track.
     """
     side, left = squares(calibrated, segments)
     square = np.isfinite(side) & segments.seen[:, :2].all(axis=1)

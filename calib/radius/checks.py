@@ -15,31 +15,21 @@ PLAUSIBLE: Final = "plausible"
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One check of a fit.
+    """One check of a fit."""
 
-    Parameters
-    ----------
-    name : str
-        Stable name: ``design``, ``lack_of_fit``, ``curvature``, ``equal_scatter``, ``influence``, ``session``,
-        ``normality``, ``direction``, ``range``, ``plausible``.
-    level : str
-        ``ok``; ``note`` where the reader has to know something but the result stands; ``failed`` where the law should
-        not be used as it is.
-    sentence : str
-        What it means for the user and what to do.
-    statistic : float or None
-        Value of the test statistic; None where the check has none or could not be made.
-    statistic_name : str
-        What the statistic is, for example ``F(3, 55)``.
-    p_value : float or None
-        Probability of a statistic at least as extreme where nothing is wrong.
-    """
-
+    #: stable name: ``design``, ``lack_of_fit``, ``curvature``, ``equal_scatter``, ``influence``, ``session``,
+    #: ``normality``, ``direction``, ``range``, ``plausible``
     name: str
+    #: ``ok``; ``note`` where the reader has to know something but the result stands; ``failed`` where the law should
+    #: not be used as it is
     level: str
+    #: what it means for the user and what to do
     sentence: str
+    #: value of the test statistic; None where the check has none or could not be made
     statistic: float | None = None
+    #: what the statistic is, for example ``F(3, 55)``
     statistic_name: str = ""
+    #: probability of a statistic at least as extreme where nothing is wrong
     p_value: float | None = None
 
     @property

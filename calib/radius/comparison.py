@@ -11,21 +11,14 @@ from calib.radius.regression import WheelFit
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """One coefficient, fitted minus believed.
+    """One coefficient, fitted minus believed."""
 
-    Parameters
-    ----------
-    fitted, model : float
-        The coefficient in the fit and in the model.
-    difference : float
-        Fitted minus model.
-    ci95 : tuple of float
-        95 % interval of the difference, the model taken as it is.
-    """
-
+    #: the coefficient in the fit and in the model
     fitted: float
     model: float
+    #: fitted minus model
     difference: float
+    #: 95 % interval of the difference, the model taken as it is
     ci95: tuple[float, float]
 
     @property
@@ -59,17 +52,11 @@ class WheelComparison:
 
 @dataclass(frozen=True, slots=True)
 class ModelComparison:
-    """Both wheels' fitted laws against a model's.
+    """Both wheels' fitted laws against a model's."""
 
-    Parameters
-    ----------
-    reference_load_N : float
-        Load at which the radii are compared.
-    left, right : WheelComparison
-        In m, and m/N.
-    """
-
+    #: load at which the radii are compared
     reference_load_N: float
+    #: in m, and m/N
     left: WheelComparison
     right: WheelComparison
 

@@ -16,19 +16,13 @@ from calib.arrays import FloatArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PathExcess:
-    """Relative excess of the paths over S_O, S / S_O - 1; arrays of one shape.
+    """Relative excess of the paths over S_O, S / S_O - 1; arrays of one shape."""
 
-    Parameters
-    ----------
-    centre, left, right : array of float
-        Middle of the rear axle and both wheels.
-    yaw_rad : array of float
-        Heading at the end minus heading at the start.
-    """
-
+    #: middle of the rear axle and both wheels
     centre: FloatArray
     left: FloatArray
     right: FloatArray
+    #: heading at the end minus heading at the start
     yaw_rad: FloatArray
 
 
@@ -38,15 +32,7 @@ def whole_period_excess(amplitude_m: npt.ArrayLike, wavelength_m: npt.ArrayLike)
     ``(2 / pi) sqrt(1 + u) E(m) - 1`` with ``u = (2 pi A / lambda)^2``, E the complete elliptic integral of the second
     kind and ``m = u / (1 + u)`` (Fig. 9).
 
-    Parameters
-    ----------
-    amplitude_m, wavelength_m : array_like of float, shapes that broadcast
-        A and lambda.
-
-    Returns
-    -------
-    array of float
-        Of the broadcast shape.
+    `amplitude_m`, `wavelength_m`: A and lambda. Of the broadcast shape.
     """
     from scipy.special import ellipe
 
@@ -107,19 +93,8 @@ def weave_excess(
 def arc_excess(yaw_rad: npt.ArrayLike, distance_m: npt.ArrayLike, track_m: float) -> PathExcess:
     """Return the relative excess of a steady arc over its chord (Fig. 8a).
 
-    Parameters
-    ----------
-    yaw_rad : array_like of float
-        Turn over the run, left positive.
-    distance_m : array_like of float
-        S_O along the chord.
-    track_m : float
-        Distance between the wheels' contact points.
-
-    Returns
-    -------
-    PathExcess
-        Of the broadcast shape.
+    `yaw_rad`: turn over the run, left positive; `distance_m`: S_O along the chord; `track_m`: distance between the
+    wheels' contact points. Of the broadcast shape.
     """
     yaw, distance = np.broadcast_arrays(np.asarray(yaw_rad, dtype=np.float64), np.asarray(distance_m, dtype=np.float64))
     half_turn = 0.5 * yaw
@@ -134,19 +109,8 @@ def arc_of_radii_rad(
 ) -> FloatArray:
     """Return the turn of a vehicle that holds equal wheel rates on wheels of unequal radii (Fig. 8a).
 
-    Parameters
-    ----------
-    distance_m : array_like of float
-        Path of the middle of the axle.
-    radius_left_m, radius_right_m : array_like of float
-        True radii of wheels that the vehicle takes for equal.
-    track_m : float
-        Distance between the wheels' contact points.
-
-    Returns
-    -------
-    array of float
-        In rad, left positive.
+    `distance_m`: path of the middle of the axle; `radius_left_m`, `radius_right_m`: true radii of wheels that the
+    vehicle takes for equal; `track_m`: distance between the wheels' contact points. In rad, left positive.
     """
     left, right = np.asarray(radius_left_m, dtype=np.float64), np.asarray(radius_right_m, dtype=np.float64)
     return np.asarray(np.asarray(distance_m, dtype=np.float64) * 2 * (right - left) / ((right + left) * track_m))
@@ -211,17 +175,8 @@ def allowed_amplitude_m(tolerance: npt.ArrayLike, wavelength_m: npt.ArrayLike) -
     Over whole periods, by the exact form; Newton's method on ``u = (2 pi A / lambda)^2``, whose excess is concave and
     increasing, so that starting from the small-amplitude value it converges from one side.
 
-    Parameters
-    ----------
-    tolerance : array_like of float
-        Largest relative error of the radius, between 0 and 1.
-    wavelength_m : array_like of float
-        Wavelength of the weave.
-
-    Returns
-    -------
-    array of float
-        In m, of the broadcast shape.
+    `tolerance`: largest relative error of the radius, between 0 and 1; `wavelength_m`: wavelength of the weave. In m,
+    of the broadcast shape.
     """
     from scipy.special import ellipe, ellipk
 

@@ -84,18 +84,8 @@ def table_setting(
 ) -> tuple[float, float]:
     """Return distance and track of the table: as given, else the campaign's, else the paper's.
 
-    Parameters
-    ----------
-    campaign : Campaign or None
-        Its median distance and its track are taken where nothing is given.
-    distance_m, track_m : float or None
-        As given.
-    default_distance_m : float
-        Distance where there is no campaign.
-
-    Returns
-    -------
-    distance_m, track_m : float
+    `campaign`: its median distance and its track are taken where nothing is given; `default_distance_m`: distance where
+    there is no campaign. `distance_m`, `track_m`.
     """
     if distance_m is None:
         known = np.array([]) if campaign is None else campaign.runs.number("distance_m")
@@ -109,10 +99,7 @@ def table_setting(
 def arc_row(radius_ratio: float, distance_m: float, track_m: float) -> dict[str, float]:
     """Return the steady arc of a vehicle that takes wheels of ratio ``r_R / r_L`` (Eq. 15) for equal (Fig. 8a).
 
-    Raises
-    ------
-    BadInputError
-        Where the ratio is not positive.
+    Raises BadInputError where the ratio is not positive.
     """
     if not 0 < radius_ratio < np.inf:
         raise BadInputError(f"radius_ratio: found {radius_ratio:g}; expected r_R / r_L above 0; 1 is equal wheels")

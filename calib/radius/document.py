@@ -190,10 +190,7 @@ def pair(value: Any) -> tuple[float, float]:
 def plain_fields(kind: type, value: Mapping[str, Any]) -> Any:
     """Return a dataclass of plain fields from a JSON object, numbers where its annotations say so.
 
-    Raises
-    ------
-    TypeError
-        Where a key is missing or unknown, or a value is of the wrong kind.
+    Raises TypeError where a key is missing or unknown, or a value is of the wrong kind.
     """
     wanted = {column.name: str(column.type) for column in fields(kind)}
     for name, entry in value.items():

@@ -20,82 +20,56 @@ IMPLAUSIBLE: Final = 1.2
 
 @dataclass(frozen=True, slots=True)
 class Component:
-    """One line of the uncertainty budget of a single effective radius (GUM).
+    """One line of the uncertainty budget of a single effective radius (GUM)."""
 
-    Parameters
-    ----------
-    name : str
-        ``rangefinder``, ``quantisation``, ``path``, ``other_run_to_run``, ``session_to_session``.
-    kind : str
-        GUM evaluation: ``A`` from repeats, ``B`` from other knowledge.
-    distribution : str
-        Assumed distribution.
-    what : str
-        The input quantity in words, with its standard uncertainty.
-    std_left_m, std_right_m : float
-        Contribution to the standard uncertainty of a typical (root mean square) run's radius.
-    dof : float or None
-        Degrees of freedom of an evaluation of type A; None for type B, which counts as known.
-    """
-
+    #: ``rangefinder``, ``quantisation``, ``path``, ``other_run_to_run``, ``session_to_session``
     name: str
+    #: GUM evaluation: ``A`` from repeats, ``B`` from other knowledge
     kind: str
+    #: assumed distribution
     distribution: str
+    #: the input quantity in words, with its standard uncertainty
     what: str
+    #: contribution to the standard uncertainty of a typical (root mean square) run's radius
     std_left_m: float
     std_right_m: float
+    #: degrees of freedom of an evaluation of type A; None for type B, which counts as known
     dof: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EffectiveRadii:
-    """Effective radii of a campaign, arrays over the runs used, in the order driven.
+    """Effective radii of a campaign, arrays over the runs used, in the order driven."""
 
-    Parameters
-    ----------
-    run_id, session, direction : array of str, shape (n_runs,)
-        As in the run table.
-    load_left_N, load_right_N : array of float, shape (n_runs,)
-        Wheel loads.
-    distance_m : array of float, shape (n_runs,)
-        S_O along the corridor.
-    radius_left_m, radius_right_m : array of float, shape (n_runs,)
-        Effective radii, corrected for the path.
-    std_left_m, std_right_m : array of float, shape (n_runs,)
-        Standard uncertainties from rangefinder, quantisation and path (type B, random from run to run).
-    path_left, path_right : array of float, shape (n_runs,)
-        Relative excess of the wheel's path over S_O that was corrected; the uncorrected radius is
-        ``radius / (1 + path)``.
-    path_source : array of str, shape (n_runs,)
-        Where the correction comes from: ``log``, ``columns`` or ``none``, with ``+heading`` where the measured
-        heading at the end was used too.
-    amplitude_m, wavelength_m : array of float, shape (n_runs,)
-        Weave about the line, estimated or as measured; NaN where unknown.
-    budget : tuple of Component
-        Uncertainty budget of a single radius, for a typical run.
-    left_out : tuple of LeftOut
-        Runs not used.
-    notes : tuple of str
-        What the user should know, in sentences.
-    """
-
+    #: as in the run table, shape (n_runs,)
     run_id: StrArray
     session: StrArray
     direction: StrArray
     load_left_N: FloatArray
     load_right_N: FloatArray
+    #: S_O along the corridor, shape (n_runs,)
     distance_m: FloatArray
+    #: effective radii, corrected for the path, shape (n_runs,)
     radius_left_m: FloatArray
     radius_right_m: FloatArray
+    #: standard uncertainties from rangefinder, quantisation and path (type B, random from run to run), shape (n_runs,)
     std_left_m: FloatArray
     std_right_m: FloatArray
+    #: relative excess of the wheel's path over S_O that was corrected; the uncorrected radius is ``radius / (1 +
+    #: path)``, shape (n_runs,)
     path_left: FloatArray
     path_right: FloatArray
+    #: where the correction comes from: ``log``, ``columns`` or ``none``, with ``+heading`` where the measured heading
+    #: at the end was used too, shape (n_runs,)
     path_source: StrArray
+    #: weave about the line, estimated or as measured; NaN where unknown, shape (n_runs,)
     amplitude_m: FloatArray
     wavelength_m: FloatArray
+    #: uncertainty budget of a single radius, for a typical run
     budget: tuple[Component, ...] = ()
+    #: runs not used
     left_out: tuple[LeftOut, ...] = ()
+    #: what the user should know, in sentences
     notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
@@ -109,21 +83,8 @@ def effective_radii(campaign: Campaign) -> EffectiveRadii:
     measured heading at its end, or measured amplitude and wavelength. The total counts alone never do: a steady arc
     and unequal radii leave the same difference between them, and correcting for it would make the radii equal.
 
-    Parameters
-    ----------
-    campaign : Campaign
-        Excluded rows, runs that are no straight run, and runs that lack distance, counts or load are left out and
-        named.
-
-    Returns
-    -------
-    EffectiveRadii
-        Radii with their standard uncertainties.
-
-    Raises
-    ------
-    RefusedError
-        Where no run can be used.
+    `campaign`: excluded rows, runs that are no straight run, and runs that lack distance, counts or load are left out
+    and named. Radii with their standard uncertainties. Raises RefusedError where no run can be used.
     """
     campaign, left_out, notes = usable_runs(campaign)
     runs, track = campaign.runs, campaign.vehicle.track_m

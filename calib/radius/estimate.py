@@ -13,41 +13,28 @@ from calib.radius.welch import critical_value, equivalent_dof
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimate:
-    """Coefficients (radius at x = 0, slope) and their covariance by stratum.
+    """Coefficients (radius at x = 0, slope) and their covariance by stratum."""
 
-    Parameters
-    ----------
-    design : str
-        ``crossed`` (slope from within sessions), ``confounded`` (slope from session means only), ``mixed``, ``single``
-        (one session, or sessions that cannot be told from runs) or ``constant`` (no slope).
-    coefficients : array of float, shape (2,)
-        Radius at the reference load and slope.
-    cov_within, cov_between : array of float, shape (2, 2)
-        Parts of the covariance that come from the scatter of runs and of sessions; their sum is the covariance.
-    dof_within, dof_between : float
-        Degrees of freedom of each part; 0 where it has none.
-    run_variance, session_variance : float
-        Estimated variances of runs within a session and of sessions (0 where negative).
-    session_f : float or None
-        Ratio of the two mean squares; F(dof_between, dof_within) where sessions do not scatter.
-    robust : bool
-        Whether the within part is heteroscedasticity-consistent (HC3).
-    systematic : array of float, shape (n_sources, 2)
-        What each source that is the same in every run does to the coefficients, times its standard uncertainty.
-    systematic_dof : array of float, shape (n_sources,)
-        Degrees of freedom behind each of these.
-    """
-
+    #: ``crossed`` (slope from within sessions), ``confounded`` (slope from session means only), ``mixed``, ``single``
+    #: (one session, or sessions that cannot be told from runs) or ``constant`` (no slope)
     design: str
+    #: radius at the reference load and slope, shape (2,)
     coefficients: FloatArray
+    #: parts of the covariance that come from the scatter of runs and of sessions, shape (2, 2), which add up to the
+    #: covariance, and the degrees of freedom of each; 0 where it has none
     cov_within: FloatArray
     dof_within: float
     cov_between: FloatArray
     dof_between: float
+    #: estimated variances of runs within a session and of sessions (0 where negative)
     run_variance: float
     session_variance: float
+    #: ratio of the two mean squares; F(dof_between, dof_within) where sessions do not scatter
     session_f: float | None
+    #: whether the within part is heteroscedasticity-consistent (HC3)
     robust: bool
+    #: what each source that is the same in every run does to the coefficients, times its standard uncertainty, shape
+    #: (n_sources, 2), and the degrees of freedom behind each
     systematic: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
     systematic_dof: FloatArray = field(default_factory=lambda: np.zeros(0))
 
@@ -73,14 +60,8 @@ class Estimate:
     def parts(self, contrast: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return the within and between parts of the variance of ``contrast @ coefficients``.
 
-        Parameters
-        ----------
-        contrast : array_like, shape (..., 2)
-            For example (1, 0) for the radius and (0, 1) for the slope.
-
-        Returns
-        -------
-        within, between : array of float, shape (...)
+        `contrast` (shape (..., 2)): for example (1, 0) for the radius and (0, 1) for the slope. `within`, `between`
+        (shape (...)).
         """
         c = np.asarray(contrast, dtype=np.float64)
         within = np.einsum("...i,ij,...j->...", c, self.cov_within, c)
@@ -92,14 +73,8 @@ class Estimate:
     ) -> FloatArray:
         """Return the half width of the interval of ``contrast @ coefficients``, shape (...); see `parts`.
 
-        Parameters
-        ----------
-        contrast : array_like, shape (..., 2)
-            What is wanted of the coefficients.
-        coverage : float
-            Coverage of the interval.
-        more_within, more_between : float
-            Variances of a further run and session, for a prediction.
+        `contrast` (shape (..., 2)): what is wanted of the coefficients; `coverage`: coverage of the interval;
+        `more_within`, `more_between`: variances of a further run and session, for a prediction.
         """
         within, between = self.parts(contrast)
         within, between = within + more_within, between + more_between

@@ -36,24 +36,8 @@ CONDITIONS: Final = (
 def fit_law(radii: EffectiveRadii, *, reference_load_N: float, name: str = "", simulated: bool = False) -> Fit:
     """Fit both wheels' laws to effective radii.
 
-    Parameters
-    ----------
-    radii : EffectiveRadii
-        Radii a run and wheel.
-    reference_load_N : float
-        Load on which the coefficients are centred.
-    name, simulated
-        Carried over from the campaign.
-
-    Returns
-    -------
-    Fit
-        With the checks of both wheels.
-
-    Raises
-    ------
-    RefusedError
-        With fewer than three runs.
+    `radii`: radii a run and wheel; `reference_load_N`: load on which the coefficients are centred; `name`, `simulated`:
+    carried over from the campaign. With the checks of both wheels. Raises RefusedError with fewer than three runs.
     """
     wheels = {}
     for wheel, load, radius in (
@@ -71,24 +55,10 @@ def fit_law(radii: EffectiveRadii, *, reference_load_N: float, name: str = "", s
 def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -> Fit:
     """Return the fit of a campaign: effective radii, both laws, and the static radius where it was measured.
 
-    Parameters
-    ----------
-    campaign : Campaign
-        Static radii are taken from the columns ``static_radius_left_m`` and ``static_radius_right_m``, where there are.
-    reference_load_N : float, optional
-        Load on which the coefficients are centred; without it the one of the campaign's model.
-
-    Returns
-    -------
-    Fit
-        With its setup.
-
-    Raises
-    ------
-    RefusedError
-        Where fewer than three runs can be used.
-    ImplausibleError
-        Where that is so because of units or settings that cannot be.
+    `campaign`: static radii are taken from the columns ``static_radius_left_m`` and ``static_radius_right_m``, where
+    there are; `reference_load_N`: load on which the coefficients are centred; without it the one of the campaign's
+    model. With its setup. Raises RefusedError where fewer than three runs can be used; ImplausibleError where that is
+    so because of units or settings that cannot be.
     """
     reference = campaign.model.reference_load_N if reference_load_N is None else reference_load_N
     if not np.isfinite(reference) or reference < 0:

@@ -33,24 +33,17 @@ _SECTIONS: Final[dict[str, type]] = {
 
 @dataclass(frozen=True, slots=True)
 class Setup:
-    """What the runs were measured with and under, so that a report needs no campaign.
+    """What the runs were measured with and under, so that a report needs no campaign."""
 
-    Parameters
-    ----------
-    vehicle, encoder, model, rangefinder, reference
-        Sections of ``campaign.toml``.
-    conditions : mapping of str to (float, float)
-        Smallest and largest value over the runs used, by column of the run table.
-    assumed : mapping of str to str
-        Keys of ``campaign.toml`` that nobody stated and that matter for these runs, with the values that stand in.
-    """
-
+    #: sections of ``campaign.toml``
     vehicle: Vehicle
     encoder: Encoder
     model: OdometryModel
     rangefinder: Rangefinder
     reference: Reference
+    #: smallest and largest value over the runs used, by column of the run table
     conditions: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    #: keys of ``campaign.toml`` that nobody stated and that matter for these runs, with the values that stand in
     assumed: Mapping[str, str] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
@@ -157,10 +150,7 @@ class Fit:
     def from_dict(value: Mapping[str, Any]) -> Fit:
         """Return the fit that `to_dict` wrote.
 
-        Raises
-        ------
-        BadInputError
-            Where a key is missing or of the wrong kind.
+        Raises BadInputError where a key is missing or of the wrong kind.
         """
         if value.get("format") != FORMAT:
             raise BadInputError(

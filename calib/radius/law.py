@@ -19,35 +19,24 @@ class WheelLaw:
     """Linear law of one wheel, r_e(F) = radius_ref + slope (F - reference_load).
 
     The sign of the slope is data: bonded solid rubber can do either.
-
-    Parameters
-    ----------
-    reference_load_N : float
-        Load on which the coefficients are centred.
-    radius_ref_m : float
-        Effective radius at the reference load.
-    slope_m_per_N : float
-        Change of the radius with load; 0 in a reduced model.
-    covariance : array of float, shape (2, 2)
-        Covariance of (radius_ref_m, slope_m_per_N).
-    dof : float
-        Degrees of freedom of that covariance.
-    residual_std_m : float
-        Standard deviation of a single run about the law.
-    load_min_N, load_max_N : float
-        Loads that were measured; outside them the law extrapolates.
-    n_runs : int
-        Runs behind it.
     """
 
+    #: load on which the coefficients are centred
     reference_load_N: float
+    #: effective radius at the reference load
     radius_ref_m: float
+    #: change of the radius with load; 0 in a reduced model
     slope_m_per_N: float
+    #: covariance of (radius_ref_m, slope_m_per_N), shape (2, 2)
     covariance: FloatArray
+    #: degrees of freedom of that covariance
     dof: float
+    #: standard deviation of a single run about the law
     residual_std_m: float
+    #: loads that were measured; outside them the law extrapolates
     load_min_N: float
     load_max_N: float
+    #: runs behind it
     n_runs: int
 
     def radius_m(self, load_N: npt.ArrayLike) -> FloatArray:
@@ -68,16 +57,10 @@ class WheelLaw:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RadiusLaw:
-    """The laws of both rear wheels.
-
-    Parameters
-    ----------
-    left, right : WheelLaw
-        The wheels.
-    joint : array of float, shape (5, 5), optional
-        Covariance of `JOINT`, where wheels and track were fitted together; None: the wheels are independent.
-    """
+    """The laws of both rear wheels."""
 
     left: WheelLaw
     right: WheelLaw
+    #: covariance of `JOINT`, where wheels and track were fitted together; None: the wheels are independent, shape (5,
+    #: 5)
     joint: FloatArray | None = None

@@ -18,44 +18,31 @@ LEAST_RELIABILITY: Final = 0.05
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunPaths:
-    """Path of each run; arrays of shape (n_runs,).
+    """Path of each run; arrays of shape (n_runs,)."""
 
-    Parameters
-    ----------
-    centre, left, right : array of float
-        Relative excess over S_O of the middle of the rear axle and of both wheels; 0 where nothing is known.
-    yaw_rad, yaw_std_rad : array of float
-        Heading at the end minus heading at the start, and its standard uncertainty; 0 where nothing is known.
-    centre_std : array of float
-        Standard uncertainty of `centre`.
-    amplitude_m, wavelength_m, phase_rad : array of float
-        Of the weave, NaN where unknown; the phase is known from logs only.
-    source : array of str
-        ``log``, ``columns`` or ``none``, with ``+heading`` where the measured heading was used.
-    notes : tuple of str
-        What was done, in sentences.
-    """
-
+    #: relative excess over S_O of the middle of the rear axle and of both wheels; 0 where nothing is known
     centre: FloatArray
     left: FloatArray
     right: FloatArray
+    #: heading at the end minus heading at the start, and its standard uncertainty; 0 where nothing is known
     yaw_rad: FloatArray
     yaw_std_rad: FloatArray
+    #: standard uncertainty of `centre`
     centre_std: FloatArray
+    #: of the weave, NaN where unknown; the phase is known from logs only
     amplitude_m: FloatArray
     wavelength_m: FloatArray
     phase_rad: FloatArray
+    #: ``log``, ``columns`` or ``none``, with ``+heading`` where the measured heading was used
     source: StrArray
+    #: what was done, in sentences
     notes: tuple[str, ...]
 
 
 def correct_paths(campaign: Campaign) -> RunPaths:
     """Return each run's path from its log, else from its measured weave, and from its measured final heading.
 
-    Returns
-    -------
-    RunPaths
-        Arrays over all runs of `campaign`.
+    Arrays over all runs of `campaign`.
     """
     runs, track = campaign.runs, campaign.vehicle.track_m
     n = len(runs)

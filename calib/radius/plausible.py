@@ -25,12 +25,7 @@ MOST_SCATTER: Final = 0.03
 def held_against_bounds(fit: Fit, campaign: Campaign) -> Fit:
     """Return `fit` with a failed check ``plausible`` for everything that cannot be.
 
-    Parameters
-    ----------
-    fit : Fit
-        Of this campaign.
-    campaign : Campaign
-        Its vehicle is what radii are held against; not where its wheel radius was assumed.
+    `campaign`: its vehicle is what radii are held against; not where its wheel radius was assumed.
     """
     shared = [f"{note.where}: {note.text}" for note in implausible(campaign)]
     nominal = None if "vehicle.wheel_radius_m" in campaign.assumed else campaign.vehicle.wheel_radius_m
@@ -48,10 +43,7 @@ def held_against_bounds(fit: Fit, campaign: Campaign) -> Fit:
 def refuse_implausible(campaign: Campaign) -> None:
     """Refuse a campaign that allows no law and that cannot be, for the latter reason.
 
-    Raises
-    ------
-    ImplausibleError
-        Where something is beyond its bounds.
+    Raises ImplausibleError where something is beyond its bounds.
     """
     findings = [f"{note.where}: {note.text}" for note in implausible(campaign)]
     if findings:

@@ -28,103 +28,67 @@ COVERAGE: Final = 0.95
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NaiveLine:
-    """The line and its intervals where every run counts as independent; beside the honest one, never instead of it.
+    """The line and its intervals where every run counts as independent; beside the honest one, never instead of it."""
 
-    Parameters
-    ----------
-    radius_ref_m, slope_m_per_N : float
-        Ordinary least-squares coefficients.
-    covariance : array of float, shape (2, 2)
-        Their covariance.
-    dof : float
-        Number of runs minus the number of coefficients.
-    radius_ref_ci95_m, slope_ci95_m_per_N : tuple of float
-        95 % intervals.
-    """
-
+    #: ordinary least-squares coefficients
     radius_ref_m: float
     slope_m_per_N: float
+    #: their covariance, shape (2, 2)
     covariance: FloatArray
+    #: number of runs minus the number of coefficients
     dof: float
+    #: 95 % intervals
     radius_ref_ci95_m: tuple[float, float]
     slope_ci95_m_per_N: tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WheelFit:
-    """Everything known of one wheel's law.
+    """Everything known of one wheel's law."""
 
-    Parameters
-    ----------
-    wheel : str
-        ``left`` or ``right``.
-    law : WheelLaw
-        The law that is handed on; its covariance is the session-aware one, its ``dof`` the smaller of those of radius
-        and slope, its ``residual_std_m`` the standard deviation of a single run in a session of its own.
-    model : str
-        ``line``, or ``constant`` where the loads do not carry a slope.
-    design : str
-        ``crossed``, ``mixed``, ``confounded``, ``single`` or ``constant``; see `calib.radius.estimate.Estimate`.
-    estimate : Estimate
-        Coefficients and covariance by stratum, for bands at any load.
-    naive : NaiveLine or None
-        The same with every run counted as independent; None for a constant.
-    intercept_m : float
-        Radius at zero load, where the line is prolonged to it.
-    r_squared : float
-        Share of the variance of the radii that the line explains.
-    residual_std_m : float
-        Root mean square residual over the runs' degrees of freedom (as in ordinary least squares).
-    run_std_m, session_std_m : float
-        Standard deviations of runs within a session and of sessions.
-    dof_radius_ref, dof_slope : float
-        Degrees of freedom behind each interval.
-    radius_ref_ci95_m : tuple of float
-        95 % interval of the radius at the reference load.
-    slope_ci95_m_per_N : tuple of float or None
-        95 % interval of the slope; None for a constant.
-    load_N, radius_m, residual_m : array of float, shape (n_runs,)
-        What was fitted, and radius minus law.
-    leverage, cook : array of float, shape (n_runs,)
-        Leverage and Cook's distance of each run in the ordinary least-squares line.
-    checks : tuple of Check
-        What an expert would check.
-    """
-
+    #: ``left`` or ``right``
     wheel: str
+    #: the law that is handed on; its covariance is the session-aware one, its ``dof`` the smaller of those of radius
+    #: and slope, its ``residual_std_m`` the standard deviation of a single run in a session of its own
     law: WheelLaw
+    #: ``line``, or ``constant`` where the loads do not carry a slope
     model: str
+    #: ``crossed``, ``mixed``, ``confounded``, ``single`` or ``constant``; see `calib.radius.estimate.Estimate`
     design: str
+    #: coefficients and covariance by stratum, for bands at any load
     estimate: Estimate
+    #: the same with every run counted as independent; None for a constant
     naive: NaiveLine | None
+    #: radius at zero load, where the line is prolonged to it
     intercept_m: float
+    #: share of the variance of the radii that the line explains
     r_squared: float
+    #: root mean square residual over the runs' degrees of freedom (as in ordinary least squares)
     residual_std_m: float
+    #: standard deviations of runs within a session and of sessions
     run_std_m: float
     session_std_m: float
+    #: degrees of freedom behind each interval
     dof_radius_ref: float
     dof_slope: float
+    #: 95 % interval of the radius at the reference load
     radius_ref_ci95_m: tuple[float, float]
+    #: 95 % interval of the slope; None for a constant
     slope_ci95_m_per_N: tuple[float, float] | None
+    #: what was fitted, and radius minus law, shape (n_runs,)
     load_N: FloatArray
     radius_m: FloatArray
     residual_m: FloatArray
+    #: leverage and Cook's distance of each run in the ordinary least-squares line, shape (n_runs,)
     leverage: FloatArray
     cook: FloatArray
+    #: what an expert would check
     checks: tuple[Check, ...] = ()
 
     def mean_band_m(self, load_N: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return the 95 % band of the regression mean (Fig. 11).
 
-        Parameters
-        ----------
-        load_N : array_like of float, any shape
-            Wheel loads.
-
-        Returns
-        -------
-        low, high : array of float, same shape
-            In m.
+        `load_N`: wheel loads. Returns `low`, `high`: in m.
         """
         centre, half = self._band(load_N, single=False)
         return centre - half, centre + half

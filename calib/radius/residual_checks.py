@@ -37,17 +37,8 @@ class _Runs:
 def checked(fit: WheelFit, session: StrArray, direction: StrArray, run_id: StrArray) -> WheelFit:
     """Return `fit` with its checks.
 
-    Parameters
-    ----------
-    fit : WheelFit
-        From `calib.radius.regression.fit_wheel`.
-    session, direction, run_id : array of str, shape (n_runs,)
-        Labels of the same runs.
-
-    Returns
-    -------
-    WheelFit
-        The same fit; nothing but ``checks`` differs.
+    `session`, `direction`, `run_id` (shape (n_runs,)): labels of the same runs. The same fit; nothing but ``checks``
+    differs.
     """
     groups = groups_of(session)
     by_session = 2 <= len(groups) < len(fit.load_N)

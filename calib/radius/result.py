@@ -24,14 +24,8 @@ REMEDY: Final = "make it with 'calib fit CAMPAIGN --into FOLDER'"
 def provenance(campaign: Campaign, *, version: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
     """Return where a fit comes from: version, arguments, the SHA-256 of every file read, and the ``[report]`` section.
 
-    Parameters
-    ----------
-    campaign : Campaign
-        Its ``hashes`` are taken; where it has none, those of ``campaign.toml`` and ``runs.csv`` are computed.
-    version : str
-        Version of calib.
-    arguments : mapping
-        Arguments of the command, plain values.
+    `campaign`: its ``hashes`` are taken; where it has none, those of ``campaign.toml`` and ``runs.csv`` are computed;
+    `arguments`: arguments of the command, plain values.
     """
     hashes = dict(campaign.hashes)
     if not hashes and campaign.root is not None:
@@ -48,24 +42,8 @@ def provenance(campaign: Campaign, *, version: str, arguments: Mapping[str, Any]
 def write_result(fit: Fit, folder: Path, *, force: bool = False) -> Path:
     """Write a fit into a result folder: ``fit.json`` whole, and ``runs.csv`` for other programs.
 
-    Parameters
-    ----------
-    fit : Fit
-        The fit with its provenance.
-    folder : Path
-        Made where missing.
-    force : bool
-        Replace files of an earlier result.
-
-    Returns
-    -------
-    Path
-        ``fit.json``.
-
-    Raises
-    ------
-    BadInputError
-        Where the folder holds a result and `force` is False, or cannot be written.
+    `fit`: the fit with its provenance; `folder`: made where missing. ``fit.json``. Raises BadInputError where the
+    folder holds a result and `force` is False, or cannot be written.
     """
     folder = Path(folder)
     document = fit.to_dict()
@@ -102,10 +80,7 @@ def is_result(path: Path) -> bool:
 def read_result(path: Path) -> Fit:
     """Read a fit from a result folder or from its ``fit.json``.
 
-    Raises
-    ------
-    BadFileError
-        Where the file is missing, is not JSON, is not a fit, or has been changed since it was written.
+    Raises BadFileError where the file is missing, is not JSON, is not a fit, or has been changed since it was written.
     """
     path = Path(path)
     if path.is_dir():

@@ -28,53 +28,38 @@ UNKNOWN: Final = "unknown"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunDeviations:
-    """What each run's path did to its radii; arrays of shape (n_runs,), NaN where unknown.
+    """What each run's path did to its radii; arrays of shape (n_runs,), NaN where unknown."""
 
-    Parameters
-    ----------
-    tolerance : float
-        Largest relative error of a radius that is accepted.
-    run_id, source, verdict : array of str
-        Run; where its path is known from (`calib.radius.path_length.RunPaths`); ``within``, ``beyond`` or ``unknown``.
-    distance_m, amplitude_m, wavelength_m : array of float
-        Length and weave.
-    excess_centre, excess_left, excess_right : array of float
-        Relative excess of each path over S_O.
-    small_amplitude : array of float
-        Excess of the weave alone by the small-amplitude form.
-    error_left, error_right : array of float
-        Relative error of the radii if the path were not corrected.
-    error_left_m, error_right_m : array of float
-        The same in m on the nominal radius.
-    allowed_amplitude_m : array of float
-        Largest amplitude of that wavelength on that run that keeps both radii within tolerance.
-    arc_turn_rad, arc_excess : array of float
-        Turn, and relative excess of the path, if the vehicle were steered by its own odometry with the model's radii.
-    left_out : tuple of LeftOut
-        Runs that are not judged.
-    notes : tuple of str
-        What was done.
-    """
-
+    #: largest relative error of a radius that is accepted
     tolerance: float
+    #: run; where its path is known from (`calib.radius.path_length.RunPaths`); ``within``, ``beyond`` or ``unknown``
     run_id: StrArray
     source: StrArray
     verdict: StrArray
+    #: length and weave
     distance_m: FloatArray
     amplitude_m: FloatArray
     wavelength_m: FloatArray
+    #: relative excess of each path over S_O
     excess_centre: FloatArray
     excess_left: FloatArray
     excess_right: FloatArray
+    #: excess of the weave alone by the small-amplitude form
     small_amplitude: FloatArray
+    #: relative error of the radii if the path were not corrected
     error_left: FloatArray
     error_right: FloatArray
+    #: the same in m on the nominal radius
     error_left_m: FloatArray
     error_right_m: FloatArray
+    #: largest amplitude of that wavelength on that run that keeps both radii within tolerance
     allowed_amplitude_m: FloatArray
+    #: turn, and relative excess of the path, if the vehicle were steered by its own odometry with the model's radii
     arc_turn_rad: FloatArray
     arc_excess: FloatArray
+    #: runs that are not judged
     left_out: tuple[LeftOut, ...]
+    #: what was done
     notes: tuple[str, ...]
 
     @property
@@ -115,24 +100,9 @@ class RunDeviations:
 def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
     """Judge the path of every straight run against a tolerance.
 
-    Parameters
-    ----------
-    campaign : Campaign
-        Runs with logs, or with measured amplitude and wavelength; others are ``unknown``.
-    tolerance : float
-        Largest relative error of a radius, between 0 and 1.
-
-    Returns
-    -------
-    RunDeviations
-        In the order driven.
-
-    Raises
-    ------
-    RefusedError
-        Where there is no straight run.
-    BadInputError
-        Where the tolerance is not between 0 and 1.
+    `campaign`: runs with logs, or with measured amplitude and wavelength; others are ``unknown``; `tolerance`: largest
+    relative error of a radius, between 0 and 1. In the order driven. Raises RefusedError where there is no straight
+    run; BadInputError where the tolerance is not between 0 and 1.
     """
     if not 0 < tolerance < 1:
         raise BadInputError(

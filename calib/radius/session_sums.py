@@ -18,21 +18,15 @@ from calib.radius.sessions import Strata, line_of_strata
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SessionSums:
-    """Sums over the runs of each session, for one wheel.
+    """Sums over the runs of each session, for one wheel."""
 
-    Parameters
-    ----------
-    session : array of str, shape (n_sessions,)
-        Labels, each once, in order.
-    table : array of float, shape (n_sessions, 8)
-        Number of runs; sums of load, radius, load squared, load times radius, radius squared, day, and day squared.
-        Loads are counted from a reference load (N), radii from a nominal radius (m), days from any common day.
-    load_min_N, load_max_N : float
-        Span of the loads, counted from the same reference load; infinite the wrong way round where there are no runs.
-    """
-
+    #: labels, each once, in order, shape (n_sessions,)
     session: StrArray
+    #: number of runs; sums of load, radius, load squared, load times radius, radius squared, day, and day squared.
+    #: Loads are counted from a reference load (N), radii from a nominal radius (m), days from any common day, shape
+    #: (n_sessions, 8)
     table: FloatArray
+    #: span of the loads, counted from the same reference load; infinite the wrong way round where there are no runs
     load_min_N: float
     load_max_N: float
 
@@ -73,16 +67,8 @@ class SessionSums:
 def line_from_sums(sums: SessionSums) -> Estimate | None:
     """Return the session-aware line, or None where these runs cannot carry one.
 
-    Parameters
-    ----------
-    sums : SessionSums
-        Of one wheel.
-
-    Returns
-    -------
-    Estimate or None
-        As `calib.radius.sessions.stratified_line` gives it, without HC3; the plain line where there is one session, or
-        one run a session. None with fewer than three runs or a single load.
+    As `calib.radius.sessions.stratified_line` gives it, without HC3; the plain line where there is one session, or one
+    run a session. None with fewer than three runs or a single load.
     """
     n, n_sessions = sums.n_runs, len(sums.session)
     if n < 3:

@@ -29,20 +29,13 @@ HC3_BELOW: Final = 0.01
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Groups:
-    """Sessions as integers.
+    """Sessions as integers."""
 
-    Parameters
-    ----------
-    names : array of str, shape (n_sessions,)
-        In the order of first appearance.
-    index : array of int, shape (n_runs,)
-        Session of each run.
-    sizes : array of float, shape (n_sessions,)
-        Runs a session.
-    """
-
+    #: in the order of first appearance, shape (n_sessions,)
     names: StrArray
+    #: session of each run, shape (n_runs,)
     index: IntArray
+    #: runs a session, shape (n_sessions,)
     sizes: FloatArray
 
     def __len__(self) -> int:
@@ -87,19 +80,8 @@ def breusch_pagan(residual: FloatArray, x: FloatArray) -> tuple[float, float]:
 def plain_line(x: FloatArray, y: FloatArray, *, robust: bool = True) -> tuple[Estimate, Any]:
     """Return the ordinary least-squares line, every run counted as independent.
 
-    Parameters
-    ----------
-    x, y : array of float, shape (n_runs,)
-        Load minus reference load; radius.
-    robust : bool
-        Use HC3 where the scatter clearly depends on `x`.
-
-    Returns
-    -------
-    Estimate
-        With everything in the within part.
-    statsmodels results
-        The fit itself, for its leverages and residuals.
+    `x`, `y` (shape (n_runs,)): load minus reference load; radius; `robust`: use HC3 where the scatter clearly depends
+    on `x`. With everything in the within part; the fit itself, for its leverages and residuals.
     """
     from statsmodels.regression.linear_model import OLS
 
@@ -125,25 +107,17 @@ def plain_line(x: FloatArray, y: FloatArray, *, robust: bool = True) -> tuple[Es
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Strata:
-    """What the line needs of runs in sessions: their means, and the regression within sessions.
+    """What the line needs of runs in sessions: their means, and the regression within sessions."""
 
-    Parameters
-    ----------
-    sizes, x_mean, y_mean : array of float, shape (n_sessions,)
-        Number of runs, mean load (minus the reference load) and mean radius of each session.
-    info : float
-        Sum of squares of the loads within sessions.
-    slope : float
-        Of the regression within sessions; 0 where `info` is.
-    square, rest : float
-        Sum of squares of the radii within sessions, and about that regression.
-    """
-
+    #: number of runs, mean load (minus the reference load) and mean radius of each session, shape (n_sessions,)
     sizes: FloatArray
     x_mean: FloatArray
     y_mean: FloatArray
+    #: sum of squares of the loads within sessions
     info: float
+    #: of the regression within sessions; 0 where `info` is
     slope: float
+    #: sum of squares of the radii within sessions, and about that regression
     square: float
     rest: float
 
@@ -151,16 +125,8 @@ class Strata:
 def line_of_strata(strata: Strata) -> Estimate | None:
     """Return the session-aware line, or None where these runs cannot carry one.
 
-    Parameters
-    ----------
-    strata : Strata
-        Of two sessions at least.
-
-    Returns
-    -------
-    Estimate or None
-        None where sessions cannot be told from runs (one run a session) or the session means leave no degree of
-        freedom.
+    `strata`: of two sessions at least. None where sessions cannot be told from runs (one run a session) or the session
+    means leave no degree of freedom.
     """
     sizes, x_mean, y_mean = strata.sizes, strata.x_mean, strata.y_mean
     n_sessions = len(sizes)
@@ -208,12 +174,7 @@ def line_of_strata(strata: Strata) -> Estimate | None:
 def stratified_line(x: FloatArray, y: FloatArray, groups: Groups) -> Estimate | None:
     """Return `line_of_strata` of runs, its within part HC3 where their scatter clearly depends on the load.
 
-    Parameters
-    ----------
-    x, y : array of float, shape (n_runs,)
-        Load minus reference load; radius.
-    groups : Groups
-        Sessions, two at least.
+    `x`, `y` (shape (n_runs,)): load minus reference load; radius; `groups`: sessions, two at least.
     """
     x_within, y_within = groups.within(x), groups.within(y)
     info = float(x_within @ x_within)

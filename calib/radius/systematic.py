@@ -39,27 +39,18 @@ _KEYS: Final = ("std", "half_width", "distribution", "type", "dof")
 
 @dataclass(frozen=True, slots=True)
 class SystematicSource:
-    """A declared part of the uncertainty.
+    """A declared part of the uncertainty."""
 
-    Parameters
-    ----------
-    section, key : str
-        Where it stands below ``[uncertainty]``: ``rangefinder``, ``scale``.
-    std : float
-        Standard uncertainty.
-    distribution : str
-        ``normal``, ``rectangular`` or ``triangular``.
-    kind : str
-        GUM evaluation, ``A`` or ``B``.
-    dof : float
-        Degrees of freedom; infinite for type B.
-    """
-
+    #: where it stands below ``[uncertainty]``: ``rangefinder``, ``scale``
     section: str
     key: str
+    #: standard uncertainty
     std: float
+    #: ``normal``, ``rectangular`` or ``triangular``
     distribution: str
+    #: GUM evaluation, ``A`` or ``B``
     kind: str
+    #: degrees of freedom; infinite for type B
     dof: float
 
     @property
@@ -95,10 +86,7 @@ _WORDS: Final[Mapping[tuple[str, str], tuple[str, str, float]]] = {
 def declared_sources(campaign: Campaign) -> tuple[SystematicSource, ...]:
     """Return the systematic parts that a campaign declares under ``[uncertainty]``.
 
-    Raises
-    ------
-    BadFileError
-        Where a section or key is unknown, or an entry has no size.
+    Raises BadFileError where a section or key is unknown, or an entry has no size.
     """
     declared = campaign.extra.get("uncertainty")
     if declared is None:

@@ -29,26 +29,9 @@ class LeftOut:
 def usable_runs(campaign: Campaign, *, need_load: bool = True) -> tuple[Campaign, tuple[LeftOut, ...], list[str]]:
     """Return the runs whose radii can be computed.
 
-    Parameters
-    ----------
-    campaign : Campaign
-        All runs.
-    need_load : bool
-        Leave out runs without a wheel load; where no run has one, all count as unladen.
-
-    Returns
-    -------
-    campaign : Campaign
-        Of the runs that can be used.
-    left_out : tuple of LeftOut
-        The others.
-    notes : list of str
-        What was assumed.
-
-    Raises
-    ------
-    RefusedError
-        Where no run can be used.
+    `need_load`: leave out runs without a wheel load; where no run has one, all count as unladen. Returns `campaign`: of
+    the runs that can be used; `left_out`: the others; `notes`: what was assumed. Raises RefusedError where no run can
+    be used.
     """
     _refuse_without_rear_wheels(campaign)
     runs, notes = campaign.runs, []

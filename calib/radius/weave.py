@@ -33,30 +33,20 @@ ROUNDS: Final = 7
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Weaves:
-    """Weave and path of each run; arrays of shape (n_runs,), NaN where the log does not carry it.
+    """Weave and path of each run; arrays of shape (n_runs,), NaN where the log does not carry it."""
 
-    Parameters
-    ----------
-    amplitude_m, wavelength_m : array of float
-        Of ``y = A sin(2 pi x / lambda + phase)``.
-    phase_rad : array of float
-        Phase at the start.
-    excess : array of float
-        Relative excess of the path of the axle's middle over its progress along the corridor.
-    yaw_rad : array of float
-        Heading at the end minus heading at the start, of the weave alone.
-    yaw_std_rad : array of float
-        Its standard uncertainty.
-    rest_rad : array of float
-        Root mean square heading that the weave does not explain.
-    """
-
+    #: of ``y = A sin(2 pi x / lambda + phase)``
     amplitude_m: FloatArray
     wavelength_m: FloatArray
+    #: phase at the start
     phase_rad: FloatArray
+    #: relative excess of the path of the axle's middle over its progress along the corridor
     excess: FloatArray
+    #: heading at the end minus heading at the start, of the weave alone
     yaw_rad: FloatArray
+    #: its standard uncertainty
     yaw_std_rad: FloatArray
+    #: root mean square heading that the weave does not explain
     rest_rad: FloatArray
 
     @property
@@ -68,20 +58,9 @@ class Weaves:
 def estimate_weaves(logs: Logs, metres_per_count: tuple[float, float], track_m: float) -> Weaves:
     """Estimate the weave of every run that has a log.
 
-    Parameters
-    ----------
-    logs : Logs
-        Of ``n_runs`` runs; uses ``counts_left`` and ``counts_right``.
-    metres_per_count : tuple of float
-        Left and right, by the assumed radii; a common error of 1 % changes lengths by 1 %, one wheel's error is taken
-        out with the trend.
-    track_m : float
-        Distance between the wheels' contact points.
-
-    Returns
-    -------
-    Weaves
-        Arrays over all runs.
+    `logs`: of ``n_runs`` runs; uses ``counts_left`` and ``counts_right``; `metres_per_count`: left and right, by the
+    assumed radii; a common error of 1 % changes lengths by 1 %, one wheel's error is taken out with the trend;
+    `track_m`: distance between the wheels' contact points. Arrays over all runs.
     """
     n_runs = len(logs.lengths)
     out = np.full((7, n_runs), np.nan)
@@ -131,17 +110,8 @@ def fit_headings(rolled_m: FloatArray, heading_rad: FloatArray) -> FloatArray:
     The model is ``heading = offset + trend s + atan(dy/dx)`` with ``dy/dx = p cos(k x) + q sin(k x)``; it is fitted by
     Gauss-Newton over all runs at once, x being the progress along the axis under the present weave.
 
-    Parameters
-    ----------
-    rolled_m : array of float, shape (n,)
-        Path of the axle's middle.
-    heading_rad : array of float, shape (n, m)
-        Heading from the counts at m equal steps from 0 to `rolled_m`.
-
-    Returns
-    -------
-    array of float, shape (7, n)
-        The rows of `Weaves`.
+    `rolled_m` (shape (n,)): path of the axle's middle; `heading_rad` (shape (n, m)): heading from the counts at m equal
+    steps from 0 to `rolled_m`. Shape (7, n).
     """
     n, m = heading_rad.shape
     u = np.broadcast_to(np.linspace(0.0, 1.0, m), (n, m))

@@ -29,17 +29,8 @@ MANY: Final = 20.0
 def critical_curve(dof_between: float, dof_within: float, coverage: float) -> FloatArray:
     """Return the critical values at the observed shares `SHARES` of the between part.
 
-    Parameters
-    ----------
-    dof_between, dof_within : float
-        Degrees of freedom of each part, above 0.
-    coverage : float
-        Wanted coverage.
-
-    Returns
-    -------
-    array of float, shape (25,)
-        From Student's t of `dof_within` to that of `dof_between`; read-only: wheels and bands share it.
+    `dof_between`, `dof_within`: degrees of freedom of each part, above 0; `coverage`: wanted coverage. Shape (25,):
+    from Student's t of `dof_within` to that of `dof_between`; read-only: wheels and bands share it.
     """
     from scipy.special import ndtr, stdtrit
 
@@ -69,19 +60,8 @@ def critical_curve(dof_between: float, dof_within: float, coverage: float) -> Fl
 def critical_value(share: npt.ArrayLike, dof_between: float, dof_within: float, coverage: float) -> FloatArray:
     """Return the critical value for observed shares of the between part.
 
-    Parameters
-    ----------
-    share : array_like of float, any shape
-        V_between over the sum.
-    dof_between, dof_within : float
-        Degrees of freedom of each part; 0 where there is no such part.
-    coverage : float
-        Wanted coverage.
-
-    Returns
-    -------
-    array of float, same shape
-        To be multiplied by the square root of the sum.
+    `share`: V_between over the sum; `dof_between`, `dof_within`: degrees of freedom of each part; 0 where there is no
+    such part; `coverage`: wanted coverage. To be multiplied by the square root of the sum.
     """
     from scipy.special import stdtrit
 
@@ -99,17 +79,7 @@ def critical_value(share: npt.ArrayLike, dof_between: float, dof_within: float, 
 def equivalent_dof(critical: npt.ArrayLike, coverage: float) -> FloatArray:
     """Return the degrees of freedom whose Student's t is `critical`, by bisection on their reciprocal.
 
-    Parameters
-    ----------
-    critical : array_like of float, any shape
-        Critical values.
-    coverage : float
-        Their coverage.
-
-    Returns
-    -------
-    array of float, same shape
-        At most 1e6.
+    `critical`: critical values; `coverage`: their coverage. At most 1e6.
     """
     from scipy.special import stdtrit
 

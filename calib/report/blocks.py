@@ -74,32 +74,21 @@ class Notice(_Block):
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column of a table; numbers stand right, and all with one number of decimals, so that they align.
+    """A column of a table; numbers stand right, and all with one number of decimals, so that they align."""
 
-    Parameters
-    ----------
-    title : str
-        What it holds.
-    unit : str
-        Unit of every number in it; empty for texts and pure numbers.
-    align : str
-        ``left``, ``right`` or ``center``.
-    wide : bool
-        Takes the room that the others leave; for sentences.
-    mono : bool
-        Set in a typewriter face; for hashes.
-    group : str
-        Common title above neighbouring columns of the same group.
-    detail : bool
-        Left out where there is little room, as on a terminal.
-    """
-
+    #: what it holds
     title: str
+    #: unit of every number in it; empty for texts and pure numbers
     unit: str = ""
+    #: ``left``, ``right`` or ``center``
     align: str = "right"
+    #: takes the room that the others leave; for sentences
     wide: bool = False
+    #: set in a typewriter face; for hashes
     mono: bool = False
+    #: common title above neighbouring columns of the same group
     group: str = ""
+    #: left out where there is little room, as on a terminal
     detail: bool = False
 
 

@@ -29,44 +29,27 @@ class Attachment:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """A report, ready to be set.
+    """A report, ready to be set."""
 
-    Parameters
-    ----------
-    report_id : str
-        Identification, on every page.
-    title, name : str
-        Title and campaign.
-    issued : str
-        Date of issue, YYYY-MM-DD.
-    simulated : bool
-        Every page says so.
-    passed : bool
-        Whether every check of the fit allows the law to be used.
-    author : str
-        The laboratory, as stated; may be empty.
-    head : tuple of (str, str)
-        Facts under the title.
-    sections : tuple of Section
-        What is said.
-    attachments : tuple of Attachment
-        Files inside the PDF.
-    signatures : tuple of (str, str)
-        Role and name of those who sign.
-    logo : Logo or None
-        The laboratory's picture.
-    """
-
+    #: identification, on every page
     report_id: str
+    #: title and campaign
     title: str
     name: str
+    #: date of issue, YYYY-MM-DD
     issued: str
+    #: every page says so
     simulated: bool
+    #: whether every check of the fit allows the law to be used
     passed: bool
+    #: the laboratory, as stated; may be empty
     author: str
+    #: facts under the title
     head: tuple[tuple[str, str], ...]
     sections: tuple[Section, ...]
+    #: files inside the PDF
     attachments: tuple[Attachment, ...]
+    #: role and name of those who sign
     signatures: tuple[tuple[str, str], ...] = ()
     logo: Logo | None = None
 
@@ -128,10 +111,7 @@ def head_of(report_id: str, issued: str, stated: Mapping[str, str]) -> tuple[tup
 def compose(source: Source) -> Report:
     """Return the report on a fit.
 
-    Returns
-    -------
-    Report
-        The sections of every page that has something to say.
+    The sections of every page that has something to say.
     """
     return Report(
         report_id=source.report_id,

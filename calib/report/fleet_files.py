@@ -29,19 +29,7 @@ class Heads:
 def write_fleet(fleet: Fleet, into: Path, heads: Heads | None = None) -> list[Path]:
     """Write a fleet's result, all of it or none; what an earlier run of the same folder wrote is replaced.
 
-    Parameters
-    ----------
-    fleet : Fleet
-        From `calib.fleet.run.fit_fleet`.
-    into : Path
-        Result folder.
-    heads : Heads, optional
-        For ``fleet.pdf`` and ``fleet.html``; without it they are not written.
-
-    Returns
-    -------
-    list of Path
-        The files written.
+    `into`: result folder; `heads`: for ``fleet.pdf`` and ``fleet.html``; without it they are not written.
     """
     from calib.report.figures.fleet import fleet_distribution, fleet_drift
     from calib.report.figures.style import render

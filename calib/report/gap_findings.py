@@ -13,40 +13,27 @@ from calib.gap.verdict.result import Verdict
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GapFindings:
-    """A verdict and its arrays; figures whose arrays are missing are left out.
+    """A verdict and its arrays; figures whose arrays are missing are left out."""
 
-    Parameters
-    ----------
-    verdict : Verdict
-        The answer.
-    headline : PaperHeadline or None
-        The paper's headline beside it, where load is the cause.
-    channels : tuple of (str, str)
-        Name and unit (``m`` or ``rad``) of each channel, shape (n_channels,).
-    before, after : array of float, shape (n_units, n_channels), or None
-        Measured minus simulated, by the model alone and by the model with the named cause, on held-out units; NaN where
-        a unit lacks the channel.
-    floor : array of float, shape (n_units, n_channels), or None
-        Standard deviation that repeats cannot explain away; NaN as above.
-    group : array of str, shape (n_units,), or None
-        Route or kind of each unit, for colours.
-    covariates : mapping of str to array of float, shape (n_units,)
-        Candidates that the gap may depend on, by name with unit suffix.
-    paths_m : tuple of array of float, shape (n_samples, 2)
-        Path of each unit on the floor plan, x and y.
-    offset_m : array of float, shape (n_units, 2), or None
-        Measured minus simulated end position on the floor plan.
-    """
-
+    #: the answer
     verdict: Verdict
+    #: the paper's headline beside it, where load is the cause
     headline: PaperHeadline | None = None
+    #: name and unit (``m`` or ``rad``) of each channel, shape (n_channels,)
     channels: tuple[tuple[str, str], ...] = ()
+    #: measured minus simulated, by the model alone and by the model with the named cause, on held-out units; NaN where
+    #: a unit lacks the channel, shape (n_units, n_channels)
     before: FloatArray | None = None
     after: FloatArray | None = None
+    #: standard deviation that repeats cannot explain away; NaN as above, shape (n_units, n_channels)
     floor: FloatArray | None = None
+    #: route or kind of each unit, for colours, shape (n_units,)
     group: StrArray | None = None
+    #: candidates that the gap may depend on, by name with unit suffix, shape (n_units,)
     covariates: Mapping[str, FloatArray] = field(default_factory=dict)
+    #: path of each unit on the floor plan, x and y, shape (n_samples, 2)
     paths_m: tuple[FloatArray, ...] = ()
+    #: measured minus simulated end position on the floor plan, shape (n_units, 2)
     offset_m: FloatArray | None = None
 
     @staticmethod

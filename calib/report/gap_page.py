@@ -25,10 +25,7 @@ WAY_POINTS = 120
 def diagnosis_page(diagnosis: Diagnosis, campaign: Campaign) -> str:
     """Return a diagnosis as a self-contained HTML page.
 
-    Raises
-    ------
-    MissingExtraError
-        Where Bokeh is not installed.
+    Raises MissingExtraError where Bokeh is not installed.
     """
     findings = findings_of(diagnosis)
     verdict = diagnosis.verdict

@@ -20,21 +20,8 @@ from calib.report.statements.assumed import assumed_text
 def diagnosis_report(campaign: Campaign, gap: GapFindings, *, issued: str, why: str) -> Report:
     """Return the report on what a diagnosis found, without a law.
 
-    Parameters
-    ----------
-    campaign : Campaign
-        For example loops alone, from which no effective radius follows.
-    gap : GapFindings
-        From `calib.report.gap_source.findings_of`.
-    issued : str
-        Date of issue, YYYY-MM-DD.
-    why : str
-        Why there is no law, a sentence without its full stop.
-
-    Returns
-    -------
-    Report
-        The verdict is attached as ``diagnosis.json``.
+    `campaign`: for example loops alone, from which no effective radius follows; `issued`: date of issue, YYYY-MM-DD;
+    `why`: why there is no law, a sentence without its full stop. The verdict is attached as ``diagnosis.json``.
     """
     content = {"inputs": dict(campaign.hashes), "campaign": campaign.name, "version": __version__, "gap": gap.to_dict()}
     number = "CR-" + hashlib.sha256(to_json(content).encode()).hexdigest()[:12].upper()

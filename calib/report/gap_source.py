@@ -20,10 +20,7 @@ from calib.report.source import Source
 def with_diagnosis(source: Source, campaign: Campaign) -> Source:
     """Return `source` with the findings of a diagnosis of its campaign.
 
-    Raises
-    ------
-    RefusedError
-        Where the campaign cannot be diagnosed.
+    Raises RefusedError where the campaign cannot be diagnosed.
     """
     return replace(source, gap=findings_of(diagnose_in_full(campaign)))
 
@@ -31,15 +28,7 @@ def with_diagnosis(source: Source, campaign: Campaign) -> Source:
 def findings_of(diagnosis: Diagnosis) -> GapFindings:
     """Return what a report shows of a diagnosis.
 
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-        From `calib.gap.diagnose.diagnose_in_full`.
-
-    Returns
-    -------
-    GapFindings
-        Residuals of channels that a unit lacks are NaN; paths are those of the model alone, each from its own start.
+    Residuals of channels that a unit lacks are NaN; paths are those of the model alone, each from its own start.
     """
     observations, nominal, held_out = diagnosis.observations, diagnosis.nominal, diagnosis.held_out
     plain = np.where(observations.usable, residuals(nominal, nominal), np.nan)

@@ -25,41 +25,26 @@ _ALIGN: Final = {"left": "l", "right": "r", "center": "c"}
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """What a page says.
+    """What a page says."""
 
-    Parameters
-    ----------
-    kind, title, name : str
-        What it is, its title, and the campaign.
-    simulated : bool
-        The page says so.
-    head : tuple of (str, str)
-        Facts under the title.
-    sections : tuple of Section
-        What is said.
-    footer : str
-        Last line.
-    """
-
+    #: what it is, its title, and the campaign
     kind: str
     title: str
     name: str
+    #: the page says so
     simulated: bool
+    #: facts under the title
     head: tuple[tuple[str, str], ...]
     sections: tuple[Section, ...]
+    #: last line
     footer: str
 
 
 def to_html(report: Report, panels: tuple[str, str] = ("", "")) -> str:
     """Return a report as a self-contained page.
 
-    Parameters
-    ----------
-    report : Report
-        From `calib.report.content.compose`.
-    panels : tuple of str
-        Interactive panels (`calib.report.interactive.interactive_panels`): what goes into the head and into the body.
-        They take the place of the diagnosis' figures, which keeps the page light.
+    `panels`: interactive panels (`calib.report.interactive.interactive_panels`): what goes into the head and into the
+    body. They take the place of the diagnosis' figures, which keeps the page light.
     """
     sections = report.sections
     if panels[1]:

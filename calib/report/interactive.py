@@ -43,63 +43,36 @@ class CauseBar:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PanelData:
-    """What the panels show.
+    """What the panels show."""
 
-    Parameters
-    ----------
-    run_id, session, kind : array of str, shape (n_units,)
-        Labels of each unit.
-    channels : tuple of (str, str)
-        Name and unit (``m`` or ``rad``) of each channel.
-    before, after : array of float, shape (n_units, n_channels)
-        Gap without and with the fix, NaN where a unit lacks the channel.
-    floor : array of float, shape (n_units, n_channels)
-        Noise floor.
-    covariates : mapping of str to array of float, shape (n_units,)
-        What the gap may go with.
-    paths_m : tuple of array of float, each shape (n_points, 2)
-        Predicted paths; empty where there are none.
-    offset_m : array of float, shape (n_units, 2), optional
-        Measured minus predicted end point, in the frame of the paths.
-    along_m : tuple of array of float, each shape (n_samples, 3)
-        Distance on the way, and the gap in the way (m) and in heading (rad) there, NaN where not measured, for units
-        with a reference or a range all along; an empty array for the others.
-    causes : tuple of CauseBar
-        What the verdict names.
-    """
-
+    #: labels of each unit, shape (n_units,)
     run_id: StrArray
     session: StrArray
     kind: StrArray
+    #: name and unit (``m`` or ``rad``) of each channel
     channels: tuple[tuple[str, str], ...]
+    #: gap without and with the fix, NaN where a unit lacks the channel, shape (n_units, n_channels)
     before: FloatArray
     after: FloatArray
     floor: FloatArray
+    #: what the gap may go with, shape (n_units,)
     covariates: Mapping[str, FloatArray]
+    #: predicted paths; empty where there are none, shape (n_points, 2)
     paths_m: tuple[FloatArray, ...] = ()
+    #: measured minus predicted end point, in the frame of the paths, shape (n_units, 2)
     offset_m: FloatArray | None = None
+    #: distance on the way, and the gap in the way (m) and in heading (rad) there, NaN where not measured, for units
+    #: with a reference or a range all along; an empty array for the others, shape (n_samples, 3)
     along_m: tuple[FloatArray, ...] = ()
+    #: what the verdict names
     causes: tuple[CauseBar, ...] = ()
 
 
 def interactive_panels(data: PanelData) -> tuple[str, str]:
     """Return the panels as HTML: what goes into the head (Bokeh itself, inline) and what into the body.
 
-    Parameters
-    ----------
-    data : PanelData
-        What to show.
-
-    Returns
-    -------
-    head, body : str
-        Both self-contained: nothing is fetched when the page is opened. Scripts are packed, so that a page can be sent
-        by mail; the browser unpacks them.
-
-    Raises
-    ------
-    MissingExtraError
-        Where Bokeh is not installed.
+    Returns `head`, `body`: both self-contained: nothing is fetched when the page is opened. Scripts are packed, so that
+    a page can be sent by mail; the browser unpacks them. Raises MissingExtraError where Bokeh is not installed.
     """
     try:
         from bokeh.embed import components

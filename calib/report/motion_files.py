@@ -28,15 +28,7 @@ from calib.report.figures.files import write_figures
 def write_simulation(simulation: Simulation, folder: Path, *, force: bool) -> list[Path]:
     """Write the figures of a simulation with their numbers as CSV beside them, and everything as JSON.
 
-    Returns
-    -------
-    list of Path
-        Files written.
-
-    Raises
-    ------
-    BadInputError
-        Where a file exists and `force` is False; nothing is then written.
+    Raises BadInputError where a file exists and `force` is False; nothing is then written.
     """
     figures, tables = _sweep_files(simulation)
     if simulation.law is not None:

@@ -26,23 +26,8 @@ MOST_SIGNS: Final = 24
 def to_pdf(report: Report, progress: Progress = silent) -> bytes:
     """Return the report as PDF/A-3a.
 
-    Parameters
-    ----------
-    report : Report
-        From `calib.report.content.compose`.
-    progress : callable
-        See `calib.progress.Progress`.
-
-    Returns
-    -------
-    bytes
-        The same for the same report: its date is the date of issue, and only built-in fonts are used, unless a name
-        holds signs that these lack.
-
-    Raises
-    ------
-    CalibError
-        Where the page cannot be set.
+    The same for the same report: its date is the date of issue, and only built-in fonts are used, unless a name holds
+    signs that these lack. Raises CalibError where the page cannot be set.
     """
     sources: dict[str, bytes] = {
         "main.typ": (files("calib.report") / "page.typ").read_bytes(),

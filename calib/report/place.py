@@ -22,19 +22,8 @@ def file_name(name: str) -> str:
 def place_of(name: str, into: Path | None, *, force: bool = False) -> Path:
     """Return the file that a report is written to.
 
-    Parameters
-    ----------
-    name : str
-        Name of the campaign.
-    into : Path or None
-        A file ending in ``.pdf``, or a folder; None: ``reports/`` of the working directory.
-    force : bool
-        Allow an existing file.
-
-    Raises
-    ------
-    BadInputError
-        Where the file exists and `force` is False, or `into` is a file that is no PDF.
+    `into`: a file ending in ``.pdf``, or a folder; None: ``reports/`` of the working directory. Raises BadInputError
+    where the file exists and `force` is False, or `into` is a file that is no PDF.
     """
     if into is None:
         path = DEFAULT_FOLDER / file_name(name)

@@ -32,32 +32,20 @@ FIRST_YEAR: Final = 1970
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Source:
-    """Everything that the pages speak of.
+    """Everything that the pages speak of."""
 
-    Parameters
-    ----------
-    fit : Fit
-        The fit with its setup and provenance.
-    coefficients : CoefficientFile
-        The same law as the vehicle gets it; attached to the PDF.
-    issued : str
-        Date of issue, YYYY-MM-DD.
-    stated : mapping of str to str
-        What the campaign's ``[report]`` section states, by the keys of `STATED`.
-    gap : GapFindings or None
-        Findings of the diagnosis, where one was asked for.
-    logo : Logo or None
-        The laboratory's picture.
-    known_verdict : (str, str) or None
-        Verdict and sentence of a diagnosis.json that lies beside the fit.
-    """
-
+    #: the fit with its setup and provenance
     fit: Fit
+    #: the same law as the vehicle gets it; attached to the PDF
     coefficients: CoefficientFile
+    #: date of issue, YYYY-MM-DD
     issued: str
+    #: what the campaign's ``[report]`` section states, by the keys of `STATED`
     stated: Mapping[str, str] = field(default_factory=dict)
+    #: findings of the diagnosis, where one was asked for
     gap: GapFindings | None = None
     logo: Logo | None = None
+    #: verdict and sentence of a diagnosis.json that lies beside the fit
     known_verdict: tuple[VerdictKind, str] | None = None
 
     @property
@@ -92,10 +80,7 @@ class Source:
 def issue_date(text: str | None) -> str:
     """Return the date of issue: `text`, checked, or today's where it is None.
 
-    Raises
-    ------
-    BadInputError
-        Where `text` is no date as YYYY-MM-DD.
+    Raises BadInputError where `text` is no date as YYYY-MM-DD.
     """
     if text is None:
         return date.today().isoformat()
@@ -113,30 +98,10 @@ def source_of(
 ) -> tuple[Source, Campaign | None]:
     """Return what a report on a campaign folder or a result folder is made from.
 
-    Parameters
-    ----------
-    path : Path or str
-        A campaign's folder, which is fitted now, or a result folder or ``fit.json``, which is only read.
-    issued : str
-        Date of issue, YYYY-MM-DD.
-    accept : str
-        Why a law beyond the bounds of its vehicle is passed on all the same; empty: it is refused.
-    progress : callable
-        See `calib.progress.Progress`.
-
-    Returns
-    -------
-    source : Source
-        Without diagnosis.
-    campaign : Campaign or None
-        The campaign, where it was read.
-
-    Raises
-    ------
-    BadInputError
-        Where the path is neither, or cannot be used.
-    RefusedError
-        Where the runs allow no law.
+    `path`: a campaign's folder, which is fitted now, or a result folder or ``fit.json``, which is only read; `issued`:
+    date of issue, YYYY-MM-DD; `accept`: why a law beyond the bounds of its vehicle is passed on all the same; empty: it
+    is refused. Returns `source`: without diagnosis; `campaign`: the campaign, where it was read. Raises BadInputError
+    where the path is neither, or cannot be used; RefusedError where the runs allow no law.
     """
     path = Path(path)
     if not path.exists():

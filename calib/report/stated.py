@@ -56,10 +56,7 @@ def stated_of(campaign: Campaign) -> dict[str, str]:
 def texts_of(section: Any, where: Path | str) -> dict[str, str]:
     """Return the texts of a ``[report]`` section; a list of texts is joined.
 
-    Raises
-    ------
-    BadFileError
-        Where it is no section, a key is unknown, or a value is no text.
+    Raises BadFileError where it is no section, a key is unknown, or a value is no text.
     """
     if section is None:
         return {}
@@ -90,10 +87,8 @@ def _is_date(value: Any) -> bool:
 def logo_of(campaign: Campaign) -> Logo | None:
     """Return the logo that a campaign states, None where it states none.
 
-    Raises
-    ------
-    BadFileError
-        Where the file leads out of the campaign, is missing, too large, or of a kind that no page can carry.
+    Raises BadFileError where the file leads out of the campaign, is missing, too large, or of a kind that no page can
+    carry.
     """
     name = stated_of(campaign).get("logo")
     if name is None or campaign.root is None:

@@ -42,12 +42,8 @@ def to_text(blocks: Iterable[Block | Section], width: int = WIDTH) -> str:
 def text_lines(blocks: Iterable[Block | Section], width: int = WIDTH) -> list[Line]:
     """Return blocks as lines of at most `width` columns.
 
-    Parameters
-    ----------
-    blocks : iterable of Block or Section
-        What is said. Pictures are left out; columns of detail, too.
-    width : int
-        Columns; a single word longer than that is not broken.
+    `blocks`: what is said. Pictures are left out; columns of detail, too. `width`: columns; a single word longer than
+    that is not broken.
     """
     lines: list[Line] = []
     for block in blocks:

@@ -29,20 +29,9 @@ class _Fitted:
 def table_lines(table: Table, width: int, plain: Callable[[str], str]) -> list[str]:
     """Return header, rule and rows of a table.
 
-    Parameters
-    ----------
-    table : Table
-        Columns of detail are left out.
-    width : int
-        Columns of the terminal. Where the table is wider, its columns are dealt out to several tables below each
-        other, the first column in each.
-    plain : callable
-        Makes a cell's text one that terminals show.
-
-    Returns
-    -------
-    list of str
-        Without caption.
+    `table`: columns of detail are left out. `width`: columns of the terminal. Where the table is wider, its columns are
+    dealt out to several tables below each other, the first column in each. `plain`: makes a cell's text one that
+    terminals show.
     """
     fitted = [
         _fit(column, [plain(row[number]) for row in table.rows])

@@ -65,22 +65,8 @@ _SETTINGS: Final = """simulated = false          # true: a program made the data
 def write_blank(folder: Path, *, force: bool = False) -> tuple[Path, ...]:
     """Write an empty campaign: ``campaign.toml`` with remarks, ``runs.csv`` with its header, and ``logs``.
 
-    Parameters
-    ----------
-    folder : Path
-        The campaign to make; its name becomes the campaign's.
-    force : bool
-        Replace files that stand there.
-
-    Returns
-    -------
-    tuple of Path
-        What was written.
-
-    Raises
-    ------
-    BadInputError
-        Where a campaign stands there and `force` is False.
+    `folder`: the campaign to make; its name becomes the campaign's. Raises BadInputError where a campaign stands there
+    and `force` is False.
     """
     settings, runs = folder / "campaign.toml", folder / "runs.csv"
     for path in (settings, runs):

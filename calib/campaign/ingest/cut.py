@@ -25,37 +25,25 @@ _REST_S: Final = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Cut:
-    """How to cut.
+    """How to cut."""
 
-    Parameters
-    ----------
-    by : str
-        One of `METHODS`.
-    min_stop_s : float
-        Shortest stand that ends a run, by stops.
-    min_length_m : float
-        Shorter pieces are no runs.
-    length_m, length_s : float
-        Length of a piece, by length; one of the two.
-    column : str
-        Source column whose value tells the runs, by column; an empty cell or 0 stands for between runs.
-    times : tuple of (int or float or str)
-        By times: pairs of start and end, as seconds from the recording's start or as times of the clock.
-    start, end : str
-        By times: columns of the run table that hold them.
-    run_id : str
-        Name of a run where no table names it; ``{n}`` is its number.
-    """
-
+    #: one of `METHODS`
     by: str = "stops"
+    #: shortest stand that ends a run, by stops
     min_stop_s: float = 1.0
+    #: shorter pieces are no runs
     min_length_m: float = 0.5
+    #: length of a piece, by length; one of the two
     length_m: float = 0.0
     length_s: float = 0.0
+    #: source column whose value tells the runs, by column; an empty cell or 0 stands for between runs
     column: str = ""
+    #: by times: pairs of start and end, as seconds from the recording's start or as times of the clock
     times: tuple[tuple[Any, Any], ...] = ()
+    #: by times: columns of the run table that hold them
     start: str = ""
     end: str = ""
+    #: name of a run where no table names it; ``{n}`` is its number
     run_id: str = "r{n:03}"
 
 
@@ -68,15 +56,7 @@ class Piece:
 
 
 def parse_cut(section: Mapping[str, Any], shown: str) -> Cut:
-    """Return the section ``[cut]`` of a mapping, checked.
-
-    Parameters
-    ----------
-    section : mapping
-        As read from TOML.
-    shown : str
-        The mapping, for messages.
-    """
+    """Return the section ``[cut]`` of a mapping, checked."""
 
     def bad(key: str, found: Any, expected: str) -> BadFileError:
         return BadFileError(

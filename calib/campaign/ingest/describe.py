@@ -20,22 +20,13 @@ _WIDTH: Final = 78
 
 @dataclass(frozen=True, slots=True)
 class Description:
-    """What is in files, and the mapping proposed.
+    """What is in files, and the mapping proposed."""
 
-    Parameters
-    ----------
-    files : tuple of FileFound
-        Every file looked into.
-    n_files : int
-        Files there are; of many logs alike, some are looked into.
-    table : FileFound or None
-        The run table among them.
-    proposal : Proposal
-        The mapping.
-    """
-
+    #: every file looked into
     files: tuple[FileFound, ...]
+    #: files there are; of many logs alike, some are looked into
     n_files: int
+    #: the run table among them
     table: FileFound | None
     proposal: Proposal
 
@@ -70,20 +61,7 @@ class Description:
 def describe(sources: Sequence[Path]) -> Description:
     """Look into files and propose a mapping.
 
-    Parameters
-    ----------
-    sources : sequence of Path
-        Files and folders, in any order.
-
-    Returns
-    -------
-    Description
-        What was found.
-
-    Raises
-    ------
-    BadInputError
-        Where a source cannot be read.
+    Raises BadInputError where a source cannot be read.
     """
     paths = listed_files([Path(source) for source in sources])
     if not paths:

@@ -24,39 +24,25 @@ _FEW_TEXTS: int = 40
 
 @dataclass(frozen=True, slots=True)
 class ColumnFound:
-    """A column.
-
-    Parameters
-    ----------
-    name : str
-        As found.
-    kind : {"number", "text", "time", "empty"}
-        What its cells are.
-    unit : str
-        The unit that its name or the file gives; empty where none is given.
-    low, high : float or None
-        Span of its numbers.
-    texts : tuple of str
-        Its different texts, where they are few.
-    n_empty : int
-        Cells without a value.
-    wrap_bits : int or None
-        Width of the counter that it looks like.
-    whole : bool
-        Whether all its numbers are integers.
-    form : str
-        What times look like.
-    """
+    """A column."""
 
     name: str
+    #: what its cells are: ``number``, ``text``, ``time`` or ``empty``
     kind: str
+    #: the unit that its name or the file gives; empty where none is given
     unit: str = ""
+    #: span of its numbers
     low: float | None = None
     high: float | None = None
+    #: its different texts, where they are few
     texts: tuple[str, ...] = ()
+    #: cells without a value
     n_empty: int = 0
+    #: width of the counter that it looks like
     wrap_bits: int | None = None
+    #: whether all its numbers are integers
     whole: bool = False
+    #: what times look like
     form: str = ""
 
 
@@ -79,32 +65,20 @@ class StreamFound:
 
 @dataclass(frozen=True, slots=True)
 class FileFound:
-    """A file.
+    """A file."""
 
-    Parameters
-    ----------
-    name : str
-        As given.
-    recording : bool
-        Whether it holds streams rather than one table.
-    n_rows : int
-        Rows, or samples of the longest stream.
-    columns : tuple of ColumnFound
-        All columns.
-    remarks : tuple of str
-        What was recognised: separator, header row, sheet, encoding, decimal commas, times.
-    streams : tuple of StreamFound
-        Of a recording.
-    properties : mapping of str to str
-        What a recording says of itself.
-    """
-
+    #: as given
     name: str
+    #: whether it holds streams rather than one table
     recording: bool
+    #: rows, or samples of the longest stream
     n_rows: int
     columns: tuple[ColumnFound, ...]
+    #: what was recognised: separator, header row, sheet, encoding, decimal commas, times
     remarks: tuple[str, ...]
+    #: of a recording
     streams: tuple[StreamFound, ...] = ()
+    #: what a recording says of itself
     properties: Mapping[str, str] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
@@ -115,15 +89,7 @@ class FileFound:
 def look_into(path: Path) -> FileFound:
     """Return what a file holds.
 
-    Parameters
-    ----------
-    path : Path
-        A table or a recording.
-
-    Raises
-    ------
-    BadFileError
-        Where it cannot be read.
+    Raises BadFileError where it cannot be read.
     """
     shown = str(path)
     if holds_recording(path):

@@ -14,15 +14,7 @@ _NUMBER = re.compile(r"(?<![\w.])[+-]?\d+(?:\.\d+)?(?![\w.:-])")
 def gathered(notes: Sequence[Note]) -> tuple[Note, ...]:
     """Return notes with those merged that differ in their file, row, run and numbers alone.
 
-    Parameters
-    ----------
-    notes : sequence of Note
-        As they came.
-
-    Returns
-    -------
-    tuple of Note
-        In the order of the first of each kind; numbers that differ are given from the least to the largest.
+    In the order of the first of each kind; numbers that differ are given from the least to the largest.
     """
     groups: dict[tuple[str, str, str, str], list[Note]] = {}
     for note in notes:

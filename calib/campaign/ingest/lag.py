@@ -21,20 +21,13 @@ _LEAST_CHANGE: Final = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Lag:
-    """How far a stream lags behind another.
+    """How far a stream lags behind another."""
 
-    Parameters
-    ----------
-    lag_s : float
-        Positive where the second stream's clock is late.
-    ci95_s : (float, float)
-        95 % interval, by leaving out each twelfth of the recording in turn.
-    correlation : float
-        Of the speeds at that lag.
-    """
-
+    #: positive where the second stream's clock is late
     lag_s: float
+    #: 95 % interval, by leaving out each twelfth of the recording in turn
     ci95_s: tuple[float, float]
+    #: of the speeds at that lag
     correlation: float
 
 

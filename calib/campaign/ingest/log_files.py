@@ -17,10 +17,7 @@ from calib.files import sha256_file
 def listed_files(sources: Sequence[Path]) -> list[Path]:
     """Return the files that sources stand for: themselves, rosbag2 folders, and what lies in other folders.
 
-    Raises
-    ------
-    BadInputError
-        Where a source is not there.
+    Raises BadInputError where a source is not there.
     """
     files: list[Path] = []
     for source in sources:
@@ -40,12 +37,7 @@ def listed_files(sources: Sequence[Path]) -> list[Path]:
 def run_number(run_id: str, pattern: str | None) -> int | None:
     """Return the number in a run's name, as a pattern (``Run {n}``) reads it, or the last number in it.
 
-    Parameters
-    ----------
-    run_id : str
-        The run's name.
-    pattern : str or None
-        Text with ``{n}`` where the number stands.
+    `pattern`: text with ``{n}`` where the number stands.
     """
     if pattern is None:
         numbers = re.findall(r"\d+", run_id)

@@ -68,35 +68,23 @@ _FILE_KEYS: Final = frozenset({"file", "run", "sheet", "header_row", "lag", "swa
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """One line of a mapping.
+    """One line of a mapping."""
 
-    Parameters
-    ----------
-    name : str
-        Calib's column.
-    column : str
-        The source's column; empty where `value` stands for it.
-    value : str, float, tuple or None
-        What holds for every run, or one value a run.
-    unit : str or None
-        The source's unit.
-    factor : float
-        What the source's numbers are multiplied by.
-    values : mapping of str to str
-        Texts of the source and what they stand for.
-    from_start : bool or None
-        A distance to a target, to be turned into the distance from the start of the run; None: as usual for the source.
-    lag_s : float
-        Time that the column lags behind the wheels, to be taken off.
-    """
-
+    #: calib's column
     name: str
+    #: the source's column; empty where `value` stands for it
     column: str = ""
+    #: what holds for every run, or one value a run
     value: str | float | tuple[str | float, ...] | None = None
+    #: the source's unit
     unit: str | None = None
+    #: what the source's numbers are multiplied by
     factor: float = 1.0
+    #: texts of the source and what they stand for
     values: Mapping[str, str] = field(default_factory=dict)
+    #: a distance to a target, to be turned into the distance from the start of the run; None: as usual for the source
     from_start: bool | None = None
+    #: time that the column lags behind the wheels, to be taken off
     lag_s: float = 0.0
 
     @property
@@ -142,15 +130,8 @@ class MappingFile:
 def read_mapping(path: Path | None) -> MappingFile:
     """Read a mapping.
 
-    Parameters
-    ----------
-    path : Path or None
-        TOML file as this module's text shows; None stands for an empty one.
-
-    Raises
-    ------
-    BadFileError
-        Where a line cannot be used.
+    `path`: TOML file as this module's text shows; None stands for an empty one. Raises BadFileError where a line cannot
+    be used.
     """
     shown = str(path) if path else "mapping"
     document = load_toml(path, shown) if path else {}

@@ -25,23 +25,15 @@ from calib.errors import BadFileError
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Part:
-    """The log of one run.
+    """The log of one run."""
 
-    Parameters
-    ----------
-    shown : str
-        Its source, for messages.
-    columns : mapping of str to array of float, shape (n_samples,)
-        Under calib's names.
-    from_start : bool
-        Whether range and poses count from the run's start.
-    wrap_bits : int or None
-        Width of the counters, where overflows were undone before.
-    """
-
+    #: its source, for messages
     shown: str
+    #: under calib's names, shape (n_samples,)
     columns: Mapping[str, FloatArray]
+    #: whether range and poses count from the run's start
     from_start: bool
+    #: width of the counters, where overflows were undone before
     wrap_bits: int | None = None
 
     @staticmethod

@@ -17,12 +17,7 @@ def from_start(columns: Mapping[str, FloatArray], *, poses: bool, distance: bool
 
     The start is the median over the samples before the wheels turn, so that one noisy sample does not turn the path.
 
-    Parameters
-    ----------
-    columns : mapping of str to array of float, shape (n_samples,)
-        Of one run.
-    poses, distance : bool
-        Which of the two to change.
+    `columns` (shape (n_samples,)): of one run; `poses`, `distance`: which of the two to change.
     """
     out = dict(columns)
     rest = _rest(columns, first=True)
@@ -41,10 +36,7 @@ def from_start(columns: Mapping[str, FloatArray], *, poses: bool, distance: bool
 def end_values(columns: Mapping[str, FloatArray]) -> dict[str, float]:
     """Return distance and end pose of a run: medians over the samples after the wheels have stopped.
 
-    Parameters
-    ----------
-    columns : mapping of str to array of float, shape (n_samples,)
-        Of one run, its poses and range from the start.
+    `columns` (shape (n_samples,)): of one run, its poses and range from the start.
     """
     rest = _rest(columns, first=False)
     pairs = {"distance_m": "range_m", **{name: name for name in _REFERENCE}}

@@ -44,14 +44,7 @@ class Proposal:
 def propose(table: FileFound | None, logs: Sequence[FileFound], sources: Sequence[str]) -> Proposal:
     """Propose a mapping.
 
-    Parameters
-    ----------
-    table : FileFound or None
-        The run table.
-    logs : sequence of FileFound
-        Logs and recordings.
-    sources : sequence of str
-        Paths as given; the table's comes first in the command.
+    `logs`: logs and recordings; `sources`: paths as given; the table's comes first in the command.
     """
     lines = [f"name = {_text(_name(table, logs))}"]
     bits = next((column.wrap_bits for one in logs for column in one.columns if column.wrap_bits), None)

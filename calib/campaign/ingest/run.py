@@ -34,30 +34,19 @@ RECORDINGS: Final = "recordings"
 
 @dataclass(frozen=True, slots=True)
 class Ingested:
-    """What was made.
+    """What was made."""
 
-    Parameters
-    ----------
-    folder : Path
-        The campaign.
-    n_runs, n_logs : int
-        Rows and logs taken.
-    sources : mapping of str to str
-        SHA-256 of every file read, by its path as given.
-    notes : tuple of Note
-        What was recognised, converted and left out.
-    campaign : Campaign
-        The campaign itself.
-    cuts : tuple of mapping
-        For each run cut out of a recording: its source, start and end in seconds and nanoseconds.
-    """
-
+    #: the campaign
     folder: Path
+    #: rows and logs taken
     n_runs: int
     n_logs: int
+    #: SHA-256 of every file read, by its path as given
     sources: Mapping[str, str]
+    #: what was recognised, converted and left out
     notes: tuple[Note, ...]
     campaign: Campaign
+    #: for each run cut out of a recording: its source, start and end in seconds and nanoseconds
     cuts: tuple[Mapping[str, Any], ...] = ()
 
 

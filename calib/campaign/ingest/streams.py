@@ -29,23 +29,16 @@ _POSE: Final = ("ref_x_m", "ref_y_m")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MappedLog:
-    """A log or recording under calib's names.
+    """A log or recording under calib's names."""
 
-    Parameters
-    ----------
-    columns : dict of str to array of float, shape (n_samples,)
-        Of `LOG_COLUMNS`, SI units, ``t_s`` from the first sample; beside them ``cut`` where a column tells the runs.
-    start_ns : int
-        Time of the first sample: nanoseconds since 1970, or since midnight or the start of the clock.
-    lags : mapping of str to Lag
-        How far other streams lag behind the wheels, by what they measure.
-    wrap_bits : int or None
-        Width of the counter where overflows were found before streams were joined.
-    """
-
+    #: of `LOG_COLUMNS`, SI units, ``t_s`` from the first sample; beside them ``cut`` where a column tells the runs,
+    #: shape (n_samples,)
     columns: dict[str, FloatArray]
+    #: time of the first sample: nanoseconds since 1970, or since midnight or the start of the clock
     start_ns: int
+    #: how far other streams lag behind the wheels, by what they measure
     lags: Mapping[str, Lag]
+    #: width of the counter where overflows were found before streams were joined
     wrap_bits: int | None = None
 
 

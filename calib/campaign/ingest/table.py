@@ -28,21 +28,8 @@ def names_runs(raw: RawTable, mapping: MappingFile) -> bool:
 def mapped_runs(raw: RawTable, mapping: MappingFile, shown: str, border: Border) -> RunTable:
     """Return the run table that a laboratory's table and a mapping give.
 
-    Parameters
-    ----------
-    raw : RawTable
-        As read.
-    mapping : MappingFile
-        Its lines for the table.
-    shown : str
-        The table's name in messages.
-    border : Border
-        Takes notes and faults.
-
-    Raises
-    ------
-    BadFileError
-        Where the mapping names a column or a text that is not there, or the table cannot be used.
+    `mapping`: its lines for the table. Raises BadFileError where the mapping names a column or a text that is not
+    there, or the table cannot be used.
     """
     raw = without_repeats(raw, shown, border)
     factors: dict[str, float] = {}
@@ -118,14 +105,7 @@ def _scaled(numbers: Mapping[str, Any], factors: Mapping[str, float]) -> dict[st
 def without_repeats(raw: RawTable, shown: str, border: Border) -> RawTable:
     """Return the table without rows that repeat an earlier one cell by cell, and without rows that are empty.
 
-    Parameters
-    ----------
-    raw : RawTable
-        As read.
-    shown : str
-        Its name in messages.
-    border : Border
-        Takes a note on each row dropped.
+    `border`: takes a note on each row dropped.
     """
     first: dict[tuple[str, ...], int] = {}
     keep = np.ones(len(raw.line), dtype=np.bool_)

@@ -69,10 +69,7 @@ def plain(text: str) -> str:
 def stem_and_unit(name: str) -> tuple[str, str | None]:
     """Return a column's name without its unit, plain, and the unit where it names one that calib knows.
 
-    Parameters
-    ----------
-    name : str
-        As found, for example ``Strecke [mm]`` or ``Weg in mm``.
+    `name`: as found, for example ``Strecke [mm]`` or ``Weg in mm``.
     """
     in_words = re.sub(r"\s+in\s+(\S+)\s*$", r" [\1]", name.strip())
     stem, unit = split_suffix(spelled(in_words))
@@ -95,23 +92,14 @@ def _guess(name: str, words: Sequence[tuple[str, str]], known: Sequence[str]) ->
 
 
 def guessed_table_column(name: str) -> tuple[str, str | None] | None:
-    """Return the column of the run table that a name may stand for, and its unit, or None.
-
-    Parameters
-    ----------
-    name : str
-        As found.
-    """
+    """Return the column of the run table that a name may stand for, and its unit, or None."""
     return _guess(name, _TABLE, TABLE_COLUMNS)
 
 
 def guessed_log_column(name: str) -> tuple[str, str | None] | None:
     """Return the column of a log that a name may stand for, and its unit, or None.
 
-    Parameters
-    ----------
-    name : str
-        As found; of a recording's ``stream:column`` or ``group/channel`` the last part counts first.
+    `name`: as found; of a recording's ``stream:column`` or ``group/channel`` the last part counts first.
     """
     last = re.split(r"[:/]", name)[-1]
     last = re.sub(r"^(position|velocity|effort)\.", "", last)

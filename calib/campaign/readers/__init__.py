@@ -62,27 +62,10 @@ class Recorder(Protocol):
 def read_table(path: Path, shown: str, wanted: Wanted | None = None, layout: Layout | None = None) -> RawTable:
     """Read a table with the reader that its suffix names; the streams of a recording are joined to one.
 
-    Parameters
-    ----------
-    path : Path
-        The file, or the folder of a rosbag2 recording.
-    shown : str
-        Its name in messages.
-    wanted : callable, optional
-        Called with each column name as found; True keeps the column and makes it numeric. Without it every column is
-        kept as read, text included.
-    layout : Layout, optional
-        Sheet and header row where they are known; else they are looked for.
-
-    Returns
-    -------
-    RawTable
-        Columns under the names found in the file.
-
-    Raises
-    ------
-    BadFileError
-        Where the file is missing, of an unknown format or damaged, or a reader's extra is not installed.
+    `path`: the file, or the folder of a rosbag2 recording. `wanted`: called with each column name as found; True keeps
+    the column and makes it numeric. Without it every column is kept as read, text included. `layout`: sheet and header
+    row where they are known; else they are looked for. Columns under the names found in the file. Raises BadFileError
+    where the file is missing, of an unknown format or damaged, or a reader's extra is not installed.
     """
     module = _module(path, shown)
     try:
@@ -96,24 +79,9 @@ def read_table(path: Path, shown: str, wanted: Wanted | None = None, layout: Lay
 def read_recording(path: Path, shown: str, wanted: Callable[[str], bool] | None = None) -> Recording:
     """Read a recording: a ROS bag, TDMS, ``.mat`` or trajectory file.
 
-    Parameters
-    ----------
-    path : Path
-        The file, or the folder of a rosbag2 recording.
-    shown : str
-        Its name in messages.
-    wanted : callable, optional
-        Called with each column name; True keeps the column. A `WantedColumns` lets whole topics be passed over.
-
-    Returns
-    -------
-    Recording
-        Streams with their own clocks.
-
-    Raises
-    ------
-    BadFileError
-        As `read_table`; and where the file is a table.
+    `path`: the file, or the folder of a rosbag2 recording. `wanted`: called with each column name; True keeps the
+    column. A `WantedColumns` lets whole topics be passed over. Raises BadFileError as `read_table`; and where the file
+    is a table.
     """
     module = _module(path, shown)
     if not hasattr(module, "record"):

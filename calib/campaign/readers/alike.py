@@ -37,17 +37,8 @@ class _Plain:
 def read_alike(files: Sequence[tuple[Path, str]], wanted: Wanted) -> list[RawTable | None]:
     """Read the plain ones among some files; the same numbers as `calib.campaign.readers.read_table` gives for each.
 
-    Parameters
-    ----------
-    files : sequence of (Path, str)
-        Files and their names in messages.
-    wanted : callable
-        Called with each column name; True keeps the column.
-
-    Returns
-    -------
-    list of RawTable or None
-        One a file; None where it has to be read by itself, whatever the reason.
+    `files`: files and their names in messages; `wanted`: called with each column name; True keeps the column. One a
+    file; None where it has to be read by itself, whatever the reason.
     """
     tables: list[RawTable | None] = [None] * len(files)
     alike: dict[bytes, list[_Plain]] = {}

@@ -42,10 +42,7 @@ def find_header(rows: Sequence[Sequence[Any]]) -> int | None:
 
     The header is the first row of texts that is about as wide as the rows below it, with a number beneath it soon.
 
-    Parameters
-    ----------
-    rows : sequence of sequence
-        The first rows of the file, cells as read.
+    `rows`: the first rows of the file, cells as read.
     """
     widths = [len(_filled(row)) for row in rows]
     for index, row in enumerate(rows):
@@ -83,10 +80,7 @@ def with_units(header: Sequence[str], below: Sequence[Any]) -> list[str] | None:
 def find_delimiter(lines: Sequence[str]) -> str:
     """Return the separator that splits the longest stretch of lines into one number of cells, more than one.
 
-    Parameters
-    ----------
-    lines : sequence of str
-        The first lines of the file.
+    `lines`: the first lines of the file.
     """
     filled = [line for line in lines if line.strip()][:LOOKED_AT]
     # first come wins a tie: commas of equal regularity are decimal

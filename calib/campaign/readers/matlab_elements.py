@@ -31,10 +31,7 @@ class _Broken(Exception):
 def damage(data: bytes) -> str:
     """Return how the elements of a file break, empty where every tag, class and length is one that may be.
 
-    Parameters
-    ----------
-    data : bytes
-        The whole file, its header of 128 bytes included. A header that is not of version 5 is left to the reader.
+    `data`: the whole file, its header of 128 bytes included. A header that is not of version 5 is left to the reader.
     """
     order = {b"IM": "<", b"MI": ">"}.get(data[126:_HEADER])
     if order is None:

@@ -23,30 +23,19 @@ UNREAD: Final = "skipped"
 
 @dataclass(frozen=True, slots=True)
 class ClockReport:
-    """What a stream's clock shows.
-
-    Parameters
-    ----------
-    n_samples : int
-        Samples.
-    start_ns, end_ns : int
-        First and last time, nanoseconds as recorded.
-    period_s : float
-        Median step.
-    n_gaps : int
-        Steps longer than five usual ones.
-    longest_gap_s : float
-        The longest of them, 0 where there is none.
-    n_backward : int
-        Steps backward in time.
-    """
+    """What a stream's clock shows."""
 
     n_samples: int
+    #: first and last time, nanoseconds as recorded
     start_ns: int
     end_ns: int
+    #: median step
     period_s: float
+    #: steps longer than five usual ones
     n_gaps: int
+    #: the longest of them, 0 where there is none
     longest_gap_s: float
+    #: steps backward in time
     n_backward: int
 
     @property
@@ -62,32 +51,21 @@ class ClockReport:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stream:
-    """One stream of a recording: a topic, a group of channels, the variables of a file.
+    """One stream of a recording: a topic, a group of channels, the variables of a file."""
 
-    Parameters
-    ----------
-    name : str
-        Topic or group.
-    kind : str
-        Message type, or ``channels``, ``variables``, ``poses``.
-    columns : mapping of str to array, shape (n_samples,)
-        Under names that are unique in the recording (``/odom:x``).
-    time_ns : array of int, shape (n_samples,), or None
-        Nanoseconds as recorded, exact; None where the stream has no clock of its own.
-    clock : str
-        Where the times come from, in words.
-    units : mapping of str to str
-        Units that the file names, by column.
-    behind_arrival_s : float or None
-        Median of arrival minus stamp where messages carry stamps; it differs between streams whose clocks differ.
-    """
-
+    #: topic or group
     name: str
+    #: message type, or ``channels``, ``variables``, ``poses``
     kind: str
+    #: under names that are unique in the recording (``/odom:x``), shape (n_samples,)
     columns: Mapping[str, FloatArray]
+    #: nanoseconds as recorded, exact; None where the stream has no clock of its own, shape (n_samples,)
     time_ns: IntArray | None
+    #: where the times come from, in words
     clock: str
+    #: units that the file names, by column
     units: Mapping[str, str] = field(default_factory=dict)
+    #: median of arrival minus stamp where messages carry stamps; it differs between streams whose clocks differ
     behind_arrival_s: float | None = None
 
     def __len__(self) -> int:
@@ -113,20 +91,13 @@ class Stream:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """A recording as read.
+    """A recording as read."""
 
-    Parameters
-    ----------
-    streams : tuple of Stream
-        Those that hold a wanted column.
-    notes : tuple of Note
-        What was recognised or left out.
-    properties : mapping of str to str
-        What the file says of itself, by place (``/``, ``group``, ``group/channel``).
-    """
-
+    #: those that hold a wanted column
     streams: tuple[Stream, ...]
+    #: what was recognised or left out
     notes: tuple[Note, ...] = ()
+    #: what the file says of itself, by place (``/``, ``group``, ``group/channel``)
     properties: Mapping[str, str] = field(default_factory=dict)
 
     def stream_of(self, column: str) -> Stream | None:
@@ -157,21 +128,9 @@ class WantedColumns:
 def interpolated(stream: Stream, column: str, at_ns: IntArray, *, shift_ns: int = 0) -> FloatArray:
     """Return a column at other times, linearly between samples and empty across gaps.
 
-    Parameters
-    ----------
-    stream : Stream
-        With a clock that does not run backward.
-    column : str
-        Its column.
-    at_ns : array of int, shape (n_times,)
-        Where it is wanted, on the clock of the recording.
-    shift_ns : int
-        Taken off the stream's times first: the time that the stream lags behind.
-
-    Returns
-    -------
-    array of float, shape (n_times,)
-        NaN outside the stream's span and within its gaps.
+    `stream`: with a clock that does not run backward; `at_ns` (shape (n_times,)): where it is wanted, on the clock of
+    the recording; `shift_ns`: taken off the stream's times first: the time that the stream lags behind. Shape
+    (n_times,): NaN outside the stream's span and within its gaps.
     """
     if stream.time_ns is None or not len(stream.time_ns):
         return np.full(len(at_ns), np.nan)
@@ -200,15 +159,7 @@ def interpolated(stream: Stream, column: str, at_ns: IntArray, *, shift_ns: int 
 def joined_table(recording: Recording) -> RawTable:
     """Return the recording as one table on the times of the stream with most samples, the others interpolated.
 
-    Parameters
-    ----------
-    recording : Recording
-        Its streams.
-
-    Returns
-    -------
-    RawTable
-        The columns under their names and, where there is a clock, ``t_s`` from the first sample.
+    The columns under their names and, where there is a clock, ``t_s`` from the first sample.
     """
     if not recording.streams:
         return RawTable({}, np.zeros(0, dtype=np.int64), recording.notes)
@@ -242,17 +193,7 @@ def matrix_columns(name: str, values: npt.NDArray[Any]) -> dict[str, FloatArray]
 def refuse_nothing(recording: Recording, shown: str) -> None:
     """Refuse a recording without a single number that calib reads, naming what it holds instead.
 
-    Parameters
-    ----------
-    recording : Recording
-        As read.
-    shown : str
-        Its name in messages.
-
-    Raises
-    ------
-    BadFileError
-        Where no stream holds a sample.
+    Raises BadFileError where no stream holds a sample.
     """
     if any(len(stream) for stream in recording.streams):
         return

@@ -146,12 +146,7 @@ UNITS: Final[Mapping[str, str]] = {
 def parts(msgtype: str, message: Any) -> Iterator[Part]:
     """Yield what calib reads of a message.
 
-    Parameters
-    ----------
-    msgtype : str
-        One of `SUPPORTED`.
-    message : object
-        As deserialised.
+    `msgtype`: one of `SUPPORTED`.
     """
     return SUPPORTED[msgtype](message)
 
@@ -159,10 +154,7 @@ def parts(msgtype: str, message: Any) -> Iterator[Part]:
 def finished(columns: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
     """Return columns with quaternions replaced by the yaw that they stand for, continuous over the turn.
 
-    Parameters
-    ----------
-    columns : mapping of str to array of float, shape (n_samples,)
-        As picked from messages.
+    `columns` (shape (n_samples,)).
     """
     if "qw" not in columns:
         return dict(columns)

@@ -29,25 +29,17 @@ _AMBIGUOUS: Final = re.compile(r"[+-]?[1-9]\d{0,2}[,.]\d{3}", re.ASCII)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RawTable:
-    """A table as read.
+    """A table as read."""
 
-    Parameters
-    ----------
-    columns : mapping of str to array, shape (n_rows,)
-        Under the names found in the file, in its order: float64 where the reader knows that it is numeric, else an
-        object array of str, float and None.
-    line : array of int, shape (n_rows,)
-        Line of each row in the file, counted from 1, header included.
-    notes : tuple of Note
-        What was recognised (encoding, delimiter, decimal comma).
-    epochs : mapping of str to int
-        For a column that was written as times of the clock and holds seconds since its first cell: that first time, in
-        nanoseconds since 1970 (or since midnight).
-    """
-
+    #: under the names found in the file, in its order: float64 where the reader knows that it is numeric, else an
+    #: object array of str, float and None, shape (n_rows,)
     columns: Mapping[str, npt.NDArray[Any]]
+    #: line of each row in the file, counted from 1, header included, shape (n_rows,)
     line: npt.NDArray[np.int64]
+    #: what was recognised (encoding, delimiter, decimal comma)
     notes: tuple[Note, ...] = ()
+    #: for a column that was written as times of the clock and holds seconds since its first cell: that first time, in
+    #: nanoseconds since 1970 (or since midnight)
     epochs: Mapping[str, int] = field(default_factory=dict)
 
 
@@ -186,26 +178,9 @@ def made_numeric(
 ) -> tuple[list[Note], dict[str, int]]:
     """Turn columns of cells into numbers, in place; times of the clock become seconds since the first.
 
-    Parameters
-    ----------
-    columns : dict of str to array, each shape (n_rows,)
-        Cells as read, by name.
-    shown : str
-        The file's name in messages.
-    line : array of int, shape (n_rows,)
-        Line of each row in the file.
-
-    Returns
-    -------
-    notes : list of Note
-        Where commas were read as points, and in which format times were read.
-    epochs : dict of str to int
-        See `RawTable`.
-
-    Raises
-    ------
-    BadFileError
-        Where a cell is no number.
+    `columns` (shape (n_rows,)): cells as read, by name; `line` (shape (n_rows,)): line of each row in the file. Returns
+    `notes`: where commas were read as points, and in which format times were read; `epochs`. Raises BadFileError where
+    a cell is no number.
     """
     evidence = comma_evidence(list(columns.values()))
     used = False

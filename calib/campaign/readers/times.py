@@ -29,10 +29,7 @@ TIME_FORMATS: Final = {
 def decimal_ns(text: str) -> int:
     """Return seconds written as a decimal number as nanoseconds, exactly; further digits are rounded off.
 
-    Raises
-    ------
-    ValueError
-        Where the text is no such number.
+    Raises ValueError where the text is no such number.
     """
     match = re.fullmatch(r"([+-]?)(\d+)(?:\.(\d*))?", text.strip(), re.ASCII)
     if match is None:
@@ -55,10 +52,7 @@ def time_format(text: str) -> str | None:
 def moment_ns(text: str) -> int:
     """Return one time as nanoseconds since 1970 (UTC where no zone is named), or since midnight for a time of day.
 
-    Raises
-    ------
-    ValueError
-        Where the text is none of `TIME_FORMATS`, or names no day of the calendar.
+    Raises ValueError where the text is none of `TIME_FORMATS`, or names no day of the calendar.
     """
     clean = text.strip()
     if match := _ISO.fullmatch(clean):
@@ -76,17 +70,8 @@ def moment_ns(text: str) -> int:
 def moments_ns(cells: Sequence[Any] | npt.NDArray[Any]) -> tuple[IntArray, int | None]:
     """Return a column of times as nanoseconds.
 
-    Parameters
-    ----------
-    cells : sequence of str, shape (n_rows,)
-        All in one of `TIME_FORMATS`.
-
-    Returns
-    -------
-    time_ns : array of int, shape (n_rows,)
-        Nanoseconds since 1970, or since the first midnight.
-    bad : int or None
-        Index of the first cell that is no time; None where all are.
+    `cells` (shape (n_rows,)): all in one of `TIME_FORMATS`. Returns `time_ns` (shape (n_rows,)): nanoseconds since
+    1970, or since the first midnight; `bad`: index of the first cell that is no time; None where all are.
     """
     out = np.zeros(len(cells), dtype=np.int64)
     days = 0

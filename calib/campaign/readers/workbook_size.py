@@ -46,22 +46,8 @@ class _Extent:
 def weigh(path: Path, shown: str) -> int:
     """Refuse a workbook that holds more than `calib.limits` allows, or little that is spread widely.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    shown : str
-        Its name in messages.
-
-    Returns
-    -------
-    int
-        Number of the last row, of any sheet, in which a cell holds something; what is below need not be read.
-
-    Raises
-    ------
-    BadFileError
-        Where it is no zip archive, or beyond the limits.
+    Number of the last row, of any sheet, in which a cell holds something; what is below need not be read. Raises
+    BadFileError where it is no zip archive, or beyond the limits.
     """
     try:
         with zipfile.ZipFile(path) as archive:

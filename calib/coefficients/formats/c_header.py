@@ -48,10 +48,7 @@ class FixedPoint:
 def fixed_point(wheel: WheelSection, side: str) -> FixedPoint:
     """Return the integer form of the law of a wheel.
 
-    Raises
-    ------
-    RefusedError
-        Where radius or load do not fit 32 bits of nanometres and millinewtons.
+    Raises RefusedError where radius or load do not fit 32 bits of nanometres and millinewtons.
     """
     # inwards to whole millinewtons, but for the last bits of a decimal that a double cannot hold
     low = math.ceil(Fraction(wheel.valid_load.min.value) * 1000 - LAST_BITS_MN)

@@ -30,10 +30,7 @@ def render(file: CoefficientFile, options: ExportOptions) -> tuple[Artifact, ...
     Effects of the simulator's model that no radius holds are named in a column of their own, which is there only then.
     A cell stays empty where a wheel's law was not measured at that load and the file says refuse.
 
-    Raises
-    ------
-    RefusedError
-        Where a load asked for is valid for neither wheel.
+    Raises RefusedError where a load asked for is valid for neither wheel.
     """
     sides = {"left": file.law.left, "right": file.law.right}
     pairs = [(pair.left_N, pair.right_N) for pair in options.loads]

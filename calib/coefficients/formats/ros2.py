@@ -20,12 +20,8 @@ INDENT: Final = " " * 4
 def render(file: CoefficientFile, options: ExportOptions) -> tuple[Artifact, ...]:
     """Return one YAML a load point, with the controllers of the vehicle's drive or those chosen.
 
-    Raises
-    ------
-    BadInputError
-        Where there is no such controller.
-    RefusedError
-        Where a load lies outside the valid range and the file says refuse.
+    Raises BadInputError where there is no such controller; RefusedError where a load lies outside the valid range and
+    the file says refuse.
     """
     together = file.joint_geometry
     steered = together is not None and together.source == "front"

@@ -41,18 +41,12 @@ STEERING_RAD: Final = math.pi / 4.0
 
 @dataclass(frozen=True, slots=True)
 class Diagonals:
-    """Variances of x, y, z, roll, pitch and yaw, and what of them rests on assumptions.
+    """Variances of x, y, z, roll, pitch and yaw, and what of them rests on assumptions."""
 
-    Parameters
-    ----------
-    pose, twist : tuple of float, length 6
-        In m^2 and rad^2, and in (m/s)^2 and (rad/s)^2.
-    assumed : tuple of str
-        Parameters that were not calibrated; their uncertainty is assumed.
-    """
-
+    #: in m^2 and rad^2, and in (m/s)^2 and (rad/s)^2
     pose: tuple[float, ...]
     twist: tuple[float, ...]
+    #: parameters that were not calibrated; their uncertainty is assumed
     assumed: tuple[str, ...] = ()
 
 
@@ -67,12 +61,8 @@ class _Reading:
 def rear_diagonals(file: CoefficientFile, pair: LoadPair) -> Diagonals:
     """Return the diagonals of odometry from two wheels on an axle, at a load point.
 
-    Parameters
-    ----------
-    file : CoefficientFile
-        Laws, track and random walks.
-    pair : LoadPair
-        Loads of the wheels; beyond the valid range its end counts, as for the radius.
+    `file`: laws, track and random walks; `pair`: loads of the wheels; beyond the valid range its end counts, as for the
+    radius.
     """
     law, track = file.law, file.vehicle.track.value
     loads = (_within(law.left, pair.left_N), _within(law.right, pair.right_N))
@@ -99,14 +89,9 @@ def rear_diagonals(file: CoefficientFile, pair: LoadPair) -> Diagonals:
 def steered_diagonals(file: CoefficientFile, pair: LoadPair, *, traction: str) -> Diagonals:
     """Return the diagonals of odometry from the speed of the traction wheels and the steering angle.
 
-    Parameters
-    ----------
-    file : CoefficientFile
-        With the steering, where the geometry was estimated from the front wheel; else it is assumed.
-    pair : LoadPair
-        Loads of the rear wheels.
-    traction : {"front", "rear"}
-        Whether the front wheel's turning is measured, or that of the rear wheels.
+    `file`: with the steering, where the geometry was estimated from the front wheel; else it is assumed; `pair`: loads
+    of the rear wheels; `traction` ({"front", "rear"}): whether the front wheel's turning is measured, or that of the
+    rear wheels.
     """
     names = ("front_radius_m", "wheelbase_m", "steering_zero_rad", STEERING_SCALE)
     wheelbase, front = file.vehicle.wheelbase.value, _front_radius(file)

@@ -15,15 +15,7 @@ from calib.report.figures.style import BLUE, GREY, ORANGE, axes_grid, canvas, le
 def budget_bars(budget: Sequence[Component]) -> Figure:
     """Draw each contribution to the standard uncertainty of a single radius, left and right, with the total.
 
-    Parameters
-    ----------
-    budget : sequence of Component
-        Of `calib.radius.effective.EffectiveRadii`.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        One pair of bars a contribution, the total last.
+    `budget`: of `calib.radius.effective.EffectiveRadii`. One pair of bars a contribution, the total last.
     """
     names = [legible(part.name.replace("_", " ")) for part in budget] + ["combined"]
     sides = [[1e6 * part.std_left_m for part in budget], [1e6 * part.std_right_m for part in budget]]

@@ -158,10 +158,7 @@ def confusion_figure(score: Score) -> Figure:
 def save(figure: Figure, path: Path, *, force: bool = False) -> Path:
     """Save a figure as PNG, SVG or PDF, whole.
 
-    Raises
-    ------
-    BadInputError
-        Where the suffix is another, or the file exists and `force` is False.
+    Raises BadInputError where the suffix is another, or the file exists and `force` is False.
     """
     path = Path(path)
     form = path.suffix.lower()[1:]

@@ -27,26 +27,8 @@ def write_figures(
 ) -> list[Path]:
     """Write figures in every format of `FORMS`; the same figure gives the same bytes.
 
-    Parameters
-    ----------
-    figures : mapping of str to Figure
-        By the name of their files, without suffix.
-    folder : Path
-        Made where it is missing.
-    force : bool
-        Replace existing files.
-    progress : callable
-        See `calib.progress.Progress`.
-
-    Returns
-    -------
-    list of Path
-        The files written.
-
-    Raises
-    ------
-    BadInputError
-        Where a file exists and `force` is False; nothing is then written.
+    `figures`: by the name of their files, without suffix; `folder`: made where it is missing. Raises BadInputError
+    where a file exists and `force` is False; nothing is then written.
     """
     folder = Path(folder)
     if folder.exists() and not folder.is_dir():

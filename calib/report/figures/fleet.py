@@ -13,13 +13,7 @@ from calib.report.figures.style import GREY, ORANGE, axes_grid, canvas, colour, 
 
 @styled
 def fleet_distribution(fleet: Fleet) -> Figure:
-    """Draw each vehicle's radius and slope with its 95 % interval, in order of size, outliers marked.
-
-    Parameters
-    ----------
-    fleet : Fleet
-        From `calib.fleet.run.fit_fleet`.
-    """
+    """Draw each vehicle's radius and slope with its 95 % interval, in order of size, outliers marked."""
     fitted = [record for record in fleet.records if record.status == "fitted"]
     odd = {outlier.vehicle for outlier in fleet.view.outliers}
     figure = canvas(10.0)
@@ -50,13 +44,7 @@ def _ordered(axes: Axes, fitted: list[VehicleRecord], side: str, kind: str, scal
 
 
 def fleet_drift(fleet: Fleet) -> Figure | None:
-    """Draw each wheel's drift with its 95 % interval, in order of size; None where no vehicle's journeys have days.
-
-    Parameters
-    ----------
-    fleet : Fleet
-        From `calib.fleet.run.fit_fleet`.
-    """
+    """Draw each wheel's drift with its 95 % interval, in order of size; None where no vehicle's journeys have days."""
     fitted = [record for record in fleet.records if record.status == "fitted"]
     lines = [(record.vehicle, side, getattr(record, side).drift) for record in fitted for side in WHEELS]
     lines = [line for line in lines if line[2] is not None]

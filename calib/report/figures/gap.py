@@ -38,19 +38,9 @@ TALLEST_CM: Final = 11.5
 def gap_map(paths_m: Sequence[FloatArray], offset_m: FloatArray, group: StrArray | None = None) -> Figure:
     """Draw the floor plan with every unit's path, and its gap as an arrow from simulated to measured end.
 
-    Parameters
-    ----------
-    paths_m : sequence of array of float, shape (n_samples, 2)
-        Path of each unit, x and y; an end position alone is a path of one sample.
-    offset_m : array of float, shape (n_units, 2)
-        Measured minus simulated end position; NaN where unknown.
-    group : array of str, shape (n_units,), optional
-        Route or kind of each unit, for colours.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Arrows are magnified by a round factor that the title says.
+    `paths_m` (shape (n_samples, 2)): path of each unit, x and y; an end position alone is a path of one sample;
+    `offset_m` (shape (n_units, 2)): measured minus simulated end position; NaN where unknown; `group` (shape
+    (n_units,)): route or kind of each unit, for colours. Arrows are magnified by a round factor that the title says.
     """
     ends = np.array([path[-1] for path in paths_m], dtype=np.float64)
     offset = np.asarray(offset_m, dtype=np.float64)
@@ -177,19 +167,10 @@ def before_after(
 ) -> Figure:
     """Draw the gap of every unit before and after the fix, channel by channel, with the floor.
 
-    Parameters
-    ----------
-    channels : sequence of (str, str)
-        Name and unit (``m`` or ``rad``) of each channel.
-    before, after : array of float, shape (n_units, n_channels)
-        Measured minus simulated without and with the named cause, on held-out units; NaN where there is none.
-    floor : array of float, shape (n_units, n_channels)
-        Standard deviation that repeats give.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        One panel a channel that any unit has; the dots are units, the thick bars root mean squares.
+    `channels`: name and unit (``m`` or ``rad``) of each channel; `before`, `after` (shape (n_units, n_channels)):
+    measured minus simulated without and with the named cause, on held-out units; NaN where there is none; `floor`
+    (shape (n_units, n_channels)): standard deviation that repeats give. One panel a channel that any unit has; the dots
+    are units, the thick bars root mean squares.
     """
     used = [k for k in range(len(channels)) if np.isfinite(before[:, k]).any()]
     columns = 2 if len(used) in {2, 4} else min(3, max(len(used), 1))

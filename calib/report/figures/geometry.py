@@ -20,12 +20,7 @@ MOST: Final = 12
 def draw_paths(paths: Sequence[RunPath], *, simulated: bool = False) -> Figure:
     """Draw the paths by kind of route: nominal odometry, calibrated odometry, and the reference.
 
-    Parameters
-    ----------
-    paths : sequence of RunPath
-        From `calib.geometry.paths.paths_of`.
-    simulated : bool
-        Say that a program made the data.
+    `simulated`: say that a program made the data.
     """
     kinds = list(dict.fromkeys(path.kind for path in paths))
     rows = -(-len(kinds) // COLUMNS)

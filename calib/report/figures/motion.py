@@ -72,14 +72,7 @@ def _shades(sweep: Sweep) -> dict[float, str]:
 def sweep_figure(sweep: Sweep, *, error: str, title: str) -> Figure:
     """Return the routes driven (a) and one error along them (b), as in Figs 12 to 14 and 16.
 
-    Parameters
-    ----------
-    sweep : Sweep
-        The vehicles.
-    error : str
-        Which error to draw: ``lateral_m``, ``global_x_m`` or ``distance_m``.
-    title : str
-        What the figure shows.
+    `error`: which error to draw: ``lateral_m``, ``global_x_m`` or ``distance_m``.
     """
     labels = {
         "lateral_m": "error to the left of the route (m)",
@@ -112,12 +105,7 @@ def sweep_figure(sweep: Sweep, *, error: str, title: str) -> Figure:
 def ratio_figure(rows: Sequence[TableRow], *, measured: tuple[tuple[float, float], tuple[float, float]]) -> Figure:
     """Return the ratio of the 95 % bands' limits to the mean radius over load, both wheels (Fig. 15).
 
-    Parameters
-    ----------
-    rows : sequence of TableRow
-        The table of radii.
-    measured : ((float, float), (float, float))
-        Load ranges that the left and the right wheel were measured in.
+    `rows`: the table of radii; `measured`: load ranges that the left and the right wheel were measured in.
     """
     figure = canvas(7.4)
     loads = np.array([row.load_N for row in rows])

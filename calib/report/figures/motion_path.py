@@ -71,15 +71,7 @@ def law_errors_figure(path: LawPath, *, title: str) -> Figure:
 
 @styled
 def law_path_figure(path: LawPath, *, title: str) -> Figure:
-    """Return the trajectories of a journey under a law with 95 % ellipses, and the band of the lateral error.
-
-    Parameters
-    ----------
-    path : LawPath
-        The journey.
-    title : str
-        What the figure shows.
-    """
+    """Return the trajectories of a journey under a law with 95 % ellipses, and the band of the lateral error."""
     figure = canvas(8.6)
     plan, graph = figure.subplots(1, 2)
     found = ellipses(path.corrected.systematic + path.corrected.random)

@@ -20,15 +20,7 @@ SHADES: Final = ("#B2482C", "#E39A72", "#F1E3C8", "#8FBBD3", "#2F78A8")
 def plan_matrix(outlook: Outlook) -> Figure:
     """Draw the matrix: row, the effect at work at its typical size; column, the effect that might be mistaken for it.
 
-    Parameters
-    ----------
-    outlook : Outlook
-        From `calib.gap.plan.outlook.outlook_of`.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        The first column says how well the effect is seen at all.
+    The first column says how well the effect is seen at all.
     """
     n = len(outlook.effects)
     figure = canvas(float(np.clip(5.0 + 0.36 * n, 8.0, 21.0)))

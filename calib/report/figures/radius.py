@@ -40,15 +40,7 @@ WHEELS: Final = ("left", "right")
 def runs_by_series(radii: EffectiveRadii) -> Figure:
     """Draw each wheel's radius by run, in the order driven, coloured by session (Fig. 10).
 
-    Parameters
-    ----------
-    radii : EffectiveRadii
-        Of a fit.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        One panel a wheel, one vertical scale.
+    `radii`: of a fit. One panel a wheel, one vertical scale.
     """
     figure = canvas(8.0)
     axes = axes_grid(figure, 2, 1, sharex=True, sharey=True)[:, 0]
@@ -76,17 +68,7 @@ def runs_by_series(radii: EffectiveRadii) -> Figure:
 def regressions(left: WheelFit, right: WheelFit, session: npt.NDArray[np.str_]) -> Figure:
     """Draw radius against load with the law, the band of the mean and the prediction band (Fig. 11).
 
-    Parameters
-    ----------
-    left, right : WheelFit
-        The two wheels.
-    session : array of str, shape (n_runs,)
-        Session of each run, for the colours.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Below each wheel's law the same as deviation from it, where the bands can be read.
+    `session` (shape (n_runs,)). Below each wheel's law the same as deviation from it, where the bands can be read.
     """
     figure = canvas(10.0)
     axes = axes_grid(figure, 2, 2, sharex="col", sharey="row", height_ratios=(1.15, 1.0))
@@ -138,15 +120,8 @@ def regressions(left: WheelFit, right: WheelFit, session: npt.NDArray[np.str_]) 
 def path_deviation(radii: EffectiveRadii) -> Figure:
     """Draw the weave's relative excess by amplitude and wavelength (Fig. 9) with the runs on it.
 
-    Parameters
-    ----------
-    radii : EffectiveRadii
-        Of a fit; runs of unknown amplitude are missing in the first panel.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Left the curves and runs, right the correction of each run and wheel.
+    `radii`: of a fit; runs of unknown amplitude are missing in the first panel. Left the curves and runs, right the
+    correction of each run and wheel.
     """
     figure = canvas(7.6)
     chart, strip = axes_grid(figure, 1, 2, width_ratios=(1.15, 1.0))[0]
@@ -197,17 +172,7 @@ def path_deviation(radii: EffectiveRadii) -> Figure:
 def residuals(left: WheelFit, right: WheelFit, session: npt.NDArray[np.str_]) -> Figure:
     """Draw the residuals of both wheels against load, in the order driven, and against normal quantiles.
 
-    Parameters
-    ----------
-    left, right : WheelFit
-        The two wheels.
-    session : array of str, shape (n_runs,)
-        Session of each run, for the colours.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Two rows (wheels) of three panels.
+    `session` (shape (n_runs,)). Two rows (wheels) of three panels.
     """
     from scipy.special import ndtri
 

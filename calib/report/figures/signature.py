@@ -21,18 +21,8 @@ STILL = 1e-6
 def signature_figure(found: EffectSignature, nominal: Path) -> Figure:
     """Draw a signature.
 
-    Parameters
-    ----------
-    found : EffectSignature
-        From `calib.gap.effects.signatures.signature_of`.
-    nominal : Path
-        The model alone on the same runs.
-
-    Returns
-    -------
-    Figure
-        Left the floor plan, one run of each kind, without the effect in grey and with it, enlarged, in colour; right
-        the change of each channel at the typical size, a dot a run.
+    `nominal`: the model alone on the same runs. Left the floor plan, one run of each kind, without the effect in grey
+    and with it, enlarged, in colour; right the change of each channel at the typical size, a dot a run.
     """
     kinds = nominal.s.labels["kind"]
     names = list(np.unique(kinds))

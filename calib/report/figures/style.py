@@ -138,17 +138,8 @@ def colour(number: int) -> str:
 def render(figure: Figure, form: str) -> bytes:
     """Return a figure as bytes.
 
-    Parameters
-    ----------
-    figure : matplotlib.figure.Figure
-        As the figure functions make it.
-    form : str
-        ``svg``, ``png`` or ``pdf``.
-
-    Returns
-    -------
-    bytes
-        The same for the same figure: no date, fixed ids.
+    `figure`: as the figure functions make it; `form`: ``svg``, ``png`` or ``pdf``. The same for the same figure: no
+    date, fixed ids.
     """
     metadata: dict[str, Any] = {
         "svg": {"Date": None, "Creator": None},
@@ -164,17 +155,8 @@ def render(figure: Figure, form: str) -> bytes:
 def render_all(figure: Figure, forms: Sequence[str]) -> dict[str, bytes]:
     """Return a figure in several formats, laid out once: the layout takes as long as a drawing.
 
-    Parameters
-    ----------
-    figure : matplotlib.figure.Figure
-        As the figure functions make it.
-    forms : sequence of str
-        Of ``svg``, ``png`` and ``pdf``.
-
-    Returns
-    -------
-    dict of str to bytes
-        By format; ``svg`` is as `render` gives it, the others differ from that by less than a pixel.
+    `figure`: as the figure functions make it; `forms`: of ``svg``, ``png`` and ``pdf``. By format; ``svg`` is as
+    `render` gives it, the others differ from that by less than a pixel.
     """
     layout = figure.get_layout_engine()
     drawn: dict[str, bytes] = {}

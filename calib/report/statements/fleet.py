@@ -17,12 +17,7 @@ MOST = 40
 def fleet_content(fleet: Fleet, *, pictures: bool = False) -> tuple[Block, ...]:
     """Return what the fit of a fleet says.
 
-    Parameters
-    ----------
-    fleet : Fleet
-        From `calib.fleet.run.fit_fleet`.
-    pictures : bool
-        For a page: with the figures, without what was read now.
+    `pictures`: for a page: with the figures, without what was read now.
     """
     view = fleet.view
     counts = f"{view.n_fitted} of {view.n_vehicles} fitted, {view.n_failed} failed"
@@ -139,12 +134,7 @@ def _pictures(fleet: Fleet) -> list[Picture]:
 def survey_content(survey: Survey, *, page: bool = False) -> tuple[Block, ...]:
     """Return what a task over a fleet says.
 
-    Parameters
-    ----------
-    survey : Survey
-        From `calib.fleet.survey.survey_fleet`.
-    page : bool
-        For a page: without what was done now.
+    `page`: for a page: without what was done now.
     """
     failed = [record for record in survey.records if record.status == "failed"]
     done = len(survey.records) - len(failed)
