@@ -5,28 +5,41 @@ Below these sizes time and memory grow with what is useful in the input, not wit
 
 from __future__ import annotations
 
+import os
 import re
 from typing import Any, Final
 
-from calib.errors import BadFileError
+from calib.errors import BadFileError, BadInputError
 
 __all__ = [
+    "CASES",
     "COLUMNS",
     "COVARIATES",
+    "DRAWS",
+    "FLEET_MONTHS",
+    "FLEET_RUNS",
     "KEY_CHARACTERS",
     "KEY_PARTS",
     "LABEL_CHARACTERS",
     "MATLAB_UNPACKED_BYTES",
+    "PLANNED_RUNS",
+    "PLANNED_SAMPLES",
+    "ROUTE_POINTS",
     "RUNS",
     "SETTINGS_BYTES",
     "SHEETS",
     "SHEET_CELLS",
     "SHEET_EMPTY",
     "SHEET_UNPACKED_BYTES",
+    "SIMULATED_POSES",
+    "SWEEP_VALUES",
     "TEXT_CHARACTERS",
+    "WORKERS",
     "refuse_beyond",
     "refuse_hostile_document",
     "refuse_hostile_keys",
+    "refuse_more",
+    "refuse_workers",
 ]
 
 #: a settings file: campaign, mapping, plan, route, seeds (TOML)
@@ -51,6 +64,20 @@ SHEET_EMPTY: Final = 1_000_000
 SHEET_UNPACKED_BYTES: Final = 512 << 20
 #: a variable of a MATLAB file, unpacked
 MATLAB_UNPACKED_BYTES: Final = 2 << 30
+#: runs of a plan, or to choose from; and samples of each one's log, which a slow or long one takes at wider steps
+PLANNED_RUNS: Final = 1000
+PLANNED_SAMPLES: Final = 2000
+#: points that a route is driven through: 10 km at the 0.05 m of a simulation; and those of all its vehicles together
+ROUTE_POINTS: Final = 200_000
+SIMULATED_POSES: Final = 500_000
+#: draws of a Monte Carlo; values of a sweep of loads
+DRAWS: Final = 1_000_000
+SWEEP_VALUES: Final = 10_000
+#: a simulated fleet: runs of all its vehicles, months that they are spread over; cases of a blind check; processes
+FLEET_RUNS: Final = 20_000_000
+FLEET_MONTHS: Final = 600
+CASES: Final = 100_000
+WORKERS: Final = 64
 
 _PART: Final = r"""(?:[A-Za-z0-9_-]++|"[^"\n]*+"|'[^'\n]*+')"""
 #: a key of more parts than may be, wherever it stands; possessive, so that the search takes one pass
@@ -84,6 +111,38 @@ def refuse_beyond(
         raise BadFileError(
             shown, row=row, column=column, found=f"{count} {what}", expected=f"at most {most}", remedy=remedy
         )
+
+
+def refuse_more(name: str, count: float, most: int, remedy: str) -> None:
+    """Refuse a number asked for that is above what is computed.
+
+    Parameters
+    ----------
+    name : str
+        What was asked for, as the library calls it: ``draws``.
+    count, most : float, int
+        How many were asked for, and may be; no number counts as too many.
+    remedy : str
+        What to do about it.
+
+    Raises
+    ------
+    BadInputError
+        Where `count` is above `most`.
+    """
+    if not count <= most:
+        raise BadInputError(f"{name}: found {count:.15g}; expected at most {most}; {remedy}")
+
+
+def refuse_workers(workers: int) -> None:
+    """Refuse more processes than `WORKERS` and twice the processors of this machine: each takes memory of its own.
+
+    Raises
+    ------
+    BadInputError
+        Where there are more.
+    """
+    refuse_more("workers", workers, max(WORKERS, 2 * (os.cpu_count() or 1)), "one a processor is enough")
 
 
 def refuse_hostile_keys(text: str, shown: str) -> None:

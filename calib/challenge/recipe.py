@@ -11,6 +11,7 @@ import numpy as np
 
 from calib.campaign.settings_file import load_toml
 from calib.errors import BadFileError
+from calib.limits import CASES, refuse_beyond
 from calib.plant.effects.registry import ALL, forms_of
 from calib.plant.signal import CALIBRATION
 
@@ -134,6 +135,7 @@ def read_seeds(path: Path) -> Seeds:
                 expected=f"a count of one of {', '.join(GROUPS)}",
                 remedy="correct the table",
             )
+    refuse_beyond(sum(cases.values()), CASES, shown=str(path), what="cases", remedy="make several sets", column="cases")
     if not isinstance(most, int) or most < 20:
         raise BadFileError(
             path, column="max_runs", found=repr(most), expected="20 or more", remedy="correct or leave out the entry"

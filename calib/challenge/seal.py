@@ -17,6 +17,7 @@ from calib.challenge.cases import Truth, campaigns_of, truth_of
 from calib.challenge.recipe import Recipe, read_seeds, recipes
 from calib.errors import BadFileError
 from calib.files import refuse_existing, sha256_file, to_json, write_text
+from calib.limits import refuse_workers
 
 PUBLIC: Final = "challenge.json"
 HASH: Final = "truth.sha256"
@@ -59,6 +60,7 @@ def truth_path(folder: Path) -> Path:
 @contextmanager
 def workers_of(workers: int) -> Iterator[ProcessPoolExecutor]:
     """Give a pool of processes with one thread each."""
+    refuse_workers(workers)
     names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
     before = {name: os.environ.get(name) for name in names}
     os.environ.update(dict.fromkeys(names, "1"))

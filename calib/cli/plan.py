@@ -91,16 +91,19 @@ def _next(campaign: Path, candidates: Path | None, most: int, seed: int, json: s
 def _judge(source: Path, figures: Path | None, json: str | None, *, force: bool) -> int:
     from calib.gap.plan.outlook import outlook_of
     from calib.gap.plan.plan_file import read_plan
-    from calib.report.figures.files import FORMS, write_figures
     from calib.report.statements.plan import outlook_content
 
     stem = "plan-matrix"
-    refuse_existing([figures / f"{stem}.{form}" for form in FORMS] if figures else (), force=force)
+    if figures is not None:
+        from calib.report.figures.files import FORMS
+
+        refuse_existing([figures / f"{stem}.{form}" for form in FORMS], force=force)
     with progress("judging the plan") as tick:
         planned = read_plan(source)
         outlook = outlook_of(planned, progress=tick)
     show(outlook_content(planned.name, len(planned.runs), outlook), target=json)
     if figures is not None:
+        from calib.report.figures.files import write_figures
         from calib.report.figures.plan import plan_matrix
 
         written = write_figures({stem: plan_matrix(outlook)}, figures, force=force)

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from calib.arrays import FloatArray
 from calib.campaign.settings_file import load_toml
 from calib.errors import BadFileError, BadInputError
+from calib.limits import ROUTE_POINTS, refuse_more
 from calib.motion.odometry.arc import sinc
 from calib.motion.odometry.integrate import integrate
 from calib.motion.poses import Poses
@@ -67,13 +68,22 @@ class Route:
         return float(np.abs(self.length_m).sum())
 
     def divided(self, spacing_m: float) -> Route:
-        """Return the same route with every segment cut into equal pieces of at most `spacing_m` (or 3 degrees)."""
+        """Return the same route with every segment cut into equal pieces of at most `spacing_m` (or 3 degrees).
+
+        Raises
+        ------
+        BadInputError
+            Where these are more than `calib.limits.ROUTE_POINTS`.
+        """
         if not spacing_m > 0.0:
             raise BadInputError(f"spacing: found {spacing_m!r} m; expected a length above 0")
         pieces = np.ceil(
             np.maximum(np.abs(self.length_m) / spacing_m, np.abs(self.turn_rad) / math.radians(3.0)) - 1e-9
         )
-        count = np.maximum(pieces, 1).astype(np.int64)
+        pieces = np.maximum(pieces, 1.0)
+        what = f"points along {self.name}, {self.total_m:.4g} m at {spacing_m:g} m each"
+        refuse_more(what, float(pieces.sum()), ROUTE_POINTS, "drive a shorter route, or a part of it")
+        count = pieces.astype(np.int64)
         return Route(self.name, np.repeat(self.length_m / count, count), np.repeat(self.turn_rad / count, count))
 
     def cut(self, at_m: npt.ArrayLike) -> Route:

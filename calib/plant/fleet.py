@@ -11,6 +11,7 @@ import numpy as np
 
 from calib.arrays import FloatArray, IntArray
 from calib.errors import MissingExtraError
+from calib.limits import FLEET_MONTHS, FLEET_RUNS, refuse_more
 
 #: a run table: its columns
 Table = dict[str, FloatArray | IntArray | list[str]]
@@ -70,6 +71,10 @@ class FleetSize:
     n_outliers: int = 20
     n_drifting: int = 5
     n_common: int = 40
+
+    def __post_init__(self) -> None:
+        refuse_more("runs of all vehicles", self.n_vehicles * self.n_runs, FLEET_RUNS, "simulate a smaller fleet")
+        refuse_more("months", self.n_months, FLEET_MONTHS, "spread the runs over fewer")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

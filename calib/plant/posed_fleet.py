@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.write import write_campaign
+from calib.limits import FLEET_RUNS, refuse_more
 from calib.plant.effects.form import Cause
 from calib.plant.make import make_campaign, random_model
 from calib.plant.plans import good_design
@@ -63,6 +64,7 @@ def make_posed_fleet(
     -------
     PosedTruth
     """
+    refuse_more("runs of all vehicles", n_vehicles * n_runs, FLEET_RUNS, "simulate a smaller fleet")
     design = good_design(rng, n_runs=n_runs, needs={"corridor", "directions", "turns"})
     model = random_model(design, rng)
     names = [f"v{number:05d}" for number in range(n_vehicles)]

@@ -11,6 +11,7 @@ from calib.cli.options import Force, JsonTarget
 from calib.cli.terminal import emit_json, keep, progress, show, wants_stdout, wrote
 from calib.cli.threads import one_blas_thread
 from calib.files import refuse_existing
+from calib.limits import refuse_workers
 
 EPILOG = "Example: calib fleet run vehicles --into fleet --workers 2"
 
@@ -35,6 +36,7 @@ def run(
     status 1: a vehicle failed.
     """
     one_blas_thread()
+    refuse_workers(workers)
     from calib.fleet.members import any_simulated
     from calib.report.fleet_files import Heads, write_fleet, write_survey
     from calib.report.source import issue_date

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.arrays import FloatArray
+from calib.arrays import FloatArray, IntArray
 from calib.campaign.settings import Reference
 from calib.gap.data.reference_poses import ReferencePoses, relative_pose
 from calib.gap.data.unit import CountsPerRadian, Unit, log_rows, unit_from_log
@@ -29,6 +29,21 @@ FEWEST_SAMPLES: Final = 4
 def window_length_m(travelled_m: float, track_m: float) -> float:
     """Return the length of a window: short enough for many, long enough that wheels matter, shape ()."""
     return float(np.clip(travelled_m / WINDOWS_WANTED, min(SHORTEST_TRACKS * track_m, WINDOW_M), WINDOW_M))
+
+
+def edges_along(way_m: FloatArray, count: float) -> IntArray:
+    """Return the samples that border windows of equal way, at most one a sample however far the way seems to go.
+
+    Parameters
+    ----------
+    way_m : array of float, shape (n_samples,)
+        Way from the start on, rising.
+    count : float
+        Windows wanted.
+    """
+    windows = max(int(count), 1) if count < len(way_m) else len(way_m)
+    edges = np.unique(np.searchsorted(way_m, np.linspace(0.0, way_m[-1], windows + 1)))
+    return np.asarray(np.minimum(edges, len(way_m) - 1), dtype=np.int64)
 
 
 def whole(unit: Unit, reference: ReferencePoses, settings: Reference) -> Unit:
@@ -75,9 +90,7 @@ def cut(
         Empty where there is but one.
     """
     travelled = reference.travelled_m
-    n_windows = int(max(1, round(float(travelled[-1]) / length_m)))
-    edges = np.unique(np.searchsorted(travelled, np.linspace(0.0, travelled[-1], n_windows + 1)))
-    edges = np.minimum(edges, len(travelled) - 1)
+    edges = edges_along(travelled, float(np.rint(travelled[-1] / length_m)))
     rows = log_rows(log)
     windows: list[Unit] = []
     for first, last in pairwise(edges):

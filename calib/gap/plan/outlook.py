@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -13,7 +13,7 @@ from calib.campaign.model import Campaign
 from calib.gap.data.from_campaign import observations_of
 from calib.gap.effects.effect import Effect, Form
 from calib.gap.effects.library import library
-from calib.gap.evidence.marginal import Nuisance, project
+from calib.gap.evidence.marginal import CALIBRATION_SD, Nuisance, project, rows
 from calib.gap.evidence.whitened import WhitenedSystem
 from calib.gap.plan.separability import SEEN, Signatures, noise_at
 from calib.gap.predict.path import predict
@@ -82,14 +82,14 @@ def outlook_of(campaign: Campaign, progress: Progress = silent) -> Outlook:
     effects = library(observations, declared=campaign.extra.get("effects", ()))
     signatures = Signatures(path, noise, effects)
     signal, distance = signatures.distances(signatures.gram(np.ones(len(observations), dtype=bool)))
-    forms = {effect.id: effect.forms(observations) for effect in effects}
-    bench = WhitenedSystem(path, path, noise)
+    forms = signatures.offered
+    shown = _Shown(rows(path, noise, path.calibration * CALIBRATION_SD), signatures.of_form)
     return Outlook(
         effects=tuple(signatures.names),
         absent=tuple(name for name, tried in forms.items() if not tried),
         signal=signal,
         distance=distance,
-        smallest=_smallest(bench, effects, forms, only_blind=False, progress=progress),
+        smallest=_smallest(shown, effects, forms, only_blind=False, progress=progress),
     )
 
 
@@ -112,23 +112,33 @@ def undetectable(
     tuple of Detectable
         `never` where nothing in the runs varies what the effect acts through, or a recalibration hides it wholly.
     """
-    return tuple(_smallest(bench, effects, forms or {}, only_blind=True).values())
+    known = forms or {}
+    every = {effect.id: known.get(effect.id) or effect.forms(bench.path.s) for effect in effects}
+    shown = _Shown(bench.calibration, bench.columns)
+    return tuple(_smallest(shown, effects, every, only_blind=True).values())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Shown:
+    """What some runs show: whitened columns of a recalibration, (n_rows, 4), and of a form, (n_rows, n_parameters)."""
+
+    calibration: FloatArray
+    of_form: Callable[[Form], FloatArray]
 
 
 def _smallest(
-    bench: WhitenedSystem,
+    shown: _Shown,
     effects: Sequence[Effect],
-    known: Mapping[str, Sequence[Form]],
+    offered: Mapping[str, Sequence[Form]],
     *,
     only_blind: bool,
     progress: Progress = silent,
 ) -> dict[str, Detectable]:
-    observations = bench.path.s
-    recalibration = Nuisance.of(bench.calibration)
-    own_left_out = Nuisance.of(bench.calibration[:, 3:])
+    recalibration = Nuisance.of(shown.calibration)
+    own_left_out = Nuisance.of(shown.calibration[:, 3:])
     limits: dict[str, Detectable] = {}
     for effect in stepped(effects, progress, "effects"):
-        forms = known.get(effect.id) or effect.forms(observations)
+        forms = offered[effect.id]
         if not forms:
             why = "nothing that it acts through is measured, or varies, in these runs"
             limits[effect.id] = Detectable(effect.id, why, never=True)
@@ -137,7 +147,7 @@ def _smallest(
         best: tuple[float, Form, int] | None = None
         raw_norm = 0.0
         for form in forms:
-            columns = bench.columns(form)
+            columns = shown.of_form(form)
             # a single direction of the form is asked at a time, the recalibration free beside it
             left = np.sqrt((project(nuisance, columns) ** 2).sum(axis=0))
             raw = np.sqrt((columns**2).sum(axis=0))
@@ -145,7 +155,8 @@ def _smallest(
             for number, value in enumerate(left):
                 if value > HIDDEN * max(float(raw[number]), 1e-12) and value > 0.0:
                     times = SEEN / float(value)
-                    if best is None or times < best[0]:
+                    # of two that are alike but for rounding, the first
+                    if best is None or times < best[0] * (1.0 - 1e-9):
                         best = (times, form, number)
         if best is None:
             why = "hidden in the calibration" if raw_norm > 0.0 else "it moves nothing measured here"

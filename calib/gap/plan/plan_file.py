@@ -14,9 +14,9 @@ from calib.campaign.model import Campaign, Logs, RunTable
 from calib.campaign.settings_file import load_toml, parse_settings
 from calib.errors import BadFileError, BadInputError
 from calib.gap.plan.planned_runs import DEFAULT_CORRIDOR_M, Measured, PlannedRun, drive, route_of
+from calib.limits import PLANNED_RUNS, refuse_beyond
 
 FORMAT: Final = "calib-plan/1"
-MOST_RUNS: Final = 5000
 _TEXTS: Final = ("kind", "direction", "session")
 _NUMBERS: Final = (
     "payload_kg",
@@ -116,11 +116,12 @@ def _runs(section: object, path: Path) -> list[PlannedRun]:
         if not isinstance(entry, Mapping):
             raise _wrong(path, where, entry, "a table [[runs]]")
         count = entry.get("count", 1)
-        if isinstance(count, bool) or not isinstance(count, int) or not 1 <= count <= MOST_RUNS:
-            raise _wrong(path, f"{where}.count", count, f"a whole number from 1 to {MOST_RUNS}")
+        if isinstance(count, bool) or not isinstance(count, int) or count < 1:
+            raise _wrong(path, f"{where}.count", count, "a whole number from 1")
+        # before they are made
+        remedy = "plan fewer, or judge the plan in parts"
+        refuse_beyond(len(runs) + count, PLANNED_RUNS, shown=str(path), what="runs", remedy=remedy, column=where)
         runs += [_run(path, where, entry)] * count
-        if len(runs) > MOST_RUNS:
-            raise _wrong(path, "runs", len(runs), f"at most {MOST_RUNS} runs")
     return runs
 
 

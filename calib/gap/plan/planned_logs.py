@@ -12,6 +12,7 @@ from calib.campaign.model import Campaign
 from calib.campaign.settings import FrontModel
 from calib.campaign.wheels import WHEEL_COLUMNS, mecanum_model, odometry_source, without_rear_wheels
 from calib.errors import BadInputError
+from calib.limits import PLANNED_SAMPLES
 
 ACCELERATION_MPS2: Final = 0.5
 LOG_PERIOD_S: Final = 0.1
@@ -85,9 +86,15 @@ def stop_and_go(stops_m: FloatArray, speed: float, *, read_rolling: bool) -> tup
         Between the ramps, in m/s.
     read_rolling : bool
         The log ends while the vehicle still rolls.
+
+    Notes
+    -----
+    A sample each `LOG_PERIOD_S`, at wider steps where these would be more than `calib.limits.PLANNED_SAMPLES`.
     """
     if not speed > 0.0:
         raise BadInputError(f"speed_mps: found {speed!r}; expected a speed above 0; correct the planned run")
+    total = float(np.ptp(stops_m)) / speed + len(stops_m) * speed / ACCELERATION_MPS2
+    period = max(LOG_PERIOD_S, total / PLANNED_SAMPLES)
     time: list[FloatArray] = [np.zeros(1)]
     way: list[FloatArray] = [np.zeros(1)]
     start = 0.0
@@ -98,7 +105,7 @@ def stop_and_go(stops_m: FloatArray, speed: float, *, read_rolling: bool) -> tup
         rolling_end = read_rolling and number == len(stops_m) - 2
         cruise = (length - (0.5 if rolling_end else 1.0) * top * ramp) / top
         last = ramp + cruise + (0.0 if rolling_end else ramp)
-        t = np.append(np.arange(LOG_PERIOD_S, last, LOG_PERIOD_S), last)
+        t = np.append(np.arange(period, last, period), last)
         u = np.minimum(t, ramp)
         d = 0.5 * ACCELERATION_MPS2 * u**2 + top * np.clip(t - ramp, 0.0, cruise)
         slowing = np.clip(t - ramp - cruise, 0.0, None)

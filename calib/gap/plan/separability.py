@@ -66,10 +66,12 @@ class Signatures:
         self.forms: list[tuple[int, int, int]] = []
         calibration = rows(path, noise, blocks[0])
         position = 4
-        offered = [(effect, effect.forms(path.s)) for effect in effects]
-        every = [form for _, forms in offered for form in forms] + [form for form, _ in given.values()]
+        self.offered = {effect.id: effect.forms(path.s) for effect in effects}
+        every = [form for forms in self.offered.values() for form in forms] + [form for form, _ in given.values()]
         known = {id(form): columns for form, columns in zip(every, columns_of_forms(path, every), strict=True)}
-        for effect, forms in offered:
+        self._places: dict[int, tuple[int, FloatArray]] = {}
+        for effect in effects:
+            forms = self.offered[effect.id]
             if not forms:
                 continue
             number = len(self.names)
@@ -80,6 +82,7 @@ class Signatures:
                 columns = known[id(form)]
                 largest = np.array([p.largest / p.typical for p in form.parameters]) * STRETCH
                 blocks.append(columns * largest)
+                self._places[id(form)] = position, largest
                 self.forms.append((number, position, position + columns.shape[2]))
                 position += columns.shape[2]
                 if effect.id not in given:
@@ -95,6 +98,11 @@ class Signatures:
         blocks.append(np.stack(truths, axis=2) if truths else np.zeros((len(path.s), 6, 0)))
         self.columns = rows(path, noise, np.concatenate(blocks, axis=2))
         self.unit = np.repeat(np.arange(len(path.s))[:, None], 6, axis=1)[path.s.usable]
+
+    def of_form(self, form: Form) -> FloatArray:
+        """Return the whitened signatures of one of the `offered` forms in typical sizes, (n_rows, n_parameters)."""
+        first, largest = self._places[id(form)]
+        return np.asarray(self.columns[:, first : first + len(largest)] / largest)
 
     def gram(self, units: BoolArray) -> FloatArray:
         """Return the scalar products of all columns over some units (n_units,)."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.gap.data.channels import Channel
+from calib.gap.data.windows import edges_along
 from calib.gap.where.result import PlaceLine
 from calib.gap.where.traces import Trace
 
@@ -76,9 +77,7 @@ def _cut(traces: list[Trace]) -> _Windows:
     run: list[IntArray] = []
     numbers = {name: number for number, name in enumerate(sorted({trace.run_id for trace in traces}))}
     for trace in traces:
-        count = max(int(trace.way_m[-1] / WINDOW_M), 1)
-        edges = np.unique(np.searchsorted(trace.way_m, np.linspace(0, trace.way_m[-1], count + 1)))
-        edges = np.minimum(edges, len(trace.way_m) - 1)
+        edges = edges_along(trace.way_m, float(trace.way_m[-1]) / WINDOW_M)
         gained = (trace.along_m, trace.heading_rad, trace.way_m, trace.turn_rad, trace.stops)
         for values, windows in zip(gained, parts.values(), strict=True):
             windows.append(np.diff(values[edges]))

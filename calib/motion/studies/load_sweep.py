@@ -9,6 +9,7 @@ import numpy as np
 
 from calib.arrays import FloatArray
 from calib.errors import BadInputError
+from calib.limits import SWEEP_VALUES
 from calib.vehicle import Vehicle, check_wheel_loads, wheel_loads_N
 
 #: what can be swept -> unit
@@ -75,9 +76,9 @@ def sweep_loads(
         Where the vehicle would tip or a wheel carry too much; names the payload at which.
     """
     values = {"payload_kg": payload_kg, "payload_x_m": payload_x_m, "payload_y_m": payload_y_m}
-    if swept and (swept not in SWEPT or not 2 <= steps <= 100_000):
+    if swept and (swept not in SWEPT or not 2 <= steps <= SWEEP_VALUES):
         raise BadInputError(
-            f"sweep: found {swept!r} in {steps} steps; expected {', '.join(SWEPT)} in 2 to 100000 steps"
+            f"sweep: found {swept!r} in {steps} steps; expected {', '.join(SWEPT)} in 2 to {SWEEP_VALUES} steps"
         )
     count = steps if swept else 1
     columns = {name: np.full(count, value) for name, value in values.items()}

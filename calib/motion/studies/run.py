@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from calib.errors import BadInputError
+from calib.limits import DRAWS, refuse_more
 from calib.motion.routes import Route, find_route
 from calib.motion.studies.law_journey import BANDS, Journey, TableRow, law_journey, law_table
 from calib.motion.studies.law_path import LawPath, law_path
@@ -172,6 +173,7 @@ def simulate(
 
 def _law_part(study: str, route: Route, under: LawJourneys, rng: np.random.Generator) -> LawPart:
     law, track_m, reference_N, draws = under.axle.radii, under.axle.track_m, under.reference_N, under.draws
+    refuse_more("draws", draws, DRAWS, "the intervals no longer change")
     if draws < 100:
         raise BadInputError(f"draws: found {draws}; expected 100 or more; quantiles need them")
     own = under.loading.pairs if under.loading is not None and study == CUSTOM else ()

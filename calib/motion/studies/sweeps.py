@@ -11,6 +11,7 @@ import numpy as np
 
 from calib.arrays import FloatArray
 from calib.errors import BadInputError
+from calib.limits import SIMULATED_POSES, refuse_more
 from calib.motion.poses import PoseErrors, Poses, pose_errors
 from calib.motion.routes import Route, find_route
 from calib.motion.studies.follow import Axle, follow
@@ -234,6 +235,8 @@ def run_sweep(
         track_m if real_track_m is None else real_track_m,
     )
     fine = way.divided(SPACING_M)
+    what = f"poses of {len(vehicles)} vehicles along {way.name}"
+    refuse_more(what, len(vehicles) * (len(fine) + 1), SIMULATED_POSES, "simulate fewer vehicles, or a shorter route")
     reference, poses = fine.poses(), follow(fine, believed, real)
     return Sweep(
         route=way,

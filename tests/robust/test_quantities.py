@@ -1,0 +1,139 @@
+"""Numbers that become counts of samples, points, draws, runs or processes are held before anything is made of them."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib import limits
+from calib.cli.main import run
+from calib.gap.data.windows import edges_along
+from calib.gap.plan import separability
+from calib.gap.plan.outlook import outlook_of
+from calib.gap.plan.plan_file import read_plan
+from calib.gap.plan.planned_logs import stop_and_go
+from tests.fuzz.sound import ROOT, SEEDS
+
+#: processor time in which a number beyond its limit is refused, imports included; what it asks for takes minutes or
+#: all memory
+REFUSED_S = 5.0
+#: a sum of doubles of up to a kilometre
+ROUNDING_M = 1e-12
+PLAN = (ROOT / "sample_runs" / "plan.toml").read_text(encoding="utf-8")
+ROUTE = 'format = "calib-route/1"\n[[segment]]\n'
+LAW = str(ROOT / "sample_runs" / "corridor")
+#: name -> file written, its text, command on it (@), what is said
+BEYOND: dict[str, tuple[str, str, str]] = {
+    "runs of a plan": (
+        PLAN.replace("count = 6", "count = 1001", 1),
+        "plan --from @",
+        "1001 runs; expected at most 1000",
+    ),
+    "runs to choose from": (
+        '[[runs]]\nkind = "corridor"\ncount = 4000000000',
+        f"plan {LAW} --candidates @",
+        "4000000000 runs; expected at most 1000",
+    ),
+    "a long route": (ROUTE + "straight_m = 1e6", "simulate route @ --real 0.1,0.099", "1e+06 m at 0.05 m each: found"),
+    "a wide arc": (ROUTE + "radius_m = 1e6\nturn_deg = 1e6", "simulate route @ --real 0.1,0.099", "at most 200000"),
+    "turns on the spot": (
+        ROUTE + "radius_m = 0\nturn_rad = 1e6",
+        "simulate route @ --real 0.1,0.099",
+        "found 19098594; expected at most 200000",
+    ),
+    "a journey": (
+        ROUTE + "straight_m = 1e6",
+        f"simulate journey @ --law {LAW} --load 400,400",
+        "drive a shorter route",
+    ),
+    "many vehicles": (
+        ROUTE + "straight_m = 9e3",
+        "simulate route @ --ratio 0.99,1.0,1.01",
+        "poses of 3 vehicles along route: found 540003; expected at most 500000",
+    ),
+    "draws": (
+        "",
+        f"simulate journey corridor --law {LAW} --load 400,400 --draws 1000000000000",
+        "--draws: found 1000000000000; expected at most 1000000",
+    ),
+    "a sweep of loads": (
+        "",
+        f"loads --vehicle {LAW} --sweep payload --from 0 --to 100 --steps 1000000000000",
+        "expected payload_kg, payload_x_m, payload_y_m in 2 to 10000 steps",
+    ),
+    "vehicles": ("", "fleet simulate --into F --vehicles 1000000000", "found 60000000000; expected at most 20000000"),
+    "vehicles with poses": ("", "fleet simulate --poses --into F --vehicles 1000000000", "expected at most 20000000"),
+    "months": ("", "fleet simulate --into F --vehicles 1 --months 1000000000", "--months: found 1000000000; expected"),
+    "cases": (
+        SEEDS.replace("empty = 1", "empty = 1000000000000"),
+        "challenge make --seeds @ --into S",
+        "1000000000000 cases; expected at most 100000",
+    ),
+    "processes": ("", f"fleet run {LAW} --into F --workers 1000000", "--workers: found 1000000; expected at most"),
+    "processes of a check": (SEEDS, "challenge make --seeds @ --into S --workers 1000000", "--workers: found 1000000"),
+}
+
+
+@pytest.mark.parametrize("name", list(BEYOND))
+def test_a_number_beyond_its_limit_is_one_line_and_quick(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Before anything of that number is made: nothing is written, and no time or memory goes into it."""
+    text, command, words = BEYOND[name]
+    monkeypatch.chdir(tmp_path)
+    Path("route.toml").write_text(text, encoding="utf-8")
+    started = time.process_time()
+    assert run(command.replace("@", "route.toml").split()) == 2
+    assert time.process_time() - started < REFUSED_S
+    err = capsys.readouterr().err
+    assert words in err
+    assert err.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["route.toml"]
+
+
+def test_a_slow_run_is_logged_at_wider_steps() -> None:
+    """A kilometre at 1 mm/s is 10^6 s; at a tenth of a second each that were 10^7 samples a run."""
+    for speed in (1e-3, 0.5, 1e6):
+        time_s, way_m = stop_and_go(np.linspace(0.0, 1000.0, 4), speed, read_rolling=False)
+        # half a second at each of three ends adds its samples
+        assert len(time_s) <= limits.PLANNED_SAMPLES + 20
+        assert way_m[-1] == 1000.0
+        assert (np.diff(time_s) > 0.0).all()
+        assert (np.diff(way_m) > -ROUNDING_M).all()
+    time_s, _ = stop_and_go(np.array([0.0, 40.0]), 0.5, read_rolling=False)
+    # what is usual keeps its tenth of a second
+    assert np.median(np.diff(time_s)) == pytest.approx(0.1)
+
+
+def test_a_plan_makes_each_signature_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What each cause would do is computed in one pass: made a second time, a thousand runs took 13 s for 5 s."""
+    asked: list[int] = []
+    once = separability.columns_of_forms
+
+    def counted(path, forms):  # type: ignore[no-untyped-def]
+        asked.append(len(forms))
+        return once(path, forms)
+
+    monkeypatch.setattr(separability, "columns_of_forms", counted)
+    # any other way to the columns of a form would be a second pass
+    monkeypatch.setattr("calib.gap.evidence.whitened.columns_of_forms", None)
+    path = tmp_path / "plan.toml"
+    path.write_text(PLAN, encoding="utf-8")
+    outlook = outlook_of(read_plan(path))
+    assert len(asked) == 1
+    assert asked[0] >= len(outlook.effects)
+    assert set(outlook.smallest) == {*outlook.effects, *outlook.absent}
+
+
+@pytest.mark.parametrize("way", [1e-9, 40.0, 1e15, np.inf])
+def test_windows_are_no_more_than_samples(way: float) -> None:
+    """Counts of 10^18 seem to go round the earth, in windows of 4 m."""
+    samples = np.linspace(0.0, 1.0, 101) * min(way, 1e15)
+    edges = edges_along(samples, way / 4.0)
+    assert len(edges) <= len(samples)
+    assert edges[0] == 0
+    assert edges[-1] <= 100
+    assert (np.diff(edges) > 0).all()
