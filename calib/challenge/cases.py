@@ -45,44 +45,25 @@ _TRIES: Final = 6
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """What is true in a case; one entry of the sealed file.
+    """What is true in a case; one entry of the sealed file."""
 
-    Parameters
-    ----------
-    recipe : Recipe
-        What was asked for.
-    seed, max_runs : int
-        From the seeds file.
-    redraw : int
-        How often the pair was drawn again because its two effects hid in one another.
-    causes : tuple of Cause
-        What is wrong, at its size.
-    typical : tuple of float
-        Typical size of each.
-    signals, beside : tuple of float
-        Signal of each alone, and after what the other could imitate was projected out.
-    rivals : tuple of (str, float)
-        Other effects, and how far in standard deviations they stay from what the cause does; nearest first.
-    noise, model
-        Of the case.
-    n_runs : int
-        Runs.
-    ceiling : tuple of float or None
-        What the best rule reaches on these runs at this signal, freely and behind the gate; None where there is none.
-    """
-
-    recipe: Recipe
+    recipe: Recipe  #: what was asked for
+    #: seed, max_runs: from the seeds file
     seed: int
     max_runs: int
-    redraw: int
-    causes: tuple[Cause, ...]
-    typical: tuple[float, ...]
+    redraw: int  #: how often the pair was drawn again because its two effects hid in one another
+    causes: tuple[Cause, ...]  #: what is wrong, at its size
+    typical: tuple[float, ...]  #: typical size of each
+    #: signals, beside: signal of each alone, and after what the other could imitate was projected out
     signals: tuple[float | None, ...]
     beside: tuple[float | None, ...]
+    #: other effects, and how far in standard deviations they stay from what the cause does; nearest first
     rivals: tuple[tuple[str, float], ...]
+    #: noise, model: of the case
     noise: Noise
     model: OdometryModel
-    n_runs: int
+    n_runs: int  #: runs
+    #: what the best rule reaches on these runs at this signal, freely and behind the gate; None where there is none
     ceiling: tuple[float, float] | None = None
 
     def to_dict(self) -> dict[str, Any]:

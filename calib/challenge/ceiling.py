@@ -25,17 +25,10 @@ RANK: Final = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Ceiling:
-    """What the best rule reaches on one campaign at one signal.
+    """What the best rule reaches on one campaign at one signal."""
 
-    Parameters
-    ----------
-    free : float
-        Share of true effects named, where it is known that there is one.
-    gated : float
-        The same behind a gate that lets `ALARMS` of the empty campaigns through; what does not pass is a miss.
-    """
-
-    free: float
+    free: float  #: share of true effects named, where it is known that there is one
+    #: the same behind a gate that lets `ALARMS` of the empty campaigns through; what does not pass is a miss
     gated: float
 
 

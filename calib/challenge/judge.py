@@ -20,84 +20,41 @@ _OPEN: Final = ("unknown", "partly_explained")
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """How one case went.
+    """How one case went."""
 
-    Parameters
-    ----------
-    case, group, design : str
-        Which.
-    truth : tuple of str
-        True effects.
-    deleted : str
-        Effect deleted from the library.
-    signal : float or None
-        Target signal; None where there is none or it is natural.
-    verdict : str
-        The verdict's word; ``error`` where the diagnosis failed, ``missing`` where there is no verdict.
-    named : tuple of str
-        Effects named as causes, likeliest first.
-    right : bool
-        The right answer of its group, see `judge`.
-    first : bool
-        A true effect is named first (for empty cases: nothing is named).
-    in_group : bool
-        Every true effect is named, or stands in a group with a named one.
-    covered : bool or None
-        The 95 % set holds the truth; None where the truth is in no library.
-    set_size : int
-        Hypotheses in the 95 % set.
-    separable : bool or None
-        The plant's own measure: no other effect comes nearer than `APART`; None where it was not taken.
-    rival : str
-        The nearest other effect, with its distance.
-    recommended, wrong_fix : bool
-        A fix is recommended; and a cause of it is neither true nor in a group with the truth.
-    harmful : bool or None
-        The recommended fix made the fresh campaign worse, all channels against their noise; None where not tried.
-    statements : tuple of (float, bool)
-        Probability of each named cause, and whether it is true.
-    intervals : tuple of (str, float, float, float)
-        Parameter, truth, low, high.
-    predicted, achieved : float or None
-        Closure on held-out runs as stated, and on the fresh campaign.
-    seconds : float or None
-        What the diagnosis took.
-    strong : tuple of bool
-        In a crowded case, of each effect at a signal of `STRONG` and more, whether it is named or in a group with one.
-    decided : bool
-        The verdict is ``explained``, and what it names first is true or of a true effect's family.
-    error : str
-        Why it failed.
-    ceiling : tuple of float or None
-        What the best rule reaches on its runs at its signal, freely and behind a gate; None where it was not taken.
-    """
-
+    #: case, group, design: which
     case: str
     group: str
     design: str
-    truth: tuple[str, ...]
-    deleted: str
-    signal: float | None
-    verdict: str
-    named: tuple[str, ...]
-    right: bool
-    first: bool
-    in_group: bool
-    covered: bool | None
-    set_size: int
+    truth: tuple[str, ...]  #: true effects
+    deleted: str  #: effect deleted from the library
+    signal: float | None  #: target signal; None where there is none or it is natural
+    verdict: str  #: the verdict's word; ``error`` where the diagnosis failed, ``missing`` where there is no verdict
+    named: tuple[str, ...]  #: effects named as causes, likeliest first
+    right: bool  #: the right answer of its group, see `judge`
+    first: bool  #: a true effect is named first (for empty cases: nothing is named)
+    in_group: bool  #: every true effect is named, or stands in a group with a named one
+    covered: bool | None  #: the 95 % set holds the truth; None where the truth is in no library
+    set_size: int  #: hypotheses in the 95 % set
+    #: the plant's own measure: no other effect comes nearer than `APART`; None where it was not taken
     separable: bool | None
-    rival: str
+    rival: str  #: the nearest other effect, with its distance
+    #: recommended, wrong_fix: a fix is recommended; and a cause of it is neither true nor in a group with the truth
     recommended: bool
     wrong_fix: bool
+    #: the recommended fix made the fresh campaign worse, all channels against their noise; None where not tried
     harmful: bool | None
-    statements: tuple[tuple[float, bool], ...]
-    intervals: tuple[Compared, ...]
+    statements: tuple[tuple[float, bool], ...]  #: probability of each named cause, and whether it is true
+    intervals: tuple[Compared, ...]  #: parameter, truth, low, high
+    #: predicted, achieved: closure on held-out runs as stated, and on the fresh campaign
     predicted: float | None
     achieved: float | None
-    seconds: float | None
+    seconds: float | None  #: what the diagnosis took
+    #: in a crowded case, of each effect at a signal of `STRONG` and more, whether it is named or in a group with one
     strong: tuple[bool, ...] = ()
-    decided: bool = False
-    error: str = ""
+    decided: bool = False  #: the verdict is ``explained``, and what it names first is true or of a true effect's family
+    error: str = ""  #: why it failed
+    #: what the best rule reaches on its runs at its signal, freely and behind a gate; None where it was not taken
     ceiling: tuple[float, float] | None = None
 
     def to_dict(self) -> dict[str, Any]:

@@ -55,58 +55,26 @@ _ALIASES: Final[tuple[tuple[str, str, tuple[str, ...]], ...]] = (
 
 @dataclass(frozen=True, slots=True)
 class Seeds:
-    """A seeds file.
+    """A seeds file."""
 
-    Parameters
-    ----------
-    purpose : str
-        ``development``, ``scoring`` or ``ci``.
-    seed : int
-        Of everything.
-    cases : mapping of str to int
-        How many cases of each of `GROUPS`.
-    max_runs : int
-        Most runs of a case.
-    """
-
-    purpose: str
-    seed: int
-    cases: Mapping[str, int]
-    max_runs: int = 160
+    purpose: str  #: ``development``, ``scoring`` or ``ci``
+    seed: int  #: of everything
+    cases: Mapping[str, int]  #: how many cases of each of `GROUPS`
+    max_runs: int = 160  #: most runs of a case
 
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """One case to make.
+    """One case to make."""
 
-    Parameters
-    ----------
-    case : str
-        Its neutral name.
-    number : int
-        Its place in the unshuffled list, which with the seed determines everything drawn.
-    group : str
-        One of `GROUPS`.
-    effects : tuple of str
-        ``effect`` or ``effect/form``; empty is none.
-    targets : tuple of float
-        Wanted signal of each; NaN is the typical size.
-    design : str
-        ``good``, ``laser_only``, or a poor design of the plant.
-    aliases : tuple of str
-        Effects that these runs cannot tell from the truth, exactly.
-    deleted : str
-        Effect to be deleted from the library; empty is none.
-    """
-
-    case: str
-    number: int
-    group: str
-    effects: tuple[str, ...] = ()
-    targets: tuple[float, ...] = ()
-    design: str = "good"
-    aliases: tuple[str, ...] = ()
-    deleted: str = ""
+    case: str  #: its neutral name
+    number: int  #: its place in the unshuffled list, which with the seed determines everything drawn
+    group: str  #: one of `GROUPS`
+    effects: tuple[str, ...] = ()  #: ``effect`` or ``effect/form``; empty is none
+    targets: tuple[float, ...] = ()  #: wanted signal of each; NaN is the typical size
+    design: str = "good"  #: ``good``, ``laser_only``, or a poor design of the plant
+    aliases: tuple[str, ...] = ()  #: effects that these runs cannot tell from the truth, exactly
+    deleted: str = ""  #: effect to be deleted from the library; empty is none
 
 
 def read_seeds(path: Path) -> Seeds:

@@ -22,14 +22,9 @@ Diagnoser = Callable[[Campaign, int, tuple[str, ...], Campaign | None], tuple[di
 
 @dataclass(frozen=True, slots=True)
 class Ran:
-    """What a run did.
+    """What a run did."""
 
-    Parameters
-    ----------
-    done, skipped, failed : int
-        Cases diagnosed now, found diagnosed already, and ended by an error (written down as such).
-    """
-
+    #: done, skipped, failed: cases diagnosed now, found diagnosed already, and ended by an error (written down as such)
     done: int
     skipped: int
     failed: int

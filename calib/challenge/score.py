@@ -38,40 +38,19 @@ TARGETS: Final[dict[str, tuple[float, str]]] = {
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """The score.
+    """The score."""
 
-    Parameters
-    ----------
-    purpose : str
-        Of the seeds: ``development``, ``scoring``, ``ci``.
-    truth_sha256 : str
-        Hash of the truth, checked.
-    cases : tuple of Judged
-        Every case.
-    board : mapping of str to Share
-        The lines that have a target, and others.
-    by_signal : mapping of str to mapping of str to Share
-        Target signal -> ``first``, ``in_group``, ``covered``, ``detected``.
-    reliability : tuple of mappings
-        Stated probability against how often it was true, a bin each.
-    confusion : mapping of str to mapping of str to int
-        Truth -> what was named first (or the verdict) -> cases.
-    ceilings : mapping of str to mapping of str to float or None
-        Target signal -> ``free`` and ``gated``, the share that the best rule names on these campaigns, and
-        ``hits_over_gated``; None where the ceiling was not taken.
-    summary : mapping
-        Sizes of the 95 % sets, interval coverage, closure, seconds.
-    """
-
-    purpose: str
-    truth_sha256: str
-    cases: tuple[Judged, ...]
-    board: Mapping[str, Share]
-    by_signal: Mapping[str, Mapping[str, Share]]
+    purpose: str  #: of the seeds: ``development``, ``scoring``, ``ci``
+    truth_sha256: str  #: hash of the truth, checked
+    cases: tuple[Judged, ...]  #: every case
+    board: Mapping[str, Share]  #: the lines that have a target, and others
+    by_signal: Mapping[str, Mapping[str, Share]]  #: target signal -> ``first``, ``in_group``, ``covered``, ``detected``
+    #: target signal -> ``free`` and ``gated``, the share that the best rule names on these campaigns, and
+    #: ``hits_over_gated``; None where the ceiling was not taken
     ceilings: Mapping[str, Mapping[str, float | None]]
-    reliability: tuple[Mapping[str, Any], ...]
-    confusion: Mapping[str, Mapping[str, int]]
-    summary: Mapping[str, Any]
+    reliability: tuple[Mapping[str, Any], ...]  #: stated probability against how often it was true, a bin each
+    confusion: Mapping[str, Mapping[str, int]]  #: truth -> what was named first (or the verdict) -> cases
+    summary: Mapping[str, Any]  #: sizes of the 95 % sets, interval coverage, closure, seconds
 
     @property
     def misses(self) -> tuple[Judged, ...]:

@@ -31,24 +31,12 @@ R = TypeVar("R")
 
 @dataclass(frozen=True, slots=True)
 class Sealed:
-    """What was made.
+    """What was made."""
 
-    Parameters
-    ----------
-    folder : Path
-        The set.
-    truth : Path
-        The sealed file.
-    sha256 : str
-        Its hash.
-    cases : int
-        How many cases.
-    """
-
-    folder: Path
-    truth: Path
-    sha256: str
-    cases: int
+    folder: Path  #: the set
+    truth: Path  #: the sealed file
+    sha256: str  #: its hash
+    cases: int  #: how many cases
 
 
 def truth_path(folder: Path) -> Path:

@@ -17,36 +17,16 @@ from calib.gap.verdict.result import Verdict
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Diagnosis:
-    """A verdict with the arrays behind it.
+    """A verdict with the arrays behind it."""
 
-    Parameters
-    ----------
-    verdict : Verdict
-        The answer.
-    observations : Observations
-        Units and steps; the counts put right where they had a gross fault.
-    noise : Noise
-        Covariance of each unit.
-    nominal : Path
-        The model alone.
-    fitted : Fitted
-        The hypothesis that the verdict names, the recalibration free.
-    held_out : HeldOut
-        Residuals before and after on runs that the fit has not seen.
-    search : Search
-        All hypotheses tried, and the forms of the library on this campaign.
-    effects : tuple of Effect
-        The library that it was judged by.
-    """
-
-    verdict: Verdict
-    observations: Observations
-    noise: Noise
-    nominal: Path
-    fitted: Fitted
-    held_out: HeldOut
-    search: Search
-    effects: tuple[Effect, ...]
+    verdict: Verdict  #: the answer
+    observations: Observations  #: units and steps; the counts put right where they had a gross fault
+    noise: Noise  #: covariance of each unit
+    nominal: Path  #: the model alone
+    fitted: Fitted  #: the hypothesis that the verdict names, the recalibration free
+    held_out: HeldOut  #: residuals before and after on runs that the fit has not seen
+    search: Search  #: all hypotheses tried, and the forms of the library on this campaign
+    effects: tuple[Effect, ...]  #: the library that it was judged by
 
     def to_dict(self) -> dict[str, Any]:
         """Return the verdict as plain JSON values; see `Verdict.to_dict`."""

@@ -24,34 +24,21 @@ PARAMETERS: Final = JOINT
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PathSteps:
-    """A path drawn in exact arcs, with what its uncertainty needs; steps stand in the last axis.
+    """A path drawn in exact arcs, with what its uncertainty needs; steps stand in the last axis."""
 
-    Parameters
-    ----------
-    left_m, right_m : array of float, shape (..., n)
-        Travel of the wheels in each step.
-    radius_left_m, radius_right_m, track_m : array of float, broadcasting to (..., n)
-        Radii and track in each step.
-    dx_m, dy_m : array of float, shape (..., n)
-        Motion in each step.
-    by_path : array of float, shape (2, ..., n)
-        Derivatives of dx, dy by the length of the step.
-    by_turn : array of float, shape (2, ..., n)
-        Derivatives of dx, dy by the turn of the step.
-    poses : Poses
-        Poses after each step, shape (..., n).
-    """
-
+    #: left_m, right_m: shape (..., n): travel of the wheels in each step
     left_m: FloatArray
     right_m: FloatArray
+    #: radius_left_m, radius_right_m, track_m: radii and track in each step
     radius_left_m: FloatArray
     radius_right_m: FloatArray
     track_m: FloatArray
+    #: dx_m, dy_m: shape (..., n): motion in each step
     dx_m: FloatArray
     dy_m: FloatArray
-    by_path: FloatArray
-    by_turn: FloatArray
-    poses: Poses
+    by_path: FloatArray  #: shape (2, ..., n): derivatives of dx, dy by the length of the step
+    by_turn: FloatArray  #: shape (2, ..., n): derivatives of dx, dy by the turn of the step
+    poses: Poses  #: poses after each step, shape (..., n)
 
 
 def steps(
@@ -164,21 +151,14 @@ def parameter_covariance(law: RadiusLaw, *, track_std_m: float = 0.0, single_run
 
 @dataclass(frozen=True, slots=True)
 class RandomWalk:
-    """Random part of the pose's error.
+    """Random part of the pose's error."""
 
-    Parameters
-    ----------
-    sigma_along_m_per_sqrt_m, sigma_heading_rad_per_sqrt_m : float
-        Standard deviation of distance and heading after one metre; they grow with its square root.
-    count_std : float
-        Standard uncertainty of one encoder reading in counts.
-    counts_per_rev_left, counts_per_rev_right : float
-        Counts a revolution.
-    """
-
+    #: sigma_along_m_per_sqrt_m, sigma_heading_rad_per_sqrt_m: standard deviation of distance and heading after one
+    #: metre; they grow with its square root
     sigma_along_m_per_sqrt_m: float = 0.0
     sigma_heading_rad_per_sqrt_m: float = 0.0
-    count_std: float = 0.0
+    count_std: float = 0.0  #: standard uncertainty of one encoder reading in counts
+    #: counts_per_rev_left, counts_per_rev_right: counts a revolution
     counts_per_rev_left: float = field(default=4096.0)
     counts_per_rev_right: float = field(default=4096.0)
 
@@ -238,22 +218,13 @@ class RandomWalk:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ellipses:
-    """Error ellipses of positions.
+    """Error ellipses of positions."""
 
-    Parameters
-    ----------
-    major_m, minor_m : array of float, shape (...)
-        Semi-axes.
-    angle_rad : array of float, shape (...)
-        Direction of the major axis from the x axis, in (-pi/2, pi/2].
-    coverage : float
-        Probability that the position lies within, for a normal distribution.
-    """
-
+    #: major_m, minor_m: shape (...): semi-axes
     major_m: FloatArray
     minor_m: FloatArray
-    angle_rad: FloatArray
-    coverage: float
+    angle_rad: FloatArray  #: shape (...): direction of the major axis from the x axis, in (-pi/2, pi/2]
+    coverage: float  #: probability that the position lies within, for a normal distribution
 
 
 def ellipses(covariance: npt.ArrayLike, *, coverage: float = 0.95) -> Ellipses:

@@ -13,19 +13,12 @@ from calib.arrays import FloatArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Poses:
-    """Poses of the middle of the rear axle.
+    """Poses of the middle of the rear axle."""
 
-    Parameters
-    ----------
-    x_m, y_m : array of float, any common shape
-        Position.
-    theta_rad : array of float, same shape
-        Heading, counter-clockwise from the x axis, not wrapped.
-    """
-
+    #: x_m, y_m: position
     x_m: FloatArray
     y_m: FloatArray
-    theta_rad: FloatArray
+    theta_rad: FloatArray  #: heading, counter-clockwise from the x axis, not wrapped
 
     def __len__(self) -> int:
         return len(self.x_m)
@@ -61,21 +54,13 @@ class Poses:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseErrors:
-    """True minus reference, along the reference path and in the global frame.
+    """True minus reference, along the reference path and in the global frame."""
 
-    Parameters
-    ----------
-    along_m, lateral_m : array of float
-        ``e_x`` along the reference heading and ``e_y`` to its left.
-    heading_rad : array of float
-        ``e_theta``, in (-pi, pi].
-    global_x_m, global_y_m : array of float
-        The same displacement in the frame of the route.
-    """
-
+    #: along_m, lateral_m: ``e_x`` along the reference heading and ``e_y`` to its left
     along_m: FloatArray
     lateral_m: FloatArray
-    heading_rad: FloatArray
+    heading_rad: FloatArray  #: ``e_theta``, in (-pi, pi]
+    #: global_x_m, global_y_m: the same displacement in the frame of the route
     global_x_m: FloatArray
     global_y_m: FloatArray
 

@@ -37,21 +37,11 @@ def arc(radius_m: float, turn_rad: float) -> Segment:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Route:
-    """Straights and arcs that the middle of the rear axle follows, starting at (0, 0, 0).
-
-    Parameters
-    ----------
-    name : str
-        Its name.
-    length_m : array of float, shape (n_segments,)
-        Length of each segment.
-    turn_rad : array of float, shape (n_segments,)
-        Turn of each segment, left positive; 0 in a straight.
-    """
+    """Straights and arcs that the middle of the rear axle follows, starting at (0, 0, 0)."""
 
     name: str
-    length_m: FloatArray
-    turn_rad: FloatArray
+    length_m: FloatArray  #: shape (n_segments,): length of each segment
+    turn_rad: FloatArray  #: shape (n_segments,): turn of each segment, left positive; 0 in a straight
 
     @staticmethod
     def from_segments(name: str, *segments: Segment) -> Route:

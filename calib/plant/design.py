@@ -16,71 +16,41 @@ from calib.vehicle import Vehicle
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Design:
-    """The runs to drive, in the order driven, and what is measured on them.
+    """The runs to drive, in the order driven, and what is measured on them."""
 
-    Parameters
-    ----------
-    kind, direction, session : array of str, shape (n_runs,)
-        Route, ``out`` or ``back`` (corridor only, else empty), label of the session.
-    payload_kg, payload_x_m, payload_y_m : array of float, shape (n_runs,)
-        Payload as reported.
-    speed_mps, temperature_C, minutes_under_load : array of float, shape (n_runs,)
-        Set speed, hall temperature, minutes since the payload was put on.
-    flying : array of bool, shape (n_runs,)
-        The run is read while still rolling, without a stop at its end.
-    stops : array of int, shape (n_runs,)
-        Stops on the way, spread evenly over the route.
-    columns : mapping of str to array of float, shape (n_runs,)
-        Further numeric columns of the run table.
-    length_m, side_m, radius_m : float
-        Corridor, side and corner radius of the squares.
-    vehicle : Vehicle
-        Its nominal geometry.
-    counts_per_rev : float
-        Encoder counts per wheel revolution.
-    slope_per_N : float
-        Relative load slope that truth and model share; 0 is a rigid wheel.
-    log_period_s : float
-        Time between rows of the logs; 0 means that there are no logs.
-    front : bool
-        The logs have the front wheel and the steering angle.
-    trace : bool
-        The logs have a continuous pose reference.
-    poses : str
-        Which runs have a reference end pose: ``all``, ``turning`` (all but corridor runs) or ``none``.
-    laser : bool
-        Corridor runs have a distance by laser.
-    weighed : bool
-        The run table has weighed wheel loads.
-    outside : bool
-        The run table has an outside simulator's end poses.
-    """
-
+    #: kind, direction, session: shape (n_runs,): route, ``out`` or ``back`` (corridor only, else empty), label of the
+    #: session
     kind: StrArray
     direction: StrArray
     session: StrArray
+    #: payload_kg, payload_x_m, payload_y_m: shape (n_runs,): payload as reported
     payload_kg: FloatArray
     payload_x_m: FloatArray
     payload_y_m: FloatArray
+    #: speed_mps, temperature_C, minutes_under_load: shape (n_runs,): set speed, hall temperature, minutes since the
+    #: payload was put on
     speed_mps: FloatArray
     temperature_C: FloatArray
     minutes_under_load: FloatArray
-    flying: BoolArray
-    stops: IntArray
+    flying: BoolArray  #: shape (n_runs,): the run is read while still rolling, without a stop at its end
+    stops: IntArray  #: shape (n_runs,): stops on the way, spread evenly over the route
+    #: shape (n_runs,): further numeric columns of the run table
     columns: Mapping[str, FloatArray] = field(default_factory=dict)
+    #: length_m, side_m, radius_m: corridor, side and corner radius of the squares
     length_m: float = 20.0
     side_m: float = 2.5
     radius_m: float = 1.2
-    vehicle: Vehicle = field(default_factory=Vehicle)
-    counts_per_rev: float = 4096.0
-    slope_per_N: float = 0.0
-    log_period_s: float = 0.2
-    front: bool = False
-    trace: bool = False
+    vehicle: Vehicle = field(default_factory=Vehicle)  #: its nominal geometry
+    counts_per_rev: float = 4096.0  #: encoder counts per wheel revolution
+    slope_per_N: float = 0.0  #: relative load slope that truth and model share; 0 is a rigid wheel
+    log_period_s: float = 0.2  #: time between rows of the logs; 0 means that there are no logs
+    front: bool = False  #: the logs have the front wheel and the steering angle
+    trace: bool = False  #: the logs have a continuous pose reference
+    #: which runs have a reference end pose: ``all``, ``turning`` (all but corridor runs) or ``none``
     poses: str = "all"
-    laser: bool = True
-    weighed: bool = False
-    outside: bool = False
+    laser: bool = True  #: corridor runs have a distance by laser
+    weighed: bool = False  #: the run table has weighed wheel loads
+    outside: bool = False  #: the run table has an outside simulator's end poses
 
     def __len__(self) -> int:
         return len(self.kind)

@@ -24,21 +24,11 @@ _BLOCK: Final = 128
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Record:
-    """What happened, sampled at the logs' rate; the last frame of a run is its end.
+    """What happened, sampled at the logs' rate; the last frame of a run is its end."""
 
-    Parameters
-    ----------
-    frames : array of int, shape (n_runs,)
-        Frames of a run; frame 0 is its start.
-    t_s, x_m, y_m, theta_rad, v_mps, omega_radps, steer_rad : array of float, shape (n_frames, n_runs)
-        True motion in the run's own frame; frames behind a run's end repeat it.
-    counts : array of float, shape (3, n_frames, n_runs)
-        Counters left, right, front since the start; whole numbers unless the drive was not quantised.
-    odo : array of float, shape (4, n_frames, n_runs)
-        The vehicle's own odometry: x, y, theta, path length.
-    """
-
-    frames: IntArray
+    frames: IntArray  #: shape (n_runs,): frames of a run; frame 0 is its start
+    #: t_s, x_m, y_m, theta_rad, v_mps, omega_radps, steer_rad: shape (n_frames, n_runs): true motion in the run's own
+    #: frame; frames behind a run's end repeat it
     t_s: FloatArray
     x_m: FloatArray
     y_m: FloatArray
@@ -46,8 +36,10 @@ class Record:
     v_mps: FloatArray
     omega_radps: FloatArray
     steer_rad: FloatArray
+    #: shape (3, n_frames, n_runs): counters left, right, front since the start; whole numbers unless the drive was not
+    #: quantised
     counts: FloatArray
-    odo: FloatArray
+    odo: FloatArray  #: shape (4, n_frames, n_runs): the vehicle's own odometry: x, y, theta, path length
 
     def last(self, values: FloatArray) -> FloatArray:
         """Return the last frame of each run of an array of shape (..., n_frames, n_runs), shape (..., n_runs)."""

@@ -41,21 +41,16 @@ reference_load_N = 300.0
 
 @dataclass(frozen=True, slots=True)
 class FleetTruth:
-    """What was planted.
+    """What was planted."""
 
-    Parameters
-    ----------
-    radius_mean_m, radius_spread_m, slope_mean_m_per_N, slope_spread_m_per_N : float
-        Normal population of each wheel's radius at 300 N and slope.
-    outliers, drifting, common : tuple of str
-        Vehicles with a radius or slope of its own, with a drifting radius, and those of hall B, whose floor makes the
-        right wheel's radius seem larger.
-    """
-
+    #: radius_mean_m, radius_spread_m, slope_mean_m_per_N, slope_spread_m_per_N: normal population of each wheel's
+    #: radius at 300 N and slope
     radius_mean_m: float
     radius_spread_m: float
     slope_mean_m_per_N: float
     slope_spread_m_per_N: float
+    #: outliers, drifting, common: vehicles with a radius or slope of its own, with a drifting radius, and those of hall
+    #: B, whose floor makes the right wheel's radius seem larger
     outliers: tuple[str, ...]
     drifting: tuple[str, ...]
     common: tuple[str, ...]
@@ -79,29 +74,17 @@ class FleetSize:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlannedFleet:
-    """A fleet drawn, its journeys still to be driven.
+    """A fleet drawn, its journeys still to be driven."""
 
-    Parameters
-    ----------
-    size : FleetSize
-        As asked for.
-    truth : FleetTruth
-        What was planted.
-    names : tuple of str
-        Ids.
-    radius_m, slope_m_per_N, rate_m_per_day : array of float, shape (n_vehicles, 2)
-        Of the left and right wheel: radius at 300 N, its change with load and with time.
-    in_hall : array of int, shape (n_common,)
-        Numbers of the vehicles in hall B.
-    """
-
-    size: FleetSize
-    truth: FleetTruth
-    names: tuple[str, ...]
+    size: FleetSize  #: as asked for
+    truth: FleetTruth  #: what was planted
+    names: tuple[str, ...]  #: ids
+    #: radius_m, slope_m_per_N, rate_m_per_day: shape (n_vehicles, 2): of the left and right wheel: radius at 300 N, its
+    #: change with load and with time
     radius_m: FloatArray
     slope_m_per_N: FloatArray
     rate_m_per_day: FloatArray
-    in_hall: IntArray
+    in_hall: IntArray  #: shape (n_common,): numbers of the vehicles in hall B
 
     @property
     def labels(self) -> dict[str, dict[str, str]]:

@@ -12,78 +12,44 @@ from calib.arrays import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """Scales of the noise, all as standard deviations.
+    """Scales of the noise, all as standard deviations."""
 
-    Parameters
-    ----------
-    texture_m : float
-        Random walk of each wheel's rolled path, metres per square root of a metre.
-    common, differential : float
-        A run's own relative change of both radii, and of their difference.
-    start_heading_rad : float
-        Error of the reference frame's heading at the start of a run.
-    laser_m, ref_xy_m, ref_theta_rad : float
-        Instruments, as they truly are.
-    stated_ratio : float
-        What the campaign file states of the reference's uncertainty, over the truth.
-    steer_rad, front : float
-        A run's own steering angle zero, and relative front radius.
-    reading_rad : float
-        One reading of the steering angle.
-    tail : float
-        Degrees of freedom of Student's t over the runs; above 2, infinite is normal.
-    """
-
-    texture_m: float = 1.5e-4
+    texture_m: float = 1.5e-4  #: random walk of each wheel's rolled path, metres per square root of a metre
+    #: common, differential: a run's own relative change of both radii, and of their difference
     common: float = 4e-5
     differential: float = 1.5e-5
-    start_heading_rad: float = 2e-4
+    start_heading_rad: float = 2e-4  #: error of the reference frame's heading at the start of a run
+    #: laser_m, ref_xy_m, ref_theta_rad: instruments, as they truly are
     laser_m: float = 0.0015
     ref_xy_m: float = 0.002
     ref_theta_rad: float = 0.0008
-    stated_ratio: float = 1.0
+    stated_ratio: float = 1.0  #: what the campaign file states of the reference's uncertainty, over the truth
+    #: steer_rad, front: a run's own steering angle zero, and relative front radius
     steer_rad: float = 1e-3
     front: float = 3e-4
-    reading_rad: float = 2e-3
-    tail: float = 5.0
+    reading_rad: float = 2e-3  #: one reading of the steering angle
+    tail: float = 5.0  #: degrees of freedom of Student's t over the runs; above 2, infinite is normal
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NoiseDraw:
-    """One draw of everything random about n runs.
+    """One draw of everything random about n runs."""
 
-    Parameters
-    ----------
-    texture_m : array of float, shape (n_runs,)
-        Texture of each run.
-    scale_left, scale_right : array of float, shape (n_runs,)
-        Factors on the true radii.
-    phase : array of float, shape (3, n_runs)
-        Where the counters (left, right, front) stand between two counts at the start, 0 to 1.
-    laser_m, start_heading_rad, steer_rad, front : array of float, shape (n_runs,)
-        Errors of instruments and sensors.
-    pose : array of float, shape (n_runs, 3)
-        Errors of the reference end pose: x, y in m, theta in rad.
-    seed : int
-        Of the texture along the way and of the reference trace.
-    reading_rad : float
-        Scale of one reading of the steering angle.
-    copies : int
-        How often the same runs stand end to end.
-    """
-
-    texture_m: FloatArray
+    texture_m: FloatArray  #: shape (n_runs,): texture of each run
+    #: scale_left, scale_right: shape (n_runs,): factors on the true radii
     scale_left: FloatArray
     scale_right: FloatArray
+    #: shape (3, n_runs): where the counters (left, right, front) stand between two counts at the start, 0 to 1
     phase: FloatArray
+    #: laser_m, start_heading_rad, steer_rad, front: shape (n_runs,): errors of instruments and sensors
     laser_m: FloatArray
     start_heading_rad: FloatArray
     steer_rad: FloatArray
     front: FloatArray
-    pose: FloatArray
-    seed: int
-    reading_rad: float = 0.0
-    copies: int = 1
+    pose: FloatArray  #: shape (n_runs, 3): errors of the reference end pose: x, y in m, theta in rad
+    seed: int  #: of the texture along the way and of the reference trace
+    reading_rad: float = 0.0  #: scale of one reading of the steering angle
+    copies: int = 1  #: how often the same runs stand end to end
 
     def tile(self, times: int) -> NoiseDraw:
         """Return the same draw for `times` copies of the runs, end to end."""

@@ -21,25 +21,17 @@ ZONE_SHARE: Final = 5e-3
 
 @dataclass(frozen=True, slots=True)
 class PosedTruth:
-    """What was planted.
+    """What was planted."""
 
-    Parameters
-    ----------
-    track_m : dict of str to float
-        Track of each vehicle.
-    track_mean_m, track_spread_m : float
-        Normal population that the tracks of all but the outliers were drawn from.
-    outliers, common : tuple of str
-        Vehicles whose track is one per cent off, and those of hall B, whose floor turns what crosses it.
-    zone_at_m, zone_long_m : float
-        Where that zone begins on the floor, and how long it is.
-    """
-
-    track_m: dict[str, float]
+    track_m: dict[str, float]  #: track of each vehicle
+    #: track_mean_m, track_spread_m: normal population that the tracks of all but the outliers were drawn from
     track_mean_m: float
     track_spread_m: float
+    #: outliers, common: vehicles whose track is one per cent off, and those of hall B, whose floor turns what crosses
+    #: it
     outliers: tuple[str, ...]
     common: tuple[str, ...]
+    #: zone_at_m, zone_long_m: where that zone begins on the floor, and how long it is
     zone_at_m: float = 11.0
     zone_long_m: float = 2.0
 

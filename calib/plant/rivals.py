@@ -20,18 +20,10 @@ _SKIPPED = ("encoder_gross", "integration_scheme", "path_weave", "floor_zone")
 
 @dataclass(frozen=True, slots=True)
 class Rival:
-    """Another effect, and how far it stays from what the cause does.
+    """Another effect, and how far it stays from what the cause does."""
 
-    Parameters
-    ----------
-    effect : str
-        Its id.
-    distance : float
-        Norm of what it cannot imitate, in standard deviations of the noise, a recalibration being free.
-    """
-
-    effect: str
-    distance: float
+    effect: str  #: its id
+    distance: float  #: norm of what it cannot imitate, in standard deviations of the noise, a recalibration being free
 
 
 def _variants(design: Design, slope_per_N: float) -> list[Cause]:

@@ -75,23 +75,12 @@ def segments_of(kind: str, *, length_m: float, side_m: float, radius_m: float) -
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RouteTables:
-    """All routes of a design laid end to end on a grid of `PITCH_M`.
+    """All routes of a design laid end to end on a grid of `PITCH_M`."""
 
-    Parameters
-    ----------
-    first : array of int, shape (n_runs,)
-        Grid index at which the route of a run starts.
-    last : array of int, shape (n_runs,)
-        Grid index of its last point, run-out included.
-    end_m : array of float, shape (n_runs,)
-        Length of the route.
-    x_m, y_m, cos, sin, theta_rad, curvature_per_m : array of float, shape (n_grid,)
-        Planned pose and curvature.
-    """
-
-    first: np.ndarray
-    last: np.ndarray
-    end_m: FloatArray
+    first: np.ndarray  #: shape (n_runs,): grid index at which the route of a run starts
+    last: np.ndarray  #: shape (n_runs,): grid index of its last point, run-out included
+    end_m: FloatArray  #: shape (n_runs,): length of the route
+    #: x_m, y_m, cos, sin, theta_rad, curvature_per_m: shape (n_grid,): planned pose and curvature
     x_m: FloatArray
     y_m: FloatArray
     cos: FloatArray

@@ -181,30 +181,14 @@ def whiten(change: FloatArray, cov: FloatArray, absorbed: FloatArray | None) -> 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Strength:
-    """How strongly causes show on a design.
+    """How strongly causes show on a design."""
 
-    Parameters
-    ----------
-    alone : tuple of float
-        Signal of each cause by itself.
-    beside : tuple of float
-        Signal of each cause after what the others could imitate was projected out as well.
-    together : float
-        Signal of all of them at once.
-    change : array of float, shape (n_causes, n_runs, 6)
-        What each does to the outputs.
-    cov : array of float, shape (n_runs, 6, 6)
-        Covariance of the noise.
-    absorbed : array of float, shape (n_runs, 6, 3)
-        What a recalibration does.
-    """
-
-    alone: tuple[float, ...]
-    beside: tuple[float, ...]
-    together: float
-    change: FloatArray
-    cov: FloatArray
-    absorbed: FloatArray
+    alone: tuple[float, ...]  #: signal of each cause by itself
+    beside: tuple[float, ...]  #: signal of each cause after what the others could imitate was projected out as well
+    together: float  #: signal of all of them at once
+    change: FloatArray  #: shape (n_causes, n_runs, 6): what each does to the outputs
+    cov: FloatArray  #: shape (n_runs, 6, 6): covariance of the noise
+    absorbed: FloatArray  #: shape (n_runs, 6, 3): what a recalibration does
 
 
 def strengths(

@@ -18,49 +18,30 @@ REFERENCE_LOAD_N = 300.0
 
 @dataclass(slots=True)
 class Moment:
-    """All runs at one time step; effects read the upper part and add to the lower.
+    """All runs at one time step; effects read the upper part and add to the lower."""
 
-    Parameters
-    ----------
-    t_s : float
-        Time since the start.
-    v_mps, acceleration_mps2, curvature_per_m : array of float, shape (n_runs,)
-        True motion of the rear axle's middle.
-    x_m, y_m, theta_rad : array of float, shape (n_runs,)
-        True pose in the run's own frame.
-    angle_left_rad, angle_right_rad : array of float, shape (n_runs,)
-        Rotation of the rear wheels.
-    left, right : array of float, shape (n_runs,)
-        Relative change of the rolling radii.
-    track : array of float, shape (n_runs,)
-        Relative change of the effective track.
-    lost_left, lost_right : array of float, shape (n_runs,)
-        Share of the counts that is lost.
-    lateral_mps : array of float, shape (n_runs,)
-        True lateral speed of the rear axle's middle.
-    yaw_radps : array of float, shape (n_runs,)
-        True yaw that no wheel sees.
-    drive : array of float, shape (n_runs,)
-        Slip of the driven front wheel.
-    """
-
-    t_s: float
+    t_s: float  #: time since the start
+    #: v_mps, acceleration_mps2, curvature_per_m: shape (n_runs,): true motion of the rear axle's middle
     v_mps: FloatArray
     acceleration_mps2: FloatArray
     curvature_per_m: FloatArray
+    #: x_m, y_m, theta_rad: shape (n_runs,): true pose in the run's own frame
     x_m: FloatArray
     y_m: FloatArray
     theta_rad: FloatArray
+    #: angle_left_rad, angle_right_rad: shape (n_runs,): rotation of the rear wheels
     angle_left_rad: FloatArray
     angle_right_rad: FloatArray
+    #: left, right: shape (n_runs,): relative change of the rolling radii
     left: FloatArray
     right: FloatArray
-    track: FloatArray
+    track: FloatArray  #: shape (n_runs,): relative change of the effective track
+    #: lost_left, lost_right: shape (n_runs,): share of the counts that is lost
     lost_left: FloatArray
     lost_right: FloatArray
-    lateral_mps: FloatArray
-    yaw_radps: FloatArray
-    drive: FloatArray
+    lateral_mps: FloatArray  #: shape (n_runs,): true lateral speed of the rear axle's middle
+    yaw_radps: FloatArray  #: shape (n_runs,): true yaw that no wheel sees
+    drive: FloatArray  #: shape (n_runs,): slip of the driven front wheel
 
     @staticmethod
     def at_rest(n_runs: int) -> Moment:
@@ -85,71 +66,45 @@ class Moment:
 
 @dataclass(slots=True)
 class World:
-    """What is true, an array over runs each; effects change it before the drive.
+    """What is true, an array over runs each; effects change it before the drive."""
 
-    Parameters
-    ----------
-    design : Design
-        The runs.
-    model : OdometryModel
-        What the vehicle and the simulator believe.
-    load_left_N, load_right_N : array of float, shape (n_runs,)
-        True static loads of the rear wheels.
-    believed_left_m, believed_right_m : array of float, shape (n_runs,)
-        The model's radii at the reported loads.
-    left, right, track : array of float, shape (n_runs,)
-        True radii and track over what the model believes at the *true* load.
-    during : list of callables
-        Effects that act while driving.
-    laser_scale, laser_offset_m : array of float, shape (n_runs,)
-        Of the rangefinder.
-    ref_yaw_rad, ref_lever_x_m, ref_lever_y_m, latency_s : array of float, shape (n_runs,)
-        Of the pose reference.
-    steer_zero_rad, steer_scale, steer_backlash_rad, steer_delay_s : array of float, shape (n_runs,)
-        Of the steering angle sensor.
-    weave_m, wavelength_m : array of float, shape (n_runs,)
-        Weave of the path driven.
-    rise : array of float, shape (n_runs,)
-        Surplus of the path over its plan, from an uneven floor.
-    gross : str
-        A gross fault of the counters in the record; empty is none.
-    gross_runs : array of float, shape (n_runs,)
-        1 for the runs that it strikes.
-    payload_scale, payload_dx_m, payload_dy_m : array of float, shape (n_runs,)
-        True payload against the reported one.
-    euler : array of float, shape (n_runs,)
-        1 where the outside simulator takes the heading at the end of its steps.
-    """
-
-    design: Design
-    model: OdometryModel
+    design: Design  #: the runs
+    model: OdometryModel  #: what the vehicle and the simulator believe
+    #: load_left_N, load_right_N: shape (n_runs,): true static loads of the rear wheels
     load_left_N: FloatArray
     load_right_N: FloatArray
+    #: believed_left_m, believed_right_m: shape (n_runs,): the model's radii at the reported loads
     believed_left_m: FloatArray
     believed_right_m: FloatArray
+    #: left, right, track: shape (n_runs,): true radii and track over what the model believes at the *true* load
     left: FloatArray
     right: FloatArray
     track: FloatArray
+    #: laser_scale, laser_offset_m: shape (n_runs,): of the rangefinder
     laser_scale: FloatArray
     laser_offset_m: FloatArray
+    #: ref_yaw_rad, ref_lever_x_m, ref_lever_y_m, latency_s: shape (n_runs,): of the pose reference
     ref_yaw_rad: FloatArray
     ref_lever_x_m: FloatArray
     ref_lever_y_m: FloatArray
     latency_s: FloatArray
+    #: steer_zero_rad, steer_scale, steer_backlash_rad, steer_delay_s: shape (n_runs,): of the steering angle sensor
     steer_zero_rad: FloatArray
     steer_scale: FloatArray
     steer_backlash_rad: FloatArray
     steer_delay_s: FloatArray
+    #: weave_m, wavelength_m: shape (n_runs,): weave of the path driven
     weave_m: FloatArray
     wavelength_m: FloatArray
-    rise: FloatArray
-    euler: FloatArray
-    gross_runs: FloatArray
+    rise: FloatArray  #: shape (n_runs,): surplus of the path over its plan, from an uneven floor
+    euler: FloatArray  #: shape (n_runs,): 1 where the outside simulator takes the heading at the end of its steps
+    gross_runs: FloatArray  #: shape (n_runs,): 1 for the runs that it strikes
+    #: payload_scale, payload_dx_m, payload_dy_m: shape (n_runs,): true payload against the reported one
     payload_scale: FloatArray
     payload_dx_m: FloatArray
     payload_dy_m: FloatArray
-    gross: str = ""
-    during: list[Callable[[Moment], None]] = field(default_factory=list)
+    gross: str = ""  #: a gross fault of the counters in the record; empty is none
+    during: list[Callable[[Moment], None]] = field(default_factory=list)  #: effects that act while driving
 
     @property
     def mean_load_N(self) -> FloatArray:

@@ -16,36 +16,16 @@ NO_FAMILY: Final = ("own", "covariate", "")
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """How one planted campaign went.
+    """How one planted campaign went."""
 
-    Parameters
-    ----------
-    verdict : str
-        The verdict's word.
-    seen : bool
-        A gap is seen.
-    first : bool
-        The planted effect is named first.
-    in_group : bool
-        It is named, stands in a group with a named one, or its family is named.
-    open : bool
-        The verdict leaves a rest open: ``unknown``, or ``partly_explained``.
-    wrong : bool
-        Causes are named, and neither it nor its group is among them.
-    recommended : bool
-        A fix is recommended.
-    seconds : float
-        What the diagnosis took.
-    """
-
-    verdict: str
-    seen: bool
-    first: bool
-    in_group: bool
-    open: bool
-    wrong: bool
-    recommended: bool
-    seconds: float
+    verdict: str  #: the verdict's word
+    seen: bool  #: a gap is seen
+    first: bool  #: the planted effect is named first
+    in_group: bool  #: it is named, stands in a group with a named one, or its family is named
+    open: bool  #: the verdict leaves a rest open: ``unknown``, or ``partly_explained``
+    wrong: bool  #: causes are named, and neither it nor its group is among them
+    recommended: bool  #: a fix is recommended
+    seconds: float  #: what the diagnosis took
 
 
 def answer_of(effect: str, family: str, verdict: Mapping[str, Any], seconds: float) -> Answer:

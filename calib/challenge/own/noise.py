@@ -20,23 +20,14 @@ class OwnNoise:
 
     A unit's channels stay together, so that tails and correlations are the real ones. What the repeats of a condition
     have in common is no noise and is taken out; a unit that has no repeats keeps what is left of it, with either sign.
-
-    Parameters
-    ----------
-    whitened : array of float, shape (n_units, 6)
-        Residuals of distance, along, lateral, heading, front, steering, whitened by the unit's own covariance.
-    root : array of float, shape (n_units, 6, 6)
-        Cholesky factor of each unit's covariance.
-    group : array of int, shape (n_units,)
-        Units of one number stand in for one another.
-    repeated : array of bool, shape (n_units,)
-        Units that have repeats.
     """
 
+    #: shape (n_units, 6): residuals of distance, along, lateral, heading, front, steering, whitened by the unit's own
+    #: covariance
     whitened: FloatArray
-    root: FloatArray
-    group: IntArray
-    repeated: BoolArray
+    root: FloatArray  #: shape (n_units, 6, 6): cholesky factor of each unit's covariance
+    group: IntArray  #: shape (n_units,): units of one number stand in for one another
+    repeated: BoolArray  #: shape (n_units,): units that have repeats
 
     def draw(self, rng: np.random.Generator) -> FloatArray:
         """Return one draw, shape (n_units, 6), in metres and radians."""

@@ -41,18 +41,10 @@ _RELATIVE_STEP: Final = 1e-4
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """How large an effect is planted.
+    """How large an effect is planted."""
 
-    Parameters
-    ----------
-    value : float
-        The number.
-    scale : str
-        ``s``: the signal it is to have; ``x``: times the typical size; empty: as it is, in the effect's unit.
-    """
-
-    value: float
-    scale: str
+    value: float  #: the number
+    scale: str  #: ``s``: the signal it is to have; ``x``: times the typical size; empty: as it is, in the effect's unit
 
 
 def parse_sizes(text: str) -> tuple[Size, ...]:
@@ -81,32 +73,16 @@ def parse_sizes(text: str) -> tuple[Size, ...]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plant:
-    """One effect at one size.
+    """One effect at one size."""
 
-    Parameters
-    ----------
-    effect : str
-        Id of the effect, or name of the outside cause.
-    form : str
-        The plant's form.
-    outside : bool
-        Whether no library holds it.
-    size : float
-        In the unit.
-    unit : str
-        Of the size.
-    signal : float
-        How strongly it shows on these runs beside their noise, once a recalibration took its share.
-    changes : tuple of array of float, each shape (n_units, 6)
-        What it does to distance, x, y, heading, path and turn; with either sign where both have a meaning.
-    """
-
-    effect: str
-    form: str
-    outside: bool
-    size: float
-    unit: str
-    signal: float
+    effect: str  #: id of the effect, or name of the outside cause
+    form: str  #: the plant's form
+    outside: bool  #: whether no library holds it
+    size: float  #: in the unit
+    unit: str  #: of the size
+    signal: float  #: how strongly it shows on these runs beside their noise, once a recalibration took its share
+    #: shape (n_units, 6): what it does to distance, x, y, heading, path and turn; with either sign where both have a
+    #: meaning
     changes: tuple[FloatArray, ...]
 
     @property

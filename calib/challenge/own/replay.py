@@ -29,34 +29,26 @@ Act = Callable[[World], None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Route:
-    """The logged steps of every unit side by side, short units filled with steps of nothing.
+    """The logged steps of every unit side by side, short units filled with steps of nothing."""
 
-    Parameters
-    ----------
-    roll_left_rad, roll_right_rad, duration_s, time_s : array of float, shape (n_steps_most, n_units)
-        Rotation of the wheels in each step, how long it took, and when it ended.
-    speed_mps, acceleration_mps2, curvature_per_m : array of float, shape (n_steps_most, n_units)
-        Motion by the log, smoothed.
-    angle_left_rad, angle_right_rad : array of float, shape (n_steps_most, n_units)
-        Wheel angles at the end of each step.
-    front_m, steer_rad : array of float, shape (n_steps_most, n_units)
-        Way of a front wheel that alone drives the odometry, and its angle; nothing where rear wheels do.
-    last : array of int, shape (n_units,)
-        Last step of each unit.
-    """
-
+    #: roll_left_rad, roll_right_rad, duration_s, time_s: shape (n_steps_most, n_units): rotation of the wheels in each
+    #: step, how long it took, and when it ended
     roll_left_rad: FloatArray
     roll_right_rad: FloatArray
     duration_s: FloatArray
     time_s: FloatArray
+    #: speed_mps, acceleration_mps2, curvature_per_m: shape (n_steps_most, n_units): motion by the log, smoothed
     speed_mps: FloatArray
     acceleration_mps2: FloatArray
     curvature_per_m: FloatArray
+    #: angle_left_rad, angle_right_rad: shape (n_steps_most, n_units): wheel angles at the end of each step
     angle_left_rad: FloatArray
     angle_right_rad: FloatArray
+    #: front_m, steer_rad: shape (n_steps_most, n_units): way of a front wheel that alone drives the odometry, and its
+    #: angle; nothing where rear wheels do
     front_m: FloatArray
     steer_rad: FloatArray
-    last: IntArray
+    last: IntArray  #: shape (n_units,): last step of each unit
 
 
 def route_of(observations: Observations) -> Route:
@@ -155,21 +147,11 @@ def world_of(observations: Observations, design: Design) -> World:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Replay:
-    """A campaign's route, ready to be driven in other worlds.
+    """A campaign's route, ready to be driven in other worlds."""
 
-    Parameters
-    ----------
-    observations : Observations
-        What was driven.
-    design : Design
-        The same, as the plant's forms ask for it.
-    route : Route
-        Its steps.
-    """
-
-    observations: Observations
-    design: Design
-    route: Route
+    observations: Observations  #: what was driven
+    design: Design  #: the same, as the plant's forms ask for it
+    route: Route  #: its steps
 
     @staticmethod
     def of(observations: Observations) -> Replay:

@@ -17,27 +17,19 @@ ALLOWED: Final = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What was found of one effect at one size.
+    """What was found of one effect at one size."""
 
-    Parameters
-    ----------
-    effect, form, unit : str
-        What was planted.
-    outside : bool
-        Whether no library holds it.
-    size, signal : float
-        How large, and how strongly it shows beside the noise.
-    planted, seen, first, in_group, left_open, wrong : int
-        How often: in all; a gap was seen; it was named first; named, in a group with a named one or by its family;
-        the verdict left a rest open; something else was named (of an outside cause: a fix was recommended).
-    """
-
+    #: effect, form, unit: what was planted
     effect: str
     form: str
     unit: str
-    outside: bool
+    outside: bool  #: whether no library holds it
+    #: size, signal: how large, and how strongly it shows beside the noise
     size: float
     signal: float
+    #: planted, seen, first, in_group, left_open, wrong: how often: in all; a gap was seen; it was named first; named,
+    #: in a group with a named one or by its family; the verdict left a rest open; something else was named (of an
+    #: outside cause: a fix was recommended)
     planted: int
     seen: int
     first: int
@@ -74,45 +66,23 @@ def found_of(plant: Plant, answers: Sequence[Answer]) -> Found:
 
 @dataclass(frozen=True, slots=True)
 class Own:
-    """What a lab's own data would find.
+    """What a lab's own data would find."""
 
-    Parameters
-    ----------
-    campaign : str
-        Its name.
-    simulated : bool
-        Whether its data were made by a program.
-    own_verdict : str
-        Of the campaign as it is.
-    runs, units, units_with_repeats : int
-        Runs, units of the diagnosis, and those whose noise repeats give.
-    found : tuple of Found
-        Each effect and outside cause at each size.
-    empty : tuple of Answer
-        On campaigns with nothing planted.
-    left_out : mapping of str to str
-        What was not planted, and why.
-    asked, done : int
-        Diagnoses wanted, and how many the time was enough for.
-    seed : int
-        Of everything that was drawn.
-    seconds : float
-        What it took.
-    """
-
-    campaign: str
-    simulated: bool
-    own_verdict: str
+    campaign: str  #: its name
+    simulated: bool  #: whether its data were made by a program
+    own_verdict: str  #: of the campaign as it is
+    #: runs, units, units_with_repeats: runs, units of the diagnosis, and those whose noise repeats give
     runs: int
     units: int
     units_with_repeats: int
-    found: tuple[Found, ...]
-    empty: tuple[Answer, ...]
-    left_out: Mapping[str, str]
+    found: tuple[Found, ...]  #: each effect and outside cause at each size
+    empty: tuple[Answer, ...]  #: on campaigns with nothing planted
+    left_out: Mapping[str, str]  #: what was not planted, and why
+    #: asked, done: diagnoses wanted, and how many the time was enough for
     asked: int
     done: int
-    seed: int
-    seconds: float
+    seed: int  #: of everything that was drawn
+    seconds: float  #: what it took
 
     @property
     def raised(self) -> int:

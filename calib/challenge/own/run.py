@@ -33,30 +33,15 @@ Tick = Callable[[int, int], None]
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """What is asked for.
+    """What is asked for."""
 
-    Parameters
-    ----------
-    effects : tuple of str
-        Effects and outside causes to plant; empty: all that the campaign can show.
-    sizes : tuple of Size
-        How large.
-    planted : int
-        How often each is planted at each size.
-    workers : int
-        Processes.
-    seconds : float
-        Time after which no further diagnosis is begun; each size is planted once before any is planted twice.
-    seed : int
-        Of everything that is drawn.
-    """
-
-    effects: tuple[str, ...] = ()
-    sizes: tuple[Size, ...] = parse_sizes(SIZES)
-    planted: int = 5
-    workers: int = 2
+    effects: tuple[str, ...] = ()  #: effects and outside causes to plant; empty: all that the campaign can show
+    sizes: tuple[Size, ...] = parse_sizes(SIZES)  #: how large
+    planted: int = 5  #: how often each is planted at each size
+    workers: int = 2  #: processes
+    #: time after which no further diagnosis is begun; each size is planted once before any is planted twice
     seconds: float = 900.0
-    seed: int = 0
+    seed: int = 0  #: of everything that is drawn
 
 
 @dataclass(frozen=True, slots=True, eq=False)

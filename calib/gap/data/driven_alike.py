@@ -26,25 +26,14 @@ _LANE: Final = re.compile(r"_([b-z]|\d+)$")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Driven:
-    """Steps of all units, end to end, as the wheels tell them.
+    """Steps of all units, end to end, as the wheels tell them."""
 
-    Parameters
-    ----------
-    starts : array of int, shape (n_units + 1,)
-        Steps of unit u stand at ``starts[u]:starts[u + 1]``.
-    left_m, right_m : array of float, shape (n_steps,)
-        Travel of the wheels in each step.
-    track_m : float
-        Track.
-    heading_rad : array of float, shape (n_units,)
-        Measured turn of each unit, NaN where not measured.
-    """
-
-    starts: IntArray
+    starts: IntArray  #: shape (n_units + 1,): steps of unit u stand at ``starts[u]:starts[u + 1]``
+    #: left_m, right_m: shape (n_steps,): travel of the wheels in each step
     left_m: FloatArray
     right_m: FloatArray
     track_m: float
-    heading_rad: FloatArray
+    heading_rad: FloatArray  #: shape (n_units,): measured turn of each unit, NaN where not measured
 
     @property
     def rolled_m(self) -> FloatArray:

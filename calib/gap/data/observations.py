@@ -54,111 +54,66 @@ class _KeptIfFew(Generic[Value]):
 
 @dataclass(frozen=True, eq=False)
 class Observations:
-    """Units and steps of a campaign.
+    """Units and steps of a campaign."""
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        Geometry and mass.
-    model : OdometryModel
-        What the simulator believes.
-    starts : array of int, shape (n_units + 1,)
-        Steps of unit u stand at ``starts[u]:starts[u + 1]``; every unit has one or more.
-    roll_left_rad, roll_right_rad : array of float, shape (n_steps,)
-        Wheel rotation of each step.
-    phase_left_rad, phase_right_rad : array of float, shape (n_steps,)
-        Wheel angle at the end of each step, by the counter.
-    time_s, duration_s : array of float, shape (n_steps,)
-        Time since the run's start at the end of each step, and how long the step took.
-    front_roll_rad, steer_rad, steer_change_rad : array of float, shape (n_steps,)
-        Front wheel's rotation of each step, its mean steering angle and by how much that changed; NaN where not logged.
-    from_log : array of bool, shape (n_units,)
-        False where a unit's steps were made up from its totals.
-    measured : array of float, shape (n_units, 6)
-        Measured distance, x, y and heading in the unit's own frame; NaN where not measured. The last two columns, of
-        the front wheel, are filled by the prediction itself (they compare two of the vehicle's own measurements).
-    simulated : array of float, shape (n_units, 6)
-        An outside simulator's prediction of the same; NaN where there is none.
-    usable : array of bool, shape (n_units, 6)
-        Channels that a unit has.
-    numbers : mapping of str to array, shape (n_units,)
-        Covariates of each unit.
-    labels : mapping of str to array of str, shape (n_units,)
-        ``run_id``, ``session``, ``kind``, ``direction``.
-    condition : array of int, shape (n_units,)
-        Units driven alike (same route, direction, loads, speed) share a number; by what was driven, not by labels.
-    cell : array of int, shape (n_units,)
-        Units of one condition that were also driven in the same session, warmth, dwell and further columns.
-    kind : array of int, shape (n_units,)
-        Units of the same route and direction.
-    axis : array of float, shape (n_units,)
-        1 where the laser's distance is the projection on the start heading, 0 where it is the length of the line.
-    sigma_distance_m, sigma_xy_m, sigma_theta_rad : array of float, shape (n_units,)
-        Stated standard uncertainty of what was measured.
-    sigma_start_rad : array of float, shape (n_units,)
-        The same of the heading of the unit's start frame, where that was read too; else 0.
-    count_rad : tuple of float
-        Rotation of the left and right wheel between two counts.
-    windowed : bool
-        Whether recordings were cut into windows.
-    run, window : array of int, shape (n_units,)
-        Row of the run table among those included, and number of the window within it.
-    start_pose : array of float, shape (n_units, 3)
-        Where each unit starts in the frame common to all; NaN where that is not known.
-    common_frame : bool
-        Whether places on the floor mean the same in all units.
-    led_straight : array of bool, shape (n_units,)
-        Units whose heading is that of a run led straight, not a measured one.
-    sigmas_assumed : bool
-        Whether a program filled in an instrument's uncertainty because nobody stated it.
-    notes : tuple of str
-        What had to be left out or assumed, in sentences.
-    by_front : bool
-        Whether the front wheel alone drives the odometry: the two wheels stand in for it.
-    aside_m : array of float, shape (n_steps,), optional
-        What mecanum wheels roll to the left in each step.
-    first_unit : int
-        Number of the first unit among those of the whole campaign, for a `part` of it.
-    """
-
-    vehicle: Vehicle
-    model: OdometryModel
+    vehicle: Vehicle  #: geometry and mass
+    model: OdometryModel  #: what the simulator believes
+    #: shape (n_units + 1,): steps of unit u stand at ``starts[u]:starts[u + 1]``; every unit has one or more
     starts: IntArray
+    #: roll_left_rad, roll_right_rad: shape (n_steps,): wheel rotation of each step
     roll_left_rad: FloatArray
     roll_right_rad: FloatArray
+    #: phase_left_rad, phase_right_rad: shape (n_steps,): wheel angle at the end of each step, by the counter
     phase_left_rad: FloatArray
     phase_right_rad: FloatArray
+    #: time_s, duration_s: shape (n_steps,): time since the run's start at the end of each step, and how long the step
+    #: took
     time_s: FloatArray
     duration_s: FloatArray
+    #: front_roll_rad, steer_rad, steer_change_rad: shape (n_steps,): front wheel's rotation of each step, its mean
+    #: steering angle and by how much that changed; NaN where not logged
     front_roll_rad: FloatArray
     steer_rad: FloatArray
     steer_change_rad: FloatArray
-    from_log: BoolArray
+    from_log: BoolArray  #: shape (n_units,): false where a unit's steps were made up from its totals
+    #: shape (n_units, 6): measured distance, x, y and heading in the unit's own frame; NaN where not measured. The last
+    #: two columns, of the front wheel, are filled by the prediction itself (they compare two of the vehicle's own
+    #: measurements).
     measured: FloatArray
-    simulated: FloatArray
-    usable: BoolArray
-    numbers: Mapping[str, FloatArray]
-    labels: Mapping[str, StrArray]
+    simulated: FloatArray  #: shape (n_units, 6): an outside simulator's prediction of the same; NaN where there is none
+    usable: BoolArray  #: shape (n_units, 6): channels that a unit has
+    numbers: Mapping[str, FloatArray]  #: shape (n_units,): covariates of each unit
+    labels: Mapping[str, StrArray]  #: shape (n_units,): ``run_id``, ``session``, ``kind``, ``direction``
+    #: shape (n_units,): units driven alike (same route, direction, loads, speed) share a number; by what was driven,
+    #: not by labels
     condition: IntArray
+    #: shape (n_units,): units of one condition that were also driven in the same session, warmth, dwell and further
+    #: columns
     cell: IntArray
-    kind: IntArray
+    kind: IntArray  #: shape (n_units,): units of the same route and direction
+    #: shape (n_units,): 1 where the laser's distance is the projection on the start heading, 0 where it is the length
+    #: of the line
     axis: FloatArray
+    #: sigma_distance_m, sigma_xy_m, sigma_theta_rad: shape (n_units,): stated standard uncertainty of what was measured
     sigma_distance_m: FloatArray
     sigma_xy_m: FloatArray
     sigma_theta_rad: FloatArray
+    #: shape (n_units,): the same of the heading of the unit's start frame, where that was read too; else 0
     sigma_start_rad: FloatArray
-    count_rad: tuple[float, float]
-    windowed: bool
+    count_rad: tuple[float, float]  #: rotation of the left and right wheel between two counts
+    windowed: bool  #: whether recordings were cut into windows
+    #: run, window: shape (n_units,): row of the run table among those included, and number of the window within it
     run: IntArray
     window: IntArray
+    #: shape (n_units, 3): where each unit starts in the frame common to all; NaN where that is not known
     start_pose: FloatArray
-    common_frame: bool
-    led_straight: BoolArray
-    sigmas_assumed: bool = False
-    notes: tuple[str, ...] = ()
-    by_front: bool = False
-    aside_m: FloatArray | None = None
-    first_unit: int = 0
+    common_frame: bool  #: whether places on the floor mean the same in all units
+    led_straight: BoolArray  #: shape (n_units,): units whose heading is that of a run led straight, not a measured one
+    sigmas_assumed: bool = False  #: whether a program filled in an instrument's uncertainty because nobody stated it
+    notes: tuple[str, ...] = ()  #: what had to be left out or assumed, in sentences
+    by_front: bool = False  #: whether the front wheel alone drives the odometry: the two wheels stand in for it
+    aside_m: FloatArray | None = None  #: shape (n_steps,): what mecanum wheels roll to the left in each step
+    first_unit: int = 0  #: number of the first unit among those of the whole campaign, for a `part` of it
 
     def __len__(self) -> int:
         return len(self.starts) - 1

@@ -26,30 +26,17 @@ COURSE_SHARE: Final = 0.25
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReferencePoses:
-    """Poses of the middle of the rear axle in a run, by the reference.
+    """Poses of the middle of the rear axle in a run, by the reference."""
 
-    Parameters
-    ----------
-    rows : array of int, shape (n_poses,)
-        Samples of the log that have a pose and counts.
-    poses : array of float, shape (n_poses, 3)
-        x, y and unwrapped heading; in one frame for the whole run. NaN headings where only positions were measured.
-    travelled_m : array of float, shape (n_poses,)
-        What the wheels rolled up to each pose, the mean of both, standing turns included.
-    in_map : bool
-        True where the frame is one that all runs share.
-    from_first : bool
-        True where the run's own frame is that of its first pose, not the frame that the poses stand in.
-    course : CourseOverGround or None
-        How headings are made up where the reference has none.
-    """
-
-    rows: IntArray
+    rows: IntArray  #: shape (n_poses,): samples of the log that have a pose and counts
+    #: shape (n_poses, 3): x, y and unwrapped heading; in one frame for the whole run. NaN headings where only positions
+    #: were measured.
     poses: FloatArray
+    #: shape (n_poses,): what the wheels rolled up to each pose, the mean of both, standing turns included
     travelled_m: FloatArray
-    in_map: bool
-    from_first: bool
-    course: CourseOverGround | None
+    in_map: bool  #: true where the frame is one that all runs share
+    from_first: bool  #: true where the run's own frame is that of its first pose, not the frame that the poses stand in
+    course: CourseOverGround | None  #: how headings are made up where the reference has none
 
     def pose(self, number: int) -> tuple[FloatArray, float]:
         """Return a pose, and the standard uncertainty of its heading where that was made up (else NaN)."""
@@ -60,30 +47,14 @@ class ReferencePoses:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CourseOverGround:
-    """Headings from positions: the course over a short way, less what the wheels say of heading against course there.
+    """Headings from positions: the course over a short way, less what the wheels say of heading against it."""
 
-    Parameters
-    ----------
-    positions : array of float, shape (n_poses, 2)
-        Of the sensor.
-    by_wheels : array of float, shape (n_poses, 3)
-        The vehicle's pose by its wheels.
-    travelled_m : array of float, shape (n_poses,)
-        What was rolled up to each pose.
-    place_m : array of float, shape (2,)
-        The sensor's place on the vehicle.
-    sigma_xy_m : float
-        Standard uncertainty of a position.
-    way_m : float
-        Way over which a course is taken.
-    """
-
-    positions: FloatArray
-    by_wheels: FloatArray
-    travelled_m: FloatArray
-    place_m: FloatArray
-    sigma_xy_m: float
-    way_m: float
+    positions: FloatArray  #: shape (n_poses, 2): of the sensor
+    by_wheels: FloatArray  #: shape (n_poses, 3): the vehicle's pose by its wheels
+    travelled_m: FloatArray  #: shape (n_poses,): what was rolled up to each pose
+    place_m: FloatArray  #: shape (2,): the sensor's place on the vehicle
+    sigma_xy_m: float  #: standard uncertainty of a position
+    way_m: float  #: way over which a course is taken
 
     def pose(self, number: int) -> tuple[FloatArray, float]:
         """Return the vehicle's pose at a sample, and the standard uncertainty of its heading; NaN where it stood."""

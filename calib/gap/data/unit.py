@@ -42,50 +42,33 @@ def _nan(*shape: int) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Unit:
-    """A run, or a window of a recording.
+    """A run, or a window of a recording."""
 
-    Parameters
-    ----------
-    run : int
-        Row of the run table.
-    window : int
-        Number of the window within its run, 0 for a whole run.
-    time_s, left_rad, right_rad : array of float, shape (n_steps + 1,)
-        Time since the run's start and angles of the wheels by their counters.
-    front_rad, steer_rad : array of float, shape (n_steps + 1,), optional
-        Angle of the front wheel and its steering angle.
-    aside_m : array of float, shape (n_steps + 1,), optional
-        What mecanum wheels rolled to the left.
-    from_log : bool
-        False where the steps were made up from the totals.
-    measured, simulated : array of float, shape (4,)
-        Distance, x, y and heading at the end, in the frame of the unit's start; NaN where not measured.
-    sigma_xy_m, sigma_theta_rad : float
-        Standard uncertainty of the measured position and heading; NaN where the settings' holds.
-    sigma_start_rad : float
-        Standard uncertainty of the heading of the unit's start frame, where that was read too.
-    start_pose : array of float, shape (3,)
-        Where the unit starts in the frame common to all runs; NaN where there is none.
-    led_straight : bool
-        True where the heading is that of a run led straight, not a measured one.
-    """
-
-    run: int
-    window: int
+    run: int  #: row of the run table
+    window: int  #: number of the window within its run, 0 for a whole run
+    #: time_s, left_rad, right_rad: shape (n_steps + 1,): time since the run's start and angles of the wheels by their
+    #: counters
     time_s: FloatArray
     left_rad: FloatArray
     right_rad: FloatArray
+    #: front_rad, steer_rad: shape (n_steps + 1,): angle of the front wheel and its steering angle
     front_rad: FloatArray | None = None
     steer_rad: FloatArray | None = None
-    aside_m: FloatArray | None = None
-    from_log: bool = True
+    aside_m: FloatArray | None = None  #: shape (n_steps + 1,): what mecanum wheels rolled to the left
+    from_log: bool = True  #: false where the steps were made up from the totals
+    #: measured, simulated: shape (4,): distance, x, y and heading at the end, in the frame of the unit's start; NaN
+    #: where not measured
     measured: FloatArray = field(default_factory=lambda: _nan(4))
     simulated: FloatArray = field(default_factory=lambda: _nan(4))
+    #: sigma_xy_m, sigma_theta_rad: standard uncertainty of the measured position and heading; NaN where the settings'
+    #: holds
     sigma_xy_m: float = float("nan")
     sigma_theta_rad: float = float("nan")
+    #: standard uncertainty of the heading of the unit's start frame, where that was read too
     sigma_start_rad: float = 0.0
+    #: shape (3,): where the unit starts in the frame common to all runs; NaN where there is none
     start_pose: FloatArray = field(default_factory=lambda: _nan(3))
-    led_straight: bool = False
+    led_straight: bool = False  #: true where the heading is that of a run led straight, not a measured one
 
     @property
     def n_steps(self) -> int:

@@ -23,23 +23,13 @@ LIBRARY: Final = "the library"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Entry:
-    """An effect of the catalogue.
+    """An effect of the catalogue."""
 
-    Parameters
-    ----------
-    effect : Effect
-        The cause.
-    origin : str
-        Where it comes from: the library, a column of the run table, ``campaign.toml``, or an installed package.
-    signature : EffectSignature or None
-        What it leaves on the runs at its typical size; None where they cannot show it.
-    changes : mapping of str to array of float, shape (n_channels,)
-        Root mean square change of each channel by kind of run, NaN where a kind lacks the channel.
-    """
-
-    effect: Effect
+    effect: Effect  #: the cause
+    #: where it comes from: the library, a column of the run table, ``campaign.toml``, or an installed package
     origin: str
-    signature: EffectSignature | None
+    signature: EffectSignature | None  #: what it leaves on the runs at its typical size; None where they cannot show it
+    #: shape (n_channels,): root mean square change of each channel by kind of run, NaN where a kind lacks the channel
     changes: Mapping[str, np.ndarray[tuple[int], np.dtype[np.float64]]]
 
     def to_dict(self) -> dict[str, Any]:

@@ -18,41 +18,22 @@ from calib.gap.predict.push import Push
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """A parameter of an effect.
+    """A parameter of an effect."""
 
-    Parameters
-    ----------
-    name, unit : str
-        As printed; ``1`` for a plain number.
-    typical : float
-        Order of magnitude that the field's literature and arithmetic give; the scale of its prior.
-    largest : float
-        Beyond this size the effect as named is physically implausible.
-    sign : int
-        1 where only positive values have a meaning, 0 where either sign does.
-    """
-
+    #: name, unit: as printed; ``1`` for a plain number
     name: str
     unit: str
-    typical: float
-    largest: float
-    sign: int = 0
+    typical: float  #: order of magnitude that the field's literature and arithmetic give; the scale of its prior
+    largest: float  #: beyond this size the effect as named is physically implausible
+    sign: int = 0  #: 1 where only positive values have a meaning, 0 where either sign does
 
 
 @dataclass(frozen=True, slots=True)
 class Centre:
-    """Where a covariate's effect is nought, and by what its deviation from there is divided.
+    """Where a covariate's effect is nought, and by what its deviation from there is divided."""
 
-    Parameters
-    ----------
-    mean : float
-        In the covariate's unit.
-    spread : float
-        What counts as one unit of the deviation: 1, or a standard deviation.
-    """
-
-    mean: float
-    spread: float = 1.0
+    mean: float  #: in the covariate's unit
+    spread: float = 1.0  #: what counts as one unit of the deviation: 1, or a standard deviation
 
     @classmethod
     def of(cls, values: FloatArray) -> Centre:
@@ -66,40 +47,22 @@ class Centre:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Form:
-    """One form of an effect on one campaign: its parameters and how each of them pushes.
+    """One form of an effect on one campaign: its parameters and how each of them pushes."""
 
-    Parameters
-    ----------
-    effect : str
-        Id of the effect.
-    label : str
-        Which form, for example ``exponent 0.7``; empty where there is one only.
-    parameters : tuple of Parameter
-        The parameters that the data choose.
-    pushes : callable
-        Path -> one `Push` a parameter, per unit of the parameter.
-    settings : mapping of str to float
-        Quantities of the form that are not fitted linearly (an exponent, a time constant, a place).
-    tries : int
-        How many forms were searched over; the evidence pays for the search.
-    centre : Centre, optional
-        Where the effect is nought, for a form that takes the deviation of a covariate from its mean on the campaign.
-    about : callable, optional
-        Centre -> the same form with the effect nought there; each form with a centre has it.
-    by_parts : bool
-        Whether `pushes` takes all it needs of the steps from the path that it is given, which may then be that of some
-        units alone (`Observations.here` has what is known of all). Else it is given the whole path, and pushes with a
-        value for each step are held for all units at once: too much for a large campaign.
-    """
-
-    effect: str
-    label: str
-    parameters: tuple[Parameter, ...]
-    pushes: Callable[[Path], Sequence[Push]]
+    effect: str  #: id of the effect
+    label: str  #: which form, for example ``exponent 0.7``; empty where there is one only
+    parameters: tuple[Parameter, ...]  #: the parameters that the data choose
+    pushes: Callable[[Path], Sequence[Push]]  #: path -> one `Push` a parameter, per unit of the parameter
+    #: quantities of the form that are not fitted linearly (an exponent, a time constant, a place)
     settings: dict[str, float] = field(default_factory=dict)
-    tries: int = 1
+    tries: int = 1  #: how many forms were searched over; the evidence pays for the search
+    #: where the effect is nought, for a form that takes the deviation of a covariate from its mean on the campaign
     centre: Centre | None = None
+    #: centre -> the same form with the effect nought there; each form with a centre has it
     about: Callable[[Centre], Form] | None = None
+    #: Whether `pushes` takes all it needs of the steps from the path that it is given, which may then be that of some
+    #: units alone (`Observations.here` has what is known of all). Else it is given the whole path, and pushes with a
+    #: value for each step are held for all units at once: too much for a large campaign.
     by_parts: bool = False
 
     def centred_at(self, centre: Centre | None) -> Form:
@@ -113,59 +76,35 @@ class Form:
 
 
 class Effect(ABC):
-    """A candidate cause. A new effect is a subclass in a file of its own and one line in the registry.
+    """A candidate cause. A new effect is a subclass in a file of its own and one line in the registry."""
 
-    Attributes
-    ----------
-    id : str
-        Name in verdicts.
-    title : str
-        What it is, for people, in a few words that fit into "the gap is explained by ...".
-    implausible : str
-        What to suspect where the fitted size is beyond what is plausible; a clause.
-    family : Family
-        Effects that act through the same thing.
-    needs : str
-        What a campaign has to hold for the effect to show; a phrase.
-    separates : str
-        The runs that tell it from what looks alike; a phrase.
-    hides_in : str
-        What a plain recalibration would change in its place; empty for all but the calibration's own.
-    calibration_direction : tuple of float, optional
-        For the calibration's own: the change of (left radius, right radius, track, front radius) per unit.
-    columns : tuple of str
-        Columns of the run table that it acts through, beyond those of the campaign format; they are no candidates of
-        their own beside it.
-    is_load_law : bool
-        Whether it makes the radii a function of the load, as the paper's correction does.
-    carries_law_slope : bool
-        Whether its parameters ``slope_left`` and ``slope_right`` are the slopes of the radius law.
-    per_session : bool
-        Whether it has parameters for each session, so that it says nothing of a session left out.
-    of_rear_wheels : bool
-        Whether it is about two wheels on one axle, so that it does not apply where a front wheel alone drives the
-        odometry.
-    found_before_search : bool
-        Whether it is so large that it is found by trial before the search; it offers no forms.
-    shifts : tuple of str
-        Calibration effects that a zero point of this effect other than assumed looks like (a temperature counted from
-        20 degrees instead of the mean shifts the radii); a shift no larger than the effect counts as part of it.
-    """
-
-    id: ClassVar[str]
-    title: ClassVar[str]
+    id: ClassVar[str]  #: name in verdicts
+    title: ClassVar[str]  #: what it is, for people, in a few words that fit into "the gap is explained by ..."
+    #: what to suspect where the fitted size is beyond what is plausible; a clause
     implausible: ClassVar[str] = "another cause that looks alike"
+    #: calibration effects that a zero point of this effect other than assumed looks like (a temperature counted from 20
+    #: degrees instead of the mean shifts the radii); a shift no larger than the effect counts as part of it
     shifts: ClassVar[tuple[str, ...]] = ()
-    family: ClassVar[Family] = Family.OWN
-    needs: ClassVar[str] = ""
-    separates: ClassVar[str] = ""
+    family: ClassVar[Family] = Family.OWN  #: effects that act through the same thing
+    needs: ClassVar[str] = ""  #: what a campaign has to hold for the effect to show; a phrase
+    separates: ClassVar[str] = ""  #: the runs that tell it from what looks alike; a phrase
+    #: what a plain recalibration would change in its place; empty for all but the calibration's own
     hides_in: ClassVar[str] = ""
+    #: for the calibration's own: the change of (left radius, right radius, track, front radius) per unit
     calibration_direction: ClassVar[tuple[float, ...] | None] = None
+    #: columns of the run table that it acts through, beyond those of the campaign format; they are no candidates of
+    #: their own beside it
     columns: ClassVar[tuple[str, ...]] = ()
+    #: whether it makes the radii a function of the load, as the paper's correction does
     is_load_law: ClassVar[bool] = False
+    #: whether its parameters ``slope_left`` and ``slope_right`` are the slopes of the radius law
     carries_law_slope: ClassVar[bool] = False
+    #: whether it has parameters for each session, so that it says nothing of a session left out
     per_session: ClassVar[bool] = False
+    #: whether it is about two wheels on one axle, so that it does not apply where a front wheel alone drives the
+    #: odometry
     of_rear_wheels: ClassVar[bool] = False
+    #: whether it is so large that it is found by trial before the search; it offers no forms
     found_before_search: ClassVar[bool] = False
 
     @property

@@ -13,27 +13,15 @@ from calib.gap.predict.path import Path, predict, signature
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EffectSignature:
-    """What an effect does to the readings of given runs, to first order.
+    """What an effect does to the readings of given runs, to first order."""
 
-    Parameters
-    ----------
-    effect : Effect
-        The cause.
-    form : Form
-        Of its forms the one that shows most.
-    change : array of float, shape (n_units, n_channels)
-        Change of each reading at the typical sizes of the form's parameters, NaN where a unit lacks the channel.
-    enlarged : Path
-        The paths with the effect so much larger that it can be seen on a floor plan.
-    factor : float
-        By how much larger than typical.
-    """
-
-    effect: Effect
-    form: Form
+    effect: Effect  #: the cause
+    form: Form  #: of its forms the one that shows most
+    #: shape (n_units, n_channels): change of each reading at the typical sizes of the form's parameters, NaN where a
+    #: unit lacks the channel
     change: FloatArray
-    enlarged: Path
-    factor: float
+    enlarged: Path  #: the paths with the effect so much larger that it can be seen on a floor plan
+    factor: float  #: by how much larger than typical
 
 
 #: a path on a floor plan is drawn apart by about this share of its extent

@@ -30,16 +30,11 @@ COVERAGE: Final = 2.0
 
 @dataclass(frozen=True, slots=True)
 class TurnedReference:
-    """The angle by which the sensor's axes are turned against the vehicle's, beyond what the campaign states.
-
-    Parameters
-    ----------
-    yaw_rad, sd_rad : float
-        The angle and its standard uncertainty.
-    """
+    """The angle by which the sensor's axes are turned against the vehicle's, beyond what the campaign states."""
 
     effect = ReferenceYaw
     label = "the sensor is mounted turned"
+    #: yaw_rad, sd_rad: the angle and its standard uncertainty
     yaw_rad: float
     sd_rad: float
 

@@ -27,28 +27,15 @@ HIDDEN: Final = 1e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outlook:
-    """What a set of runs can show.
+    """What a set of runs can show."""
 
-    Parameters
-    ----------
-    effects : tuple of str
-        Effects that the runs vary anything for, shape (n,).
-    absent : tuple of str
-        Effects that have nothing to act on in these runs.
-    signal : array of float, shape (n,)
-        Whitened norm of each at its typical size, beside a free recalibration.
-    distance : array of float, shape (n, n)
-        Row's effect at its typical size against all that the column's could do, in standard deviations; infinite on
-        the diagonal.
-    smallest : mapping of str to Detectable
-        Smallest size of each effect that would be seen.
-    """
-
-    effects: tuple[str, ...]
-    absent: tuple[str, ...]
-    signal: FloatArray
+    effects: tuple[str, ...]  #: effects that the runs vary anything for, shape (n,)
+    absent: tuple[str, ...]  #: effects that have nothing to act on in these runs
+    signal: FloatArray  #: shape (n,): whitened norm of each at its typical size, beside a free recalibration
+    #: shape (n, n): row's effect at its typical size against all that the column's could do, in standard deviations;
+    #: infinite on the diagonal
     distance: FloatArray
-    smallest: dict[str, Detectable]
+    smallest: dict[str, Detectable]  #: smallest size of each effect that would be seen
 
     @property
     def told_apart(self) -> BoolArray:

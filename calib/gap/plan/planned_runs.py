@@ -24,14 +24,10 @@ DEFAULT_CORRIDOR_M: Final = 20.0
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """What is measured on a run.
+    """What is measured on a run."""
 
-    Parameters
-    ----------
-    distance, poses, front, log : bool
-        Laser distance on corridor runs, reference end pose, front wheel and steering in the log, a log at all.
-    """
-
+    #: distance, poses, front, log: laser distance on corridor runs, reference end pose, front wheel and steering in the
+    #: log, a log at all
     distance: bool = True
     poses: bool = True
     front: bool = False
@@ -40,21 +36,9 @@ class Measured:
 
 @dataclass(frozen=True, slots=True)
 class PlannedRun:
-    """A run to drive; fields as in the run table, NaN where nothing is said.
+    """A run to drive; fields as in the run table, NaN where nothing is said."""
 
-    Parameters
-    ----------
-    kind : str
-        A route; see `route_of`.
-    read_rolling : bool
-        The end is measured while the vehicle still rolls.
-    stops : int
-        Stops on the way.
-    columns : mapping of str to float
-        Further numeric columns.
-    """
-
-    kind: str
+    kind: str  #: a route; see `route_of`
     direction: str = ""
     session: str = "next"
     payload_kg: float = 0.0
@@ -63,9 +47,9 @@ class PlannedRun:
     speed_mps: float = 0.5
     temperature_C: float = float("nan")
     minutes_under_load: float = float("nan")
-    read_rolling: bool = False
-    stops: int = 0
-    columns: Mapping[str, float] = field(default_factory=dict)
+    read_rolling: bool = False  #: the end is measured while the vehicle still rolls
+    stops: int = 0  #: stops on the way
+    columns: Mapping[str, float] = field(default_factory=dict)  #: further numeric columns
 
     def to_dict(self) -> dict[str, Any]:
         """Return what there is to say of it as plain JSON values."""

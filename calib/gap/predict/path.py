@@ -24,30 +24,15 @@ LED_STRAIGHT_RAD: Final = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """Path of every unit under a hypothesis, each in the frame of its own start.
+    """Path of every unit under a hypothesis, each in the frame of its own start."""
 
-    Parameters
-    ----------
-    s : Observations
-        What was driven.
-    push : Push
-        The hypothesis.
-    end : array of float, shape (n_units, 3)
-        End pose.
-    reading : array of float, shape (n_units, n_channels)
-        Predicted reading of each channel: distance, x, y, heading, front, steering.
-    line_m : array of float, shape (n_units,)
-        Length of the line that the unit was led along, signed.
-    kept : Steps, optional
-        The steps, where they are few enough to be kept.
-    """
-
-    s: Observations
-    push: Push
-    end: FloatArray
+    s: Observations  #: what was driven
+    push: Push  #: the hypothesis
+    end: FloatArray  #: shape (n_units, 3): end pose
+    #: shape (n_units, n_channels): predicted reading of each channel: distance, x, y, heading, front, steering
     reading: FloatArray
-    line_m: FloatArray
-    kept: Steps | None = None
+    line_m: FloatArray  #: shape (n_units,): length of the line that the unit was led along, signed
+    kept: Steps | None = None  #: the steps, where they are few enough to be kept
 
     @property
     def steps(self) -> Steps:

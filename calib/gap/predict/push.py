@@ -10,26 +10,20 @@ from calib.gap.data.observations import Observations
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Push:
-    """What one parameter of an effect does, per unit of the parameter, to first order.
+    """What one parameter of an effect does, per unit of the parameter, to first order."""
 
-    Parameters
-    ----------
-    left, right : array of float, shape (n_units,) or (n_steps,), optional
-        Relative change of what the left and right wheel really travel for their counts.
-    track : array of float, shape (n_units,) or (n_steps,), optional
-        Relative change of the track.
-    heading_rad, along_m, lateral_m : array of float, shape (n_steps,), optional
-        What the vehicle turns, and moves along and to its left, in each step beyond what its wheels say.
-    reading : array of float, shape (n_units, 6), optional
-        What is added to the reading of each channel (distance, along, lateral, heading, front, steering).
-    """
-
+    #: left, right: shape (n_units,) or (n_steps,): relative change of what the left and right wheel really travel for
+    #: their counts
     left: FloatArray | None = None
     right: FloatArray | None = None
-    track: FloatArray | None = None
+    track: FloatArray | None = None  #: shape (n_units,) or (n_steps,): relative change of the track
+    #: heading_rad, along_m, lateral_m: shape (n_steps,): what the vehicle turns, and moves along and to its left, in
+    #: each step beyond what its wheels say
     heading_rad: FloatArray | None = None
     along_m: FloatArray | None = None
     lateral_m: FloatArray | None = None
+    #: shape (n_units, 6): what is added to the reading of each channel (distance, along, lateral, heading, front,
+    #: steering)
     reading: FloatArray | None = None
 
     def scaled(self, factor: float) -> Push:

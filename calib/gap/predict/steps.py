@@ -22,18 +22,10 @@ FEW: Final = 4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lever:
-    """What a change of 1 at each step adds to the sums of its unit.
+    """What a change of 1 at each step adds to the sums of its unit."""
 
-    Parameters
-    ----------
-    sums : tuple of int
-        Which of X, Y, TURN, LINE and WAY change.
-    by_step : array of float, shape (n_sums, n_steps)
-        By how much, for each of these.
-    """
-
-    sums: tuple[int, ...]
-    by_step: FloatArray
+    sums: tuple[int, ...]  #: which of X, Y, TURN, LINE and WAY change
+    by_step: FloatArray  #: shape (n_sums, n_steps): by how much, for each of these
 
     def __add__(self, other: Lever) -> Lever:
         """Return what both changes do together; the same sums change."""
@@ -42,34 +34,21 @@ class Lever:
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """Steps of every unit under a hypothesis, each unit in the frame of its own start.
+    """Steps of every unit under a hypothesis, each unit in the frame of its own start."""
 
-    Parameters
-    ----------
-    s : Observations
-        What was driven.
-    ds_left_m, ds_right_m : array of float, shape (n_steps,)
-        Travel of the wheels.
-    ds_m, turn_rad : array of float, shape (n_steps,)
-        Motion of the axle's middle along, and its turn.
-    track_m : array of float, shape (n_steps,) or (1,)
-        Track.
-    mid_rad, x_m, y_m : array of float, shape (n_steps,)
-        Heading at the middle of each step, position at its middle.
-    end : array of float, shape (n_units, 3)
-        End pose.
-    """
-
-    s: Observations
+    s: Observations  #: what was driven
+    #: ds_left_m, ds_right_m: shape (n_steps,): travel of the wheels
     ds_left_m: FloatArray
     ds_right_m: FloatArray
+    #: ds_m, turn_rad: shape (n_steps,): motion of the axle's middle along, and its turn
     ds_m: FloatArray
     turn_rad: FloatArray
-    track_m: FloatArray
+    track_m: FloatArray  #: shape (n_steps,) or (1,): track
+    #: mid_rad, x_m, y_m: shape (n_steps,): heading at the middle of each step, position at its middle
     mid_rad: FloatArray
     x_m: FloatArray
     y_m: FloatArray
-    end: FloatArray
+    end: FloatArray  #: shape (n_units, 3): end pose
 
     @cached_property
     def cos(self) -> FloatArray:

@@ -13,25 +13,15 @@ ALL_CHANNELS = "all"
 
 @dataclass(frozen=True, slots=True)
 class ChannelGap:
-    """The gap in one channel.
+    """The gap in one channel."""
 
-    Parameters
-    ----------
-    channel : Channel
-        Which.
-    rms, floor : float
-        Root mean square of the gap, and of its floor, over the units that have the channel; in the channel's unit.
-    mean : float
-        Mean of the gap.
-    n_units : int
-        How many units have the channel.
-    """
-
-    channel: Channel
+    channel: Channel  #: which
+    #: rms, floor: root mean square of the gap, and of its floor, over the units that have the channel; in the channel's
+    #: unit
     rms: float
     floor: float
-    mean: float = 0.0
-    n_units: int = 0
+    mean: float = 0.0  #: mean of the gap
+    n_units: int = 0  #: how many units have the channel
 
     @property
     def ratio(self) -> float | None:
@@ -51,33 +41,15 @@ class ChannelGap:
 
 @dataclass(frozen=True, slots=True)
 class CovariateLine:
-    """What the gap goes with.
+    """What the gap goes with."""
 
-    Parameters
-    ----------
-    name : str
-        Covariate, with its unit suffix; ``left wheel`` and ``right wheel`` for the wheels' travel.
-    channel : Channel or None
-        Where it shows most; None where it was asked of all channels together.
-    share : float
-        Of the variance beyond the floor, 0 to 1.
-    ci95 : tuple of float or None
-        Bootstrap interval of the share.
-    p_value : float
-        Of no dependence, times the number of channels looked at.
-    significant : bool
-        Whether it stands with a chance of 5 % of any false line in the table.
-    n_units : int
-        How many units were looked at.
-    """
-
-    name: str
-    channel: Channel | None
-    share: float
-    ci95: tuple[float, float] | None
-    p_value: float
-    significant: bool
-    n_units: int = 0
+    name: str  #: covariate, with its unit suffix; ``left wheel`` and ``right wheel`` for the wheels' travel
+    channel: Channel | None  #: where it shows most; None where it was asked of all channels together
+    share: float  #: of the variance beyond the floor, 0 to 1
+    ci95: tuple[float, float] | None  #: bootstrap interval of the share
+    p_value: float  #: of no dependence, times the number of channels looked at
+    significant: bool  #: whether it stands with a chance of 5 % of any false line in the table
+    n_units: int = 0  #: how many units were looked at
 
     @property
     def channel_label(self) -> str:
@@ -120,51 +92,23 @@ class RunLine:
 
 @dataclass(frozen=True, slots=True)
 class PlaceLine:
-    """A place inside the runs where the gap opens.
+    """A place inside the runs where the gap opens."""
 
-    Parameters
-    ----------
-    where : str
-        ``zone`` or ``joint`` for a stretch of a route; ``turns`` or ``stops``.
-    channel : Channel
-        What opens there.
-    size : float
-        By how much, in `unit`.
-    ci95 : tuple of float
-        Interval of the size.
-    unit : str
-        ``m``, ``rad``, or one of them per radian of turn.
-    p_value : float
-        Times the number of places looked at.
-    n_runs : int
-        Runs that were looked at.
-    what : str
-        What the size counts, for turns and stops: ``per stop``.
-    route, coordinate : str
-        Of a stretch: kind of the runs, and what its place is counted in.
-    place : tuple of float, or None
-        Of a stretch: its ends in m.
-    place_ci95 : tuple of tuple of float, or None
-        Interval of either end in m.
-    by_direction : bool
-        Of a stretch: whether the gap has the other sign on the way back.
-    floor : tuple of tuple of float, or None
-        Of a stretch: x and y of its ends on the floor in m.
-    """
-
-    where: str
-    channel: Channel
-    size: float
-    ci95: tuple[float, float]
-    unit: str
-    p_value: float
-    n_runs: int
-    what: str = ""
+    where: str  #: ``zone`` or ``joint`` for a stretch of a route; ``turns`` or ``stops``
+    channel: Channel  #: what opens there
+    size: float  #: by how much, in `unit`
+    ci95: tuple[float, float]  #: interval of the size
+    unit: str  #: ``m``, ``rad``, or one of them per radian of turn
+    p_value: float  #: times the number of places looked at
+    n_runs: int  #: runs that were looked at
+    what: str = ""  #: what the size counts, for turns and stops: ``per stop``
+    #: route, coordinate: of a stretch: kind of the runs, and what its place is counted in
     route: str = ""
     coordinate: str = ""
-    place: tuple[float, float] | None = None
-    place_ci95: tuple[tuple[float, float], tuple[float, float]] | None = None
-    by_direction: bool = False
+    place: tuple[float, float] | None = None  #: of a stretch: its ends in m
+    place_ci95: tuple[tuple[float, float], tuple[float, float]] | None = None  #: interval of either end in m
+    by_direction: bool = False  #: of a stretch: whether the gap has the other sign on the way back
+    #: of a stretch: x and y of its ends on the floor in m
     floor: tuple[tuple[float, float], tuple[float, float]] | None = None
 
     def to_dict(self) -> dict[str, Any]:
@@ -192,30 +136,14 @@ class PlaceLine:
 
 @dataclass(frozen=True, slots=True)
 class Where:
-    """Where a gap lies.
+    """Where a gap lies."""
 
-    Parameters
-    ----------
-    channels : tuple of ChannelGap
-        Those that were measured.
-    covariates : tuple of CovariateLine
-        What it goes with, smallest p first.
-    runs : tuple of RunLine
-        Those that deviate most.
-    places : tuple of PlaceLine
-        Inside the runs, smallest p first.
-    notes : tuple of str
-        What cannot be asked of these runs.
-    rest : Where or None
-        The same for what the named causes leave.
-    """
-
-    channels: tuple[ChannelGap, ...] = ()
-    covariates: tuple[CovariateLine, ...] = ()
-    runs: tuple[RunLine, ...] = ()
-    places: tuple[PlaceLine, ...] = ()
-    notes: tuple[str, ...] = ()
-    rest: Where | None = None
+    channels: tuple[ChannelGap, ...] = ()  #: those that were measured
+    covariates: tuple[CovariateLine, ...] = ()  #: what it goes with, smallest p first
+    runs: tuple[RunLine, ...] = ()  #: those that deviate most
+    places: tuple[PlaceLine, ...] = ()  #: inside the runs, smallest p first
+    notes: tuple[str, ...] = ()  #: what cannot be asked of these runs
+    rest: Where | None = None  #: the same for what the named causes leave
 
     @property
     def significant(self) -> tuple[CovariateLine, ...]:

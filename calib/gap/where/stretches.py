@@ -29,25 +29,14 @@ LEAST_LEFT: Final = 1e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Route:
-    """Runs of one route on a common grid.
+    """Runs of one route on a common grid."""
 
-    Parameters
-    ----------
-    traces : list of Trace
-        Those long enough.
-    grid : array of float, shape (n_grid,)
-        Way from the start; of corridors driven both ways the place on the floor.
-    spacing_m, length_m : float
-        Of the grid, and of the route.
-    on_floor : bool
-        Whether the grid is a place on the floor.
-    """
-
-    traces: list[Trace]
-    grid: FloatArray
+    traces: list[Trace]  #: those long enough
+    grid: FloatArray  #: shape (n_grid,): way from the start; of corridors driven both ways the place on the floor
+    #: spacing_m, length_m: of the grid, and of the route
     spacing_m: float
     length_m: float
-    on_floor: bool
+    on_floor: bool  #: whether the grid is a place on the floor
 
     def read(self, trace: Trace, values: FloatArray) -> FloatArray:
         """Return what a run accumulated on the grid, shape (n_grid,); of a run back, accumulated from its far end."""

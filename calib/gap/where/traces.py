@@ -22,34 +22,22 @@ RANGED: Final = ("range_m",)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trace:
-    """Gap along one run: reference minus odometry, accumulated piece by piece in the vehicle's own frame.
+    """Gap along one run: reference minus odometry, accumulated piece by piece in the vehicle's own frame."""
 
-    Parameters
-    ----------
-    run_id, kind : str
-        Of the run.
-    back : bool
-        Whether it was driven back along a corridor.
-    way_m, turn_rad : array of float, shape (n,)
-        Way driven and heading, by odometry.
-    x_m, y_m : array of float, shape (n,)
-        Place, by odometry, in the run's own frame.
-    along_m, heading_rad : array of float, shape (n,)
-        The accumulated gap; the second is NaN where only a rangefinder was logged.
-    stops : array of float, shape (n,)
-        Stops on the way so far.
-    """
-
+    #: run_id, kind: of the run
     run_id: str
     kind: str
-    back: bool
+    back: bool  #: whether it was driven back along a corridor
+    #: way_m, turn_rad: shape (n,): way driven and heading, by odometry
     way_m: FloatArray
     turn_rad: FloatArray
+    #: x_m, y_m: shape (n,): place, by odometry, in the run's own frame
     x_m: FloatArray
     y_m: FloatArray
+    #: along_m, heading_rad: shape (n,): the accumulated gap; the second is NaN where only a rangefinder was logged
     along_m: FloatArray
     heading_rad: FloatArray
-    stops: FloatArray
+    stops: FloatArray  #: shape (n,): stops on the way so far
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -88,31 +88,16 @@ WHOLE: Final = Part.scaled()
 
 @dataclass(slots=True, eq=False)
 class Block:
-    """A stretch of the flat steps, with the pieces of runs that lie in it.
+    """A stretch of the flat steps, with the pieces of runs that lie in it."""
 
-    Parameters
-    ----------
-    steps : slice
-        Where it stands.
-    runs : slice
-        Which of the filled runs lie in it.
-    local : array of int, shape (pieces,)
-        First step of each piece, counted from the block's own.
-    continues : bool
-        Whether the first piece goes on from the block before.
-    dx, dy : array of float, shape (n,)
-        Motion in each step in m; overwritten by the next block.
-    turned : array of float, shape (pieces,)
-        Turn of each piece in rad; empty where nobody asked.
-    """
-
-    steps: slice
-    runs: slice
-    local: IntArray
-    continues: bool
+    steps: slice  #: where it stands
+    runs: slice  #: which of the filled runs lie in it
+    local: IntArray  #: shape (pieces,): first step of each piece, counted from the block's own
+    continues: bool  #: whether the first piece goes on from the block before
+    #: dx, dy: shape (n,): motion in each step in m; overwritten by the next block
     dx: FloatArray
     dy: FloatArray
-    turned: FloatArray
+    turned: FloatArray  #: shape (pieces,): turn of each piece in rad; empty where nobody asked
 
     def sums(self, steps: FloatArray) -> FloatArray:
         """Return the sum of the steps of each piece, shape (pieces,)."""

@@ -13,34 +13,19 @@ from calib.errors import BadInputError
 
 @dataclass(slots=True, eq=False)
 class Flat:
-    """Steps of runs laid end to end, and how far the sums over them have come.
+    """Steps of runs laid end to end, and how far the sums over them have come."""
 
-    Parameters
-    ----------
-    left, right : array of float, shape (n,)
-        Travel of the wheels in m.
-    per_m : array of float, shape (n,), or None
-        One over the track; None where it is `unit` throughout.
-    unit : float
-        What the difference of the wheels' travel (times `per_m`) is multiplied by to give the turn.
-    starts, runs : array of int, shape (filled,)
-        First step and number of each run that has steps.
-    pose : array of float, shape (3, n_runs)
-        Start poses.
-    shape : tuple of int
-        Shape that the travel came in.
-    carried, rest : list of float
-        Where x, y and theta stand before the next step, and what rounding left out of that.
-    """
-
+    #: left, right: shape (n,): travel of the wheels in m
     left: FloatArray
     right: FloatArray
-    per_m: FloatArray | None
-    unit: float
+    per_m: FloatArray | None  #: shape (n,): one over the track; None where it is `unit` throughout
+    unit: float  #: what the difference of the wheels' travel (times `per_m`) is multiplied by to give the turn
+    #: starts, runs: shape (filled,): first step and number of each run that has steps
     starts: IntArray
     runs: IntArray
-    pose: FloatArray
-    shape: tuple[int, ...]
+    pose: FloatArray  #: shape (3, n_runs): start poses
+    shape: tuple[int, ...]  #: shape that the travel came in
+    #: carried, rest: where x, y and theta stand before the next step, and what rounding left out of that
     carried: list[float] = field(default_factory=lambda: [0.0] * 3)
     rest: list[float] = field(default_factory=lambda: [0.0] * 3)
 

@@ -26,14 +26,10 @@ BLOCK: Final = 16384
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Axle:
-    """Rear wheels as somebody believes them to be, or as they are.
+    """Rear wheels as somebody believes them to be, or as they are."""
 
-    Parameters
-    ----------
-    radius_left_m, radius_right_m, track_m : array_like of float, shape () or (vehicles,)
-        Effective radii and the distance of the contact points; shapes that broadcast.
-    """
-
+    #: radius_left_m, radius_right_m, track_m: shape () or (vehicles,): effective radii and the distance of the contact
+    #: points; shapes that broadcast
     radius_left_m: npt.ArrayLike
     radius_right_m: npt.ArrayLike
     track_m: npt.ArrayLike

@@ -70,66 +70,40 @@ def law_table(law: RadiusLaw, loads_N: FloatArray) -> tuple[TableRow, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """95 % interval of one component of the end error.
+    """95 % interval of one component of the end error."""
 
-    Parameters
-    ----------
-    value : float
-        With the law's mean radii.
-    linear : tuple of float
-        By linear propagation with Student's t.
-    monte_carlo : tuple of float
-        The 2.5 and 97.5 % quantiles of the draws.
-    """
-
-    value: float
-    linear: tuple[float, float]
-    monte_carlo: tuple[float, float]
+    value: float  #: with the law's mean radii
+    linear: tuple[float, float]  #: by linear propagation with Student's t
+    monte_carlo: tuple[float, float]  #: the 2.5 and 97.5 % quantiles of the draws
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Journey:
-    """End errors of one journey without and with the correction.
+    """End errors of one journey without and with the correction."""
 
-    Parameters
-    ----------
-    load_left_N, load_right_N : float
-        Wheel loads carried.
-    reference_left_N, reference_right_N : float
-        Wheel loads whose radii the uncorrected odometry uses.
-    band : str
-        ``mean`` or ``prediction``.
-    without, corrected : dict of str to Interval
-        Error along, lateral, of heading, and global x and y.
-    radius_ratio : float
-        E_r that the uncorrected odometry overlooks: (real over believed) right, over the same left.
-    without_rms_m, corrected_rms_m : float
-        Root mean square of the distance to the intended end, to first order, at the fit's standard deviations.
-    without_95_m, corrected_95_m : float
-        Distance that 95 % of the draws stay below.
-    ratio, ratio_ci95 : float, tuple of float
-        Ratio of the two root mean squares; its interval says how well the fit's degrees of freedom know the scatter.
-    journeys_ratio : tuple of float
-        Ratio of the distances draw by draw: 2.5, 50 and 97.5 % quantiles.
-    draws : int
-        Draws.
-    """
-
+    #: load_left_N, load_right_N: wheel loads carried
     load_left_N: float
     load_right_N: float
+    #: reference_left_N, reference_right_N: wheel loads whose radii the uncorrected odometry uses
     reference_left_N: float
     reference_right_N: float
-    band: str
+    band: str  #: ``mean`` or ``prediction``
+    #: without, corrected: error along, lateral, of heading, and global x and y
     without: dict[str, Interval]
     corrected: dict[str, Interval]
-    radius_ratio: float
+    radius_ratio: float  #: e_r that the uncorrected odometry overlooks: (real over believed) right, over the same left
+    #: without_rms_m, corrected_rms_m: root mean square of the distance to the intended end, to first order, at the
+    #: fit's standard deviations
     without_rms_m: float
     corrected_rms_m: float
+    #: without_95_m, corrected_95_m: distance that 95 % of the draws stay below
     without_95_m: float
     corrected_95_m: float
+    #: ratio, ratio_ci95: ratio of the two root mean squares; its interval says how well the fit's degrees of freedom
+    #: know the scatter
     ratio: float
     ratio_ci95: tuple[float, float]
-    journeys_ratio: tuple[float, float, float]
+    journeys_ratio: tuple[float, float, float]  #: ratio of the distances draw by draw: 2.5, 50 and 97.5 % quantiles
     draws: int
 
 

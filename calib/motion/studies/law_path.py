@@ -27,30 +27,18 @@ COMPONENTS: Final = ("along_m", "lateral_m", "heading_rad", "global_x_m", "globa
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Driven:
-    """What one odometry makes of the journey, at the start and after each piece of the route.
+    """What one odometry makes of the journey, at the start and after each piece of the route."""
 
-    Parameters
-    ----------
-    poses : Poses
-        Real poses for the law's mean radii, shape (n,).
-    errors : PoseErrors
-        Real minus route, shape (n,).
-    systematic : array of float, shape (n, 3, 3)
-        Covariance of the real pose (x in m, y in m, theta in rad) by what is the same all along a journey: the law, the
-        scatter of single runs about it, the track.
-    random : array of float, shape (n, 3, 3)
-        The same by what is new with every metre: the floor, and the readings of the encoders.
-    std : dict of str to array of float, shape (n,)
-        Standard uncertainty of each of `COMPONENTS`, systematic and random together.
-    by_wheel_m2 : array of float, shape (2,)
-        What the law of the left and of the right wheel adds to the mean square of the distance at the end.
-    """
-
-    poses: Poses
-    errors: PoseErrors
+    poses: Poses  #: real poses for the law's mean radii, shape (n,)
+    errors: PoseErrors  #: real minus route, shape (n,)
+    #: shape (n, 3, 3): covariance of the real pose (x in m, y in m, theta in rad) by what is the same all along a
+    #: journey: the law, the scatter of single runs about it, the track
     systematic: FloatArray
+    #: shape (n, 3, 3): the same by what is new with every metre: the floor, and the readings of the encoders
     random: FloatArray
+    #: shape (n,): standard uncertainty of each of `COMPONENTS`, systematic and random together
     std: dict[str, FloatArray]
+    #: shape (2,): what the law of the left and of the right wheel adds to the mean square of the distance at the end
     by_wheel_m2: FloatArray
 
     @property
@@ -68,30 +56,16 @@ class Driven:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LawPath:
-    """A journey under a law, with and without the correction.
+    """A journey under a law, with and without the correction."""
 
-    Parameters
-    ----------
-    loading : Loading
-        Loads carried.
-    reference_N : (float, float)
-        Loads whose radii the uncorrected odometry uses all along.
-    distance_m : array of float, shape (n,)
-        Distance along the route.
-    reference : Poses
-        The route, shape (n,).
-    without, corrected : Driven
-        With the radii of the reference loads, and with radii that follow the load.
-    ratio_ci95 : (float, float) or None
-        95 % interval of `ratio`: how well the fit's degrees of freedom know the scatter; None where nothing was drawn.
-    """
-
-    loading: Loading
-    reference_N: tuple[float, float]
-    distance_m: FloatArray
-    reference: Poses
+    loading: Loading  #: loads carried
+    reference_N: tuple[float, float]  #: loads whose radii the uncorrected odometry uses all along
+    distance_m: FloatArray  #: shape (n,): distance along the route
+    reference: Poses  #: the route, shape (n,)
+    #: without, corrected: with the radii of the reference loads, and with radii that follow the load
     without: Driven
     corrected: Driven
+    #: 95 % interval of `ratio`: how well the fit's degrees of freedom know the scatter; None where nothing was drawn
     ratio_ci95: tuple[float, float] | None = None
 
     @property

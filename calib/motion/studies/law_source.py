@@ -21,17 +21,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Loading:
-    """Wheel loads along a route: each pair holds from its distance on until the next one.
+    """Wheel loads along a route: each pair holds from its distance on until the next one."""
 
-    Parameters
-    ----------
-    from_m : array of float, shape (n,)
-        Distances along the route, rising from 0.
-    left_N, right_N : array of float, shape (n,)
-        Wheel loads.
-    """
-
-    from_m: FloatArray
+    from_m: FloatArray  #: shape (n,): distances along the route, rising from 0
+    #: left_N, right_N: shape (n,): wheel loads
     left_N: FloatArray
     right_N: FloatArray
 
@@ -69,47 +62,24 @@ class Loading:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AxleLaw:
-    """The law of both wheels and the track between them, with what their odometry scatters by.
+    """The law of both wheels and the track between them, with what their odometry scatters by."""
 
-    Parameters
-    ----------
-    radii : RadiusLaw
-        Radii by load.
-    track_m, track_std_m : float
-        Track, believed and real, and its standard uncertainty.
-    walk : RandomWalk, optional
-        Random part of the error; None: none.
-    """
-
-    radii: RadiusLaw
+    radii: RadiusLaw  #: radii by load
+    #: track_m, track_std_m: track, believed and real, and its standard uncertainty
     track_m: float
     track_std_m: float = 0.0
-    walk: RandomWalk | None = None
+    walk: RandomWalk | None = None  #: random part of the error; None: none
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LawSource:
-    """A law and what comes with it.
+    """A law and what comes with it."""
 
-    Parameters
-    ----------
-    law : RadiusLaw
-        Radii by load.
-    vehicle : Vehicle
-        Geometry.
-    track_std_m : float
-        Standard uncertainty of the track.
-    walk : RandomWalk
-        Random part of the pose's error.
-    notes : tuple of str
-        What the user should know of where it comes from.
-    """
-
-    law: RadiusLaw
-    vehicle: Vehicle
-    track_std_m: float
-    walk: RandomWalk
-    notes: tuple[str, ...]
+    law: RadiusLaw  #: radii by load
+    vehicle: Vehicle  #: geometry
+    track_std_m: float  #: standard uncertainty of the track
+    walk: RandomWalk  #: random part of the pose's error
+    notes: tuple[str, ...]  #: what the user should know of where it comes from
 
     def axle(self, track_m: float | None) -> AxleLaw:
         """Return law and track; `track_m` in place of the vehicle's where it is given."""

@@ -18,22 +18,14 @@ SWEPT: Final = {"payload_kg": "kg", "payload_x_m": "m", "payload_y_m": "m"}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadSweep:
-    """Wheel loads over a sweep.
+    """Wheel loads over a sweep."""
 
-    Parameters
-    ----------
-    swept : str
-        What varies, of `SWEPT`; empty for a single payload.
-    payload_kg, payload_x_m, payload_y_m : array of float, shape (n,)
-        Payloads.
-    front_N, left_N, right_N : array of float, shape (n,)
-        Wheel loads.
-    """
-
-    swept: str
+    swept: str  #: what varies, of `SWEPT`; empty for a single payload
+    #: payload_kg, payload_x_m, payload_y_m: shape (n,): payloads
     payload_kg: FloatArray
     payload_x_m: FloatArray
     payload_y_m: FloatArray
+    #: front_N, left_N, right_N: shape (n,): wheel loads
     front_N: FloatArray
     left_N: FloatArray
     right_N: FloatArray

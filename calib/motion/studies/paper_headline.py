@@ -32,22 +32,13 @@ class Improvement:
 
 @dataclass(frozen=True, slots=True)
 class Headline:
-    """End error without and with the correction, each the largest case of its sweep, and their ratio.
+    """End error without and with the correction, each the largest case of its sweep, and their ratio."""
 
-    Parameters
-    ----------
-    which : str
-        Wheel that is off.
-    without_m, corrected_m : float
-        Largest global e_x by absolute value.
-    ratio : float
-        How many times smaller the corrected one is.
-    """
-
-    which: str
+    which: str  #: wheel that is off
+    #: without_m, corrected_m: largest global e_x by absolute value
     without_m: float
     corrected_m: float
-    ratio: float
+    ratio: float  #: how many times smaller the corrected one is
 
 
 def headlines(route: Route, track_m: float) -> tuple[Headline, ...]:

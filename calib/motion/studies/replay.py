@@ -34,62 +34,33 @@ RESAMPLES: Final = 2000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Replay:
-    """End poses of logged runs by each odometry, against the reference.
+    """End poses of logged runs by each odometry, against the reference."""
 
-    Parameters
-    ----------
-    campaign : str
-        Name of the campaign.
-    simulated : bool
-        Whether a program made its data.
-    run_id, kind : array of str, shape (n,)
-        Runs with a log and a reference end pose.
-    load_left_N, load_right_N : array of float, shape (n,)
-        Wheel loads of the runs, where their logs do not say otherwise.
-    distance_m : array of float, shape (n,)
-        Driven by the reference law.
-    reference : Poses
-        Reference end poses, shape (n,).
-    ends : dict of str to Poses
-        End poses by each of `METHODS`.
-    errors : dict of str to PoseErrors
-        Odometry minus reference.
-    in_range : array of bool, shape (n,)
-        Whether all loads lie within the range that the law was measured in.
-    rms_m, rms_heading_rad : dict of str to float
-        Root mean square of the position's and the heading's end error over the runs in range.
-    ratio, ratio_ci95 : float, tuple of float
-        RMS of the constant radii over that of the corrected ones, with a bootstrap interval over runs.
-    runtime : RuntimeCheck
-        The vehicle's own code on the same logs.
-    left_out : dict of str to int
-        Runs that could not be compared, by reason.
-    by_geometry : bool
-        Whether a front wheel or four wheels drive the odometry: no law of a load, so that ``constant`` is
-        ``corrected``, and nothing for the runtime, which reads two wheels on one axle.
-    notes : tuple of str
-        What had to be assumed.
-    """
-
-    campaign: str
-    simulated: bool
+    campaign: str  #: name of the campaign
+    simulated: bool  #: whether a program made its data
+    #: run_id, kind: shape (n,): runs with a log and a reference end pose
     run_id: StrArray
     kind: StrArray
+    #: load_left_N, load_right_N: shape (n,): wheel loads of the runs, where their logs do not say otherwise
     load_left_N: FloatArray
     load_right_N: FloatArray
-    distance_m: FloatArray
-    reference: Poses
-    ends: dict[str, Poses]
-    errors: dict[str, PoseErrors]
-    in_range: BoolArray
+    distance_m: FloatArray  #: shape (n,): driven by the reference law
+    reference: Poses  #: reference end poses, shape (n,)
+    ends: dict[str, Poses]  #: end poses by each of `METHODS`
+    errors: dict[str, PoseErrors]  #: odometry minus reference
+    in_range: BoolArray  #: shape (n,): whether all loads lie within the range that the law was measured in
+    #: rms_m, rms_heading_rad: root mean square of the position's and the heading's end error over the runs in range
     rms_m: dict[str, float]
     rms_heading_rad: dict[str, float]
+    #: ratio, ratio_ci95: RMS of the constant radii over that of the corrected ones, with a bootstrap interval over runs
     ratio: float
     ratio_ci95: tuple[float, float]
-    runtime: RuntimeCheck
-    left_out: dict[str, int]
+    runtime: RuntimeCheck  #: the vehicle's own code on the same logs
+    left_out: dict[str, int]  #: runs that could not be compared, by reason
+    #: whether a front wheel or four wheels drive the odometry: no law of a load, so that ``constant`` is ``corrected``,
+    #: and nothing for the runtime, which reads two wheels on one axle
     by_geometry: bool = False
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  #: what had to be assumed
 
     def document(self) -> dict[str, Any]:
         """Return everything, ready for JSON; the runtime's differences are null where no sample could be compared."""

@@ -36,53 +36,26 @@ SHOWN: Final = {"fig12": "distance_m", "fig13": "lateral_m", "fig14": "global_x_
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LawPart:
-    """What a fitted law says.
-
-    Parameters
-    ----------
-    law : RadiusLaw
-        The law.
-    table : tuple of TableRow
-        Table 1 and the bands of Fig. 15.
-    journeys : tuple of Journey
-        Journeys without and with correction, for each pair of loads and each band.
-    notes : tuple of str
-        What the reader should know.
-    path : LawPath
-        The last route driven under the loads that change on the way, or else under the first pair of loads: errors and
-        covariance all along.
-    """
+    """What a fitted law says."""
 
     law: RadiusLaw
-    table: tuple[TableRow, ...]
-    journeys: tuple[Journey, ...]
-    notes: tuple[str, ...]
+    table: tuple[TableRow, ...]  #: table 1 and the bands of Fig. 15
+    journeys: tuple[Journey, ...]  #: journeys without and with correction, for each pair of loads and each band
+    notes: tuple[str, ...]  #: what the reader should know
+    #: the last route driven under the loads that change on the way, or else under the first pair of loads: errors and
+    #: covariance all along
     path: LawPath
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LawJourneys:
-    """Journeys that are asked for under a law.
+    """Journeys that are asked for under a law."""
 
-    Parameters
-    ----------
-    axle : AxleLaw
-        The law, and the track that it is driven with.
-    loads_N : sequence of (float, float)
-        Loads (left, right) of the journeys, in place of the study's own.
-    reference_N : (float, float)
-        Loads whose radii the uncorrected odometry uses.
-    loading : Loading, optional
-        Loads that change on the way; None: the first of `loads_N` all along.
-    draws : int
-        Draws of the Monte Carlo.
-    """
-
-    axle: AxleLaw
-    loads_N: Sequence[tuple[float, float]] = ()
-    reference_N: tuple[float, float] = (300.0, 300.0)
-    loading: Loading | None = None
-    draws: int = 20_000
+    axle: AxleLaw  #: the law, and the track that it is driven with
+    loads_N: Sequence[tuple[float, float]] = ()  #: loads (left, right) of the journeys, in place of the study's own
+    reference_N: tuple[float, float] = (300.0, 300.0)  #: loads whose radii the uncorrected odometry uses
+    loading: Loading | None = None  #: loads that change on the way; None: the first of `loads_N` all along
+    draws: int = 20_000  #: draws of the Monte Carlo
 
 
 @dataclass(frozen=True, slots=True, eq=False)

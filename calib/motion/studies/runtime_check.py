@@ -16,25 +16,14 @@ from calib.runtime import Coefficients, Odometer, OdometerFault, Status
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RuntimeCheck:
-    """The vehicle's runtime against the array odometry on the same logs.
+    """The vehicle's runtime against the array odometry on the same logs."""
 
-    Parameters
-    ----------
-    runs : int
-        Runs fed.
-    samples : int
-        Samples fed.
-    largest_difference_m, largest_difference_rad : float
-        Over all samples of these runs; NaN where none was accepted.
-    faults : dict of str to int
-        Refused loads and samples by status.
-    """
-
-    runs: int
-    samples: int
+    runs: int  #: runs fed
+    samples: int  #: samples fed
+    #: largest_difference_m, largest_difference_rad: over all samples of these runs; NaN where none was accepted
     largest_difference_m: float
     largest_difference_rad: float
-    faults: dict[str, int]
+    faults: dict[str, int]  #: refused loads and samples by status
 
 
 #: of a vehicle that the runtime, which reads two wheels on one axle, cannot follow

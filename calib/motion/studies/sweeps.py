@@ -25,27 +25,13 @@ WHICH: Final = ("right", "left", "both", "equal")
 
 @dataclass(frozen=True, slots=True)
 class Study:
-    """A study by name.
+    """A study by name."""
 
-    Parameters
-    ----------
-    title : str
-        What it shows.
-    routes : tuple of str
-        Routes driven.
-    ratios : tuple of float
-        Ratios of radii.
-    which : tuple of str
-        Which wheels are off, of `WHICH`.
-    figures : tuple of str
-        Figures of the paper that it corresponds to, one a route.
-    """
-
-    title: str
-    routes: tuple[str, ...]
-    ratios: tuple[float, ...]
-    which: tuple[str, ...]
-    figures: tuple[str, ...]
+    title: str  #: what it shows
+    routes: tuple[str, ...]  #: routes driven
+    ratios: tuple[float, ...]  #: ratios of radii
+    which: tuple[str, ...]  #: which wheels are off, of `WHICH`
+    figures: tuple[str, ...]  #: figures of the paper that it corresponds to, one a route
 
 
 STUDIES: Final[Mapping[str, Study]] = {
@@ -127,36 +113,16 @@ class Case:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sweep:
-    """Vehicles with different radii on one route.
+    """Vehicles with different radii on one route."""
 
-    Parameters
-    ----------
-    route : Route
-        The route, undivided.
-    track_m : float
-        Track.
-    cases : tuple of Case
-        Vehicles.
-    distance_m : array of float, shape (n_points,)
-        Distance along the route at each point.
-    reference : Poses
-        Route at the points, shape (n_points,).
-    poses : Poses
-        Real poses, shape (n_cases, n_points).
-    errors : PoseErrors
-        Real minus route, shape (n_cases, n_points).
-    corners : Poses
-        Real poses at the ends of the undivided segments, shape (n_cases, n_segments + 1).
-    """
-
-    route: Route
+    route: Route  #: the route, undivided
     track_m: float
-    cases: tuple[Case, ...]
-    distance_m: FloatArray
-    reference: Poses
-    poses: Poses
-    errors: PoseErrors
-    corners: Poses
+    cases: tuple[Case, ...]  #: vehicles
+    distance_m: FloatArray  #: shape (n_points,): distance along the route at each point
+    reference: Poses  #: route at the points, shape (n_points,)
+    poses: Poses  #: real poses, shape (n_cases, n_points)
+    errors: PoseErrors  #: real minus route, shape (n_cases, n_points)
+    corners: Poses  #: real poses at the ends of the undivided segments, shape (n_cases, n_segments + 1)
 
     def ends(self) -> list[dict[str, float | str]]:
         """Return the numbers at the end of the route, one row a case."""

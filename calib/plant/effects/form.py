@@ -22,53 +22,28 @@ def no_knobs(rng: np.random.Generator, design: Design) -> dict[str, float]:
 
 @dataclass(frozen=True, slots=True)
 class Form:
-    """One form of one effect.
+    """One form of one effect."""
 
-    Parameters
-    ----------
-    effect : str
-        Id of the effect; those outside any library begin with ``outside:``.
-    form : str
-        Name of the form; ``plain`` is the textbook's.
-    typical : float
-        Typical size.
-    unit : str
-        Of the size.
-    act : callable
-        ``act(world, size, knobs)`` changes the world; `size` has one value a run, 0 where the effect is absent.
-    needs : set of str
-        What a design must have for the effect to be there at all: ``loads``, ``offsets``, ``turns``, ``speeds``,
-        ``temperatures``, ``dwell``, ``sessions``, ``directions``, ``corridor``, ``laser``, ``poses``, ``front``,
-        ``flying``, ``stops``, ``slope`` (truth and model share a load law), ``trace``, ``lanes``, ``lengths``,
-        ``outside``, ``no_logs``, ``column:<name>``, ``bends`` (several radii of turn).
-    knobs : callable
-        ``knobs(rng, design)`` draws what else there is to choose, once a case.
-    """
-
-    effect: str
-    form: str
-    typical: float
-    unit: str
+    effect: str  #: id of the effect; those outside any library begin with ``outside:``
+    form: str  #: name of the form; ``plain`` is the textbook's
+    typical: float  #: typical size
+    unit: str  #: of the size
+    #: ``act(world, size, knobs)`` changes the world; `size` has one value a run, 0 where the effect is absent
     act: Callable[[World, FloatArray, Knobs], None]
+    #: what a design must have for the effect to be there at all: ``loads``, ``offsets``, ``turns``, ``speeds``,
+    #: ``temperatures``, ``dwell``, ``sessions``, ``directions``, ``corridor``, ``laser``, ``poses``, ``front``,
+    #: ``flying``, ``stops``, ``slope`` (truth and model share a load law), ``trace``, ``lanes``, ``lengths``,
+    #: ``outside``, ``no_logs``, ``column:<name>``, ``bends`` (several radii of turn)
     needs: frozenset[str] = frozenset()
+    #: ``knobs(rng, design)`` draws what else there is to choose, once a case
     knobs: Callable[[np.random.Generator, Design], dict[str, float]] = no_knobs
 
 
 @dataclass(frozen=True, slots=True)
 class Cause:
-    """An effect with its size, as it truly acts in a case.
-
-    Parameters
-    ----------
-    effect, form : str
-        Which.
-    size : float
-        In the form's unit.
-    knobs : mapping of str to float
-        What else was drawn.
-    """
+    """An effect with its size, as it truly acts in a case."""
 
     effect: str
-    size: float
+    size: float  #: in the form's unit
     form: str = "plain"
-    knobs: Knobs = field(default_factory=dict)
+    knobs: Knobs = field(default_factory=dict)  #: what else was drawn
