@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -60,7 +61,12 @@ def recognise(found: str, known: Sequence[str] | Iterable[str], *, further: bool
     calib's unit suffixes; `further`: convert an unknown name that ends in a unit (``static_radius_mm``) to its SI name
     too. With ``name`` equal to `found` (cleaned of blanks) where nothing matches.
     """
-    known = tuple(known)
+    return _recognise(found, tuple(known), further)
+
+
+@lru_cache(maxsize=1024)
+def _recognise(found: str, known: tuple[str, ...], further: bool) -> Recognised:
+    # tables of a fleet, and logs of a campaign, have the same names over and over
     name = found.strip()
     if name in known:
         return Recognised(found, name)

@@ -111,9 +111,16 @@ def _numbers(raw: RawTable, matched: Mapping[str, Recognised], shown: str, borde
 
 
 def _texts(cells: npt.NDArray[Any], column: str, shown: str, line: npt.NDArray[np.int64]) -> StrArray:
-    out = []
-    for index, cell in enumerate(cells):
-        text = "" if cell is None else cell.strip() if isinstance(cell, str) else _plain(cell)
+    texts = ["" if cell is None else cell.strip() if isinstance(cell, str) else _plain(cell) for cell in cells]
+    # all at once first: a fleet's run tables are many and small
+    if not "".join(texts).isprintable() or max(map(len, texts), default=0) > LABEL_CHARACTERS:
+        _refuse_odd_texts(texts, column, shown, line)
+    return np.asarray(texts, dtype=np.str_)
+
+
+def _refuse_odd_texts(texts: Sequence[str], column: str, shown: str, line: npt.NDArray[np.int64]) -> None:
+    """Refuse control characters and texts beyond all use; other characters that are not printed may be."""
+    for index, text in enumerate(texts):
         if not text.isprintable() and any(ord(letter) < 32 for letter in text):
             raise BadFileError(
                 shown,
@@ -132,8 +139,6 @@ def _texts(cells: npt.NDArray[Any], column: str, shown: str, line: npt.NDArray[n
             row=int(line[index]),
             column=column,
         )
-        out.append(text)
-    return np.asarray(out, dtype=np.str_)
 
 
 def _plain(cell: Any) -> str:

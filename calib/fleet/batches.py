@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TypeVar
+from typing import Final, TypeVar
 
 Item = TypeVar("Item")
 
-#: some batches a worker, so that few items that take seconds each are shared out, too
-BATCHES_A_WORKER = 4
+#: a batch is at most this part of a worker's share of what is left: the last ones are small, so that all end together
+PARTS_OF_A_SHARE: Final = 2
 
 
 def one_each(_item: object) -> int:
@@ -38,12 +38,13 @@ def batches(
         None of them empty.
     """
     weights = [max(weigh(item), 1) for item in items]
-    size = max(1, min(largest, sum(weights) // (BATCHES_A_WORKER * workers)))
+    left = sum(weights)
     cut: list[Sequence[Item]] = []
     first = filled = 0
     for number, weight in enumerate(weights):
-        if filled and filled + weight > size:
+        if filled and filled + weight > min(largest, left // (PARTS_OF_A_SHARE * workers)):
             cut.append(items[first:number])
+            left -= filled
             first, filled = number, 0
         filled += weight
     if filled:

@@ -8,6 +8,7 @@ from typing import Any, Final, TypeVar
 
 from calib.errors import MissingExtraError, RefusedError
 from calib.fleet.batches import batches, one_each
+from calib.fleet.processes import OWN, SHARED, import_modules
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -20,7 +21,7 @@ BATCH: Final = 64
 def dask_workers(scheduler: str) -> Iterator[DaskWorkers]:
     """Connect to a scheduler; see `calib.fleet.engines.engine`."""
     try:
-        from distributed import Client
+        from distributed import Client, fire_and_forget
     except ImportError as error:
         raise MissingExtraError("a Dask scheduler", "distributed", "fleet") from error
     try:
@@ -31,6 +32,11 @@ def dask_workers(scheduler: str) -> Iterator[DaskWorkers]:
             "expected a Dask scheduler; start one, or leave the scheduler away"
         ) from error
     with client, client.as_current():
+        # the workers import what they need while this process lists the work
+        for worker in client.nthreads():
+            fire_and_forget(
+                client.submit(import_modules, (*SHARED, *OWN), workers=[worker], allow_other_workers=True, pure=False)
+            )
         yield DaskWorkers(client)
 
 

@@ -111,16 +111,15 @@ def _campaigns(folder: Path) -> tuple[Member, ...]:
 def _dataset(folder: Path) -> tuple[Member, ...]:
     members = []
     top = folder.resolve()
-    for path in sorted(folder.iterdir()):
-        match = _PARTITION.fullmatch(path.name)
-        if match is None or not path.is_dir():
-            continue
+    with os.scandir(folder) as entries:
+        of_vehicles = [entry for entry in entries if _PARTITION.fullmatch(entry.name) and entry.is_dir()]
+    for entry in sorted(of_vehicles, key=lambda entry: entry.name):
         # a million files: paths are put together as text, and only what may lead elsewhere is resolved one by one
         parts = tuple(
             Part(name, top / name if plain else inside(folder, name, named_in=folder), folder, _day_of(partition))
-            for name, partition, plain in sorted(_files_in(str(path), path.name, plain=not path.is_symlink()))
+            for name, partition, plain in sorted(_files_in(entry.path, entry.name, plain=not entry.is_symlink()))
         )
-        members.append(Member(match[1], parts))
+        members.append(Member(entry.name.partition("=")[2], parts))
     return tuple(members)
 
 

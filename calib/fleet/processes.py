@@ -32,7 +32,7 @@ class Processes:
         self._workers = workers
         self._pool: ProcessPoolExecutor | None = None
         if _may_fork():
-            _import(SHARED)
+            import_modules(SHARED)
             # the first task makes the workers, as long as this process has no other thread
             self._open(careful=False).submit(int)
         else:
@@ -156,7 +156,7 @@ def _begin_worker() -> None:
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    _import(OWN)
+    import_modules(OWN)
 
 
 def _end_with_parent() -> None:
@@ -170,7 +170,8 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def _import(modules: Sequence[str]) -> None:
+def import_modules(modules: Sequence[str]) -> None:
+    """Import modules, so that the first task need not; those that are not installed are passed over."""
     import importlib
 
     for module in modules:

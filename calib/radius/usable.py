@@ -74,11 +74,10 @@ def usable_runs(campaign: Campaign, *, need_load: bool = True) -> tuple[Campaign
             "is not a straight run: its heading changed too much",
         ),
     )
-    reason = np.full(len(runs), "", dtype="<U96")
-    for hit, text in reasons:
-        reason = np.where((reason == "") & hit, text, reason)
-    keep = reason == ""
-    left_out = tuple(LeftOut(str(run), str(text)) for run, text in zip(runs.run_id[~keep], reason[~keep], strict=True))
+    hits = np.stack([hit for hit, _ in reasons])
+    keep = ~hits.any(axis=0)
+    first_reason = hits.argmax(axis=0)
+    left_out = tuple(LeftOut(str(runs.run_id[run]), reasons[first_reason[run]][1]) for run in np.flatnonzero(~keep))
     if not keep.any():
         first = left_out[0] if left_out else LeftOut("(none)", "the run table is empty")
         raise RefusedError(

@@ -23,11 +23,10 @@ from calib.campaign.model import Campaign
 from calib.campaign.write import write_campaign
 from calib.motion.odometry.integrate import integrate
 from calib.motion.poses import Poses
-from calib.plant.fleet import FleetSize, make_fleet
 from tests.benchmarks import reading_bag, test_odometry
 from tests.benchmarks.test_diagnosis import campaign_of, of_rows
 from tests.benchmarks.test_startup import NEEDED
-from tests.fleet.hardship import scaling
+from tests.fleet.speeds import fleet_in, speeds
 
 ROOT = Path(__file__).resolve().parents[2]
 SAMPLE = "sample_runs/corridor_crossed"
@@ -126,13 +125,13 @@ def odometry(turns: int, into: Path) -> None:
     row("odometry without the extra `fast` (wall)", arrays, "C loop", alone)
 
 
-def fleets(into: Path, vehicles: int) -> None:
-    """A fleet by one and by two workers, against two processes that share nothing, in wall-clock seconds."""
-    folder = into / "fleet"
-    make_fleet(folder, np.random.default_rng(5), FleetSize(vehicles, n_months=1))
-    way = scaling(folder, into / "out")
+def fleets(turns: int, into: Path, vehicles: int) -> None:
+    """A fleet by two workers and through Dask, in wall-clock seconds; see `tests.fleet.speeds`."""
+    way = speeds(fleet_in(into, vehicles), into / "out", turns=turns)
     row(f"fleet of {vehicles} vehicles, two workers (wall)", way.two_s, "ideal scaling", 0.5 * way.strangers_s)
     row(f"fleet of {vehicles} vehicles, one worker (wall)", way.one_s, "two workers", way.two_s)
+    if way.dask_s is not None:
+        row(f"fleet of {vehicles} vehicles through Dask, two workers (wall)", way.dask_s, "two workers", way.two_s)
     say(f"a vehicle of {vehicles}, one worker", f"{way.cpu_s / vehicles:.4f}", "", "", "")
 
 
@@ -173,7 +172,7 @@ def main() -> None:
         if "odometry" in given.parts:
             odometry(given.turns, into)
         if "fleet" in given.parts:
-            fleets(into, given.vehicles)
+            fleets(min(given.turns, 3), into, given.vehicles)
         if "growth" in given.parts:
             growth(min(given.turns, 2), into, given.sizes)
         sys.stdout.write(f"\nLoad at the end {os.getloadavg()[0]:.1f}.\n")

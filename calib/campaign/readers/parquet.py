@@ -30,6 +30,9 @@ def _cells(column: Any) -> tuple[np.ndarray[Any, Any], int | None]:
     """Return a column's cells, and the epoch (ns) of one that holds moments."""
     import pyarrow as pa
 
+    if column.type in (pa.float64(), pa.int64()) and not column.null_count:
+        # without Arrow's functions, which take longer to import than a small table to read
+        return _filled(column, np.nan).astype(np.float64, copy=False), None
     if pa.types.is_integer(column.type) or pa.types.is_floating(column.type):
         return _filled(column.cast(pa.float64(), safe=False), np.nan), None
     if pa.types.is_timestamp(column.type):
@@ -38,6 +41,9 @@ def _cells(column: Any) -> tuple[np.ndarray[Any, Any], int | None]:
         epoch = int(moments[0]) if len(moments) else 0
         return (moments - epoch) / NS_PER_S, epoch
     cells = np.empty(len(column), dtype=object)
+    if pa.types.is_string(column.type):
+        cells[:] = column.to_pylist()
+        return cells, None
     cells[:] = [
         None if cell is None else float(cell) if isinstance(cell, bool) else str(cell) for cell in column.to_pylist()
     ]

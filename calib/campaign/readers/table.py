@@ -142,7 +142,7 @@ def comma_evidence(columns: Sequence[npt.NDArray[Any]]) -> bool | None:
     """Return whether a file writes decimal commas: True or False where some cell can be read in one way only."""
     comma = point = False
     for cells in columns:
-        for cell in cells:
+        for cell in cells if cells.dtype == object else ():
             if isinstance(cell, str) and not _AMBIGUOUS.fullmatch(text := cell.strip()):
                 comma = comma or ("," in text and _COMMA.fullmatch(text) is not None)
                 point = point or ("." in text and _POINT.fullmatch(text) is not None)
