@@ -16,23 +16,11 @@ if TYPE_CHECKING:
 
 
 def achieved(diagnosis: Diagnosis, fresh: Campaign, exclude: tuple[str, ...] = ()) -> dict[str, Any] | None:
-    """Return the gap of the fresh campaign under the model alone and under the fitted fix; nothing is refitted.
+    """Return the gap of a fresh campaign of the same truth under the model alone and under the fitted fix.
 
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-        Of the other campaign of the same truth.
-    fresh : Campaign
-        Never seen by the diagnosis.
-    exclude : tuple of str
-        Effects that were left out of the library.
-
-    Returns
-    -------
-    dict or None
-        ``before_rms_m``, ``after_rms_m`` of the end position (else of the distance); ``before_over_floor``,
-        ``after_over_floor``, all channels against their noise; the closure ``fraction`` of whitened squares. None
-        where the verdict names no cause, or a form of its causes cannot be had there.
+    Nothing is refitted. ``before_rms_m``, ``after_rms_m`` of the end position (else of the distance);
+    ``before_over_floor``, ``after_over_floor``, all channels against their noise; the closure ``fraction`` of whitened
+    squares. None where the verdict names no cause, or a form of its causes cannot be had there.
     """
     from calib.gap.data.from_campaign import observations_of
     from calib.gap.evidence.fit import hypothesis_path

@@ -63,18 +63,11 @@ class Judged:
 
 
 def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
-    """Hold a verdict against the truth.
+    """Hold a verdict in the shape of ``calib diagnose --json`` (None where there is none) against the truth.
 
     The right answer is: nothing, for an empty case; the effect first, for one effect; both, for two; ``unknown`` or
     ``partly_explained`` with a rest, for an effect outside the library; a group that holds the truth and an alias, for
     an exact alias; ``unknown``, a rest, or an effect nearer than `APART`, where the true effect was deleted.
-
-    Parameters
-    ----------
-    truth : Truth
-        What is true.
-    verdict : mapping or None
-        In the shape of ``calib diagnose --json``; None where there is none.
     """
     recipe = truth.recipe
     given: Mapping[str, Any] = verdict if verdict is not None else {"verdict": "missing"}

@@ -58,14 +58,9 @@ _TRUE: Final[dict[tuple[str, str], Callable[[Truth, Cause], _Expected]]] = {
 
 
 def compare(truth: Truth, verdict: Mapping[str, Any]) -> list[Compared]:
-    """Return (parameter, truth, low, high) for each interval that can be held against the truth.
+    """Return (parameter, truth, low, high) for each interval of a verdict that can be held against the truth.
 
-    Parameters
-    ----------
-    truth : Truth
-        What is true; causes of other forms than the library's are left out.
-    verdict : mapping
-        In the shape of ``calib diagnose --json``.
+    Causes of other forms than the library's are left out.
     """
     named = {cause.get("effect"): cause for cause in verdict.get("causes", [])}
     compared: list[Compared] = []

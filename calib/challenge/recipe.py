@@ -78,13 +78,7 @@ class Recipe:
 
 
 def read_seeds(path: Path) -> Seeds:
-    """Read a seeds file.
-
-    Raises
-    ------
-    BadFileError
-        Where it is none.
-    """
+    """Read a seeds file."""
     data: dict[str, Any] = load_toml(Path(path), str(path), remedy="give one of calib/challenge/seeds")
     cases, seed, most = data.get("cases"), data.get("seed"), data.get("max_runs", 160)
     if data.get("format") != _FORMAT or not isinstance(seed, int) or seed < 0 or not isinstance(cases, dict):
@@ -199,15 +193,7 @@ def _crowd(number: int, rng: np.random.Generator) -> dict[str, Any]:
 
 
 def recipes(seeds: Seeds, limit: int | None = None) -> list[Recipe]:
-    """Return the cases of a seeds file, in a shuffled order so that a case's name says nothing.
-
-    Parameters
-    ----------
-    seeds : Seeds
-        The file.
-    limit : int, optional
-        Only the first so many of the shuffled order.
-    """
+    """Return the (first `limit`) cases of a seeds file, in a shuffled order so that a case's name says nothing."""
     listed: list[dict[str, Any]] = []
     for group in GROUPS:
         cases = _of_group(group, seeds.cases.get(group, 0), np.random.default_rng([seeds.seed, GROUPS.index(group)]))

@@ -90,13 +90,7 @@ class Score:
 
 
 def open_truth(folder: Path, truth_file: Path | None = None) -> tuple[dict[str, Truth], str]:
-    """Open the sealed truth of a set, once its hash agrees with the one that was stored first.
-
-    Raises
-    ------
-    BadFileError
-        Where it is missing, or is not the file that was sealed.
-    """
+    """Open the sealed truth of a set, once its hash agrees with the one that was stored first."""
     public = read_public(folder)
     path = Path(truth_file) if truth_file else truth_path(folder)
     if not path.is_file():

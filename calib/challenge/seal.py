@@ -180,13 +180,7 @@ def make(
 
 
 def read_public(folder: Path) -> dict[str, Any]:
-    """Return what a set says openly: the truth's hash, the cases, and what is deleted from the library for each.
-
-    Raises
-    ------
-    BadFileError
-        Where there is no such set.
-    """
+    """Return what a set says openly: the truth's hash, the cases, and what is deleted from the library for each."""
     path = Path(folder) / PUBLIC
     try:
         data: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))

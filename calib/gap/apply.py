@@ -38,25 +38,11 @@ class _Line:
 
 
 def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[EffectSection] = ()) -> CoefficientFile:
-    """Return the campaign's model with the named causes added, as a coefficient file.
+    """Return the campaign's model with the named causes added, as a coefficient file; refused where none is named.
 
     The recalibration that was fitted beside the causes goes into radii and track, a load effect into the slopes of the
     law; every other effect is written down by its id, form, settings and parameters. `model_of` and `with_effects` of
-    `calib.gap.effects.applied` take them back.
-
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-        From `calib.gap.diagnose.diagnose_in_full` on the same campaign.
-    campaign : Campaign
-        What was diagnosed.
-    given : sequence of EffectSection
-        Effects that the diagnosed model had already; they are kept.
-
-    Raises
-    ------
-    RefusedError
-        Where the verdict names no cause.
+    `calib.gap.effects.applied` take them back. Effects that the diagnosed model had already (`given`) are kept.
     """
     verdict, fitted = diagnosis.verdict, diagnosis.fitted
     _refuse_without_cause(verdict)

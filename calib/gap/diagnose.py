@@ -110,10 +110,6 @@ def diagnose_in_full(
     progress : callable
         See `calib.progress.Progress`.
 
-    Returns
-    -------
-    Diagnosis
-
     Raises
     ------
     RefusedError

@@ -84,19 +84,9 @@ def steps(
 def jacobian(
     path: PathSteps, *, load_offset_left_N: npt.ArrayLike = 0.0, load_offset_right_N: npt.ArrayLike = 0.0
 ) -> FloatArray:
-    """Return the derivatives of the pose after each step by the parameters, shape (..., n, 3, 5).
+    """Return the derivatives of the pose (x, y, theta) after each step by `PARAMETERS`, shape (..., n, 3, 5).
 
-    Parameters
-    ----------
-    path : PathSteps
-        From `steps`.
-    load_offset_left_N, load_offset_right_N : array_like of float
-        Wheel load less the law's reference load in each step; broadcast to (..., n).
-
-    Returns
-    -------
-    array of float, shape (..., n, 3, 5)
-        Rows x, y, theta; columns as in `PARAMETERS`.
+    The load offsets are wheel load less the law's reference load in each step; they broadcast to (..., n).
     """
     turn_left, turn_right = path.left_m / path.radius_left_m, path.right_m / path.radius_right_m
     offset_left = np.asarray(load_offset_left_N, dtype=np.float64)
@@ -128,14 +118,9 @@ def jacobian(
 def parameter_covariance(law: RadiusLaw, *, track_std_m: float = 0.0, single_run: bool = False) -> FloatArray:
     """Return the covariance of `PARAMETERS` under a law, shape (5, 5).
 
-    Parameters
-    ----------
-    law : RadiusLaw
-        Both wheels; taken as independent where they were fitted separately.
-    track_std_m : float
-        Standard uncertainty of the track; where wheels and track were fitted together, their covariance has it.
-    single_run : bool
-        Add the scatter of single runs about the law (the prediction band) to the uncertainty of its mean.
+    Wheels that were fitted separately are taken as independent, of each other and of the track; where wheels and track
+    were fitted together, their covariance has the track's uncertainty. `single_run` adds the scatter of single runs
+    about the law (the prediction band) to the uncertainty of its mean.
     """
     joint = np.zeros((5, 5))
     for first, wheel in ((0, law.left), (2, law.right)):
@@ -228,14 +213,9 @@ class Ellipses:
 
 
 def ellipses(covariance: npt.ArrayLike, *, coverage: float = 0.95) -> Ellipses:
-    """Return the error ellipses of pose covariances.
+    """Return the error ellipses of pose covariances, shape (..., 3, 3) or (..., 2, 2), x and y in m^2 first.
 
-    Parameters
-    ----------
-    covariance : array_like of float, shape (..., 3, 3) or (..., 2, 2)
-        The first two rows and columns are x and y in m^2.
-    coverage : float
-        Probability to lie within; 0.95 is 2.45 standard deviations in two dimensions.
+    A coverage of 0.95 is 2.45 standard deviations in two dimensions.
     """
     c = np.asarray(covariance, dtype=np.float64)
     mean, half = 0.5 * (c[..., 0, 0] + c[..., 1, 1]), 0.5 * (c[..., 0, 0] - c[..., 1, 1])

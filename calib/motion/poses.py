@@ -77,13 +77,7 @@ def wrapped(angle_rad: npt.ArrayLike) -> FloatArray:
 
 
 def pose_errors(true: Poses, reference: Poses) -> PoseErrors:
-    """Return true minus reference, pose by pose.
-
-    Parameters
-    ----------
-    true, reference : Poses
-        Shapes that broadcast.
-    """
+    """Return true minus reference, pose by pose; shapes broadcast."""
     dx, dy = true.x_m - reference.x_m, true.y_m - reference.y_m
     cosine, sine = np.cos(reference.theta_rad), np.sin(reference.theta_rad)
     return PoseErrors(

@@ -121,13 +121,7 @@ NAMED: Final[Mapping[str, tuple[Segment, ...]]] = {
 
 
 def find_route(name: str) -> Route:
-    """Return a route by its name, from a TOML file, or from a recorded trajectory (``.tum``).
-
-    Raises
-    ------
-    BadInputError
-        Where there is no such route.
-    """
+    """Return a route by its name, from a TOML file, or from a recorded trajectory (``.tum``)."""
     if name in NAMED:
         return Route.from_segments(name, *NAMED[name])
     if name.endswith(".toml"):
@@ -143,11 +137,6 @@ def driven_route(path: Path) -> Route:
     """Return the route that a recorded trajectory (TUM file) describes: one arc from each pose to the next.
 
     An arc keeps the poses' distance and turn; what a pose lies off the arc's chord is lost.
-
-    Raises
-    ------
-    BadFileError
-        Where the file cannot be used or holds fewer than two poses.
     """
     _, poses = read_tum(path)
     if len(poses) < 2:
@@ -164,11 +153,6 @@ def read_route(path: Path) -> Route:
 
     The file says ``format = "calib-route/1"``, a ``name`` where wanted, and one ``[[segment]]`` for each piece with
     either ``straight_m``, or ``radius_m`` and ``turn_deg`` (or ``turn_rad``), left positive.
-
-    Raises
-    ------
-    BadFileError
-        Where the file cannot be used.
     """
     path = Path(path)
 

@@ -17,24 +17,7 @@ FILE_LIMIT_BYTES = 2 << 30
 
 
 def write_tum(path: Path, t_s: npt.ArrayLike, poses: Poses, *, force: bool = False) -> Path:
-    """Write a trajectory; numbers carry every digit, so that reading gives them back.
-
-    Parameters
-    ----------
-    path : Path
-        Target.
-    t_s : array_like of float, shape (n,)
-        Times.
-    poses : Poses
-        Shape (n,).
-    force : bool
-        Whether an existing file is replaced.
-
-    Raises
-    ------
-    BadInputError
-        Where lengths differ, a number is not finite, or the file exists and `force` is False.
-    """
+    """Write poses at times in s, each (n,); numbers carry every digit, so that reading gives them back."""
     times = np.asarray(t_s, dtype=np.float64)
     if times.shape != poses.shape or times.ndim != 1:
         raise BadInputError(f"trajectory: found {times.shape} times for {poses.shape} poses; expected one a pose")
@@ -47,20 +30,7 @@ def write_tum(path: Path, t_s: npt.ArrayLike, poses: Poses, *, force: bool = Fal
 
 
 def read_tum(path: Path) -> tuple[FloatArray, Poses]:
-    """Read a trajectory.
-
-    Returns
-    -------
-    t_s : array of float, shape (n,)
-        Times.
-    poses : Poses
-        Shape (n,); the heading is the quaternion's yaw, unwrapped along the trajectory.
-
-    Raises
-    ------
-    BadFileError
-        Where the file cannot be read, a line has not eight finite numbers, or a quaternion is zero.
-    """
+    """Return times in s and poses of a trajectory, each (n,); the heading is the quaternion's yaw, unwrapped."""
     path = Path(path)
     try:
         if path.stat().st_size > FILE_LIMIT_BYTES:

@@ -50,24 +50,9 @@ class Record:
 def drive(world: World, noise: NoiseDraw, *, quantise: bool = True, step_s: float = STEP_S) -> Record:
     """Drive all runs of a world.
 
-    The path follower sees only the vehicle's odometry; its steering has a lag and a rate limit; the rear wheels roll
-    on the true radii and track, and the floor's texture makes a random walk of every wheel.
-
-    Parameters
-    ----------
-    world : World
-        What is true.
-    noise : NoiseDraw
-        One draw for the same runs.
-    quantise : bool
-        Whole counts; False keeps their fractions, for derivatives.
-    step_s : float
-        Time step.
-
-    Returns
-    -------
-    Record
-        Frames every `design.log_period_s` (0.25 s where that is 0).
+    The path follower sees only the vehicle's odometry; its steering has a lag and a rate limit; the rear wheels roll on
+    the true radii and track, and the floor's texture makes a random walk of every wheel. Counts are whole, or, for
+    derivatives, keep their fractions. Frames stand every `design.log_period_s` (0.25 s where that is 0).
     """
     design, model = world.design, world.model
     n_runs = len(design)

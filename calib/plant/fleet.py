@@ -130,23 +130,7 @@ def plan_fleet(rng: np.random.Generator, size: FleetSize) -> PlannedFleet:
 def make_fleet(folder: Path, rng: np.random.Generator, size: FleetSize) -> FleetTruth:
     """Write a fleet as a Parquet dataset ``vehicle=ID/month=YYYY-MM/runs.parquet``, with ``truth.json`` beside it.
 
-    Parameters
-    ----------
-    folder : Path
-        New folder.
-    rng : numpy.random.Generator
-        Chance.
-    size : FleetSize
-        How many; the runs of a vehicle are spread over the months, two sessions in each.
-
-    Returns
-    -------
-    FleetTruth
-
-    Raises
-    ------
-    MissingExtraError
-        Without pyarrow.
+    The runs of a vehicle are spread over the months, two sessions in each. Needs pyarrow.
     """
     try:
         import pyarrow as pa

@@ -36,14 +36,7 @@ def random_model(design: Design, rng: np.random.Generator) -> OdometryModel:
 def as_causes(truth: Mapping[str, float] | Sequence[Cause], design: Design, rng: np.random.Generator) -> list[Cause]:
     """Return causes with all their knobs drawn.
 
-    Parameters
-    ----------
-    truth : mapping of str to float, or sequence of Cause
-        Effect (or ``effect/form``) -> size; a size that is not a number takes the typical one.
-    design : Design
-        The runs.
-    rng : numpy.random.Generator
-        Draws the knobs.
+    A truth may be effect (or ``effect/form``) -> size; a size that is not a number takes the typical one.
     """
     if not isinstance(truth, Mapping):
         return list(truth)
@@ -58,16 +51,9 @@ def as_causes(truth: Mapping[str, float] | Sequence[Cause], design: Design, rng:
 
 
 def apply_causes(world: World, causes: Sequence[Cause], blocks: FloatArray | None = None) -> World:
-    """Let causes change a world.
+    """Let causes change a world in place, and return it.
 
-    Parameters
-    ----------
-    world : World
-        Changed in place, and returned.
-    causes : sequence of Cause
-        What is wrong.
-    blocks : array of float, shape (n_causes, n_runs), optional
-        Share of each cause's size that acts on each run; all of it by default.
+    `blocks` (n_causes, n_runs) is the share of each cause's size that acts on each run; all of it by default.
     """
     n_runs = len(world.design)
     for number, cause in enumerate(causes):

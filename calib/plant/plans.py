@@ -52,16 +52,8 @@ def _vehicle(rng: np.random.Generator) -> Vehicle:
 def good_design(rng: np.random.Generator, *, n_runs: int = 60, needs: Iterable[str] = (), **settings: Any) -> Design:
     """Return a crossed design: routes, loads, sides, speeds, temperatures, dwell and sessions vary apart, with repeats.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        All chance.
-    n_runs : int
-        Runs.
-    needs : iterable of str
-        What an effect needs to be there at all; see `calib.plant.effects.form.Form`.
-    **settings
-        Fields of `Design` that are given instead of drawn (``front=True``, ``log_period_s=0.1``, ...).
+    `needs` is what an effect needs to be there at all, see `calib.plant.effects.form.Form`; `settings` are fields of
+    `Design` that are given instead of drawn (``front=True``, ``log_period_s=0.1``, ...).
     """
     need = set(needs)
     n_sessions = int(rng.integers(3, 6))
@@ -174,24 +166,10 @@ def _surroundings(rng: np.random.Generator, need: set[str], n_runs: int) -> dict
 
 
 def poor_design(name: str, rng: np.random.Generator, *, n_runs: int = 40, **settings: Any) -> Design:
-    """Return a design that cannot answer everything.
+    """Return a design that cannot answer everything; `settings` are fields of `Design` that are given instead of drawn.
 
-    Parameters
-    ----------
-    name : str
-        ``load_a_session`` (the paper's own: corridor runs out and back, each session under its own load),
-        ``corridor_only`` (varied loads and speeds, no turn), ``squares_one_load``, ``few_repeats``.
-    rng : numpy.random.Generator
-        All chance.
-    n_runs : int
-        Runs.
-    **settings
-        Fields of `Design` that are given instead of drawn.
-
-    Raises
-    ------
-    BadInputError
-        Where the name is none of these.
+    ``load_a_session`` (the paper's own: corridor runs out and back, each session under its own load), ``corridor_only``
+    (varied loads and speeds, no turn), ``squares_one_load`` or ``few_repeats``.
     """
     if name not in DESIGNS:
         raise BadInputError(f"design {name!r} found; expected one of {', '.join(DESIGNS)}; name one of these")

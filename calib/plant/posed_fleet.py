@@ -51,10 +51,6 @@ def make_posed_fleet(
         Vehicles, and runs of each.
     n_outliers, n_common : int
         Vehicles with a track of their own, and in hall B.
-
-    Returns
-    -------
-    PosedTruth
     """
     refuse_more("runs of all vehicles", n_vehicles * n_runs, FLEET_RUNS, "simulate a smaller fleet")
     design = good_design(rng, n_runs=n_runs, needs={"corridor", "directions", "turns"})

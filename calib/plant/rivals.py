@@ -59,13 +59,7 @@ def _variants(design: Design, slope_per_N: float) -> list[Cause]:
 
 
 def rivals(design: Design, model: OdometryModel, noise: Noise, cause: Cause) -> tuple[Rival, ...]:
-    """Return the other effects, nearest first.
-
-    Returns
-    -------
-    tuple of Rival
-        Every effect that the design can show, by the best of its forms.
-    """
+    """Return the other effects that the design can show, by the best of their forms, nearest first."""
     others = [other for other in _variants(design, model.slope_left_m_per_N) if other.effect != cause.effect]
     strong = strengths(design, model, noise, [cause, *others], step_s=0.08, weigh=False)
     truth = strong.change[0]
@@ -92,12 +86,9 @@ def _families(causes: list[Cause], first: int) -> dict[tuple[str, str], list[int
 
 
 def signatures(design: Design, model: OdometryModel, noise: Noise) -> dict[str, list[FloatArray]]:
-    """Return what each effect can do on a design: whitened, a recalibration projected out.
+    """Return what each effect, calibration left out, can do on a design: whitened, a recalibration projected out.
 
-    Returns
-    -------
-    dict of str to list of array of float, each shape (n_rows, n_directions)
-        Effect -> its forms; calibration itself is left out.
+    Effect -> its forms, each (n_rows, n_directions).
     """
     causes = [cause for cause in _variants(design, model.slope_left_m_per_N) if not is_calibration(cause)]
     strong = strengths(design, model, noise, causes, step_s=0.08, weigh=False)

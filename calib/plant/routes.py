@@ -24,27 +24,11 @@ _QUARTER: Final = np.pi / 2
 
 
 def segments_of(kind: str, *, length_m: float, side_m: float, radius_m: float) -> list[Segment]:
-    """Return a route as straights and arcs.
+    """Return a route as straights and arcs: (length in m, curvature per m), left turns positive.
 
-    Parameters
-    ----------
-    kind : str
-        ``corridor`` (``corridor_b`` is its second lane, ``corridor_short`` a part of it), ``square_cw``,
-        ``square_ccw``, ``figure8``, ``route_left``, ``route_right``, ``slalom``.
-    length_m : float
-        Length of the corridor.
-    side_m, radius_m : float
-        Straight side and corner radius of the squares; the circles of the eight have 1.6 times that radius.
-
-    Returns
-    -------
-    list of (length_m, curvature_per_m)
-        Left turns positive.
-
-    Raises
-    ------
-    BadInputError
-        Where the kind is none of these.
+    ``corridor`` (``corridor_b`` is its second lane, ``corridor_short`` a part of it), ``square_cw``, ``square_ccw``,
+    ``figure8``, ``route_left``, ``route_right`` or ``slalom``. The squares have straight sides of `side_m` and corners
+    of `radius_m`; the circles of the eight have 1.6 times that radius.
     """
     stem = re.sub(r"_b$", "", kind)
     if stem == "corridor":

@@ -145,16 +145,9 @@ def recalibration(world: World, record: Record) -> FloatArray:
 
 
 def strength(change: FloatArray, cov: FloatArray, absorbed: FloatArray | None) -> float:
-    """Return the whitened norm of a change of the outputs.
+    """Return the whitened norm of a change of the outputs (n_runs, 6), NaN where a run lacks the channel.
 
-    Parameters
-    ----------
-    change : array of float, shape (n_runs, 6)
-        NaN where a run lacks the channel.
-    cov : array of float, shape (n_runs, 6, 6)
-        Covariance of the noise.
-    absorbed : array of float, shape (n_runs, 6, n), or None
-        Directions to project out.
+    The noise has the covariance (n_runs, 6, 6); the directions `absorbed` (n_runs, 6, n) are projected out.
     """
     white, directions = whiten(change, cov, absorbed)
     if directions is None:

@@ -146,16 +146,7 @@ def wheel_loads(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the static loads of the left and right rear wheel by moments about the axle and the centre line.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        Geometry and mass.
-    payload_kg, payload_x_m, payload_y_m : array of float, shape (n_runs,)
-        Payload ahead of the rear axle and left of the centre line.
-
-    Returns
-    -------
-    load_left_N, load_right_N : array of float, shape (n_runs,)
+    The payload stands ahead of the rear axle and left of the centre line; all arrays (n_runs,).
     """
     length, width = vehicle.wheelbase_m, vehicle.track_m
     rear = vehicle.mass_kg * (1 - vehicle.cog_x_m / length) + payload_kg * (1 - payload_x_m / length)

@@ -29,18 +29,9 @@ class Answer:
 
 
 def answer_of(effect: str, family: str, verdict: Mapping[str, Any], seconds: float) -> Answer:
-    """Hold a verdict against what was planted.
+    """Hold a verdict in the shape of ``calib diagnose --json`` against what was planted.
 
-    Parameters
-    ----------
-    effect : str
-        What was planted; empty: nothing, or a cause outside the library.
-    family : str
-        Its family.
-    verdict : mapping
-        In the shape of ``calib diagnose --json``.
-    seconds : float
-        What the diagnosis took.
+    `effect` is empty where nothing was planted, or a cause outside the library.
     """
     word = str(verdict["verdict"])
     causes = list(verdict.get("causes", ()))

@@ -42,17 +42,10 @@ class OwnNoise:
 
 
 def own_noise(observations: Observations, left: FloatArray, covariance: FloatArray) -> OwnNoise:
-    """Return the noise of a campaign.
+    """Return the noise of a campaign, of what its fit leaves (n_units, 6) under its covariance (n_units, 6, 6).
 
-    Parameters
-    ----------
-    observations : Observations
-        What was driven. Units of one condition stand in for one another, where there are enough of them; else those of
-        one route, else those with the same channels.
-    left : array of float, shape (n_units, 6)
-        What the diagnosis' fit leaves.
-    covariance : array of float, shape (n_units, 6, 6)
-        Of each unit, by the diagnosis; unit variance where a channel is missing.
+    Units of one condition stand in for one another, where there are enough of them; else those of one route, else those
+    with the same channels.
     """
     channels = observations.usable @ (2 ** np.arange(6))
     circles = [_numbered(by, channels) for by in (observations.condition, observations.kind, np.zeros_like(channels))]

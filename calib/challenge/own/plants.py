@@ -48,13 +48,7 @@ class Size:
 
 
 def parse_sizes(text: str) -> tuple[Size, ...]:
-    """Return sizes as written: ``10s`` is a signal of 10, ``2x`` twice the typical size, ``0.01`` the size itself.
-
-    Raises
-    ------
-    BadInputError
-        Where the text holds something else.
-    """
+    """Return sizes as written: ``10s`` is a signal of 10, ``2x`` twice the typical size, ``0.01`` the size itself."""
     sizes = []
     for part in text.split(","):
         match = _SIZE.fullmatch(part)

@@ -159,16 +159,10 @@ class Replay:
         return Replay(observations, design_of(observations), route_of(observations))
 
     def readings(self, act: Act | None, *, level: bool = False) -> FloatArray:
-        """Return what the instruments read at the end of each unit, shape (n_units, 6).
+        """Return distance, x, y, heading, path and turn as read at the end of each unit, shape (n_units, 6).
 
-        Columns: distance, x, y, heading, path and turn (what a front wheel sees).
-
-        Parameters
-        ----------
-        act : callable, optional
-            Changes the world; none is the model alone.
-        level : bool
-            Take the mean change of the static radii out, which a calibration takes up.
+        Path and turn are what a front wheel sees. `act` changes the world; none is the model alone. `level` takes the
+        mean change of the static radii out, which a calibration takes up.
         """
         world = world_of(self.observations, self.design)
         if act is not None:

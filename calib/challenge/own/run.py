@@ -161,19 +161,7 @@ def _diagnosed(bench: _Bench, job: _Job) -> Answer:
 def with_readings(
     observations: Observations, readings: FloatArray, noise: OwnNoise, seeds: Sequence[int]
 ) -> Observations:
-    """Return the campaign as it would have been observed, with the noise of one draw.
-
-    Parameters
-    ----------
-    observations : Observations
-        The campaign's own.
-    readings : array of float, shape (n_units, 6)
-        Distance, x, y, heading, front, steering, without noise.
-    noise : OwnNoise
-        The campaign's own.
-    seeds : sequence of int
-        Of the draw.
-    """
+    """Return the campaign as it would have been observed: readings (n_units, 6) with the noise that `seeds` draw."""
     drawn = noise.draw(np.random.default_rng([abs(seed) for seed in seeds]))
     measured = readings + drawn
     # along and lateral are noise in the frame of the heading that is measured

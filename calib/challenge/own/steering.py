@@ -17,17 +17,8 @@ TURNED_STD: Final = 6.0
 def true_angles(read: FloatArray, time_s: FloatArray, last: IntArray, world: World) -> FloatArray:
     """Return the wheel's true angles, shape (n_steps_most, n_units): what the world's sensor would read as logged.
 
-    Parameters
-    ----------
-    read : array of float, shape (n_steps_most, n_units)
-        Angles as logged, of units side by side.
-    time_s : array of float, shape (n_steps_most, n_units)
-        When each step ended.
-    last : array of int, shape (n_units,)
-        Last step of each unit.
-    world : World
-        Zero, scale, play and delay of the sensor. Beyond the end of a log, where a late sensor's last angles would
-        be, the last one holds.
+    Zero, scale, play and delay of the sensor are the world's. Beyond the end of a log (the unit's last step), where a
+    late sensor's last angles would be, the last one holds.
     """
     true = (read - world.steer_zero_rad) / world.steer_scale
     if world.steer_backlash_rad.any():

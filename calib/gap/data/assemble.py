@@ -89,10 +89,6 @@ def assemble(
         What was said on the way here.
     stands_in : bool
         Whether the two wheels stand in for a front wheel or for four wheels.
-
-    Returns
-    -------
-    Observations
     """
     said = list(notes)
     steps = _steps(units, model)

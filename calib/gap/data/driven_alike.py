@@ -47,13 +47,6 @@ def levels(values: FloatArray, width: float) -> IntArray:
 
     Values that differ by no more than `width` from their neighbour in size are one level, wherever that lies. What
     varies without steps is cut into bins of twice the width. NaN is a level of its own.
-
-    Parameters
-    ----------
-    values : array of float, shape (n,)
-        The values; they scatter about what was set.
-    width : float
-        Distance from which on two are different.
     """
     number = np.full(len(values), -1, dtype=np.int64)
     known = np.flatnonzero(np.isfinite(values))
@@ -93,11 +86,6 @@ def routes(driven: Driven) -> IntArray:
     Two units have one route where their length is alike and their heading and way are, at every tenth of the wheels'
     rolling. The heading is the wheels', drawn linearly to the measured one at the end where there is one, so that
     wheels of unlike radii make no other route.
-
-    Parameters
-    ----------
-    driven : Driven
-        Steps of all units.
     """
     shapes, rolled, tolerance = _shapes(driven)
     route = np.full(len(rolled), -1, dtype=np.int64)
@@ -155,18 +143,10 @@ def lane_names(kind: StrArray) -> StrArray:
 
 
 def measured_speed(starts: IntArray, way_m: FloatArray, duration_s: FloatArray, logged: BoolArray) -> FloatArray:
-    """Return the mean speed of each unit over its way, by its log, shape (n_units,); NaN without a log.
+    """Return the mean speed of each unit over its way, by its log, shape (n_units,); NaN where `logged` is false.
 
-    A mean over the way, so that standing still at the ends weighs nothing.
-
-    Parameters
-    ----------
-    starts : array of int, shape (n_units + 1,)
-        Steps of unit u stand at ``starts[u]:starts[u + 1]``.
-    way_m, duration_s : array of float, shape (n_steps,)
-        What was rolled in each step, and how long it took.
-    logged : array of bool, shape (n_units,)
-        Which units have a log.
+    A mean over the way, so that standing still at the ends weighs nothing. Steps of unit u, with the way rolled in
+    each, stand at ``starts[u]:starts[u + 1]``.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         pace = np.where(duration_s > 0, way_m**2 / duration_s, 0.0)

@@ -31,27 +31,11 @@ FEW_REPEATED = 8
 
 
 def observations_of(campaign: Campaign, model: OdometryModel | None = None) -> Observations:
-    """Arrange a campaign for the diagnosis.
+    """Arrange a campaign for the diagnosis; `model` is what the simulator believes, by default the campaign's own.
 
     Excluded rows are left out. Recordings with a continuous pose reference are cut into windows where there are fewer
-    than a dozen runs, or where hardly any was driven twice. A run without a log counts with what its row says.
-
-    Parameters
-    ----------
-    campaign : Campaign
-        What was driven.
-    model : OdometryModel, optional
-        What the simulator believes; the campaign's own by default.
-
-    Returns
-    -------
-    Observations
-        Units, steps, measurements.
-
-    Raises
-    ------
-    RefusedError
-        Where no run has both counts and something measured.
+    than a dozen runs, or where hardly any was driven twice. A run without a log counts with what its row says. Refused
+    where no run has both counts and something measured.
     """
     campaign = campaign.included()
     model = model or campaign.model

@@ -50,24 +50,11 @@ def were_led_straight(
 def heading_by_straightness(
     amplitude_m: FloatArray, wavelength_m: FloatArray, weave_rad: FloatArray, way_m: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
-    """Return how uncertain the heading at the end of a straight run is, and where that had to be assumed.
+    """Return how uncertain the heading at the end of a straight run is, and where it was assumed, each (n_units,).
 
-    A stated weave of amplitude A and wavelength l turns the vehicle by up to 2 pi A / l; else the log says by how much
-    it wove; else it is taken to stray by `ASSUMED_LATERAL_M` in one wave over its length.
-
-    Parameters
-    ----------
-    amplitude_m, wavelength_m : array of float, shape (n_units,)
-        Stated weave, NaN where not stated.
-    weave_rad : array of float, shape (n_units,)
-        Root mean square of the heading about its trend, by the log; NaN without one.
-    way_m : array of float, shape (n_units,)
-        Length of the run.
-
-    Returns
-    -------
-    sigma_rad : array of float, shape (n_units,)
-    assumed : array of bool, shape (n_units,)
+    A stated weave of amplitude A and wavelength l (NaN where not stated) turns the vehicle by up to 2 pi A / l; else
+    the log says by how much it wove (root mean square of the heading about its trend, NaN without a log); else it is
+    taken to stray by `ASSUMED_LATERAL_M` in one wave over its length.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         stated = 2 * np.pi * np.abs(amplitude_m) / wavelength_m
@@ -80,18 +67,10 @@ def heading_by_straightness(
 
 
 def weave_of_log(starts: IntArray, way_m: FloatArray, turn_rad: FloatArray, logged: BoolArray) -> FloatArray:
-    """Return the root mean square of the heading about its linear trend along the way, shape (n_units,).
+    """Return the root mean square of the heading about its linear trend along the way, (n_units,); NaN without a log.
 
-    Wheels of unlike radii turn evenly along the way: the trend is theirs. NaN without a log.
-
-    Parameters
-    ----------
-    starts : array of int, shape (n_units + 1,)
-        Steps of unit u stand at ``starts[u]:starts[u + 1]``.
-    way_m, turn_rad : array of float, shape (n_steps,)
-        Way and turn of each step by the wheels.
-    logged : array of bool, shape (n_units,)
-        Which units have a log.
+    Wheels of unlike radii turn evenly along the way: the trend is theirs. Way and turn by the wheels are given for each
+    step, those of unit u at ``starts[u]:starts[u + 1]``.
     """
     unit = np.repeat(np.arange(len(logged)), np.diff(starts))
 

@@ -30,17 +30,7 @@ SPREAD: Final = "spread"
 def model_of(path: FilePath | str, campaign: Campaign) -> tuple[OdometryModel, tuple[EffectSection, ...]]:
     """Return what a coefficient file believes: the odometry's model, and the effects to add to it.
 
-    Parameters
-    ----------
-    path : Path
-        Coefficient file of ``calib export`` or ``calib diagnose --apply``.
-    campaign : Campaign
-        What it shall be held against; the law is centred on the reference load of its model.
-
-    Raises
-    ------
-    BadFileError
-        Where the file cannot be used.
+    The law is centred on the reference load of the model of `campaign`, which the file shall be held against.
     """
     from calib.coefficients.believed import believed_model
     from calib.coefficients.file import load_coefficients
@@ -52,19 +42,11 @@ def model_of(path: FilePath | str, campaign: Campaign) -> tuple[OdometryModel, t
 def with_effects(
     observations: Observations, sections: Sequence[EffectSection], declared: object = ()
 ) -> tuple[Observations, tuple[str, ...]]:
-    """Return the situation as a simulator with the effects would predict it, and notes on what could not be applied.
+    """Return the campaign as a simulator with the effects would predict it, and notes on what could not be applied.
 
-    The prediction with the effects stands where an outside simulator's would, so the gap is measured minus that.
-    Units that an outside simulator predicted stay as they are.
-
-    Parameters
-    ----------
-    observations : Observations
-        With the file's model.
-    sections : sequence of EffectSection
-        From `model_of`.
-    declared : object
-        The ``[[effects]]`` tables of the campaign.
+    The prediction with the effects stands where an outside simulator's would, so the gap is measured minus that. Units
+    that an outside simulator predicted stay as they are. The observations have the file's model already; `declared` are
+    the ``[[effects]]`` tables of the campaign.
     """
     notes: list[str] = []
     rest: list[EffectSection] = []
@@ -90,28 +72,11 @@ def with_effects(
 def applied_pushes(
     observations: Observations, sections: Sequence[EffectSection], path: Path | None = None, declared: object = ()
 ) -> tuple[list[Push], list[str]]:
-    """Return what written-down effects do on a campaign, and notes on what could not be applied.
+    """Return what written-down effects do, times their sizes, and notes on what could not be applied.
 
     Each effect is looked up in the library by id, form and settings, its parameters by their names. Effects that act on
-    a covariate's deviation from its mean act on the deviation from the mean that the file says.
-
-    Parameters
-    ----------
-    observations : Observations
-        The campaign.
-    sections : sequence of EffectSection
-        Effects with their parameters.
-    path : Path, optional
-        About which the effects act; by default the path that the effects themselves give.
-    declared : object
-        The ``[[effects]]`` tables of the campaign.
-
-    Returns
-    -------
-    pushes : list of Push
-        Already times their sizes, for `predict`.
-    notes : list of str
-        Sentences.
+    a covariate's deviation from its mean act on the deviation from the mean that the file says. They act about `path`,
+    by default the path that the effects themselves give.
     """
     effects = every_effect(observations, declared=declared)
     notes: list[str] = []

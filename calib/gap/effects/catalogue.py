@@ -65,26 +65,10 @@ class Entry:
 
 
 def catalogue(nominal: Path, declared: object = (), only: Collection[str] = ()) -> list[Entry]:
-    """Return the effects that runs can be judged by.
+    """Return the effects that runs can be judged by, those of the ids `only` or all.
 
-    Parameters
-    ----------
-    nominal : Path
-        The model alone on the runs.
-    declared : object
-        The ``[[effects]]`` tables of ``campaign.toml`` as read.
-    only : collection of str
-        Ids; all where empty.
-
-    Returns
-    -------
-    list of Entry
-        The library's own, then columns of the run table, then declared effects, then those of installed packages.
-
-    Raises
-    ------
-    BadInputError
-        Where one of `only` is no effect here.
+    The library's own come first, then columns of the run table, then declared effects, then those of installed
+    packages.
     """
     every = every_effect(nominal.s, declared=declared)
     for name in only:

@@ -72,14 +72,7 @@ def floor_place(path: Path, far_end_m: FloatArray) -> tuple[FloatArray, FloatArr
     """Return the place on the floor at the middle of each step in m, each shape (n_steps,).
 
     In a map units start where they were seen to. Else runs out start at the origin heading along x; runs back head the
-    other way, in a corridor from its far end.
-
-    Parameters
-    ----------
-    path : Path
-        Of all units, or of some.
-    far_end_m : array of float, shape (n_units,)
-        From `far_end_m`, of these units.
+    other way, in a corridor from its far end (`far_end_m` of the units of the path).
     """
     observations = path.s
     known = np.isfinite(observations.start_pose).all(axis=1)

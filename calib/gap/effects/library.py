@@ -84,29 +84,10 @@ def steps_by_session(name: str) -> bool:
 
 
 def library(observations: Observations, *, exclude: Collection[str] = (), declared: object = ()) -> list[Effect]:
-    """Return the effects that a campaign is judged by.
+    """Return the effects that a campaign is judged by: of the registry, of its further columns, and the user's own.
 
     Effects that are found before the search (`fault_before_search`) are no part of it. A column that an effect acts
-    through is no candidate of its own beside it.
-
-    Parameters
-    ----------
-    observations : Observations
-        The campaign; its further numeric columns become effects of their own.
-    exclude : collection of str
-        Ids to leave out.
-    declared : object
-        The ``[[effects]]`` tables of ``campaign.toml`` as read.
-
-    Returns
-    -------
-    list of Effect
-        The registered effects in the order of the registry, then covariates, then the user's own.
-
-    Raises
-    ------
-    CalibError
-        Where a declaration or an entry point cannot be used.
+    through is no candidate of its own beside it. `declared` are the ``[[effects]]`` tables of ``campaign.toml``.
     """
     registered, covariates, own = _all(observations, declared)
     spoken_for = {column for effect in own if effect.id not in exclude for column in effect.columns}
@@ -122,13 +103,7 @@ def every_effect(observations: Observations, *, declared: object = ()) -> dict[s
 
 
 def check_excluded(exclude: Collection[str], observations: Observations, declared: object = ()) -> None:
-    """Refuse to leave out what is no effect of the campaign's library.
-
-    Raises
-    ------
-    BadInputError
-        Names the id, and those that begin alike.
-    """
+    """Refuse to leave out what is no effect of the campaign's library; the error names ids that begin alike."""
     known = every_effect(observations, declared=declared)
     for name in exclude:
         if name not in known:

@@ -29,20 +29,7 @@ SEEN: float = 0.12
 
 
 def signature_of(effect: Effect, nominal: Path) -> EffectSignature | None:
-    """Return the signature of an effect on the runs of a path.
-
-    Parameters
-    ----------
-    effect : Effect
-        The cause.
-    nominal : Path
-        The model alone on these runs.
-
-    Returns
-    -------
-    EffectSignature or None
-        None where the effect has no form on these runs: `Effect.needs` says what is missing.
-    """
+    """Return the signature of an effect on the runs of a path; None where it has no form there."""
     observations = nominal.s
     best: tuple[float, Form, FloatArray] | None = None
     for form in effect.forms(observations):

@@ -36,17 +36,10 @@ def steer_rad(observations: Observations) -> FloatArray:
 
 
 def excess(observations: Observations, ahead_m: FloatArray, turn_rad: FloatArray) -> Push:
-    """Return what it does that the front wheel says more than is true.
+    """Return what it does that the front wheel says more than is true, by these excesses of way and turn in each step.
 
     Where rear wheels drive the odometry, the front channels are what these say less what the front wheel says, and grow
     by the excess. Where the front wheel alone drives it, the vehicle moves less than it says.
-
-    Parameters
-    ----------
-    observations : Observations
-        Units and steps.
-    ahead_m, turn_rad : array of float, shape (n_steps,)
-        Excess of the way and of the turn in each step.
     """
     if observations.by_front:
         return Push(along_m=-ahead_m, heading_rad=-turn_rad)

@@ -133,21 +133,9 @@ def _size(entry: Mapping[str, Any], number: int, key: str) -> float:
 
 
 def declared_effects(declared: object, observations: Observations, taken: Collection[str]) -> list[Effect]:
-    """Return the effects of the ``[[effects]]`` tables.
+    """Return the effects of the ``[[effects]]`` tables, which act through columns of the run table.
 
-    Parameters
-    ----------
-    declared : object
-        The section as read; a sequence of tables with the keys id, title, column, acts_on, typical and largest.
-    observations : Observations
-        The campaign, for the names of its columns.
-    taken : collection of str
-        Ids that are in use.
-
-    Raises
-    ------
-    BadFileError
-        Names the key that cannot be used. Nothing in a declaration is ever evaluated.
+    No id is `taken` twice. Nothing in a declaration is ever evaluated; an error names the key that cannot be used.
     """
     if declared is None:
         return []
@@ -183,20 +171,7 @@ def declared_effects(declared: object, observations: Observations, taken: Collec
 
 
 def entry_point_effects(taken: Collection[str], points: Sequence[EntryPoint] | None = None) -> list[Effect]:
-    """Return the effects that installed packages offer.
-
-    Parameters
-    ----------
-    taken : collection of str
-        Ids that are in use.
-    points : sequence of EntryPoint, optional
-        Where to look; the installed packages' entry points of the group `GROUP` by default.
-
-    Raises
-    ------
-    BadInputError
-        Where an entry point cannot be loaded, is no subclass of `Effect`, or its id is in use.
-    """
+    """Return the effects that installed packages offer (or these entry points); no id is `taken` twice."""
     return [effect for _, effect in _offered(taken, points)]
 
 

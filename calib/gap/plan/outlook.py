@@ -85,19 +85,8 @@ def undetectable(
 ) -> tuple[Detectable, ...]:
     """Return the effects that these runs could not have shown at their typical size, with the smallest that they could.
 
-    Parameters
-    ----------
-    bench : WhitenedSystem
-        The whitened system of the runs.
-    effects : sequence of Effect
-        The library.
-    forms : mapping of str to sequence of Form, optional
-        Forms of some effects on these runs, where they are known already.
-
-    Returns
-    -------
-    tuple of Detectable
-        `never` where nothing in the runs varies what the effect acts through, or a recalibration hides it wholly.
+    `never` where nothing in the runs varies what the effect acts through, or a recalibration hides it wholly. Forms
+    that are known already need not be asked of the effects again.
     """
     known = forms or {}
     every = {effect.id: known.get(effect.id) or effect.forms(bench.path.s) for effect in effects}

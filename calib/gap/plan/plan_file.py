@@ -63,13 +63,7 @@ def read_plan(path: Path) -> Campaign:
 
 
 def read_candidates(path: Path) -> list[PlannedRun]:
-    """Return the runs of a list to choose from: a file with ``[[runs]]`` as in a plan; ``count`` is passed over.
-
-    Raises
-    ------
-    BadFileError
-        Where the file cannot be used.
-    """
+    """Return the runs of a list to choose from: a file with ``[[runs]]`` as in a plan; ``count`` is passed over."""
     document = load_toml(path, str(path))
     _format(document, path)
     runs = _runs(document.get("runs"), path)

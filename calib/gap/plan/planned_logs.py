@@ -76,19 +76,9 @@ def _mecanum(campaign: Campaign, way_m: FloatArray, heading_rad: FloatArray) -> 
 
 
 def stop_and_go(stops_m: FloatArray, speed: float, *, read_rolling: bool) -> tuple[FloatArray, FloatArray]:
-    """Return times (s) and way driven (m): from stop to stop with ramps, half a second at each stop.
+    """Return times (s) and way driven (m) from stop to stop (n_stops,), start and end included.
 
-    Parameters
-    ----------
-    stops_m : array of float, shape (n_stops,)
-        Where the vehicle stops, start and end included.
-    speed : float
-        Between the ramps, in m/s.
-    read_rolling : bool
-        The log ends while the vehicle still rolls.
-
-    Notes
-    -----
+    With ramps, half a second at each stop; where `read_rolling`, the log ends while the vehicle still rolls.
     A sample each `LOG_PERIOD_S`, at wider steps where these would be more than `calib.limits.PLANNED_SAMPLES`.
     """
     if not speed > 0.0:

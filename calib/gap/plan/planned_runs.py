@@ -171,21 +171,7 @@ def drive(
 ) -> Campaign:
     """Return the campaign that the runs would make if the vehicle were as the model says, without any noise.
 
-    Parameters
-    ----------
-    campaign : Campaign
-        Gives vehicle, encoders, model and instruments; its own runs are not part of the result.
-    runs : sequence of PlannedRun
-        In the order driven.
-    measured : Measured
-        What is measured.
-    corridor_m : float
-        Length of the corridor.
-
-    Raises
-    ------
-    BadInputError
-        Where a route is not known.
+    The campaign given has vehicle, encoders, model and instruments; its own runs are not part of the result.
     """
     logs = [_log(campaign, run, measured, corridor_m) for run in runs]
     ends = np.array([[log["_x"][-1], log["_y"][-1], log["_theta"][-1]] for log in logs])

@@ -22,15 +22,7 @@ _DIRECTIONS: Final = (1.0, 0.7, -0.8, 0.9, -0.6, 0.5, -0.7, 0.8)
 
 
 def noise_at(path: Path, scales: Mapping[str, float]) -> Noise:
-    """Return the noise of units that need not have been driven yet, at given scales of its components.
-
-    Parameters
-    ----------
-    path : Path
-        The units.
-    scales : mapping of str to float
-        As of `Noise.scales`; a component that is missing takes its prior median.
-    """
+    """Return the noise of units that need not have been driven yet; a scale that is missing takes its prior median."""
     scale = np.array([scales.get(name, median) for name, median, _ in COMPONENTS])
     covariance = np.tensordot(scale**2, kernels(path), axes=1) + quantisation(path)
     return Noise(masked(covariance, path.s.usable), dict(scales), float("inf"), np.ones(len(path.s)))
@@ -111,22 +103,11 @@ class Signatures:
         return gram
 
     def distances(self, gram: FloatArray, truths: Sequence[int] | None = None) -> tuple[FloatArray, FloatArray]:
-        """Return how well each effect is seen, and how far it lies from each other one.
+        """Return how well each effect is seen (n_truths,), and how far it is from each other one (n_truths, n_effects).
 
-        Parameters
-        ----------
-        gram : array of float
-            Of `gram`.
-        truths : sequence of int, optional
-            Numbers of the effects to ask of; all by default.
-
-        Returns
-        -------
-        signal : array of float, shape (n_truths,)
-            Whitened norm beside a free recalibration (for the calibration's own three: as it is).
-        distance : array of float, shape (n_truths, n_effects)
-            Norm of what the other effect leaves of it, whatever its size within what is plausible; infinite from
-            itself.
+        The signal is the whitened norm beside a free recalibration (for the calibration's own three: as it is); the
+        distance is the norm of what the other effect leaves of it, whatever its size within what is plausible; infinite
+        from itself. `truths` are the numbers of the effects to ask of, by default all.
         """
         asked = np.arange(len(self.names)) if truths is None else np.asarray(truths, dtype=np.int64)
         own = np.asarray(self.own_calibration)

@@ -161,20 +161,7 @@ def _calibration(path: Path) -> FloatArray:
 
 
 def predict(s: Observations, pushes: list[Push] | None = None) -> Path:
-    """Integrate the counts under a hypothesis (exact arcs).
-
-    Parameters
-    ----------
-    s : Observations
-        What was driven; its model gives radii and track.
-    pushes : list of Push, optional
-        The hypothesis, already scaled by its parameters; none is the model alone.
-
-    Returns
-    -------
-    Path
-        Path and predicted readings.
-    """
+    """Integrate the counts (exact arcs) under a hypothesis: pushes already scaled; none is the model alone."""
     push = total_push(s, pushes or [])
     if len(s.spans) == 1:
         return _predicted(s, push)
@@ -221,20 +208,10 @@ def _in_start_frame(path: Path, reading: FloatArray) -> FloatArray:
 
 
 def signature(path: Path, push: Push) -> FloatArray:
-    """Return what a push does to the readings, to first order about a path.
+    """Return what a push does to the readings, to first order about a path, shape (n_units, n_channels).
 
-    Parameters
-    ----------
-    path : Path
-        Where to linearise.
-    push : Push
-        What one parameter does.
-
-    Returns
-    -------
-    array of float, shape (n_units, n_channels)
-        Change of (distance, along, lateral, heading, front, steering) per unit of the parameter; along and lateral
-        in the frame of the end heading.
+    The change of (distance, along, lateral, heading, front, steering) per unit of the parameter; along and lateral in
+    the frame of the end heading.
     """
     s = path.s
     n_units, n_steps = len(s), len(s.unit)

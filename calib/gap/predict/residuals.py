@@ -12,15 +12,9 @@ from calib.gap.predict.path import Path
 def residuals(path: Path, nominal: Path) -> FloatArray:
     """Return measured minus predicted, shape (n_units, n_channels), 0 where a unit lacks the channel.
 
-    Along and lateral are read in the frame of the end heading: along the path, and left of it.
-
-    Parameters
-    ----------
-    path : Path
-        The hypothesis.
-    nominal : Path
-        The model alone; where an outside simulator predicted a unit, its prediction takes the nominal one's place and
-        only the hypothesis' change is added to it.
+    Along and lateral are read in the frame of the end heading: along the path, and left of it. Where an outside
+    simulator predicted a unit, its prediction takes the place of `nominal`, the model alone, and only the hypothesis'
+    change is added to it.
     """
     s = path.s
     predicted = np.where(np.isfinite(s.simulated), s.simulated + path.reading - nominal.reading, path.reading)

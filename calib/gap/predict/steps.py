@@ -162,19 +162,7 @@ class Steps:
 
 
 def steps_of(s: Observations, push: Push) -> Steps:
-    """Integrate the counts under a hypothesis (exact arcs).
-
-    Parameters
-    ----------
-    s : Observations
-        What was driven; its model gives radii and track.
-    push : Push
-        The hypothesis, already scaled by its parameters.
-
-    Returns
-    -------
-    Steps
-    """
+    """Integrate the counts (exact arcs) under a hypothesis that is already scaled by its parameters."""
     unit = s.unit
 
     def wide(part: FloatArray | None) -> FloatArray | float:

@@ -21,28 +21,12 @@ FALSE_FINDING: Final = 0.05
 def find_places(
     campaign: Campaign, observations: Observations, rng: np.random.Generator
 ) -> tuple[tuple[PlaceLine, ...], tuple[str, ...]]:
-    """Say where inside the runs the gap opens.
+    """Say where inside the runs the gap opens, smallest p first, and what cannot be asked of these runs.
 
     A run's calibration, that is an offset and a slope of the gap along the way, is left out first. The rest is searched
     for a stretch over which it grows, on the same route by all of its runs (corridor runs out and back by their place
     on the floor), and compared between turns and straights, stops and none. All p values are multiplied by the number
     of places looked at; the chance of any false place is 5 %.
-
-    Parameters
-    ----------
-    campaign : Campaign
-        Runs with logs.
-    observations : Observations
-        The same runs; its model drives the odometry.
-    rng : numpy.random.Generator
-        For the bootstrap.
-
-    Returns
-    -------
-    places : tuple of PlaceLine
-        Those that stand, smallest p first.
-    notes : tuple of str
-        What cannot be asked of these runs.
     """
     traces = traces_of(campaign.included(), observations)
     if not traces:

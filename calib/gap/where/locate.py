@@ -57,10 +57,6 @@ def locate(
         What the gap is shown against; that of `noise` where not given.
     campaign : Campaign, optional
         The same runs with their logs: without it, no places inside runs.
-
-    Returns
-    -------
-    Where
     """
     lines = dependence_on_wheels(nominal, noise, gap, rng)
     weights = rng.multinomial(

@@ -52,15 +52,7 @@ class _Driven:
 
 
 def traces_of(campaign: Campaign, observations: Observations) -> list[Trace]:
-    """Return the gap along every run that has a continuous reference or a logged range.
-
-    Parameters
-    ----------
-    campaign : Campaign
-        Runs with logs.
-    observations : Observations
-        The same runs; its model drives the odometry.
-    """
+    """Return the gap along every run that has a continuous reference or a logged range."""
     if observations.aside_m is not None:
         # two wheels on one axle cannot follow a vehicle that goes sideways
         return []

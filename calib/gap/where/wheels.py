@@ -21,23 +21,9 @@ MOST_ALIKE: Final = 0.9999
 
 
 def dependence_on_wheels(nominal: Path, noise: Noise, gap: FloatArray, rng: np.random.Generator) -> list[CovariateLine]:
-    """Return what the left wheel's and the right wheel's travel explain, each beside the other.
+    """Return what left and right wheel's travel explain of the gap (n_units, n_channels), one beside the other.
 
-    Parameters
-    ----------
-    nominal : Path
-        The model alone.
-    noise : Noise
-        Covariance of each unit.
-    gap : array of float, shape (n_units, n_channels)
-        Measured minus simulated.
-    rng : numpy.random.Generator
-        For the bootstrap.
-
-    Returns
-    -------
-    list of CovariateLine
-        Of all channels together; empty where the wheels cannot be told apart.
+    Of all channels together; empty where the wheels cannot be told apart.
     """
     from scipy.special import fdtrc
 

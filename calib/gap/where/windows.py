@@ -43,18 +43,7 @@ class _Windows:
 
 
 def compare_windows(traces: list[Trace]) -> list[PlaceLine]:
-    """Return how much of the gap goes with turns and with stops, beside the way.
-
-    Parameters
-    ----------
-    traces : list of Trace
-        Of all runs.
-
-    Returns
-    -------
-    list of PlaceLine
-        All that can be asked of these runs; each p value is that of its own question.
-    """
+    """Return how much of the gap goes with turns and with stops, beside the way, each with its own p."""
     windows = _cut(traces)
     lines = []
     for channel in (Channel.ALONG, Channel.HEADING):
@@ -104,19 +93,10 @@ def _line(windows: _Windows, channel: Channel, on: BoolArray, values: FloatArray
 
 
 def _slope(design: FloatArray, gap: FloatArray, run: IntArray) -> tuple[float, float, float]:
-    """Return the second coefficient of a regression, its standard error and degrees of freedom.
+    """Return the second coefficient of a regression on way and what is asked (n, 2), its standard error and dof.
 
-    Errors are clustered by run where there are enough runs. By hand: statsmodels divides the clustered squares by
-    other degrees of freedom than the t that is read with them, and its import takes longer than the diagnosis' tables.
-
-    Parameters
-    ----------
-    design : array of float, shape (n, 2)
-        Way, and what is asked.
-    gap : array of float, shape (n,)
-        What was gained.
-    run : array of int, shape (n,)
-        The run of each window.
+    Errors are clustered by run where there are enough runs. By hand: statsmodels divides the clustered squares by other
+    degrees of freedom than the t that is read with them, and its import takes longer than the diagnosis' tables.
     """
     gram = np.linalg.inv(design.T @ design + 1e-12 * np.eye(2))
     beta = gram @ (design.T @ gap)

@@ -44,16 +44,9 @@ class Part:
 
 
 def prefix_sums(steps: FloatArray, before: float, wanted: list[tuple[FloatArray, Part]]) -> float:
-    """Write running sums of `steps`, begun at `before`; return the sum of the steps alone.
+    """Write running sums of `steps` (n,), begun at `before`, to each array wanted; return the sum of the steps alone.
 
-    Parameters
-    ----------
-    steps : array of float, shape (n,)
-        Contiguous; used up.
-    before : float
-        Sum before the first step.
-    wanted : list of (array, Part)
-        Where to write, shape (n,), and what.
+    `steps` is contiguous, and used up.
     """
     if len(steps) % ROW == 0:
         rows = steps.reshape(-1, ROW)

@@ -39,15 +39,7 @@ def is_installed() -> bool:
 
 
 def compiled_fill(flat: Flat, x: FloatArray, y: FloatArray, theta: FloatArray) -> None:
-    """Write the poses of steps laid flat, each an exact arc; other threads go on meanwhile.
-
-    Parameters
-    ----------
-    flat : Flat
-        The steps.
-    x, y, theta : array of float, shape (n,)
-        Poses after each step, in m and rad.
-    """
+    """Write the poses after steps laid flat, each an exact arc, in m and rad; other threads go on meanwhile."""
     per_m = flat.left[:0] if flat.per_m is None else flat.per_m
     pose = np.ascontiguousarray(flat.pose[:, flat.runs])
     with _ONE_AT_A_TIME:

@@ -35,13 +35,7 @@ class Axle:
     track_m: npt.ArrayLike
 
     def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return left radius, right radius and track as arrays, each () or (vehicles,).
-
-        Raises
-        ------
-        BadInputError
-            Where one is not a finite number above 0.
-        """
+        """Return left radius, right radius and track, each () or (vehicles,), checked to be finite and above 0."""
         parts = tuple(
             np.asarray(part, dtype=np.float64) for part in (self.radius_left_m, self.radius_right_m, self.track_m)
         )
@@ -52,15 +46,7 @@ class Axle:
 
 
 def wheel_travel(route: Route, believed: Axle, real: Axle) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return what each real wheel travels in each segment, and the real track.
-
-    Returns
-    -------
-    left_m, right_m : array of float, shape (vehicles, n_segments)
-        Travel of the real wheels.
-    track_m : array of float, shape (vehicles, 1)
-        Real track.
-    """
+    """Return what the real wheels travel in each segment, each (vehicles, n_segments), and the track (vehicles, 1)."""
     left, right, track = believed.arrays()
     real_left, real_right, real_track = real.arrays()
     ratio_left, ratio_right = np.atleast_1d(real_left / left)[:, None], np.atleast_1d(real_right / right)[:, None]
@@ -74,19 +60,9 @@ def wheel_travel(route: Route, believed: Axle, real: Axle) -> tuple[FloatArray, 
 
 
 def follow(route: Route, believed: Axle, real: Axle) -> Poses:
-    """Return the real poses at the start and at the end of each segment; divide the route for more of them.
+    """Return the real poses at the start and at the end of each segment, shape (vehicles, n_segments + 1).
 
-    Parameters
-    ----------
-    route : Route
-        What the believed pose follows.
-    believed, real : Axle
-        Radii and track that the vehicle computes with, and those it has.
-
-    Returns
-    -------
-    Poses
-        Shape (vehicles, n_segments + 1).
+    The believed pose follows the route; divide the route for more poses.
     """
     left, right, track = wheel_travel(route, believed, real)
     driven = integrate(left, right, track)

@@ -43,15 +43,7 @@ class TableRow:
 
 
 def law_table(law: RadiusLaw, loads_N: FloatArray) -> tuple[TableRow, ...]:
-    """Return the effective radii for preset loads (Table 1), with their 95 % bands.
-
-    Parameters
-    ----------
-    law : RadiusLaw
-        Both wheels.
-    loads_N : array of float, shape (n,)
-        Wheel loads.
-    """
+    """Return the effective radii for preset wheel loads (n,) (Table 1), with their 95 % bands."""
     rows = []
     for load in np.asarray(loads_N, dtype=np.float64).tolist():
         parts = [

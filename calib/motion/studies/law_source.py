@@ -30,13 +30,7 @@ class Loading:
 
     @staticmethod
     def from_rows(rows: Sequence[tuple[float, float, float]]) -> Loading:
-        """Return the loading of rows (distance in m, left load in N, right load in N) in any order.
-
-        Raises
-        ------
-        BadInputError
-            Where no row stands at 0 m, two stand at one place, or a number is not possible.
-        """
+        """Return a loading of rows (distance in m, left load in N, right load in N) in any order, one at 0 m."""
         ordered = np.array(sorted(rows), dtype=np.float64).reshape(-1, 3)
         if not len(ordered) or ordered[0, 0] != 0.0 or (np.diff(ordered[:, 0]) <= 0.0).any():
             raise BadInputError(
@@ -87,13 +81,7 @@ class LawSource:
 
 
 def law_source(path: Path) -> LawSource:
-    """Return the law of a campaign, a result folder or a coefficient file.
-
-    Raises
-    ------
-    BadInputError
-        Where the path is none of them, or cannot be used.
-    """
+    """Return the law of a campaign, a result folder or a coefficient file."""
     from calib.coefficients.source import coefficients_of, effects_left_out
 
     source = coefficients_of(path)
@@ -107,15 +95,7 @@ def law_source(path: Path) -> LawSource:
 
 
 def carried_loads_N(vehicle: Vehicle, payload_kg: float, x_m: float, y_m: float) -> tuple[float, float]:
-    """Return the wheel loads (left, right) under a payload that the vehicle can carry.
-
-    Raises
-    ------
-    BadInputError
-        Where the mass is negative.
-    RefusedError
-        Where the payload cannot be carried.
-    """
+    """Return the wheel loads (left, right) under a payload; refused where the vehicle cannot carry it."""
     if payload_kg < 0.0:
         raise BadInputError(f"payload: found {payload_kg:g} kg; expected a mass from 0 kg; correct it")
     front, left_N, right_N = wheel_loads_N(vehicle, payload_kg, x_m, y_m)
@@ -126,12 +106,7 @@ def carried_loads_N(vehicle: Vehicle, payload_kg: float, x_m: float, y_m: float)
 def loading_on_the_way(vehicle: Vehicle, rows: Sequence[tuple[float, ...]]) -> Loading:
     """Return the loads of payloads that are put on and taken off on the way; unladen before the first.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        Geometry and mass.
-    rows : sequence of (float, float, float, float)
-        Distance from which on in m, and the payload's mass in kg and place x and y in m.
+    Each row is the distance from which on in m, and the payload's mass in kg and place x and y in m.
     """
     if any(row[0] < 0.0 for row in rows):
         raise BadInputError("payload_at: found a distance below 0 m; expected one along the route; correct it")

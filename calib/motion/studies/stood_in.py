@@ -15,23 +15,11 @@ from calib.motion.poses import Poses
 
 
 def stood_in(campaign: Campaign, model: OdometryModel, *, scheme: str = "exact") -> tuple[Poses, FloatArray]:
-    """Return the poses at all samples of the logs, and what was rolled in each step.
+    """Return the poses at all samples (n_samples,), each run from (0, 0, 0), and what was rolled in each step.
 
-    Parameters
-    ----------
-    campaign : Campaign
-        Without rear wheels, each run with a log.
-    model : OdometryModel
-        What is believed of the front wheel, or of the four wheels.
-    scheme : str
-        Integration scheme; see `calib.motion.odometry.integrate.SCHEMES`.
-
-    Returns
-    -------
-    poses : Poses, shape (n_samples,)
-        Each run from (0, 0, 0).
-    rolled_m : array of float, shape (n_samples,)
-        Way of the axle's middle, to the side included, since the sample before; 0 at the first of a run.
+    That is the way of the axle's middle, to the side included, since the sample before; 0 at the first of a run. The
+    campaign has no rear wheels, and each run a log; the model says what is believed of the front wheel or the four
+    wheels.
     """
     axle = on_one_axle(campaign, model)
     columns, offsets = axle.logs.columns, axle.logs.offsets
@@ -58,12 +46,7 @@ def stood_in(campaign: Campaign, model: OdometryModel, *, scheme: str = "exact")
 def of_vehicle(ends: Poses, coefficients: CoefficientFile) -> Poses:
     """Return end poses of the reference's sensor, since its own start, as the vehicle's: V = X S X^-1.
 
-    Parameters
-    ----------
-    ends : Poses, shape (n,)
-        Of the sensor.
-    coefficients : CoefficientFile
-        Its geometry says where on the vehicle the sensor sits, X.
+    The geometry of the coefficient file says where on the vehicle the sensor sits, X.
     """
     together = coefficients.joint_geometry
     values = {} if together is None else {name: part.value for name, part in together.parameters.items()}

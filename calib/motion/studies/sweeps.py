@@ -60,14 +60,9 @@ STUDIES: Final[Mapping[str, Study]] = {
 
 
 def ratios(which: str, ratio: float) -> tuple[float, float]:
-    """Return the left and right radius over the believed one.
+    """Return the left and right radius over the believed one, where E_r = r_R / r_L is `ratio`.
 
-    Parameters
-    ----------
-    which : {"right", "left", "both", "equal"}
-        Which wheel is off; ``both`` shares it about the mean, ``equal`` scales both wheels alike.
-    ratio : float
-        E_r = r_R / r_L, or the common scale for ``equal``.
+    ``both`` shares it about the mean; ``equal`` scales both wheels alike by it.
     """
     if not (math.isfinite(ratio) and ratio > 0.0):
         raise BadInputError(f"ratio of radii: found {ratio!r}; expected a number above 0, near 1")
@@ -181,16 +176,10 @@ def run_sweep(
     track_m: float = 0.7,
     real_track_m: float | None = None,
 ) -> Sweep:
-    """Drive vehicles with different radii over a route.
+    """Drive vehicles with different radii over a route (or one of that name).
 
-    Parameters
-    ----------
-    route : Route or str
-        Route, or the name of one.
-    cases : sequence of Case
-        Vehicles; only the ratios of real to believed radii matter.
-    track_m, real_track_m : float
-        Track that the odometry believes, and the real one (None: the same).
+    Only the ratios of real to believed radii matter. The odometry believes `track_m`; the real one is the same by
+    default.
     """
     way = find_route(route) if isinstance(route, str) else route
     vehicles = tuple(cases)

@@ -12,20 +12,7 @@ from calib.vehicle import Vehicle
 
 
 def vehicle_of(source: Path | None, **changes: float | None) -> Vehicle:
-    """Return a vehicle.
-
-    Parameters
-    ----------
-    source : Path or None
-        Campaign folder or coefficient file; None: the nominal vehicle.
-    **changes : float or None
-        Fields of `Vehicle` to replace; None leaves them.
-
-    Raises
-    ------
-    BadInputError
-        Where the source cannot be used or a value is not possible.
-    """
+    """Return the vehicle of a campaign folder or coefficient file (None: the nominal one), with the changes given."""
     vehicle = Vehicle()
     if source is not None:
         if source.is_dir():

@@ -17,13 +17,7 @@ def effects() -> tuple[str, ...]:
 
 
 def forms_of(effect: str) -> tuple[Form, ...]:
-    """Return the forms of an effect.
-
-    Raises
-    ------
-    BadInputError
-        Where there is no such effect.
-    """
+    """Return the forms of an effect."""
     forms = tuple(form for form in ALL if form.effect == effect)
     if not forms:
         raise BadInputError(f"effect {effect!r} found; expected one of {', '.join(effects())}; name one of these")
@@ -31,13 +25,7 @@ def forms_of(effect: str) -> tuple[Form, ...]:
 
 
 def find(effect: str, form: str = "") -> Form:
-    """Return one form of an effect; its first where `form` is empty or not known for it.
-
-    Raises
-    ------
-    BadInputError
-        Where there is no such effect, or no such form of it.
-    """
+    """Return one form of an effect; its first where `form` is empty or not known for it."""
     forms = forms_of(effect)
     if not form:
         return forms[0]
