@@ -7,9 +7,9 @@ from typing import Final
 
 import numpy as np
 
-from calib.arrays import FloatArray, IntArray
+from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.plant.noise import NoiseDraw
-from calib.plant.routes import PITCH_M, tabulate
+from calib.plant.routes import PITCH_M, RouteTables, tabulate
 from calib.plant.world import Moment, World
 
 STEP_S: Final = 0.02
@@ -20,6 +20,8 @@ _STEER_MAX_RAD: Final = 1.2
 _CREEP_MPS: Final = 0.02
 _PAUSE_S: Final = 0.8
 _BLOCK: Final = 128
+#: what a frame begins with
+_MOTION: Final = ("t_s", "x_m", "y_m", "theta_rad", "v_mps", "omega_radps", "steer_rad")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,119 +52,149 @@ class Record:
 def drive(world: World, noise: NoiseDraw, *, quantise: bool = True, step_s: float = STEP_S) -> Record:
     """Drive all runs of a world.
 
-    The path follower sees only the vehicle's odometry; its steering has a lag and a rate limit; the rear wheels roll on
-    the true radii and track, and the floor's texture makes a random walk of every wheel. Counts are whole, or, for
+    The path follower sees only the vehicle's odometry; its steering has a lag and a rate limit; the rear wheels roll
+    on the true radii and track, and the floor's texture makes a random walk of every wheel. Counts are whole, or, for
     derivatives, keep their fractions. Frames stand every `design.log_period_s` (0.25 s where that is 0).
     """
-    design, model = world.design, world.model
-    n_runs = len(design)
-    vehicle = design.vehicle
-    tables = tabulate(
-        [str(kind) for kind in design.kind],
-        length_m=design.length_m,
-        side_m=design.side_m,
-        radius_m=design.radius_m,
-        weaves=[(float(a), float(w)) for a, w in zip(world.weave_m, world.wavelength_m, strict=True)],
-    )
+    design = world.design
     every = max(1, round((design.log_period_s or 0.25) / step_s))
-    wheelbase, track_true = vehicle.wheelbase_m, model.track_m * world.track
-    radius_left = world.believed_left_m * world.left * noise.scale_left
-    radius_right = world.believed_right_m * world.right * noise.scale_right
-    radius_front = vehicle.wheel_radius_m * (1.0 + noise.front)
-    per_rad = design.counts_per_rev / (2 * np.pi)
-    texture = noise.texture_m.any()
-    rng = np.random.default_rng(noise.seed)
-    unique = n_runs // noise.copies
-
-    # stops on the way, evenly spread, then the end; a flying run has no stop at its end
-    n_stops = int(design.stops.max(initial=0)) + 1
-    order = np.arange(1, n_stops + 1)[:, None]
-    stop_m = np.where(order <= design.stops, tables.end_m * order / (design.stops + 1), np.inf)
-    at_end = order == design.stops + 1
-    stop_m = np.where(at_end, np.where(design.flying, tables.end_m + 50.0, tables.end_m), stop_m)
-    pointer = np.zeros(n_runs, dtype=np.int64)
-    runs = np.arange(n_runs)
-
-    look = 0.6 * (design.speed_mps + 0.6)  # follower's length scale
-    gain_offset, gain_heading = 1.0 / look**2, 1.6 / look
-    preview = ((design.speed_mps * (_STEER_LAG_S + 0.1)) / PITCH_M).astype(np.int64)
-    last_index = tables.last
-
-    now = Moment.at_rest(n_runs)
-    speed, steer, progress, pause = (np.zeros(n_runs) for _ in range(4))
-    angle = np.zeros((3, n_runs))  # as the counters see it
-    odo_x, odo_y, odo_theta, odo_s = (np.zeros(n_runs) for _ in range(4))
-    rolled_old = np.zeros(n_runs)
-    done = np.zeros(n_runs, dtype=bool)
-    before_end = np.zeros(n_runs, dtype=np.int64)
-    final = np.zeros((14, n_runs))
-    keep: list[FloatArray] = []
-
-    def snap() -> FloatArray:
-        counted = angle * per_rad
-        if quantise:
-            counted = np.floor(counted + noise.phase)
-        omega = now.v_mps * now.curvature_per_m
-        motion = (np.full(n_runs, now.t_s), now.x_m, now.y_m, now.theta_rad, now.v_mps, omega, steer)
-        return np.stack([*motion, *counted, odo_x, odo_y, odo_theta, odo_s])
-
-    keep.append(snap())
-    longest = float(np.max(tables.end_m / design.speed_mps + (design.stops + 2) * (_PAUSE_S + 6.0))) + 20.0
-    grain = np.zeros((_BLOCK, 3, n_runs))
-    target = np.where(done, 0.0, stop_m[pointer, runs])
+    runs = _Runs(world, noise, quantise, step_s)
+    frames = [runs.frame()]
+    final = np.zeros_like(frames[0])
+    before_end = np.zeros(len(design), dtype=np.int64)
+    longest = float(np.max(runs.tables.end_m / design.speed_mps + (design.stops + 2) * (_PAUSE_S + 6.0))) + 20.0
     for number in range(1, int(longest / step_s) + 1):
-        # follower, on the odometry
-        index = tables.first + (progress * (1 / PITCH_M)).astype(np.int64)
-        np.minimum(index, last_index, out=index)
-        cos, sin = tables.cos[index], tables.sin[index]
-        off_x, off_y = odo_x - tables.x_m[index], odo_y - tables.y_m[index]
-        lateral = cos * off_y - sin * off_x
-        heading = odo_theta - tables.theta_rad[index]
-        kappa = tables.curvature_per_m[np.minimum(index + preview, last_index)]
-        kappa = kappa - gain_offset * lateral - gain_heading * heading
-        wanted = np.clip(np.arctan(wheelbase * kappa), -_STEER_MAX_RAD, _STEER_MAX_RAD)
-        change = np.clip((wanted - steer) / _STEER_LAG_S, -_STEER_RATE_RADPS, _STEER_RATE_RADPS) * step_s
-        # the sensor is read at the end of a step, the wheel rolls at the middle angle
-        rolling = steer + 0.5 * change
-        steer = steer + change
+        rolling = runs.steer()
+        arrived, held = runs.accelerate(number)
+        runs.count(*runs.roll(rolling, number))
+        ended = runs.arrive(arrived, held)
+        framed, ending = number % every == 0, ended.any()
+        if framed or ending:
+            frame = runs.frame()
+            if ending:
+                final = np.where(ended, frame, final)
+                before_end = np.where(ended, len(frames), before_end)
+                runs.halt(ended)
+            if framed:
+                frames.append(frame)
+            if runs.done.all():
+                break
+    final = np.where(runs.done, final, runs.frame())
+    before_end = np.where(runs.done, before_end, len(frames))
+    stacked = np.stack([*frames, final], axis=1)
+    stacked = np.where(np.arange(stacked.shape[1])[:, None] >= before_end, final[:, None], stacked)
+    motion = dict(zip(_MOTION, stacked[:7], strict=True))
+    return Record(frames=before_end + 1, **motion, counts=stacked[7:10], odo=stacked[10:14])
 
-        # speed: ramps up, down to the next stop, waits there
-        remaining = target - progress
-        held = pause > 0.0
-        pause -= step_s
+
+class _Runs:
+    """All runs at one moment of the drive, each array (n_runs,) where nothing else is said."""
+
+    def __init__(self, world: World, noise: NoiseDraw, quantise: bool, step_s: float) -> None:
+        design, model = world.design, world.model
+        n_runs = len(design)
+        self.world, self.noise, self.quantise, self.step_s = world, noise, quantise, step_s
+        self.tables = tabulate(
+            [str(kind) for kind in design.kind],
+            length_m=design.length_m,
+            side_m=design.side_m,
+            radius_m=design.radius_m,
+            weaves=[(float(a), float(w)) for a, w in zip(world.weave_m, world.wavelength_m, strict=True)],
+        )
+        self.wheelbase_m, self.track_m = design.vehicle.wheelbase_m, model.track_m * world.track
+        self.radius_left_m = world.believed_left_m * world.left * noise.scale_left
+        self.radius_right_m = world.believed_right_m * world.right * noise.scale_right
+        self.radius_front_m = design.vehicle.wheel_radius_m * (1.0 + noise.front)
+        self.per_rad = design.counts_per_rev / (2 * np.pi)
+        self.textured = bool(noise.texture_m.any())
+        self.rng = np.random.default_rng(noise.seed)
+        self.grain = np.zeros((_BLOCK, 3, n_runs))  # of the floor, for so many steps at a time
+        self.stop_m = _stops(world, self.tables)
+        self.pointer = np.zeros(n_runs, dtype=np.int64)  # the next stop
+        self.target_m = self.stop_m[0]
+        look = 0.6 * (design.speed_mps + 0.6)  # follower's length scale
+        self.gain_offset, self.gain_heading = 1.0 / look**2, 1.6 / look
+        self.preview = ((design.speed_mps * (_STEER_LAG_S + 0.1)) / PITCH_M).astype(np.int64)
+        self.now = Moment.at_rest(n_runs)
+        self.speed, self.steering, self.progress_m, self.pause_s = (np.zeros(n_runs) for _ in range(4))
+        self.angle = np.zeros((3, n_runs))  # as the counters see it
+        self.odo_x, self.odo_y, self.odo_theta, self.odo_s = (np.zeros(n_runs) for _ in range(4))
+        self.rolled_m = np.zeros(n_runs)
+        # progress along the plan for each metre of odometry: cosine to the plan, over what a bend shortens
+        self.ahead, self.bend = np.ones(n_runs), np.ones(n_runs)
+        self.done = np.zeros(n_runs, dtype=bool)
+
+    def frame(self) -> FloatArray:
+        """Return what a record has of this moment, shape (14, n_runs)."""
+        now, counted = self.now, self.angle * self.per_rad
+        if self.quantise:
+            counted = np.floor(counted + self.noise.phase)
+        omega = now.v_mps * now.curvature_per_m
+        time = np.full(len(omega), now.t_s)
+        motion = (time, now.x_m, now.y_m, now.theta_rad, now.v_mps, omega, self.steering)
+        return np.stack([*motion, *counted, self.odo_x, self.odo_y, self.odo_theta, self.odo_s])
+
+    def steer(self) -> FloatArray:
+        """Let the follower steer by the odometry; return the wheel's angle in the middle of the step."""
+        tables = self.tables
+        index = tables.first + (self.progress_m * (1 / PITCH_M)).astype(np.int64)
+        np.minimum(index, tables.last, out=index)
+        cos, sin = tables.cos[index], tables.sin[index]
+        off_x, off_y = self.odo_x - tables.x_m[index], self.odo_y - tables.y_m[index]
+        lateral = cos * off_y - sin * off_x
+        heading = self.odo_theta - tables.theta_rad[index]
+        kappa = tables.curvature_per_m[np.minimum(index + self.preview, tables.last)]
+        kappa = kappa - self.gain_offset * lateral - self.gain_heading * heading
+        wanted = np.clip(np.arctan(self.wheelbase_m * kappa), -_STEER_MAX_RAD, _STEER_MAX_RAD)
+        rate = np.clip((wanted - self.steering) / _STEER_LAG_S, -_STEER_RATE_RADPS, _STEER_RATE_RADPS)
+        change = rate * self.step_s
+        # the sensor is read at the end of a step, the wheel rolls at the middle angle
+        rolling = self.steering + 0.5 * change
+        self.steering = self.steering + change
+        self.ahead, self.bend = np.cos(heading), np.maximum(1.0 - tables.curvature_per_m[index] * lateral, 0.3)
+        return np.asarray(rolling)
+
+    def accelerate(self, number: int) -> tuple[BoolArray, BoolArray]:
+        """Speed up, or brake for the next stop; return who has arrived there and who is held there."""
+        remaining = self.target_m - self.progress_m
+        held = self.pause_s > 0.0
+        self.pause_s -= self.step_s
         allowed = np.sqrt(2 * _ACCELERATION_MPS2 * np.maximum(remaining, 0.0)) + _CREEP_MPS
-        asked = np.where(held | done, 0.0, np.minimum(design.speed_mps, allowed))
-        change = np.clip(asked - speed, -2 * _ACCELERATION_MPS2 * step_s, _ACCELERATION_MPS2 * step_s)
+        asked = np.where(held | self.done, 0.0, np.minimum(self.world.design.speed_mps, allowed))
+        most = _ACCELERATION_MPS2 * self.step_s
+        change = np.clip(asked - self.speed, -2 * most, most)
         arrived = remaining <= 0.0
         if arrived.any():
-            change = np.where(arrived & (speed <= 2 * _CREEP_MPS), -speed, change)
-        speed = speed + change
+            change = np.where(arrived & (self.speed <= 2 * _CREEP_MPS), -self.speed, change)
+        self.speed = self.speed + change
+        self.now.t_s, self.now.v_mps = number * self.step_s, self.speed
+        self.now.acceleration_mps2 = change * (1 / self.step_s)
+        return arrived, held
 
-        # true motion and what the effects add to it
-        curvature = np.tan(rolling) / wheelbase
-        now.t_s, now.v_mps, now.acceleration_mps2, now.curvature_per_m = (
-            number * step_s,
-            speed,
-            change * (1 / step_s),
-            curvature,
-        )
+    def roll(self, rolling: FloatArray, number: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Move truly, with what the effects add; return what the left, right and front wheel turn by."""
+        world, now, step_s = self.world, self.now, self.step_s
+        now.curvature_per_m = np.tan(rolling) / self.wheelbase_m
         if world.during:
             now.clear()
             for effect in world.during:
                 effect(now)
-        way = speed * step_s
-        turned = way * curvature
-        half = 0.5 * turned * track_true * (1.0 + now.track)
+        way = self.speed * step_s
+        turned = way * now.curvature_per_m
+        half = 0.5 * turned * self.track_m * (1.0 + now.track)
         way_rolled = way * (1.0 + world.rise)
-        left = (way_rolled - half) / (radius_left * (1.0 + now.left))
-        right = (way_rolled + half) / (radius_right * (1.0 + now.right))
-        if texture:
-            place = (number - 1) % _BLOCK
+        left = (way_rolled - half) / (self.radius_left_m * (1.0 + now.left))
+        right = (way_rolled + half) / (self.radius_right_m * (1.0 + now.right))
+        front = way_rolled / np.cos(rolling) * (1.0 + now.drive)
+        if self.textured:
+            place, copies = (number - 1) % _BLOCK, self.noise.copies
             if place == 0:
-                grain = np.tile(rng.standard_normal((_BLOCK, 3, unique)), (1, 1, noise.copies))
-            rough = noise.texture_m * np.sqrt(np.abs(way))
-            left += rough * grain[place, 0] / radius_left
-            right += rough * grain[place, 1] / radius_right
+                unique = len(way) // copies
+                self.grain = np.tile(self.rng.standard_normal((_BLOCK, 3, unique)), (1, 1, copies))
+            rough = self.noise.texture_m * np.sqrt(np.abs(way))
+            left += rough * self.grain[place, 0] / self.radius_left_m
+            right += rough * self.grain[place, 1] / self.radius_right_m
+            front = front + rough * self.grain[place, 2]
         now.angle_left_rad += left
         now.angle_right_rad += right
         true_turn = turned + now.yaw_radps * step_s
@@ -172,64 +204,52 @@ def drive(world: World, noise: NoiseDraw, *, quantise: bool = True, step_s: floa
         now.x_m += cos * way - sin * drift
         now.y_m += sin * way + cos * drift
         now.theta_rad += true_turn
+        return left, right, front / self.radius_front_m
 
-        # counters and the vehicle's own odometry
-        angle[0] += left * (1.0 - now.lost_left)
-        angle[1] += right * (1.0 - now.lost_right)
-        front = way_rolled / np.cos(rolling) * (1.0 + now.drive)
-        angle[2] += (front + rough * grain[place, 2] if texture else front) / radius_front
-        seen = angle[:2]
-        if quantise:
-            seen = np.floor(seen * per_rad + noise.phase[:2]) / per_rad
+    def count(self, left: FloatArray, right: FloatArray, front: FloatArray) -> None:
+        """Let the counters and the vehicle's own odometry follow the wheels."""
+        world = self.world
+        self.angle[0] += left * (1.0 - self.now.lost_left)
+        self.angle[1] += right * (1.0 - self.now.lost_right)
+        self.angle[2] += front
+        seen = self.angle[:2]
+        if self.quantise:
+            seen = np.floor(seen * self.per_rad + self.noise.phase[:2]) / self.per_rad
         rolled_left, rolled_right = seen[0] * world.believed_left_m, seen[1] * world.believed_right_m
-        theta_new = (rolled_right - rolled_left) / model.track_m
+        theta = (rolled_right - rolled_left) / world.model.track_m
         rolled = 0.5 * (rolled_left + rolled_right)
-        step = rolled - rolled_old
-        rolled_old = rolled
-        middle = 0.5 * (odo_theta + theta_new)
-        odo_x = odo_x + step * np.cos(middle)
-        odo_y = odo_y + step * np.sin(middle)
-        odo_s = odo_s + step
-        progress += step * np.cos(heading) / np.maximum(1.0 - tables.curvature_per_m[index] * lateral, 0.3)
-        odo_theta = theta_new
+        step = rolled - self.rolled_m
+        middle = 0.5 * (self.odo_theta + theta)
+        self.odo_x = self.odo_x + step * np.cos(middle)
+        self.odo_y = self.odo_y + step * np.sin(middle)
+        self.odo_s = self.odo_s + step
+        self.progress_m += step * self.ahead / self.bend
+        self.rolled_m, self.odo_theta = rolled, theta
 
-        # who has reached a stop, who the end
-        standing = arrived & (speed == 0.0) & ~held & ~done
-        flown = design.flying & ~done & (progress >= tables.end_m)
-        ended = np.zeros(n_runs, dtype=bool)
-        if standing.any():
-            pointer = pointer + standing
-            ended = standing & (pointer > design.stops)
-            pause = np.where(standing & ~ended, _PAUSE_S, pause)
-            target = np.where(ended, target, stop_m[np.minimum(pointer, n_stops - 1), runs])
-        if flown.any():
-            ended = ended | flown
-        framed = number % every == 0
-        ending = ended.any()
-        if framed or ending:
-            frame = snap()
-            if ending:
-                final = np.where(ended, frame, final)
-                before_end = np.where(ended, len(keep), before_end)
-                done = done | ended
-                speed = np.where(ended, 0.0, speed)
-            if framed:
-                keep.append(frame)
-            if done.all():
-                break
-    final = np.where(done, final, snap())
-    before_end = np.where(done, before_end, len(keep))
-    stacked = np.stack([*keep, final], axis=1)
-    stacked = np.where(np.arange(stacked.shape[1])[:, None] >= before_end, final[:, None], stacked)
-    return Record(
-        frames=before_end + 1,
-        t_s=stacked[0],
-        x_m=stacked[1],
-        y_m=stacked[2],
-        theta_rad=stacked[3],
-        v_mps=stacked[4],
-        omega_radps=stacked[5],
-        steer_rad=stacked[6],
-        counts=stacked[7:10],
-        odo=stacked[10:14],
-    )
+    def arrive(self, arrived: BoolArray, held: BoolArray) -> BoolArray:
+        """Begin the pause of who has come to stand at a stop; return who has come to the end."""
+        design = self.world.design
+        standing = arrived & (self.speed == 0.0) & ~held & ~self.done
+        flown = design.flying & ~self.done & (self.progress_m >= self.tables.end_m)
+        if not standing.any():
+            return flown
+        self.pointer = self.pointer + standing
+        ended = standing & (self.pointer > design.stops)
+        self.pause_s = np.where(standing & ~ended, _PAUSE_S, self.pause_s)
+        following = self.stop_m[np.minimum(self.pointer, len(self.stop_m) - 1), np.arange(len(design))]
+        self.target_m = np.where(ended, self.target_m, following)
+        return np.asarray(ended | flown)
+
+    def halt(self, ended: BoolArray) -> None:
+        """Stop the runs that have come to their end."""
+        self.done = self.done | ended
+        self.speed = np.where(ended, 0.0, self.speed)
+
+
+def _stops(world: World, tables: RouteTables) -> FloatArray:
+    """Return where the runs stop, (n_stops, n_runs): on the way, evenly spread, and at the end but for a flying run."""
+    design = world.design
+    order = np.arange(1, int(design.stops.max(initial=0)) + 2)[:, None]
+    stop_m = np.where(order <= design.stops, tables.end_m * order / (design.stops + 1), np.inf)
+    end_m = np.where(design.flying, tables.end_m + 50.0, tables.end_m)
+    return np.where(order == design.stops + 1, end_m, stop_m)

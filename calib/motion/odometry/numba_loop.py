@@ -44,7 +44,7 @@ def compiled_fill(flat: Flat, x: FloatArray, y: FloatArray, theta: FloatArray) -
     pose = np.ascontiguousarray(flat.pose[:, flat.runs])
     with _ONE_AT_A_TIME:
         loop = _machine_code()
-    loop(flat.left, flat.right, per_m, flat.unit, flat.starts, pose, x, y, theta)
+    loop((flat.left, flat.right), per_m, flat.unit, flat.starts, pose, (x, y, theta))
 
 
 @cache
@@ -61,32 +61,27 @@ def _machine_code() -> Callable[..., None]:
 
 
 def _loop(
-    left: FloatArray,
-    right: FloatArray,
+    travel: tuple[FloatArray, FloatArray],
     per_m: FloatArray,
     unit: float,
     starts: Any,
     pose: FloatArray,
-    x: FloatArray,
-    y: FloatArray,
-    theta: FloatArray,
+    out: tuple[FloatArray, FloatArray, FloatArray],
 ) -> None:
     """Write the poses; what numba compiles."""
-    n = len(left)
-    wide = len(per_m) > 0
+    left, right = travel
+    x, y, theta = out
     halves, middle, dx, dy = np.empty(_COUNT), np.empty(_COUNT), np.empty(_COUNT), np.empty(_COUNT)
-    so_far, rest, gone = np.empty(3), np.empty(3), np.empty(3)
     for run in range(len(starts)):
-        stop = starts[run + 1] if run + 1 < len(starts) else n
-        for j in range(3):
-            so_far[j], rest[j] = pose[j, run], 0.0
+        stop = starts[run + 1] if run + 1 < len(starts) else len(left)
+        so_far, rest = pose[:, run].copy(), np.zeros(3)
         for first in range(starts[run], stop, _COUNT):
             count = min(_COUNT, stop - first)
             at_x, at_y, at_theta = so_far[0] + rest[0], so_far[1] + rest[1], so_far[2] + rest[2]
             turned = largest = 0.0
             for k in range(count):
                 half = 0.5 * unit * (right[first + k] - left[first + k])
-                if wide:
+                if len(per_m):
                     half *= per_m[first + k]
                 halves[k] = half
                 middle[k] = turned + half
@@ -107,10 +102,9 @@ def _loop(
                     dy[k] = chord * (sin * cosine + cos * sine)
             else:
                 for k in range(count):
-                    half = halves[k]
                     chord = 0.5 * (left[first + k] + right[first + k])
-                    if half != 0.0:
-                        chord *= math.sin(half) / half
+                    if halves[k] != 0.0:
+                        chord *= math.sin(halves[k]) / halves[k]
                     dx[k] = chord * math.cos(at_theta + middle[k])
                     dy[k] = chord * math.sin(at_theta + middle[k])
             gone_x = gone_y = 0.0
@@ -119,12 +113,8 @@ def _loop(
                 gone_y += dy[k]
                 x[first + k] = at_x + gone_x
                 y[first + k] = at_y + gone_y
-            gone[0], gone[1], gone[2] = gone_x, gone_y, turned
-            for j in range(3):
+            for j, gone in enumerate((gone_x, gone_y, turned)):
                 # summed with its rounding (Neumaier), so that equal steps do not add up a bias
-                ahead = so_far[j] + gone[j]
-                if abs(so_far[j]) >= abs(gone[j]):
-                    rest[j] += (so_far[j] - ahead) + gone[j]
-                else:
-                    rest[j] += (gone[j] - ahead) + so_far[j]
+                ahead, before = so_far[j] + gone, so_far[j]
+                rest[j] += (before - ahead) + gone if abs(before) >= abs(gone) else (gone - ahead) + before
                 so_far[j] = ahead
