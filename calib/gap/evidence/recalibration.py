@@ -14,8 +14,8 @@ from calib.gap.evidence.climb import Settings
 from calib.gap.evidence.fit import Fitted
 from calib.gap.evidence.marginal import CALIBRATION_SD
 from calib.gap.evidence.noise import Noise
-from calib.gap.evidence.search import Search
-from calib.gap.evidence.subsets import SUBSETS, sizes_beside, weigh_subsets
+from calib.gap.evidence.search import EVEN, Search
+from calib.gap.evidence.subsets import SUBSETS, sizes_beside, weigh_subsets, without_idle
 from calib.gap.evidence.system import LinearSystem
 from calib.gap.predict.path import Path
 
@@ -36,8 +36,11 @@ class Recalibration:
         Whitened norm of each at its fitted size.
     instead : mapping of str to tuple of str
         For each, effects of other likely sets beside which it is hardly off.
+    likeliest : tuple of str
+        The likeliest subset, without what the runs say nothing of.
     needed : tuple of str
-        The likeliest subset beside the best hypothesis alone; empty where other sets of effects make it unlikely.
+        The same where something of it has to be off, because no effect is named: where none is the likeliest, what is
+        beside the best hypothesis alone or, where one is likelier off than not, the next.
     """
 
     subsets: tuple[tuple[str, ...], ...]
@@ -46,6 +49,7 @@ class Recalibration:
     sd: FloatArray
     signal: FloatArray
     instead: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    likeliest: tuple[str, ...] = ()
     needed: tuple[str, ...] = ()
 
     def probability(self, name: str) -> float:
@@ -107,7 +111,13 @@ def judge_recalibration(
     total = sum(weight for weight, _ in weighed)
     probability = np.asarray(sum(weight * beside for weight, beside in weighed)) / total
     order = np.argsort(-probability, kind="stable")
-    own_best = int(np.argmax(weighed[0][1]))
+    likeliest = needed = SUBSETS[int(order[0])]
+    if not likeliest:
+        beside_own = int(np.argmax(weighed[0][1]))
+        # needless beside another cause, which is not the one at hand
+        needed = SUBSETS[beside_own] if probability[beside_own] > LIKELY else ()
+        if not needed and probability[order[0]] < EVEN:
+            needed = SUBSETS[int(order[1])]
     norm = np.sqrt((((system.calibration / CALIBRATION_SD) @ DIRECTIONS.T) ** 2).sum(axis=0))
     return Recalibration(
         subsets=tuple(tuple(NAMES[k] for k in SUBSETS[int(number)]) for number in order),
@@ -116,7 +126,8 @@ def judge_recalibration(
         sd=sd,
         signal=np.maximum(norm, 1e-12) * np.abs(values),
         instead=instead,
-        needed=tuple(NAMES[k] for k in SUBSETS[own_best]) if probability[own_best] > LIKELY else (),
+        likeliest=tuple(NAMES[k] for k in without_idle(likeliest, probability, settings)),
+        needed=tuple(NAMES[k] for k in without_idle(needed, probability, settings)),
     )
 
 

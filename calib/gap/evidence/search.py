@@ -28,8 +28,8 @@ _ALONE: Final = 3
 #: models weighed together with the calibration: so many at most, those within so many nats of the best
 _LIKELY: Final = 12
 _LIKELY_NATS: Final = 7.0
-#: what is likelier than not
-_LIKELIER: Final = 0.5
+#: what is less probable than this is likelier not to be
+EVEN: Final = 0.5
 #: beside a larger rest, the search begins again from elsewhere
 _SMALL_REST: Final = 1.0
 
@@ -83,11 +83,11 @@ class Search:
 
     def inclusion(self) -> dict[str, float]:
         """Return the probability of each effect being at work."""
-        made: dict[str, float] = {}
+        by_effect: dict[str, float] = {}
         for model, p in zip(self.models, self.probabilities, strict=True):
             for name in model:
-                made[name] = made.get(name, 0.0) + float(p)
-        return made
+                by_effect[name] = by_effect.get(name, 0.0) + float(p)
+        return by_effect
 
 
 def search(
@@ -142,14 +142,14 @@ def search(
             if settled.evidence() > room.evidence():
                 room, fitted = settled, settled_fitted
     models, probability = _weighed(begun, settings, shifts)
-    nothing = float(probability[0, models.index(())])
+    nothing = _nothing(models, probability)
     models, probability = _weighed(room, settings, shifts)
-    likeliest = room.likeliest(models, probability, something=nothing < 1.0 - _LIKELIER)
+    likeliest = room.likeliest(models, probability, something=nothing < EVEN)
     if likeliest is not None:
         other, other_fitted = _settle(room.with_only(likeliest), noise, every, settings, passed, climbs=False)
         weighed = _weighed(other, settings, shifts)
         # about its own path, too
-        if other.likeliest(*weighed, something=float(weighed[1][0, weighed[0].index(())]) < 1.0 - _LIKELIER) is None:
+        if other.likeliest(*weighed, something=_nothing(*weighed) < EVEN) is None:
             room, fitted, (models, probability) = other, other_fitted, weighed
     by_set = room.by_effects(models, probability.sum(axis=0))
     order = sorted(by_set, key=lambda key: -by_set[key])
@@ -181,9 +181,15 @@ def _weighed(room: Climb, settings: Settings, shifts: Mapping[str, tuple[str, ..
     for n in {*likely, models.index(room.current)}:
         sizes, values = sizes_beside(room.system, models[n], weighting)
         over_free[n] = weigh_subsets(room.system, models[n], sizes, values, settings, shifts).over_free
+    # what is hardly likely is taken to need the calibration off as much as the neediest of the likely
     weight = weight + np.array([over_free.get(n, min(over_free.values())) for n in range(len(models))])
     probability = np.exp(weight - weight.max())
     return models, probability / probability.sum()
+
+
+def _nothing(models: Sequence[Model], probability: FloatArray) -> float:
+    """Return the probability (n_scales, n_models) of neither an effect nor a rest."""
+    return float(probability[0, models.index(())])
 
 
 def _settle(

@@ -23,6 +23,7 @@ ANY: Final = 0.3
 EXCUSE: Final = 0.5
 #: prior standard deviation of a found effect's size, at least, in typical sizes
 LOOSE: Final = 3.0
+#: all subsets of the relative calibration, by their numbers: both radii (0), their ratio (1), the track (2)
 SUBSETS: Final = tuple(subset for count in range(4) for subset in combinations(range(3), count))
 #: the radius of one wheel, left (3) or right (4), is as likely off by itself: the radii are then off both in scale and
 #: in ratio; alone, or beside the track (2)
@@ -61,6 +62,37 @@ def log_prior_of(count: int, settings: Settings) -> float:
         return 0.0
     alike = sum(len(subset) == count for subset in SUBSETS + _ONE_WHEEL)
     return float(np.log(ANY) + (count - 1) * np.log(settings.further) - np.log(alike))
+
+
+def without_idle(subset: tuple[int, ...], probabilities: FloatArray, settings: Settings) -> tuple[int, ...]:
+    """Return a subset without what the runs say nothing of: parameters that are no likelier for what was measured.
+
+    Of what does not show, the prior alone is left, and by that three may well be off together.
+
+    Parameters
+    ----------
+    subset : tuple of int
+        One of `SUBSETS`.
+    probabilities : array of float, shape (n_subsets,)
+        Of each of `SUBSETS`.
+    settings : Settings
+        What the search takes for granted.
+    """
+    prior = {own: np.exp(log_prior_of(len(own), settings)) for own in SUBSETS}
+    for way in _ONE_WHEEL:
+        prior[_both_radii(way)] += np.exp(log_prior_of(len(way), settings))
+    spoken = {own: float(p) / prior[own] for own, p in zip(SUBSETS, probabilities, strict=True)}
+    while len(subset) > 1:
+        best = max((tuple(k for k in subset if k != own) for own in subset), key=lambda fewer: spoken[fewer])
+        if spoken[best] < spoken[subset]:
+            break
+        subset = best
+    return subset
+
+
+def _both_radii(way: tuple[int, ...]) -> tuple[int, ...]:
+    """Return the subset that one wheel's radius, alone or beside the track, belongs to."""
+    return (0, 1, *way[:-1])
 
 
 def sizes_beside(
@@ -137,6 +169,6 @@ def weigh_subsets(
 
     weights = {subset: of_subset(subset) for subset in SUBSETS + _ONE_WHEEL}
     for subset in _ONE_WHEEL:
-        both = (0, 1, *subset[:-1])
+        both = _both_radii(subset)
         weights[both] = float(np.logaddexp(weights[both], weights[subset]))
     return SubsetWeights(np.array([weights[subset] for subset in SUBSETS]), weight([5, 6, 7], 1.0))

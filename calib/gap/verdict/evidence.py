@@ -108,14 +108,8 @@ class Evidence:
     @property
     def _recalibrated(self) -> tuple[str, ...]:
         """The likeliest set of calibration parameters; not the empty one where nothing else says what is off."""
-        recalibration = self.recalibration
-        likeliest = recalibration.subsets[0]
-        if likeliest or self.search.effects:
-            return likeliest
-        if recalibration.needed:
-            # needless beside another cause, which is not the one at hand
-            return recalibration.needed
-        return recalibration.subsets[1] if recalibration.probabilities[0] < 0.5 else ()
+        likeliest = self.recalibration.likeliest
+        return likeliest if likeliest or self.search.effects else self.recalibration.needed
 
     @property
     def denied(self) -> bool:
