@@ -108,24 +108,31 @@ def estimate_noise(path: Path, gap: FloatArray, *, start: Noise | None = None) -
         the instruments' stated uncertainty for the first three.
     """
     shapes = NoiseShapes.about(path)
-    log_scale, weight = np.log(MEDIANS), np.ones(len(gap))
+    begin = np.log(MEDIANS)
     if start is not None:
         known = [start.scales.get(name, median) for name, median, _ in COMPONENTS]
         begin = np.log(np.maximum(known, 1e-300))
-    else:
-        begin = log_scale
-    basis, dof = Basis.STATED, 0.0
+    first = None
     for support in bases(path):
         grouped = Grouped.by(support.labels)
         if len(grouped.units) == 0:
             continue
         whole = ScaleLikelihood(path, gap, shapes, grouped, support.trend)
-        dof_here = whole.dof
-        if dof_here < support.dof:
+        if whole.dof < support.dof:
             continue
-        log_scale, weight[grouped.units] = _scales(path, gap, shapes, grouped, support, whole, begin)
-        basis, dof = support.basis, dof_here
-        break
+        log_scale, weight = _scales(path, gap, shapes, grouped, support, whole, begin)
+        noise = _noise(path, shapes, log_scale, weight, support.basis, whole.dof)
+        if noise.supported:
+            return noise
+        # more units to compare are worth nothing where what they differ by cannot be told from a gap
+        first = first or noise
+    return first or _noise(path, shapes, np.log(MEDIANS), np.ones(len(gap)), Basis.STATED, 0.0)
+
+
+def _noise(
+    path: Path, shapes: NoiseShapes, log_scale: FloatArray, weight: FloatArray, basis: Basis, dof: float
+) -> Noise:
+    """Return the noise of these scales, shape (n_components,), and weights (n_units,), and whether it is supported."""
     covariance = shapes.covariance(log_scale, weight)
     scales = {
         name: float(np.exp(v)) for (name, _, _), v, on in zip(COMPONENTS, log_scale, shapes.active, strict=True) if on
@@ -144,13 +151,15 @@ def _scales(
     whole: ScaleLikelihood,
     begin: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the logarithms of the most likely scales, and the weights of all units grouped."""
+    """Return the logarithms of the most likely scales, and the weights (n_units,): those far from their repeats less."""
     some = thinned_groups(grouped)
     part = whole if some is grouped else ScaleLikelihood(path, gap, shapes, some, support.trend)
     if part.dof < FEWEST_DOF:
         part = whole
     best = most_likely(part, begin)
-    return best, whole.weights(best)
+    weight = np.ones(len(gap))
+    weight[grouped.units] = whole.weights(best)
+    return best, weight
 
 
 def _excess(shapes: NoiseShapes, covariance: FloatArray) -> FloatArray:
