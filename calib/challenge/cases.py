@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 
+from calib.arrays import FloatArray
 from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
-from calib.challenge.ceiling import ceiling_of
+from calib.challenge.ceiling import ceiling_of, ceiling_of_truth
 from calib.challenge.recipe import Recipe
 from calib.plant.design import Design
 from calib.plant.effects.form import Cause
@@ -18,8 +19,8 @@ from calib.plant.effects.registry import find
 from calib.plant.make import as_causes, make_campaigns, random_model
 from calib.plant.noise import Noise, random_noise
 from calib.plant.plans import good_design, poor_design
-from calib.plant.rivals import rivals, signatures
-from calib.plant.signal import to_signal
+from calib.plant.rivals import rivals, signatures, whitened
+from calib.plant.signal import is_calibration, to_signal
 
 _UNSIGNED: Final = ("encoder_gross", "integration_scheme")
 #: effects of which only positive sizes have a meaning
@@ -65,6 +66,8 @@ class Truth:
     n_runs: int  #: runs
     #: what the best rule reaches on these runs at this signal, freely and behind the gate; None where there is none
     ceiling: tuple[float, float] | None = None
+    #: the same for this effect as it acts here; None where a recalibration absorbs it
+    own_ceiling: tuple[float, float] | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON values; an infinite tail as None."""
@@ -96,6 +99,7 @@ class Truth:
             model=OdometryModel(**data["model"]),
             n_runs=data["n_runs"],
             ceiling=None if data.get("ceiling") is None else (data["ceiling"][0], data["ceiling"][1]),
+            own_ceiling=None if data.get("own_ceiling") is None else (data["own_ceiling"][0], data["own_ceiling"][1]),
         )
 
 
@@ -152,6 +156,7 @@ def _draw(recipe: Recipe, seed: int, max_runs: int, redraw: int) -> Truth:
     beside = signals
     near: tuple[tuple[str, float], ...] = ()
     best: tuple[float, float] | None = None
+    own: tuple[float, float] | None = None
     if causes and not gross:
         scaled, noise, shown = to_signal(design, model, noise, causes, recipe.targets)
         causes = scaled
@@ -160,8 +165,10 @@ def _draw(recipe: Recipe, seed: int, max_runs: int, redraw: int) -> Truth:
             near = tuple((r.effect, r.distance) for r in rivals(design, model, noise, causes[0])[:8])
         if recipe.group == "single":
             drawn = np.random.default_rng([seed, recipe.number, 3])
-            reached = ceiling_of(signatures(design, model, noise), recipe.targets[0], drawn, one_sign=ONE_SIGN)
+            known = signatures(design, model, noise)
+            reached = ceiling_of(known, recipe.targets[0], drawn, one_sign=ONE_SIGN)
             best = None if reached is None else (round(reached.free, 3), round(reached.gated, 3))
+            own = _own_ceiling(known, design, model, noise, causes[0], recipe, seed)
     return Truth(
         recipe=recipe,
         seed=seed,
@@ -176,7 +183,25 @@ def _draw(recipe: Recipe, seed: int, max_runs: int, redraw: int) -> Truth:
         model=model,
         n_runs=len(design),
         ceiling=best,
+        own_ceiling=own,
     )
+
+
+def _own_ceiling(
+    known: Mapping[str, Sequence[FloatArray]],
+    design: Design,
+    model: OdometryModel,
+    noise: Noise,
+    cause: Cause,
+    recipe: Recipe,
+    seed: int,
+) -> tuple[float, float] | None:
+    if is_calibration(cause):
+        return None
+    drawn = np.random.default_rng([seed, recipe.number, 4])
+    left = whitened(design, model, noise, [cause])[0]
+    reached = ceiling_of_truth(known, cause.effect, left, recipe.targets[0], drawn, one_sign=ONE_SIGN)
+    return round(reached.free, 3), round(reached.gated, 3)
 
 
 def campaigns_of(truth: Truth) -> tuple[Campaign, Campaign]:

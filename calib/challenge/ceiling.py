@@ -21,6 +21,8 @@ ALARMS: Final = 0.05
 DRAWS: Final = 800
 #: directions weaker than this, relative to the strongest, are rounding
 RANK: Final = 1e-9
+#: evidences that differ by less are the same but for rounding
+ALIKE_NATS: Final = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +51,7 @@ def ceiling_of(
     one_sign: Sequence[str] = (),
     draws: int = DRAWS,
 ) -> Ceiling | None:
-    """Return the ceiling of a campaign.
+    """Return the ceiling of a campaign, the effects of the library being as likely as each other.
 
     Parameters
     ----------
@@ -72,10 +74,7 @@ def ceiling_of(
     spaces = _spaces(signatures, one_sign)
     if not spaces:
         return None
-    present = sorted({space.effect for space in spaces})
-    # all of it happens in the span of the signatures: the rest of the noise says the same of every effect
-    frame, _ = np.linalg.qr(np.concatenate([space.basis for space in spaces], axis=1))
-    spaces = [_Space(present.index(s.effect), frame.T @ s.basis, s.one_sign) for s in spaces]
+    present, spaces, frame = _framed(spaces)
     noise = rng.standard_normal((2, draws, frame.shape[1]))
     truth = rng.integers(len(present), size=draws)
     seen = noise[0] + signal * np.stack([_direction(spaces, int(effect), rng) for effect in truth])
@@ -83,6 +82,53 @@ def ceiling_of(
     level = np.quantile(_log_mean(empty), 1 - ALARMS)
     largest = np.exp(evidence.max(axis=1) - _log_mean(evidence)) / len(present)
     return Ceiling(float(largest.mean()), float((largest * (_log_mean(evidence) > level)).mean()))
+
+
+def ceiling_of_truth(
+    signatures: Mapping[str, Sequence[FloatArray]],
+    effect: str,
+    left: FloatArray,
+    signal: float,
+    rng: np.random.Generator,
+    *,
+    one_sign: Sequence[str] = (),
+    draws: int = DRAWS,
+) -> Ceiling:
+    """Return how often the same rule names one effect, as it acts in one case: what it misses there is nobody's.
+
+    Of effects that leave exactly the same it names each as often as the others.
+
+    Parameters
+    ----------
+    signatures, signal, rng, one_sign, draws
+        As for `ceiling_of`.
+    effect : str
+        The true one.
+    left : array of float, shape (n_rows,)
+        What it leaves in this case, whitened, a recalibration projected out. Of an effect that is not among the
+        signatures the rule knows this direction.
+    """
+    known = signatures if effect in signatures else {**signatures, effect: [left[:, None]]}
+    number = list(known).index(effect)
+    present, spaces, frame = _framed(_spaces(known, one_sign), left)
+    noise = rng.standard_normal((2, draws, frame.shape[1]))
+    seen = noise[0] + signal * (left @ frame) / np.linalg.norm(left)
+    evidence, empty = (_log_evidence(spaces, len(present), readings, signal) for readings in (seen, noise[1]))
+    level = np.quantile(_log_mean(empty), 1 - ALARMS)
+    tied = evidence > evidence.max(axis=1, keepdims=True) - ALIKE_NATS
+    hit = tied[:, present.index(number)] / tied.sum(axis=1)
+    return Ceiling(float(hit.mean()), float((hit * (_log_mean(evidence) > level)).mean()))
+
+
+def _framed(spaces: Sequence[_Space], *further: FloatArray) -> tuple[list[int], list[_Space], FloatArray]:
+    """Return the effects present, and their spaces in the frame (n_rows, n) that all of it happens in.
+
+    The rest of the noise says the same of every effect. `further` vectors (n_rows,) are in the frame too.
+    """
+    present = sorted({space.effect for space in spaces})
+    every = [*(space.basis for space in spaces), *(vector[:, None] for vector in further)]
+    frame, _ = np.linalg.qr(np.concatenate(every, axis=1))
+    return present, [_Space(present.index(s.effect), frame.T @ s.basis, s.one_sign) for s in spaces], frame
 
 
 def _spaces(signatures: Mapping[str, Sequence[FloatArray]], one_sign: Sequence[str]) -> list[_Space]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Final
 
@@ -56,6 +56,7 @@ class Judged:
     error: str = ""  #: why it failed
     #: what the best rule reaches on its runs at its signal, freely and behind a gate; None where it was not taken
     ceiling: tuple[float, float] | None = None
+    own_ceiling: tuple[float, float] | None = None  #: the same for the true effect as it acts there
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON values."""
@@ -81,18 +82,19 @@ def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
     in_library = recipe.group != "outside" and not recipe.deleted
     first = bool(named) and named[0] in effects if effects else not named and word == "no_gap"
     both = all(_grouped(effect, named, groups) for effect in effects) and (bool(effects) or first)
+    strong = tuple(_grouped(effect, named, groups) for effect in _strong(truth))
     sets = [set(credible) for credible in given.get("credible_sets", [])]
     sure = [cause for cause in named if cause not in effects and not _with_truth(cause, effects, groups, near)]
     recommended = bool(given.get("recommended", False))
     extra = given.get("challenge") or {}
     tried = extra.get("achieved") or {}
-    target = recipe.targets[0] if recipe.targets else float("nan")
+    target = recipe.targets[0] if recipe.targets else math.nan
     right = {
         "outside": word in _OPEN,
         "deleted": word in _OPEN or (bool(named) and named[0] in near),
         "alias": any(effects[0] in group and bool(group & set(recipe.aliases)) for group in groups if effects),
         "pair": set(effects) <= set(named),
-        "crowded": all(_grouped(effect, named, groups) for effect in _strong(truth)),
+        "crowded": all(strong),
     }.get(recipe.group, first)
     closure = given.get("closure") or {}
     return Judged(
@@ -114,20 +116,23 @@ def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
         recommended=recommended,
         wrong_fix=recommended and bool(sure or not effects),
         harmful=_harmful(tried) if recommended else None,
-        statements=tuple(
-            (float(cause["probability"]), effect in effects)
-            for cause, effect in zip(causes, named, strict=True)
-            if cause.get("probability") is not None and recipe.group != "alias"
-        ),
+        statements=() if recipe.group == "alias" else _stated(causes, effects),
         intervals=tuple(compare(truth, given)),
         predicted=closure.get("fraction"),
         achieved=tried.get("fraction"),
         seconds=extra.get("seconds"),
-        strong=tuple(_grouped(effect, named, groups) for effect in _strong(truth)),
+        strong=strong,
         decided=word == "explained" and bool(named) and _family(named[0]) in {_family(effect) for effect in effects},
         error=str(given.get("error", "")),
         ceiling=truth.ceiling,
+        own_ceiling=truth.own_ceiling,
     )
+
+
+def _stated(causes: Sequence[Mapping[str, Any]], effects: tuple[str, ...]) -> tuple[tuple[float, bool], ...]:
+    """Return the probability of each cause that has one, and whether it is at work."""
+    stated = [cause for cause in causes if cause.get("probability") is not None]
+    return tuple((float(cause["probability"]), str(cause.get("effect", "")) in effects) for cause in stated)
 
 
 def _family(effect: str) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -46,7 +46,7 @@ class Score:
     board: Mapping[str, Share]  #: the lines that have a target, and others
     by_signal: Mapping[str, Mapping[str, Share]]  #: target signal -> ``first``, ``in_group``, ``covered``, ``detected``
     #: target signal -> ``free`` and ``gated``, the share that the best rule names on these campaigns, and
-    #: ``hits_over_gated``; None where the ceiling was not taken
+    #: ``hits_over_gated``, and the same with ``own`` for the true effect; None where the ceiling was not taken
     ceilings: Mapping[str, Mapping[str, float | None]]
     reliability: tuple[Mapping[str, Any], ...]  #: stated probability against how often it was true, a bin each
     confusion: Mapping[str, Mapping[str, int]]  #: truth -> what was named first (or the verdict) -> cases
@@ -193,13 +193,33 @@ def score_of(cases: list[Judged], *, purpose: str = "", truth_sha256: str = "") 
 
 
 def _ceilings(singles: list[Judged], signal: float) -> dict[str, float | None]:
-    """Return what the best rule reaches at a signal, and how much of it the verdicts do, on the same cases."""
-    both = [(case.ceiling, case.first) for case in singles if case.signal == signal and case.ceiling is not None]
+    """Return what the best rule reaches at a signal, and how much of it the verdicts do, on the same cases.
+
+    First for any effect of the library on these runs, then for the true one of each case.
+    """
+    cases = [case for case in singles if case.signal == signal]
+    free, gated, over = _reached([(case.ceiling, case.first) for case in cases])
+    own_free, own_gated, own_over = _reached([(case.own_ceiling, case.first) for case in cases])
+    return {
+        "free": free,
+        "gated": gated,
+        "hits_over_gated": over,
+        "own_free": own_free,
+        "own_gated": own_gated,
+        "hits_over_own_gated": own_over,
+    }
+
+
+def _reached(
+    cases: Sequence[tuple[tuple[float, float] | None, bool]],
+) -> tuple[float | None, float | None, float | None]:
+    """Return the mean ceiling, freely and behind the gate, and the hits over the latter; None where not taken."""
+    both = [(ceiling, first) for ceiling, first in cases if ceiling is not None]
     if not both:
-        return {"free": None, "gated": None, "hits_over_gated": None}
+        return None, None, None
     free, gated = np.mean([ceiling for ceiling, _ in both], axis=0)
     hits = float(np.mean([first for _, first in both]))
-    return {"free": float(free), "gated": float(gated), "hits_over_gated": hits / float(gated) if gated > 0 else None}
+    return float(free), float(gated), hits / float(gated) if gated > 0 else None
 
 
 def _of(cases: list[Judged], group: str) -> list[Judged]:

@@ -91,6 +91,15 @@ def signatures(design: Design, model: OdometryModel, noise: Noise) -> dict[str, 
     Effect -> its forms, each (n_rows, n_directions).
     """
     causes = [cause for cause in _variants(design, model.slope_left_m_per_N) if not is_calibration(cause)]
+    columns = whitened(design, model, noise, causes)
+    columns_by_effect: dict[str, list[FloatArray]] = {}
+    for (effect, _), numbers in _families(causes, first=0).items():
+        columns_by_effect.setdefault(effect, []).append(np.stack([columns[number] for number in numbers], axis=1))
+    return columns_by_effect
+
+
+def whitened(design: Design, model: OdometryModel, noise: Noise, causes: list[Cause]) -> list[FloatArray]:
+    """Return what each cause leaves on a design, whitened, a recalibration projected out, each shape (n_rows,)."""
     strong = strengths(design, model, noise, causes, step_s=0.08, weigh=False)
     columns = []
     for change in strong.change:
@@ -98,7 +107,4 @@ def signatures(design: Design, model: OdometryModel, noise: Noise) -> dict[str, 
         if absorbed is not None:
             white = white - absorbed @ np.linalg.lstsq(absorbed, white, rcond=1e-10)[0]
         columns.append(white)
-    columns_by_effect: dict[str, list[FloatArray]] = {}
-    for (effect, _), numbers in _families(causes, first=0).items():
-        columns_by_effect.setdefault(effect, []).append(np.stack([columns[number] for number in numbers], axis=1))
-    return columns_by_effect
+    return columns

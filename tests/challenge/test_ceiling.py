@@ -7,10 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from calib.challenge.ceiling import ceiling_of
+from calib.challenge.ceiling import ceiling_of, ceiling_of_truth
 
 #: standard error of a share over 4,000 draws is at most 0.008; three of them
 DRAWN = 0.025
+#: each of two
+EVEN = 0.5
 
 
 def _phi(x: float) -> float:
@@ -56,3 +58,34 @@ def test_a_strong_signal_of_effects_apart_reaches_it_all() -> None:
 def test_nothing_that_shows_has_no_ceiling() -> None:
     """Effects that a recalibration takes up whole leave nothing to be told apart."""
     assert ceiling_of({"a": [np.zeros((5, 1))]}, 5.0, np.random.default_rng(5)) is None
+
+
+def test_the_own_ceiling_of_two_effects_a_known_way_apart_is_the_normal_distribution() -> None:
+    """Two effects of one sign d apart, equally likely: the nearer one is named, P = Phi(d / 2), whichever acts."""
+    signal, angle = 4.0, 0.6
+    one, other = np.array([[1.0], [0.0]]), np.array([[np.cos(angle)], [np.sin(angle)]])
+    apart = signal * np.sqrt(2.0 - 2.0 * np.cos(angle))
+    for effect, left in (("a", one[:, 0]), ("b", other[:, 0])):
+        rng = np.random.default_rng(6)
+        known = {"a": [one], "b": [other]}
+        reached = ceiling_of_truth(known, effect, left, signal, rng, one_sign=("a", "b"), draws=4000)
+        assert reached.free == pytest.approx(_phi(apart / 2), abs=DRAWN)
+        assert reached.gated <= reached.free
+
+
+def test_of_effects_that_leave_the_same_each_is_named_as_often_and_one_of_one_sign_goes_first() -> None:
+    """By hand: two exact aliases share the cases; where one of them has one sign only, its density there is twice."""
+    line = np.array([[1.0], [1.0], [0.0]])
+    alike = {"a": [line], "b": [3.0 * line]}
+    strong = 20.0
+    for effect in alike:
+        assert ceiling_of_truth(alike, effect, line[:, 0], strong, np.random.default_rng(7)).free == EVEN
+    named = [ceiling_of_truth(alike, e, line[:, 0], strong, np.random.default_rng(8), one_sign=("b",)) for e in alike]
+    assert [reached.free for reached in named] == [0.0, 1.0]
+
+
+def test_an_effect_outside_the_library_is_known_by_what_it_leaves() -> None:
+    """A direction of its own, far from the library's: a strong one is always named."""
+    left = np.array([0.0, 0.0, 1.0])
+    reached = ceiling_of_truth({"a": [np.eye(3)[:, :1]]}, "zone", left, 15.0, np.random.default_rng(9))
+    assert reached.free == reached.gated == 1.0

@@ -176,11 +176,16 @@ def test_the_truth_survives_its_file() -> None:
 
 
 def test_the_ceiling_stands_beside_the_hits_of_the_same_cases() -> None:
-    """By hand: one hit of two cases whose ceilings are 0.9 and 0.7 behind the gate: 0.5 / 0.8."""
-    truths = [replace(truth("single", "wear", signal=5.0), ceiling=ceiling) for ceiling in ((1.0, 0.9), (0.8, 0.7))]
+    """By hand: one hit of two cases whose ceilings are 0.9 and 0.7 behind the gate: 0.5 / 0.8; of one its own, 0.5."""
+    own = ((0.6, 0.5), None)
+    truths = [
+        replace(truth("single", "wear", signal=5.0), ceiling=ceiling, own_ceiling=of_truth)
+        for ceiling, of_truth in zip(((1.0, 0.9), (0.8, 0.7)), own, strict=True)
+    ]
     answers = [verdict("explained", ("wear", 0.9)), verdict("no_gap")]
     row = score_of([judge(*each) for each in zip(truths, answers, strict=True)]).ceilings["5"]
-    assert row == pytest.approx({"free": 0.9, "gated": 0.8, "hits_over_gated": 0.625})
+    over_own = {"own_free": 0.6, "own_gated": 0.5, "hits_over_own_gated": 2.0}
+    assert row == pytest.approx({"free": 0.9, "gated": 0.8, "hits_over_gated": 0.625} | over_own)
 
 
 def test_what_crowded_cases_state_is_held_against_what_is_true() -> None:

@@ -72,12 +72,13 @@ def _parts(score: Score) -> list[Block]:
 
     words = ("detected", "first", "in_group", "covered")
     titles = ("Signal", "A gap seen", "Named first", "Named or in its group", "In the 95 % set",
-              "Ceiling", "Behind the gate", "First over ceiling")  # fmt: skip
+              "Ceiling", "First over ceiling", "Own ceiling", "First over own")  # fmt: skip
+    ceilings = ("gated", "hits_over_gated", "own_gated", "hits_over_own_gated")
     by_signal = tuple(
         (
             signal,
             *(f"{row[word].hits}/{row[word].total}" for word in words),
-            *(MISSING if value is None else f"{value:.2f}" for value in score.ceilings[signal].values()),
+            *(MISSING if (v := score.ceilings[signal][key]) is None else f"{v:.2f}" for key in ceilings),
         )
         for signal, row in score.by_signal.items()
     )

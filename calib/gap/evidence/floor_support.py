@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from calib.arrays import FloatArray, IntArray
-from calib.gap.evidence.trends import driven, interactions, surroundings
+from calib.gap.evidence.trends import driven, interactions, session_steps, surroundings
 from calib.gap.predict.path import Path
 
 #: repeats with fewer degrees of freedom for each channel are joined with coarser ones
@@ -78,6 +78,8 @@ def bases(path: Path) -> Iterator[Support]:
     yield Support(alike, observations.condition, trend, enough)
     near = Basis.WINDOWS if observations.windowed else Basis.NEIGHBOURS
     beside = neighbours(observations.condition, NEIGHBOURHOOD)
+    # neighbours are alike in all but this: a session may end between them
+    yield Support(near, beside, session_steps(path), enough)
     yield Support(near, beside, None, enough)
     yield Support(alike, observations.condition, trend, FEWEST_DOF)
     yield Support(alike, observations.cell, None, FEWEST_DOF)

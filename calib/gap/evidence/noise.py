@@ -151,7 +151,7 @@ def _scales(
     whole: ScaleLikelihood,
     begin: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the logarithms of the most likely scales, and the weights (n_units,): those far from their repeats less."""
+    """Return the logarithms of the most likely scales and the weights (n_units,), less far from their repeats."""
     some = thinned_groups(grouped)
     part = whole if some is grouped else ScaleLikelihood(path, gap, shapes, some, support.trend)
     if part.dof < FEWEST_DOF:

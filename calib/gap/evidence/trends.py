@@ -24,9 +24,15 @@ def surroundings(path: Path) -> FloatArray:
         np.log1p(np.maximum(np.nan_to_num(waited), 0.0) / 5.0) * load,
     ]
     values += [column for name, column in observations.numbers.items() if name not in NUMERIC_COLUMNS]
-    sessions = observations.labels["session"]
-    values += [(sessions == name).astype(np.float64) for name in np.unique(sessions)[1:]]
-    return _on_radii(path, [(column, (0, 1)) for value in values for column in _standardised(value)])
+    columns = [(column, (0, 1)) for value in values for column in _standardised(value)]
+    return np.concatenate([_on_radii(path, columns), session_steps(path)], axis=2)
+
+
+def session_steps(path: Path) -> FloatArray:
+    """Return what each radius may step by from session to session, shape (n_units, 6, k)."""
+    sessions = path.s.labels["session"]
+    steps = [(sessions == name).astype(np.float64) for name in np.unique(sessions)[1:]]
+    return _on_radii(path, [(column, (0, 1)) for step in steps for column in _standardised(step)])
 
 
 def interactions(path: Path) -> list[FloatArray]:
