@@ -213,8 +213,13 @@ class Climb:
             by_set[key] = by_set.get(key, 0.0) + float(p)
         return by_set
 
-    def likeliest(self, models: Sequence[Model], probability: FloatArray, something: bool) -> Model | None:
-        """Return the best form of the likeliest set of effects; None where that set is at hand.
+    @property
+    def set_at_hand(self) -> tuple[str, ...]:
+        """Effects of the model at hand, sorted."""
+        return tuple(sorted(self.columns.forms[k].effect for k in self.current))
+
+    def by_set(self, models: Sequence[Model], probability: FloatArray, something: bool) -> dict[tuple[str, ...], float]:
+        """Return the probability of each set of effects, of which one is to be at hand.
 
         Parameters
         ----------
@@ -225,14 +230,15 @@ class Climb:
         something : bool
             Whether something is off: no effect then counts by the rest alone.
         """
-        total = probability.sum(axis=0)
-        by_set = self.by_effects(models, total)
+        by_set = self.by_effects(models, probability.sum(axis=0))
         if something:
             by_set[()] = float(probability[1:, models.index(())].sum())
-        best = max(by_set, key=lambda key: by_set[key])
-        if best == tuple(sorted(self.columns.forms[k].effect for k in self.current)):
-            return None
-        alike = [n for n, m in enumerate(models) if best == tuple(sorted(self.columns.forms[k].effect for k in m))]
+        return by_set
+
+    def best_form(self, effects: tuple[str, ...], models: Sequence[Model], probability: FloatArray) -> Model:
+        """Return the likeliest model of a set of effects."""
+        total = probability.sum(axis=0)
+        alike = [n for n, m in enumerate(models) if effects == tuple(sorted(self.columns.forms[k].effect for k in m))]
         return models[max(alike, key=lambda n: float(total[n]))]
 
     def with_only(self, model: Model) -> Climb:

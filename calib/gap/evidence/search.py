@@ -30,6 +30,8 @@ _LIKELY: Final = 12
 _LIKELY_NATS: Final = 7.0
 #: what is less probable than this is likelier not to be
 EVEN: Final = 0.5
+#: sets that are taken at hand, one after the other
+_TURNS: Final = 4
 #: beside a larger rest, the search begins again from elsewhere
 _SMALL_REST: Final = 1.0
 
@@ -143,14 +145,13 @@ def search(
                 room, fitted = settled, settled_fitted
     models, probability = _weighed(begun, settings, shifts)
     nothing = _nothing(models, probability)
-    models, probability = _weighed(room, settings, shifts)
-    likeliest = room.likeliest(models, probability, something=nothing < EVEN)
-    if likeliest is not None:
-        other, other_fitted = _settle(room.with_only(likeliest), noise, every, settings, passed, climbs=False)
-        weighed = _weighed(other, settings, shifts)
-        # about its own path, too
-        if other.likeliest(*weighed, something=_nothing(*weighed) < EVEN) is None:
-            room, fitted, (models, probability) = other, other_fitted, weighed
+    room, fitted, (models, probability) = _likeliest(
+        room,
+        fitted,
+        nothing < EVEN,
+        lambda other: _settle(other, noise, every, settings, passed, climbs=False),
+        lambda other: _weighed(other, settings, shifts),
+    )
     by_set = room.by_effects(models, probability.sum(axis=0))
     order = sorted(by_set, key=lambda key: -by_set[key])
     return Search(
@@ -185,6 +186,31 @@ def _weighed(room: Climb, settings: Settings, shifts: Mapping[str, tuple[str, ..
     weight = weight + np.array([over_free.get(n, min(over_free.values())) for n in range(len(models))])
     probability = np.exp(weight - weight.max())
     return models, probability / probability.sum()
+
+
+def _likeliest(
+    room: Climb,
+    fitted: Fitted,
+    something: bool,
+    settle: Callable[[Climb], tuple[Climb, Fitted]],
+    weigh: Callable[[Climb], tuple[list[Model], FloatArray]],
+) -> tuple[Climb, Fitted, tuple[list[Model], FloatArray]]:
+    """Move to the likeliest set of effects until that at hand is the likeliest about its own path, too.
+
+    Where sets take turns, the one that is the most probable about its own path.
+    """
+    best = None
+    for _ in range(_TURNS):
+        weighed = weigh(room)
+        by_set, own = room.by_set(*weighed, something), room.set_at_hand
+        if best is None or by_set[own] > best[0]:
+            best = by_set[own], (room, fitted, weighed)
+        likeliest = max(by_set, key=lambda key: by_set[key])
+        if likeliest == own:
+            return room, fitted, weighed
+        room, fitted = settle(room.with_only(room.best_form(likeliest, *weighed)))
+    assert best is not None
+    return best[1]
 
 
 def _nothing(models: Sequence[Model], probability: FloatArray) -> float:
