@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -75,41 +75,15 @@ class Design:
     def select(self, keep: npt.ArrayLike) -> Design:
         """Return the runs that `keep` (mask or indices, repeats allowed) picks."""
         index = np.asarray(keep)
-        changed: dict[str, Any] = {
-            name: getattr(self, name)[index]
-            for name in (
-                "kind",
-                "direction",
-                "session",
-                "payload_kg",
-                "payload_x_m",
-                "payload_y_m",
-                "speed_mps",
-                "temperature_C",
-                "minutes_under_load",
-                "flying",
-                "stops",
-            )
-        }
+        of_runs = [field.name for field in fields(self) if isinstance(getattr(self, field.name), np.ndarray)]
+        changed: dict[str, Any] = {name: getattr(self, name)[index] for name in of_runs}
         return replace(self, **changed, columns={name: column[index] for name, column in self.columns.items()})
 
 
 def conditions(design: Design) -> IntArray:
     """Return a number for each run, the same for runs driven under the same conditions, shape (n_runs,)."""
-    rows = [
-        "|".join(map(str, row))
-        for row in zip(
-            design.kind,
-            design.direction,
-            design.payload_kg,
-            design.payload_x_m,
-            design.payload_y_m,
-            design.speed_mps,
-            design.stops,
-            design.flying,
-            strict=True,
-        )
-    ]
+    names = ("kind", "direction", "payload_kg", "payload_x_m", "payload_y_m", "speed_mps", "stops", "flying")
+    rows = ["|".join(map(str, row)) for row in zip(*(getattr(design, name) for name in names), strict=True)]
     return np.unique(np.array(rows), return_inverse=True)[1].astype(np.int64)
 
 

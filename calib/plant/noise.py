@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -30,6 +30,11 @@ class Noise:
     reading_rad: float = 2e-3  #: one reading of the steering angle
     tail: float = 5.0  #: degrees of freedom of Student's t over the runs; above 2, infinite is normal
 
+    def times(self, factor: float) -> Noise:
+        """Return the noise with every scale times a factor, to four digits."""
+        scales = [field.name for field in fields(self) if field.name not in ("stated_ratio", "tail")]
+        return replace(self, **{name: float(f"{getattr(self, name) * factor:.4g}") for name in scales})
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NoiseDraw:
@@ -53,20 +58,9 @@ class NoiseDraw:
 
     def tile(self, times: int) -> NoiseDraw:
         """Return the same draw for `times` copies of the runs, end to end."""
-        return NoiseDraw(
-            texture_m=np.tile(self.texture_m, times),
-            scale_left=np.tile(self.scale_left, times),
-            scale_right=np.tile(self.scale_right, times),
-            phase=np.tile(self.phase, (1, times)),
-            laser_m=np.tile(self.laser_m, times),
-            start_heading_rad=np.tile(self.start_heading_rad, times),
-            steer_rad=np.tile(self.steer_rad, times),
-            front=np.tile(self.front, times),
-            pose=np.tile(self.pose, (times, 1)),
-            seed=self.seed,
-            reading_rad=self.reading_rad,
-            copies=times * self.copies,
-        )
+        values = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "pose"}
+        tiled: dict[str, Any] = {name: np.tile(x, times) for name, x in values.items() if isinstance(x, np.ndarray)}
+        return replace(self, **tiled, pose=np.tile(self.pose, (times, 1)), copies=times * self.copies)
 
 
 def _tailed(rng: np.random.Generator, shape: tuple[int, ...], tail: float) -> FloatArray:
@@ -102,19 +96,8 @@ def draw_noise(noise: Noise, n_runs: int, rng: np.random.Generator) -> NoiseDraw
 
 def quiet(n_runs: int) -> NoiseDraw:
     """Return a draw without any noise."""
-    zero = np.zeros(n_runs)
-    return NoiseDraw(
-        texture_m=zero,
-        scale_left=zero + 1.0,
-        scale_right=zero + 1.0,
-        phase=np.zeros((3, n_runs)),
-        laser_m=zero,
-        start_heading_rad=zero,
-        steer_rad=zero,
-        front=zero,
-        pose=np.zeros((n_runs, 3)),
-        seed=0,
-    )
+    zero, one = np.zeros(n_runs), np.ones(n_runs)
+    return NoiseDraw(zero, one, one, np.zeros((3, n_runs)), zero, zero, zero, zero, np.zeros((n_runs, 3)), seed=0)
 
 
 def random_noise(rng: np.random.Generator, **fixed: Any) -> Noise:

@@ -18,26 +18,21 @@ DESIGNS: Final = ("load_a_session", "corridor_only", "squares_one_load", "few_re
 _TURNING: Final = ("square_cw", "square_ccw", "figure8", "route_left", "route_right", "slalom")
 
 
-def _frame(conditions: list[dict[str, Any]], order: np.ndarray, **settings: Any) -> Design:
-    rows = [conditions[number] for number in order]
+#: what a run is where nothing else is said; the values' types are those of the columns
+_PLAIN_RUN: Final = {
+    "kind": "corridor", "direction": "", "session": "s1",
+    "payload_kg": 0.0, "payload_x_m": 0.4, "payload_y_m": 0.0,
+    "speed_mps": 0.5, "temperature_C": 20.0, "minutes_under_load": 0.0, "flying": False, "stops": 0,
+}  # fmt: skip
 
-    def column(name: str, default: Any) -> np.ndarray:
-        return np.array([row.get(name, default) for row in rows])
 
-    return Design(
-        kind=column("kind", "corridor").astype(np.str_),
-        direction=column("direction", "").astype(np.str_),
-        session=column("session", "s1").astype(np.str_),
-        payload_kg=column("payload_kg", 0.0).astype(np.float64),
-        payload_x_m=column("payload_x_m", 0.4).astype(np.float64),
-        payload_y_m=column("payload_y_m", 0.0).astype(np.float64),
-        speed_mps=column("speed_mps", 0.5).astype(np.float64),
-        temperature_C=column("temperature_C", 20.0).astype(np.float64),
-        minutes_under_load=column("minutes", 0.0).astype(np.float64),
-        flying=column("flying", False).astype(bool),
-        stops=column("stops", 0).astype(np.int64),
-        **settings,
-    )
+def _design(rows: list[dict[str, Any]], **settings: Any) -> Design:
+    """Return the design of a row of columns for each run."""
+    columns: dict[str, Any] = {
+        name: np.array([row.get(name, plain) for row in rows]).astype(np.array(plain).dtype.type)
+        for name, plain in _PLAIN_RUN.items()
+    }
+    return Design(**columns, **settings)
 
 
 def _vehicle(rng: np.random.Generator) -> Vehicle:
@@ -59,7 +54,7 @@ def good_design(rng: np.random.Generator, *, n_runs: int = 60, needs: Iterable[s
     n_sessions = int(rng.integers(3, 6))
     conditions = _crossed(rng, max(8, n_runs // 3), need, turning=settings.pop("turning", True))
     rows = _scheduled(rng, conditions, n_runs, n_sessions)
-    return _frame(rows, np.arange(n_runs), **{**_surroundings(rng, need, n_runs), **settings})
+    return _design(rows, **{**_surroundings(rng, need, n_runs), **settings})
 
 
 def _crossed(rng: np.random.Generator, n_conditions: int, need: set[str], *, turning: bool) -> list[dict[str, Any]]:
@@ -126,7 +121,7 @@ def _scheduled(
     for number in range(n_runs):
         row = dict(conditions[order[number]])
         row["session"] = f"s{number * n_sessions // n_runs + 1}"
-        row["minutes"] = float(rng.choice([2.0, 10.0, 30.0, 60.0])) if row["payload_kg"] > 0 else 0.0
+        row["minutes_under_load"] = float(rng.choice([2.0, 10.0, 30.0, 60.0])) if row["payload_kg"] > 0 else 0.0
         rows.append(row)
     shuffle = np.concatenate([rng.permutation(part) for part in np.array_split(np.arange(n_runs), len(conditions))])
     # conditions are dealt to sessions by a shuffle of the whole order, sessions stay contiguous
@@ -185,7 +180,7 @@ def poor_design(name: str, rng: np.random.Generator, *, n_runs: int = 40, **sett
         drawn["poses"] = str(rng.choice(["all", "none"]))
     if name == "squares_one_load":
         drawn["laser"] = False
-    return _frame(rows, np.arange(n_runs), **{**drawn, **settings})
+    return _design(rows, **{**drawn, **settings})
 
 
 def _load_a_session(rng: np.random.Generator, number: int, n_runs: int) -> dict[str, Any]:
@@ -197,7 +192,7 @@ def _load_a_session(rng: np.random.Generator, number: int, n_runs: int) -> dict[
         "payload_kg": loads[session],
         "payload_x_m": 0.3 if loads[session] else 0.0,
         "temperature_C": round(19.0 + float(rng.uniform(-0.5, 0.5)), 1),
-        "minutes": 10.0 if loads[session] else 0.0,
+        "minutes_under_load": 10.0 if loads[session] else 0.0,
     }
 
 
@@ -211,7 +206,7 @@ def _corridor_only(rng: np.random.Generator, number: int, n_runs: int) -> dict[s
         "payload_y_m": float(rng.choice([-0.15, 0.0, 0.15])) if payload else 0.0,
         "speed_mps": float(rng.choice([0.3, 0.6])),
         "temperature_C": round(float(rng.uniform(12, 28)), 1),
-        "minutes": 10.0 if payload else 0.0,
+        "minutes_under_load": 10.0 if payload else 0.0,
     }
 
 
@@ -221,7 +216,7 @@ def _square_under_one_load(_rng: np.random.Generator, number: int, n_runs: int) 
         "session": f"s{number * 2 // n_runs + 1}",
         "payload_kg": 100.0,
         "temperature_C": 20.0,
-        "minutes": 10.0,
+        "minutes_under_load": 10.0,
         "speed_mps": 0.4,
     }
 

@@ -7,8 +7,8 @@ propagation along the path driven.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Final
+from dataclasses import dataclass, fields, replace
+from typing import Final
 
 import numpy as np
 
@@ -245,11 +245,7 @@ def _alone(change: FloatArray, cov: FloatArray, absorbed: FloatArray | None) -> 
 
 def _cut(record: Record, n_runs: int) -> Record:
     """Return the first `n_runs` runs of a record."""
-    changed: dict[str, Any] = {
-        name: getattr(record, name)[..., :n_runs]
-        for name in ("frames", "t_s", "x_m", "y_m", "theta_rad", "v_mps", "omega_radps", "steer_rad", "counts", "odo")
-    }
-    return replace(record, **changed)
+    return Record(*(getattr(record, field.name)[..., :n_runs] for field in fields(record)))
 
 
 def to_signal(
@@ -290,7 +286,7 @@ def to_signal(
             ratio = float(np.max(np.abs(sizes * factor) / typical))
             quieter = np.clip(_LARGEST / ratio, 0.25, 1.0) if ratio > _LARGEST else 1.0
             louder = np.clip(_SMALLEST / ratio, 1.0, 3.0) if ratio < _SMALLEST else 1.0
-            noise = _louder(noise, float(quieter * louder))
+            noise = noise.times(float(quieter * louder))
             factor = np.where(np.isfinite(wanted), factor * quieter * louder, factor)
         if np.all(np.abs(factor - 1) < 0.02):
             break
@@ -299,19 +295,3 @@ def to_signal(
         sizes = sizes * factor**power
         scaled = [replace(cause, size=float(f"{size:.5g}")) for cause, size in zip(causes, sizes, strict=True)]
     return scaled, noise, strengths(design, model, noise, scaled, step_s=0.04)
-
-
-def _louder(noise: Noise, factor: float) -> Noise:
-    scales: tuple[str, ...] = (
-        "texture_m",
-        "common",
-        "differential",
-        "start_heading_rad",
-        "laser_m",
-        "ref_xy_m",
-        "ref_theta_rad",
-    )
-    changed = {
-        name: float(f"{getattr(noise, name) * factor:.4g}") for name in (*scales, "steer_rad", "front", "reading_rad")
-    }
-    return replace(noise, **changed)

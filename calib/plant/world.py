@@ -51,17 +51,18 @@ class Moment:
 
     def clear(self) -> None:
         """Forget what the effects added."""
-        for array in (
-            self.left,
-            self.right,
-            self.track,
-            self.lost_left,
-            self.lost_right,
-            self.lateral_mps,
-            self.yaw_radps,
-            self.drive,
-        ):
-            array.fill(0.0)
+        for name in ("left", "right", "track", "lost_left", "lost_right", "lateral_mps", "yaw_radps", "drive"):
+            getattr(self, name).fill(0.0)
+
+    def roll_more(self, left: FloatArray, right: FloatArray | None = None) -> None:
+        """Add shares to the rolling radii; the same to both where only one is given."""
+        self.left += left
+        self.right += left if right is None else right
+
+    def lose_counts(self, share: FloatArray, *, right: bool) -> None:
+        """Add a share to what the counter of one side loses."""
+        lost = self.lost_right if right else self.lost_left
+        lost += share
 
 
 @dataclass(slots=True)
@@ -105,6 +106,11 @@ class World:
     payload_dy_m: FloatArray
     gross: str = ""  #: a gross fault of the counters in the record; empty is none
     during: list[Callable[[Moment], None]] = field(default_factory=list)  #: effects that act while driving
+
+    def enlarge(self, left: FloatArray, right: FloatArray | None = None) -> None:
+        """Make the radii larger by a share, by the same where only one is given."""
+        self.left = self.left * (1 + left)
+        self.right = self.right * (1 + (left if right is None else right))
 
     @property
     def mean_load_N(self) -> FloatArray:

@@ -6,7 +6,7 @@ import numpy as np
 
 from calib.arrays import FloatArray
 from calib.plant.design import Design
-from calib.plant.effects.form import Form, Knobs
+from calib.plant.effects.form import Form, Knobs, while_driving
 from calib.plant.world import Moment, World
 
 
@@ -37,8 +37,7 @@ def _slope(world: World, size: FloatArray, knobs: Knobs) -> None:
 
     def during(now: Moment) -> None:
         down = size * np.cos(now.theta_rad + offset)
-        now.left += down
-        now.right += down
+        now.roll_more(down)
 
     world.during.append(during)
 
@@ -48,28 +47,21 @@ def _zone_knobs(rng: np.random.Generator, design: Design) -> dict[str, float]:
     return {"at_m": float(rng.uniform(0.2, 0.6) * reach), "long_m": float(rng.uniform(1.0, 2.5))}
 
 
-def _zone_distance(world: World, size: FloatArray, knobs: Knobs) -> None:
+@while_driving
+def _zone_distance(now: Moment, world: World, size: FloatArray, knobs: Knobs) -> None:
     """Both wheels slip inside a strip across the hall: `size` a metre of it."""
-
-    def during(now: Moment) -> None:
-        place = map_x_m(world, now) - knobs["at_m"]
-        inside = size * ((place > 0) & (place < knobs["long_m"]))
-        now.left += inside
-        now.right += inside
-
-    world.during.append(during)
+    place = map_x_m(world, now) - knobs["at_m"]
+    inside = size * ((place > 0) & (place < knobs["long_m"]))
+    now.roll_more(inside)
 
 
-def _zone_heading(world: World, size: FloatArray, knobs: Knobs) -> None:
+@while_driving
+def _zone_heading(now: Moment, world: World, size: FloatArray, knobs: Knobs) -> None:
     """Only the wheel on one side runs over the strip, say a cable bridge or a worn lane edge."""
-
-    def during(now: Moment) -> None:
-        place = map_x_m(world, now) - knobs["at_m"]
-        inside = size * ((place > 0) & (place < knobs["long_m"])) * world.design.heading_sign
-        now.left += 0.5 * inside
-        now.right -= 0.5 * inside
-
-    world.during.append(during)
+    place = map_x_m(world, now) - knobs["at_m"]
+    inside = size * ((place > 0) & (place < knobs["long_m"])) * world.design.heading_sign
+    now.left += 0.5 * inside
+    now.right -= 0.5 * inside
 
 
 def _undulation(world: World, size: FloatArray, _knobs: Knobs) -> None:

@@ -5,29 +5,21 @@ from __future__ import annotations
 import numpy as np
 
 from calib.arrays import FloatArray
-from calib.plant.design import Design
-from calib.plant.effects.form import Form, Knobs
+from calib.plant.effects.form import Form, Knobs, either_side, while_driving
 from calib.plant.world import REFERENCE_LOAD_N, Moment, World
 
 
-def _speed(world: World, size: FloatArray, _knobs: Knobs) -> None:
-    def during(now: Moment) -> None:
-        grown = size * (now.v_mps - 0.5)
-        now.left += grown
-        now.right += grown
-
-    world.during.append(during)
+@while_driving
+def _speed(now: Moment, _world: World, size: FloatArray, _knobs: Knobs) -> None:
+    grown = size * (now.v_mps - 0.5)
+    now.roll_more(grown)
 
 
-def _speed_squared(world: World, size: FloatArray, _knobs: Knobs) -> None:
+@while_driving
+def _speed_squared(now: Moment, _world: World, size: FloatArray, _knobs: Knobs) -> None:
     """Grows with the square of the speed, as fast as the plain form at 0.5 m/s."""
-
-    def during(now: Moment) -> None:
-        grown = size * (now.v_mps**2 - 0.25)
-        now.left += grown
-        now.right += grown
-
-    world.during.append(during)
+    grown = size * (now.v_mps**2 - 0.25)
+    now.roll_more(grown)
 
 
 def _transfer(world: World, size: FloatArray, _knobs: Knobs) -> None:
@@ -36,8 +28,7 @@ def _transfer(world: World, size: FloatArray, _knobs: Knobs) -> None:
 
     def during(now: Moment) -> None:
         moved = size * lever * now.v_mps**2 * now.curvature_per_m
-        now.left -= moved
-        now.right += moved
+        now.roll_more(-moved, moved)
 
     world.during.append(during)
 
@@ -53,8 +44,7 @@ def _transfer_roll(world: World, size: FloatArray, _knobs: Knobs) -> None:
         roll = roll + (now.v_mps**2 * now.curvature_per_m - roll) * (now.t_s - before_s) / 0.35
         before_s = now.t_s
         moved = size * lever * roll
-        now.left -= moved
-        now.right += moved
+        now.roll_more(-moved, moved)
 
     world.during.append(during)
 
@@ -69,11 +59,9 @@ def _loaded_track_soft(world: World, size: FloatArray, _knobs: Knobs) -> None:
     world.track = world.track * (1 + size * 800 * (world.mean_load_N**0.85 - low) / (high - low))
 
 
-def _scrub(world: World, size: FloatArray, _knobs: Knobs) -> None:
-    def during(now: Moment) -> None:
-        now.track += size * np.abs(now.curvature_per_m)
-
-    world.during.append(during)
+@while_driving
+def _scrub(now: Moment, _world: World, size: FloatArray, _knobs: Knobs) -> None:
+    now.track += size * np.abs(now.curvature_per_m)
 
 
 def _scrub_torque(world: World, size: FloatArray, _knobs: Knobs) -> None:
@@ -86,28 +74,18 @@ def _scrub_torque(world: World, size: FloatArray, _knobs: Knobs) -> None:
     world.during.append(during)
 
 
-def _side_slip(world: World, size: FloatArray, _knobs: Knobs) -> None:
+@while_driving
+def _side_slip(now: Moment, _world: World, size: FloatArray, _knobs: Knobs) -> None:
     """Slip angle in proportion to the lateral acceleration; outwards in a curve."""
-
-    def during(now: Moment) -> None:
-        now.lateral_mps -= size * now.v_mps**3 * now.curvature_per_m
-
-    world.during.append(during)
+    now.lateral_mps -= size * now.v_mps**3 * now.curvature_per_m
 
 
-def _skid(world: World, size: FloatArray, _knobs: Knobs) -> None:
+@while_driving
+def _skid(now: Moment, _world: World, size: FloatArray, _knobs: Knobs) -> None:
     # the wheels slip while braking: `size` metres a stop from 0.5 m/s, with the square of the speed
-    def during(now: Moment) -> None:
-        # braking at a takes v^2/2a metres: the slip size * 2a/0.25 makes size (v/0.5)^2 of them
-        slip = size * 2.0 * np.maximum(-now.acceleration_mps2, 0.0) / 0.25
-        now.left += slip
-        now.right += slip
-
-    world.during.append(during)
-
-
-def _drag_knobs(rng: np.random.Generator, _design: Design) -> dict[str, float]:
-    return {"right": float(rng.integers(2))}
+    # braking at a takes v^2/2a metres: the slip size * 2a/0.25 makes size (v/0.5)^2 of them
+    slip = size * 2.0 * np.maximum(-now.acceleration_mps2, 0.0) / 0.25
+    now.roll_more(slip)
 
 
 def _drag(world: World, size: FloatArray, knobs: Knobs) -> None:
@@ -122,16 +100,13 @@ def _drag(world: World, size: FloatArray, knobs: Knobs) -> None:
 def _direction(world: World, size: FloatArray, _knobs: Knobs) -> None:
     direction = world.design.direction
     sign = (direction == "out") * 1.0 - (direction == "back") * 1.0
-    world.left = world.left * (1 + size * sign)
-    world.right = world.right * (1 + size * sign)
+    world.enlarge(size * sign)
 
 
-def _drive_slip(world: World, size: FloatArray, _knobs: Knobs) -> None:
+@while_driving
+def _drive_slip(now: Moment, _world: World, size: FloatArray, _knobs: Knobs) -> None:
     # the driven wheel slips with its traction: rolling resistance and acceleration; `size` at 0.3 m/s^2
-    def during(now: Moment) -> None:
-        now.drive += size * (now.acceleration_mps2 + 0.02 * 9.81 * np.sign(now.v_mps)) / 0.3
-
-    world.during.append(during)
+    now.drive += size * (now.acceleration_mps2 + 0.02 * 9.81 * np.sign(now.v_mps)) / 0.3
 
 
 def _drive_slip_soft(world: World, size: FloatArray, _knobs: Knobs) -> None:
@@ -156,7 +131,7 @@ FORMS = (
     Form("curve_scrub", "torque", 2e-2, "m", _scrub_torque, frozenset({"bends", "poses"})),
     Form("side_slip", "plain", 1e-2, "s2/m", _side_slip, frozenset({"turns", "speeds", "poses"})),
     Form("braking_skid", "plain", 8e-4, "m", _skid, frozenset({"stops", "speeds"})),
-    Form("rear_drag", "plain", 5e-4, "1", _drag, frozenset({"directions", "poses"}), _drag_knobs),
+    Form("rear_drag", "plain", 5e-4, "1", _drag, frozenset({"directions", "poses"}), either_side),
     Form("travel_direction", "plain", 1e-3, "1", _direction, frozenset({"directions"})),
     Form("drive_slip", "plain", 5e-3, "1", _drive_slip, frozenset({"front", "stops"})),
     Form("drive_slip", "soft", 5e-3, "1", _drive_slip_soft, frozenset({"front", "stops"})),

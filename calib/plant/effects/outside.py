@@ -7,7 +7,7 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.plant.design import Design, conditions
 from calib.plant.effects.floor import map_x_m, map_y_m
-from calib.plant.effects.form import Form, Knobs
+from calib.plant.effects.form import Form, Knobs, while_driving
 from calib.plant.world import Moment, World
 
 
@@ -19,18 +19,14 @@ def _standard(values: FloatArray) -> FloatArray:
 def _load_by_temperature(world: World, size: FloatArray, _knobs: Knobs) -> None:
     """Warm *and* loaded wheels shrink, cold and loaded ones grow; neither alone does anything."""
     crossed = _standard(world.mean_load_N) * _standard(world.design.temperature_C)
-    world.left = world.left * (1 + size * crossed)
-    world.right = world.right * (1 + size * crossed)
+    world.enlarge(size * crossed)
 
 
-def _one_speed(world: World, size: FloatArray, knobs: Knobs) -> None:
+@while_driving
+def _one_speed(now: Moment, _world: World, size: FloatArray, knobs: Knobs) -> None:
     # a resonance: only about one middle speed
-    def during(now: Moment) -> None:
-        near = size * np.exp(-(((now.v_mps - knobs["at_mps"]) / 0.04) ** 2))
-        now.left += near
-        now.right += near
-
-    world.during.append(during)
+    near = size * np.exp(-(((now.v_mps - knobs["at_mps"]) / 0.04) ** 2))
+    now.roll_more(near)
 
 
 def _middle_speed(_rng: np.random.Generator, design: Design) -> dict[str, float]:
@@ -38,13 +34,10 @@ def _middle_speed(_rng: np.random.Generator, design: Design) -> dict[str, float]
     return {"at_mps": float(speeds[len(speeds) // 2])}
 
 
-def _left_only(world: World, size: FloatArray, _knobs: Knobs) -> None:
+@while_driving
+def _left_only(now: Moment, _world: World, size: FloatArray, _knobs: Knobs) -> None:
     """Only in left turns, and there in the tight ones: the vehicle turns less than its wheels say."""
-
-    def during(now: Moment) -> None:
-        now.track += size * (now.curvature_per_m > 0.05)
-
-    world.during.append(during)
+    now.track += size * (now.curvature_per_m > 0.05)
 
 
 def _hidden(world: World, size: FloatArray, knobs: Knobs) -> None:
@@ -52,22 +45,19 @@ def _hidden(world: World, size: FloatArray, knobs: Knobs) -> None:
     number = conditions(world.design)
     drawn = np.random.default_rng(int(knobs["seed"])).standard_normal((2, int(number.max()) + 1))
     drawn -= drawn.mean(axis=1, keepdims=True)
-    world.left = world.left * (1 + size * drawn[0, number])
-    world.right = world.right * (1 + size * (0.7 * drawn[0, number] + 0.7 * drawn[1, number]))
+    world.enlarge(size * drawn[0, number], size * (0.7 * drawn[0, number] + 0.7 * drawn[1, number]))
 
 
 def _seeded(rng: np.random.Generator, _design: Design) -> dict[str, float]:
     return {"seed": float(rng.integers(2**31))}
 
 
-def _pull(world: World, size: FloatArray, knobs: Knobs) -> None:
+@while_driving
+def _pull(now: Moment, world: World, size: FloatArray, knobs: Knobs) -> None:
     # a pull to the side that changes over the hall's floor; no wheel feels it
-    def during(now: Moment) -> None:
-        wave = np.sin(2 * np.pi * map_x_m(world, now) / knobs["wave_x_m"] + knobs["phase_rad"])
-        across = np.cos(2 * np.pi * map_y_m(world, now) / knobs["wave_y_m"])
-        now.yaw_radps += size * now.v_mps * wave * across
-
-    world.during.append(during)
+    wave = np.sin(2 * np.pi * map_x_m(world, now) / knobs["wave_x_m"] + knobs["phase_rad"])
+    across = np.cos(2 * np.pi * map_y_m(world, now) / knobs["wave_y_m"])
+    now.yaw_radps += size * now.v_mps * wave * across
 
 
 def _pull_knobs(rng: np.random.Generator, _design: Design) -> dict[str, float]:

@@ -2,40 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from calib.arrays import FloatArray
 from calib.plant.design import Design
-from calib.plant.effects.form import Form, Knobs
+from calib.plant.effects.form import Draw, Form, Knobs, drawn, scaled, while_driving
 from calib.plant.world import REFERENCE_LOAD_N, Moment, World
 
 
-def _scale(world: World, size: FloatArray, _knobs: Knobs) -> None:
-    world.left = world.left * (1 + size)
-    world.right = world.right * (1 + size)
-
-
 def _unequal(world: World, size: FloatArray, _knobs: Knobs) -> None:
-    world.left = world.left * (1 - 0.5 * size)
-    world.right = world.right * (1 + 0.5 * size)
-
-
-def _track(world: World, size: FloatArray, _knobs: Knobs) -> None:
-    world.track = world.track * (1 + size)
+    world.enlarge(-0.5 * size, 0.5 * size)
 
 
 # load laws: size is the relative slope of the left wheel per newton, or what stands in the form's unit
 
 
-def _wheel_slopes(rng: np.random.Generator, _design: Design) -> dict[str, float]:
-    return {"right_ratio": float(rng.uniform(0.75, 1.15))}
-
-
 def _load_linear(world: World, size: FloatArray, knobs: Knobs) -> None:
-    world.left = world.left * (1 + size * (world.load_left_N - REFERENCE_LOAD_N))
-    world.right = world.right * (1 + size * knobs["right_ratio"] * (world.load_right_N - REFERENCE_LOAD_N))
+    world.enlarge(
+        size * (world.load_left_N - REFERENCE_LOAD_N),
+        size * knobs["right_ratio"] * (world.load_right_N - REFERENCE_LOAD_N),
+    )
 
 
 def _power(load_N: FloatArray, exponent: float) -> FloatArray:
@@ -46,24 +32,14 @@ def _power(load_N: FloatArray, exponent: float) -> FloatArray:
 
 
 def _load_power(world: World, size: FloatArray, knobs: Knobs) -> None:
-    world.left = world.left * (1 + size * _power(world.load_left_N, knobs["exponent"]))
-    world.right = world.right * (1 + size * knobs["right_ratio"] * _power(world.load_right_N, knobs["exponent"]))
+    world.enlarge(
+        size * _power(world.load_left_N, knobs["exponent"]),
+        size * knobs["right_ratio"] * _power(world.load_right_N, knobs["exponent"]),
+    )
 
 
-def _mild_power(rng: np.random.Generator, design: Design) -> dict[str, float]:
-    return {**_wheel_slopes(rng, design), "exponent": float(rng.uniform(0.83, 0.92))}
-
-
-def _hertz(rng: np.random.Generator, design: Design) -> dict[str, float]:
-    return {**_wheel_slopes(rng, design), "exponent": 2 / 3}
-
-
-def _strong_power(rng: np.random.Generator, design: Design) -> dict[str, float]:
-    return {**_wheel_slopes(rng, design), "exponent": 0.5}
-
-
-def _quadratic(rng: np.random.Generator, design: Design) -> dict[str, float]:
-    return {**_wheel_slopes(rng, design), "exponent": 2.0}
+def _power_of(exponent: float) -> Draw:
+    return lambda rng, design: {**_WHEEL_SLOPES(rng, design), "exponent": exponent}
 
 
 def _load_dynamic(world: World, size: FloatArray, knobs: Knobs) -> None:
@@ -75,17 +51,12 @@ def _load_dynamic(world: World, size: FloatArray, knobs: Knobs) -> None:
     def during(now: Moment) -> None:
         across = weight * height * now.v_mps**2 * now.curvature_per_m / (9.81 * vehicle.track_m)
         along = -0.5 * weight * height * now.acceleration_mps2 / (9.81 * vehicle.wheelbase_m)
-        now.left += size * (-across - along)
-        now.right += size * knobs["right_ratio"] * (across - along)
+        now.roll_more(size * (-across - along), size * knobs["right_ratio"] * (across - along))
 
     world.during.append(during)
 
 
 # creep: share of the payload's load, after it was put on
-
-
-def _creep_time(rng: np.random.Generator, _design: Design) -> dict[str, float]:
-    return {"tau_min": float(rng.uniform(8.0, 25.0))}
 
 
 def _payload_share(world: World) -> tuple[FloatArray, FloatArray]:
@@ -97,8 +68,7 @@ def _payload_share(world: World) -> tuple[FloatArray, FloatArray]:
 def _creep_one(world: World, size: FloatArray, knobs: Knobs) -> None:
     grown = 1 - np.exp(-np.nan_to_num(world.design.minutes_under_load) / knobs["tau_min"])
     left, right = _payload_share(world)
-    world.left = world.left * (1 - size * left * grown)
-    world.right = world.right * (1 - size * right * grown)
+    world.enlarge(-size * left * grown, -size * right * grown)
 
 
 def _creep_two(world: World, size: FloatArray, knobs: Knobs) -> None:
@@ -112,30 +82,21 @@ def _creep_two(world: World, size: FloatArray, knobs: Knobs) -> None:
         return total
 
     start = grown(minutes)
-    world.left = world.left * (1 - size * left * start)
-    world.right = world.right * (1 - size * right * start)
+    world.enlarge(-size * left * start, -size * right * start)
 
     def during(now: Moment) -> None:
         more = grown(minutes + now.t_s / 60) - start
-        now.left -= size * left * more
-        now.right -= size * right * more
+        now.roll_more(-size * left * more, -size * right * more)
 
     world.during.append(during)
 
 
-def _phases(rng: np.random.Generator, _design: Design) -> dict[str, float]:
-    return {"left_rad": float(rng.uniform(0, 2 * np.pi)), "right_rad": float(rng.uniform(0, 2 * np.pi))}
-
-
-def _eccentric(world: World, size: FloatArray, knobs: Knobs) -> None:
+@while_driving
+def _eccentric(now: Moment, world: World, size: FloatArray, knobs: Knobs) -> None:
     """Both wheels sit off their axles by `size` metres, and start each run at the same mark."""
-    radius_m = world.design.vehicle.wheel_radius_m
-
-    def during(now: Moment) -> None:
-        now.left += size / radius_m * np.cos(now.angle_left_rad + knobs["left_rad"])
-        now.right += size / radius_m * np.cos(now.angle_right_rad + knobs["right_rad"])
-
-    world.during.append(during)
+    share = size / world.design.vehicle.wheel_radius_m
+    left, right = now.angle_left_rad + knobs["left_rad"], now.angle_right_rad + knobs["right_rad"]
+    now.roll_more(share * np.cos(left), share * np.cos(right))
 
 
 # temperature, wear, sessions
@@ -143,16 +104,17 @@ def _eccentric(world: World, size: FloatArray, knobs: Knobs) -> None:
 
 def _warm(world: World, size: FloatArray, _knobs: Knobs) -> None:
     warm = np.nan_to_num(world.design.temperature_C - 20.0)
-    world.left = world.left * (1 + size * warm)
-    world.right = world.right * (1 + size * warm)
+    world.enlarge(size * warm)
 
 
 def _warm_stiffness(world: World, size: FloatArray, _knobs: Knobs) -> None:
     # a warm band is softer: exponential in temperature, and a little more under load
     warm = 40.0 * np.expm1(np.nan_to_num(world.design.temperature_C - 20.0) / 40.0)
     mean = float(np.mean(world.mean_load_N))
-    world.left = world.left * (1 + size * warm * (1 + 0.15 * (world.load_left_N / mean - 1)))
-    world.right = world.right * (1 + size * warm * (1 + 0.15 * (world.load_right_N / mean - 1)))
+    world.enlarge(
+        size * warm * (1 + 0.15 * (world.load_left_N / mean - 1)),
+        size * warm * (1 + 0.15 * (world.load_right_N / mean - 1)),
+    )
 
 
 def _session_index(design: Design) -> tuple[FloatArray, int]:
@@ -165,16 +127,11 @@ def _wear(world: World, size: FloatArray, knobs: Knobs) -> None:
     """`size` a session of driving between the measurements, the right wheel at its own rate."""
     index, _ = _session_index(world.design)
     grown = index ** knobs.get("exponent", 1.0)
-    world.left = world.left * (1 - size * grown)
-    world.right = world.right * (1 - size * knobs["right_ratio"] * grown)
-
-
-def _wear_knobs(rng: np.random.Generator, _design: Design) -> dict[str, float]:
-    return {"right_ratio": float(rng.uniform(0.3, 0.8))}
+    world.enlarge(-size * grown, -size * knobs["right_ratio"] * grown)
 
 
 def _running_in(rng: np.random.Generator, design: Design) -> dict[str, float]:
-    return {**_wear_knobs(rng, design), "exponent": 0.8}
+    return {**_WEAR_RATES(rng, design), "exponent": 0.8}
 
 
 def _session_knobs(rng: np.random.Generator, design: Design) -> dict[str, float]:
@@ -195,8 +152,7 @@ def _one_session(rng: np.random.Generator, design: Design) -> dict[str, float]:
 def _session(world: World, size: FloatArray, knobs: Knobs) -> None:
     index, count = _session_index(world.design)
     steps = np.array([knobs.get(f"step_{number}", 0.0) for number in range(count)])[index.astype(np.int64)]
-    world.left = world.left * (1 + size * steps)
-    world.right = world.right * (1 + size * steps)
+    world.enlarge(size * steps)
 
 
 def _column(world: World, size: FloatArray, knobs: Knobs) -> None:
@@ -204,45 +160,57 @@ def _column(world: World, size: FloatArray, knobs: Knobs) -> None:
     name = next(key for key in knobs if key.startswith("column:")).removeprefix("column:")
     values = world.design.columns[name]
     spread = (values - values.mean()) / max(float(values.std()), 1e-12)
-    world.left = world.left * (1 + size * spread)
-    world.right = world.right * (1 + size * spread)
+    world.enlarge(size * spread)
 
 
-def _named(name: str) -> Callable[[np.random.Generator, Design], dict[str, float]]:
+def _named(name: str) -> Draw:
     return lambda _rng, _design: {f"column:{name}": 1.0}
 
 
+_WHEEL_SLOPES = drawn(right_ratio=(0.75, 1.15))
+_MILD_POWER = drawn(right_ratio=(0.75, 1.15), exponent=(0.83, 0.92))
+_CREEP_TIME = drawn(tau_min=(8.0, 25.0))
+_PHASES = drawn(left_rad=(0, 2 * np.pi), right_rad=(0, 2 * np.pi))
+_WEAR_RATES = drawn(right_ratio=(0.3, 0.8))
 COLUMNS = ("humidity_pct", "battery_V", "floor_gloss_GU")
 
 FORMS = (
-    Form("radius_scale", "plain", 3e-3, "1", _scale),
+    Form("radius_scale", "plain", 3e-3, "1", scaled("left", "right")),
     Form("unequal_radii", "plain", 1.5e-3, "1", _unequal, frozenset({"poses"})),
-    Form("track_width", "plain", 1e-2, "1", _track, frozenset({"turns"})),
-    Form("load_radius", "plain", 8e-6, "1/N", _load_linear, frozenset({"loads"}), _wheel_slopes),
-    Form("load_radius", "power", 8e-6, "1/N", _load_power, frozenset({"loads"}), _mild_power),
-    Form("load_radius", "dynamic", 8e-6, "1/N", _load_dynamic, frozenset({"loads"}), _wheel_slopes),
-    Form("load_radius_nonlinear", "hertz", 8e-6, "1/N", _load_power, frozenset({"loads", "offsets"}), _hertz),
-    Form("load_radius_nonlinear", "root", 8e-6, "1/N", _load_power, frozenset({"loads", "offsets"}), _strong_power),
-    Form("load_radius_nonlinear", "quadratic", 8e-6, "1/N", _load_power, frozenset({"loads", "offsets"}), _quadratic),
-    Form("load_creep", "plain", 2e-6, "1/N", _creep_one, frozenset({"loads", "dwell"}), _creep_time),
-    Form("load_creep", "two_times", 2e-6, "1/N", _creep_two, frozenset({"loads", "dwell"}), _creep_time),
-    Form("wheel_eccentricity", "plain", 2e-4, "m", _eccentric, frozenset({"trace"}), _phases),
+    Form("track_width", "plain", 1e-2, "1", scaled("track"), frozenset({"turns"})),
+    Form("load_radius", "plain", 8e-6, "1/N", _load_linear, frozenset({"loads"}), _WHEEL_SLOPES),
+    Form("load_radius", "power", 8e-6, "1/N", _load_power, frozenset({"loads"}), _MILD_POWER),
+    Form("load_radius", "dynamic", 8e-6, "1/N", _load_dynamic, frozenset({"loads"}), _WHEEL_SLOPES),
+    Form(
+        "load_radius_nonlinear",
+        "hertz",
+        8e-6,
+        "1/N",
+        _load_power,
+        frozenset({"loads", "offsets"}),
+        _power_of(2 / 3),
+    ),
+    Form("load_radius_nonlinear", "root", 8e-6, "1/N", _load_power, frozenset({"loads", "offsets"}), _power_of(0.5)),
+    Form(
+        "load_radius_nonlinear",
+        "quadratic",
+        8e-6,
+        "1/N",
+        _load_power,
+        frozenset({"loads", "offsets"}),
+        _power_of(2.0),
+    ),
+    Form("load_creep", "plain", 2e-6, "1/N", _creep_one, frozenset({"loads", "dwell"}), _CREEP_TIME),
+    Form("load_creep", "two_times", 2e-6, "1/N", _creep_two, frozenset({"loads", "dwell"}), _CREEP_TIME),
+    Form("wheel_eccentricity", "plain", 2e-4, "m", _eccentric, frozenset({"trace"}), _PHASES),
     Form("temperature_radius", "plain", 6e-5, "1/K", _warm, frozenset({"temperatures"})),
     Form("temperature_radius", "stiffness", 6e-5, "1/K", _warm_stiffness, frozenset({"temperatures"})),
-    Form("wear", "plain", 2e-4, "1/session", _wear, frozenset({"sessions", "poses"}), _wear_knobs),
+    Form("wear", "plain", 2e-4, "1/session", _wear, frozenset({"sessions", "poses"}), _WEAR_RATES),
     Form("wear", "running_in", 2e-4, "1/session", _wear, frozenset({"sessions", "poses"}), _running_in),
     Form("session_step", "plain", 5e-4, "1", _session, frozenset({"sessions"}), _session_knobs),
     Form("session_step", "one_session", 4e-4, "1", _session, frozenset({"sessions"}), _one_session),
     *(
-        Form(
-            f"covariate:{name}",
-            "plain",
-            5e-4,
-            "1/sd",
-            _column,
-            frozenset({f"column:{name}"}),
-            _named(name),
-        )
+        Form(f"covariate:{name}", "plain", 5e-4, "1/sd", _column, frozenset({f"column:{name}"}), _named(name))
         for name in COLUMNS
     ),
 )
