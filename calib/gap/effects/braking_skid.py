@@ -5,12 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from calib.arrays import BoolArray, FloatArray
-from calib.gap.data.observations import Observations
-from calib.gap.effects.effect import Effect, Form, Parameter, varies
-from calib.gap.effects.family import Family
+from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Path, Push, varies
 from calib.gap.effects.shapes import curvature_per_m, driven_speed_mps, stands_mps
-from calib.gap.predict.path import Path
-from calib.gap.predict.push import Push
 
 
 class BrakingSkid(Effect):

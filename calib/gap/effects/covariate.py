@@ -7,11 +7,7 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.model import NUMERIC_COLUMNS
-from calib.gap.data.observations import Observations
-from calib.gap.effects.effect import Centre, Effect, Form, Parameter, varies
-from calib.gap.effects.family import Family
-from calib.gap.predict.path import Path
-from calib.gap.predict.push import Push
+from calib.gap.effects.effect import Centre, Effect, Family, Form, Observations, Parameter, Path, Push, varies
 
 PREFIX: Final = "covariate:"
 ACTS_ON: Final = ("both radii", "left radius", "right radius", "yaw per metre")

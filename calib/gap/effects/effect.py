@@ -1,4 +1,7 @@
-"""What an effect is: a named cause, its parameters, and what it does to wheels, track, path or readings."""
+"""What an effect is: a named cause, its parameters, and what it does to wheels, track, path or readings.
+
+The file of an effect finds here all that it is written with.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +17,8 @@ from calib.gap.data.observations import Observations
 from calib.gap.effects.family import Family
 from calib.gap.predict.path import Path
 from calib.gap.predict.push import Push
+
+__all__ = ["Centre", "Effect", "Family", "Form", "Observations", "Parameter", "Path", "Push", "varies"]
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,10 +9,8 @@ from typing import Final
 import numpy as np
 
 from calib.arrays import FloatArray
-from calib.gap.data.observations import Observations
-from calib.gap.effects.effect import Effect, Form
-from calib.gap.effects.family import Family
-from calib.gap.predict.path import Path, predict
+from calib.gap.effects.effect import Effect, Family, Form, Observations, Path
+from calib.gap.predict.path import predict
 from calib.gap.predict.residuals import residuals
 
 FACTORS: Final = {"2": 2.0, "4": 4.0, "pi": np.pi, "1/2": 0.5, "1/4": 0.25, "1/pi": 1 / np.pi, "10": 10.0, "1/10": 0.1}

@@ -7,12 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from calib.arrays import FloatArray
-from calib.gap.data.observations import Observations
-from calib.gap.effects.effect import Effect, Form, Parameter, varies
-from calib.gap.effects.family import Family
+from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Path, Push, varies
 from calib.gap.effects.floor import common_frame, map_heading_rad
-from calib.gap.predict.path import Path, predict
-from calib.gap.predict.push import Push
+from calib.gap.predict.path import predict
 
 
 class FloorSlope(Effect):

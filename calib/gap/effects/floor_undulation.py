@@ -7,11 +7,9 @@ from typing import Final
 import numpy as np
 
 from calib.arrays import BoolArray
-from calib.gap.data.observations import STRAIGHT_RAD, Observations
-from calib.gap.effects.effect import Effect, Form, Parameter, varies
-from calib.gap.effects.family import Family
+from calib.gap.data.observations import STRAIGHT_RAD
+from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Push, varies
 from calib.gap.effects.floor import common_frame
-from calib.gap.predict.push import Push
 
 _MOST: Final = 8
 #: a run that turns by more than this in all, to and fro, is no lane

@@ -8,12 +8,9 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from calib.arrays import FloatArray, IntArray
-from calib.gap.data.observations import Observations
-from calib.gap.effects.effect import Effect, Form, Parameter
-from calib.gap.effects.family import Family
+from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Path, Push
 from calib.gap.effects.floor import common_frame, far_end_m, floor_place, lanes, map_heading_rad
-from calib.gap.predict.path import Path, predict
-from calib.gap.predict.push import Push
+from calib.gap.predict.path import predict
 
 CELL_M: Final = 2.0
 MOST_FORMS: Final = 40

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.gap.data.observations import Observations
-from calib.gap.effects.effect import Effect, Form, Parameter
-from calib.gap.effects.family import Family
+from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Path, Push
 from calib.gap.effects.shapes import start_to_end_frame
-from calib.gap.predict.path import Path, predict
-from calib.gap.predict.push import Push
+from calib.gap.predict.path import predict
 
 
 class IntegrationScheme(Effect):
@@ -41,14 +38,13 @@ class IntegrationScheme(Effect):
                 x = path.end[:, 0] - observations.total(path.ds_m * np.cos(heading))
                 y = path.end[:, 1] - observations.total(path.ds_m * np.sin(heading))
                 x, y = np.where(outside, x, 0.0), np.where(outside, y, 0.0)
-                reading = np.zeros((len(observations), 6))
-                reading[:, 1], reading[:, 2] = start_to_end_frame(path, x, y)
+                along, lateral = start_to_end_frame(path, x, y)
                 # a laser's simulated distance was taken from the same pose
                 far = np.maximum(np.hypot(path.end[:, 0], path.end[:, 1]), 1e-9)
                 chord = (path.end[:, 0] * x + path.end[:, 1] * y) / far
                 laser = np.where(observations.axis == 1, x, np.where(observations.axis == 2, chord, 0.0))
-                reading[:, 0] = np.where(np.isfinite(observations.simulated[:, 0]), laser, 0.0)
-                return [Push(reading=reading)]
+                distance = np.where(np.isfinite(observations.simulated[:, 0]), laser, 0.0)
+                return [Push.on_readings(observations, distance=distance, along=along, lateral=lateral)]
 
             return Form(self.id, label, (parameter,), pushes, tries=2)
 

@@ -7,11 +7,8 @@ from typing import Final
 import numpy as np
 
 from calib.arrays import FloatArray
-from calib.gap.data.observations import Observations
-from calib.gap.effects.effect import Centre, Effect, Form, Parameter, varies
-from calib.gap.effects.family import Family
+from calib.gap.effects.effect import Centre, Effect, Family, Form, Observations, Parameter, Push, varies
 from calib.gap.effects.scales import softness
-from calib.gap.predict.push import Push
 
 TIMES_MIN: Final = (3.0, 10.0, 30.0, 90.0)
 

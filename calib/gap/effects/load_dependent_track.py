@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from calib.gap.data.observations import Observations
-from calib.gap.effects.effect import Effect, Form, Parameter, varies
-from calib.gap.effects.family import Family
+from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Push, varies
 from calib.gap.effects.scales import softness
 from calib.gap.effects.shapes import shows_curves
-from calib.gap.predict.push import Push
 
 
 class LoadDependentTrack(Effect):

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from calib.gap.data.observations import Observations
-from calib.gap.effects.effect import Effect, Form, varies
-from calib.gap.effects.family import Family
+from calib.gap.effects.effect import Effect, Family, Form, Observations, Push, varies
 from calib.gap.effects.load_slopes import slope_parameters
-from calib.gap.predict.push import Push
 
 
 class LoadRadius(Effect):

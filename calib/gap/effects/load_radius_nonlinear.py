@@ -7,11 +7,8 @@ from typing import Final
 import numpy as np
 
 from calib.arrays import FloatArray
-from calib.gap.data.observations import Observations
-from calib.gap.effects.effect import Centre, Effect, Form, varies
-from calib.gap.effects.family import Family
+from calib.gap.effects.effect import Centre, Effect, Family, Form, Observations, Push, varies
 from calib.gap.effects.load_slopes import slope_parameters
-from calib.gap.predict.push import Push
 
 EXPONENTS: Final = (0.5, 0.7, 0.85, 2.0)
 

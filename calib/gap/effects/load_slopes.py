@@ -7,10 +7,8 @@ from typing import Final
 import numpy as np
 
 from calib.arrays import BoolArray, FloatArray
-from calib.gap.data.observations import Observations
-from calib.gap.effects.effect import Parameter
+from calib.gap.effects.effect import Observations, Parameter, Path
 from calib.gap.effects.scales import softness
-from calib.gap.predict.path import Path
 from calib.vehicle import wheel_loads_N
 
 #: relative slope where neither the model nor the hypothesis has any

@@ -5,12 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from calib.arrays import FloatArray
-from calib.gap.data.observations import Observations
-from calib.gap.effects.effect import Effect, Form, Parameter
-from calib.gap.effects.family import Family
+from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Path, Push
 from calib.gap.effects.shapes import distance_m, start_to_end_frame
-from calib.gap.predict.path import Path, predict
-from calib.gap.predict.push import Push
+from calib.gap.predict.path import predict
 
 
 class PathWeave(Effect):
@@ -45,11 +42,9 @@ class PathWeave(Effect):
             shorter = -excess / (1.0 + excess)
 
             def pushes(path: Path) -> list[Push]:
-                reading = np.zeros((len(observations), 6))
-                reading[:, 0] = shorter * distance_m(path)
-                x, y = shorter * path.end[:, 0], shorter * path.end[:, 1]
-                reading[:, 1], reading[:, 2] = start_to_end_frame(path, x, y)
-                return [Push(reading=reading)]
+                along, lateral = start_to_end_frame(path, shorter * path.end[:, 0], shorter * path.end[:, 1])
+                distance = shorter * distance_m(path)
+                return [Push.on_readings(observations, distance=distance, along=along, lateral=lateral)]
 
             return Form(self.id, label, (parameter,), pushes, tries=tries)
 

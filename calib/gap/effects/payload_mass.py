@@ -7,12 +7,8 @@ from typing import Final
 import numpy as np
 
 from calib.arrays import BoolArray
-from calib.gap.data.observations import Observations
-from calib.gap.effects.effect import Effect, Form, Parameter
-from calib.gap.effects.family import Family
+from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Path, Push
 from calib.gap.effects.load_slopes import payload_load_N, radius_slopes_m_per_N
-from calib.gap.predict.path import Path
-from calib.gap.predict.push import Push
 
 _MOST: Final = 6
 

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from calib.gap.data.observations import Observations
-from calib.gap.effects.effect import Effect, Form, Parameter
-from calib.gap.effects.family import Family
+from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Path, Push
 from calib.gap.effects.load_slopes import radius_slopes_m_per_N
 from calib.gap.effects.scales import reach
-from calib.gap.predict.path import Path
-from calib.gap.predict.push import Push
 from calib.units import GRAVITY_MPS2
 
 
@@ -54,16 +52,10 @@ class PayloadPosition(Effect):
 
         def ahead(path: Path) -> list[Push]:
             change_m = slope(path) * weight_N / wheelbase
-            reading = np.zeros((len(observations), 6))
+            left, right = -0.5 * change_m / observations.radius_left_m, -0.5 * change_m / observations.radius_right_m
             # the front wheel travels more for its counts, which the front channels subtract
-            reading[:, 4], reading[:, 5] = -front_m * change_m, -by_steering * change_m
-            return [
-                Push(
-                    left=-0.5 * change_m / observations.radius_left_m,
-                    right=-0.5 * change_m / observations.radius_right_m,
-                    reading=reading,
-                )
-            ]
+            front, steering = -front_m * change_m, -by_steering * change_m
+            return [replace(Push.on_readings(observations, front=front, steering=steering), left=left, right=right)]
 
         def parameter(name: str) -> tuple[Parameter, ...]:
             return (Parameter(name, "m", typical=3e-2 * reach(observations), largest=2.5e-1 * reach(observations)),)

@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from calib.gap.data.observations import Observations
-from calib.gap.effects.effect import Effect, Form, Parameter
-from calib.gap.effects.family import Family
-from calib.gap.predict.push import Push
+from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Push
 
 
 class RangefinderOffset(Effect):
@@ -24,7 +19,6 @@ class RangefinderOffset(Effect):
         """Return the single form; none without a laser distance."""
         if not observations.usable[:, 0].any():
             return []
-        reading = np.zeros((len(observations), 6))
-        reading[:, 0] = 1.0
+        push = Push.on_readings(observations, distance=1.0)
         parameter = Parameter("offset", "m", typical=5e-3, largest=3e-2)
-        return [Form(self.id, "", (parameter,), lambda _: [Push(reading=reading)])]
+        return [Form(self.id, "", (parameter,), lambda _: [push])]

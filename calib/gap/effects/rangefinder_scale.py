@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from calib.gap.data.observations import Observations
-from calib.gap.effects.effect import Effect, Form, Parameter
-from calib.gap.effects.family import Family
+from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter
 from calib.gap.effects.shapes import laser_share
 
 

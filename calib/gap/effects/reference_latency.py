@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.gap.data.observations import Observations
-from calib.gap.effects.effect import Effect, Form, Parameter
-from calib.gap.effects.family import Family
+from calib.arrays import FloatArray
+from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Path, Push
 from calib.gap.effects.shapes import end_motion, stands_mps, start_motion, start_to_end_frame
-from calib.gap.predict.path import Path
-from calib.gap.predict.push import Push
 
 
 class ReferenceLatency(Effect):
@@ -28,11 +25,8 @@ class ReferenceLatency(Effect):
     def forms(self, observations: Observations) -> list[Form]:
         """Return forms by instrument (end pose, laser, both); none where every run stands still when it is read."""
         speed, rate = end_motion(observations)
-        first_speed, first_rate = (
-            start_motion(observations)
-            if observations.windowed
-            else (np.zeros(len(observations)), np.zeros(len(observations)))
-        )
+        nothing = np.zeros(len(observations))
+        first_speed, first_rate = start_motion(observations) if observations.windowed else (nothing, nothing)
         least = np.minimum(0.01, 0.2 * stands_mps(observations))
         rolls = (np.abs(speed) > least) | (np.abs(first_speed) > least)
         has_pose = bool((observations.usable[:, 1:4].any(axis=1) & rolls).any())
@@ -44,17 +38,16 @@ class ReferenceLatency(Effect):
 
         def form(label: str, pose: bool, laser: bool) -> Form:
             def pushes(path: Path) -> list[Push]:
-                reading = np.zeros((len(observations), 6))
+                read: dict[str, FloatArray] = {}
                 if pose:
                     # the start lay back by v_0 tau and was turned by omega_0 tau: all is seen from there
                     x, y = first_speed - first_rate * path.end[:, 1], first_rate * path.end[:, 0]
-                    reading[:, 1], reading[:, 2] = start_to_end_frame(path, x, y)
-                    reading[:, 1] -= speed
-                    reading[:, 3] = first_rate - rate
+                    along, lateral = start_to_end_frame(path, x, y)
+                    read |= {"along": along - speed, "lateral": lateral, "heading": first_rate - rate}
                 if laser:
                     # the laser reads a length, which grows whichever way the vehicle rolls
-                    reading[:, 0] = np.abs(first_speed) - np.abs(speed)
-                return [Push(reading=reading)]
+                    read["distance"] = np.abs(first_speed) - np.abs(speed)
+                return [Push.on_readings(observations, **read)]
 
             return Form(self.id, label, (parameter,), pushes, tries=tries)
 

@@ -5,13 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from calib.arrays import FloatArray
-from calib.gap.data.observations import Observations
-from calib.gap.effects.effect import Effect, Form, Parameter
-from calib.gap.effects.family import Family
+from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Path, Push
 from calib.gap.effects.scales import reach
 from calib.gap.effects.shapes import start_to_end_frame
-from calib.gap.predict.path import Path, predict
-from calib.gap.predict.push import Push
+from calib.gap.predict.path import predict
 
 
 class ReferenceLeverArm(Effect):
@@ -31,9 +28,8 @@ class ReferenceLeverArm(Effect):
             return []
 
         def push(path: Path, x: FloatArray, y: FloatArray) -> Push:
-            reading = np.zeros((len(observations), 6))
-            reading[:, 1], reading[:, 2] = start_to_end_frame(path, x, y)
-            return Push(reading=reading)
+            along, lateral = start_to_end_frame(path, x, y)
+            return Push.on_readings(observations, along=along, lateral=lateral)
 
         def pushes(path: Path) -> list[Push]:
             c, sn = np.cos(path.frame), np.sin(path.frame)

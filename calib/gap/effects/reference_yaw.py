@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from calib.gap.data.observations import Observations
-from calib.gap.effects.effect import Effect, Form, Parameter
-from calib.gap.effects.family import Family
-from calib.gap.predict.path import Path
-from calib.gap.predict.push import Push
+from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Path, Push
+from calib.gap.effects.shapes import start_to_end_frame
 
 
 class ReferenceYaw(Effect):
@@ -29,13 +24,9 @@ class ReferenceYaw(Effect):
 
         def form(with_heading: float) -> Form:
             def pushes(path: Path) -> list[Push]:
-                reading = np.zeros((len(observations), 6))
-                c, sn = np.cos(path.frame), np.sin(path.frame)
-                x, y = path.end[:, 0], path.end[:, 1]
-                # turning (x, y) by alpha moves it by alpha (-y, x); read in the end frame
-                reading[:, 1], reading[:, 2] = -c * y + sn * x, sn * y + c * x
-                reading[:, 3] = with_heading
-                return [Push(reading=reading)]
+                # turning (x, y) by alpha moves it by alpha (-y, x)
+                along, lateral = start_to_end_frame(path, -path.end[:, 1], path.end[:, 0])
+                return [Push.on_readings(observations, along=along, lateral=lateral, heading=with_heading)]
 
             label = "position and heading" if with_heading else "position alone"
             return Form(self.id, label, (parameter,), pushes, tries=2)

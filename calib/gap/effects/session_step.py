@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.gap.data.observations import Observations
-from calib.gap.effects.effect import Effect, Form, Parameter
-from calib.gap.effects.family import Family
+from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Push
 from calib.gap.effects.shapes import sessions
-from calib.gap.predict.push import Push
 
 
 class SessionStep(Effect):

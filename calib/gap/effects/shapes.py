@@ -5,10 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from calib.arrays import BoolArray, FloatArray, IntArray, StrArray
-from calib.gap.data.observations import Observations
-from calib.gap.effects.effect import Form, Parameter
-from calib.gap.predict.path import Path
-from calib.gap.predict.push import Push
+from calib.gap.effects.effect import Form, Observations, Parameter, Path, Push
 
 #: slower than this counts as standing still
 MOVING_MPS = 0.05
@@ -144,10 +141,4 @@ def laser_share(observations: Observations, effect: str, parameter: Parameter) -
     """Return the form by which the laser's distances are too large by a share; empty where no unit has one."""
     if not observations.usable[:, 0].any():
         return []
-
-    def pushes(path: Path) -> list[Push]:
-        reading = np.zeros((len(observations), 6))
-        reading[:, 0] = distance_m(path)
-        return [Push(reading=reading)]
-
-    return [Form(effect, "", (parameter,), pushes)]
+    return [Form(effect, "", (parameter,), lambda path: [Push.on_readings(observations, distance=distance_m(path))])]

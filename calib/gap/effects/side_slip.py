@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-from calib.gap.data.observations import Observations
-from calib.gap.effects.effect import Effect, Form, Parameter
-from calib.gap.effects.family import Family
+from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Path, Push
 from calib.gap.effects.shapes import curvature_per_m, shows_curves
-from calib.gap.predict.path import Path
-from calib.gap.predict.push import Push
 
 
 class SideSlip(Effect):

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from calib.gap.data.observations import Observations
-from calib.gap.effects.effect import Centre, Effect, Form, Parameter, varies
-from calib.gap.effects.family import Family
+from calib.gap.effects.effect import Centre, Effect, Family, Form, Observations, Parameter, Push, varies
 from calib.gap.effects.shapes import driven_speed_mps
-from calib.gap.predict.push import Push
 
 
 class SpeedRadius(Effect):

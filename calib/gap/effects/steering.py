@@ -7,9 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calib.arrays import BoolArray, FloatArray
-from calib.gap.data.observations import Observations
-from calib.gap.effects.effect import Form, Parameter
-from calib.gap.predict.push import Push
+from calib.gap.effects.effect import Form, Observations, Parameter, Push
 
 
 def has_front(observations: Observations) -> BoolArray:
@@ -43,9 +41,7 @@ def excess(observations: Observations, ahead_m: FloatArray, turn_rad: FloatArray
     """
     if observations.by_front:
         return Push(along_m=-ahead_m, heading_rad=-turn_rad)
-    reading = np.zeros((len(observations), 6))
-    reading[:, 4], reading[:, 5] = observations.total(ahead_m), observations.total(turn_rad)
-    return Push(reading=reading)
+    return Push.on_readings(observations, front=observations.total(ahead_m), steering=observations.total(turn_rad))
 
 
 def error_form(

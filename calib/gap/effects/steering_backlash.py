@@ -7,9 +7,7 @@ from typing import Final
 import numpy as np
 
 from calib.arrays import FloatArray
-from calib.gap.data.observations import Observations
-from calib.gap.effects.effect import Effect, Form, Parameter
-from calib.gap.effects.family import Family
+from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter
 from calib.gap.effects.steering import error_form, has_front, steer_rad
 
 #: logged angle from which on a step belongs to a turn

@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.gap.data.observations import Observations
-from calib.gap.effects.effect import Effect, Form, Parameter
-from calib.gap.effects.family import Family
+from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Path, Push
 from calib.gap.effects.steering import error_form, excess, front_travel_m, has_front, steer_rad
-from calib.gap.predict.path import Path
-from calib.gap.predict.push import Push
 
 
 class SteeringScale(Effect):

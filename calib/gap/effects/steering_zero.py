@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.gap.data.observations import Observations
-from calib.gap.effects.effect import Effect, Form, Parameter
-from calib.gap.effects.family import Family
+from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter
 from calib.gap.effects.steering import error_form, has_front
 
 

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from calib.gap.data.observations import Observations
-from calib.gap.effects.effect import Centre, Effect, Form, Parameter, varies
-from calib.gap.effects.family import Family
-from calib.gap.predict.push import Push
+from calib.gap.effects.effect import Centre, Effect, Family, Form, Observations, Parameter, Push, varies
 
 
 class TemperatureRadius(Effect):

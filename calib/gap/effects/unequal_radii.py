@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.gap.data.observations import Observations
-from calib.gap.effects.effect import Effect, Form, Parameter
-from calib.gap.effects.family import Family
-from calib.gap.predict.push import Push
+from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Push
 
 
 class UnequalRadii(Effect):

@@ -10,11 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from calib.errors import BadFileError, BadInputError
-from calib.gap.data.observations import Observations
-from calib.gap.effects.effect import Centre, Effect, Form, Parameter, varies
-from calib.gap.effects.family import Family
-from calib.gap.predict.path import Path
-from calib.gap.predict.push import Push
+from calib.gap.effects.effect import Centre, Effect, Family, Form, Observations, Parameter, Path, Push, varies
 
 #: group of entry points under which packages offer classes of effects
 GROUP: Final = "calib.effects"
@@ -87,9 +83,7 @@ class Declared(Effect):
         def push(path: Path) -> Push:
             here = path.s.here(over)
             if self.acts_on == "distance":
-                reading = np.zeros((len(here), 6))
-                reading[:, 0] = here
-                return Push(reading=reading)
+                return Push.on_readings(path.s, distance=here)
             if self.acts_on == "yaw":
                 return Push(heading_rad=here[path.s.unit] * path.s.path_m)
             if self.acts_on == "track":

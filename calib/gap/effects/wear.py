@@ -5,11 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from calib.arrays import FloatArray
-from calib.gap.data.observations import Observations
-from calib.gap.effects.effect import Centre, Effect, Form, Parameter, varies
-from calib.gap.effects.family import Family
+from calib.gap.effects.effect import Centre, Effect, Family, Form, Observations, Parameter, Push, varies
 from calib.gap.effects.shapes import sessions
-from calib.gap.predict.push import Push
 
 
 class Wear(Effect):

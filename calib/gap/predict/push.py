@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from calib.arrays import FloatArray
+from calib.gap.data.channels import N_CHANNELS, Channel
 from calib.gap.data.observations import Observations
 
 
@@ -25,6 +28,14 @@ class Push:
     #: shape (n_units, 6): what is added to the reading of each channel (distance, along, lateral, heading, front,
     #: steering)
     reading: FloatArray | None = None
+
+    @classmethod
+    def on_readings(cls, observations: Observations, **by_channel: FloatArray | float) -> Push:
+        """Return a push on readings alone, of the channels named (``distance=``), each shape (n_units,) or a number."""
+        reading = np.zeros((len(observations), N_CHANNELS))
+        for label, values in by_channel.items():
+            reading[:, Channel[label.upper()]] = values
+        return cls(reading=reading)
 
     def scaled(self, factor: float) -> Push:
         """Return the push times `factor`."""
