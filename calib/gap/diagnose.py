@@ -37,7 +37,7 @@ from calib.gap.predict.residuals import residuals
 from calib.gap.verdict.closure import HeldOut, measure_closure
 from calib.gap.verdict.decide import decide
 from calib.gap.verdict.evidence import Evidence
-from calib.gap.verdict.result import BY_MODEL, BY_SIMULATOR, Verdict
+from calib.gap.verdict.result import BY_MODEL, BY_SIMULATOR
 from calib.gap.verdict.transfer import trials
 from calib.gap.where.locate import locate
 from calib.progress import Progress, silent
@@ -49,22 +49,6 @@ if TYPE_CHECKING:
 MOST_FLOOR: Final = 1.5
 #: how often at most the floor is taken again once a large effect is known
 PASSES: Final = 3
-
-
-def diagnose(
-    campaign: Campaign,
-    *,
-    seed: int = 0,
-    exclude: tuple[str, ...] = (),
-    model: OdometryModel | None = None,
-    applied: Sequence[EffectSection] = (),
-    settings: Settings | None = None,
-    plan: bool = True,
-) -> Verdict:
-    """Diagnose the gap of a campaign; see `diagnose_in_full`."""
-    return diagnose_in_full(
-        campaign, seed=seed, exclude=exclude, model=model, applied=applied, settings=settings, plan=plan
-    ).verdict
 
 
 def diagnose_in_full(

@@ -15,7 +15,7 @@ from calib.errors import RefusedError
 from calib.files import write_bytes
 from calib.gap.apply import applied_model
 from calib.gap.data.from_campaign import observations_of
-from calib.gap.diagnose import diagnose, diagnose_in_full
+from calib.gap.diagnose import diagnose_in_full
 from calib.gap.effects.applied import applied_pushes, model_of, with_effects
 from calib.gap.predict.path import predict
 from calib.gap.predict.residuals import residuals
@@ -40,7 +40,7 @@ def test_with_the_effect_added_there_is_no_gap_on_the_same_runs(effect: str, tmp
     assert effect in {cause.effect for cause in found.verdict.causes}
     path = write_bytes(tmp_path / "model.json", applied_model(found, campaign).to_bytes())
     model, sections = model_of(path, campaign)
-    again = diagnose(campaign, model=model, applied=sections)
+    again = diagnose_in_full(campaign, model=model, applied=sections).verdict
     assert again.kind is VerdictKind.NO_GAP
 
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from calib.campaign.model import Campaign, Logs, RunTable
 from calib.errors import CalibError, RefusedError
 from calib.files import to_json
-from calib.gap.diagnose import diagnose
+from calib.gap.diagnose import diagnose_in_full
 from calib.plant.make import make_campaign
 from calib.plant.plans import good_design
 
@@ -43,7 +43,7 @@ def without(campaign: Campaign, numbers: set[str], labels: set[str], logs: set[s
 def answered(campaign: Campaign) -> str:
     """Return the verdict, or ``refused``; anything else is an error of the test."""
     try:
-        verdict = diagnose(campaign)
+        verdict = diagnose_in_full(campaign).verdict
     except CalibError as error:
         assert "\n" not in str(error)
         return "refused"
@@ -87,13 +87,13 @@ def test_any_part_of_a_campaign_gets_a_verdict_or_one_line(campaign: Campaign) -
 def test_without_any_reference_it_is_refused_and_says_what_to_measure() -> None:
     measured = {"distance_m", "ref_x_m", "ref_y_m", "ref_theta_rad"}
     with pytest.raises(RefusedError, match="distance_m or ref_x_m"):
-        diagnose(without(driven(2), measured, set(), set()))
+        diagnose_in_full(without(driven(2), measured, set(), set()))
 
 
 def test_without_counts_it_is_refused() -> None:
     counts = {"counts_left", "counts_right", "counts_front"}
     with pytest.raises(RefusedError, match="encoder counts"):
-        diagnose(without(driven(0), counts, set(), counts))
+        diagnose_in_full(without(driven(0), counts, set(), counts))
 
 
 @pytest.mark.parametrize("count", [1, 3])
@@ -106,5 +106,5 @@ def test_one_load_never_names_the_load() -> None:
     campaign = driven(1)
     same = campaign.select(campaign.runs.number("payload_kg") == 0.0)
     assert len(same.runs) >= 3
-    verdict = diagnose(same)
+    verdict = diagnose_in_full(same).verdict
     assert "load_radius" not in {cause.effect for cause in verdict.causes}

@@ -14,7 +14,7 @@ import pytest
 from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
 from calib.errors import RefusedError
-from calib.gap.diagnose import diagnose, diagnose_in_full
+from calib.gap.diagnose import diagnose_in_full
 from calib.gap.diagnosis import Diagnosis
 from calib.gap.plan.plan_file import read_plan
 from calib.gap.verdict.result import VerdictKind
@@ -153,12 +153,12 @@ def test_a_model_that_is_right_has_no_gap(sound: Diagnosis) -> None:
 def test_an_effect_is_named_with_its_size_and_unknown_to_who_excludes_it() -> None:
     """Radii that follow the temperature: named within its interval; excluded, it is neither named nor offered."""
     warm = made(warmth=WARMTH)
-    verdict = diagnose(warm)
+    verdict = diagnose_in_full(warm).verdict
     assert verdict.kind is VerdictKind.EXPLAINED
     assert [cause.effect for cause in verdict.causes] == ["temperature_radius"]
     low, high = verdict.causes[0].parameters["alpha"].ci95
     assert low <= WARMTH <= high
-    without = diagnose(warm, exclude=("temperature_radius",), plan=False)
+    without = diagnose_in_full(warm, exclude=("temperature_radius",), plan=False).verdict
     assert "temperature_radius" not in json.dumps(
         [without.to_dict()[name] for name in ("probabilities", "credible_sets", "indistinguishable", "undetectable")]
     )
@@ -176,7 +176,7 @@ def test_a_gross_fault_is_named_beside_what_is_left(faulty: Diagnosis) -> None:
 
 
 def test_the_same_seed_gives_the_same_verdict(sound: Diagnosis) -> None:
-    assert diagnose(made()).to_dict() == sound.verdict.to_dict()
+    assert diagnose_in_full(made()).verdict.to_dict() == sound.verdict.to_dict()
 
 
 def only(built: Campaign, *names: str) -> Campaign:
@@ -194,7 +194,7 @@ def only(built: Campaign, *names: str) -> Campaign:
 def test_nothing_to_compare_is_refused(names: tuple[str, ...]) -> None:
     """Half an end pose, or none, is no measurement: refused with what would be one."""
     with pytest.raises(RefusedError, match=r"distance_m|measured"):
-        diagnose(only(made(), *names))
+        diagnose_in_full(only(made(), *names))
 
 
 def plain(value: Any) -> bool:

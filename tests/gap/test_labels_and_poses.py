@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from calib.campaign.model import Campaign
-from calib.gap.diagnose import diagnose
+from calib.gap.diagnose import diagnose_in_full
 from calib.gap.diagnosis import Diagnosis
 from calib.gap.verdict.result import Verdict
 from calib.radius.fit import fit_campaign
@@ -41,14 +41,14 @@ def test_a_verdict_does_not_hang_on_labels(name: str, diagnosed_sample: Diagnose
     """Without kinds and sessions a sample ends as with them; stretches under one load stand in for sessions."""
     campaign, diagnosis = diagnosed_sample(name)
     bare = without(campaign, labels=("kind", "session"))
-    assert outcome(diagnose(bare, plan=False)) == outcome(diagnosis.verdict)
+    assert outcome(diagnose_in_full(bare, plan=False).verdict) == outcome(diagnosis.verdict)
 
 
 @pytest.mark.slow
 def test_a_corridor_without_end_poses_still_has_two_wheels(diagnosed_sample: Diagnosed) -> None:
     """Distance and counts alone end as with poses, with slopes inside the fit's intervals, wheel by wheel."""
     campaign, diagnosis = diagnosed_sample("corridor_crossed")
-    verdict = diagnose(without(campaign, columns=POSES), plan=False)
+    verdict = diagnose_in_full(without(campaign, columns=POSES), plan=False).verdict
     assert outcome(verdict) == outcome(diagnosis.verdict)
     wheels = fit_campaign(campaign).to_dict()["wheels"]
     for side, wheel in wheels.items():

@@ -10,7 +10,7 @@ import pytest
 
 from calib.campaign.model import Campaign
 from calib.gap.data.from_campaign import observations_of
-from calib.gap.diagnose import diagnose
+from calib.gap.diagnose import diagnose_in_full
 from calib.gap.effects.turned_reference import TurnedReference, find_turned
 from calib.gap.predict.path import predict
 from calib.gap.predict.residuals import residuals
@@ -78,7 +78,7 @@ def test_a_real_robot_with_its_markers_turned_a_quarter_is_diagnosed_as_before(s
     columns = dict(sound.logs.columns) | {"ref_theta_rad": sound.logs.columns["ref_theta_rad"] + np.pi / 2}
     reference = replace(sound.reference, frame="map")
     turned = replace(sound, logs=replace(sound.logs, columns=columns), reference=reference)
-    causes = {cause.effect: cause for cause in diagnose(turned, plan=False).causes}
+    causes = {cause.effect: cause for cause in diagnose_in_full(turned, plan=False).verdict.causes}
     assert "sensor_yaw_rad = 1.5" in causes["reference_yaw"].remark
     low, high = causes["reference_yaw"].parameters["yaw"].ci95
     # the robot's own radii bend its paths: a hundredth of a radian on these routes
