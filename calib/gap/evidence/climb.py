@@ -218,23 +218,6 @@ class Climb:
         """Effects of the model at hand, sorted."""
         return tuple(sorted(self.columns.forms[k].effect for k in self.current))
 
-    def by_set(self, models: Sequence[Model], probability: FloatArray, something: bool) -> dict[tuple[str, ...], float]:
-        """Return the probability of each set of effects, of which one is to be at hand.
-
-        Parameters
-        ----------
-        models : sequence of Model
-            Of which.
-        probability : array of float, shape (n_scales, n_models)
-            Of each at each scale of the rest.
-        something : bool
-            Whether something is off: no effect then counts by the rest alone.
-        """
-        by_set = self.by_effects(models, probability.sum(axis=0))
-        if something:
-            by_set[()] = float(probability[1:, models.index(())].sum())
-        return by_set
-
     def best_form(self, effects: tuple[str, ...], models: Sequence[Model], probability: FloatArray) -> Model:
         """Return the likeliest model of a set of effects."""
         total = probability.sum(axis=0)

@@ -14,7 +14,7 @@ from calib.gap.effects.effect import Effect, Form
 from calib.gap.evidence.climb import Climb, Model, Settings
 from calib.gap.evidence.fit import Fitted
 from calib.gap.evidence.noise import Noise
-from calib.gap.evidence.subsets import sizes_beside, weigh_subsets
+from calib.gap.evidence.subsets import SUBSETS, sizes_beside, weigh_subsets
 from calib.gap.evidence.system import LinearSystem
 from calib.gap.evidence.weighting import Weighting
 from calib.gap.predict.path import Path
@@ -143,16 +143,16 @@ def search(
             settled, settled_fitted = _settle(other, noise, every, settings, passed, most=most)
             if settled.evidence() > room.evidence():
                 room, fitted = settled, settled_fitted
-    models, probability = _weighed(begun, settings, shifts)
-    nothing = _nothing(models, probability)
-    room, fitted, (models, probability) = _likeliest(
+    of_base = _weighed(begun, settings, shifts)
+    room, fitted, weighed = _likeliest(
         room,
         fitted,
-        nothing < EVEN,
+        of_base.nothing * of_base.as_believed < EVEN,
         lambda other: _settle(other, noise, every, settings, passed, climbs=False),
         lambda other: _weighed(other, settings, shifts),
     )
-    by_set = room.by_effects(models, probability.sum(axis=0))
+    by_model = weighed.probability.sum(axis=0)
+    by_set = room.by_effects(weighed.models, by_model)
     order = sorted(by_set, key=lambda key: -by_set[key])
     return Search(
         fitted=fitted,
@@ -162,15 +162,30 @@ def search(
         forms=forms,
         models=tuple(order),
         probabilities=np.array([by_set[key] for key in order]),
-        rivals=room.rivals(models, probability.sum(axis=0)),
-        rest=float(probability[1:].sum()),
+        rivals=room.rivals(weighed.models, by_model),
+        rest=float(weighed.probability[1:].sum()),
         weighting=room.weighting(),
-        nothing=nothing,
+        nothing=of_base.nothing,
     )
 
 
-def _weighed(room: Climb, settings: Settings, shifts: Mapping[str, tuple[str, ...]]) -> tuple[list[Model], FloatArray]:
-    """Return the models about the best ones and their probabilities, shape (n_scales, n_models).
+@dataclass(frozen=True, slots=True, eq=False)
+class _Weighed:
+    """The models about the best ones of one linearisation, and how probable they are."""
+
+    models: list[Model]
+    probability: FloatArray  #: shape (n_scales, n_models)
+    #: probability that the calibration is what it is believed to be, if no effect is at work; 1 where that is unlikely
+    as_believed: float
+
+    @property
+    def nothing(self) -> float:
+        """Probability that neither an effect nor a rest is there, a recalibration left free."""
+        return float(self.probability[0, self.models.index(())])
+
+
+def _weighed(room: Climb, settings: Settings, shifts: Mapping[str, tuple[str, ...]]) -> _Weighed:
+    """Weigh the models about the best ones.
 
     The moves leave the calibration free beside every model. What is likely at the end is weighed together with which of
     the calibration's parameters it needs to be off: an effect that explains their shift too needs none.
@@ -178,14 +193,17 @@ def _weighed(room: Climb, settings: Settings, shifts: Mapping[str, tuple[str, ..
     models, weight = room.posterior()
     total = np.logaddexp.reduce(weight, axis=0)
     likely = [int(n) for n in np.argsort(-total)[:_LIKELY] if total[n] > total.max() - _LIKELY_NATS]
-    weighting, over_free = room.weighting(), dict[int, float]()
+    weighting, over_free, as_believed = room.weighting(), dict[int, float](), 1.0
     for n in {*likely, models.index(room.current)}:
         sizes, values = sizes_beside(room.system, models[n], weighting)
-        over_free[n] = weigh_subsets(room.system, models[n], sizes, values, settings, shifts).over_free
+        subsets = weigh_subsets(room.system, models[n], sizes, values, settings, shifts)
+        over_free[n] = subsets.over_free
+        if not models[n]:
+            as_believed = float(subsets.probabilities[SUBSETS.index(())])
     # what is hardly likely is taken to need the calibration off as much as the neediest of the likely
     weight = weight + np.array([over_free.get(n, min(over_free.values())) for n in range(len(models))])
     probability = np.exp(weight - weight.max())
-    return models, probability / probability.sum()
+    return _Weighed(models, probability / probability.sum(), as_believed)
 
 
 def _likeliest(
@@ -193,8 +211,8 @@ def _likeliest(
     fitted: Fitted,
     something: bool,
     settle: Callable[[Climb], tuple[Climb, Fitted]],
-    weigh: Callable[[Climb], tuple[list[Model], FloatArray]],
-) -> tuple[Climb, Fitted, tuple[list[Model], FloatArray]]:
+    weigh: Callable[[Climb], _Weighed],
+) -> tuple[Climb, Fitted, _Weighed]:
     """Move to the likeliest set of effects until that at hand is the likeliest about its own path, too.
 
     Where sets take turns, the one that is the most probable about its own path.
@@ -202,20 +220,18 @@ def _likeliest(
     best = None
     for _ in range(_TURNS):
         weighed = weigh(room)
-        by_set, own = room.by_set(*weighed, something), room.set_at_hand
+        by_set, own = room.by_effects(weighed.models, weighed.probability.sum(axis=0)), room.set_at_hand
+        if something:
+            # no effect then counts by a rest and by the calibration alone
+            by_set[()] -= weighed.nothing * weighed.as_believed
         if best is None or by_set[own] > best[0]:
             best = by_set[own], (room, fitted, weighed)
         likeliest = max(by_set, key=lambda key: by_set[key])
         if likeliest == own:
             return room, fitted, weighed
-        room, fitted = settle(room.with_only(room.best_form(likeliest, *weighed)))
+        room, fitted = settle(room.with_only(room.best_form(likeliest, weighed.models, weighed.probability)))
     assert best is not None
     return best[1]
-
-
-def _nothing(models: Sequence[Model], probability: FloatArray) -> float:
-    """Return the probability (n_scales, n_models) of neither an effect nor a rest."""
-    return float(probability[0, models.index(())])
 
 
 def _settle(
