@@ -18,7 +18,8 @@ from calib.gap.evidence.window_growth import window_growth
 from calib.gap.predict.path import predict
 from calib.gap.predict.residuals import residuals
 from tests.gap.data.paths import Truth, campaign_of, seen
-from tests.gap.evidence.test_noise import repeats
+from tests.gap.effects.making import ROUTE, Motion, Run, situation
+from tests.gap.evidence.test_noise import SIGMA_DISTANCE_M, repeats
 from tests.real import recordings
 
 SIGMA_XY_M, SIGMA_RAD = 0.002, 0.004
@@ -168,3 +169,48 @@ def test_the_floor_of_many_runs_is_that_of_some_of_them(monkeypatch: pytest.Monk
     np.testing.assert_allclose(np.median(some.floor, axis=0)[:4], np.median(every.floor, axis=0)[:4], rtol=0.33)
     assert len(some.weight) == len(observations)
     assert (some.weight < 1.0).sum() > 0
+
+
+def driven_once(n_runs: int, *, step: float = 0.0, per_K: float = 0.0) -> Observations:
+    """Runs on two routes at four speeds, none under the same surroundings twice, two sessions in turn.
+
+    `step`: relative, both radii in every second session; `per_K`: relative, both radii with the temperature.
+    """
+    rng = np.random.default_rng(1)
+
+    def truth(run: Run, now: Motion) -> None:
+        now.laser_m, now.end_x_m, now.end_y_m = rng.normal(0, [SIGMA_DISTANCE_M, SIGMA_XY_M, SIGMA_XY_M])
+        now.end_rad = rng.normal(0, SIGMA_RAD)
+        now.left = now.right = step * (run.session == "s2") + per_K * (run.numbers["temperature_C"] - 20.0)
+
+    runs = []
+    for number in range(n_runs):
+        warmth = 5.0 + 35.0 * (11 * number % n_runs) / n_runs
+        run = Run(
+            [[(10.0, 0.0)], ROUTE][number % 2],
+            steps=50,
+            kind=["corridor", "route_left"][number % 2],
+            session=f"s{1 + number // 8 % 2}",
+            speed_mps=[0.3, 0.6, 0.9, 0.45][number // 2 % 4],
+            numbers={"temperature_C": warmth, "minutes_under_load": float(17 * number % 60)},
+        )
+        run.front = False
+        runs.append(run)
+    return situation(runs, truth=truth)
+
+
+def test_a_step_between_sessions_is_no_part_of_the_floor_of_neighbours() -> None:
+    """Radii that step by 1 % where a session ends leave the floor as it is: twenty-five times of it would hide them."""
+    noise, calm = estimated(driven_once(32, step=0.01)), estimated(driven_once(32))
+    assert noise.support.startswith(Basis.NEIGHBOURS)
+    # what is compared differs from one to the other: 60 degrees of freedom in four channels, 18 % each; two of these
+    np.testing.assert_allclose(noise.excess[:4], calm.excess[:4], rtol=0.36)
+
+
+def test_repeats_with_fewer_degrees_of_freedom_go_before_neighbours_that_support_nothing() -> None:
+    """Radii that follow the temperature by 1 % in ten kelvin: neighbours scatter by it, repeats have it as a trend."""
+    noise, calm = estimated(driven_once(26, per_K=1e-3)), estimated(driven_once(26))
+    assert noise.supported, noise.support
+    assert noise.support.startswith(Basis.REPEATS)
+    # 40 degrees of freedom in four channels: 22 % each; two of these
+    np.testing.assert_allclose(noise.excess[:4], calm.excess[:4], rtol=0.45)

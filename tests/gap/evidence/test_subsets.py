@@ -12,7 +12,7 @@ from calib.gap.effects.temperature_radius import TemperatureRadius
 from calib.gap.evidence.climb import Settings
 from calib.gap.evidence.fit import fit
 from calib.gap.evidence.marginal import CALIBRATION_SD, FLOOR_DOF
-from calib.gap.evidence.subsets import EXCUSE, LOOSE, SUBSETS, SubsetWeights, weigh_subsets
+from calib.gap.evidence.subsets import EXCUSE, LOOSE, SUBSETS, SubsetWeights, weigh_subsets, without_idle
 from calib.gap.evidence.system import LinearSystem
 from calib.gap.plan.separability import noise_at
 from calib.gap.predict.path import predict
@@ -85,3 +85,19 @@ def test_probabilities_are_weights_over_their_sum() -> None:
     weights = SubsetWeights(each, free=-699.0)
     assert weights.probabilities == pytest.approx(np.arange(1.0, 9.0) / 36.0)
     assert weights.over_free == pytest.approx(np.log(36.0) - 1.0)
+
+
+def test_a_parameter_that_is_no_likelier_for_the_data_is_not_held_to_be_off() -> None:
+    """Straight runs say nothing of ratio and track: what the prior alone makes of them is no finding.
+
+    The prior odds of the subsets, one wheel's radius as a way of its own, by hand: 0.3 / 5 for each of one, 0.15 / 5
+    for each of two, 0.075 for all three; both radii off in scale and in ratio may also be one wheel's, twice.
+    """
+    _, one, two, three = PRIOR_ODDS
+    prior = np.array([1.0, one, one, one, two + 2 * one, two, two, three + 2 * two])
+    speaks = np.array([0 in subset for subset in SUBSETS], dtype=float)
+    silent = prior * speaks / (prior * speaks).sum()
+    assert SUBSETS[int(np.argmax(silent))] != (0,)
+    assert without_idle(SUBSETS[int(np.argmax(silent))], silent, PLAIN) == (0,)
+    louder = prior * np.array([10.0 ** len(subset) for subset in SUBSETS])
+    assert without_idle((0, 1, 2), louder / louder.sum(), PLAIN) == (0, 1, 2)
