@@ -208,7 +208,7 @@ def test_a_step_between_sessions_is_no_part_of_the_floor_of_neighbours() -> None
 
 
 def test_repeats_with_fewer_degrees_of_freedom_go_before_neighbours_that_support_nothing() -> None:
-    """Radii that follow the temperature: neighbours scatter by it, thirteen times as stated; repeats have it as a trend."""
+    """Radii follow the temperature: neighbours scatter by it thirteen times as stated, repeats have it as a trend."""
     noise, calm = estimated(driven_once(30, per_K=5e-4)), estimated(driven_once(30))
     assert noise.supported, noise.support
     assert noise.support.startswith(Basis.REPEATS)
