@@ -27,10 +27,10 @@ class BadFileError(BadInputError):
     def __init__(
         self,
         path: Path | str,
-        *,
         found: str,
         expected: str,
         remedy: str,
+        *,
         row: int | None = None,
         column: str | None = None,
     ) -> None:

@@ -108,9 +108,7 @@ def refuse_beyond(
         Where `count` is above `most`.
     """
     if count > most:
-        raise BadFileError(
-            shown, row=row, column=column, found=f"{count} {what}", expected=f"at most {most}", remedy=remedy
-        )
+        raise BadFileError(shown, f"{count} {what}", f"at most {most}", remedy, row=row, column=column)
 
 
 def refuse_more(name: str, count: float, most: int, remedy: str) -> None:

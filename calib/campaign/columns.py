@@ -118,10 +118,5 @@ def second_column(match: Recognised, column: str, shown: str) -> BadFileError:
     `column`: its name in the file.
     """
     return BadFileError(
-        shown,
-        row=1,
-        column=column,
-        found=f"a second column for {match.name}",
-        expected="one",
-        remedy="remove or rename one of them",
+        shown, f"a second column for {match.name}", "one", "remove or rename one of them", row=1, column=column
     )

@@ -189,14 +189,7 @@ def _check_run_ids(run_ids: Sequence[str] | StrArray, line: npt.NDArray[np.int64
     first: dict[str, int] = {}
     for run_id, row in zip(map(str, run_ids), map(int, line), strict=True):
         if not run_id:
-            raise BadFileError(
-                shown,
-                row=row,
-                column="run_id",
-                found="an empty cell",
-                expected="a name of the run",
-                remedy="name the run",
-            )
+            raise BadFileError(shown, "an empty cell", "a name of the run", "name the run", row=row, column="run_id")
         if run_id in first:
             border.fault(
                 BadFileError(

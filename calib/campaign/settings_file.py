@@ -184,15 +184,10 @@ def load_toml(path: Path, shown: str, *, remedy: str = "") -> dict[str, Any]:
             shown, found=error.strerror or "an unreadable file", expected="a readable file", remedy="check its rights"
         ) from error
     except UnicodeError as error:
-        raise BadFileError(
-            shown, found="text that is not UTF-8", expected="UTF-8, as TOML asks", remedy="save the file as UTF-8"
-        ) from error
+        raise BadFileError(shown, "text that is not UTF-8", "UTF-8, as TOML asks", "save the file as UTF-8") from error
     except (tomllib.TOMLDecodeError, ValueError, RecursionError) as error:
         raise BadFileError(
-            shown,
-            found=f"no valid TOML ({str(error)[:120]})",
-            expected="key = value lines and [sections]",
-            remedy="correct the line",
+            shown, f"no valid TOML ({str(error)[:120]})", "key = value lines and [sections]", "correct the line"
         ) from error
     refuse_hostile_document(document, shown)
     return document

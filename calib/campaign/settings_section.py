@@ -103,21 +103,13 @@ class Sections:
                 continue
             if isinstance(value, bool) or not isinstance(value, int | float) or not abs(_float(value)) <= LARGEST:
                 raise BadFileError(
-                    self.shown,
-                    column=column,
-                    found=repr(value)[:60],
-                    expected="a finite number below 1e30",
-                    remedy="correct it",
+                    self.shown, repr(value)[:60], "a finite number below 1e30", "correct it", column=column
                 )
             if match.name in values:
-                raise BadFileError(
-                    self.shown, column=column, found="the key in two units", expected="one", remedy="remove one"
-                )
+                raise BadFileError(self.shown, "the key in two units", "one", "remove one", column=column)
             number = match.factor * value + match.offset
             if match.name in _POSITIVE and number < _SMALLEST:
-                raise BadFileError(
-                    self.shown, column=column, found=f"{value:g}", expected="more than 0", remedy="correct the value"
-                )
+                raise BadFileError(self.shown, f"{value:g}", "more than 0", "correct the value", column=column)
             most = _LARGEST.get(match.name)
             if most is not None and abs(number) > most:
                 raise BadFileError(

@@ -182,9 +182,7 @@ def load_coefficients(path: Path | str) -> CoefficientFile:
             raise _bad(path, f"{path.stat().st_size} bytes", f"at most {FILE_LIMIT_BYTES}")
         document = json.loads(path.read_bytes().decode("utf-8-sig"), object_pairs_hook=_no_duplicates)
     except OSError as error:
-        raise BadFileError(
-            path, found=error.strerror or "no file", expected="a coefficient file", remedy="give the path of one"
-        ) from error
+        raise BadFileError(path, error.strerror or "no file", "a coefficient file", "give the path of one") from error
     except (ValueError, RecursionError) as error:
         raise _bad(path, f"no JSON ({error})", "the JSON that calib export writes") from error
     if not isinstance(document, dict) or document.get("format") != FORMAT:

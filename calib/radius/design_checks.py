@@ -91,28 +91,18 @@ def session_check(fit: WheelFit, groups: Groups) -> Check | None:
     compared = _against_naive(fit)
     what = "Session means leave the line" if estimate.design == "confounded" else "Sessions differ"
     if p_value >= NOTE_BELOW:
-        return Check(
-            "session",
-            OK,
-            f"{what} no more than their runs explain; the intervals allow for sessions all the same.{compared}",
-            estimate.session_f,
-            name,
-            p_value,
-        )
+        sentence = f"{what} no more than their runs explain; the intervals allow for sessions all the same.{compared}"
+        return Check("session", OK, sentence, estimate.session_f, name, p_value)
     cause = (
         "a bend of the law, or a shift from session to session, which these runs cannot tell apart"
         if estimate.design == "confounded"
         else "temperature, a remounted rangefinder, wear"
     )
-    return Check(
-        "session",
-        NOTE,
+    sentence = (
         f"{what} by {UM * fit.session_std_m:.2g} um more than their runs explain ({cause}); the intervals allow for "
-        f"it, but look for the cause.{compared}",
-        estimate.session_f,
-        name,
-        p_value,
+        f"it, but look for the cause.{compared}"
     )
+    return Check("session", NOTE, sentence, estimate.session_f, name, p_value)
 
 
 def _against_naive(fit: WheelFit) -> str:
@@ -146,18 +136,12 @@ def session_influence_check(fit: WheelFit, groups: Groups) -> Check | None:
         f"changes the slope by {100 * moved[worst] / fit.law.slope_m_per_N:+.2g} %" if fit.law.slope_m_per_N else ""
     )
     if ratio <= 1:
-        return Check(
-            "session_influence",
-            OK,
-            f"No session carries the slope alone: leaving out {groups.names[worst]} {change}, within its interval.",
-            ratio,
-            "change over half interval",
+        sentence = (
+            f"No session carries the slope alone: leaving out {groups.names[worst]} {change}, within its interval."
         )
-    return Check(
-        "session_influence",
-        NOTE,
+        return Check("session_influence", OK, sentence, ratio, "change over half interval")
+    sentence = (
         f"The slope leans on session {groups.names[worst]}: leaving it out {change}, more than the interval's half "
-        "width; repeat its loads.",
-        ratio,
-        "change over half interval",
+        "width; repeat its loads."
     )
+    return Check("session_influence", NOTE, sentence, ratio, "change over half interval")

@@ -98,11 +98,7 @@ def declared_sources(campaign: Campaign) -> tuple[SystematicSource, ...]:
         for key, entry in _mapping(entries, where, f"uncertainty.{section}").items():
             if (section, key) not in _WORDS:
                 raise BadFileError(
-                    where,
-                    column=f"uncertainty.{section}.{key}",
-                    found="an unknown key",
-                    expected=f"one of {known}",
-                    remedy="correct it",
+                    where, "an unknown key", f"one of {known}", "correct it", column=f"uncertainty.{section}.{key}"
                 )
             sources.append(_source(section, key, entry, where))
     return tuple(sources)
@@ -110,9 +106,7 @@ def declared_sources(campaign: Campaign) -> tuple[SystematicSource, ...]:
 
 def _mapping(value: Any, where: Any, column: str) -> Mapping[str, Any]:
     if not isinstance(value, Mapping):
-        raise BadFileError(
-            where, column=column, found=type(value).__name__, expected="a section", remedy="see the campaign format"
-        )
+        raise BadFileError(where, type(value).__name__, "a section", "see the campaign format", column=column)
     return value
 
 

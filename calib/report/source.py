@@ -105,12 +105,7 @@ def source_of(
     """
     path = Path(path)
     if not path.exists():
-        raise BadFileError(
-            path,
-            found="nothing",
-            expected="a campaign folder or a result folder of calib fit",
-            remedy="give the path of one",
-        )
+        raise BadFileError(path, "nothing", "a campaign folder or a result folder of calib fit", "give the path of one")
     if is_result(path):
         source = source_of_fit(replace(read_result(path), accepted=accept), issued=issued, where=path)
         return replace(source, known_verdict=_verdict_beside(path, source.fit.name)), None
@@ -132,9 +127,7 @@ def _verdict_beside(path: Path, name: str) -> tuple[VerdictKind, str] | None:
             return None
         return VerdictKind(document["verdict"]), str(document["sentence"])
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise BadFileError(
-            file, found=f"{type(error).__name__}", expected="what calib diagnose --into wrote", remedy="remove it"
-        ) from error
+        raise BadFileError(file, f"{type(error).__name__}", "what calib diagnose --into wrote", "remove it") from error
 
 
 def source_of_fit(fit: Fit, *, issued: str, where: Path | str = "fit") -> Source:

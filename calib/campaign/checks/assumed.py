@@ -42,10 +42,8 @@ def assumed_values(campaign: Campaign) -> Iterator[Note]:
     if not keys:
         return
     listed = ", ".join(f"{key} = {value}" for key, value in keys.items())
-    yield Note(
-        "suspicious" if any(key in WEIGHTY for key in keys) else "info",
-        "campaign.toml",
+    text = (
         f"assumed, since nobody stated: {listed}; give the vehicle's and the instruments' own and take them out of "
-        "'assumed'",
-        "assumed",
+        "'assumed'"
     )
+    yield Note("suspicious" if any(key in WEIGHTY for key in keys) else "info", "campaign.toml", text, "assumed")

@@ -42,31 +42,20 @@ def reversed_wheels(campaign: Campaign) -> Iterator[Note]:
     whole = {side: backward[side].sum() > 0.8 * moved.sum() for side in SIDES}
     remedy = "negate the column, or correct the encoder's direction, before the next session"
     if whole["left"] and whole["right"]:
-        yield Note(
-            "suspicious",
-            "runs, columns counts_left, counts_right",
-            f"both wheels count backwards; positive counts were expected, since runs drive forward; {remedy}",
-            "reversed_wheels",
-        )
+        text = f"both wheels count backwards; positive counts were expected, since runs drive forward; {remedy}"
+        yield Note("suspicious", "runs, columns counts_left, counts_right", text, "reversed_wheels")
         return
     for side in SIDES:
         if whole[side]:
-            yield Note(
-                "suspicious",
-                f"runs, column counts_{side}",
-                f"the {side} wheel counts backwards in {int(backward[side].sum())} runs; {remedy}",
-                "reversed_wheels",
-            )
+            text = f"the {side} wheel counts backwards in {int(backward[side].sum())} runs; {remedy}"
+            yield Note("suspicious", f"runs, column counts_{side}", text, "reversed_wheels")
             continue
         for run in np.flatnonzero(backward[side]):
-            yield note(
-                campaign,
-                run,
-                f"counts_{side}",
+            text = (
                 f"found {runs.number(f'counts_{side}')[run]:.0f}; expected positive counts, as in the other runs; "
-                "check whether the vehicle drove backward",
-                "reversed_wheels",
+                "check whether the vehicle drove backward"
             )
+            yield note(campaign, run, f"counts_{side}", text, "reversed_wheels")
 
 
 def count_scale(campaign: Campaign) -> Iterator[Note]:
@@ -83,13 +72,11 @@ def count_scale(campaign: Campaign) -> Iterator[Note]:
         if not odd.any():
             continue
         if odd.sum() > 0.8 * np.isfinite(ratio).sum() and alike:
-            yield Note(
-                "suspicious",
-                f"runs, column counts_{side}",
+            text = (
                 f"the {side} wheel's radius comes out at {usual:.4g} times the nominal one in nearly every run; "
-                f"{_reason(float(usual)) or 'check counts_per_rev, the wheel radius and the unit of the distance'}",
-                "count_scale",
+                f"{_reason(float(usual)) or 'check counts_per_rev, the wheel radius and the unit of the distance'}"
             )
+            yield Note("suspicious", f"runs, column counts_{side}", text, "count_scale")
             continue
         for run in np.flatnonzero(odd):
             yield _odd_run(campaign, int(run), side, float(ratio[run]))
@@ -102,22 +89,14 @@ def _odd_run(campaign: Campaign, run: int, side: str, ratio: float) -> Note:
         full = 2.0**bits
         turns = round((expected - total) / full)
         if turns and abs(total) < full and abs(total + turns * full - expected) < 0.05 * expected:
-            return note(
-                campaign,
-                run,
-                f"counts_{side}",
+            text = (
                 f"found {total:.0f}; about {expected:.0f} was expected; it looks like the rest of {abs(turns)} "
-                f"overflow(s) of a {bits}-bit counter; give encoder.wrap_bits = {bits} to have it undone",
-                "wrapped_total",
+                f"overflow(s) of a {bits}-bit counter; give encoder.wrap_bits = {bits} to have it undone"
             )
+            return note(campaign, run, f"counts_{side}", text, "wrapped_total")
     reason = _reason(ratio) or "check the counts and the distance of this run"
-    return note(
-        campaign,
-        run,
-        f"counts_{side}",
-        f"found {total:.0f}, a radius {ratio:.4g} times the nominal one; about {expected:.0f} was expected; {reason}",
-        "count_scale",
-    )
+    text = f"found {total:.0f}, a radius {ratio:.4g} times the nominal one; about {expected:.0f} was expected; {reason}"
+    return note(campaign, run, f"counts_{side}", text, "count_scale")
 
 
 def _reason(ratio: float) -> str:
@@ -143,13 +122,8 @@ def counts_against_log(campaign: Campaign) -> Iterator[Note]:
             else:
                 reason = _reason(abs(log / found)) if found else ""
                 hint, code = reason or "the log may be cut, or belong to another run", "counts_disagree"
-            yield note(
-                campaign,
-                run,
-                f"counts_{side}",
-                f"found {found:.0f} in the table but {log:.0f} in the log; {hint}",
-                code,
-            )
+            text = f"found {found:.0f} in the table but {log:.0f} in the log; {hint}"
+            yield note(campaign, run, f"counts_{side}", text, code)
 
 
 def swapped_wheels(campaign: Campaign) -> Iterator[Note]:
@@ -168,15 +142,12 @@ def swapped_wheels(campaign: Campaign) -> Iterator[Note]:
     spread = max(spread, 2e-5)
     mirrored = (np.abs(ratio + fitted) < 5 * spread) & (np.abs(ratio - fitted) > 8 * spread)
     for run, value, usual in zip(np.flatnonzero(usable)[mirrored], ratio[mirrored], fitted[mirrored], strict=True):
-        yield note(
-            campaign,
-            int(run),
-            "counts_left, counts_right",
+        text = (
             f"right over left is {math.exp(value):.5f} where the other runs ask for "
             f"{math.exp(usual):.5f}; left and right "
-            "look swapped; check the columns of this run (when it is ingested: swapped = [...] in the mapping's [log])",
-            "swapped_wheels",
+            "look swapped; check the columns of this run (when it is ingested: swapped = [...] in the mapping's [log])"
         )
+        yield note(campaign, int(run), "counts_left, counts_right", text, "swapped_wheels")
 
 
 def _robust_fit(values: FloatArray, loads: FloatArray) -> tuple[FloatArray, float]:
@@ -234,19 +205,12 @@ def _turns(campaign: Campaign, clear: np.ndarray, against: np.ndarray, column: s
         return
     ids = campaign.runs.run_id[against]
     if against.sum() > 0.8 * clear.sum() and against.sum() > 1:
-        yield Note(
-            "suspicious",
-            f"runs, columns counts_left, counts_right, {column}",
+        text = (
             f"in {int(against.sum())} of {int(clear.sum())} turning runs ({listed(ids)}) {what}; left and right look "
-            "swapped throughout, or the reference counts clockwise",
-            "swapped_wheels",
+            "swapped throughout, or the reference counts clockwise"
         )
+        yield Note("suspicious", f"runs, columns counts_left, counts_right, {column}", text, "swapped_wheels")
         return
     for run in np.flatnonzero(against):
-        yield note(
-            campaign,
-            int(run),
-            f"counts_left, counts_right, {column}",
-            f"{what} than the counts say; left and right look swapped in this run",
-            "swapped_wheels",
-        )
+        text = f"{what} than the counts say; left and right look swapped in this run"
+        yield note(campaign, int(run), f"counts_left, counts_right, {column}", text, "swapped_wheels")

@@ -19,27 +19,23 @@ def load_and_session(campaign: Campaign) -> Iterator[Note]:
         return
     if len(sessions) >= 2:
         if all(len(np.unique(label[session == name])) == 1 for name in sessions):
-            yield Note(
-                "suspicious",
-                "runs, columns session and load",
+            text = (
                 f"each of the {len(sessions)} sessions has one load only, so that a drift between "
                 "sessions and the effect "
-                "of the load cannot be told apart; drive at least two loads in each session",
-                "confounded_load",
+                "of the load cannot be told apart; drive at least two loads in each session"
             )
+            yield Note("suspicious", "runs, columns session and load", text, "confounded_load")
         return
     total = included.runs.number("load_left_N") + included.runs.number("load_right_N")
     changes = int((label[1:] != label[:-1]).sum())
     steps = np.diff(total)
     if changes == len(loads) - 1 and len(loads) >= 3 and ((steps >= 0).all() or (steps <= 0).all()):
-        yield Note(
-            "suspicious",
-            "runs, order and load",
+        text = (
             "the loads were driven in one rising or falling order, so that warming up and the effect of "
             "the load cannot "
-            "be told apart; drive some loads again at the end, or in mixed order",
-            "ordered_load",
+            "be told apart; drive some loads again at the end, or in mixed order"
         )
+        yield Note("suspicious", "runs, order and load", text, "ordered_load")
 
 
 def few_loads(campaign: Campaign) -> Iterator[Note]:
@@ -66,10 +62,8 @@ def model_against_vehicle(campaign: Campaign) -> Iterator[Note]:
         ("track_m", model.track_m, vehicle.track_m),
     ):
         if abs(believed / nominal - 1) > 0.2:
-            yield Note(
-                "suspicious",
-                f"campaign.toml, model.{name}",
+            text = (
                 f"found {believed:g} where the vehicle has {nominal:g}; check the unit, and whether a "
-                "diameter was given",
-                "model_differs",
+                "diameter was given"
             )
+            yield Note("suspicious", f"campaign.toml, model.{name}", text, "model_differs")

@@ -35,13 +35,11 @@ def missing_values(campaign: Campaign) -> Iterator[Note]:
         trajectory = np.asarray(["ref_x_m" in campaign.logs.of(run) for run in range(len(runs))])
     lacking = np.isnan(runs.number("distance_m")) & np.isnan(runs.number("ref_x_m")) & ~trajectory
     if lacking.any():
-        yield Note(
-            "suspicious",
-            "runs, column distance_m",
+        text = (
             f"{int(lacking.sum())} run(s) have neither a distance nor a reference pose "
-            f"({listed(runs.run_id[lacking])}); nothing can be learnt from them",
-            "missing_distance",
+            f"({listed(runs.run_id[lacking])}); nothing can be learnt from them"
         )
+        yield Note("suspicious", "runs, column distance_m", text, "missing_distance")
 
 
 def distance_span(campaign: Campaign) -> Iterator[Note]:
@@ -49,25 +47,16 @@ def distance_span(campaign: Campaign) -> Iterator[Note]:
     distance = campaign.runs.number("distance_m")
     low, high = campaign.rangefinder.min_m, campaign.rangefinder.max_m
     for run in np.flatnonzero(distance <= 0):
-        yield note(
-            campaign,
-            run,
-            "distance_m",
-            f"found {distance[run]:g} m; expected a positive distance; correct it or flag the run as excluded",
-            "distance_span",
-            "wrong",
-        )
+        text = f"found {distance[run]:g} m; expected a positive distance; correct it or flag the run as excluded"
+        yield note(campaign, run, "distance_m", text, "distance_span", "wrong")
     for run in np.flatnonzero((distance > 0) & ((distance < low) | (distance > high))):
         hint = "it looks like millimetres; name the column distance_mm" if distance[run] / 1e3 <= high < 1e3 else ""
         hint = hint if distance[run] > high else ""
-        yield note(
-            campaign,
-            run,
-            "distance_m",
+        text = (
             f"found {distance[run]:g} m; the rangefinder measures {low:g} to {high:g} m; "
-            f"{hint or 'check the cell, or give rangefinder.min_m and max_m'}",
-            "distance_span",
+            f"{hint or 'check the cell, or give rangefinder.min_m and max_m'}"
         )
+        yield note(campaign, run, "distance_m", text, "distance_span")
 
 
 def distance_against_log(campaign: Campaign) -> Iterator[Note]:
@@ -83,21 +72,15 @@ def distance_against_log(campaign: Campaign) -> Iterator[Note]:
             continue
         outside = (known < -0.5) | (known > campaign.rangefinder.max_m)
         if outside.any():
-            yield note(
-                campaign,
-                run,
-                "log range_m",
+            text = (
                 f"{int(outside.sum())} sample(s) lie outside the rangefinder's span, the first at "
-                f"{known[outside][0]:g} m",
-                "distance_span",
+                f"{known[outside][0]:g} m"
             )
+            yield note(campaign, run, "log range_m", text, "distance_span")
         allowed = max(0.02, 8 * campaign.rangefinder.sigma_m)
         if abs(distance[run] - known[-1]) > allowed and abs(distance[run] - (known[-1] - known[0])) > allowed:
-            yield note(
-                campaign,
-                run,
-                "distance_m",
+            text = (
                 f"found {distance[run]:.4f} m in the table but {known[-1]:.4f} m at the end of the log; "
-                "the log may be cut",
-                "distance_disagrees",
+                "the log may be cut"
             )
+            yield note(campaign, run, "distance_m", text, "distance_disagrees")

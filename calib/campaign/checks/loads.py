@@ -17,32 +17,21 @@ def wheel_loads(campaign: Campaign) -> Iterator[Note]:
     for side in SIDES:
         load = runs.number(f"load_{side}_N")
         for run in np.flatnonzero(load <= 0):
-            yield note(
-                campaign,
-                run,
-                f"load_{side}_N",
-                f"found {load[run]:.4g} N; expected more than 0, or the wheel would lift off; check payload and place",
-                "impossible_load",
-                "wrong",
+            text = (
+                f"found {load[run]:.4g} N; expected more than 0, or the wheel would lift off; check payload and place"
             )
+            yield note(campaign, run, f"load_{side}_N", text, "impossible_load", "wrong")
         permitted = campaign.vehicle.max_wheel_load_N
         for run in np.flatnonzero(load > permitted):
-            yield note(
-                campaign,
-                run,
-                f"load_{side}_N",
-                f"found {load[run]:.5g} N; {permitted:g} N is permitted; check the unit (kg or kN in a column of N?)",
-                "excess_load",
-            )
+            text = f"found {load[run]:.5g} N; {permitted:g} N is permitted; check the unit (kg or kN in a column of N?)"
+            yield note(campaign, run, f"load_{side}_N", text, "excess_load")
     lacking = np.isnan(runs.number("load_left_N")) | np.isnan(runs.number("load_right_N"))
     if lacking.any():
-        yield Note(
-            "suspicious",
-            "runs, columns load_left_N, load_right_N",
+        text = (
             f"{int(lacking.sum())} run(s) have no wheel load and no payload with its place to compute it from "
-            f"({listed(runs.run_id[lacking])})",
-            "missing_load",
+            f"({listed(runs.run_id[lacking])})"
         )
+        yield Note("suspicious", "runs, columns load_left_N, load_right_N", text, "missing_load")
 
 
 def loads_against_payload(campaign: Campaign) -> Iterator[Note]:

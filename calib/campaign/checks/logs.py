@@ -21,15 +21,12 @@ def clock(campaign: Campaign) -> Iterator[Note]:
         usual = float(np.median(step))
         back = np.flatnonzero(step < 0)
         if len(back):
-            yield note(
-                campaign,
-                run,
-                "log t_s",
+            text = (
                 f"time runs backwards {len(back)} time(s), first in sample {back[0] + 2} by "
                 f"{-step[back[0]]:.4g} s; the "
-                "clock jumped or files were joined; check the logger",
-                "clock_jump",
+                "clock jumped or files were joined; check the logger"
             )
+            yield note(campaign, run, "log t_s", text, "clock_jump")
         still = int((step == 0).sum())
         if still:
             yield note(
@@ -46,25 +43,19 @@ def clock(campaign: Campaign) -> Iterator[Note]:
         jumped = [at for at in long if rate > 0 and moved[at] < 0.35 * rate * step[at] and _driving(moved, int(at))]
         gaps = [at for at in long if at not in jumped]
         if gaps:
-            yield note(
-                campaign,
-                run,
-                "log t_s",
+            text = (
                 f"{len(gaps)} gap(s), {step[gaps].sum():.4g} s in all, the longest {step[gaps].max():.4g} s at "
                 f"{time[gaps[int(np.argmax(step[gaps]))]]:.4g} s, where samples come every {usual:.4g} s; "
                 "counts go on, so "
-                "that totals hold, but the path in the gap is not known",
-                "gap",
+                "that totals hold, but the path in the gap is not known"
             )
+            yield note(campaign, run, "log t_s", text, "gap")
         if jumped:
-            yield note(
-                campaign,
-                run,
-                "log t_s",
+            text = (
                 f"the clock jumped {len(jumped)} time(s), first at {time[jumped[0]]:.4g} s by {step[jumped[0]]:.4g} s, "
-                "while the counts went on as in one sample; speeds of this log are not to be trusted",
-                "clock_jump",
+                "while the counts went on as in one sample; speeds of this log are not to be trusted"
             )
+            yield note(campaign, run, "log t_s", text, "clock_jump")
 
 
 def _wheels(log: Mapping[str, FloatArray]) -> list[str]:
@@ -89,15 +80,12 @@ def count_jumps(campaign: Campaign) -> Iterator[Note]:
             usual = float(np.percentile(np.abs(step), 95))
             far = np.flatnonzero(np.abs(step) > 6 * usual + 50)
             if len(far) and len(far) <= max(5, 0.01 * len(step)):
-                yield note(
-                    campaign,
-                    run,
-                    f"log {name}",
+                text = (
                     f"{len(far)} jump(s), first in sample {far[0] + 2} by {step[far[0]]:.0f} counts where "
                     f"{usual:.0f} are "
-                    "usual; the encoder may have lost contact, or the counter was reset",
-                    "count_jump",
+                    "usual; the encoder may have lost contact, or the counter was reset"
                 )
+                yield note(campaign, run, f"log {name}", text, "count_jump")
 
 
 def _can_stand_in(campaign: Campaign) -> bool:
@@ -124,9 +112,5 @@ def log_speed(campaign: Campaign) -> Iterator[Note]:
     # a route with turns or pauses is legitimately slower than its set speed; only a factor is odd
     if known.sum() and not 0.4 < (usual := float(np.median(ratios[known]))) < 1.6:
         hint = "km/h look like m/s; name the column speed_kmh" if 0.22 < usual < 0.34 else "check speed and clock"
-        yield Note(
-            "suspicious",
-            "runs, column speed_mps",
-            f"the logs drive at {usual:.3g} times the set speed; {hint}",
-            "speed_disagrees",
-        )
+        text = f"the logs drive at {usual:.3g} times the set speed; {hint}"
+        yield Note("suspicious", "runs, column speed_mps", text, "speed_disagrees")

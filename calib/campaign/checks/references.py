@@ -37,15 +37,13 @@ def distance_against_pose(campaign: Campaign) -> Iterator[Note]:
     stated = math.hypot(campaign.rangefinder.sigma_m or 0.0, campaign.reference.sigma_xy_m or 0.0)
     allowed = max(_LEAST_M, _UNCERTAINTIES * stated)
     if abs(median) > max(allowed, _SIGMAS * error):
-        yield Note(
-            "suspicious",
-            "runs, column distance_m",
+        text = (
             f"the distance is {1e3 * abs(median):.3g} mm {'longer' if median > 0 else 'shorter'} than the way to the "
             f"reference's end pose (median of {len(longer)} straight runs, standard error {1e3 * error:.2g} mm); "
             f"expected the same within {1e3 * allowed:.2g} mm; check the rangefinder's zero and scale, and what each "
-            "is measured from",
-            "distance_against_pose",
+            "is measured from"
         )
+        yield Note("suspicious", "runs, column distance_m", text, "distance_against_pose")
 
 
 def track_against_bows(campaign: Campaign) -> Iterator[Note]:
@@ -74,14 +72,12 @@ def track_against_bows(campaign: Campaign) -> Iterator[Note]:
     if error > 0.1 or abs(ratio - 1.0) < max(_TRACK, _SIGMAS * error):
         return
     track = campaign.vehicle.track_m
-    yield Note(
-        "suspicious",
-        "campaign.toml, vehicle.track_m",
+    text = (
         f"{int(good.sum())} straight runs bow out {ratio:.3g} times as far as their counts say with a track of "
         f"{track:g} m (standard error {error:.2g}); expected the same within {100 * _TRACK:g} %; "
-        + (f"is the track {track / ratio:.3g} m?" if 0.5 < ratio < 2.0 else "check track_m and the reference's frame"),
-        "track_against_bows",
+        + (f"is the track {track / ratio:.3g} m?" if 0.5 < ratio < 2.0 else "check track_m and the reference's frame")
     )
+    yield Note("suspicious", "campaign.toml, vehicle.track_m", text, "track_against_bows")
 
 
 def _straight(campaign: Campaign) -> BoolArray:

@@ -40,16 +40,13 @@ def far_from_repeats(campaign: Campaign) -> Iterator[Note]:
         floor = campaign.rangefinder.sigma_m / float(np.nanmedian(runs.number("distance_m")))
         spread = max(robust_spread(away[known]) * 1.2, floor)
         for run in np.flatnonzero(known & (np.abs(np.nan_to_num(away)) > _FAR * spread)):
-            yield note(
-                campaign,
-                run,
-                f"distance_m, counts_{side}",
+            text = (
                 f"the {side} radius lies {100 * away[run]:+.3f} % from its repeats, "
                 f"{abs(away[run]) / spread:.0f} times "
                 "their spread; look for slip, a wrong distance or a wrong load, and set excluded with a "
-                "reason if found",
-                "far_from_repeats",
+                "reason if found"
             )
+            yield note(campaign, run, f"distance_m, counts_{side}", text, "far_from_repeats")
 
 
 def pasted_rows(campaign: Campaign) -> Iterator[Note]:
@@ -62,11 +59,6 @@ def pasted_rows(campaign: Campaign) -> Iterator[Note]:
         if any(math.isnan(value) or value == 0 for value in row):
             continue
         if row in seen:
-            yield note(
-                campaign,
-                run,
-                "distance_m, counts_left, counts_right",
-                f"all three are those of run {runs.run_id[seen[row]]}; one row may have been pasted twice",
-                "pasted_row",
-            )
+            text = f"all three are those of run {runs.run_id[seen[row]]}; one row may have been pasted twice"
+            yield note(campaign, run, "distance_m, counts_left, counts_right", text, "pasted_row")
         seen.setdefault(row, run)

@@ -59,9 +59,7 @@ def parse_cut(section: Mapping[str, Any], shown: str) -> Cut:
     """Return the section ``[cut]`` of a mapping, checked."""
 
     def bad(key: str, found: Any, expected: str) -> BadFileError:
-        return BadFileError(
-            shown, column=f"cut.{key}", found=repr(found)[:80], expected=expected, remedy="correct the mapping"
-        )
+        return BadFileError(shown, repr(found)[:80], expected, "correct the mapping", column=f"cut.{key}")
 
     known = {field.name for field in fields(Cut)}
     for key, value in section.items():

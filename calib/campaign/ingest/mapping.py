@@ -165,17 +165,13 @@ def bad_line(shown: str, where: str, name: str, found: Any, expected: str) -> Ba
     expected : str
         What it should say.
     """
-    return BadFileError(
-        shown, column=f"{where}.{name}", found=repr(found)[:80], expected=expected, remedy="correct the mapping"
-    )
+    return BadFileError(shown, repr(found)[:80], expected, "correct the mapping", column=f"{where}.{name}")
 
 
 def _section(document: dict[str, Any], name: str, shown: str) -> dict[str, Any]:
     section = document.pop(name, {})
     if not isinstance(section, dict):
-        raise BadFileError(
-            shown, column=name, found=repr(section)[:60], expected=f"a section [{name}]", remedy="correct the mapping"
-        )
+        raise BadFileError(shown, repr(section)[:60], f"a section [{name}]", "correct the mapping", column=name)
     return dict(section)
 
 

@@ -85,9 +85,7 @@ def read_recording(path: Path, shown: str, wanted: Callable[[str], bool] | None 
     """
     module = _module(path, shown)
     if not hasattr(module, "record"):
-        raise BadFileError(
-            shown, found="a table", expected="a recording (bag, TDMS, .mat, .tum)", remedy="read it as a table"
-        )
+        raise BadFileError(shown, "a table", "a recording (bag, TDMS, .mat, .tum)", "read it as a table")
     try:
         return cast(Recorder, module.record)(path, shown, wanted)
     except OSError as error:
@@ -131,6 +129,4 @@ def _module(path: Path, shown: str) -> ModuleType | Any:
 
 
 def _unreadable(shown: str, error: OSError) -> BadFileError:
-    return BadFileError(
-        shown, found=error.strerror or "an unreadable file", expected="a readable file", remedy="check its rights"
-    )
+    return BadFileError(shown, error.strerror or "an unreadable file", "a readable file", "check its rights")

@@ -33,9 +33,7 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
     """Read a delimited text file; see `calib.campaign.readers.read_table`."""
     size = path.stat().st_size
     if size > _MAX_BYTES:
-        raise BadFileError(
-            shown, found=f"{size} bytes", expected="at most 4 GiB", remedy="split the file or store it as parquet"
-        )
+        raise BadFileError(shown, f"{size} bytes", "at most 4 GiB", "split the file or store it as parquet")
     data, notes = _utf8(path.read_bytes(), shown)
     delimiter, skipped = _begin(data, layout, shown)
     start = _after_lines(data, skipped)
@@ -165,16 +163,12 @@ def _utf8(data: bytes, shown: str) -> tuple[bytes, list[Note]]:
             data.decode("utf-8")
     except UnicodeError:
         if encoding:
-            raise BadFileError(
-                shown, found="broken UTF-16 text", expected="whole characters", remedy="export the file again"
-            ) from None
+            raise BadFileError(shown, "broken UTF-16 text", "whole characters", "export the file again") from None
         data = data.decode("latin-1").encode("utf-8")
         notes.append(Note("info", shown, "the text is not UTF-8; it was read as Latin-1", "encoding"))
     if b"\0" in data:
         row = data[: data.index(b"\0")].count(b"\n") + 1
-        raise BadFileError(
-            shown, row=row, found="a NUL byte", expected="text", remedy="export the file again; it is damaged or binary"
-        )
+        raise BadFileError(shown, "a NUL byte", "text", "export the file again; it is damaged or binary", row=row)
     if b"\r" in data and b"\n" not in data:
         data = data.replace(b"\r", b"\n")
     return data, notes

@@ -40,10 +40,7 @@ def record(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> Reco
         loaded = scipy.io.loadmat(str(path), variable_names=kept, struct_as_record=True) if kept else {}
     except NotImplementedError as error:
         raise BadFileError(
-            shown,
-            found="a MATLAB 7.3 file (HDF5)",
-            expected="version 5 to 7.2",
-            remedy="save it in MATLAB with: save('file.mat', '-v7')",
+            shown, "a MATLAB 7.3 file (HDF5)", "version 5 to 7.2", "save it in MATLAB with: save('file.mat', '-v7')"
         ) from error
     except (OSError, BadFileError, MemoryError):
         raise

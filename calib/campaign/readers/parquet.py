@@ -67,10 +67,7 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
         import pyarrow.parquet as pq
     except ImportError as error:
         raise BadFileError(
-            shown,
-            found="a parquet file, and no reader for it",
-            expected="pyarrow",
-            remedy="install it with: pip install 'calib[parquet]'",
+            shown, "a parquet file, and no reader for it", "pyarrow", "install it with: pip install 'calib[parquet]'"
         ) from error
     try:
         with pq.ParquetFile(path) as source:
@@ -78,9 +75,7 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
             rows = int(source.metadata.num_rows)
             refuse_duplicates(names, shown)
             if not 0 <= rows <= _MAX_ROWS:
-                raise BadFileError(
-                    shown, found=f"{rows} rows promised", expected=f"at most {_MAX_ROWS}", remedy="split the file"
-                )
+                raise BadFileError(shown, f"{rows} rows promised", f"at most {_MAX_ROWS}", "split the file")
             kept = [name for name in names if wanted is None or wanted(name)]
             table = source.read(columns=kept, use_threads=rows > _MANY_ROWS)
     except (pa.ArrowException, OSError, ValueError, OverflowError) as error:

@@ -132,10 +132,7 @@ def _opened(path: Path, shown: str) -> Iterator[Any]:
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
         raise BadFileError(
-            shown,
-            found="a ROS recording, and no reader for it",
-            expected="rosbags",
-            remedy="install it with: pip install 'calib[ros]'",
+            shown, "a ROS recording, and no reader for it", "rosbags", "install it with: pip install 'calib[ros]'"
         ) from error
     source = path.parent if path.name == "metadata.yaml" else path
     if source.is_file() and source.stat().st_size == 0:
@@ -145,9 +142,7 @@ def _opened(path: Path, shown: str) -> Iterator[Any]:
         reader = AnyReader([source], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
         reader.open()
     except OSError as error:
-        raise BadFileError(
-            shown, found=str(error)[:120], expected="a readable recording", remedy="check the path and its rights"
-        ) from error
+        raise BadFileError(shown, str(error)[:120], "a readable recording", "check the path and its rights") from error
     except MemoryError:
         raise
     except Exception as error:

@@ -67,9 +67,7 @@ def refuse_duplicates(names: Sequence[str], shown: str, row: int = 1) -> None:
             )
         seen.add(name)
     if not any(names):
-        raise BadFileError(
-            shown, row=row, found="no column names", expected="a header line", remedy="put the column names first"
-        )
+        raise BadFileError(shown, "no column names", "a header line", "put the column names first", row=row)
 
 
 def numbers(

@@ -27,10 +27,7 @@ def record(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> Reco
         from nptdms import TdmsFile
     except ImportError as error:
         raise BadFileError(
-            shown,
-            found="a TDMS file, and no reader for it",
-            expected="npTDMS",
-            remedy="install it with: pip install 'calib[tdms]'",
+            shown, "a TDMS file, and no reader for it", "npTDMS", "install it with: pip install 'calib[tdms]'"
         ) from error
     notes: list[Note] = []
     try:
