@@ -12,6 +12,7 @@ from calib.campaign.model import Campaign, Note
 from calib.progress import Progress, silent, stepped
 
 Span = tuple[float, float]
+_SPANS = ("load_left_N", "load_right_N", "distance_m", "speed_mps", "temperature_C", "counts_left", "counts_right")
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,13 +101,7 @@ def summarise(campaign: Campaign) -> Found:
         sessions=_counted(runs.label("session")),
         kinds=_counted(runs.label("kind")),
         payloads_kg=tuple(float(value) for value in np.unique(np.round(payload[np.isfinite(payload)], 3))),
-        load_left_N=_span(runs.number("load_left_N")),
-        load_right_N=_span(runs.number("load_right_N")),
-        distance_m=_span(runs.number("distance_m")),
-        speed_mps=_span(runs.number("speed_mps")),
-        temperature_C=_span(runs.number("temperature_C")),
-        counts_left=_span(runs.number("counts_left")),
-        counts_right=_span(runs.number("counts_right")),
+        **{name: _span(runs.number(name)) for name in _SPANS},
         n_logs=int(present.sum()),
         n_samples=int(logs.offsets[-1]),
         rate_Hz=_span(rate),

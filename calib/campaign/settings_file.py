@@ -64,20 +64,8 @@ class Settings:
 
     def campaign(self, runs: RunTable, logs: Logs, **further: Any) -> Campaign:
         """Return the campaign of these settings; `further` fields of `Campaign` default to what a new one has."""
-        return Campaign(
-            name=self.name,
-            vehicle=self.vehicle,
-            encoder=self.encoder,
-            model=self.model,
-            rangefinder=self.rangefinder,
-            reference=self.reference,
-            runs=runs,
-            logs=logs,
-            extra=self.extra,
-            odometry=self.odometry,
-            assumed=self.assumed,
-            **{"root": None, "simulated": self.simulated, **further},
-        )
+        own = {part.name: getattr(self, part.name) for part in fields(self)}
+        return Campaign(**{"root": None, **own, "notes": (), "runs": runs, "logs": logs, **further})
 
 
 def read_settings(path: Path, shown: str) -> Settings:

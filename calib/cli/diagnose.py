@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calib.cli.options import Force, JsonTarget, MappingOption, nearest
+from calib.cli.options import CampaignOrRecording, Figures, Force, JsonTarget, MappingOption, nearest
 from calib.cli.terminal import emit_json, progress, say, show, waiting, wrote
 from calib.cli.threads import one_blas_thread
 from calib.errors import BadInputError
@@ -24,9 +24,7 @@ RESULT_FILE = "diagnosis.json"
 
 
 def run(
-    campaign: Annotated[
-        Path, typer.Argument(metavar="CAMPAIGN", help="Folder with campaign.toml and runs.csv, or a recording.")
-    ],
+    campaign: CampaignOrRecording,
     model: Annotated[
         Path | None,
         typer.Option("--model", metavar="FILE", help="Coefficient file that the simulator believes, effects included."),
@@ -42,9 +40,7 @@ def run(
             "--apply", metavar="FILE", help="Write the model with the named effect added, a coefficient file."
         ),
     ] = None,
-    figures: Annotated[
-        Path | None, typer.Option("--figures", metavar="FOLDER", help="Write the pictures there as PNG, SVG and PDF.")
-    ] = None,
+    figures: Figures = None,
     html: Annotated[
         Path | None, typer.Option("--html", metavar="FILE", help="Write one page to look into, with linked panels.")
     ] = None,

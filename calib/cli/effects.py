@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calib.cli.options import Force, JsonTarget, nearest
+from calib.cli.options import Figures, Force, JsonTarget, nearest
 from calib.cli.terminal import emit_json, progress, show, waiting, wrote
 from calib.cli.threads import one_blas_thread
 from calib.errors import BadInputError
@@ -34,10 +34,7 @@ def run(
             help="Judge on this campaign's runs; its columns and declared effects are listed, too.",
         ),
     ] = None,
-    figures: Annotated[
-        Path | None,
-        typer.Option("--figures", metavar="FOLDER", help="Draw the signatures there as PNG, SVG and PDF."),
-    ] = None,
+    figures: Figures = None,
     json: JsonTarget = None,
     force: Force = False,
 ) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from calib.cli.options import Force, JsonTarget, MappingOption
+from calib.cli.options import CampaignOrRecording, Figures, Force, JsonTarget, MappingOption
 from calib.cli.terminal import emit_json, progress, show, wants_stdout, wrote
 from calib.errors import BadInputError
 from calib.files import refuse_existing
@@ -21,9 +21,7 @@ EPILOG = "Example: calib fit sample_runs/corridor --into results/corridor"
 
 
 def run(
-    campaign: Annotated[
-        Path, typer.Argument(metavar="CAMPAIGN", help="Folder with campaign.toml and runs.csv, or a recording.")
-    ],
+    campaign: CampaignOrRecording,
     into: Annotated[
         Path | None,
         typer.Option("--into", metavar="FOLDER", help="Result folder: fit.json and runs.csv, for report and export."),
@@ -45,10 +43,7 @@ def run(
         ),
     ] = None,
     runs: Annotated[bool, typer.Option("--runs", help="List the radius of every run.")] = False,
-    figures: Annotated[
-        Path | None,
-        typer.Option("--figures", metavar="FOLDER", help="Write the report's figures there as PNG, SVG and PDF."),
-    ] = None,
+    figures: Figures = None,
     mapping: MappingOption = None,
     json: JsonTarget = None,
     force: Force = False,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from calib.cli.options import Force, JsonTarget, MappingOption
+from calib.cli.options import CampaignOrRecording, Figures, Force, JsonTarget, MappingOption
 from calib.cli.terminal import emit_json, progress, show, wrote
 from calib.cli.threads import one_blas_thread
 from calib.files import refuse_existing
@@ -26,9 +26,7 @@ FORMS = ("png", "svg", "pdf")
 
 
 def run(
-    campaign: Annotated[
-        Path, typer.Argument(metavar="CAMPAIGN", help="Campaign with logs and a reference, or a recording.")
-    ],
+    campaign: CampaignOrRecording,
     using: Annotated[
         str | None,
         typer.Option("--using", metavar="WHAT", help="end-poses or windows; without it what the campaign has."),
@@ -47,10 +45,7 @@ def run(
     output: Annotated[
         Path | None, typer.Option("--output", metavar="COEFFICIENTS", help="Write a coefficient file.")
     ] = None,
-    figures: Annotated[
-        Path | None,
-        typer.Option("--figures", metavar="FOLDER", help="Draw the paths before and after, as PNG, SVG and PDF."),
-    ] = None,
+    figures: Figures = None,
     mapping: MappingOption = None,
     json: JsonTarget = None,
     force: Force = False,
@@ -68,7 +63,7 @@ def run(
     from calib.report.statements.geometry import geometry_content
 
     way, left_out = _choice("--using", using, USING), _choice("--leave-out", leave_out, LEAVE_OUT)
-    pictures = [figures / f"{PICTURE}.{form}" for form in FORMS] if figures is not None else []
+    pictures = [] if figures is None else [figures / f"{PICTURE}.{form}" for form in FORMS]
     result = into / RESULT_FILE if into is not None else None
     refuse_existing([json, output, result, *pictures], force=force)
     with progress("estimating") as tick:

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Final
 
 import typer
 
-from calib.cli.options import Force, JsonTarget, nearest, numbers
+from calib.cli.options import Figures, Force, JsonTarget, nearest, numbers
 from calib.cli.terminal import emit_json, show, wants_stdout, wrote
 from calib.errors import BadInputError
 from calib.files import refuse_existing
@@ -48,7 +48,7 @@ def run(
     track: Annotated[float | None, typer.Option("--track", metavar="M", help="Track.")] = None,
     wheelbase: Annotated[float | None, typer.Option("--wheelbase", metavar="M", help="Wheelbase.")] = None,
     max_load: Annotated[float | None, typer.Option("--max-load", metavar="N", help="Permissible wheel load.")] = None,
-    figures: Annotated[Path | None, typer.Option("--figures", metavar="FOLDER", help="Write the figure there.")] = None,
+    figures: Figures = None,
     json: JsonTarget = None,
     force: Force = False,
 ) -> None:

@@ -19,6 +19,16 @@ MappingOption = Annotated[
     Path | None,
     typer.Option("--mapping", metavar="FILE", help="TOML that maps a recording or table, read as if ingested."),
 ]
+CampaignOrRecording = Annotated[
+    Path, typer.Argument(metavar="CAMPAIGN", help="Folder with campaign.toml and runs.csv, or a recording.")
+]
+Figures = Annotated[
+    Path | None, typer.Option("--figures", metavar="FOLDER", help="Write the figures there as PNG, SVG and PDF.")
+]
+Date = Annotated[
+    str | None,
+    typer.Option("--date", metavar="YYYY-MM-DD", help="Date of issue; without it: today. Fixes the bytes of the PDF."),
+]
 Force = Annotated[bool, typer.Option("--force", help="Replace existing output files.")]
 AcceptImplausible = Annotated[
     str,

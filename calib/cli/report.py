@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from calib.cli.options import AcceptImplausible, Force, JsonTarget
+from calib.cli.options import AcceptImplausible, Date, Figures, Force, JsonTarget
 from calib.cli.terminal import emit_json, progress, say, wrote
 from calib.cli.threads import one_blas_thread
 from calib.errors import BadInputError, RefusedError
@@ -36,16 +36,8 @@ def run(
             "--into", metavar="FILE|FOLDER", help="PDF file, or folder for it; without it: reports/<campaign>.pdf."
         ),
     ] = None,
-    date: Annotated[
-        str | None,
-        typer.Option(
-            "--date", metavar="YYYY-MM-DD", help="Date of issue; without it: today. Fixes the bytes of the PDF."
-        ),
-    ] = None,
-    figures: Annotated[
-        Path | None,
-        typer.Option("--figures", metavar="FOLDER", help="Write every figure there, too, as PNG, SVG and PDF."),
-    ] = None,
+    date: Date = None,
+    figures: Figures = None,
     html: Annotated[
         Path | None,
         typer.Option(

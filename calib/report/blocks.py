@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, fields
 from typing import TYPE_CHECKING, Any
 
@@ -54,6 +54,12 @@ class Items(_Block):
     """A list of sentences."""
 
     items: tuple[str, ...]
+
+
+def items(sentences: Iterable[str]) -> tuple[Items, ...]:
+    """Return sentences as a list; nothing where there are none."""
+    listed = tuple(sentences)
+    return (Items(listed),) if listed else ()
 
 
 @dataclass(frozen=True, slots=True)

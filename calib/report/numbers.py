@@ -118,6 +118,16 @@ def left(title: str, *, wide: bool = False) -> Column:
     return Column(title, align="left", wide=wide)
 
 
+def text_columns(*titles: str) -> tuple[Column, ...]:
+    """Return columns of texts."""
+    return tuple(map(left, titles))
+
+
+def number_columns(*titles: str, unit: str = "", group: str = "", detail: bool = False) -> tuple[Column, ...]:
+    """Return columns of numbers that share unit, common title and place; see `Column`."""
+    return tuple(Column(title, unit, group=group, detail=detail) for title in titles)
+
+
 def length(value_m: float | None) -> str:
     """Return a length in mm or m, to three digits; a dash where there is none."""
     if value_m is None or not math.isfinite(value_m):

@@ -10,11 +10,10 @@ from typing import Any, Final
 import numpy as np
 
 from calib.arrays import BoolArray, FloatArray
-from calib.campaign.readers.times import moment_ns
+from calib.campaign.readers.times import NS_PER_S, moment_ns
 from calib.errors import BadFileError
 
 METHODS: Final = ("stops", "length", "column", "times")
-_NS: Final = 1_000_000_000
 #: counts that a standing wheel may toggle by
 _TOGGLE: Final = 3.0
 #: window in which a driving wheel moves by more
@@ -188,7 +187,7 @@ def _seconds(value: Any, start_ns: int, shown: str) -> float:
         return float(value)
     try:
         text = value.isoformat() if hasattr(value, "isoformat") else str(value)
-        return (moment_ns(text) - start_ns) / _NS
+        return (moment_ns(text) - start_ns) / NS_PER_S
     except ValueError as error:
         raise BadFileError(
             shown,

@@ -39,7 +39,7 @@ class Description:
         for one in self.files:
             # logs alike are described once
             alike = next((group for group in shown if _alike(group[0], one) and one is not self.table), None)
-            if alike is None or group_is(self.table, alike[0]):
+            if alike is None or alike[0] is self.table:
                 shown.append([one])
             else:
                 alike.append(one)
@@ -90,11 +90,6 @@ def _inside(sources: Sequence[Path]) -> str:
         return ""
     names = [path.name for path in folders[:3]] + ["..."] * (len(folders) > 3)
     return f" in {sources[0]}, which holds folders ({', '.join(names)})"
-
-
-def group_is(table: FileFound | None, one: FileFound) -> bool:
-    """Return whether a file is the run table."""
-    return table is one
 
 
 def _alike(one: FileFound, other: FileFound) -> bool:
@@ -158,7 +153,7 @@ def _column_lines(column: ColumnFound, alike: Sequence[ColumnFound]) -> list[str
     text = f"{column.name}: "
     if column.kind == "number":
         low, high = min(c.low for c in alike if c.low is not None), max(c.high for c in alike if c.high is not None)
-        ends = dict.fromkeys((_short(low), _short(high)))
+        ends = dict.fromkeys((f"{low:.6g}", f"{high:.6g}"))
         text += " to ".join(ends) + (f" {column.unit}" if column.unit else "")
     elif column.kind == "time":
         spans = [c.high for c in alike if c.high]
@@ -174,7 +169,3 @@ def _column_lines(column: ColumnFound, alike: Sequence[ColumnFound]) -> list[str
     if column.n_empty and column.kind != "empty":
         text += f"; {column.n_empty} empty"
     return _wrapped(text, "#     ", "  ")
-
-
-def _short(value: float) -> str:
-    return f"{value:.6g}"

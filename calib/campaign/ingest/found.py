@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -162,30 +162,14 @@ def _recording(path: Path, shown: str) -> FileFound:
         line = np.arange(1, len(stream) + 1)
         for name, values in stream.columns.items():
             found = _column(name, values, shown, line, None)
-            unit = stream.units.get(name, found.unit)
-            columns.append(found if unit == found.unit else _with_unit(found, unit))
+            columns.append(replace(found, unit=stream.units.get(name, found.unit)))
         report = stream.report()
-        streams.append(
-            StreamFound(
-                stream.name,
-                stream.kind,
-                len(stream),
-                stream.clock,
-                tuple(stream.columns),
-                report.span_s if report else 0.0,
-                report.rate_Hz if report else 0.0,
-                report.n_gaps if report else 0,
-                report.longest_gap_s if report else 0.0,
-                report.start_ns if report else None,
-                stream.behind_arrival_s,
-            )
-        )
+        shown_by_clock: dict[str, Any] = {"behind_arrival_s": stream.behind_arrival_s}
+        if report is not None:
+            names = ("span_s", "rate_Hz", "n_gaps", "longest_gap_s", "start_ns")
+            shown_by_clock |= {name: getattr(report, name) for name in names}
+        about = (stream.name, stream.kind, len(stream), stream.clock, tuple(stream.columns))
+        streams.append(StreamFound(*about, **shown_by_clock))
     remarks = tuple(note.text for note in recording.notes)
     longest = max((len(stream) for stream in recording.streams), default=0)
     return FileFound(shown, True, longest, tuple(columns), remarks, tuple(streams), recording.properties)
-
-
-def _with_unit(found: ColumnFound, unit: str) -> ColumnFound:
-    from dataclasses import replace
-
-    return replace(found, unit=unit)

@@ -18,6 +18,7 @@ from calib.campaign.ingest.streams import MappedLog
 from calib.campaign.ingest.table import mapped_runs
 from calib.campaign.model import RunTable
 from calib.campaign.readers import RawTable
+from calib.campaign.readers.table import objects
 from calib.campaign.settings_file import Settings
 from calib.campaign.wraps import detect_wrap_bits, unwrap
 from calib.errors import BadFileError
@@ -167,16 +168,13 @@ def _cut_record(path: Path, log: MappedLog, piece: Piece) -> dict[str, Any]:
 
 def _numbered(cut: Cut, sources: list[str], mapping: MappingFile, border: Border) -> RunTable:
     """Return a table of numbered runs, a session a recording unless the mapping says otherwise."""
-    names = np.empty(len(sources), dtype=object)
-    names[:] = [
+    names = [
         cut.run_id.replace("{n:03}", f"{number:03}").replace("{n:02}", f"{number:02}").replace("{n}", str(number))
         for number in range(1, len(sources) + 1)
     ]
-    sessions = np.empty(len(sources), dtype=object)
-    sessions[:] = sources
-    columns: dict[str, Any] = {"run_id": names}
+    columns: dict[str, Any] = {"run_id": objects(names)}
     if not any(line.name == "session" for line in mapping.table):
-        columns["session"] = sessions
+        columns["session"] = objects(sources)
     raw = RawTable(columns, np.arange(2, len(sources) + 2, dtype=np.int64))
     return mapped_runs(raw, mapping, "the runs cut", border)
 

@@ -20,6 +20,7 @@ from calib.campaign.ingest.table import mapped_runs, names_runs
 from calib.campaign.log_stack import LogStack
 from calib.campaign.model import Campaign, Note, RunTable
 from calib.campaign.readers import RawTable, holds_recording, read_table
+from calib.campaign.readers.table import objects
 from calib.campaign.settings import Encoder
 from calib.campaign.settings_file import Settings, parse_settings
 from calib.campaign.wraps import detect_wrap_bits
@@ -180,9 +181,7 @@ def _cut(
 
 def _a_run_a_file(files: Sequence[Path], work: _Work) -> tuple[RunTable, dict[int, Part]]:
     """Take each file for a run of its own, called by the file's name."""
-    cells = np.empty(len(files), dtype=object)
-    cells[:] = [path.stem for path in files]
-    raw = RawTable({"run_id": cells}, np.arange(1, len(files) + 1, dtype=np.int64))
+    raw = RawTable({"run_id": objects([path.stem for path in files])}, np.arange(1, len(files) + 1, dtype=np.int64))
     runs = mapped_runs(raw, work.mapping, "the files given", work.border)
     parts = {
         index: Part.of(_read(path, work), str(path), work.mapping, work.settings)

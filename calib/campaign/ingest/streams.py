@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -16,8 +16,9 @@ from calib.campaign.ingest.lag import Lag, estimate_lag
 from calib.campaign.ingest.mapping import COUNT_UNITS, Line, MappingFile
 from calib.campaign.logs_file import log_column, refuse_incomplete
 from calib.campaign.model import LOG_COLUMNS
-from calib.campaign.readers import Layout, RawTable, Recording, holds_recording, read_recording, read_table
-from calib.campaign.readers.recording import NS_PER_S, Stream, WantedColumns, interpolated, refuse_nothing
+from calib.campaign.readers import RawTable, Recording, holds_recording, read_recording, read_table
+from calib.campaign.readers.recording import Stream, WantedColumns, interpolated, refuse_nothing
+from calib.campaign.readers.times import NS_PER_S
 from calib.campaign.settings import Encoder
 from calib.campaign.wraps import detect_wrap_bits, unwrap
 from calib.errors import BadFileError
@@ -86,7 +87,9 @@ def read_mapped(path: Path, shown: str, mapping: MappingFile, encoder: Encoder, 
         raw, epoch = _joined(recording, base, time_ns, lines, lags if mapping.log_files.remove_lag else {})
         border.notes.extend(recording.notes)
     else:
-        raw = _table(path, shown, lines, mapping.log_files.layout)
+        mapped = {line.column for line in lines.values()}
+        layout = mapping.log_files.layout
+        raw = read_table(path, shown, lambda name: name in mapped or log_column(name).name in LOG_COLUMNS, layout)
         _refuse_absent(tuple(raw.columns), lines.values(), path, shown, mapping.shown)
         border.notes.extend(raw.notes)
         epoch = None
@@ -103,16 +106,6 @@ def read_mapped(path: Path, shown: str, mapping: MappingFile, encoder: Encoder, 
         border.say(shown, f"times count from the first sample, which stood at {start:.10g} s", "start_time")
         columns["t_s"] = columns["t_s"] - start
     return MappedLog(columns, epoch, lags, bits)
-
-
-def _table(path: Path, shown: str, lines: Mapping[str, Line], layout: Layout) -> RawTable:
-    mapped = {line.column for line in lines.values()}
-    return read_table(
-        path,
-        shown,
-        lambda name: name in mapped or log_column(name).name in LOG_COLUMNS,
-        layout,
-    )
 
 
 def _refuse_absent(names: Sequence[str], lines: Iterable[Line], path: Path, shown: str, shown_mapping: str) -> None:
@@ -177,17 +170,8 @@ def _unwrapped(
             if width is not None:
                 changed[line.column], _ = unwrap(counts, whole, width)
                 bits = width
-        new = Stream(
-            stream.name,
-            stream.kind,
-            {**stream.columns, **changed},
-            stream.time_ns,
-            stream.clock,
-            stream.units,
-            stream.behind_arrival_s,
-        )
-        streams.append(new if changed else stream)
-    return Recording(tuple(streams), recording.notes, recording.properties), bits
+        streams.append(replace(stream, columns={**stream.columns, **changed}) if changed else stream)
+    return replace(recording, streams=tuple(streams)), bits
 
 
 def _joined(
@@ -310,14 +294,13 @@ def _lags(recording: Recording, lines: Mapping[str, Line], base: Stream, shown: 
         return {}
     origin = int(base.time_ns[0])
     time = (base.time_ns - origin) / NS_PER_S
-    paths = [_run_on(path) for path in wheels]
-    travelled = np.mean(paths, axis=0)
+    travelled = np.mean([_run_on(path) for path in wheels], axis=0)
+    driven = np.cumsum(np.abs(np.diff(travelled, prepend=travelled[:1])))
     found: dict[str, Lag] = {}
-    for name, other in _others(recording, lines, base).items():
-        stream, path = other
+    for name, (stream, path) in _others(recording, lines, base).items():
         if stream.time_ns is None or len(path) < 20:
             continue
-        lag = estimate_lag(time, _distance(travelled), (stream.time_ns - origin) / NS_PER_S, path)
+        lag = estimate_lag(time, driven, (stream.time_ns - origin) / NS_PER_S, path)
         if lag is None:
             continue
         found[name] = lag
@@ -338,12 +321,6 @@ def _run_on(counts: FloatArray) -> FloatArray:
     whole = np.asarray([0, len(counts)])
     bits = detect_wrap_bits(counts, whole)
     return counts if bits is None else unwrap(counts, whole, bits)[0]
-
-
-def _distance(travelled: FloatArray) -> FloatArray:
-    """Return the path driven, whichever way."""
-    total: FloatArray = np.cumsum(np.abs(np.diff(travelled, prepend=travelled[:1])))
-    return total
 
 
 def _others(recording: Recording, lines: Mapping[str, Line], base: Stream) -> dict[str, tuple[Stream, FloatArray]]:

@@ -14,6 +14,7 @@ from calib.campaign.faults import Border
 from calib.campaign.ingest.mapping import TABLE_COLUMNS, Line, MappingFile, bad_line
 from calib.campaign.model import RunTable
 from calib.campaign.readers import RawTable
+from calib.campaign.readers.table import objects
 from calib.campaign.runs_file import run_table
 from calib.errors import BadFileError
 
@@ -66,7 +67,7 @@ def _cells(raw: RawTable, line: Line, mapping: MappingFile, shown: str) -> npt.N
     if not line.values:
         return cells
     meant = {found.strip().lower(): text for found, text in line.values.items()}
-    out = np.empty(len(cells), dtype=object)
+    texts: list[str | None] = []
     for index, cell in enumerate(cells):
         text = "" if cell is None else _text(cell)
         if text.lower() not in meant and text and text not in line.values.values():
@@ -77,19 +78,18 @@ def _cells(raw: RawTable, line: Line, mapping: MappingFile, shown: str) -> npt.N
                 list(line.values),
                 f"a line for {text!r:.40} too, which stands in {shown}, row {int(raw.line[index])}",
             )
-        out[index] = meant.get(text.lower(), text) or None
-    return out
+        texts.append(meant.get(text.lower(), text) or None)
+    return objects(texts)
 
 
 def _given(line: Line, n_runs: int, mapping: MappingFile) -> npt.NDArray[Any]:
     """Return a column of one value for all runs, or of one value a run."""
-    cells = np.empty(n_runs, dtype=object)
-    if isinstance(line.value, tuple) and len(line.value) != n_runs:
+    values = line.value if isinstance(line.value, tuple) else (line.value,) * n_runs
+    if len(values) != n_runs:
         raise bad_line(
-            mapping.shown, "table", line.name, f"{len(line.value)} values", f"one value for each of {n_runs} runs"
+            mapping.shown, "table", line.name, f"{len(values)} values", f"one value for each of {n_runs} runs"
         )
-    cells[:] = list(line.value) if isinstance(line.value, tuple) else line.value
-    return cells
+    return objects(values)
 
 
 def _text(cell: Any) -> str:

@@ -8,8 +8,8 @@ from typing import Any, Final
 import numpy as np
 
 from calib.campaign.readers.layout import Layout
-from calib.campaign.readers.recording import NS_PER_S
-from calib.campaign.readers.table import RawTable, Wanted, numbers, refuse_duplicates
+from calib.campaign.readers.table import RawTable, Wanted, numbers, objects, refuse_duplicates
+from calib.campaign.readers.times import NS_PER_S
 from calib.errors import BadFileError
 
 _MAX_ROWS: Final = 200_000_000
@@ -40,14 +40,12 @@ def _cells(column: Any) -> tuple[np.ndarray[Any, Any], int | None]:
         moments = _filled(column.cast(pa.timestamp("ns")).cast(pa.int64()), np.iinfo(np.int64).min)
         epoch = int(moments[0]) if len(moments) else 0
         return (moments - epoch) / NS_PER_S, epoch
-    cells = np.empty(len(column), dtype=object)
     if pa.types.is_string(column.type):
-        cells[:] = column.to_pylist()
-        return cells, None
-    cells[:] = [
+        return objects(column.to_pylist()), None
+    texts = [
         None if cell is None else float(cell) if isinstance(cell, bool) else str(cell) for cell in column.to_pylist()
     ]
-    return cells, None
+    return objects(texts), None
 
 
 def _damaged(shown: str, error: Exception, column: str | None = None) -> BadFileError:

@@ -12,9 +12,9 @@ import numpy.typing as npt
 from calib.arrays import FloatArray, IntArray
 from calib.campaign.model import Note
 from calib.campaign.readers.table import RawTable
+from calib.campaign.readers.times import NS_PER_S
 from calib.errors import BadFileError
 
-NS_PER_S: Final = 1_000_000_000
 #: a step is a gap where it exceeds so many usual steps
 GAP_STEPS: Final = 5.0
 #: code of a note that lists the types of messages that nothing here reads

@@ -10,18 +10,18 @@ from typing import Any, Final
 import numpy as np
 
 from calib.arrays import FloatArray
+from calib.campaign.readers.times import NS_PER_S
 
 #: a part of a message: suffix of its stream, names of its columns, its numbers, the nanoseconds of its stamp or None
 Part = tuple[str, tuple[str, ...], Sequence[float], "int | None"]
 
 POSE: Final = ("x", "y", "z", "qx", "qy", "qz", "qw")
-_NS: Final = 1_000_000_000
 _TWIST: Final = ("v_x", "v_y", "omega")
 
 
 def _stamp(header: Any) -> int | None:
     stamp = header.stamp
-    nanoseconds: int = stamp.sec * _NS + stamp.nanosec
+    nanoseconds: int = stamp.sec * NS_PER_S + stamp.nanosec
     return nanoseconds or None
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.campaign.model import Note
 from calib.campaign.readers.layout import LOOKED_AT, Layout, find_header, with_units
-from calib.campaign.readers.table import RawTable, Wanted, made_numeric, refuse_duplicates
+from calib.campaign.readers.table import RawTable, Wanted, made_numeric, objects, refuse_duplicates
 from calib.campaign.readers.workbook_size import weigh
 from calib.errors import BadFileError
 
@@ -29,9 +29,7 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
                 notes.append(Note("info", shown, text, "sheet"))
         finally:
             book.close()
-    except BadFileError:
-        raise
-    except MemoryError:
+    except (BadFileError, MemoryError):
         raise
     except Exception as error:
         # the library answers damaged workbooks with errors of many kinds (zip, XML, keys, values)
@@ -53,9 +51,7 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
     columns: dict[str, Any] = {}
     for index, name in enumerate(header):
         if name and (wanted is None or wanted(name)):
-            cells = np.empty(len(rows), dtype=object)
-            cells[:] = [row[index] if index < len(row) else None for row in rows]
-            columns[name] = cells
+            columns[name] = objects([row[index] if index < len(row) else None for row in rows])
     epochs: dict[str, int] = {}
     if wanted is not None:
         said, epochs = made_numeric(columns, shown, line)

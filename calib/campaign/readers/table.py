@@ -43,6 +43,13 @@ class RawTable:
     epochs: Mapping[str, int] = field(default_factory=dict)
 
 
+def objects(cells: Sequence[Any]) -> npt.NDArray[Any]:
+    """Return cells of any kind as an array of objects, shape (n_rows,)."""
+    out = np.empty(len(cells), dtype=object)
+    out[:] = list(cells)
+    return out
+
+
 def refuse_duplicates(names: Sequence[str], shown: str, row: int = 1) -> None:
     """Refuse a header that names a column twice, too many columns, or none at all."""
     refuse_beyond(len(names), COLUMNS, shown=shown, what="columns", remedy="export those that are needed", row=row)

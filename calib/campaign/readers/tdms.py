@@ -13,9 +13,9 @@ import numpy as np
 from calib.arrays import FloatArray, IntArray
 from calib.campaign.model import Note
 from calib.campaign.readers.recording import Recording, Stream
+from calib.campaign.readers.times import NS_PER_S
 from calib.errors import BadFileError
 
-_NS: Final = 1_000_000_000
 _FROM_1904_S: Final = 2_082_844_800
 #: samples read at a time, so that a channel is never held twice
 _CHUNK: Final = 1 << 20
@@ -47,9 +47,7 @@ def record(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> Reco
                     elif wanted is None or wanted(name):
                         channels[name] = channel
                 streams += _streams(group.name, channels)
-    except OSError:
-        raise
-    except MemoryError:
+    except (OSError, MemoryError):
         raise
     except Exception as error:
         # the library answers damage with errors of many kinds (struct, keys, values, its own)
@@ -79,8 +77,8 @@ def _quiet() -> Iterator[None]:
 def _moments_ns(stamps: Any) -> IntArray:
     """Return nanoseconds since 1970 of time stamps kept as seconds since 1904 and 2^-64 of a second, rounded."""
     seconds = np.asarray(stamps.seconds, dtype=np.int64) - _FROM_1904_S
-    fractions = np.rint(np.asarray(stamps.second_fractions, dtype=np.float64) * (_NS / 2.0**64)).astype(np.int64)
-    return np.asarray(seconds * _NS + fractions, dtype=np.int64)
+    fractions = np.rint(np.asarray(stamps.second_fractions, dtype=np.float64) * (NS_PER_S / 2.0**64)).astype(np.int64)
+    return np.asarray(seconds * NS_PER_S + fractions, dtype=np.int64)
 
 
 def _properties(place: str, found: Mapping[str, Any]) -> dict[str, str]:
@@ -126,4 +124,4 @@ def _time(channel: Any) -> IntArray | None:
     origin = channel.properties.get("wf_start_time")
     start = int(_moments_ns(origin)) if hasattr(origin, "second_fractions") else 0
     index: FloatArray = np.arange(len(channel), dtype=np.float64)
-    return start + np.rint((float(offset) + index * float(step)) * _NS).astype(np.int64)
+    return start + np.rint((float(offset) + index * float(step)) * NS_PER_S).astype(np.int64)

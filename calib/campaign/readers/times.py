@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from calib.arrays import IntArray
 
-_NS: Final = 1_000_000_000
+NS_PER_S: Final = 1_000_000_000
 _CLOCK: Final = r"(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,](\d{1,9}))?)?"
 _ZONE: Final = r"\s*(Z|UTC|[+-]\d{2}:?\d{2}|[+-]\d{2})?"
 _ISO: Final = re.compile(rf"(\d{{4}})-(\d{{2}})-(\d{{2}})[T ]{_CLOCK}{_ZONE}", re.ASCII)
@@ -33,9 +33,9 @@ def decimal_ns(text: str) -> int:
     """
     match = re.fullmatch(r"([+-]?)(\d+)(?:\.(\d*))?", text.strip(), re.ASCII)
     if match is None:
-        return round(float(text) * _NS)
+        return round(float(text) * NS_PER_S)
     digits = (match[3] or "")[:10].ljust(10, "0")
-    nanoseconds = int(match[2]) * _NS + (int(digits) + 5) // 10
+    nanoseconds = int(match[2]) * NS_PER_S + (int(digits) + 5) // 10
     return -nanoseconds if match[1] == "-" else nanoseconds
 
 
@@ -64,7 +64,7 @@ def moment_ns(text: str) -> int:
     else:
         raise ValueError(f"{clean[:40]!r} is no time")
     days = int(np.datetime64(f"{year:04d}-{month:02d}-{day:02d}", "D").astype(np.int64))
-    return (days * 86_400 - _zone_s(match[8])) * _NS + _of_day(match.groups()[3:7])
+    return (days * 86_400 - _zone_s(match[8])) * NS_PER_S + _of_day(match.groups()[3:7])
 
 
 def moments_ns(cells: Sequence[Any] | npt.NDArray[Any]) -> tuple[IntArray, int | None]:
@@ -80,10 +80,10 @@ def moments_ns(cells: Sequence[Any] | npt.NDArray[Any]) -> tuple[IntArray, int |
             out[index] = moment_ns(str(cell)) + days
         except ValueError:
             return out, index
-        if index and out[index] < out[index - 1] - 43_200 * _NS and _OF_DAY.fullmatch(str(cell).strip()):
+        if index and out[index] < out[index - 1] - 43_200 * NS_PER_S and _OF_DAY.fullmatch(str(cell).strip()):
             # a time of day that falls by more than half a day has passed midnight
-            days += 86_400 * _NS
-            out[index] += 86_400 * _NS
+            days += 86_400 * NS_PER_S
+            out[index] += 86_400 * NS_PER_S
     return out, None
 
 
@@ -91,7 +91,7 @@ def _of_day(parts: Sequence[str | None]) -> int:
     hour, minute, second, rest = int(parts[0] or 0), int(parts[1] or 0), int(parts[2] or 0), parts[3] or ""
     if hour > 24 or minute > 59 or second > 60:
         raise ValueError("no time of day")
-    return (hour * 3600 + minute * 60 + second) * _NS + int(rest.ljust(9, "0"))
+    return (hour * 3600 + minute * 60 + second) * NS_PER_S + int(rest.ljust(9, "0"))
 
 
 def _zone_s(zone: str | None) -> int:

@@ -36,7 +36,7 @@ def _board(score: Score) -> Block:
     from calib.challenge.intervals import clopper_pearson, wilson
     from calib.challenge.score import TARGETS
     from calib.report.blocks import Column, Table
-    from calib.report.numbers import MISSING, left
+    from calib.report.numbers import MISSING, left, number_columns
 
     rows = []
     for name, line in score.board.items():
@@ -55,10 +55,8 @@ def _board(score: Score) -> Block:
         )
     columns = (
         left("Line"),
-        Column("Cases"),
-        Column("Share"),
-        Column("Wilson", group="95 % interval"),
-        Column("Clopper-Pearson", group="95 % interval"),
+        *number_columns("Cases", "Share"),
+        *number_columns("Wilson", "Clopper-Pearson", group="95 % interval"),
         Column("Target"),
         left(""),
     )

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.options import Force, JsonTarget
+from calib.cli.options import Date, Force, JsonTarget
 from calib.cli.terminal import emit_json, keep, progress, show, wants_stdout, wrote
 from calib.cli.threads import one_blas_thread
 from calib.files import refuse_existing
@@ -22,10 +22,7 @@ def run(
     what: Annotated[str, typer.Option("--what", help="fit, check, geometry or diagnose.")] = "fit",
     workers: Annotated[int, typer.Option("--workers", min=1, help="Processes of this machine.")] = 1,
     scheduler: Annotated[str, typer.Option("--scheduler", metavar="TCP", help="Dask scheduler, tcp://host:port.")] = "",
-    date: Annotated[
-        str | None,
-        typer.Option("--date", metavar="YYYY-MM-DD", help="Date of issue of the PDF and page; without it: today."),
-    ] = None,
+    date: Date = None,
     json: JsonTarget = None,
     force: Force = False,
 ) -> int:

@@ -56,7 +56,7 @@ class Targets:
 
 def finish(simulation: Simulation, targets: Targets, *, seed: int, notes: Sequence[str] = ()) -> None:
     """Write what was asked for, and show the simulation."""
-    from calib.report.blocks import Items
+    from calib.report.blocks import items
     from calib.report.motion_files import simulation_trajectories, write_simulation
     from calib.report.statements.simulation import simulation_content
 
@@ -70,5 +70,5 @@ def finish(simulation: Simulation, targets: Targets, *, seed: int, notes: Sequen
     document = simulation.document() | {"seed": seed, "notes": every_note, "files": files}
     emit_json(document, targets.json, force=targets.force)
     if not wants_stdout(targets.json):
-        show([*simulation_content(simulation), *([Items(tuple(every_note))] if every_note else [])])
+        show([*simulation_content(simulation), *items(every_note)])
         wrote(written)

@@ -34,7 +34,7 @@ def run(
     from calib.campaign.read import read_campaign
     from calib.coefficients.source import coefficients_of, effects_left_out
     from calib.motion.studies.replay import replay
-    from calib.report.blocks import Items
+    from calib.report.blocks import items
     from calib.report.motion_files import replay_trajectories, write_replay
     from calib.report.statements.replay import replay_content
 
@@ -60,5 +60,5 @@ def run(
         written += replay_trajectories(read, source.file, tum, force=force)
     emit_json(document | {"files": [str(path) for path in written]}, json, force=force)
     if not wants_stdout(json):
-        show([*replay_content(replayed), *([Items(tuple(notes))] if notes else [])])
+        show([*replay_content(replayed), *items(notes)])
         wrote(written)

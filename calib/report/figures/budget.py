@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from calib.radius.effective import Component
-from calib.report.figures.style import BLUE, GREY, ORANGE, axes_grid, canvas, legible, shared_legend, styled
+from calib.report.figures.style import BLUE, GREY, ORANGE, canvas, legible, shared_legend, styled
 
 
 @styled
@@ -20,7 +20,7 @@ def budget_bars(budget: Sequence[Component]) -> Figure:
     names = [legible(part.name.replace("_", " ")) for part in budget] + ["combined"]
     sides = [[1e6 * part.std_left_m for part in budget], [1e6 * part.std_right_m for part in budget]]
     figure = canvas(2.2 + 0.62 * len(names))
-    axis = axes_grid(figure, 1, 1)[0, 0]
+    axis = figure.add_subplot()
     place = np.arange(len(names), dtype=np.float64)
     handles = []
     for side, tint, shift in ((0, BLUE, -0.18), (1, ORANGE, 0.18)):

@@ -117,13 +117,11 @@ def _closure(axes: Axes, score: Score) -> None:
         values = np.clip(np.array(pairs), -0.5, 1.1)
         axes.plot([-0.5, 1.1], [-0.5, 1.1], color=GREY, lw=1)
         axes.plot(values[:, 0], values[:, 1], "o", color=BLUE, ms=4, alpha=0.6)
-        axes.set_xlabel("predicted on held-out runs")
-        axes.set_ylabel("achieved on a fresh campaign")
+        axes.set(xlabel="predicted on held-out runs", ylabel="achieved on a fresh campaign")
     else:
         stated = [case.predicted for case in score.cases if case.predicted is not None]
         axes.hist(np.clip(stated, -0.5, 1.1), bins=np.linspace(-0.5, 1.1, 17).tolist(), color=BLUE)
-        axes.set_xlabel("closure stated by the verdicts")
-        axes.set_ylabel("cases")
+        axes.set(xlabel="closure stated by the verdicts", ylabel="cases")
 
 
 @styled
@@ -150,8 +148,7 @@ def confusion_figure(score: Score) -> Figure:
         axes.text(column, row, text, ha="center", va="center", color=INK if fine else ORANGE)
     axes.set_xticks(range(len(columns)), columns, rotation=90)
     axes.set_yticks(range(len(rows)), rows)
-    axes.set_xlabel("named first, or the verdict")
-    axes.set_ylabel("truth")
+    axes.set(xlabel="named first, or the verdict", ylabel="truth")
     return figure
 
 

@@ -20,11 +20,9 @@ def fleet_distribution(fleet: Fleet) -> Figure:
     grid = axes_grid(figure, 2, 2)
     for column, side in enumerate(WHEELS):
         _ordered(grid[0, column], fitted, side, "radius_ref_m", 1e3, odd)
-        grid[0, column].set_title(f"{side} wheel")
-        grid[0, column].set_ylabel("radius at reference load, mm")
+        grid[0, column].set(title=f"{side} wheel", ylabel="radius at reference load, mm")
         _ordered(grid[1, column], fitted, side, "slope_m_per_N", 1e9, odd)
-        grid[1, column].set_ylabel("slope, nm/N")
-        grid[1, column].set_xlabel("vehicles in order of size (orange: stands apart)")
+        grid[1, column].set(ylabel="slope, nm/N", xlabel="vehicles in order of size (orange: stands apart)")
     return figure
 
 
@@ -60,12 +58,11 @@ def _drift(lines: list[tuple[str, str, Drift]], named: set[tuple[str, str]]) -> 
     marked = np.array([(vehicle, side) in named for vehicle, side, _ in lines])
     order = np.argsort(rate)
     figure = canvas(6.0)
-    axes = axes_grid(figure, 1, 1)[0, 0]
+    axes = figure.add_subplot()
     place = np.arange(len(order))
     axes.vlines(place, (rate - half)[order], (rate + half)[order], color=GREY, linewidth=0.5)
     axes.plot(place[~marked[order]], rate[order][~marked[order]], ".", color=colour(0), markersize=2.0)
     axes.plot(place[marked[order]], rate[order][marked[order]], "o", color=ORANGE, markersize=4.0)
     axes.axhline(0.0, color=GREY, linewidth=0.8)
-    axes.set_ylabel("drift of the radius, nm a day")
-    axes.set_xlabel("wheels in order of drift (orange: drifts)")
+    axes.set(ylabel="drift of the radius, nm a day", xlabel="wheels in order of drift (orange: drifts)")
     return figure

@@ -15,20 +15,18 @@ from calib.report.figures.style import (
     BLUE,
     GREY,
     INK,
+    MANY,
     ORANGE,
     WIDTH_CM,
-    axes_grid,
     canvas,
     colour,
+    group_legend,
     legible,
-    shared_legend,
+    panels,
     styled,
 )
 from calib.report.numbers import readable
 
-#: groups that still get a legend entry each
-LEGEND_LIMIT: Final = 8
-MANY: Final = 2000
 #: longest arrow of the map over the larger side of the floor plan
 ARROW_SHARE: Final = 0.12
 TALLEST_CM: Final = 11.5
@@ -59,7 +57,7 @@ def gap_map(paths_m: Sequence[FloatArray], offset_m: FloatArray, group: StrArray
     aspect = float((high[1] - low[1] + 2 * margin) / (high[0] - low[0] + 2 * margin))
     stretched = aspect < 0.12
     figure = canvas(float(np.clip(2.6 + 0.86 * WIDTH_CM * aspect, 6.0, TALLEST_CM)))
-    axis = axes_grid(figure, 1, 1)[0, 0]
+    axis = figure.add_subplot()
     names, number = _groups(group, len(paths_m))
     seen: set[int] = set()
     for path in paths_m:
@@ -79,8 +77,7 @@ def gap_map(paths_m: Sequence[FloatArray], offset_m: FloatArray, group: StrArray
     axis.set_ylim(low[1] - margin, high[1] + margin)
     if not stretched:
         axis.set_aspect("equal", adjustable="box")
-    axis.set_xlabel("x (m)")
-    axis.set_ylabel("y (m)")
+    axis.set(xlabel="x (m)", ylabel="y (m)")
     scale = ""
     if len(length):
         unit_factor, unit = readable("m", float(length.max()))
@@ -88,9 +85,7 @@ def gap_map(paths_m: Sequence[FloatArray], offset_m: FloatArray, group: StrArray
     magnified = "to scale" if factor == 1 else f"{factor:g} times"
     note = ", y stretched" if stretched else ""
     axis.set_title(f"Gap at the end of each run ({scale}arrows {magnified}{note})")
-    if 1 < len(names) <= LEGEND_LIMIT:
-        handles, labels = axis.get_legend_handles_labels()
-        shared_legend(figure, handles, labels, below=True)
+    group_legend(figure, axis, names, below=True)
     return figure
 
 
@@ -126,26 +121,18 @@ def gap_by_covariate(
     """
     shown = list(covariates.items())[:6]
     factor, name = readable(unit, _largest(residual))
-    columns = 2 if len(shown) in {2, 4} else min(3, max(len(shown), 1))
-    rows = max(-(-len(shown) // columns), 1)
-    figure = canvas(1.6 + 4.4 * rows)
-    axes = axes_grid(figure, rows, columns, sharey=True)
+    figure, axes = panels(len(shown), 1.6, 4.4, sharey=True)
     names, number = _groups(group, len(residual))
     gap = factor * np.asarray(residual, dtype=np.float64)
-    for k, axis in enumerate(axes.flat):
-        if k >= len(shown):
-            axis.set_visible(False)
-            continue
-        title, values = shown[k]
+    for axis, (title, values) in zip(axes.flat, shown, strict=False):
         good = np.isfinite(gap) & np.isfinite(values)
         if floor is not None:
             axis.axhspan(-factor * floor, factor * floor, color=GREY, alpha=0.18, lw=0)
         axis.axhline(0.0, color=GREY, lw=0.6)
         for index in range(len(names)):
             on = good & (number == index)
-            label = names[index] if k == 0 else None
-            axis.plot(values[on], gap[on], "o", ms=2.2, color=colour(index), alpha=0.6, mew=0, label=label,
-                      rasterized=len(gap) > MANY)  # fmt: skip
+            style = {"color": colour(index), "label": names[index], "rasterized": len(gap) > MANY}
+            axis.plot(values[on], gap[on], "o", ms=2.2, alpha=0.6, mew=0, **style)
         if good.sum() >= 3:
             centre, mean, error = _classes(values[good], gap[good])
             axis.errorbar(centre, mean, yerr=error, fmt="s", color=INK, elinewidth=0.8, ms=2.6)
@@ -155,9 +142,7 @@ def gap_by_covariate(
         axis.locator_params(axis="x", nbins=4)
     for row in axes:
         row[0].set_ylabel(f"{channel} ({name})")
-    if 1 < len(names) <= LEGEND_LIMIT:
-        handles, labels = axes[0, 0].get_legend_handles_labels()
-        shared_legend(figure, handles, labels)
+    group_legend(figure, axes[0, 0], names)
     return figure
 
 
@@ -173,16 +158,8 @@ def before_after(
     are units, the thick bars root mean squares.
     """
     used = [k for k in range(len(channels)) if np.isfinite(before[:, k]).any()]
-    columns = 2 if len(used) in {2, 4} else min(3, max(len(used), 1))
-    rows = max(-(-len(used) // columns), 1)
-    figure = canvas(1.2 + 4.8 * rows)
-    axes = axes_grid(figure, rows, columns)
-    # dots beside each other, spread evenly, not by chance
-    for panel, axis in enumerate(axes.flat):
-        if panel >= len(used):
-            axis.set_visible(False)
-            continue
-        k = used[panel]
+    figure, axes = panels(len(used), 1.2, 4.8)
+    for axis, k in zip(axes.flat, used, strict=False):
         title, unit = channels[k]
         factor, name = readable(unit, _largest(before[:, k]))
         level = factor * _rms(floor[:, k])
@@ -190,19 +167,18 @@ def before_after(
             axis.axhspan(-level, level, color=GREY, alpha=0.22, lw=0)
         axis.axhline(0.0, color=GREY, lw=0.6)
         for place, (values, tint) in enumerate(((before[:, k], ORANGE), (after[:, k], BLUE))):
-            found = factor * values[np.isfinite(values)]
-            spread = 0.26 * (2 * ((np.arange(len(found)) * 0.6180339887498949) % 1.0) - 1)
-            axis.plot(place + spread, found, "o", ms=2.2, mew=0, color=tint, alpha=0.55, rasterized=len(found) > MANY)
-            rms = _rms(found)
+            gaps = factor * values[np.isfinite(values)]
+            # dots beside each other, spread evenly, not by chance
+            spread = 0.26 * (2 * ((np.arange(len(gaps)) * 0.6180339887498949) % 1.0) - 1)
+            axis.plot(place + spread, gaps, "o", ms=2.2, mew=0, color=tint, alpha=0.55, rasterized=len(gaps) > MANY)
+            rms = _rms(gaps)
             for sign in (-1.0, 1.0):
                 axis.plot([place - 0.3, place + 0.3], [sign * rms, sign * rms], color=tint, lw=1.8)
-        said = [f"{text}\n{factor * _rms(values):.3g} {name}" for text, values in
-                (("before", before[:, k]), ("after", after[:, k]))]  # fmt: skip
-        axis.set_xticks([0, 1], said)
+        sizes = [f"{factor * _rms(values[:, k]):.3g} {name}" for values in (before, after)]
+        axis.set_xticks([0, 1], [f"before\n{sizes[0]}", f"after\n{sizes[1]}"])
         axis.set_xlim(-0.5, 1.5)
         axis.grid(visible=False, axis="x")
-        axis.set_title(f"{title} (floor {level:.3g} {name})" if np.isfinite(level) else title)
-        axis.set_ylabel(f"gap ({name})")
+        axis.set(title=f"{title} (floor {level:.3g} {name})" if np.isfinite(level) else title, ylabel=f"gap ({name})")
         axis.margins(y=0.08)
     return figure
 

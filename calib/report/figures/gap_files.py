@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
@@ -11,7 +12,6 @@ from matplotlib.figure import Figure
 from calib.arrays import FloatArray
 from calib.gap.data.channels import Channel
 from calib.gap.diagnosis import Diagnosis
-from calib.gap.where.covariates import covariate_values
 from calib.progress import Progress, silent
 from calib.report.figures.files import write_figures
 from calib.report.figures.gap import before_after, gap_by_covariate, gap_map
@@ -25,35 +25,28 @@ MOST_PANELS: Final = 6
 def gap_pictures(diagnosis: Diagnosis) -> dict[str, Figure]:
     """Return the figures of a diagnosis by name; those whose data are missing are left out."""
     gap = findings_of(diagnosis)
-    made: dict[str, Figure] = {}
+    figures: dict[str, Figure] = {}
     if gap.offset_m is not None and gap.paths_m:
-        made["gap-map"] = gap_map(gap.paths_m, gap.offset_m, gap.group)
-    numeric = {
-        name: np.asarray(values, dtype=np.float64)
-        for name, values in covariate_values(diagnosis.observations).items()
-        if values.dtype.kind == "f"
-    }
+        figures["gap-map"] = gap_map(gap.paths_m, gap.offset_m, gap.group)
     for number, (channel, unit) in enumerate(gap.channels):
         if gap.before is None or not np.isfinite(gap.before[:, number]).any():
             continue
-        shown = {name: numeric[name] for name in _telling(diagnosis, channel, numeric)}
+        shown = {name: gap.covariates[name] for name in _telling(diagnosis, channel, gap.covariates)}
         floor = None if gap.floor is None else float(np.sqrt(np.nanmean(gap.floor[:, number] ** 2)))
         if shown:
-            made[f"gap-by-covariate-{channel}"] = gap_by_covariate(
+            figures[f"gap-by-covariate-{channel}"] = gap_by_covariate(
                 gap.before[:, number], channel, unit, shown, floor=floor, group=gap.group
             )
     if gap.before is not None and gap.after is not None and gap.floor is not None:
-        made["before-after"] = before_after(gap.channels, gap.before, gap.after, gap.floor)
-    return made
+        figures["before-after"] = before_after(gap.channels, gap.before, gap.after, gap.floor)
+    return figures
 
 
-def _telling(diagnosis: Diagnosis, channel: str, numeric: dict[str, FloatArray]) -> list[str]:
+def _telling(diagnosis: Diagnosis, channel: str, numeric: Mapping[str, FloatArray]) -> list[str]:
     """Return the covariates to draw: those of the table first, those that show most in the channel before others."""
     lines = diagnosis.verdict.where.covariates
     ranked = [line.name for line in sorted(lines, key=lambda line: line.channel_label != channel)]
-    return [name for name in [*ranked, *(name for name in numeric if name not in ranked)] if name in numeric][
-        :MOST_PANELS
-    ]
+    return [name for name in dict.fromkeys([*ranked, *numeric]) if name in numeric][:MOST_PANELS]
 
 
 def write_gap_pictures(

@@ -40,8 +40,7 @@ def draw_paths(paths: Sequence[RunPath], *, simulated: bool = False) -> Figure:
                 handles.setdefault(label, line)
         axes.set_title(f"{kind or 'all runs'} ({len(chosen)})")
         axes.set_aspect("equal", adjustable="datalim")
-        axes.set_xlabel("x m")
-        axes.set_ylabel("y m")
+        axes.set(xlabel="x m", ylabel="y m")
     for axes in grid[len(kinds) :]:
         axes.set_axis_off()
     shared_legend(figure, list(handles.values()), list(handles))

@@ -41,8 +41,7 @@ def load_figure(sweep: LoadSweep) -> Figure:
         ("front wheel", sweep.front_N, GREY, ":"),
     ):
         axes.plot(along, load, dash, color=tint, label=name, linewidth=1.6)
-    axes.set_xlabel(_SWEEP_LABELS[sweep.swept])
-    axes.set_ylabel("wheel load (N)")
+    axes.set(xlabel=_SWEEP_LABELS[sweep.swept], ylabel="wheel load (N)")
     axes.set_ylim(bottom=0.0)
     axes.legend()
     return figure
@@ -89,12 +88,8 @@ def sweep_figure(sweep: Sweep, *, error: str, title: str) -> Figure:
     straight = float(np.ptp(sweep.reference.y_m)) < 1e-9
     if not straight:
         route.set_aspect("equal", adjustable="box")
-    route.set_xlabel("x (m)")
-    route.set_ylabel("y (m)")
-    route.set_title("path of the middle of the rear axle")
-    graph.set_xlabel("distance along the route (m)")
-    graph.set_ylabel(labels[error])
-    graph.set_title("error")
+    route.set(xlabel="x (m)", ylabel="y (m)", title="path of the middle of the rear axle")
+    graph.set(xlabel="distance along the route (m)", ylabel=labels[error], title="error")
     keys = sweep_keys(sweep)
     figure.legend(handles=keys, loc="outside lower center", ncols=9)
     figure_title(figure, f"{title}; track {sweep.track_m:g} m")
@@ -120,8 +115,7 @@ def ratio_figure(rows: Sequence[TableRow], *, measured: tuple[tuple[float, float
             axes.fill_between(loads, 1 - half, 1 + half, color=tint, alpha=0.35, label=f"95 % band {name}")
             axes.plot(loads, np.stack([1 - half, 1 + half], axis=1), color=tint, linewidth=1.0)
         axes.axvspan(*measured[number], color=INK, alpha=0.05, label="loads measured")
-        axes.set_xlabel("wheel load (N)")
-        axes.set_title(f"{side.capitalize()} wheel")
+        axes.set(xlabel="wheel load (N)", title=f"{side.capitalize()} wheel")
         axes.ticklabel_format(axis="y", useOffset=False)
     if first is not None:
         first.set_ylabel("radius over the law's mean radius")
@@ -143,8 +137,7 @@ def replay_figure(replayed: Replay) -> Figure:
         e = replayed.errors[method]
         plan.plot(e.along_m, e.lateral_m, mark, color=tint, markersize=4, label=name, fillstyle="none")
         graph.plot(total, e.distance_m, mark, color=tint, markersize=4, fillstyle="none")
-    plan.set_xlabel("along (m)")
-    plan.set_ylabel("lateral (m)")
+    plan.set(xlabel="along (m)", ylabel="lateral (m)")
     plan.axhline(0.0, color=INK, linewidth=0.6)
     plan.axvline(0.0, color=INK, linewidth=0.6)
     plan.set_title("end error in the frame of the reference")

@@ -99,8 +99,7 @@ def law_path_figure(path: LawPath, *, title: str) -> Figure:
     if len(stops):
         plan.plot(route.x_m[stops], route.y_m[stops], "v", color=GREY, label="the load changes")
     plan.set_aspect("equal", adjustable="datalim")
-    plan.set_xlabel("x (m)")
-    plan.set_ylabel("y (m)")
+    plan.set(xlabel="x (m)", ylabel="y (m)")
     drawn = f"drawn {scale:g} times as large" if scale > 1.0 else "true to scale"
     plan.set_title(f"paths and 95 % ellipses, {drawn}")
     lateral = path.corrected.std["lateral_m"]

@@ -9,7 +9,7 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 
 from calib.gap.plan.outlook import Outlook
-from calib.report.figures.style import INK, axes_grid, canvas, styled
+from calib.report.figures.style import INK, canvas, styled
 
 #: bounds of the classes in standard deviations; below 3 two effects cannot be told apart
 BOUNDS: Final = (0.0, 1.0, 3.0, 5.0, 10.0, 1e12)
@@ -24,7 +24,7 @@ def plan_matrix(outlook: Outlook) -> Figure:
     """
     n = len(outlook.effects)
     figure = canvas(float(np.clip(5.0 + 0.36 * n, 8.0, 21.0)))
-    axis = axes_grid(figure, 1, 1)[0, 0]
+    axis = figure.add_subplot()
     distance = np.column_stack((outlook.signal, np.where(np.isfinite(outlook.distance), outlook.distance, np.nan)))
     shown = np.ma.masked_invalid(distance)
     colours = ListedColormap(list(SHADES)).with_extremes(bad="white")

@@ -12,14 +12,18 @@ from matplotlib.ticker import FuncFormatter, NullFormatter
 from calib.radius.deviation import whole_period_excess
 from calib.radius.effective import EffectiveRadii
 from calib.radius.regression import WheelFit
+from calib.radius.sessions import groups_of
 from calib.report.figures.style import (
     BLUE,
     GREY,
     INK,
+    LEGEND_LIMIT,
+    MANY,
     ORANGE,
     axes_grid,
     canvas,
     colour,
+    group_legend,
     legible,
     shared_legend,
     styled,
@@ -28,10 +32,6 @@ from calib.report.figures.style import (
 MM: Final = 1e3
 UM: Final = 1e6
 PPM: Final = 1e6
-#: sessions that still get a legend entry each
-LEGEND_LIMIT: Final = 8
-#: points beyond which markers are drawn as pixels inside the vector figure
-MANY: Final = 2000
 _RAISED: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 WHEELS: Final = ("left", "right")
 
@@ -46,21 +46,15 @@ def runs_by_series(radii: EffectiveRadii) -> Figure:
     axes = axes_grid(figure, 2, 1, sharex=True, sharey=True)[:, 0]
     order = np.arange(1, len(radii) + 1)
     names, group = _sessions(radii.session)
-    for axis, wheel, radius, std in zip(
-        axes,
-        WHEELS,
-        (radii.radius_left_m, radii.radius_right_m),
-        (radii.std_left_m, radii.std_right_m),
-        strict=True,
-    ):
+    sides = ((radii.radius_left_m, radii.std_left_m), (radii.radius_right_m, radii.std_right_m))
+    for axis, wheel, (radius, std) in zip(axes, WHEELS, sides, strict=True):
         for number, name in enumerate(names):
             on = group == number
             _errorbars(axis, order[on], MM * radius[on], MM * std[on], colour(number), name)
-        axis.set_title(f"{wheel.capitalize()} wheel")
-        axis.set_ylabel("effective radius (mm)")
+        axis.set(title=f"{wheel.capitalize()} wheel", ylabel="effective radius (mm)")
         axis.margins(x=0.015, y=0.08)
     axes[-1].set_xlabel("run, in the order driven")
-    _session_legend(figure, axes[0], names)
+    group_legend(figure, axes[0], names)
     return figure
 
 
@@ -80,28 +74,18 @@ def regressions(left: WheelFit, right: WheelFit, session: npt.NDArray[np.str_]) 
         centre = law.radius_m(load)
         upper, lower = axes[0, column], axes[1, column]
         for axis, scale, zero in ((upper, MM, np.zeros_like(load)), (lower, UM, centre)):
-            low, high = fit.prediction_band_m(load)
-            axis.fill_between(
-                load, scale * (low - zero), scale * (high - zero), color=BLUE, alpha=0.13, lw=0, label="prediction band"
-            )
-            low, high = fit.mean_band_m(load)
-            axis.fill_between(
-                load,
-                scale * (low - zero),
-                scale * (high - zero),
-                color=BLUE,
-                alpha=0.38,
-                lw=0,
-                label="band of the mean",
-            )
+            for band, alpha, label in (
+                (fit.prediction_band_m(load), 0.13, "prediction band"),
+                (fit.mean_band_m(load), 0.38, "band of the mean"),
+            ):
+                low, high = (scale * (end - zero) for end in band)
+                axis.fill_between(load, low, high, color=BLUE, alpha=alpha, lw=0, label=label)
             axis.plot(load, scale * (centre - zero), color=INK, lw=1.0, label="law")
         for number, name in enumerate(names):
             on = group == number
-            many = len(group) > MANY
-            upper.plot(
-                fit.load_N[on], MM * fit.radius_m[on], ".", ms=3.2, color=colour(number), label=name, rasterized=many
-            )
-            lower.plot(fit.load_N[on], UM * fit.residual_m[on], ".", ms=3.2, color=colour(number), rasterized=many)
+            style = {"ms": 3.2, "color": colour(number), "label": name, "rasterized": len(group) > MANY}
+            upper.plot(fit.load_N[on], MM * fit.radius_m[on], ".", **style)
+            lower.plot(fit.load_N[on], UM * fit.residual_m[on], ".", **style)
         upper.set_title(f"{fit.wheel.capitalize()} wheel")
         upper.tick_params(labelleft=True)
         lower.tick_params(labelleft=True)
@@ -196,8 +180,7 @@ def residuals(left: WheelFit, right: WheelFit, session: npt.NDArray[np.str_]) ->
             axis.margins(x=0.05, y=0.08)
         reach = np.array([quantile.min(), quantile.max()])
         axes[row, 2].plot(reach, rest.mean() + rest.std(ddof=1) * reach, color=INK, lw=0.8)
-        axes[row, 0].set_ylabel("radius minus law (µm)")
-        axes[row, 0].set_title(f"{fit.wheel.capitalize()} wheel, against load")
+        axes[row, 0].set(ylabel="radius minus law (µm)", title=f"{fit.wheel.capitalize()} wheel, against load")
         axes[row, 1].set_title("in the order driven")
         axes[row, 2].set_title("against a normal distribution")
     for axis, text in zip(axes[1], ("wheel load (N)", "run", "normal quantile"), strict=True):
@@ -207,11 +190,8 @@ def residuals(left: WheelFit, right: WheelFit, session: npt.NDArray[np.str_]) ->
 
 def _sessions(session: npt.NDArray[np.str_]) -> tuple[list[str], npt.NDArray[np.int64]]:
     """Return the sessions in order of first appearance, and the number of each run's."""
-    found, first, inverse = np.unique(session, return_index=True, return_inverse=True)
-    order = np.argsort(first)
-    rank = np.empty(len(order), dtype=np.int64)
-    rank[order] = np.arange(len(order))
-    return [_short(str(found[k])) for k in order], rank[inverse]
+    groups = groups_of(session)
+    return [_short(str(name)) for name in groups.names], groups.index
 
 
 def _short(name: str, limit: int = 18) -> str:
@@ -236,9 +216,3 @@ def _errorbars(axis: Any, x: Any, y: Any, std: Any, tint: str, label: str) -> No
         x, y, yerr=None if many else 2 * np.nan_to_num(std), fmt=".", ms=3.6, color=tint, elinewidth=0.6, label=label,
         rasterized=many,
     )  # fmt: skip
-
-
-def _session_legend(figure: Figure, axis: Any, names: list[str]) -> None:
-    if 1 < len(names) <= LEGEND_LIMIT:
-        handles, labels = axis.get_legend_handles_labels()
-        shared_legend(figure, handles, labels)

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from calib.arrays import FloatArray, StrArray
 from calib.gap.effects.signatures import EffectSignature
 from calib.gap.predict.path import Path
-from calib.report.figures.style import GREY, PALETTE, canvas, styled
+from calib.report.figures.style import GREY, canvas, colour, styled
 
 CHANNELS = ("distance", "along", "lateral", "heading", "front", "steering")
 ANGLES = frozenset({"heading", "steering"})
@@ -47,12 +47,11 @@ def _draw_plan(axes: Axes, found: EffectSignature, nominal: Path, names: list[st
         unit = int(units[np.argmax(sizes)])
         part = slice(int(s.starts[unit]), int(s.starts[unit + 1]))
         axes.plot(nominal.x_m[part], nominal.y_m[part], color=GREY, linewidth=0.8)
-        colour = PALETTE[number % len(PALETTE)]
-        axes.plot(found.enlarged.x_m[part], found.enlarged.y_m[part], color=colour, linewidth=1.1, label=name)
-        axes.plot(*found.enlarged.end[unit, :2], marker="o", markersize=3, color=colour)
+        tint = colour(number)
+        axes.plot(found.enlarged.x_m[part], found.enlarged.y_m[part], color=tint, linewidth=1.1, label=name)
+        axes.plot(*found.enlarged.end[unit, :2], marker="o", markersize=3, color=tint)
     axes.set_aspect("equal", adjustable="datalim")
-    axes.set_xlabel("x, m")
-    axes.set_ylabel("y, m")
+    axes.set(xlabel="x, m", ylabel="y, m")
     bent = found.factor > 1.0 and bool(np.ptp(found.enlarged.end[:, :2] - nominal.end[:, :2]) > 0)
     axes.set_title(f"paths, effect x {found.factor:.3g}" if bent else "paths (the effect bends none)")
 
@@ -61,7 +60,7 @@ def _draw_channel(axes: Axes, change: FloatArray, name: str, kinds: StrArray, na
     for number, kind in enumerate(names):
         values = 1e3 * change[kinds == kind]
         spread = number + np.linspace(-0.25, 0.25, len(values))
-        axes.plot(spread, values, ".", markersize=2.5, color=PALETTE[number % len(PALETTE)])
+        axes.plot(spread, values, ".", markersize=2.5, color=colour(number))
     axes.axhline(0.0, color=GREY, linewidth=0.6)
     axes.margins(y=0.2)
     axes.set_ylabel(f"{name}\n{'mrad' if name in ANGLES else 'mm'}", rotation=0, ha="right", va="center")

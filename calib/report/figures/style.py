@@ -23,6 +23,10 @@ CM_PER_INCH: Final = 2.54
 PNG_DPI: Final = 200
 #: characters of a legend that fit the width, and those that handle and gap take
 LINE_CHARACTERS: Final = 118
+#: groups that still get a legend entry each
+LEGEND_LIMIT: Final = 8
+#: points beyond which markers are drawn as pixels inside the vector figure
+MANY: Final = 2000
 LEGEND_GAP: Final = 6
 
 _STYLE: Final[dict[str, Any]] = {
@@ -112,6 +116,23 @@ def shared_legend(figure: Figure, handles: Sequence[Any], labels: Sequence[str],
             handletextpad=0.5,
             columnspacing=1.4,
         )
+
+
+def group_legend(figure: Figure, axis: Any, names: Sequence[str], *, below: bool = False) -> None:
+    """Put the legend of groups outside the axes where there are several, and not too many to be told apart."""
+    if 1 < len(names) <= LEGEND_LIMIT:
+        shared_legend(figure, *axis.get_legend_handles_labels(), below=below)
+
+
+def panels(count: int, head_cm: float, row_cm: float, **options: Any) -> tuple[Figure, Any]:
+    """Return a figure of two or three panels a row, and its axes, shape (rows, columns); those left over are hidden."""
+    columns = 2 if count in {2, 4} else min(3, max(count, 1))
+    rows = max(-(-count // columns), 1)
+    figure = canvas(head_cm + row_cm * rows)
+    axes = axes_grid(figure, rows, columns, **options)
+    for axis in axes.flat[count:]:
+        axis.set_visible(False)
+    return figure, axes
 
 
 @cache

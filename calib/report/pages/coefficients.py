@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from calib.radius.regression import WheelFit
-from calib.report.blocks import Block, Column, Equation, Section, Table, Text
-from calib.report.numbers import aligned, fixed, left, measured, span, two_digits
+from calib.report.blocks import Block, Equation, Section, Table, Text
+from calib.report.numbers import aligned, fixed, measured, number_columns, span, text_columns, two_digits
 from calib.report.source import Source
 from calib.report.statements.law import MM, UM, coverage_factor
 
@@ -19,16 +19,7 @@ def section(source: Source) -> Section:
         Table(
             "Coefficients: value, standard uncertainty u, degrees of freedom ν, coverage factor k (Student's t), "
             "expanded uncertainty U = k u for a coverage of 95 %.",
-            (
-                left("Wheel"),
-                left("Quantity"),
-                left("Unit"),
-                Column("Value"),
-                Column("u"),
-                Column("ν"),
-                Column("k"),
-                Column("U"),
-            ),
+            (*text_columns("Wheel", "Quantity", "Unit"), *number_columns("Value", "u", "ν", "k", "U")),
             aligned(rows, 3, 4, 7),
         ),
         *_propagation(source),

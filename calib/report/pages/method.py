@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from calib.report.blocks import Equation, Items, Section, Text
+from calib.report.blocks import Equation, Section, Text, items
 from calib.report.numbers import prose
 from calib.report.source import Source
 
@@ -19,7 +19,7 @@ def section(source: Source) -> Section:
     """Return effective radius, regression, and how their uncertainty comes about."""
     fit = source.fit
     designs = dict.fromkeys(_DESIGNS.get(wheel.design, "") for wheel in fit.wheels.values())
-    blocks: list[Text | Equation | Items] = [
+    blocks: list[Text | Equation] = [
         Text(
             "The vehicle drives along a straight corridor. A laser rangefinder measures the distance Sₒ of each run, "
             "the encoders of the free rear wheels count their revolutions n. The effective radius of a wheel in a run "
@@ -43,6 +43,4 @@ def section(source: Source) -> Section:
         ),
         Text(f"Deviations from the method: {source.stated.get('deviations', 'none stated')}."),
     ]
-    if fit.notes:
-        blocks.append(Items(tuple(prose(note) for note in fit.notes)))
-    return Section("Method", tuple(blocks))
+    return Section("Method", (*blocks, *items(map(prose, fit.notes))))

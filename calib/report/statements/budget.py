@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.radius.fitted import Fit
 from calib.report.blocks import Column, Picture, Table, Text
-from calib.report.numbers import aligned, fixed, left, prose, two_digits
+from calib.report.numbers import aligned, fixed, left, number_columns, prose, text_columns, two_digits
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -107,11 +107,8 @@ def law_budget(fit: Fit) -> Table:
         "Budget of the law: contributions to the standard uncertainties u (k = 1) of its coefficients."
         + (" What is systematic does not become smaller with more runs." if systematic else ""),
         (
-            left("Wheel"),
-            left("Coefficient"),
-            left("Unit"),
-            Column("of runs", group="u from the scatter"),
-            Column("of sessions", group="u from the scatter"),
+            *text_columns("Wheel", "Coefficient", "Unit"),
+            *number_columns("of runs", "of sessions", group="u from the scatter"),
             *((Column("Systematic"),) if systematic else ()),
             Column("Combined"),
         ),

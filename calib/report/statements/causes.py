@@ -6,8 +6,8 @@ import math
 from typing import Final
 
 from calib.gap.verdict.result import Quantity, Verdict
-from calib.report.blocks import Block, Column, Items, Table, Text
-from calib.report.numbers import MISSING, fixed, left, percent, places, prose
+from calib.report.blocks import Block, Column, Items, Table, Text, items
+from calib.report.numbers import MISSING, fixed, left, number_columns, percent, places, prose, text_columns
 
 #: most rows of a table made from a verdict
 _MOST: Final = 24
@@ -31,10 +31,8 @@ def cause_blocks(verdict: Verdict) -> list[Block]:
         (
             left("Cause", wide=True),
             left("Id"),
-            Column("Probability"),
-            Column("Share"),
-            Column("from", group="95 % interval"),
-            Column("to", group="95 % interval"),
+            *number_columns("Probability", "Share"),
+            *number_columns("from", "to", group="95 % interval"),
             *((left("Plausible"),) if doubtful else ()),
         ),
         tuple(
@@ -57,12 +55,9 @@ def cause_blocks(verdict: Verdict) -> list[Block]:
     blocks: list[Block] = [ranking]
     if rows:
         columns = (
-            left("Cause"),
-            left("Parameter"),
-            left("Unit"),
+            *text_columns("Cause", "Parameter", "Unit"),
             Column("Value"),
-            Column("from", group="95 % interval"),
-            Column("to", group="95 % interval"),
+            *number_columns("from", "to", group="95 % interval"),
         )
         blocks.append(Table("Sizes of the causes with 95 % intervals.", columns, rows))
     remarks = [f"{cause.effect}: {prose(cause.remark)}" for cause in verdict.causes if cause.remark]
@@ -71,7 +66,7 @@ def cause_blocks(verdict: Verdict) -> list[Block]:
         for cause in verdict.causes
         if cause.forms_open
     ]
-    return [*blocks, *([Items(tuple(remarks))] if remarks else [])]
+    return [*blocks, *items(remarks)]
 
 
 def apart_blocks(verdict: Verdict) -> list[Block]:

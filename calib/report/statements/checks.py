@@ -7,7 +7,7 @@ from typing import Final
 from calib.radius.checks import Check
 from calib.radius.fitted import Fit
 from calib.report.blocks import Column, Notice, Table
-from calib.report.numbers import left, probability, prose
+from calib.report.numbers import left, probability, prose, text_columns
 
 _LEVELS: Final = {"ok": "passed", "note": "remark", "failed": "FAILED"}
 #: remarks told in one sentence each beside the result
@@ -35,9 +35,7 @@ def checks_table(fit: Fit) -> Table:
     return Table(
         "Checks of the fit; p is the probability of a statistic at least as extreme where nothing is wrong.",
         (
-            left("Check"),
-            left("Wheel"),
-            left("Verdict"),
+            *text_columns("Check", "Wheel", "Verdict"),
             Column("Statistic", align="left", wide=True, detail=True),
             Column("p", detail=True),
             left("Meaning", wide=True),

@@ -6,7 +6,7 @@ from calib.gap.data.channels import POSE
 from calib.gap.verdict.paper_headline import PaperHeadline
 from calib.gap.verdict.result import Verdict
 from calib.gap.verdict.sentence import advice
-from calib.report.blocks import Block, Column, Items, Table, Text
+from calib.report.blocks import Block, Column, Table, Text, items
 from calib.report.numbers import MISSING, aligned, left, length, percent, prose, readable, three_digits
 
 
@@ -32,10 +32,8 @@ def closure_blocks(verdict: Verdict, headline: PaperHeadline | None = None) -> l
     if fix.transfer:
         blocks.append(_transfer(verdict))
     if verdict.rest is not None:
-        words = f"No named cause explains {percent(verdict.rest.share)} of the gap."
-        blocks.append(Text(words))
-        if verdict.rest.where:
-            blocks.append(Items(tuple(prose(line) for line in verdict.rest.where)))
+        blocks.append(Text(f"No named cause explains {percent(verdict.rest.share)} of the gap."))
+        blocks += items(map(prose, verdict.rest.where))
     return blocks
 
 

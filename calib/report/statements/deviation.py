@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from calib.radius.run_deviation import RunDeviations
-from calib.report.blocks import Block, Column, Items, Table, Text
-from calib.report.numbers import MISSING, fixed, left, prose
+from calib.report.blocks import Block, Column, Table, Text, items
+from calib.report.numbers import MISSING, fixed, left, number_columns, prose, text_columns
 
 
 def _percent(share: float | None, decimals: int = 4) -> str:
@@ -19,10 +19,8 @@ def weave_content(rows: Sequence[Mapping[str, float]], tolerance: float, track_m
         f"y = A sin(2πx/λ), Sₒ = {rows[0]['distance_m']:g} m, track {track_m:g} m: excess of the path, and what it "
         "does to a radius.",
         (
-            Column("A", "m"),
-            Column("λ", "m"),
-            Column("whole periods", "%"),
-            Column("(πA/λ)²", "%"),
+            *number_columns("A", "λ", unit="m"),
+            *number_columns("whole periods", "(πA/λ)²", unit="%"),
             *(Column(title, "%", group="This distance") for title in ("centre", "left", "right")),
             Column("of periods", "%", group="Error of the radius"),
             *(Column(title, "%", group="Error of the radius") for title in ("left", "right")),
@@ -71,14 +69,12 @@ def runs_content(name: str, simulated: bool, judged: RunDeviations) -> tuple[Blo
         return MISSING if value is None else fixed(scale * value, decimals)
 
     columns = (
-        left("Run"),
-        left("From"),
+        *text_columns("Run", "From"),
         Column("A", "mm"),
         Column("λ", "m"),
         Column("centre", "%", group="Excess"),
         Column("small A", "%", group="Excess", detail=True),
-        Column("left", "µm", group="Error of radius"),
-        Column("right", "µm", group="Error of radius"),
+        *number_columns("left", "right", unit="µm", group="Error of radius"),
         Column("allowed A", "mm"),
         left("Verdict"),
     )
@@ -99,7 +95,5 @@ def runs_content(name: str, simulated: bool, judged: RunDeviations) -> tuple[Blo
     )
     mark = " SIMULATED DATA." if simulated else ""
     notes = [*judged.notes, *(f"Left out: {run.run_id} {run.reason}" for run in judged.left_out)]
-    blocks: list[Block] = [Table(f"{name}: error that each path adds to its radii.{mark}", columns, rows)]
-    if notes:
-        blocks.append(Items(tuple(prose(note) for note in notes)))
-    return (*blocks, Text(prose(judged.summary)))
+    table = Table(f"{name}: error that each path adds to its radii.{mark}", columns, rows)
+    return (table, *items(map(prose, notes)), Text(prose(judged.summary)))

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Final
 
 from calib.gap.verdict.result import Verdict, VerdictKind
-from calib.report.blocks import Block, Heading, Items, Notice, Text
+from calib.report.blocks import Block, Heading, Notice, Text, items
 from calib.report.gap_findings import GapFindings
 from calib.report.numbers import prose
 from calib.report.statements.causes import apart_blocks, cause_blocks, limit_blocks
@@ -60,5 +60,4 @@ def diagnosis_content(gap: GapFindings) -> tuple[Block, ...]:
     ]
     if verdict.next_runs:
         blocks.append(next_runs_table([run.to_dict() for run in verdict.next_runs]))
-    notes = tuple(prose(note) for note in verdict.notes)
-    return (*blocks, *((Items(notes),) if notes else ()))
+    return (*blocks, *items(map(prose, verdict.notes)))

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 from calib.radius.comparison import Difference, ModelComparison
 from calib.radius.fitted import Fit
-from calib.report.blocks import Block, Column, Heading, Items, Notice, Section, Table, Text
-from calib.report.numbers import fixed, left, places, plural, prose
+from calib.report.blocks import Block, Heading, Notice, Section, Table, Text, items
+from calib.report.numbers import fixed, left, number_columns, places, plural, prose, text_columns
 from calib.report.statements.budget import radius_budget
 from calib.report.statements.checks import checks_table, usable_notice
 from calib.report.statements.law import law_table, naive_text, quality_text, single_run_text, static_table
@@ -36,8 +36,7 @@ def fit_content(fit: Fit, *, runs: bool = False) -> tuple[Block | Section, ...]:
         blocks.append(radius_budget(fit))
     if runs:
         blocks.append(runs_table(fit))
-    if fit.notes:
-        blocks.append(Items(tuple(prose(note) for note in fit.notes)))
+    blocks += items(map(prose, fit.notes))
     if fit.radii.left_out:
         blocks.append(left_out_table(fit))
     return (*blocks, usable_notice(fit))
@@ -51,17 +50,13 @@ def comparison_content(compared: ModelComparison, notes: Sequence[str]) -> tuple
         if wheel.slope is not None:
             rows.append(_row(f"{side}: slope", wheel.slope, 1e6, "µm/N"))
     columns = (
-        left("Quantity"),
-        left("Unit"),
-        Column("Fitted"),
-        Column("Model"),
-        Column("Difference"),
-        Column("from", group="95 % interval"),
-        Column("to", group="95 % interval"),
+        *text_columns("Quantity", "Unit"),
+        *number_columns("Fitted", "Model", "Difference"),
+        *number_columns("from", "to", group="95 % interval"),
         left("Model lies"),
     )
     table = Table("Fitted law against the model's; the interval is that of the difference.", columns, tuple(rows))
-    return (table, *((Items(tuple(prose(note) for note in notes)),) if notes else ()))
+    return (table, *items(map(prose, notes)))
 
 
 def _row(name: str, difference: Difference, factor: float, unit: str) -> tuple[str, ...]:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from calib.fleet.quantities import shown_quantity
 from calib.fleet.random_effects import Population
 from calib.fleet.run import Fleet
 from calib.fleet.survey import Survey
 from calib.report.blocks import Block, Column, Facts, Heading, Items, Picture, Table, Text
+from calib.report.numbers import number_columns
 
 #: rows of a list at most; the rest is in the tables
 MOST = 40
@@ -29,21 +30,13 @@ def fleet_content(fleet: Fleet, *, pictures: bool = False) -> tuple[Block, ...]:
         blocks.append(_population_table(view.populations))
     if pictures:
         blocks += _pictures(fleet)
-    if view.outliers:
-        blocks += [
-            Heading(f"Vehicles that stand apart ({len(view.outliers)})"),
-            Items(tuple(f"{outlier.vehicle}, {outlier.why}" for outlier in view.outliers[:MOST])),
-        ]
+    blocks += _counted("Vehicles that stand apart", [f"{outlier.vehicle}, {outlier.why}" for outlier in view.outliers])
     if view.drifting:
         blocks.append(_drifting(fleet))
     if view.common:
         blocks += [Heading("What many share"), Items(tuple(cause.sentence for cause in view.common[:MOST]))]
     failed = [record for record in fleet.records if record.status == "failed"]
-    if failed:
-        blocks += [
-            Heading(f"Failed ({len(failed)})"),
-            Items(tuple(f"{record.vehicle}: {record.why}" for record in failed[:MOST])),
-        ]
+    blocks += _counted("Failed", [f"{record.vehicle}: {record.why}" for record in failed])
     blocks.append(
         Text(
             "Vehicles that stand apart are named so that of all those named about one in a hundred is named wrongly "
@@ -53,6 +46,11 @@ def fleet_content(fleet: Fleet, *, pictures: bool = False) -> tuple[Block, ...]:
         )
     )
     return tuple(blocks)
+
+
+def _counted(title: str, lines: Sequence[str]) -> list[Block]:
+    """Return lines under a title that says how many there are; nothing where there are none."""
+    return [Heading(f"{title} ({len(lines)})"), Items(tuple(lines[:MOST]))] if lines else []
 
 
 def _population_table(populations: Mapping[str, Population]) -> Table:
@@ -76,10 +74,7 @@ def _population_table(populations: Mapping[str, Population]) -> Table:
         "The fleet; ± is the 95 % interval",
         (
             Column("quantity", align="left"),
-            Column("mean"),
-            Column("between"),
-            Column("95 %"),
-            Column("within"),
+            *number_columns("mean", "between", "95 %", "within"),
             Column("unit", align="left"),
         ),
         tuple(rows),
@@ -89,12 +84,7 @@ def _population_table(populations: Mapping[str, Population]) -> Table:
 def _drifting(fleet: Fleet) -> Table:
     return Table(
         f"Vehicles that drift ({len(fleet.view.drifting)}), soonest due first; ± is the 95 % interval",
-        (
-            Column("vehicle", align="left"),
-            Column("wheel", align="left"),
-            Column("nm a day"),
-            Column("due on day"),
-        ),
+        (Column("vehicle", align="left"), Column("wheel", align="left"), *number_columns("nm a day", "due on day")),
         tuple(
             (
                 drifting.vehicle,
@@ -145,14 +135,11 @@ def survey_content(survey: Survey, *, page: bool = False) -> tuple[Block, ...]:
     quantities = survey.quantities
     if quantities is not None and quantities.populations:
         blocks.append(_population_table(quantities.populations))
-    if quantities is not None and quantities.outliers:
-        lines = tuple(f"{outlier.vehicle}, {outlier.why}" for outlier in quantities.outliers[:MOST])
-        blocks += [Heading(f"Vehicles that stand apart ({len(quantities.outliers)})"), Items(lines)]
+    if quantities is not None:
+        apart = [f"{outlier.vehicle}, {outlier.why}" for outlier in quantities.outliers]
+        blocks += _counted("Vehicles that stand apart", apart)
     shared = [cause.sentence for cause in survey.shared]
     shared += [difference.sentence for difference in quantities.differences] if quantities is not None else []
     if shared:
         blocks += [Heading("What many share"), Items(tuple(shared[:MOST]))]
-    if failed:
-        lines = tuple(f"{record.name}: {record.why}" for record in failed[:MOST])
-        blocks += [Heading(f"Failed ({len(failed)})"), Items(lines)]
-    return tuple(blocks)
+    return (*blocks, *_counted("Failed", [f"{record.name}: {record.why}" for record in failed]))

@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING, Final
 
 from calib.geometry.parts import Estimate, RouteResidual, Transfer
-from calib.report.blocks import Block, Column, Items, Table, Text
+from calib.report.blocks import Block, Column, Table, Text, items
 from calib.report.numbers import left
 
 if TYPE_CHECKING:
@@ -32,9 +32,7 @@ def geometry_content(geometry: Geometry) -> tuple[Block, ...]:
     blocks: list[Block] = [Text(_heading(geometry))]
     parameters = [_cells(estimate) for estimate in geometry.estimates]
     blocks.append(_table("Parameters, with 95 % intervals.", _HEADER, parameters))
-    sentences = geometry_sentences(geometry)
-    if sentences:
-        blocks.append(Items(tuple(sentences)))
+    blocks += items(geometry_sentences(geometry))
     routes = [_route_cells(route) for route in geometry.routes]
     blocks.append(_table("Residuals by route: root mean square of position and heading.", _ROUTE, routes))
     if geometry.transfer:

@@ -10,7 +10,7 @@ import numpy as np
 from calib.radius.fitted import Fit
 from calib.radius.regression import WheelFit, t_quantile
 from calib.report.blocks import Column, Table, Text
-from calib.report.numbers import MISSING, fixed, left, measured, span, two_digits
+from calib.report.numbers import MISSING, fixed, left, measured, number_columns, span, two_digits
 
 MM: Final = 1e3
 UM: Final = 1e6
@@ -44,11 +44,9 @@ def _table(caption: str, wheels: Mapping[str, WheelFit]) -> Table:
         left("Wheel"),
         Column("Runs"),
         Column("Loads", "N", align="center"),
-        Column("r(F₀)", "mm", group="Radius at F₀"),
-        Column("U", "mm", group="Radius at F₀"),
+        *number_columns("r(F₀)", "U", unit="mm", group="Radius at F₀"),
         Column("k", group="Radius at F₀"),
-        Column("s", "µm/N", group="Slope"),
-        Column("U", "µm/N", group="Slope"),
+        *number_columns("s", "U", unit="µm/N", group="Slope"),
         Column("k", group="Slope"),
     )
     return Table(caption, columns, tuple((name, *_row(wheel)) for name, wheel in wheels.items()))

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from calib.gap.plan.outlook import Outlook
-from calib.report.blocks import Block, Column, Items, Table, Text
+from calib.report.blocks import Block, Column, Table, Text, items
 from calib.report.numbers import MISSING, fixed, left, prose
 
 #: effects named in one cell
@@ -72,5 +72,5 @@ def outlook_content(name: str, n_runs: int, outlook: Outlook) -> tuple[Block, ..
         ),
         tuple(rows),
     )
-    absent = tuple(f"{effect}: {prose(outlook.smallest[effect].sentence)}" for effect in outlook.absent)
-    return (table, *((Items(absent),) if absent else ()))
+    absent = (f"{effect}: {prose(outlook.smallest[effect].sentence)}" for effect in outlook.absent)
+    return (table, *items(absent))

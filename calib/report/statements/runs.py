@@ -9,7 +9,7 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.radius.fitted import Fit
 from calib.report.blocks import Column, Table
-from calib.report.numbers import fixed, left, listed
+from calib.report.numbers import fixed, left, listed, text_columns
 
 #: beyond this many runs the report's table is one of sessions
 MOST_ROWS: Final = 200
@@ -35,9 +35,7 @@ def runs_table(fit: Fit) -> Table:
     radii = fit.radii
     counts = _counts(fit)
     columns = (
-        left("Run"),
-        left("Session"),
-        left("Dir."),
+        *text_columns("Run", "Session", "Dir."),
         Column("Distance", "m", detail=True),
         *(Column(wheel, group="Counts", detail=True) for wheel in ("left", "right") if fit.setup is not None),
         *(

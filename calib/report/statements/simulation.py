@@ -10,7 +10,7 @@ from calib.motion.studies.paper_headline import paper_headline
 from calib.motion.studies.run import LawPart, Simulation
 from calib.motion.studies.sweeps import Sweep
 from calib.report.blocks import Block, Column, Table, Text
-from calib.report.numbers import fixed, left
+from calib.report.numbers import fixed, left, number_columns, text_columns
 
 #: component of the error -> by what it is multiplied to be read
 _FACTORS: Final = {"along_m": 1.0, "lateral_m": 1.0, "heading_rad": 1e3, "global_x_m": 1.0, "global_y_m": 1.0}
@@ -111,14 +111,11 @@ def _journeys(part: LawPart) -> Table:
             )
         )
     columns = (
-        left("Loads L / R"),
-        left("Band"),
+        *text_columns("Loads L / R", "Band"),
         Column("E_r"),
         Column("rms", "m", group="Without"),
-        Column("rms", "m", group="With"),
-        Column("95 %", "m", group="With"),
-        Column("linear", "m", group="e_y ±"),
-        Column("drawn", "m", group="e_y ±"),
+        *number_columns("rms", "95 %", unit="m", group="With"),
+        *number_columns("linear", "drawn", unit="m", group="e_y ±"),
         Column("Times smaller [95 %]"),
     )
     return Table(
@@ -141,12 +138,9 @@ def _path(path: LawPath, route: str) -> list[Block]:
         rows.append(("", *(f"± {2.0 * factor * end[f'std_{key}']:.4f}" for key, factor in _FACTORS.items()), ""))
     columns = (
         left("Radii"),
-        Column("along", "m"),
-        Column("left", "m"),
+        *number_columns("along", "left", unit="m"),
         Column("heading", "mrad"),
-        Column("global x", "m"),
-        Column("global y", "m"),
-        Column("rms", "m"),
+        *number_columns("global x", "global y", "rms", unit="m"),
     )
     ends_of_ratio = path.ratio_ci95
     interval = "" if ends_of_ratio is None else f" (95 % interval {ends_of_ratio[0]:.1f} to {ends_of_ratio[1]:.1f})"

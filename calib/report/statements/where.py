@@ -7,7 +7,17 @@ from typing import Final
 from calib.gap.where.result import PlaceLine, RunLine, Where
 from calib.report.axis_names import in_words
 from calib.report.blocks import Block, Column, Items, Table, Text
-from calib.report.numbers import MISSING, fixed, left, probability, prose, readable, three_digits
+from calib.report.numbers import (
+    MISSING,
+    fixed,
+    left,
+    number_columns,
+    probability,
+    prose,
+    readable,
+    text_columns,
+    three_digits,
+)
 
 #: most covariates, runs and places shown; the JSON has them all
 _LINES: Final = 12
@@ -56,11 +66,9 @@ def _covariates(where: Where) -> Table:
         for line in where.significant[:_LINES]
     )
     columns = (
-        left("What it goes with"),
-        left("Channel"),
+        *text_columns("What it goes with", "Channel"),
         Column("Share"),
-        Column("from", group="95 % interval"),
-        Column("to", group="95 % interval"),
+        *number_columns("from", "to", group="95 % interval"),
         Column("p"),
     )
     return Table(
