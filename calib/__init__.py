@@ -19,24 +19,9 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from calib.api import (
-        Campaign,
-        Diagnosis,
-        Fit,
-        Geometry,
-        Plan,
-        Replay,
-        Simulation,
-        diagnose,
-        export,
-        fit,
-        geometry,
-        plan,
-        read,
-        replay,
-        report,
-        simulate,
-    )
+    from calib.api import diagnose, export, fit, geometry, plan, read, replay, report, simulate
+    from calib.campaign.model import Campaign
+    from calib.results import Diagnosis, Fit, Geometry, Plan, Replay, Simulation
 
 __version__ = "0.1.0"
 

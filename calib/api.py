@@ -12,25 +12,6 @@ from calib.errors import BadInputError
 from calib.radius import fitted as radius_fitted
 from calib.results import Diagnosis, Fit, Geometry, Plan, Replay, Simulation, extended
 
-__all__ = [
-    "Campaign",
-    "Diagnosis",
-    "Fit",
-    "Geometry",
-    "Plan",
-    "Replay",
-    "Simulation",
-    "diagnose",
-    "export",
-    "fit",
-    "geometry",
-    "plan",
-    "read",
-    "replay",
-    "report",
-    "simulate",
-]
-
 
 def read(folder: Path | str) -> Campaign:
     """Read a campaign.

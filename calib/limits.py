@@ -11,37 +11,6 @@ from typing import Any, Final
 
 from calib.errors import BadFileError, BadInputError
 
-__all__ = [
-    "CASES",
-    "COLUMNS",
-    "COVARIATES",
-    "DRAWS",
-    "FLEET_MONTHS",
-    "FLEET_RUNS",
-    "KEY_CHARACTERS",
-    "KEY_PARTS",
-    "LABEL_CHARACTERS",
-    "MATLAB_UNPACKED_BYTES",
-    "PLANNED_RUNS",
-    "PLANNED_SAMPLES",
-    "ROUTE_POINTS",
-    "RUNS",
-    "SETTINGS_BYTES",
-    "SHEETS",
-    "SHEET_CELLS",
-    "SHEET_EMPTY",
-    "SHEET_UNPACKED_BYTES",
-    "SIMULATED_POSES",
-    "SWEEP_VALUES",
-    "TEXT_CHARACTERS",
-    "WORKERS",
-    "refuse_beyond",
-    "refuse_hostile_document",
-    "refuse_hostile_keys",
-    "refuse_more",
-    "refuse_workers",
-]
-
 #: a settings file: campaign, mapping, plan, route, seeds (TOML)
 SETTINGS_BYTES: Final = 4 << 20
 #: parts of a dotted key, and sections or lists within one another

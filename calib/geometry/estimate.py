@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Final, Literal, cast
 import numpy as np
 
 from calib.arrays import FloatArray
-from calib.campaign.wheels import odometry_source
-from calib.errors import BadInputError, RefusedError
+from calib.campaign.wheels import mecanum_model, odometry_source
+from calib.errors import RefusedError
 from calib.geometry.clusters import ENOUGH_RUNS, Clustering, clustered
 from calib.geometry.delays import Delay, own_delays, sought_delays
 from calib.geometry.drives import Differential, Drive, FrontWheel, MeanHeld, Mecanum
@@ -200,12 +200,8 @@ def drive_of(campaign: Campaign, source: str, recording: Recording) -> Drive:
     if source == "front":
         return FrontWheel(vehicle.front_radius_m, vehicle.wheelbase_m)
     if source == "wheels":
-        if vehicle.half_length_plus_half_width_m is None:
-            raise BadInputError(
-                "campaign.toml, vehicle.half_length_plus_half_width_m: found nothing; expected half the wheelbase plus "
-                "half the track of the mecanum vehicle; give it"
-            )
-        return Mecanum(vehicle.wheel_radius_m, vehicle.half_length_plus_half_width_m)
+        wheels = mecanum_model(campaign)
+        return Mecanum(wheels.radius_m, wheels.arm_m)
     loads = recording.steps.load_offset_N
     varied = loads is not None and bool(np.all(np.ptp(loads, axis=1) > LOADS_VARY * max(model.reference_load_N, 1.0)))
     return Differential(

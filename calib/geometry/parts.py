@@ -66,15 +66,6 @@ class Transfer:
     before_rms_m: float
     after_rms_m: float
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the row as plain values."""
-        return {
-            "left_out": self.left_out,
-            "n": self.n,
-            "before_rms_m": self.before_rms_m,
-            "after_rms_m": self.after_rms_m,
-        }
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunPath:

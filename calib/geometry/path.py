@@ -47,6 +47,13 @@ def integrate_motion(motion: Motion) -> Path:
     return Path(pose, np.stack([np.cumsum(d_x, axis=1), np.cumsum(d_y, axis=1), d_theta], axis=1))
 
 
+def moved_between(pose: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
+    """Return displacements from poses `first` to poses `last` in the frames of the former, shape (n, 3)."""
+    delta = pose[:, last] - pose[:, first]
+    cosine, sine = np.cos(pose[2, first]), np.sin(pose[2, first])
+    return np.stack([cosine * delta[0] + sine * delta[1], cosine * delta[1] - sine * delta[0], delta[2]], axis=1)
+
+
 def displacement(
     pose: FloatArray, by_parameter: FloatArray, first: IntArray, last: IntArray
 ) -> tuple[FloatArray, FloatArray]:

@@ -9,7 +9,7 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.geometry.estimate import drive_of, recordings_put_right
 from calib.geometry.parts import RunPath
-from calib.geometry.path import integrate_motion
+from calib.geometry.path import integrate_motion, moved_between
 from calib.geometry.result import Geometry
 
 if TYPE_CHECKING:
@@ -39,7 +39,5 @@ def paths_of(campaign: Campaign, geometry: Geometry) -> tuple[RunPath, ...]:
 
 
 def _from_start(pose: FloatArray) -> FloatArray:
-    x, y, theta = pose[:, 0]
-    cosine, sine = np.cos(theta), np.sin(theta)
-    dx, dy = pose[0] - x, pose[1] - y
-    return np.stack([cosine * dx + sine * dy, cosine * dy - sine * dx], axis=1)
+    samples = np.arange(pose.shape[1])
+    return np.asarray(moved_between(pose, np.zeros_like(samples), samples)[:, :2])

@@ -11,6 +11,7 @@ from calib.arrays import BoolArray, FloatArray, IntArray, StrArray
 from calib.campaign.wheels import WHEEL_COLUMNS
 from calib.errors import RefusedError
 from calib.geometry.drives import Steps
+from calib.geometry.path import moved_between
 
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign
@@ -261,7 +262,4 @@ def _last_pose(reference: FloatArray) -> FloatArray:
     good = np.flatnonzero(np.isfinite(reference).all(axis=0))
     if len(good) < 2 or good[0] != 0 or good[-1] != reference.shape[1] - 1:
         return np.full(3, np.nan)
-    x, y, theta = reference[:, good[0]]
-    dx, dy = reference[0, good[-1]] - x, reference[1, good[-1]] - y
-    cosine, sine = np.cos(theta), np.sin(theta)
-    return np.array([cosine * dx + sine * dy, cosine * dy - sine * dx, reference[2, good[-1]] - theta])
+    return np.asarray(moved_between(reference, good[:1], good[-1:])[0])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -121,7 +121,7 @@ class Geometry:
     def to_dict(self) -> dict[str, Any]:
         """Return the result as plain values: the keys of ``calib geometry --json``."""
         parameters = {e.name: e.to_dict() for e in self.estimates if e.name != "delay_s"}
-        delay = next((e.to_dict() for e in self.estimates if e.name == "delay_s"), {})
+        common_delay = next((e.to_dict() for e in self.estimates if e.name == "delay_s"), {})
         return {
             "name": self.name,
             "simulated": self.simulated,
@@ -135,15 +135,15 @@ class Geometry:
             "held": dict(self.held),
             "covariance": {"names": [e.name for e in self.estimates], "matrix": self.covariance.tolist()},
             "clusters": {"of": self.clusters[0], "n": self.clusters[1]},
-            "delay_s": delay,
-            "delays": [one.to_dict() for one in self.delays],
+            "delay_s": common_delay,
+            "delays": [delay.to_dict() for delay in self.delays],
             "noise": dict(self.noise),
             "residual_rms": dict(zip(CHANNELS, self.residual_rms, strict=True)),
             "outliers": list(self.outliers),
-            "faults": [{"code": fault.code, "text": fault.text} for fault in self.faults],
+            "faults": [asdict(fault) for fault in self.faults],
             "mirrored_solution": self.mirrored,
             "umbmark": self.umbmark.to_dict(),
             "routes": [route.to_dict() for route in self.routes],
-            "transfer": [one.to_dict() for one in self.transfer],
+            "transfer": [asdict(left_out) for left_out in self.transfer],
             "notes": list(self.notes),
         }

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Final
 
 import numpy as np
 
 from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.errors import RefusedError
+from calib.geometry.path import moved_between
 from calib.geometry.recording import Recording
 
 #: windows as parts of a block: whole, half, quarter
@@ -41,15 +42,7 @@ class Segments:
 
     def select(self, keep: BoolArray) -> Segments:
         """Return the stretches that `keep` picks."""
-        return Segments(
-            self.run[keep],
-            self.first[keep],
-            self.last[keep],
-            self.measured[keep],
-            self.seen[keep],
-            self.block[keep],
-            self.level[keep],
-        )
+        return Segments(*(getattr(self, column.name)[keep] for column in fields(self)))
 
 
 def end_pose_segments(recording: Recording) -> Segments:
@@ -108,7 +101,7 @@ def window_segments(recording: Recording, blocks: int) -> Segments:
             "use end poses instead"
         )
     first, last, run_of, block_of, level_of = (np.concatenate(part) for part in zip(*pieces, strict=True))
-    measured = _measured(recording.reference, first, last)
+    measured = moved_between(recording.reference, first, last)
     return Segments(run_of, first, last, measured, np.ones(measured.shape, dtype=np.bool_), block_of, level_of)
 
 
@@ -116,9 +109,3 @@ def _nearest(travel: FloatArray, wanted: FloatArray) -> IntArray:
     """Return the samples where the travel is nearest to `wanted`."""
     after = np.clip(np.searchsorted(travel, wanted), 1, len(travel) - 1)
     return np.asarray(after - (wanted - travel[after - 1] < travel[after] - wanted))
-
-
-def _measured(reference: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
-    delta = reference[:, last] - reference[:, first]
-    cosine, sine = np.cos(reference[2, first]), np.sin(reference[2, first])
-    return np.stack([cosine * delta[0] + sine * delta[1], cosine * delta[1] - sine * delta[0], delta[2]], axis=1)

@@ -19,48 +19,38 @@ EDGE: Final = 0.02
 def design_check(fit: WheelFit, groups: Groups) -> Check:
     """Say what the plan of loads and sessions allows."""
     loads = distinct_loads(fit.load_N)
-    dof = f"{fit.law.dof:.3g}"
     few = " There are only two loads: whether the law is straight stays unknown." if loads == 2 else ""
+    level = NOTE
     if fit.model == "constant":
-        return Check(
-            "design",
-            NOTE,
+        few = ""
+        sentence = (
             f"All runs have one load ({fit.law.reference_load_N:.0f} N): a constant radius is given, for that load "
-            "only, and no slope; drive two further loads at least.",
+            "only, and no slope; drive two further loads at least."
         )
-    if len(groups) == 1:
-        return Check(
-            "design",
-            NOTE,
+    elif len(groups) == 1:
+        sentence = (
             "All runs are of one session: what shifts from session to session is not in the intervals; repeat some "
-            "loads on another day." + few,
+            "loads on another day."
         )
-    if len(groups) == len(fit.load_N):
-        return Check(
-            "design", NOTE if few else OK, "Every run is a session of its own: the runs are independent." + few
-        )
-    if fit.design == "confounded" and fit.estimate.design != "confounded":
-        return Check(
-            "design",
-            NOTE,
+    elif len(groups) == len(fit.load_N):
+        level, sentence = NOTE if few else OK, "Every run is a session of its own: the runs are independent."
+    elif fit.design == "confounded" and fit.estimate.design != "confounded":
+        sentence = (
             f"Each session has a load of its own and there are only {len(groups)} sessions: the scatter of sessions "
             "cannot be estimated, so the intervals count every run as independent and are too narrow; drive every load "
-            "in every session." + few,
+            "in every session."
         )
-    if fit.design == "confounded":
-        return Check(
-            "design",
-            NOTE,
+    elif fit.design == "confounded":
+        sentence = (
             f"Each session has a load of its own: a drift from session to session looks like load. The intervals rest "
-            f"on the {len(groups)} session means ({dof} degrees of freedom) and hold if sessions scatter at random; to "
-            "split the two, drive at least two loads in every session." + few,
+            f"on the {len(groups)} session means ({fit.law.dof:.3g} degrees of freedom) and hold if sessions scatter "
+            "at random; to split the two, drive at least two loads in every session."
         )
-    shared = (
-        "The loads are crossed with the sessions"
-        if fit.design == "crossed"
-        else "The loads are partly crossed with the sessions"
-    )
-    return Check("design", NOTE if few else OK, f"{shared}: load and drift between sessions are told apart." + few)
+    else:
+        crossed = "crossed" if fit.design == "crossed" else "partly crossed"
+        level = NOTE if few else OK
+        sentence = f"The loads are {crossed} with the sessions: load and drift between sessions are told apart."
+    return Check("design", level, sentence + few)
 
 
 def range_check(fit: WheelFit) -> Check:
@@ -71,12 +61,11 @@ def range_check(fit: WheelFit) -> Check:
     span = f"{law.load_min_N:.0f} to {law.load_max_N:.0f} N"
     if inside:
         return Check("range", OK, f"The law holds for {span} a wheel and was not measured outside.")
-    return Check(
-        "range",
-        NOTE,
+    sentence = (
         f"The reference load {law.reference_load_N:.0f} N lies outside the measured {span}: the radius there is "
-        "extrapolated; measure near it, or set reference_load_N in campaign.toml.",
+        "extrapolated; measure near it, or set reference_load_N in campaign.toml."
     )
+    return Check("range", NOTE, sentence)
 
 
 def session_check(fit: WheelFit, groups: Groups) -> Check | None:

@@ -99,3 +99,10 @@ class Estimate:
         # pure parts to the last digit
         dof = np.where(share <= 0, self.dof_within, dof)
         return np.where(share >= 1, self.dof_between, dof)
+
+
+def of_one_stratum(
+    design: str, coefficients: FloatArray, covariance: FloatArray, dof: float, variance: float, *, robust: bool = False
+) -> Estimate:
+    """Return an estimate in which every run counts as independent: nothing between sessions; see `Estimate`."""
+    return Estimate(design, coefficients, covariance, dof, np.zeros((2, 2)), 0.0, variance, 0.0, None, robust)

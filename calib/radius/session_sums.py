@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import FloatArray, StrArray
-from calib.radius.estimate import Estimate
+from calib.radius.estimate import Estimate, of_one_stratum
 from calib.radius.sessions import Strata, line_of_strata
 
 
@@ -95,15 +95,5 @@ def _plain(sums: SessionSums) -> Estimate | None:
     variance = max(yy - y * y / n - slope * (xy - x * y / n), 0.0) / (n - 2)
     mean = x / n
     covariance = variance * (np.array([[mean**2, -mean], [-mean, 1.0]]) / info + np.diag([1.0 / n, 0.0]))
-    return Estimate(
-        design="single",
-        coefficients=np.array([y / n - slope * mean, slope]),
-        cov_within=covariance,
-        dof_within=float(n - 2),
-        cov_between=np.zeros((2, 2)),
-        dof_between=0.0,
-        run_variance=float(variance),
-        session_variance=0.0,
-        session_f=None,
-        robust=False,
-    )
+    coefficients = np.array([y / n - slope * mean, slope])
+    return of_one_stratum("single", coefficients, covariance, float(n - 2), float(variance))

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.arrays import FloatArray, IntArray, StrArray
-from calib.radius.estimate import Estimate
+from calib.radius.estimate import Estimate, of_one_stratum
 
 #: session variance over run variance for which strata are weighted; it sets efficiency, never validity, because the
 #: variances are estimated afterwards
@@ -90,19 +90,8 @@ def plain_line(x: FloatArray, y: FloatArray, *, robust: bool = True) -> tuple[Es
     hc3 = bool(robust and results.df_resid >= 4 and breusch_pagan(results.resid, x)[1] < HC3_BELOW)
     if hc3:
         covariance = np.asarray(results.cov_HC3, dtype=np.float64)
-    estimate = Estimate(
-        design="single",
-        coefficients=np.asarray(results.params, dtype=np.float64),
-        cov_within=covariance,
-        dof_within=float(results.df_resid),
-        cov_between=np.zeros((2, 2)),
-        dof_between=0.0,
-        run_variance=float(results.scale),
-        session_variance=0.0,
-        session_f=None,
-        robust=hc3,
-    )
-    return estimate, results
+    coefficients, dof = np.asarray(results.params, dtype=np.float64), float(results.df_resid)
+    return of_one_stratum("single", coefficients, covariance, dof, float(results.scale), robust=hc3), results
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -213,9 +202,7 @@ def stratified_constant(y: FloatArray, groups: Groups) -> Estimate:
     if n_sessions < 2 or n_sessions == n:
         variance = float(np.var(y, ddof=1))
         part = np.diag([variance / n, 0.0])
-        return Estimate(
-            "constant", np.array([y.mean(), 0.0]), part, float(n - 1), np.zeros((2, 2)), 0.0, variance, 0.0, None, False
-        )
+        return of_one_stratum("constant", np.array([y.mean(), 0.0]), part, float(n - 1), variance)
     mean = groups.means(y)
     inner = groups.within(y)
     run_variance = float(inner @ inner) / (n - n_sessions)

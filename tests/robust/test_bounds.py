@@ -224,7 +224,7 @@ def _seconds(task: Callable[[], None]) -> float:
 
 def test_every_limit_stands_in_the_documentation() -> None:
     text = (ROOT / "docs" / "robustness.md").read_text(encoding="utf-8")
-    for name in limits.__all__:
+    for name in (name for name in vars(limits) if not name.startswith("_")):
         value = getattr(limits, name)
         if isinstance(value, int):
             shown = f"{value >> 20} MiB" if name.endswith("BYTES") else f"{value:,}"
