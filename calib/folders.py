@@ -33,10 +33,10 @@ def write_files(folder: Path, files: Mapping[str, bytes], *, force: bool = False
     `folder`: made where missing; `files`: name in the folder -> content.
     """
 
-    def fill(made: Path) -> None:
+    def fill(fresh: Path) -> None:
         for name, data in files.items():
-            (made / name).parent.mkdir(parents=True, exist_ok=True)
-            (made / name).write_bytes(data)
+            (fresh / name).parent.mkdir(parents=True, exist_ok=True)
+            (fresh / name).write_bytes(data)
 
     write_folder(folder, list(dict.fromkeys(Path(name).parts[0] for name in files)), fill, force=force)
     return [Path(folder) / name for name in files]
@@ -128,37 +128,37 @@ def _others(target: Path, names: Sequence[str]) -> int:
 
 
 def _renew_beside(target: Path, names: Sequence[str], fill: Callable[[Path], None], *, force: bool) -> None:
-    made = temporary_beside(target)
-    made.mkdir()
+    fresh = temporary_beside(target)
+    fresh.mkdir()
     try:
-        fill(made)
+        fill(fresh)
         if not (target.is_dir() and any(target.iterdir())):
             with suppress(OSError):
                 # fails where another writer was first
-                made.rename(target)
+                fresh.rename(target)
                 return
         _refuse(target, names, force=force)
-        _carry_over(target, made, names)
-        shutil.copymode(target, made)
-        if not _exchange(made, target):
-            _renew_inside(target, names, lambda inner: _move_all(made, inner, names))
-        elif not force and any(os.path.lexists(made / name) for name in names):
+        _carry_over(target, fresh, names)
+        shutil.copymode(target, fresh)
+        if not _exchange(fresh, target):
+            _renew_inside(target, names, lambda inner: _move_all(fresh, inner, names))
+        elif not force and any(os.path.lexists(fresh / name) for name in names):
             # another writer was first by a hair: it gets its name back
-            _exchange(made, target)
+            _exchange(fresh, target)
             raise would_overwrite(target)
     finally:
         # the unfinished new generation, or the old one whose name the new one took
-        remove(made)
+        remove(fresh)
 
 
-def _carry_over(target: Path, made: Path, names: Sequence[str]) -> None:
+def _carry_over(target: Path, fresh: Path, names: Sequence[str]) -> None:
     for entry in target.iterdir():
         if entry.name in names or entry.name.startswith(PREFIX):
             continue
         if entry.is_dir() and not entry.is_symlink():
-            shutil.copytree(entry, made / entry.name, symlinks=True, copy_function=_link)
+            shutil.copytree(entry, fresh / entry.name, symlinks=True, copy_function=_link)
         else:
-            _link(str(entry), str(made / entry.name))
+            _link(str(entry), str(fresh / entry.name))
 
 
 def _link(source: str, copy: str) -> str:
@@ -169,38 +169,38 @@ def _link(source: str, copy: str) -> str:
     return copy
 
 
-def _move_all(made: Path, inner: Path, names: Sequence[str]) -> None:
+def _move_all(fresh: Path, inner: Path, names: Sequence[str]) -> None:
     for name in names:
-        if os.path.lexists(made / name):
-            (made / name).rename(inner / name)
+        if os.path.lexists(fresh / name):
+            (fresh / name).rename(inner / name)
 
 
 def _renew_inside(target: Path, names: Sequence[str], fill: Callable[[Path], None]) -> None:
-    made = temporary_beside(target, target)
-    made.mkdir()
+    fresh = temporary_beside(target, target)
+    fresh.mkdir()
     try:
-        fill(made)
-        plan = {"put": [name for name in names if os.path.lexists(made / name)], "names": list(names)}
-        draft = made / f"{_LIST}.draft"
+        fill(fresh)
+        plan = {"put": [name for name in names if os.path.lexists(fresh / name)], "names": list(names)}
+        draft = fresh / f"{_LIST}.draft"
         draft.write_text(json.dumps(plan), encoding="utf-8")
-        draft.rename(made / _LIST)
+        draft.rename(fresh / _LIST)
     except BaseException:
-        remove(made)
+        remove(fresh)
         raise
-    _place(made, target)
-    remove(made)
+    _place(fresh, target)
+    remove(fresh)
 
 
-def _place(made: Path, target: Path) -> None:
+def _place(fresh: Path, target: Path) -> None:
     """Move a generation that is ready into its folder; may be called again where it was killed on the way."""
-    plan = json.loads((made / _LIST).read_text(encoding="utf-8"))
+    plan = json.loads((fresh / _LIST).read_text(encoding="utf-8"))
     for name in plan["names"]:
-        new, old = made / name, target / name
+        new, old = fresh / name, target / name
         if name in plan["put"] and not os.path.lexists(new):
             continue  # was moved before
         if old.is_dir() and not old.is_symlink():
-            remove(made / f".old-{name}")
-            old.rename(made / f".old-{name}")
+            remove(fresh / f".old-{name}")
+            old.rename(fresh / f".old-{name}")
         if name in plan["put"]:
             new.replace(old)
         else:

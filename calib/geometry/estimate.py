@@ -246,20 +246,20 @@ def _fit(
                 "straights and a reference of their end poses; drive squares both ways"
             )
         solution = solve(model, parameters, values, scales)
-        open_one = weakest(solution, parameters)
+        loose = weakest(solution, parameters)
         wheels = drive if isinstance(drive, Differential) and not drive.slopes and parameters.free[:3].all() else None
-        if open_one is not None and wheels is not None and scale_is_weakest(solution, parameters):
+        if loose is not None and wheels is not None and scale_is_weakest(solution, parameters):
             return _fit(campaign, MeanHeld(wheels), recording, segments, sensor)
-        if open_one is None:
+        if loose is None:
             clustering = clustered(solution, parameters, recording, segments)
-            open_one = loosest(clustering.uncertainty.std, parameters)
+            loose = loosest(clustering.uncertainty.std, parameters)
             covariance = clustering.uncertainty.covariance[:3, :3]
             if wheels is not None and scale_is_open(covariance, solution.values[:3]):
                 return _fit(campaign, MeanHeld(wheels), recording, segments, sensor)
-            if open_one is None:
+            if loose is None:
                 return _Fitted(model, parameters, solution, clustering, tuple(dropped))
-        dropped.append(open_one)
-        parameters = parameters.without([open_one])
+        dropped.append(loose)
+        parameters = parameters.without([loose])
         values = np.where(parameters.free, solution.values, parameters.nominal)
 
 
@@ -267,8 +267,8 @@ def _result(campaign: Campaign, fitted: _Fitted, source: str, using: Using, faul
     parameters, solution, model = fitted.parameters, fitted.solution, fitted.model
     nominal, values = parameters.nominal, solution.values
     estimates, covariance = _estimates(fitted)
-    found = {estimate.name: estimate.value for estimate in estimates}
-    faults = (*faults, *factor_faults({e.name: e.nominal for e in estimates}, found))
+    nominal_of, value_of = ({e.name: getattr(e, kind) for e in estimates} for kind in ("nominal", "value"))
+    faults = (*faults, *factor_faults(nominal_of, value_of))
     whole = _whole(model)
     before, after = whole.predict(nominal), whole.predict(values)
     squares = (

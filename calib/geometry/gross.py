@@ -136,15 +136,15 @@ def _chord_sense(measured: FloatArray) -> FloatArray:
     return np.where(np.abs(measured[:, 2]) < 1.5, measured[:, 0], 0.0)
 
 
-def factor_faults(nominal: Mapping[str, float], found: Mapping[str, float]) -> tuple[Fault, ...]:
+def factor_faults(nominal: Mapping[str, float], estimated: Mapping[str, float]) -> tuple[Fault, ...]:
     """Return faults of the settings that leave a factor between nominal and found lengths."""
     faults = []
     for name, factors in (("track_m", TRACK_FACTORS), ("half_length_plus_half_width_m", TRACK_FACTORS)):
-        if name in found:
-            faults += _factor(name, found[name] / nominal[name], factors)
+        if name in estimated:
+            faults += _factor(name, estimated[name] / nominal[name], factors)
     for name in ("radius_left_m", "radius_right_m", "front_radius_m", "wheel_radius_m"):
-        if name in found:
-            ratio = found[name] / nominal[name]
+        if name in estimated:
+            ratio = estimated[name] / nominal[name]
             explained = _factor(name, ratio, RADIUS_FACTORS)
             if not explained and not 1.0 / FARTHEST < ratio < FARTHEST:
                 text = f"{name} is {ratio:.3g} times the nominal value; check counts per revolution and units"

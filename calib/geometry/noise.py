@@ -27,12 +27,12 @@ def kernels(path: Path, body: FloatArray, segments: Segments, yaw_rad: float) ->
     stretch.
     """
     n = len(segments)
-    found = np.zeros((len(COMPONENTS), n, 3, 3))
+    kernel = np.zeros((len(COMPONENTS), n, 3, 3))
     forward, left = segments.measured[:, 0], segments.measured[:, 1]
-    found[0, :, 0, 0] = found[0, :, 1, 1] = 2.0
+    kernel[0, :, 0, 0] = kernel[0, :, 1, 1] = 2.0
     start = np.stack([left, -forward, -np.ones(n)], axis=1)
-    found[1] = start[:, :, None] * start[:, None, :]
-    found[1, :, 2, 2] += 1.0
+    kernel[1] = start[:, :, None] * start[:, None, :]
+    kernel[1, :, 2, 2] += 1.0
     walk, along = _walks(path, body, segments)
     turn = path.pose[2, segments.first] + yaw_rad
     rotate = np.zeros((n, 3, 3))
@@ -40,12 +40,12 @@ def kernels(path: Path, body: FloatArray, segments: Segments, yaw_rad: float) ->
     rotate[:, 0, 1], rotate[:, 1, 0] = np.sin(turn), -np.sin(turn)
     rotate[:, 2, 2] = 1.0
     for at, covariance in ((2, walk), (3, along)):
-        found[at] = rotate @ covariance @ rotate.transpose(0, 2, 1)
+        kernel[at] = rotate @ covariance @ rotate.transpose(0, 2, 1)
     unseen = ~segments.seen
-    for component in found:
+    for component in kernel:
         component[unseen] = 0.0
         component.transpose(0, 2, 1)[unseen] = 0.0
-    return found
+    return kernel
 
 
 def _walks(path: Path, body: FloatArray, segments: Segments) -> tuple[FloatArray, FloatArray]:

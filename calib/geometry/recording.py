@@ -133,8 +133,8 @@ def recording_of(campaign: Campaign, source: str) -> Recording:
         t_s=np.concatenate([piece["t_s"] for piece in pieces]),
         steps=Steps(
             turned_rad=np.concatenate([piece["turned"] for piece in pieces], axis=1),
-            steer_rad=np.concatenate(steer) if all(one is not None for one in steer) else None,
-            load_offset_N=np.concatenate(loads, axis=1) if all(one is not None for one in loads) else None,
+            steer_rad=np.concatenate(steer) if all(angles is not None for angles in steer) else None,
+            load_offset_N=np.concatenate(loads, axis=1) if all(pair is not None for pair in loads) else None,
         ),
         reference=np.concatenate([piece["reference"] for piece in pieces], axis=1),
         end_pose=np.stack([piece["end_pose"] for piece in pieces]),
@@ -236,13 +236,13 @@ def _straight_end(campaign: Campaign, row: int, source: str, turned_rad: FloatAr
 
 def _loads(campaign: Campaign, row: int, log: dict[str, FloatArray], keep: BoolArray) -> FloatArray | None:
     """Return the loads less the reference load: of the log, else of the run table."""
-    found = []
+    loads = []
     for name in ("load_left_N", "load_right_N"):
         load = log[name][keep] if name in log else np.full(int(keep.sum()), campaign.runs.number(name)[row])
         if np.isnan(load).any():
             return None
-        found.append(load)
-    return np.stack(found) - campaign.model.reference_load_N
+        loads.append(load)
+    return np.stack(loads) - campaign.model.reference_load_N
 
 
 def _middle(steer: FloatArray) -> FloatArray:

@@ -138,11 +138,11 @@ def sandwich(solution: Solution, free: BoolArray, cluster: IntArray, *, power: f
 
 def _degrees(sizes: FloatArray, shares: FloatArray) -> FloatArray:
     """Return Bell and McCaffrey's degrees of freedom of each parameter's variance."""
-    found = []
+    degrees = []
     for at in range(sizes.shape[1]):
         inner = np.diag(sizes[:, at]) - shares[:, :, at] @ shares[:, :, at].T
-        found.append(np.trace(inner) ** 2 / np.maximum(np.square(inner).sum(), 1e-300))
-    return np.maximum(np.asarray(found, dtype=np.float64), 1.0)
+        degrees.append(np.trace(inner) ** 2 / np.maximum(np.square(inner).sum(), 1e-300))
+    return np.maximum(np.asarray(degrees, dtype=np.float64), 1.0)
 
 
 def _influence(solution: Solution) -> float:

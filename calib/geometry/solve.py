@@ -76,9 +76,9 @@ def solve(model: Model, parameters: Parameters, start: FloatArray, scales: Float
             some = slice(None, None, max(1, len(size) // NOISE_STRETCHES))
             scales = _noise(problem.part(some), kernel[:, some], scales, least)
             whitener = _inverse(kernel, scales, seen)[1]
-        found, sigmas = _settle(problem, whitener)
+        spreads, sigmas = _settle(problem, whitener)
         step = np.zeros(len(values))
-        step[free] = found * prior[free]
+        step[free] = spreads * prior[free]
         if number >= NOISE_ROUNDS - 1 and sigmas < CLOSE:
             converged = True
             break

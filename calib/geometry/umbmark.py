@@ -102,7 +102,7 @@ def umbmark(prediction: Prediction, calibrated: Prediction, segments: Segments, 
     side_m = float(np.mean(side[square]))
     both = [error[square & left], error[square & ~left]]
     centres = np.stack([part.mean(axis=0) for part in both])
-    found = _ratios(centres, side_m, track_m)
+    ratios = _ratios(centres, side_m, track_m)
     std = np.full(2, np.nan)
     if min(n_ccw, n_cw) >= FEWEST:
         total = np.zeros((2, 2))
@@ -111,10 +111,10 @@ def umbmark(prediction: Prediction, calibrated: Prediction, segments: Segments, 
             for axis in range(2):
                 moved = centres.copy()
                 moved[sense, axis] += 1e-6
-                slope[:, axis] = (np.array(_ratios(moved, side_m, track_m)) - np.array(found)) / 1e-6
+                slope[:, axis] = (np.array(_ratios(moved, side_m, track_m)) - np.array(ratios)) / 1e-6
             total += slope @ (np.cov(part.T) / len(part)) @ slope.T
         std = np.sqrt(np.diag(total))
-    E_d, E_b = found
+    E_d, E_b = ratios
     return Umbmark(
         True,
         E_d,

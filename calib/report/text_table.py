@@ -20,7 +20,7 @@ NARROW: Final = 24
 class _Fitted:
     """A column with its cells, the width at which nothing is wrapped, and the least that splits no word."""
 
-    column: Column
+    head: Column
     cells: tuple[str, ...]
     width: int
     least: int
@@ -68,43 +68,44 @@ def _fit(column: Column, cells: list[str]) -> _Fitted:
 def _with_room_for_groups(fitted: Sequence[_Fitted]) -> list[_Fitted]:
     """Widen the columns of a group whose common title is longer than they are."""
     widened = list(fitted)
-    for group in dict.fromkeys(one.column.group for one in fitted if one.column.group):
-        members = [number for number, one in enumerate(fitted) if one.column.group == group]
+    for group in dict.fromkeys(column.head.group for column in fitted if column.head.group):
+        members = [number for number, column in enumerate(fitted) if column.head.group == group]
         room = sum(fitted[number].least for number in members) + GAP * (len(members) - 1)
         for k in range(max(0, columns_of(group) - room)):
             number = members[k % len(members)]
-            one = widened[number]
-            widened[number] = replace(one, width=max(one.width, one.least + 1), least=one.least + 1)
+            column = widened[number]
+            widened[number] = replace(column, width=max(column.width, column.least + 1), least=column.least + 1)
     return widened
 
 
 def _parts(fitted: Sequence[_Fitted], width: int) -> list[list[_Fitted]]:
     parts: list[list[_Fitted]] = []
     part: list[_Fitted] = []
-    for one in fitted:
-        taken = sum(other.least + GAP for other in part) + one.least
+    for column in fitted:
+        taken = sum(other.least + GAP for other in part) + column.least
         if part and taken > width and len(part) > (1 if parts else 0):
             parts.append(part)
             part = [fitted[0]]
-        part.append(one)
+        part.append(column)
     return [*parts, part] if part else parts
 
 
 def _widths(part: Sequence[_Fitted], width: int) -> list[int]:
     """Return the widths: the least, and what is left for sentences."""
-    free = width - sum(one.least for one in part) - GAP * (len(part) - 1)
+    free = width - sum(column.least for column in part) - GAP * (len(part) - 1)
     widths = []
-    for one in part:
-        more = max(0, min(one.width - one.least, free))
+    for column in part:
+        more = max(0, min(column.width - column.least, free))
         free -= more
-        widths.append(one.least + more)
+        widths.append(column.least + more)
     return widths
 
 
 def _drawn(part: Sequence[_Fitted], widths: Sequence[int]) -> list[str]:
-    groups = [one.column.group for one in part]
+    groups = [column.head.group for column in part]
     heads = [
-        textwrap.wrap(one.column.title, width, break_long_words=False) for one, width in zip(part, widths, strict=True)
+        textwrap.wrap(column.head.title, width, break_long_words=False)
+        for column, width in zip(part, widths, strict=True)
     ]
     height = max(len(head) for head in heads)
     lines = []
@@ -113,10 +114,10 @@ def _drawn(part: Sequence[_Fitted], widths: Sequence[int]) -> list[str]:
     for number in range(height):
         words = [head[number - height + len(head)] if number >= height - len(head) else "" for head in heads]
         lines.append(_row(words, part, widths))
-    if any(one.column.unit for one in part):
-        lines.append(_row([one.column.unit for one in part], part, widths))
+    if any(column.head.unit for column in part):
+        lines.append(_row([column.head.unit for column in part], part, widths))
     lines.append("─" * (sum(widths) + GAP * (len(widths) - 1)))
-    for cells in zip(*(one.cells for one in part), strict=True):
+    for cells in zip(*(column.cells for column in part), strict=True):
         wrapped = [
             textwrap.wrap(cell, width, break_long_words=False, break_on_hyphens=False)
             if columns_of(cell) > width
@@ -144,9 +145,9 @@ def _group_lines(groups: Sequence[str], widths: Sequence[int]) -> list[str]:
 
 def _row(words: Sequence[str], part: Sequence[_Fitted], widths: Sequence[int]) -> str:
     cells = []
-    for word, one, width in zip(words, part, widths, strict=True):
+    for word, column, width in zip(words, part, widths, strict=True):
         blank = " " * max(0, width - columns_of(word))
         half = len(blank) // 2
         pieces = {"left": (word, blank), "right": (blank, word), "center": (blank[:half], word, blank[half:])}
-        cells.append("".join(pieces[one.column.align]))
+        cells.append("".join(pieces[column.head.align]))
     return (" " * GAP).join(cells).rstrip()

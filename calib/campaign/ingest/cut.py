@@ -126,7 +126,7 @@ def cut_pieces(
     else:
         values = log["cut"]
         pieces = _by_change(values, ~np.isnan(values) & (values != 0))
-    return [one for one in pieces if one.last > one.first and path[one.last] - path[one.first] >= cut.min_length_m]
+    return [run for run in pieces if run.last > run.first and path[run.last] - path[run.first] >= cut.min_length_m]
 
 
 def moving(time: FloatArray, wheels: Sequence[FloatArray]) -> BoolArray:
@@ -168,7 +168,7 @@ def _by_change(values: FloatArray, within: BoolArray) -> list[Piece]:
 def _by_times(times: Sequence[tuple[Any, Any]], time: FloatArray, start_ns: int, shown: str) -> list[Piece]:
     pieces = []
     for pair in times:
-        low, high = (_seconds(one, start_ns, shown) for one in pair)
+        low, high = (_seconds(end, start_ns, shown) for end in pair)
         first = int(np.searchsorted(time, low - 1e-9))
         last = int(np.searchsorted(time, high + 1e-9, side="right")) - 1
         if not first < last:

@@ -36,13 +36,13 @@ class Description:
         lines += _wrapped(f"calib ingest {self.proposal.sources} --mapping THIS_FILE --into CAMPAIGN", "#   ", "")
         lines.append("#")
         shown: list[list[FileFound]] = []
-        for one in self.files:
+        for file in self.files:
             # logs alike are described once
-            alike = next((group for group in shown if _alike(group[0], one) and one is not self.table), None)
+            alike = next((group for group in shown if _alike(group[0], file) and file is not self.table), None)
             if alike is None or alike[0] is self.table:
-                shown.append([one])
+                shown.append([file])
             else:
-                alike.append(one)
+                alike.append(file)
         for group in shown:
             lines += _described(group, self)
         lines += ["", *self.proposal.lines]
@@ -53,7 +53,7 @@ class Description:
         return {
             "n_files": self.n_files,
             "table": None if self.table is None else self.table.name,
-            "files": [one.to_dict() for one in self.files],
+            "files": [file.to_dict() for file in self.files],
             "mapping": self.to_toml(),
         }
 
@@ -78,8 +78,8 @@ def describe(sources: Sequence[Path]) -> Description:
     files = [look_into(path) for path in chosen]
     table = _run_table(files)
     if table is not None:
-        files = [table, *(one for one in files if one is not table)]
-    logs = [one for one in files if one is not table]
+        files = [table, *(file for file in files if file is not table)]
+    logs = [file for file in files if file is not table]
     return Description(tuple(files), len(paths), table, propose(table, logs, [str(source) for source in sources]))
 
 
@@ -92,21 +92,21 @@ def _inside(sources: Sequence[Path]) -> str:
     return f" in {sources[0]}, which holds folders ({', '.join(names)})"
 
 
-def _alike(one: FileFound, other: FileFound) -> bool:
-    return [column.name for column in one.columns] == [column.name for column in other.columns]
+def _alike(file: FileFound, other: FileFound) -> bool:
+    return [column.name for column in file.columns] == [column.name for column in other.columns]
 
 
 def _run_table(files: Sequence[FileFound]) -> FileFound | None:
     """Return the file that names runs: a table with a column for their names, and more than a clock beside it."""
     best, best_score = None, 0
-    for one in files:
-        if one.recording:
+    for file in files:
+        if file.recording:
             continue
-        guesses = {guess[0] for column in one.columns if (guess := guessed_table_column(column.name))}
-        timed = any((guess := guessed_log_column(column.name)) and guess[0] == "t_s" for column in one.columns)
+        guesses = {guess[0] for column in file.columns if (guess := guessed_table_column(column.name))}
+        timed = any((guess := guessed_log_column(column.name)) and guess[0] == "t_s" for column in file.columns)
         score = len(guesses) + 3 * ("run_id" in guesses) - 4 * timed
         if "run_id" in guesses and score > best_score:
-            best, best_score = one, score
+            best, best_score = file, score
     return best
 
 
@@ -124,17 +124,17 @@ def _wrapped(text: str, lead: str, after: str) -> list[str]:
 
 
 def _described(group: Sequence[FileFound], description: Description) -> list[str]:
-    one = group[0]
-    title = one.name if len(group) == 1 else f"{one.name} .. {Path(group[-1].name).name}, {len(group)} files alike"
-    what = "the run table" if one is description.table else "a recording" if one.recording else "a log"
-    rows = [file.n_rows for file in group]
+    file = group[0]
+    title = file.name if len(group) == 1 else f"{file.name} .. {Path(group[-1].name).name}, {len(group)} files alike"
+    what = "the run table" if file is description.table else "a recording" if file.recording else "a log"
+    rows = [member.n_rows for member in group]
     count = f"{min(rows)}" if min(rows) == max(rows) else f"{min(rows)} to {max(rows)}"
-    lines = _wrapped(f"{title}: {what}, {count} {'rows' if not one.recording else 'samples'}", "# ", "  ")
-    for remark in dict.fromkeys(one.remarks):
+    lines = _wrapped(f"{title}: {what}, {count} {'rows' if not file.recording else 'samples'}", "# ", "  ")
+    for remark in dict.fromkeys(file.remarks):
         lines += _wrapped(remark, "#   ", "  ")
-    for key, value in list(one.properties.items())[:12]:
+    for key, value in list(file.properties.items())[:12]:
         lines += _wrapped(f"{key} = {value}", "#   ", "  ")
-    for stream in one.streams:
+    for stream in file.streams:
         text = f"{stream.name} ({stream.kind}): {stream.n_samples} samples"
         if stream.start_ns is not None:
             text += f" over {stream.span_s:.5g} s at {stream.rate_Hz:.4g} Hz, clock: {stream.clock}"
@@ -143,8 +143,8 @@ def _described(group: Sequence[FileFound], description: Description) -> list[str
         else:
             text += ", without a clock"
         lines += _wrapped(text, "#   ", "  ")
-    for number, column in enumerate(one.columns):
-        lines += _column_lines(column, [file.columns[number] for file in group])
+    for number, column in enumerate(file.columns):
+        lines += _column_lines(column, [member.columns[number] for member in group])
     lines.append("#")
     return lines
 

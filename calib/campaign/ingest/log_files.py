@@ -102,13 +102,13 @@ def match_logs(
             wanted = expected_name(pattern, run_id)
         if wanted:
             name = wanted.replace("\\", "/").rpartition("/")[2].lower()
-            found = [path for path in files if path.name.lower() == name]
+            fitting = [path for path in files if path.name.lower() == name]
         else:
-            found = [path for path in files if path.stem == run_id]
-        if len(found) > 1:
-            raise _unmatched(shown, runs, index, f"{len(found)} source files named {wanted or run_id!r}")
-        if found:
-            matched[index] = found[0]
+            fitting = [path for path in files if path.stem == run_id]
+        if len(fitting) > 1:
+            raise _unmatched(shown, runs, index, f"{len(fitting)} source files named {wanted or run_id!r}")
+        if fitting:
+            matched[index] = fitting[0]
         elif wanted or files:
             missing[index] = wanted or f"{run_id}.*"
     if files and missing and not matched:

@@ -204,7 +204,7 @@ def _log_files(section: dict[str, Any], shown: str) -> LogFiles:
     if lag not in {"report", "remove"}:
         raise bad_line(shown, "log", "lag", lag, '"report" or "remove"')
     swapped = section.pop("swapped", [])
-    if not isinstance(swapped, list) or not all(isinstance(one, str) for one in swapped):
+    if not isinstance(swapped, list) or not all(isinstance(run_id, str) for run_id in swapped):
         raise bad_line(shown, "log", "swapped", swapped, 'names of runs, as ["Run 12"]')
     return LogFiles(file, run, layout, lag == "remove", tuple(swapped))
 
@@ -220,7 +220,7 @@ def _line(name: str, entry: Any, shown: str, where: str, known: Sequence[str] | 
     value = line.get("value")
     if isinstance(value, bool):
         value = "true" if value else "false"
-    if isinstance(value, list) and value and all(isinstance(one, str | int | float) for one in value):
+    if isinstance(value, list) and value and all(isinstance(cell, str | int | float) for cell in value):
         value = tuple(value)
     if value is not None and not isinstance(value, str | int | float | tuple):
         raise bad_line(shown, where, name, value, "a text or a number, or a list of one a run")
@@ -230,7 +230,7 @@ def _line(name: str, entry: Any, shown: str, where: str, known: Sequence[str] | 
         if not usable or (key == "factor" and number == 0):
             raise bad_line(shown, where, name, number, expected)
     values = line.get("values", {})
-    if not isinstance(values, dict) or not all(isinstance(one, str | int | float) for one in values.values()):
+    if not isinstance(values, dict) or not all(isinstance(text, str | int | float) for text in values.values()):
         raise bad_line(shown, where, name, values, 'texts and what they stand for, as {hin = "out", zurueck = "back"}')
     unit = line.get("unit")
     if unit is not None and not _fits(name, unit):

@@ -40,7 +40,7 @@ class Part:
     @staticmethod
     def of(log: MappedLog, shown: str, mapping: MappingFile, settings: Settings) -> Part:
         """Return a whole log as one run; its range and poses are turned only where the mapping says so."""
-        line = next((one for one in mapping.log if one.name == "range_m"), None)
+        line = next((line for line in mapping.log if line.name == "range_m"), None)
         distance = line is not None and line.from_start is True
         poses = settings.reference.frame != "map" and _stated_pose(mapping)
         columns = from_start(log.columns, poses=poses, distance=distance)
@@ -48,7 +48,7 @@ class Part:
 
 
 def _stated_pose(mapping: MappingFile) -> bool:
-    return any(one.name.startswith("ref_") and one.from_start is True for one in mapping.log)
+    return any(line.name.startswith("ref_") and line.from_start is True for line in mapping.log)
 
 
 def cut_recordings(
@@ -97,7 +97,7 @@ def cut_recordings(
         cut = replace(cut, times=_table_times(table, cut, mapping.shown))
     per_count = 2.0 * np.pi * settings.vehicle.wheel_radius_m / settings.encoder.counts_per_rev_left
     poses = settings.reference.frame != "map"
-    range_line = next((one for one in mapping.log if one.name == "range_m"), None)
+    range_line = next((line for line in mapping.log if line.name == "range_m"), None)
     distance = range_line is None or range_line.from_start is not False
     parts: dict[int, Part] = {}
     whole: dict[str, MappedLog] = {}
@@ -122,7 +122,7 @@ def cut_recordings(
     if runs is None:
         runs = _numbered(cut, sources, mapping, border)
     elif len(runs) != len(parts):
-        spans = ", ".join(f"{one['start_s']:.4g}-{one['end_s']:.4g}" for one in cuts[:12])
+        spans = ", ".join(f"{cut_out['start_s']:.4g}-{cut_out['end_s']:.4g}" for cut_out in cuts[:12])
         raise BadFileError(
             ", ".join(map(str, recordings)),
             found=f"{len(parts)} runs, cut by {cut.by} ({spans} s), and {len(runs)} rows of the table",
@@ -138,7 +138,7 @@ def _unwrapped(log: MappedLog, bits: int | None) -> tuple[MappedLog, int | None]
     """Undo overflows over the whole recording, before a cut hides them."""
     columns = dict(log.columns)
     found = log.wrap_bits if bits is None else bits
-    for name in [one for one in columns if one.startswith("counts_")]:
+    for name in [name for name in columns if name.startswith("counts_")]:
         offsets = np.asarray([0, len(columns[name])])
         width = bits or detect_wrap_bits(columns[name], offsets)
         if width is not None:

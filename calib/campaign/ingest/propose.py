@@ -47,7 +47,7 @@ def propose(table: FileFound | None, logs: Sequence[FileFound], sources: Sequenc
     `logs`: logs and recordings; `sources`: paths as given; the table's comes first in the command.
     """
     lines = [f"name = {_text(_name(table, logs))}"]
-    bits = next((column.wrap_bits for one in logs for column in one.columns if column.wrap_bits), None)
+    bits = next((column.wrap_bits for log in logs for column in log.columns if column.wrap_bits), None)
     lines += settings_lines(bits)
     if table is not None:
         lines += ["", "[table]" + " " * 20 + "# calib's column = the table's column"]
@@ -55,20 +55,20 @@ def propose(table: FileFound | None, logs: Sequence[FileFound], sources: Sequenc
     if logs:
         lines += ["", "[log]" + " " * 22 + "# the same for logs and recordings"]
         lines += _file_lines(table, logs)
-        found = _log_lines(logs)
-        lines += found
-        lines += missing_lines(found, logs)
-        lines = with_other_wheels(lines, found, logs)
-    recordings = [one for one in logs if one.recording]
+        proposed = _log_lines(logs)
+        lines += proposed
+        lines += missing_lines(proposed, logs)
+        lines = with_other_wheels(lines, proposed, logs)
+    recordings = [log for log in logs if log.recording]
     if recordings and (table is None or len(logs) == 1):
         lines += ["", "[cut]" + " " * 22 + "# one recording holds many runs", 'by = "stops"', "min_stop_s = 1.0"]
         lines += ['#by = "times"', '#times = [[0.0, 41.5], [60.0, 101.0]]   # or "length", "column"']
-    ordered = [one for one in sources if table is not None and one == table.name]
-    ordered += [one for one in sources if one not in ordered]
+    ordered = [source for source in sources if table is not None and source == table.name]
+    ordered += [source for source in sources if source not in ordered]
     if table is not None and table.name not in ordered:
         # the table was found in a folder: it has to be named first
         ordered.insert(0, table.name)
-    return Proposal(tuple(lines), " ".join(f"'{one}'" if re.search(r"\s", one) else one for one in ordered))
+    return Proposal(tuple(lines), " ".join(f"'{source}'" if re.search(r"\s", source) else source for source in ordered))
 
 
 def _name(table: FileFound | None, logs: Sequence[FileFound]) -> str:
@@ -134,8 +134,8 @@ def _file_lines(table: FileFound | None, logs: Sequence[FileFound]) -> list[str]
     """Return the pattern of the logs' names, where the runs' names do not say them."""
     if table is None or len(logs) < 2:
         return []
-    column = next((one for one in table.columns if (guessed_table_column(one.name) or ("",))[0] == "run_id"), None)
-    stems = [Path(one.name).stem for one in logs]
+    column = next((part for part in table.columns if (guessed_table_column(part.name) or ("",))[0] == "run_id"), None)
+    stems = [Path(log.name).stem for log in logs]
     ids = column.texts if column is not None and column.kind == "text" else ()
     if ids and ids[0] in stems:
         return []
@@ -157,11 +157,11 @@ def _file_lines(table: FileFound | None, logs: Sequence[FileFound]) -> list[str]
 
 
 def _log_lines(logs: Sequence[FileFound]) -> list[str]:
-    one = max(logs, key=lambda file: (file.recording, len(file.columns)))
-    if one.recording:
-        return _recording_lines(one)
+    log = max(logs, key=lambda file: (file.recording, len(file.columns)))
+    if log.recording:
+        return _recording_lines(log)
     lines, taken = [], set()
-    for column in one.columns:
+    for column in log.columns:
         guess = guessed_log_column(column.name)
         if guess is None or guess[0] in taken or _only_a_letter(column, guess[0]):
             continue
@@ -200,19 +200,19 @@ def _passed_over(
     return target == "t_s" and clocked
 
 
-def _recording_lines(one: FileFound) -> list[str]:
+def _recording_lines(recording: FileFound) -> list[str]:
     lines, taken = [], set()
-    found = {column.name: column for column in one.columns}
-    kinds = {stream.name: stream for stream in one.streams}
-    clocked = any(stream.start_ns is not None for stream in one.streams)
+    by_name = {column.name: column for column in recording.columns}
+    kinds = {stream.name: stream for stream in recording.streams}
+    clocked = any(stream.start_ns is not None for stream in recording.streams)
     reference = next(
-        (stream for kind in _POSES for stream in one.streams if stream.kind == kind),
-        next((stream for stream in one.streams if stream.kind == _ODOMETRY), None),
+        (stream for kind in _POSES for stream in recording.streams if stream.kind == kind),
+        next((stream for stream in recording.streams if stream.kind == _ODOMETRY), None),
     )
     for stream in kinds.values():
         # a joint's rate stands in where there is no position of it
         for name in sorted(stream.columns, key=_is_rate):
-            column = found[name]
+            column = by_name[name]
             guess = guessed_log_column(name)
             if guess is None or guess[0] in taken or _passed_over(stream, column, guess[0], reference, clocked):
                 continue

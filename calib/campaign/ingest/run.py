@@ -163,8 +163,8 @@ def _table(first: Path, work: _Work) -> RawTable | None:
 def _read(path: Path, work: _Work) -> MappedLog:
     shown = str(path)
     log = read_mapped(path, shown, work.mapping, work.settings.encoder, work.border)
-    files = sorted(one for one in path.iterdir() if one.is_file()) if path.is_dir() else [path]
-    work.hashes |= {str(one): sha256_file(one) for one in files}
+    files = sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]
+    work.hashes |= {str(file): sha256_file(file) for file in files}
     return log
 
 
@@ -266,7 +266,7 @@ def _with_wrap(parts: Mapping[int, Part], work: _Work) -> Encoder:
     widths = {part.wrap_bits for part in parts.values() if part.wrap_bits is not None}
     for name in {name for part in parts.values() for name in part.columns if name.startswith("counts_")}:
         counts = [part.columns[name] for part in parts.values() if name in part.columns]
-        offsets = np.concatenate(([0], np.cumsum([len(one) for one in counts]))).astype(np.int64)
+        offsets = np.concatenate(([0], np.cumsum([len(column) for column in counts]))).astype(np.int64)
         bits = detect_wrap_bits(np.concatenate(counts), offsets)
         if bits is not None:
             widths.add(bits)

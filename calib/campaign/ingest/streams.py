@@ -132,9 +132,9 @@ def _base(recording: Recording, lines: Mapping[str, Line], shown: str) -> Stream
     """Return the stream whose times the log takes: the wheels'."""
     for name in LOG_COLUMNS:
         if name.startswith("counts_") and name in lines:
-            found = recording.stream_of(lines[name].column)
-            if found is not None:
-                return found
+            stream = recording.stream_of(lines[name].column)
+            if stream is not None:
+                return stream
     refuse_nothing(recording, shown)
     return max(recording.streams, key=len)
 
@@ -218,16 +218,16 @@ def _renamed(
         match = recognise(line.target, LOG_COLUMNS, further=False)
         columns[name] = converted(raw.columns[line.column], match.factor * line.factor, match.offset)
     mapped = {line.column for line in lines.values()}
-    for found, cells in raw.columns.items():
-        match = log_column(found)
-        if found in mapped or match.name not in LOG_COLUMNS or match.name in lines:
+    for column, cells in raw.columns.items():
+        match = log_column(column)
+        if column in mapped or match.name not in LOG_COLUMNS or match.name in lines:
             continue
         if match.name in columns:
-            raise second_column(match, found, shown)
+            raise second_column(match, column, shown)
         if match.said:
-            border.say(f"{shown}, column {found}", match.said, "unit" if match.factor != 1.0 else "name")
-        if match.name == "t_s" and found in raw.epochs:
-            epoch = raw.epochs[found]
+            border.say(f"{shown}, column {column}", match.said, "unit" if match.factor != 1.0 else "name")
+        if match.name == "t_s" and column in raw.epochs:
+            epoch = raw.epochs[column]
         columns[match.name] = converted(cells, match.factor, match.offset)
     ordered: dict[str, FloatArray] = {name: columns[name] for name in (*LOG_COLUMNS, CUT) if name in columns}
     return ordered, epoch
@@ -236,7 +236,7 @@ def _renamed(
 def _counts(columns: dict[str, FloatArray], lines: Mapping[str, Line], encoder: Encoder) -> None:
     """Turn angles, rates and increments of the wheels into counts, in place."""
     time = columns["t_s"]
-    for name in [one for one in columns if one.startswith("counts_")]:
+    for name in [name for name in columns if name.startswith("counts_")]:
         line = lines.get(name)
         kind, turns = COUNT_UNITS[(line.unit if line else None) or "counts"]
         if kind == "counts":
@@ -296,14 +296,14 @@ def _lags(recording: Recording, lines: Mapping[str, Line], base: Stream, shown: 
     time = (base.time_ns - origin) / NS_PER_S
     travelled = np.mean([_run_on(path) for path in wheels], axis=0)
     driven = np.cumsum(np.abs(np.diff(travelled, prepend=travelled[:1])))
-    found: dict[str, Lag] = {}
+    lags: dict[str, Lag] = {}
     for name, (stream, path) in _others(recording, lines, base).items():
         if stream.time_ns is None or len(path) < 20:
             continue
         lag = estimate_lag(time, driven, (stream.time_ns - origin) / NS_PER_S, path)
         if lag is None:
             continue
-        found[name] = lag
+        lags[name] = lag
         low, high = lag.ci95_s
         border.say(
             f"{shown}, {stream.name}",
@@ -311,7 +311,7 @@ def _lags(recording: Recording, lines: Mapping[str, Line], base: Stream, shown: 
             f"(95 %: {1e3 * low:+.1f} .. {1e3 * high:+.1f}, by their speeds)",
             "lag",
         )
-    return found
+    return lags
 
 
 _PATHS: Final = frozenset({"counts", "turns", "rad", "deg"})

@@ -50,15 +50,15 @@ def settings_lines(bits: int | None) -> list[str]:
     return lines
 
 
-def _named(found: Sequence[str], logs: Sequence[FileFound]) -> set[str]:
+def _named(proposed: Sequence[str], logs: Sequence[FileFound]) -> set[str]:
     """Return the columns that proposed lines name, and those that carry calib's names already."""
-    own = {recognise(column.name, LOG_COLUMNS).name or "" for one in logs for column in one.columns}
-    return own | {line.partition(" ")[0] for line in found}
+    own = {recognise(column.name, LOG_COLUMNS).name or "" for log in logs for column in log.columns}
+    return own | {line.partition(" ")[0] for line in proposed}
 
 
-def with_other_wheels(lines: list[str], found: Sequence[str], logs: Sequence[FileFound]) -> list[str]:
+def with_other_wheels(lines: list[str], proposed: Sequence[str], logs: Sequence[FileFound]) -> list[str]:
     """Return the lines with the keys that a vehicle without rear encoders needs."""
-    named = _named(found, logs)
+    named = _named(proposed, logs)
     wheels = next((name for name in _OTHER_WHEELS if name in named), None)
     if wheels is None or "counts_left" in named:
         return lines
@@ -78,12 +78,12 @@ def with_other_wheels(lines: list[str], found: Sequence[str], logs: Sequence[Fil
     return out
 
 
-def missing_lines(found: Sequence[str], logs: Sequence[FileFound]) -> list[str]:
+def missing_lines(proposed: Sequence[str], logs: Sequence[FileFound]) -> list[str]:
     """Return remarks on what a log cannot do without and no column looks like: wheels, and a clock."""
-    named = _named(found, logs)
+    named = _named(proposed, logs)
     lines = []
-    clocked = any(stream.start_ns is not None for one in logs for stream in one.streams)
-    timed = any(column.kind == "time" for one in logs for column in one.columns)
+    clocked = any(stream.start_ns is not None for log in logs for stream in log.streams)
+    timed = any(column.kind == "time" for log in logs for column in log.columns)
     if not clocked and not timed and "t_s" not in named:
         lines.append('#t_s = ""   # no column looks like times; every log needs them')
     if not any(name.startswith("counts_") for name in named):

@@ -54,8 +54,8 @@ def find_header(rows: Sequence[Sequence[Any]]) -> int | None:
         texts = sum(not is_number(cell) for cell in cells)
         if len(cells) < 0.6 * usual or texts < 0.6 * len(cells):
             continue
-        following = [one for one in rows[index + 1 : index + 4] if _filled(one)]
-        if not any(any(is_number(cell) for cell in _filled(one)) for one in following):
+        following = [row for row in rows[index + 1 : index + 4] if _filled(row)]
+        if not any(any(is_number(cell) for cell in _filled(row)) for row in following):
             continue
         if following and len(_filled(following[0])) > len(row) and widths[index] < usual:
             continue
@@ -84,8 +84,8 @@ def find_delimiter(lines: Sequence[str]) -> str:
     """
     filled = [line for line in lines if line.strip()][:LOOKED_AT]
     # first come wins a tie: commas of equal regularity are decimal
-    stretches = {one: _stretch([len(row) for row in _split(filled, one)]) for one in (";", "\t", ",")}
-    best = max(stretches, key=lambda one: stretches[one])
+    stretches = {mark: _stretch([len(row) for row in _split(filled, mark)]) for mark in (";", "\t", ",")}
+    best = max(stretches, key=lambda mark: stretches[mark])
     return best if stretches[best] else ","
 
 

@@ -27,9 +27,9 @@ def record(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> Reco
     What is kept is eight bytes a number that is wanted; messages themselves are not kept, whatever their size.
     """
     with _opened(path, shown) as reader:
-        known = [one for one in reader.connections if one.msgtype in SUPPORTED]
+        known = [connection for connection in reader.connections if connection.msgtype in SUPPORTED]
         if isinstance(wanted, WantedColumns):
-            known = [one for one in known if wanted.of_topic(one.topic)]
+            known = [connection for connection in known if wanted.of_topic(connection.topic)]
         gathered: dict[tuple[str, tuple[str, ...]], _Gathered] = {}
         with _decoding(shown):
             for connection, arrival, data in reader.messages(connections=known) if known else ():
@@ -40,11 +40,11 @@ def record(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> Reco
                     if stream is None:
                         stream = gathered[key] = _Gathered(topic + suffix, kind, names, wanted)
                     stream.add(numbers, arrival, stamp)
-        skipped = sorted({one.msgtype for one in reader.connections} - set(SUPPORTED))
+        skipped = sorted({connection.msgtype for connection in reader.connections} - set(SUPPORTED))
     notes: list[Note] = []
     if skipped and (wanted is None or not gathered):
         notes.append(Note("info", shown, f"messages that calib does not read: {', '.join(skipped)[:200]}", UNREAD))
-    streams = _named([one.stream(shown, notes) for one in gathered.values() if len(one.arrival)])
+    streams = _named([numbers.stream(shown, notes) for numbers in gathered.values() if len(numbers.arrival)])
     return Recording(tuple(streams), tuple(notes))
 
 
@@ -153,8 +153,8 @@ def _opened(path: Path, shown: str) -> Iterator[Any]:
     try:
         strange = {
             str(form)
-            for one in reader.connections
-            if (form := getattr(one.ext, "serialization_format", "cdr")) not in {"cdr", ""}
+            for connection in reader.connections
+            if (form := getattr(connection.ext, "serialization_format", "cdr")) not in {"cdr", ""}
         }
         if strange:
             raise _encoding(shown, ", ".join(sorted(strange)))

@@ -39,18 +39,18 @@ def board_figure(score: Score) -> Figure:
 
 
 def _board(axes: Axes, score: Score) -> None:
-    lines = [(name, one) for name, one in score.board.items() if one.total]
-    for row, (name, one) in enumerate(reversed(lines)):
-        low, high = wilson(one.hits, one.total)
+    lines = [(name, share) for name, share in score.board.items() if share.total]
+    for row, (name, share) in enumerate(reversed(lines)):
+        low, high = wilson(share.hits, share.total)
         met = score.meets(name)
         color = GREY if met is None else GREEN if met else ORANGE
         axes.plot([low, high], [row, row], color=color, lw=2.5, solid_capstyle="butt")
-        axes.plot([one.rate or 0.0], [row], "o", color=color, ms=6)
+        axes.plot([share.rate or 0.0], [row], "o", color=color, ms=6)
         if name in TARGETS:
             wanted, sense = TARGETS[name]
             axes.plot([wanted], [row], "|", color=INK, ms=14, mew=1.5)
             axes.annotate("≥" if sense == "at least" else "≤", (wanted, row), (-10, 5), textcoords="offset points")
-        axes.annotate(f"{one.hits}/{one.total}", (1.005, row), xycoords=("axes fraction", "data"), va="center")
+        axes.annotate(f"{share.hits}/{share.total}", (1.005, row), xycoords=("axes fraction", "data"), va="center")
     axes.set_yticks(range(len(lines)), [name for name, _ in reversed(lines)])
     axes.set_xlim(-0.01, 1.01)
     axes.set_ylim(-0.7, len(lines) - 0.3)
@@ -71,7 +71,7 @@ def _signals(axes: Axes, score: Score) -> None:
         if not points:
             continue
         x = np.array([signal for signal, _ in points]) * (1 + 0.03 * (number - 1.5))
-        _with_bars(axes, x, [one for _, one in points], color=color, marker=marker, label=words[key])
+        _with_bars(axes, x, [share for _, share in points], color=color, marker=marker, label=words[key])
     axes.set_xscale("log")
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.minorticks_off()

@@ -184,13 +184,13 @@ def before_after(
 
 
 def _largest(values: FloatArray) -> float:
-    found = np.abs(values[np.isfinite(values)])
-    return float(found.max()) if len(found) else 0.0
+    known = np.abs(values[np.isfinite(values)])
+    return float(known.max()) if len(known) else 0.0
 
 
 def _rms(values: FloatArray) -> float:
-    found = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(found**2))) if len(found) else float("nan")
+    known = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(known**2))) if len(known) else float("nan")
 
 
 def _round_down(value: float) -> float:

@@ -74,19 +74,19 @@ def law_path_figure(path: LawPath, *, title: str) -> Figure:
     """Return the trajectories of a journey under a law with 95 % ellipses, and the band of the lateral error."""
     figure = canvas(8.6)
     plan, graph = figure.subplots(1, 2)
-    found = ellipses(path.corrected.systematic + path.corrected.random)
+    drawn_ellipses = ellipses(path.corrected.systematic + path.corrected.random)
     route = path.corrected.poses
     # so much larger that the largest axis is about an eighth of the plan
     extent = max(float(np.ptp(path.reference.x_m)), float(np.ptp(path.reference.y_m)), 1.0)
-    wanted = 0.125 * extent / max(float(found.major_m.max()), 1e-9)
+    wanted = 0.125 * extent / max(float(drawn_ellipses.major_m.max()), 1e-9)
     scale = max([1.0, *(m * 10.0**e for e in range(9) for m in (1.0, 2.0, 5.0) if m * 10.0**e <= wanted)])
     for k in np.unique(np.linspace(0, len(route) - 1, 13).astype(int))[1:]:
         plan.add_patch(
             Ellipse(
                 (float(route.x_m[k]), float(route.y_m[k])),
-                2 * scale * float(found.major_m[k]),
-                2 * scale * float(found.minor_m[k]),
-                angle=float(np.degrees(found.angle_rad[k])),
+                2 * scale * float(drawn_ellipses.major_m[k]),
+                2 * scale * float(drawn_ellipses.minor_m[k]),
+                angle=float(np.degrees(drawn_ellipses.angle_rad[k])),
                 facecolor=SKY,
                 edgecolor=BLUE,
                 alpha=0.6,

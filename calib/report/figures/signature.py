@@ -18,7 +18,7 @@ STILL = 1e-6
 
 
 @styled
-def signature_figure(found: EffectSignature, nominal: Path) -> Figure:
+def signature_figure(signature: EffectSignature, nominal: Path) -> Figure:
     """Draw a signature.
 
     `nominal`: the model alone on the same runs. Left the floor plan, one run of each kind, without the effect in grey
@@ -26,34 +26,34 @@ def signature_figure(found: EffectSignature, nominal: Path) -> Figure:
     """
     kinds = nominal.s.labels["kind"]
     names = list(np.unique(kinds))
-    size = np.nan_to_num(np.nanmax(np.abs(np.where(np.isfinite(found.change), found.change, 0.0)), axis=0))
+    size = np.nan_to_num(np.nanmax(np.abs(np.where(np.isfinite(signature.change), signature.change, 0.0)), axis=0))
     moved = [k for k in range(len(CHANNELS)) if size[k] > STILL]
     figure = canvas(6.4)
     floor, channels = figure.subfigures(1, 2, width_ratios=(1.0, 1.25), squeeze=False)[0]
-    _draw_plan(floor.subplots(), found, nominal, names)
+    _draw_plan(floor.subplots(), signature, nominal, names)
     panels = channels.subplots(max(len(moved), 1), 1, sharex=True, squeeze=False)[:, 0]
     for axes, channel in zip(panels, moved, strict=False):
-        _draw_channel(axes, found.change[:, channel], CHANNELS[channel], kinds, names)
+        _draw_channel(axes, signature.change[:, channel], CHANNELS[channel], kinds, names)
     panels[0].set_title("change at its typical size, channels that move")
     panels[-1].set_xticks(range(len(names)), names, rotation=20, ha="right")
     return figure
 
 
-def _draw_plan(axes: Axes, found: EffectSignature, nominal: Path, names: list[str]) -> None:
+def _draw_plan(axes: Axes, signature: EffectSignature, nominal: Path, names: list[str]) -> None:
     s = nominal.s
     for number, name in enumerate(names):
         units = np.flatnonzero(s.labels["kind"] == name)
-        sizes = np.nansum(found.change[units] ** 2, axis=1)
+        sizes = np.nansum(signature.change[units] ** 2, axis=1)
         unit = int(units[np.argmax(sizes)])
         part = slice(int(s.starts[unit]), int(s.starts[unit + 1]))
         axes.plot(nominal.x_m[part], nominal.y_m[part], color=GREY, linewidth=0.8)
         tint = colour(number)
-        axes.plot(found.enlarged.x_m[part], found.enlarged.y_m[part], color=tint, linewidth=1.1, label=name)
-        axes.plot(*found.enlarged.end[unit, :2], marker="o", markersize=3, color=tint)
+        axes.plot(signature.enlarged.x_m[part], signature.enlarged.y_m[part], color=tint, linewidth=1.1, label=name)
+        axes.plot(*signature.enlarged.end[unit, :2], marker="o", markersize=3, color=tint)
     axes.set_aspect("equal", adjustable="datalim")
     axes.set(xlabel="x, m", ylabel="y, m")
-    bent = found.factor > 1.0 and bool(np.ptp(found.enlarged.end[:, :2] - nominal.end[:, :2]) > 0)
-    axes.set_title(f"paths, effect x {found.factor:.3g}" if bent else "paths (the effect bends none)")
+    bent = signature.factor > 1.0 and bool(np.ptp(signature.enlarged.end[:, :2] - nominal.end[:, :2]) > 0)
+    axes.set_title(f"paths, effect x {signature.factor:.3g}" if bent else "paths (the effect bends none)")
 
 
 def _draw_channel(axes: Axes, change: FloatArray, name: str, kinds: StrArray, names: list[str]) -> None:
