@@ -8,8 +8,7 @@ from typing import Annotated
 import typer
 
 from calib.cli.options import Force, JsonTarget, MappingOption
-from calib.cli.terminal import emit_json, progress, show, wants_stdout
-from calib.files import refuse_existing
+from calib.cli.terminal import answer, progress
 
 EPILOG = "Example: calib check sample_runs/corridor --json -"
 
@@ -33,7 +32,6 @@ def run(
     from calib.campaign.opening import read_or_ingest
     from calib.report.statements.check import check_content
 
-    refuse_existing([json], force=force)
     with progress("checking") as tick:
         report = check_campaign(read_or_ingest(campaign, mapping=mapping, lenient=True, progress=tick), tick)
     document = {
@@ -44,7 +42,5 @@ def run(
         "found": asdict(report.found),
         **{level: [asdict(note) for note in getattr(report, level)] for level in ("wrong", "suspicious", "info")},
     }
-    emit_json(document, json, force=force)
-    if not wants_stdout(json):
-        show(check_content(report))
+    answer(document, check_content(report), json=json, force=force)
     return 1 if report.verdict == "wrong" or (strict and report.verdict != "sound") else 0

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 import typer
 
 from calib.cli.options import Force, JsonTarget
-from calib.cli.terminal import emit_json, show, waiting, wants_stdout
-from calib.files import refuse_existing
+from calib.cli.terminal import answer, waiting
 
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign
@@ -63,7 +62,6 @@ def run(
     from calib.radius import deviation_table as table
     from calib.report.statements.deviation import arc_content, runs_content, weave_content
 
-    refuse_existing([json], force=force)
     with waiting("reading"):
         read, judged = _judged(campaign, tolerance)
     distance_m, track_m = table.table_setting(read, distance, track, default_distance_m=DISTANCE_M)
@@ -82,9 +80,7 @@ def run(
             "notes": list(judged.notes),
             "passed": judged.passed,
         }
-    if not wants_stdout(json):
-        show(content)
-    emit_json(document, json, force=force)
+    answer(document, content, json=json, force=force)
     return 0 if judged is None or judged.passed else 1
 
 

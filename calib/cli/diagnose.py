@@ -67,7 +67,7 @@ def run(
     from calib.report.gap_findings import GapFindings
     from calib.report.statements.diagnosis import verdict_content
 
-    refuse_existing([json, apply, html, None if into is None else into / RESULT_FILE, *_pictures(figures)], force=force)
+    refuse_existing([apply, html, None if into is None else into / RESULT_FILE, *_pictures(figures)], force=force)
     with progress("diagnosing") as tick:
         read = read_or_ingest(campaign, mapping=mapping, progress=tick)
         diagnosis, effects = _diagnosed(read, model, tuple(exclude or ()), seed, journeys, tick)

@@ -44,7 +44,6 @@ def run(
     campaign.toml declares, and further columns of the run table, with --campaign.
     """
     one_blas_thread()
-    refuse_existing([json], force=force)
     with waiting("looking"):
         nominal, entries, runs = _catalogued(effect, campaign)
     if figures is not None:

@@ -76,7 +76,7 @@ def run(
 
     # a dash is standard output, as for --json
     output = None if output == Path("-") else output
-    refuse_existing([json, output if output is not None and output.is_file() else None], force=force)
+    refuse_existing([output if output is not None and output.is_file() else None], force=force)
     coefficients = coefficients_of(source, outside=outside, created=date, accept=accept_implausible.strip())
     options = ExportOptions(
         loads=parse_loads(load or []),

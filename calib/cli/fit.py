@@ -61,7 +61,7 @@ def run(
     from calib.radius.result import provenance, write_result
     from calib.report.statements.fit import fit_content
 
-    refuse_existing([json, *_results(into), *_pictures(figures)], force=force)
+    refuse_existing([*_results(into), *_pictures(figures)], force=force)
     believed, reference_load = _believed(model, reference_load)
     with progress("fitting") as tick:
         read = read_or_ingest(campaign, mapping=mapping, progress=tick)

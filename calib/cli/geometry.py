@@ -65,7 +65,7 @@ def run(
     way, left_out = _choice("--using", using, USING), _choice("--leave-out", leave_out, LEAVE_OUT)
     pictures = [] if figures is None else [figures / f"{PICTURE}.{form}" for form in FORMS]
     result = into / RESULT_FILE if into is not None else None
-    refuse_existing([json, output, result, *pictures], force=force)
+    refuse_existing([output, result, *pictures], force=force)
     with progress("estimating") as tick:
         read = read_or_ingest(campaign, mapping=mapping, progress=tick)
         estimated = estimate_geometry(read, using=way, kinds=kind or (), leave_out=left_out, progress=tick)

@@ -10,6 +10,7 @@ import typer
 from typer.core import TyperCommand
 
 from calib.errors import BadInputError
+from calib.files import refuse_existing
 from calib.inputs import inputs_kept, refuse_special
 
 #: parameters that say where something is written; every other path is an input
@@ -22,7 +23,7 @@ class Guarded(TyperCommand):
     """A command whose path arguments are held sacred while it runs."""
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the command with its inputs kept."""
+        """Run the command with its inputs kept, where the JSON can be written."""
         _refuse_dash(ctx)
         paths = list(dict.fromkeys(_inputs(ctx.params, OUTPUTS | ALSO.get(str(ctx.info_name), frozenset()))))
         for path in paths:
@@ -31,6 +32,8 @@ class Guarded(TyperCommand):
         if isinstance(seed, int) and not 0 <= seed < 2**63:
             raise BadInputError(f"--seed: found {seed}; expected a whole number from 0 on; choose another")
         with inputs_kept(paths):
+            # before the work, not after it
+            refuse_existing([ctx.params.get("json")], force=bool(ctx.params.get("force")))
             return super().invoke(ctx)
 
 

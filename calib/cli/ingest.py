@@ -9,7 +9,6 @@ import typer
 
 from calib.cli.options import Force, JsonTarget
 from calib.cli.terminal import emit_json, emit_text, progress, say, waiting, wants_stdout
-from calib.files import refuse_existing
 
 if TYPE_CHECKING:
     from calib.campaign.ingest import Ingested
@@ -45,7 +44,6 @@ def run(
     """
     from calib.errors import BadInputError
 
-    refuse_existing([json], force=force)
     if describe:
         _describe(sources, json, force)
         return

@@ -9,7 +9,6 @@ import typer
 
 from calib.cli.options import Force, JsonTarget
 from calib.cli.terminal import emit_json, say, wants_stdout, wrote
-from calib.files import refuse_existing
 
 EPILOG = "Example: calib init hall3"
 
@@ -25,7 +24,6 @@ def run(
     """
     from calib.campaign.ingest.blank import write_blank
 
-    refuse_existing([json], force=force)
     written = write_blank(folder, force=force)
     emit_json({"campaign": str(folder), "written": [str(path) for path in written]}, json, force=force)
     if not wants_stdout(json):

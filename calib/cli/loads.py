@@ -8,7 +8,7 @@ from typing import Annotated, Any, Final
 import typer
 
 from calib.cli.options import Figures, Force, JsonTarget, nearest, numbers
-from calib.cli.terminal import emit_json, show, wants_stdout, wrote
+from calib.cli.terminal import answer, wants_stdout, wrote
 from calib.errors import BadInputError
 from calib.files import refuse_existing
 
@@ -58,7 +58,6 @@ def run(
     """
     from calib.motion.studies.vehicle_source import vehicle_of
 
-    refuse_existing([json], force=force)
     meant = vehicle_of(
         vehicle,
         mass_kg=mass,
@@ -108,9 +107,8 @@ def _loads(
         "loads": swept.rows(),
         "figures": [str(path) for path in written],
     }
-    emit_json(document, json, force=force)
+    answer(document, loads_content(vehicle, swept), json=json, force=force)
     if not wants_stdout(json):
-        show(loads_content(vehicle, swept))
         wrote(written)
 
 
@@ -122,6 +120,5 @@ def _weighed(vehicle: Any, text: str, sigma: float, json: str | None, force: boo
 
     front, left, right = numbers(text, 3, "--weighed")
     weighed = payload_from_wheel_loads(vehicle, front, left, right, sigma_N=sigma)
-    emit_json({"vehicle": asdict(vehicle), **asdict(weighed), "sigma_N": sigma}, json, force=force)
-    if not wants_stdout(json):
-        show(weighed_content(weighed, known=sigma > 0))
+    document = {"vehicle": asdict(vehicle), **asdict(weighed), "sigma_N": sigma}
+    answer(document, weighed_content(weighed, known=sigma > 0), json=json, force=force)

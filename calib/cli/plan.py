@@ -47,7 +47,6 @@ def run(
     one_blas_thread()
     if (campaign is None) == (source is None):
         raise BadInputError("plan: found both or none; expected a CAMPAIGN or --from PLAN.toml; give one of them")
-    refuse_existing([json], force=force)
     if source is not None:
         if candidates is not None:
             raise BadInputError("--candidates: found with --from; expected with a CAMPAIGN; leave one of them out")

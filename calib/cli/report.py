@@ -65,7 +65,7 @@ def run(
     from calib.report.place import place_of
     from calib.report.source import issue_date
 
-    refuse_existing([json, html], force=force)
+    refuse_existing([html], force=force)
     issued = issue_date(date)
     _refuse_targets(source, into, figures, force=force)
     with progress("report") as tick:

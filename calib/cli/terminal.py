@@ -96,6 +96,13 @@ def show(blocks: Iterable[Block | Section], *, target: str | None = None) -> Non
         _write(stream, line.text.rstrip())
 
 
+def answer(document: Any, blocks: Iterable[Block | Section], *, json: str | None, force: bool) -> None:
+    """Write a result as JSON where that was asked for, and print it for people unless standard output is the JSON's."""
+    emit_json(document, json, force=force)
+    if not wants_stdout(json):
+        show(blocks)
+
+
 def say(text: str, *, target: str | None = None) -> None:
     """Print a sentence for people over as many lines as it takes."""
     from calib.report.blocks import Text

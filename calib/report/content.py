@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
@@ -89,6 +90,11 @@ class Report:
                 for attachment in self.attachments
             ],
         }
+
+
+def number_of(kind: str, content: str) -> str:
+    """Return a report's identification: the kind of report and what its content gives, never chance."""
+    return f"{kind}-{hashlib.sha256(content.encode()).hexdigest()[:12].upper()}"
 
 
 def head_of(report_id: str, issued: str, stated: Mapping[str, str]) -> tuple[tuple[str, str], ...]:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from calib.files import to_json
 from calib.report.blocks import Block, Heading, Section
-from calib.report.content import Attachment, Report
+from calib.report.content import Attachment, Report, number_of
 
 
 def fleet_report(
@@ -30,7 +29,7 @@ def fleet_report(
         Whether a program made any of the data.
     """
     data = to_json(document)
-    number = "FR-" + hashlib.sha256(data.encode()).hexdigest()[:12].upper()
+    number = number_of("FR", data)
     fleet = document["fleet"]
     failed = int(fleet["n_failed"])
     return Report(

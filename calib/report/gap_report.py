@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
-
 from calib import __version__
 from calib.campaign.checks.assumed import stand_ins
 from calib.campaign.model import Campaign
 from calib.files import to_json
 from calib.report.blocks import Items, Notice, Section
-from calib.report.content import Attachment, Report, head_of
+from calib.report.content import Attachment, Report, head_of, number_of
 from calib.report.gap_findings import GapFindings
 from calib.report.numbers import prose
 from calib.report.pages.diagnosis import gap_section
@@ -24,7 +22,7 @@ def diagnosis_report(campaign: Campaign, gap: GapFindings, *, issued: str, why: 
     `why`: why there is no law, a sentence without its full stop. The verdict is attached as ``diagnosis.json``.
     """
     content = {"inputs": dict(campaign.hashes), "campaign": campaign.name, "version": __version__, "gap": gap.to_dict()}
-    number = "CR-" + hashlib.sha256(to_json(content).encode()).hexdigest()[:12].upper()
+    number = number_of("CR", to_json(content))
     stated = stated_of(campaign)
     limits = Section(
         "What this report does not cover",

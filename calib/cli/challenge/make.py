@@ -11,7 +11,6 @@ from calib.cli.challenge.options import Cases, Truth, Workers
 from calib.cli.options import Force, JsonTarget
 from calib.cli.terminal import emit_json, progress, say
 from calib.cli.threads import one_blas_thread
-from calib.files import refuse_existing
 
 EPILOG = "Example: calib challenge make --seeds calib/challenge/seeds/development.toml --into blind --cases 40"
 
@@ -29,7 +28,6 @@ def run(
     one_blas_thread()
     from calib.challenge.seal import make
 
-    refuse_existing([json], force=force)
     with progress("making") as tick:
         sealed_set = make(
             seeds,

@@ -11,7 +11,6 @@ from calib.cli.challenge.options import Workers
 from calib.cli.options import Force, JsonTarget
 from calib.cli.terminal import emit_json, note, progress, show
 from calib.cli.threads import one_blas_thread
-from calib.files import refuse_existing
 
 if TYPE_CHECKING:
     from calib.challenge.own.result import Own
@@ -50,7 +49,6 @@ def run(
     from calib.challenge.own.plants import parse_sizes
     from calib.challenge.own.run import Asked, challenge_own
 
-    refuse_existing([json], force=force)
     names = tuple(name.strip() for name in (effects or "").split(",") if name.strip())
     asked = Asked(names, parse_sizes(sizes), planted, workers, seconds, seed)
     campaign = read_campaign(folder)

@@ -10,7 +10,6 @@ from calib.cli.challenge.options import Cases, Folder, Workers
 from calib.cli.options import Force, JsonTarget
 from calib.cli.terminal import emit_json, keep, progress, say
 from calib.cli.threads import one_blas_thread
-from calib.files import refuse_existing
 
 EPILOG = "Example: calib challenge run blind"
 
@@ -27,7 +26,6 @@ def run(
     one_blas_thread()
     from calib.challenge.run import run as run_set
 
-    refuse_existing([json], force=force)
     keep(f"the verdicts so far, in {folder}; the same command goes on")
     with progress("diagnosing") as tick:
         ran = run_set(

@@ -32,7 +32,7 @@ def run(
     from calib.challenge.score import score
 
     beside = None if plot is None else plot.with_name(f"{plot.stem}-confusion{plot.suffix}")
-    refuse_existing([json, plot, beside], force=force)
+    refuse_existing([plot, beside], force=force)
     scored = score(folder, truth_file=truth)
     show(score_content(scored), target=json)
     if plot is not None and beside is not None:

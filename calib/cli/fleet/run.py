@@ -8,9 +8,8 @@ from typing import Annotated
 import typer
 
 from calib.cli.options import Date, Force, JsonTarget
-from calib.cli.terminal import emit_json, keep, progress, show, wants_stdout, wrote
+from calib.cli.terminal import answer, keep, progress, wrote
 from calib.cli.threads import one_blas_thread
-from calib.files import refuse_existing
 from calib.limits import refuse_workers
 
 EPILOG = "Example: calib fleet run vehicles --into fleet --workers 2"
@@ -39,7 +38,6 @@ def run(
     from calib.report.source import issue_date
     from calib.report.statements.fleet import fleet_content, survey_content
 
-    refuse_existing([json], force=force)
     issued = issue_date(date)
     keep(f"what was read so far, in {into}; the same command goes on")
     with progress("fleet") as tick:
@@ -59,8 +57,6 @@ def run(
             )
             heads = Heads(folder.resolve().name, issued, any_simulated(folder))
             document, blocks, written = survey.to_dict(), survey_content(survey), write_survey(survey, into, heads)
-    emit_json(document, json, force=force)
-    if not wants_stdout(json):
-        show(blocks)
+    answer(document, blocks, json=json, force=force)
     wrote(written, target=json)
     return int(any(vehicle["status"] == "failed" for vehicle in document["vehicles"]))

@@ -47,7 +47,7 @@ def run(
     from calib.plant.posed_fleet import PosedTruth, make_posed_fleet
 
     # a folder that is there may be added to
-    refuse_existing([json, None if force and into.is_dir() else into], force=force)
+    refuse_existing([None if force and into.is_dir() else into], force=force)
     odd, in_hall = min(outliers, vehicles), min(common, vehicles)
     truth: FleetTruth | PosedTruth
     with waiting("driving"):

@@ -11,7 +11,6 @@ from calib.cli.options import Force, JsonTarget, Seed, numbers, pairs
 from calib.cli.simulate.common import DRAWS, SPEED_MPS, Draws, Output, Routes, Speed, Targets, Track, Tum, finish
 from calib.cli.terminal import waiting
 from calib.errors import BadInputError
-from calib.files import refuse_existing
 
 EPILOG = "Example: calib simulate journey figure8 --law sample_runs/corridor --payload-at 5,100,0.5,0.1"
 
@@ -64,7 +63,6 @@ def run(
     from calib.motion.studies.law_source import carried_loads_N, law_source, loading_on_the_way
     from calib.motion.studies.run import CUSTOM, LawJourneys, simulate
 
-    refuse_existing([json], force=force)
     targets = Targets(output, tum, speed, json, force)
     base = numbers(reference, 2, "--reference-load")
     loads_N = pairs(load, "--load")

@@ -38,7 +38,7 @@ def run(
     from calib.report.motion_files import replay_trajectories, write_replay
     from calib.report.statements.replay import replay_content
 
-    refuse_existing([json, *((output / "replay.json", output / "replay.csv") if output else ())], force=force)
+    refuse_existing((output / "replay.json", output / "replay.csv") if output else (), force=force)
     with waiting("replaying"):
         read = read_campaign(campaign)
         source = coefficients_of(law if law is not None else campaign)

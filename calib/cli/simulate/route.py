@@ -9,7 +9,6 @@ import typer
 from calib.cli.options import Force, JsonTarget, numbers
 from calib.cli.simulate.common import SPEED_MPS, Output, Routes, Speed, Targets, Track, Tum, finish
 from calib.errors import BadInputError
-from calib.files import refuse_existing
 
 EPILOG = "Example: calib simulate route square_cw square_ccw --real 0.099,0.1 --output squares"
 
@@ -46,7 +45,6 @@ def run(
     from calib.motion.studies.sweeps import Case
     from calib.vehicle import Vehicle
 
-    refuse_existing([json], force=force)
     targets = Targets(output, tum, speed, json, force)
     vehicle = Vehicle()
     cases = [Case.off(which, value) for value in (numbers(ratio, None, "--ratio") if ratio else ())]

@@ -10,7 +10,6 @@ from calib.cli.options import Force, JsonTarget, Seed, nearest, pairs
 from calib.cli.simulate.common import DRAWS, SPEED_MPS, Draws, Law, Output, Speed, Targets, Track, Tum, finish
 from calib.cli.terminal import waiting
 from calib.errors import BadInputError
-from calib.files import refuse_existing
 
 EPILOG = "Example: calib simulate study corrected --law sample_runs/corridor --output section7"
 
@@ -46,7 +45,6 @@ def run(
     from calib.motion.studies.sweeps import STUDIES
     from calib.vehicle import Vehicle
 
-    refuse_existing([json], force=force)
     targets = Targets(output, tum, speed, json, force)
     if name not in STUDIES:
         raise BadInputError(f"study: found {name!r}; expected one of {', '.join(STUDIES)}" + nearest(name, STUDIES))
