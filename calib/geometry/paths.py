@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calib.arrays import FloatArray
-from calib.geometry.estimate import drive_of, recordings_put_right
+from calib.geometry.estimate import recordings_put_right
+from calib.geometry.joint_fit import drive_of
 from calib.geometry.parts import RunPath
 from calib.geometry.path import integrate_motion, moved_between
 from calib.geometry.result import Geometry

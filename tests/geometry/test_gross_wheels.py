@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from calib.errors import RefusedError
-from calib.geometry.estimate import drive_of
 from calib.geometry.gross import factor_faults, refuse_heading_unit
 from calib.geometry.gross_wheels import WHEELS, wheels_faults
+from calib.geometry.joint_fit import drive_of
 from calib.geometry.recording import Recording, recording_of
 from calib.geometry.segments import end_pose_segments
 from tests.geometry.campaigns import mecanum
