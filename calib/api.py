@@ -302,8 +302,9 @@ def report(
         Where the runs allow no law.
     """
     from calib.files import write_bytes
+    from calib.gap.diagnose import diagnose_in_full
     from calib.report.content import compose
-    from calib.report.gap_source import with_diagnosis
+    from calib.report.gap_source import findings_of
     from calib.report.pdf import to_pdf
     from calib.report.place import place_of
     from calib.report.source import from_campaign, issue_date, source_of_fit
@@ -311,7 +312,8 @@ def report(
     issued = issue_date(date)
     if isinstance(source, Campaign):
         content = from_campaign(source, issued=issued, accept=accept_implausible)
-        content = with_diagnosis(content, source) if diagnosis else content
+        if diagnosis:
+            content = replace(content, gap=findings_of(diagnose_in_full(source)))
     elif diagnosis:
         raise BadInputError("report: found a fit; expected a campaign, which a diagnosis needs; give the campaign")
     else:

@@ -123,10 +123,11 @@ def _draw(
             page = diagnosis_page(diagnosis, campaign)
         wrote([write_text(html, page, force=force)], target=json)
     if figures is not None:
-        from calib.report.figures.gap_files import write_gap_pictures
+        from calib.report.figures.files import write_figures
+        from calib.report.figures.gap_files import gap_pictures
 
         with progress("drawing") as tick:
-            written = write_gap_pictures(diagnosis, figures, force=force, progress=tick)
+            written = write_figures(gap_pictures(diagnosis), figures, force=force, progress=tick)
         wrote(written, target=json, what=f"{len(written)} figure files to {figures}")
 
 

@@ -58,7 +58,7 @@ def run(
     """
     one_blas_thread()
     from calib.campaign.opening import read_or_ingest
-    from calib.files import write_json
+    from calib.files import write_bytes, write_json
     from calib.geometry.estimate import estimate_geometry
     from calib.report.statements.geometry import geometry_content
 
@@ -74,7 +74,9 @@ def run(
     if result is not None:
         wrote([write_json(result, document, force=force)], target=json)
     if output is not None:
-        _coefficients(estimated, read, output, json, force=force)
+        from calib.coefficients.from_geometry import from_geometry
+
+        wrote([write_bytes(output, from_geometry(estimated, read).to_bytes(), force=force)], target=json)
     if figures is not None:
         _draw(estimated, read, figures, json, force=force)
     emit_json(document, json, force=force)
@@ -90,13 +92,6 @@ def _choice(option: str, given: str | None, known: dict[str, str]) -> Any:
             f"{option}: found {given!r}; expected one of {', '.join(known)}; choose one of them{nearest(given, known)}"
         )
     return None if given is None else known[given]
-
-
-def _coefficients(estimated: Geometry, read: Campaign, output: Path, json: str | None, *, force: bool) -> None:
-    from calib.coefficients.from_geometry import from_geometry
-    from calib.files import write_bytes
-
-    wrote([write_bytes(output, from_geometry(estimated, read).to_bytes(), force=force)], target=json)
 
 
 def _draw(estimated: Geometry, read: Campaign, folder: Path, json: str | None, *, force: bool) -> None:

@@ -61,7 +61,8 @@ def run(
     if diagnosis:
         one_blas_thread()
     from calib.files import write_bytes, write_text
-    from calib.report.pdf import to_pdf, write_figures
+    from calib.report.figures.files import write_figures
+    from calib.report.pdf import to_pdf
     from calib.report.place import place_of
     from calib.report.source import issue_date
 
@@ -72,7 +73,7 @@ def run(
         content = _content(source, issued, accept_implausible.strip(), seed if diagnosis else None, tick)
         report = content.report
         target = place_of(report.name, into, force=force)
-        drawn = [] if figures is None else write_figures(report, figures, force=force, progress=tick)
+        drawn = [] if figures is None else write_figures(report.figures(), figures, force=force, progress=tick)
         page = "" if html is None else _page(content, tick)
         write_bytes(target, to_pdf(report, tick), force=force)
     if html is not None:

@@ -14,7 +14,6 @@ from calib.geometry.identifiability import NOMINAL_STD
 from calib.geometry.joint_fit import Fitted
 from calib.geometry.model import Model
 from calib.geometry.noise import COMPONENTS
-from calib.geometry.notes import notes_on
 from calib.geometry.parts import Estimate
 from calib.geometry.result import Geometry
 from calib.geometry.routes import rms, route_table
@@ -65,12 +64,7 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
         mirrored=any(fault.code in {"reversed_front", "reversed_steering", "reversed_both"} for fault in faults),
         umbmark=squares,
         routes=route_table(model.recording, whole.segments, before.residuals, after.residuals),
-        notes=notes_on(
-            fitted.clustering,
-            model.recording,
-            mean_held=isinstance(model.drive, MeanHeld),
-            converged=solution.converged,
-        ),
+        notes=_notes(fitted),
         inputs=campaign.hashes,
     )
 
@@ -126,3 +120,27 @@ def _outliers(model: Model, solution: Solution) -> tuple[str, ...]:
     runs = np.unique(model.segments.run)
     beyond = solution.squares > chdtri(size, OUTLIER_CHANCE / len(runs))
     return tuple(str(model.recording.run_id[run]) for run in runs if beyond[model.segments.run == run].mean() > 0.5)
+
+
+def _notes(fitted: Fitted) -> tuple[str, ...]:
+    """Return what the user of a geometry should know beside its numbers, in sentences."""
+    recording, clustering = fitted.model.recording, fitted.clustering
+    notes = []
+    name, n = clustering.name, clustering.uncertainty.clusters
+    if name in {"session", "route"}:
+        notes.append(
+            f"Runs of one {name} pull the parameters alike: the intervals take the {n} {name}s, not single runs, for "
+            "independent. What they share is no noise; 'calib diagnose' looks for its cause."
+        )
+    if isinstance(fitted.model.drive, MeanHeld):
+        notes.append(
+            "These paths close, or nearly so, at any scale: the mean radius is not determined and was held at its "
+            f"nominal value within {100 * NOMINAL_STD:g} %. The ratio of the radii and the track over the mean radius "
+            "are determined; a straight run of known length would determine the scale."
+        )
+    if not fitted.solution.converged:
+        notes.append("The search did not settle to the last digit; the values are good to a small part of their sd.")
+    if recording.left_out:
+        first = recording.left_out[0]
+        notes.append(f"Left out: {len(recording.left_out)} runs; the first, {first[0]}: {first[1]}.")
+    return tuple(notes)

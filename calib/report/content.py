@@ -5,13 +5,16 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from calib import __version__
 from calib.report.blocks import Picture, Section
 from calib.report.pages import sections_of
 from calib.report.source import Source
 from calib.report.stated import Logo, signatures_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 #: longest campaign name in the header of a page; the title has it whole
 SHORT_NAME: Final = 44
@@ -58,6 +61,10 @@ class Report:
     def pictures(self) -> tuple[Picture, ...]:
         """The figures, in the order of the pages."""
         return tuple(block for section in self.sections for block in section.blocks if isinstance(block, Picture))
+
+    def figures(self) -> dict[str, Figure]:
+        """Return its figures, drawn, by name."""
+        return {picture.name: picture.draw() for picture in self.pictures}
 
     def to_dict(self) -> dict[str, Any]:
         """Return the report as plain values, as the page reads it."""

@@ -11,7 +11,8 @@ from calib.files import csv_text, to_json
 from calib.fleet.run import Fleet
 from calib.fleet.survey import Survey
 from calib.folders import write_files
-from calib.report.blocks import Block
+from calib.report.blocks import Block, Heading, Section
+from calib.report.content import Attachment, Report, number_of
 from calib.report.statements.fleet import fleet_content, survey_content
 
 FORMS = ("png", "svg")
@@ -62,12 +63,55 @@ def _bytes(text: str) -> bytes:
 def _pages(blocks: Sequence[Block], document: Mapping[str, Any], stem: str, heads: Heads | None) -> dict[str, bytes]:
     if heads is None:
         return {}
-    from calib.report.fleet_report import fleet_report
     from calib.report.html import to_html
     from calib.report.pdf import to_pdf
 
-    report = fleet_report(heads.name, blocks, document, issued=heads.issued, simulated=heads.simulated)
+    report = _report(blocks, document, heads)
     return {f"{stem}.pdf": to_pdf(report), f"{stem}.html": _bytes(to_html(report))}
+
+
+def _report(blocks: Sequence[Block], document: Mapping[str, Any], heads: Heads) -> Report:
+    """Return the report on a fleet: the blocks of the terminal with figures, the result attached as JSON."""
+    data = to_json(document)
+    number = number_of("FR", data)
+    fleet = document["fleet"]
+    failed = int(fleet["n_failed"])
+    return Report(
+        report_id=number,
+        title="A fleet of vehicles",
+        name=heads.name,
+        issued=heads.issued,
+        simulated=heads.simulated,
+        passed=not failed,
+        author="",
+        head=(
+            ("Report", number),
+            ("Date of issue", heads.issued),
+            ("Vehicles", f"{fleet['n_vehicles']}, of which {failed} failed"),
+        ),
+        sections=_sections(blocks),
+        attachments=(
+            Attachment(
+                name="fleet.json",
+                data=data.encode("utf-8"),
+                mime="application/json",
+                description="Every vehicle and the fleet's view, as a program reads it",
+            ),
+        ),
+    )
+
+
+def _sections(blocks: Sequence[Block]) -> tuple[Section, ...]:
+    """Return a section for each heading with what follows it."""
+    titles: list[tuple[str, list[Block]]] = []
+    for block in blocks:
+        if isinstance(block, Heading):
+            titles.append((block.text, []))
+        elif titles:
+            titles[-1][1].append(block)
+        else:
+            titles.append(("Fleet", [block]))
+    return tuple(Section(title, tuple(inner)) for title, inner in titles)
 
 
 def _table(vehicles: Sequence[Mapping[str, Any]]) -> str:

@@ -2,27 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
-from calib.campaign.model import Campaign
 from calib.gap.data.channels import Channel
-from calib.gap.diagnose import diagnose_in_full
 from calib.gap.diagnosis import Diagnosis
 from calib.gap.predict.residuals import residuals
 from calib.gap.verdict.paper_headline import headline
 from calib.gap.where.covariates import covariate_values
 from calib.report.gap_findings import GapFindings
-from calib.report.source import Source
-
-
-def with_diagnosis(source: Source, campaign: Campaign) -> Source:
-    """Return `source` with the findings of a diagnosis of its campaign.
-
-    Raises RefusedError where the campaign cannot be diagnosed.
-    """
-    return replace(source, gap=findings_of(diagnose_in_full(campaign)))
 
 
 def findings_of(diagnosis: Diagnosis) -> GapFindings:

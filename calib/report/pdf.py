@@ -14,7 +14,6 @@ from calib.errors import CalibError
 from calib.files import to_json
 from calib.progress import Progress, silent, stepped
 from calib.report.content import Report
-from calib.report.figures.files import write_figures as files_of
 from calib.report.figures.style import render
 
 #: PDF/A-3 at its accessible level: tagged, with alternative texts
@@ -101,10 +100,3 @@ def _compiled(folder: Path, report: Report, *, system_fonts: bool) -> bytes:
             f"the report's page cannot be set: {error}; expected a page for any content, so please report it"
         ) from error
     return bytes(compiled)
-
-
-def write_figures(report: Report, folder: Path, *, force: bool = False, progress: Progress = silent) -> list[Path]:
-    """Write every figure of a report as PNG, SVG and PDF; see `calib.report.figures.files.write_figures`."""
-    return files_of(
-        {picture.name: picture.draw() for picture in report.pictures}, folder, force=force, progress=progress
-    )

@@ -16,8 +16,8 @@ from calib.coefficients.file import load_coefficients
 from calib.files import to_json
 from calib.report.blocks import Column, Facts, Items, Notice, Section, Table, Text
 from calib.report.content import Report, compose
-from calib.report.figures.files import FORMS
-from calib.report.pdf import to_pdf, write_figures
+from calib.report.figures.files import FORMS, write_figures
+from calib.report.pdf import to_pdf
 from calib.report.source import Source
 
 HOSTILE = '#panic("x") $a^b$ *bold* _it_ @ref <lab> `raw` \\ \\u{41} // /* ~ [b] = h -- ... \'q\' #let " {{}} ümläut λ'
@@ -137,7 +137,7 @@ def test_measured_data_carry_no_mark(measured: Source, pdf: bytes) -> None:
 
 def test_every_figure_is_had_as_png_svg_and_pdf(report: Report, tmp_path: Path) -> None:
     report = replace(report, sections=(Section("Figures", report.pictures[:1]),))
-    written = write_figures(report, tmp_path / "figures")
+    written = write_figures(report.figures(), tmp_path / "figures")
     assert len(written) == len(FORMS)
     starts = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF"}
     for path in written:
@@ -145,4 +145,4 @@ def test_every_figure_is_had_as_png_svg_and_pdf(report: Report, tmp_path: Path) 
     from calib.errors import CalibError
 
     with pytest.raises(CalibError, match="force=True"):
-        write_figures(report, tmp_path / "figures")
+        write_figures(report.figures(), tmp_path / "figures")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -12,8 +11,6 @@ from matplotlib.figure import Figure
 from calib.arrays import FloatArray
 from calib.gap.data.channels import Channel
 from calib.gap.diagnosis import Diagnosis
-from calib.progress import Progress, silent
-from calib.report.figures.files import write_figures
 from calib.report.figures.gap import before_after, gap_by_covariate, gap_map
 from calib.report.gap_source import findings_of
 
@@ -47,10 +44,3 @@ def _telling(diagnosis: Diagnosis, channel: str, numeric: Mapping[str, FloatArra
     lines = diagnosis.verdict.where.covariates
     ranked = [line.name for line in sorted(lines, key=lambda line: line.channel_label != channel)]
     return [name for name in dict.fromkeys([*ranked, *numeric]) if name in numeric][:MOST_PANELS]
-
-
-def write_gap_pictures(
-    diagnosis: Diagnosis, folder: Path, *, force: bool = False, progress: Progress = silent
-) -> list[Path]:
-    """Write every figure of a diagnosis as PNG, SVG and PDF; see `calib.report.figures.files.write_figures`."""
-    return write_figures(gap_pictures(diagnosis), folder, force=force, progress=progress)

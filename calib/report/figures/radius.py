@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -10,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from calib.radius.deviation import whole_period_excess
-from calib.radius.effective import EffectiveRadii
+from calib.radius.effective import Component, EffectiveRadii
 from calib.radius.regression import WheelFit
 from calib.radius.sessions import groups_of
 from calib.report.figures.style import (
@@ -185,6 +186,31 @@ def residuals(left: WheelFit, right: WheelFit, session: npt.NDArray[np.str_]) ->
         axes[row, 2].set_title("against a normal distribution")
     for axis, text in zip(axes[1], ("wheel load (N)", "run", "normal quantile"), strict=True):
         axis.set_xlabel(text)
+    return figure
+
+
+@styled
+def budget_bars(budget: Sequence[Component]) -> Figure:
+    """Draw each contribution to the standard uncertainty of a single radius, left and right, with the total.
+
+    `budget`: of `calib.radius.effective.EffectiveRadii`. One pair of bars a contribution, the total last.
+    """
+    names = [legible(part.name.replace("_", " ")) for part in budget] + ["combined"]
+    sides = [[1e6 * part.std_left_m for part in budget], [1e6 * part.std_right_m for part in budget]]
+    figure = canvas(2.2 + 0.62 * len(names))
+    axis = figure.add_subplot()
+    place = np.arange(len(names), dtype=np.float64)
+    handles = []
+    for side, tint, shift in ((0, BLUE, -0.18), (1, ORANGE, 0.18)):
+        values = [*sides[side], float(np.sqrt(np.sum(np.square(sides[side]))))]
+        handles.append(axis.barh(place + shift, values, height=0.34, color=tint, lw=0))
+    axis.axhline(len(budget) - 0.5, color=GREY, lw=0.6)
+    axis.set_yticks(place, names)
+    axis.invert_yaxis()
+    axis.grid(visible=False, axis="y")
+    axis.set_xlabel("contribution to the standard uncertainty of one radius (µm, k = 1)")
+    axis.margins(y=0.02)
+    shared_legend(figure, handles, ["left wheel", "right wheel"])
     return figure
 
 

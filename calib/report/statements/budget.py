@@ -70,7 +70,7 @@ def budget_picture(fit: Fit) -> Picture:
 
 def _bars(fit: Fit) -> Figure:
     # drawn where a page is made; a terminal does not pay for the import
-    from calib.report.figures.budget import budget_bars
+    from calib.report.figures.radius import budget_bars
 
     return budget_bars(fit.radii.budget)
 
