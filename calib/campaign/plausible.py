@@ -16,7 +16,7 @@ from calib.arrays import FloatArray
 from calib.campaign.model import Campaign, Note
 from calib.campaign.plausible_loads import implausible_loads
 from calib.campaign.plausible_poses import implausible_poses
-from calib.campaign.plausible_terms import LEAST_RUNS, SIDES, note, stated
+from calib.campaign.plausible_terms import LEAST_RUNS, SIDES, meaning, note, stated
 
 #: a measured radius, track or load may differ from its nominal value by this factor either way
 MOST_RATIO: Final = 4.0 / 3.0
@@ -72,10 +72,8 @@ def off(ratio: float) -> bool:
 
 def factor_reason(ratio: float) -> str:
     """Return the unit or setting that a ratio of radius to nominal radius points to; a general hint where none does."""
-    for factor, text in _FACTORS:
-        if abs(ratio / factor - 1) < _FACTOR_TOLERANCE:
-            return f"{text}?"
-    return "check counts_per_rev, wheel_radius_m and the unit of the distance"
+    text = meaning(ratio, _FACTORS, _FACTOR_TOLERANCE)
+    return f"{text}?" if text else "check counts_per_rev, wheel_radius_m and the unit of the distance"
 
 
 def _settings(campaign: Campaign) -> Iterator[Note]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.arrays import BoolArray, FloatArray
 from calib.campaign.model import Campaign, Note
-from calib.campaign.plausible_terms import LEAST_RUNS, SIDES, note, stated
+from calib.campaign.plausible_terms import LEAST_RUNS, SIDES, meaning, note, stated
 from calib.campaign.read import loads_from_payload
 
 #: the payload's weight may differ by this factor from what the scales say it adds
@@ -65,7 +65,7 @@ def implausible_loads(campaign: Campaign) -> Iterator[Note]:
         ratio = float(np.min(total[good])) / unladen if unladen > 0 else 1.0
         wrong, what = ratio < 0.3, "that of the empty vehicle"
     if wrong:
-        hint = next((text for factor, text in _LOAD_UNITS if abs(ratio / factor - 1) < 0.25), "")
+        hint = meaning(ratio, _LOAD_UNITS, 0.25)
         yield note(
             "runs, columns load_left_N, load_right_N",
             f"the wheel loads are {ratio:.3g} times {what}; expected the same within a factor of 2; "
@@ -92,7 +92,7 @@ def _one_side(loads: tuple[FloatArray, FloatArray], computed: tuple[FloatArray, 
         good = np.isfinite(load) & (load > 0) & (expected > 0)
         ratio = float(np.median(load[good] / expected[good])) if good.sum() >= LEAST_RUNS else 1.0
         if not 0.1 <= ratio <= 10:
-            hint = next((text for factor, text in _LOAD_UNITS if abs(ratio / factor - 1) < 0.25), "")
+            hint = meaning(ratio, _LOAD_UNITS, 0.25)
             yield note(
                 f"runs, column load_{side}_N",
                 f"the {side} wheel's load is {ratio:.3g} times that of vehicle and payload; expected the same within a "

@@ -94,12 +94,6 @@ def readable(unit: str, size: float) -> tuple[float, str]:
     return (1.0, unit) if size >= LARGE else (1e3, f"m{unit}")
 
 
-def listed(names: Sequence[str], most: int = 12) -> str:
-    """Return names one after the other: the first `most` of them, and how many more there are."""
-    more = len(names) - most
-    return ", ".join(names[:most]) + (f" and {more} more" if more > 0 else "")
-
-
 def probability(p: float | None) -> str:
     """Return a p-value: three decimals, or that it is below a thousandth."""
     if p is None or not math.isfinite(p):

@@ -11,7 +11,7 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.campaign.checks.common import SIDES, listed, note, per_rev, raw_radius_ratio, robust_spread
 from calib.campaign.model import Campaign, Note
-from calib.campaign.plausible_terms import stated
+from calib.campaign.plausible_terms import meaning, stated
 from calib.campaign.read import log_totals
 
 #: radius found over nominal -> what usually lies behind it
@@ -100,10 +100,8 @@ def _odd_run(campaign: Campaign, run: int, side: str, ratio: float) -> Note:
 
 
 def _reason(ratio: float) -> str:
-    for factor, reason in _FACTORS:
-        if abs(ratio / factor - 1) < _FACTOR_TOLERANCE:
-            return f"this looks like {reason}"
-    return ""
+    reason = meaning(ratio, _FACTORS, _FACTOR_TOLERANCE)
+    return f"this looks like {reason}" if reason else ""
 
 
 def counts_against_log(campaign: Campaign) -> Iterator[Note]:

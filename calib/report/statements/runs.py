@@ -7,12 +7,15 @@ from typing import Final
 import numpy as np
 
 from calib.arrays import FloatArray
+from calib.campaign.checks.common import listed
 from calib.radius.fitted import Fit
 from calib.report.blocks import Column, Table
-from calib.report.numbers import fixed, left, listed, text_columns
+from calib.report.numbers import fixed, left, text_columns
 
 #: beyond this many runs the report's table is one of sessions
 MOST_ROWS: Final = 200
+#: runs left out for one reason that are named
+MOST_NAMED: Final = 12
 
 
 def left_out_table(fit: Fit) -> Table:
@@ -25,7 +28,7 @@ def left_out_table(fit: Fit) -> Table:
         by_reason.setdefault(run.reason, []).append(run.run_id)
     rows = []
     for reason, names in list(by_reason.items())[:MOST_ROWS]:
-        rows.append((reason, str(len(names)), listed(names)))
+        rows.append((reason, str(len(names)), listed(names, MOST_NAMED)))
     columns = (left("Reason", wide=True), Column("Number"), left("Runs", wide=True))
     return Table("Runs that were not used.", columns, tuple(rows), dense=True)
 
