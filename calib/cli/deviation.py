@@ -28,29 +28,21 @@ def run(
         Path | None,
         typer.Argument(metavar="[CAMPAIGN]", help="Campaign whose runs are judged; without it only the table is made."),
     ] = None,
-    tolerance: Annotated[
-        float,
-        typer.Option("--tolerance", metavar="SHARE", help="Largest relative error of a radius."),
-    ] = 0.0005,
+    tolerance: Annotated[float, typer.Option(metavar="SHARE", help="Largest relative error of a radius.")] = 0.0005,
     amplitude: Annotated[
-        list[float] | None,
-        typer.Option("--amplitude", metavar="M", help="Amplitude of the weave in the table; may be given again."),
+        list[float] | None, typer.Option(metavar="M", help="Amplitude of the weave in the table; may be given again.")
     ] = None,
     wavelength: Annotated[
-        list[float] | None,
-        typer.Option("--wavelength", metavar="M", help="Wavelength of the weave in the table; may be given again."),
+        list[float] | None, typer.Option(metavar="M", help="Wavelength of the weave in the table; may be given again.")
     ] = None,
     distance: Annotated[
-        float | None,
-        typer.Option("--distance", metavar="M", help="Distance S_O of the table; 40 m, or the campaign's median."),
+        float | None, typer.Option(metavar="M", help="Distance S_O of the table; 40 m, or the campaign's median.")
     ] = None,
     track: Annotated[
-        float | None,
-        typer.Option("--track", metavar="M", help="Distance between the wheels; 0.7 m, or the campaign's."),
+        float | None, typer.Option(metavar="M", help="Distance between the wheels; 0.7 m, or the campaign's.")
     ] = None,
     radius_ratio: Annotated[
-        float | None,
-        typer.Option("--radius-ratio", metavar="E_R", help="Also show the steady arc of wheels with r_R / r_L = E_R."),
+        float | None, typer.Option(metavar="E_R", help="Also show the steady arc of wheels with r_R / r_L = E_R.")
     ] = None,
     json: JsonTarget = None,
     force: Force = False,

@@ -27,29 +27,23 @@ def run(
     campaign: CampaignOrRecording,
     model: Annotated[
         Path | None,
-        typer.Option("--model", metavar="FILE", help="Coefficient file that the simulator believes, effects included."),
+        typer.Option(metavar="FILE", help="Coefficient file that the simulator believes, effects included."),
     ] = None,
     exclude: Annotated[
-        list[str] | None,
-        typer.Option("--exclude", metavar="EFFECT", help="Leave an effect out of the library; again for more."),
+        list[str] | None, typer.Option(metavar="EFFECT", help="Leave an effect out of the library; again for more.")
     ] = None,
-    seed: Annotated[int, typer.Option("--seed", metavar="N", help="Seed of the bootstraps.")] = 0,
+    seed: Annotated[int, typer.Option(metavar="N", help="Seed of the bootstraps.")] = 0,
     apply: Annotated[
         Path | None,
-        typer.Option(
-            "--apply", metavar="FILE", help="Write the model with the named effect added, a coefficient file."
-        ),
+        typer.Option(metavar="FILE", help="Write the model with the named effect added, a coefficient file."),
     ] = None,
     figures: Figures = None,
     html: Annotated[
-        Path | None, typer.Option("--html", metavar="FILE", help="Write one page to look into, with linked panels.")
+        Path | None, typer.Option(metavar="FILE", help="Write one page to look into, with linked panels.")
     ] = None,
-    into: Annotated[
-        Path | None, typer.Option("--into", metavar="FOLDER", help="Result folder: diagnosis.json.")
-    ] = None,
+    into: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Result folder: diagnosis.json.")] = None,
     journeys: Annotated[
-        Path | None,
-        typer.Option("--journeys", metavar="PLAN", help="Runs to come, to compare the corrections of tied causes on."),
+        Path | None, typer.Option(metavar="PLAN", help="Runs to come, to compare the corrections of tied causes on.")
     ] = None,
     mapping: MappingOption = None,
     json: JsonTarget = None,

@@ -29,9 +29,7 @@ def run(
     campaign: Annotated[
         Path | None,
         typer.Option(
-            "--campaign",
-            metavar="CAMPAIGN",
-            help="Judge on this campaign's runs; its columns and declared effects are listed, too.",
+            metavar="CAMPAIGN", help="Judge on this campaign's runs; its columns and declared effects are listed, too."
         ),
     ] = None,
     figures: Figures = None,

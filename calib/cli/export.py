@@ -47,21 +47,16 @@ def run(
             metavar="CAMPAIGN|FIT", help="Campaign, result folder of calib fit, its fit.json, or coefficients.json."
         ),
     ],
-    to: Annotated[str, typer.Option("--to", metavar="FORMAT", help=f"{', '.join(FORMATS)}; json is the master.")],
+    to: Annotated[str, typer.Option(metavar="FORMAT", help=f"{', '.join(FORMATS)}; json is the master.")],
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output", help="File, or folder where several files are made; without it, or '-': standard output."
-        ),
+        typer.Option(help="File, or folder where several files are made; without it, or '-': standard output."),
     ] = None,
     load: Loads = None,
     outside: Annotated[
-        str | None,
-        typer.Option("--outside", metavar="RULE", help="Loads that were not measured: refuse (the default) or clamp."),
+        str | None, typer.Option(metavar="RULE", help="Loads that were not measured: refuse (the default) or clamp.")
     ] = None,
-    date: Annotated[
-        str | None, typer.Option("--date", metavar="YYYY-MM-DD", help="Date written into the file.")
-    ] = None,
+    date: Annotated[str | None, typer.Option(metavar="YYYY-MM-DD", help="Date written into the file.")] = None,
     controller: Controllers = None,
     velocity_feedback: VelocityFeedback = False,
     open_loop: OpenLoop = False,

@@ -23,13 +23,11 @@ EPILOG = "Example: calib fit sample_runs/corridor --into results/corridor"
 def run(
     campaign: CampaignOrRecording,
     into: Annotated[
-        Path | None,
-        typer.Option("--into", metavar="FOLDER", help="Result folder: fit.json and runs.csv, for report and export."),
+        Path | None, typer.Option(metavar="FOLDER", help="Result folder: fit.json and runs.csv, for report and export.")
     ] = None,
     reference_load: Annotated[
         float | None,
         typer.Option(
-            "--reference-load",
             metavar="N",
             help="Load on which the coefficients are centred; without it: reference_load_N of campaign.toml.",
         ),
@@ -37,7 +35,6 @@ def run(
     model: Annotated[
         Path | None,
         typer.Option(
-            "--model",
             metavar="FILE",
             help="Coefficient file whose law the fitted one is held against, at that law's reference load.",
         ),

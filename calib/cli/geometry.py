@@ -28,23 +28,16 @@ FORMS = ("png", "svg", "pdf")
 def run(
     campaign: CampaignOrRecording,
     using: Annotated[
-        str | None,
-        typer.Option("--using", metavar="WHAT", help="end-poses or windows; without it what the campaign has."),
+        str | None, typer.Option(metavar="WHAT", help="end-poses or windows; without it what the campaign has.")
     ] = None,
     kind: Annotated[
-        list[str] | None,
-        typer.Option("--kind", metavar="KIND", help="Use runs of this kind alone; may be given again."),
+        list[str] | None, typer.Option(metavar="KIND", help="Use runs of this kind alone; may be given again.")
     ] = None,
     leave_out: Annotated[
-        str | None,
-        typer.Option("--leave-out", metavar="WHAT", help="Leave each session, kind or run out in turn: end errors."),
+        str | None, typer.Option(metavar="WHAT", help="Leave each session, kind or run out in turn: end errors.")
     ] = None,
-    into: Annotated[
-        Path | None, typer.Option("--into", metavar="FOLDER", help="Write the result there (geometry.json).")
-    ] = None,
-    output: Annotated[
-        Path | None, typer.Option("--output", metavar="COEFFICIENTS", help="Write a coefficient file.")
-    ] = None,
+    into: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Write the result there (geometry.json).")] = None,
+    output: Annotated[Path | None, typer.Option(metavar="COEFFICIENTS", help="Write a coefficient file.")] = None,
     figures: Figures = None,
     mapping: MappingOption = None,
     json: JsonTarget = None,

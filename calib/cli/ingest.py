@@ -23,10 +23,8 @@ def run(
         list[Path],
         typer.Argument(help="Run table first, where there is one; then logs, recordings or folders of them."),
     ],
-    into: Annotated[Path | None, typer.Option("--into", metavar="CAMPAIGN", help="Campaign folder to make.")] = None,
-    mapping: Annotated[
-        Path | None, typer.Option("--mapping", metavar="FILE", help="TOML that names the columns.")
-    ] = None,
+    into: Annotated[Path | None, typer.Option(metavar="CAMPAIGN", help="Campaign folder to make.")] = None,
+    mapping: Annotated[Path | None, typer.Option(metavar="FILE", help="TOML that names the columns.")] = None,
     describe: Annotated[
         bool, typer.Option("--describe", help="Say what is in the files and propose a mapping, as TOML.")
     ] = False,

@@ -20,34 +20,27 @@ STEMS: Final = {"payload": "fig3b", "y": "fig3a"}
 
 
 def run(
-    payload: Annotated[float, typer.Option("--payload", metavar="KG", help="Mass of the payload.")] = 0.0,
-    x: Annotated[float, typer.Option("--x", metavar="M", help="Its centre of mass ahead of the rear axle.")] = 0.0,
-    y: Annotated[float, typer.Option("--y", metavar="M", help="Its centre of mass left of the centre line.")] = 0.0,
-    sweep: Annotated[str | None, typer.Option("--sweep", metavar="WHAT", help="Vary payload, x or y (Fig. 3).")] = None,
+    payload: Annotated[float, typer.Option(metavar="KG", help="Mass of the payload.")] = 0.0,
+    x: Annotated[float, typer.Option(metavar="M", help="Its centre of mass ahead of the rear axle.")] = 0.0,
+    y: Annotated[float, typer.Option(metavar="M", help="Its centre of mass left of the centre line.")] = 0.0,
+    sweep: Annotated[str | None, typer.Option(metavar="WHAT", help="Vary payload, x or y (Fig. 3).")] = None,
     first: Annotated[float | None, typer.Option("--from", help="First value of the sweep.")] = None,
     last: Annotated[float | None, typer.Option("--to", help="Last value of the sweep.")] = None,
-    steps: Annotated[int, typer.Option("--steps", help="Values of the sweep.")] = 21,
+    steps: Annotated[int, typer.Option(help="Values of the sweep.")] = 21,
     weighed: Annotated[
         str | None,
-        typer.Option(
-            "--weighed", metavar="F,L,R", help="Weighed loads in N (front,left,right): find the payload instead."
-        ),
+        typer.Option(metavar="F,L,R", help="Weighed loads in N (front,left,right): find the payload instead."),
     ] = None,
-    sigma: Annotated[float, typer.Option("--sigma", metavar="N", help="Standard uncertainty of each weighing.")] = 0.0,
+    sigma: Annotated[float, typer.Option(metavar="N", help="Standard uncertainty of each weighing.")] = 0.0,
     vehicle: Annotated[
-        Path | None,
-        typer.Option("--vehicle", metavar="CAMPAIGN|COEFFICIENTS", help="Take the vehicle from there."),
+        Path | None, typer.Option(metavar="CAMPAIGN|COEFFICIENTS", help="Take the vehicle from there.")
     ] = None,
-    mass: Annotated[float | None, typer.Option("--mass", metavar="KG", help="Mass of the vehicle.")] = None,
-    cog_x: Annotated[
-        float | None, typer.Option("--cog-x", metavar="M", help="Its centre of mass, ahead of the axle.")
-    ] = None,
-    cog_y: Annotated[
-        float | None, typer.Option("--cog-y", metavar="M", help="Its centre of mass, left positive.")
-    ] = None,
-    track: Annotated[float | None, typer.Option("--track", metavar="M", help="Track.")] = None,
-    wheelbase: Annotated[float | None, typer.Option("--wheelbase", metavar="M", help="Wheelbase.")] = None,
-    max_load: Annotated[float | None, typer.Option("--max-load", metavar="N", help="Permissible wheel load.")] = None,
+    mass: Annotated[float | None, typer.Option(metavar="KG", help="Mass of the vehicle.")] = None,
+    cog_x: Annotated[float | None, typer.Option(metavar="M", help="Its centre of mass, ahead of the axle.")] = None,
+    cog_y: Annotated[float | None, typer.Option(metavar="M", help="Its centre of mass, left positive.")] = None,
+    track: Annotated[float | None, typer.Option(metavar="M", help="Track.")] = None,
+    wheelbase: Annotated[float | None, typer.Option(metavar="M", help="Wheelbase.")] = None,
+    max_load: Annotated[float | None, typer.Option(metavar="N", help="Permissible wheel load.")] = None,
     figures: Figures = None,
     json: JsonTarget = None,
     force: Force = False,

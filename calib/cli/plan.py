@@ -23,16 +23,12 @@ def run(
         typer.Option("--from", metavar="PLAN.toml", help="A plan of runs, judged before anything is driven."),
     ] = None,
     candidates: Annotated[
-        Path | None,
-        typer.Option(
-            "--candidates", metavar="FILE.toml", help="Runs to choose from, as [[runs]]; else the usual ones."
-        ),
+        Path | None, typer.Option(metavar="FILE.toml", help="Runs to choose from, as [[runs]]; else the usual ones.")
     ] = None,
-    most: Annotated[int, typer.Option("--most", min=1, max=50, help="How many runs to name.")] = 5,
-    seed: Annotated[int, typer.Option("--seed", help="Seed of the diagnosis' bootstraps.")] = 0,
+    most: Annotated[int, typer.Option(min=1, max=50, help="How many runs to name.")] = 5,
+    seed: Annotated[int, typer.Option(help="Seed of the diagnosis' bootstraps.")] = 0,
     figures: Annotated[
-        Path | None,
-        typer.Option("--figures", metavar="FOLDER", help="With --from: write the matrix there as PNG, SVG and PDF."),
+        Path | None, typer.Option(metavar="FOLDER", help="With --from: write the matrix there as PNG, SVG and PDF.")
     ] = None,
     json: JsonTarget = None,
     force: Force = False,

@@ -32,22 +32,18 @@ def run(
     ],
     into: Annotated[
         Path | None,
-        typer.Option(
-            "--into", metavar="FILE|FOLDER", help="PDF file, or folder for it; without it: reports/<campaign>.pdf."
-        ),
+        typer.Option(metavar="FILE|FOLDER", help="PDF file, or folder for it; without it: reports/<campaign>.pdf."),
     ] = None,
     date: Date = None,
     figures: Figures = None,
     html: Annotated[
         Path | None,
-        typer.Option(
-            "--html", metavar="FILE", help="Write the same as one HTML page, too; with --diagnosis, to look into."
-        ),
+        typer.Option(metavar="FILE", help="Write the same as one HTML page, too; with --diagnosis, to look into."),
     ] = None,
     diagnosis: Annotated[
         bool, typer.Option("--diagnosis", help="Add the diagnosis of the gap between measured and simulated motion.")
     ] = False,
-    seed: Annotated[int, typer.Option("--seed", metavar="N", help="Seed of the diagnosis.")] = 0,
+    seed: Annotated[int, typer.Option(metavar="N", help="Seed of the diagnosis.")] = 0,
     accept_implausible: AcceptImplausible = "",
     json: JsonTarget = None,
     force: Force = False,

@@ -16,8 +16,8 @@ EPILOG = "Example: calib challenge make --seeds calib/challenge/seeds/developmen
 
 
 def run(
-    seeds: Annotated[Path, typer.Option("--seeds", metavar="FILE", help="Seeds file; see calib/challenge/seeds.")],
-    into: Annotated[Path, typer.Option("--into", metavar="DIR", help="Folder for the set.")],
+    seeds: Annotated[Path, typer.Option(metavar="FILE", help="Seeds file; see calib/challenge/seeds.")],
+    into: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the set.")],
     cases: Cases = None,
     truth: Truth = None,
     workers: Workers = 2,

@@ -22,21 +22,15 @@ EPILOG = "Example: calib challenge own sample_runs/yard --effects track_width,te
 def run(
     folder: Annotated[Path, typer.Argument(metavar="CAMPAIGN", help="Folder with campaign.toml, runs.csv, logs.")],
     effects: Annotated[
-        str | None,
-        typer.Option("--effects", metavar="A,B", help="Effects to plant; all that the runs can show by default."),
+        str | None, typer.Option(metavar="A,B", help="Effects to plant; all that the runs can show by default.")
     ] = None,
     sizes: Annotated[
-        str,
-        typer.Option(
-            "--sizes", metavar="LIST", help="10s: a signal of 10; 2x: twice the typical size; 0.01: in its unit."
-        ),
+        str, typer.Option(metavar="LIST", help="10s: a signal of 10; 2x: twice the typical size; 0.01: in its unit.")
     ] = "5s,10s,25s",
-    planted: Annotated[int, typer.Option("--planted", metavar="N", min=1, help="How often each.")] = 5,
+    planted: Annotated[int, typer.Option(metavar="N", min=1, help="How often each.")] = 5,
     workers: Workers = 2,
-    seconds: Annotated[
-        float, typer.Option("--seconds", metavar="S", min=1.0, help="Begin no diagnosis after so long.")
-    ] = 900.0,
-    seed: Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Seed of everything that is drawn.")] = 0,
+    seconds: Annotated[float, typer.Option(metavar="S", min=1.0, help="Begin no diagnosis after so long.")] = 900.0,
+    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Seed of everything that is drawn.")] = 0,
     json: JsonTarget = None,
     force: Force = False,
 ) -> int:

@@ -18,7 +18,7 @@ def run(
     folder: Folder,
     cases: Cases = None,
     workers: Workers = 2,
-    seed: Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Seed of the diagnosis.")] = 0,
+    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Seed of the diagnosis.")] = 0,
     json: JsonTarget = None,
     force: Force = False,
 ) -> None:

@@ -21,8 +21,7 @@ def run(
     folder: Folder,
     truth: Truth = None,
     plot: Annotated[
-        Path | None,
-        typer.Option("--plot", metavar="FILE", help="PNG, SVG or PDF; the confusion matrix goes beside it."),
+        Path | None, typer.Option(metavar="FILE", help="PNG, SVG or PDF; the confusion matrix goes beside it.")
     ] = None,
     json: JsonTarget = None,
     force: Force = False,

@@ -17,10 +17,10 @@ EPILOG = "Example: calib fleet run vehicles --into fleet --workers 2"
 
 def run(
     folder: Annotated[Path, typer.Argument(help="One campaign folder a vehicle, or a dataset partitioned by vehicle.")],
-    into: Annotated[Path, typer.Option("--into", metavar="FOLDER", help="Result folder; a later run goes on there.")],
-    what: Annotated[str, typer.Option("--what", help="fit, check, geometry or diagnose.")] = "fit",
-    workers: Annotated[int, typer.Option("--workers", min=1, help="Processes of this machine.")] = 1,
-    scheduler: Annotated[str, typer.Option("--scheduler", metavar="TCP", help="Dask scheduler, tcp://host:port.")] = "",
+    into: Annotated[Path, typer.Option(metavar="FOLDER", help="Result folder; a later run goes on there.")],
+    what: Annotated[str, typer.Option(help="fit, check, geometry or diagnose.")] = "fit",
+    workers: Annotated[int, typer.Option(min=1, help="Processes of this machine.")] = 1,
+    scheduler: Annotated[str, typer.Option(metavar="TCP", help="Dask scheduler, tcp://host:port.")] = "",
     date: Date = None,
     json: JsonTarget = None,
     force: Force = False,

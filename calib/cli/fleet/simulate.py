@@ -15,13 +15,13 @@ EPILOG = "Example: calib fleet simulate --into vehicles --vehicles 400 --seed 1"
 
 
 def run(
-    into: Annotated[Path, typer.Option("--into", metavar="FOLDER", help="New folder for the dataset.")],
-    vehicles: Annotated[int, typer.Option("--vehicles", min=1, help="How many vehicles.")] = 400,
-    runs: Annotated[int, typer.Option("--runs", min=6, help="Runs a vehicle.")] = 60,
-    months: Annotated[int, typer.Option("--months", min=1, help="Months that they are spread over.")] = 6,
-    outliers: Annotated[int, typer.Option("--outliers", min=0, help="Vehicles with a wheel of their own.")] = 20,
-    drifting: Annotated[int, typer.Option("--drifting", min=0, help="Vehicles whose radius drifts.")] = 5,
-    common: Annotated[int, typer.Option("--common", min=0, help="Vehicles in hall B, whose floor shows.")] = 40,
+    into: Annotated[Path, typer.Option(metavar="FOLDER", help="New folder for the dataset.")],
+    vehicles: Annotated[int, typer.Option(min=1, help="How many vehicles.")] = 400,
+    runs: Annotated[int, typer.Option(min=6, help="Runs a vehicle.")] = 60,
+    months: Annotated[int, typer.Option(min=1, help="Months that they are spread over.")] = 6,
+    outliers: Annotated[int, typer.Option(min=0, help="Vehicles with a wheel of their own.")] = 20,
+    drifting: Annotated[int, typer.Option(min=0, help="Vehicles whose radius drifts.")] = 5,
+    common: Annotated[int, typer.Option(min=0, help="Vehicles in hall B, whose floor shows.")] = 40,
     poses: Annotated[
         bool,
         typer.Option(

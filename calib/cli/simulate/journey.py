@@ -27,16 +27,14 @@ def run(
     ],
     route: Routes = None,
     load: Annotated[
-        list[str] | None, typer.Option("--load", metavar="L,R", help="Wheel loads, N; again for more journeys.")
+        list[str] | None, typer.Option(metavar="L,R", help="Wheel loads, N; again for more journeys.")
     ] = None,
     payload: Annotated[
-        list[str] | None,
-        typer.Option("--payload", metavar="KG,X,Y", help="The same from a payload and its place; again for more."),
+        list[str] | None, typer.Option(metavar="KG,X,Y", help="The same from a payload and its place; again for more.")
     ] = None,
     payload_at: Annotated[
         list[str] | None,
         typer.Option(
-            "--payload-at",
             metavar="S,KG,X,Y",
             help="Payload from S m along the route on, 0 kg to unload; again for more. Unladen before the first one.",
         ),

@@ -18,7 +18,7 @@ EPILOG = "Example: calib simulate replay sample_runs/corridor_crossed --law coef
 def run(
     campaign: Annotated[Path, typer.Argument(metavar="CAMPAIGN", help="Campaign with logs and end poses.")],
     law: Law = None,
-    scheme: Annotated[str, typer.Option("--scheme", help="exact, mid_point, euler or end_point.")] = "exact",
+    scheme: Annotated[str, typer.Option(help="exact, mid_point, euler or end_point.")] = "exact",
     seed: Seed = 0,
     output: Output = None,
     tum: Tum = None,

@@ -15,20 +15,16 @@ EPILOG = "Example: calib simulate route square_cw square_ccw --real 0.099,0.1 --
 
 def run(
     route: Routes = None,
-    real: Annotated[str | None, typer.Option("--real", metavar="L,R", help="Real radii, m.")] = None,
+    real: Annotated[str | None, typer.Option(metavar="L,R", help="Real radii, m.")] = None,
     believed: Annotated[
-        str | None, typer.Option("--believed", metavar="L,R", help="Radii the odometry believes, m (0.1,0.1).")
+        str | None, typer.Option(metavar="L,R", help="Radii the odometry believes, m (0.1,0.1).")
     ] = None,
-    ratio: Annotated[
-        str | None, typer.Option("--ratio", metavar="E,E..", help="Ratios of radii, E_r = r_R / r_L.")
-    ] = None,
+    ratio: Annotated[str | None, typer.Option(metavar="E,E..", help="Ratios of radii, E_r = r_R / r_L.")] = None,
     which: Annotated[
         str, typer.Option("--wheel", help="Which wheel --ratio sets off: right, left, both, equal.")
     ] = "right",
     track: Track = None,
-    real_track: Annotated[
-        float | None, typer.Option("--real-track", metavar="M", help="Real track, if another.")
-    ] = None,
+    real_track: Annotated[float | None, typer.Option(metavar="M", help="Real track, if another.")] = None,
     output: Output = None,
     tum: Tum = None,
     speed: Speed = SPEED_MPS,

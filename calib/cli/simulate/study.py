@@ -18,12 +18,9 @@ def run(
     name: Annotated[str, typer.Argument(metavar="STUDY", help="symmetric, asymmetric or corrected.")],
     law: Law = None,
     load: Annotated[
-        list[str] | None,
-        typer.Option("--load", metavar="L,R", help="With --law: wheel loads in place of the study's, N."),
+        list[str] | None, typer.Option(metavar="L,R", help="With --law: wheel loads in place of the study's, N.")
     ] = None,
-    route: Annotated[
-        list[str] | None, typer.Option("--route", help="Another route than the study's; again for more.")
-    ] = None,
+    route: Annotated[list[str] | None, typer.Option(help="Another route than the study's; again for more.")] = None,
     track: Track = None,
     draws: Draws = DRAWS,
     seed: Seed = 0,
