@@ -196,14 +196,9 @@ def inside(
     except (OSError, ValueError, RuntimeError):  # RuntimeError: a loop of symbolic links
         ok = False
     if not ok:
-        raise BadFileError(
-            named_in,
-            row=row,
-            column=column,
-            found=f"the path {relative!r}",
-            expected="a relative path inside the campaign folder",
-            remedy="move the file into the folder and name it relative to it",
-        )
+        expected = "a relative path inside the campaign folder"
+        remedy = "move the file into the folder and name it relative to it"
+        raise BadFileError(named_in, f"the path {relative!r}", expected, remedy, row=row, column=column)
     return path
 
 

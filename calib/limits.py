@@ -152,10 +152,7 @@ def refuse_hostile_document(document: dict[str, Any], shown: str) -> None:
                 deeper += [(key, entry) for entry in value]
         level = deeper
     if level:
+        expected = f"at most {KEY_PARTS}"
         raise BadFileError(
-            shown,
-            column=level[0][0][:60],
-            found=f"sections or lists more than {KEY_PARTS} deep",
-            expected=f"at most {KEY_PARTS}",
-            remedy="correct the key",
+            shown, f"sections or lists more than {KEY_PARTS} deep", expected, "correct the key", column=level[0][0][:60]
         )

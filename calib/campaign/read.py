@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -42,12 +42,8 @@ def read_campaign(folder: Path, *, logs: bool = True, lenient: bool = False, pro
     """
     folder = Path(folder)
     if not folder.is_dir():
-        raise BadFileError(
-            folder,
-            found="a file" if folder.exists() else "no such folder",
-            expected="a campaign folder",
-            remedy="give the folder that holds campaign.toml",
-        )
+        remedy = "give the folder that holds campaign.toml"
+        raise BadFileError(folder, "a file" if folder.exists() else "no such folder", "a campaign folder", remedy)
     settle(folder)
     border = Border(lenient=lenient)
     hashes: dict[str, str] = {}
@@ -94,12 +90,8 @@ def _runs_path(folder: Path) -> tuple[str, Path]:
         name = f"runs{suffix}"
         if (folder / name).exists() or (folder / name).is_symlink():
             return name, inside(folder, name, named_in=folder)
-    raise BadFileError(
-        folder,
-        found="no run table",
-        expected="runs.csv, one row a run",
-        remedy="add it, or make the campaign out of lab files with 'calib ingest'",
-    )
+    remedy = "add it, or make the campaign out of lab files with 'calib ingest'"
+    raise BadFileError(folder, "no run table", "runs.csv, one row a run", remedy)
 
 
 def _say_look_alikes(folder: Path, shown: str, border: Border) -> None:
@@ -131,51 +123,26 @@ def _log_files(folder: Path, runs: RunTable, shown: str, border: Border) -> list
     for index, (run_id, row) in enumerate(zip(map(str, runs.run_id), map(int, runs.line), strict=True)):
         if named:
             relative = str(runs.labels["log"][index])
-            if not relative:
-                continue
         else:
             # a run id that is no plain file name has no log of that name
             candidates = [f"logs/{run_id}{suffix}" for suffix in READERS] if Path(run_id).name == run_id else []
             relative = next((name for name in candidates if (folder / name).exists()), "")
-            if not relative:
-                continue
+        if not relative:
+            continue
+        place: dict[str, Any] = {"row": row, "column": "log"}
         if len(relative) > _MAX_PATH:
-            raise BadFileError(
-                shown,
-                row=row,
-                column="log",
-                found=f"a path of {len(relative)} characters",
-                expected=f"at most {_MAX_PATH}",
-                remedy="correct the path",
-            )
+            length = f"a path of {len(relative)} characters"
+            raise BadFileError(shown, length, f"at most {_MAX_PATH}", "correct the path", **place)
         path = inside(folder, relative, named_in=shown, row=row, column="log")
         if path in taken:
-            border.fault(
-                BadFileError(
-                    shown,
-                    row=row,
-                    column="log",
-                    found=f"{relative}, which row {taken[path]} names too",
-                    expected="a log of its own for each run",
-                    remedy="correct the path",
-                ),
-                "shared_log",
-                run_id,
-            )
+            twice = f"{relative}, which row {taken[path]} names too"
+            fault = BadFileError(shown, twice, "a log of its own for each run", "correct the path", **place)
+            border.fault(fault, "shared_log", run_id)
         taken.setdefault(path, row)
         if not _is_file(path):
-            border.fault(
-                BadFileError(
-                    shown,
-                    row=row,
-                    column="log",
-                    found=f"{relative}, which is {'a folder' if path.is_dir() else 'not there'}",
-                    expected="a log file",
-                    remedy="put the file there, or leave the cell empty",
-                ),
-                "missing_log",
-                run_id,
-            )
+            missing = f"{relative}, which is {'a folder' if path.is_dir() else 'not there'}"
+            fault = BadFileError(shown, missing, "a log file", "put the file there, or leave the cell empty", **place)
+            border.fault(fault, "missing_log", run_id)
             continue
         files.append((index, run_id, path, relative))
     return files

@@ -32,12 +32,10 @@ def run_table(raw: RawTable, shown: str, border: Border) -> RunTable:
     matched = _match(raw, shown, border)
     line = raw.line
     if "run_id" not in matched:
+        expected = "a column run_id"
+        remedy = "name each run; 'calib ingest' makes a run table out of any spreadsheet"
         raise BadFileError(
-            shown,
-            column="run_id",
-            found=f"only {', '.join(list(raw.columns)[:12])[:200] or 'nothing'}",
-            expected="a column run_id",
-            remedy="name each run; 'calib ingest' makes a run table out of any spreadsheet",
+            shown, f"only {', '.join(list(raw.columns)[:12])[:200] or 'nothing'}", expected, remedy, column="run_id"
         )
     refuse_beyond(len(line), RUNS, shown=shown, what="runs", remedy="divide the campaign into several")
     if not len(line):
@@ -122,14 +120,9 @@ def _refuse_odd_texts(texts: Sequence[str], column: str, shown: str, line: npt.N
     """Refuse control characters and texts beyond all use; other characters that are not printed may be."""
     for index, text in enumerate(texts):
         if not text.isprintable() and any(ord(letter) < 32 for letter in text):
-            raise BadFileError(
-                shown,
-                row=int(line[index]),
-                column=column,
-                found=repr(text[:40]),
-                expected="a text on one line",
-                remedy="remove the control character",
-            )
+            expected = "a text on one line"
+            remedy = "remove the control character"
+            raise BadFileError(shown, repr(text[:40]), expected, remedy, row=int(line[index]), column=column)
         refuse_beyond(
             len(text),
             LABEL_CHARACTERS,
@@ -154,19 +147,11 @@ def _directions(
     """Return directions in lower case; any other than ``out`` and ``back`` is a fault, since checks rest on them."""
     lower = np.char.lower(texts)
     for index in np.flatnonzero(~np.isin(lower, ("", *DIRECTIONS))):
-        border.fault(
-            BadFileError(
-                shown,
-                row=int(line[index]),
-                column="direction",
-                found=repr(str(texts[index])[:40]),
-                expected="out or back, or an empty cell",
-                remedy=f'map it when ingesting: direction = {{column = "...", values = {{"{str(texts[index])[:20]}" = '
-                '"out"}}',
-            ),
-            "direction",
-            str(run_ids[index]),
-        )
+        text, row = str(texts[index]), int(line[index])
+        remedy = f'map it when ingesting: direction = {{column = "...", values = {{"{text[:20]}" = "out"}}'
+        expected = "out or back, or an empty cell"
+        fault = BadFileError(shown, repr(text[:40]), expected, remedy, row=row, column="direction")
+        border.fault(fault, "direction", str(run_ids[index]))
     return lower
 
 
@@ -174,14 +159,9 @@ def _flags(cells: npt.NDArray[Any], shown: str, line: npt.NDArray[np.int64]) -> 
     texts = [text.lower() for text in _texts(cells, "excluded", shown, line)]
     for text, row in zip(texts, line, strict=True):
         if text not in _TRUE and text not in _FALSE:
-            raise BadFileError(
-                shown,
-                row=int(row),
-                column="excluded",
-                found=repr(text[:40]),
-                expected="true, false or an empty cell",
-                remedy="correct the cell; the reason goes into exclusion_reason",
-            )
+            expected = "true, false or an empty cell"
+            remedy = "correct the cell; the reason goes into exclusion_reason"
+            raise BadFileError(shown, repr(text[:40]), expected, remedy, row=int(row), column="excluded")
     return np.asarray([text in _TRUE for text in texts], dtype=np.bool_)
 
 
@@ -191,16 +171,8 @@ def _check_run_ids(run_ids: Sequence[str] | StrArray, line: npt.NDArray[np.int64
         if not run_id:
             raise BadFileError(shown, "an empty cell", "a name of the run", "name the run", row=row, column="run_id")
         if run_id in first:
-            border.fault(
-                BadFileError(
-                    shown,
-                    row=row,
-                    column="run_id",
-                    found=f"{run_id!r}, as in row {first[run_id]}",
-                    expected="each run once",
-                    remedy="rename one run, or remove the row that was pasted twice",
-                ),
-                "duplicate_run",
-                run_id,
-            )
+            twice = f"{run_id!r}, as in row {first[run_id]}"
+            remedy = "rename one run, or remove the row that was pasted twice"
+            fault = BadFileError(shown, twice, "each run once", remedy, row=row, column="run_id")
+            border.fault(fault, "duplicate_run", run_id)
         first.setdefault(run_id, row)

@@ -116,13 +116,9 @@ def parse_settings(document: dict[str, Any], shown: str, default_name: str) -> S
     section.numbers("odometry", ())
     _check_source(odometry, vehicle, shown)
     if not 0.0 <= vehicle.cog_x_m <= vehicle.wheelbase_m:
-        raise BadFileError(
-            shown,
-            column="vehicle.cog_x_m",
-            found=f"{vehicle.cog_x_m:g}",
-            expected=f"a place between rear axle (0) and front wheel ({vehicle.wheelbase_m:g})",
-            remedy="give the centre of mass ahead of the rear axle, in metres",
-        )
+        expected = f"a place between rear axle (0) and front wheel ({vehicle.wheelbase_m:g})"
+        remedy = "give the centre of mass ahead of the rear axle, in metres"
+        raise BadFileError(shown, f"{vehicle.cog_x_m:g}", expected, remedy, column="vehicle.cog_x_m")
     extra = {key: value for key, value in document.items() if key not in section.read} | extra
     assumed = tuple(dict.fromkeys((*declared, *not_stated(document))))
     return Settings(
@@ -209,13 +205,9 @@ def _encoder(section: Sections, notes: list[Note], shown: str) -> Encoder:
         )
     bits = values.get("wrap_bits")
     if bits is not None and bits not in {8, 12, 13, 16, 20, 24, 32}:
-        raise BadFileError(
-            shown,
-            column="encoder.wrap_bits",
-            found=f"{bits:g}",
-            expected="16 or 32 (8, 12, 13, 20, 24 are read too)",
-            remedy="give the width of the counter, or remove the key where it does not wrap",
-        )
+        expected = "16 or 32 (8, 12, 13, 20, 24 are read too)"
+        remedy = "give the width of the counter, or remove the key where it does not wrap"
+        raise BadFileError(shown, f"{bits:g}", expected, remedy, column="encoder.wrap_bits")
     return Encoder(
         counts_per_rev_left=4096.0 if left is None else left,
         counts_per_rev_right=4096.0 if right is None else right,

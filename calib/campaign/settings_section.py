@@ -76,13 +76,9 @@ class Sections:
         found = typed(self.document.get(section, {}), dict, self.shown, section, f"a section [{section}]").get(key)
         if found is None or found in allowed:
             return found
-        raise BadFileError(
-            self.shown,
-            column=f"{section}.{key}",
-            found=repr(found)[:60],
-            expected=" or ".join(f'"{name}"' for name in allowed),
-            remedy="choose one of them, or leave the key out",
-        )
+        expected = " or ".join(f'"{name}"' for name in allowed)
+        remedy = "choose one of them, or leave the key out"
+        raise BadFileError(self.shown, repr(found)[:60], expected, remedy, column=f"{section}.{key}")
 
     def numbers(self, section: str, known: Sequence[str]) -> dict[str, float]:
         """Return the section's known keys in SI units; unknown ones go to `extra` and are said."""
@@ -112,13 +108,9 @@ class Sections:
                 raise BadFileError(self.shown, f"{value:g}", "more than 0", "correct the value", column=column)
             most = _LARGEST.get(match.name)
             if most is not None and abs(number) > most:
-                raise BadFileError(
-                    self.shown,
-                    column=column,
-                    found=f"{value:g}",
-                    expected=f"at most {most:.4g} in size, in the unit of {match.name}",
-                    remedy="name the unit in the key (sensor_yaw_deg, sensor_x_mm), or correct the value",
-                )
+                expected = f"at most {most:.4g} in size, in the unit of {match.name}"
+                remedy = "name the unit in the key (sensor_yaw_deg, sensor_x_mm), or correct the value"
+                raise BadFileError(self.shown, f"{value:g}", expected, remedy, column=column)
             if match.said:
                 self.notes.append(Note("info", f"{self.shown}, {column}", match.said, "unit"))
             values[match.name] = number

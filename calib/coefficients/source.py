@@ -43,12 +43,8 @@ def coefficients_of(
     if created is not None:
         _check_date(created)
     if not path.exists():
-        raise BadFileError(
-            path,
-            found="nothing",
-            expected="a campaign folder, a result folder of calib fit, or a coefficient file",
-            remedy="give the path of one",
-        )
+        expected = "a campaign folder, a result folder of calib fit, or a coefficient file"
+        raise BadFileError(path, "nothing", expected, "give the path of one")
     if path.is_file() and (path.suffix != ".json" or _is_coefficients(path)):
         file = load_coefficients(path)
         changes = {"outside": wanted, "created": created}

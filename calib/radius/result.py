@@ -62,12 +62,9 @@ def _check_seal(file: Path, value: dict[str, Any]) -> None:
     except (ValueError, OverflowError, RecursionError) as error:
         raise BadFileError(file, found=f"a number that is none ({error})", expected="a fit", remedy=REMEDY) from error
     if stated != computed:
+        expected = f"{computed}, which its content has; the file was changed, or made by an older version"
         raise BadFileError(
-            file,
-            column=CHECKSUM_KEY,
-            found="no checksum" if stated is None else f"{str(stated)[:80]!r}",
-            expected=f"{computed}, which its content has; the file was changed, or made by an older version",
-            remedy=REMEDY,
+            file, "no checksum" if stated is None else f"{str(stated)[:80]!r}", expected, REMEDY, column=CHECKSUM_KEY
         )
 
 

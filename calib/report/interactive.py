@@ -202,14 +202,21 @@ def _hover(plot: figure, renderer: Model) -> None:
     )
 
 
+def _lines(plot: figure, x: str, y: str, source: ColumnDataSource, **style: Any) -> Model:
+    return plot.multi_line(x, y, source=source, line_color="colour", nonselection_line_alpha=FADED, **style)
+
+
+def _points(plot: figure, x: str, y: str, source: ColumnDataSource) -> None:
+    points = plot.scatter(x, y, source=source, size=7, color="colour", alpha=0.8, nonselection_alpha=FADED)
+    _hover(plot, points)
+
+
 def _map_panel(data: PanelData, source: ColumnDataSource) -> _Panel:
     """Draw the paths from a common start and, at each end, the gap as an arrow, enlarged by what the slider says."""
     from bokeh.models import CustomJS, Slider
 
     plot = _figure("Floor plan: predicted paths, and the gap at each end", "x, m", "y, m", match_aspect=True)
-    lines = plot.multi_line(
-        "path_x", "path_y", source=source, line_color="colour", line_alpha=0.5, nonselection_line_alpha=FADED
-    )
+    lines = _lines(plot, "path_x", "path_y", source, line_alpha=0.5)
     assert data.offset_m is not None
     size = float(np.nanmax(np.hypot(data.offset_m[:, 0], data.offset_m[:, 1]), initial=1e-6))
     extent = max(float(np.ptp(np.concatenate(data.paths_m), axis=0).max()), 1e-3)
@@ -218,9 +225,7 @@ def _map_panel(data: PanelData, source: ColumnDataSource) -> _Panel:
     tips = ends + factor * data.offset_m
     source.add(list(np.stack((ends[:, 0], tips[:, 0]), axis=1)), "arrow_x")
     source.add(list(np.stack((ends[:, 1], tips[:, 1]), axis=1)), "arrow_y")
-    plot.multi_line(
-        "arrow_x", "arrow_y", source=source, line_color="colour", line_width=2, nonselection_line_alpha=FADED
-    )
+    _lines(plot, "arrow_x", "arrow_y", source, line_width=2)
     plot.scatter("end_x", "end_y", source=source, size=5, color="colour", nonselection_alpha=FADED)
     _hover(plot, lines)
     slider = Slider(start=1, end=max(10 * factor, 10), value=factor, step=1, title="gap drawn enlarged by")
@@ -234,8 +239,7 @@ def _covariate_panel(data: PanelData, source: ColumnDataSource, after: figure, b
 
     first, units = _first_channel(data), _units(data)
     plot = _figure("The gap against what was driven", "order driven", f"{first}, {units[first]}")
-    points = plot.scatter("x", "y", source=source, size=7, color="colour", alpha=0.8, nonselection_alpha=FADED)
-    _hover(plot, points)
+    _points(plot, "x", "y", source)
     names = ["order driven", *data.covariates]
     by = Select(title="against", value=names[0], options=names)
     channel = Select(title="channel", value=first, options=list(units))
@@ -270,8 +274,7 @@ def _before_after_panel(data: PanelData, source: ColumnDataSource) -> tuple[_Pan
     band = BoxAnnotation(bottom=-floor, top=floor, fill_alpha=0.08, fill_color="#009E73")
     plot.add_layout(band)
     plot.add_layout(Slope(gradient=1.0, y_intercept=0.0, line_dash="dashed", line_color="#999999"))
-    points = plot.scatter("b", "a", source=source, size=7, color="colour", alpha=0.8, nonselection_alpha=FADED)
-    _hover(plot, points)
+    _points(plot, "b", "a", source)
     return _Panel(plot), band
 
 
@@ -293,10 +296,7 @@ def _floors(data: PanelData) -> dict[str, float]:
 def _along_panel(source: ColumnDataSource, name: str) -> _Panel:
     """Draw how the gap grows along the way, where the log has a reference or a range all along."""
     plot = _figure(f"The gap along the run: {name.partition(',')[0]}", "distance on the way, m", name)
-    lines = plot.multi_line(
-        "way", f"way {name}", source=source, line_color="colour", line_alpha=0.6, nonselection_line_alpha=FADED
-    )
-    _hover(plot, lines)
+    _hover(plot, _lines(plot, "way", f"way {name}", source, line_alpha=0.6))
     return _Panel(plot)
 
 

@@ -189,12 +189,9 @@ def _seconds(value: Any, start_ns: int, shown: str) -> float:
         text = value.isoformat() if hasattr(value, "isoformat") else str(value)
         return (moment_ns(text) - start_ns) / NS_PER_S
     except ValueError as error:
-        raise BadFileError(
-            shown,
-            found=f"{value!r:.40}",
-            expected="seconds from the recording's start, or a time of the clock",
-            remedy="write it as 41.5 or as 2026-05-04T10:15:30+02:00",
-        ) from error
+        expected = "seconds from the recording's start, or a time of the clock"
+        remedy = "write it as 41.5 or as 2026-05-04T10:15:30+02:00"
+        raise BadFileError(shown, f"{value!r:.40}", expected, remedy) from error
 
 
 def _path(wheels: Sequence[FloatArray], n_samples: int) -> FloatArray:

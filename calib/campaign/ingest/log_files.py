@@ -119,14 +119,8 @@ def match_logs(
 
 
 def _unmatched(shown: str, runs: RunTable, index: int, found: str) -> BadFileError:
-    return BadFileError(
-        shown,
-        row=int(runs.line[index]),
-        column="log",
-        found=found,
-        expected="one log for the run",
-        remedy="name the file or its folder among the sources, or correct log.file of the mapping",
-    )
+    remedy = "name the file or its folder among the sources, or correct log.file of the mapping"
+    return BadFileError(shown, found, "one log for the run", remedy, row=int(runs.line[index]), column="log")
 
 
 def _say_unused(taken: set[Path], files: Sequence[Path], border: Border) -> None:

@@ -113,12 +113,9 @@ def cut_recordings(
             sources.append(name)
             cuts.append(_cut_record(path, log, piece))
     if not parts:
-        raise BadFileError(
-            ", ".join(map(str, recordings)),
-            found=f"no run, cut by {cut.by}",
-            expected=f"drives of at least {cut.min_length_m:g} m",
-            remedy="see what moves with 'calib ingest --describe', or cut by times",
-        )
+        expected = f"drives of at least {cut.min_length_m:g} m"
+        remedy = "see what moves with 'calib ingest --describe', or cut by times"
+        raise BadFileError(", ".join(map(str, recordings)), f"no run, cut by {cut.by}", expected, remedy)
     if runs is None:
         runs = _numbered(cut, sources, mapping, border)
     elif len(runs) != len(parts):
@@ -182,11 +179,9 @@ def _numbered(cut: Cut, sources: list[str], mapping: MappingFile, border: Border
 def _table_times(table: RawTable, cut: Cut, shown: str) -> tuple[tuple[Any, Any], ...]:
     for name in (cut.start, cut.end):
         if name not in table.columns:
+            expected = f"a column {name!r}"
+            remedy = "correct the mapping"
             raise BadFileError(
-                shown,
-                column="cut.start",
-                found=f"the table's columns {', '.join(table.columns)[:200]}",
-                expected=f"a column {name!r}",
-                remedy="correct the mapping",
+                shown, f"the table's columns {', '.join(table.columns)[:200]}", expected, remedy, column="cut.start"
             )
     return tuple(zip(table.columns[cut.start].tolist(), table.columns[cut.end].tolist(), strict=True))

@@ -143,12 +143,9 @@ def _times(base: Stream, lines: Mapping[str, Line], shown: str) -> IntArray | No
     """Return the times of the base where it has a clock; refuse one that has none and gets none."""
     if "t_s" in lines or base.time_ns is None:
         if "t_s" not in lines and "t_s" not in base.columns:
-            raise BadFileError(
-                shown,
-                found=f"no clock in {base.name!r} ({', '.join(base.columns)[:120]})",
-                expected="times, as waveform properties or as a column",
-                remedy='name the column of times in the mapping: [log] t_s = "..."',
-            )
+            expected = "times, as waveform properties or as a column"
+            remedy = 'name the column of times in the mapping: [log] t_s = "..."'
+            raise BadFileError(shown, f"no clock in {base.name!r} ({', '.join(base.columns)[:120]})", expected, remedy)
         return None
     return base.time_ns
 

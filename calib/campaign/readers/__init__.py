@@ -112,18 +112,12 @@ def _module_name(path: Path) -> str | None:
 def _module(path: Path, shown: str) -> ModuleType | Any:
     name = _module_name(path)
     if name is None:
-        raise BadFileError(
-            shown,
-            found=f"the suffix {path.suffix!r}",
-            expected=f"one of {', '.join(READERS)}, or the folder of a rosbag2 recording",
-            remedy="export the table in one of these formats",
-        )
+        expected = f"one of {', '.join(READERS)}, or the folder of a rosbag2 recording"
+        raise BadFileError(shown, f"the suffix {path.suffix!r}", expected, "export the table in one of these formats")
     if not path.is_file() and not is_bag_folder(path):
+        remedy = "correct the path or put the file there"
         raise BadFileError(
-            shown,
-            found="a folder or special file" if path.exists() else "no such file",
-            expected="a readable file",
-            remedy="correct the path or put the file there",
+            shown, "a folder or special file" if path.exists() else "no such file", "a readable file", remedy
         )
     return importlib.import_module(f"{__name__}.{name}")
 

@@ -89,19 +89,12 @@ def _flatten(
 
 
 def _damaged(shown: str, reason: str) -> BadFileError:
-    return BadFileError(
-        shown,
-        found=f"a MATLAB file that is cut or damaged ({reason})",
-        expected="a whole one of version 5 to 7.2",
-        remedy="save it again with: save('file.mat', '-v7')",
-    )
+    expected = "a whole one of version 5 to 7.2"
+    remedy = "save it again with: save('file.mat', '-v7')"
+    return BadFileError(shown, f"a MATLAB file that is cut or damaged ({reason})", expected, remedy)
 
 
 def _objects(shown: str, refused: list[tuple[str, str]]) -> BadFileError:
     names = ", ".join(f"{name} ({kind})" for name, kind in refused)
-    return BadFileError(
-        shown,
-        found=f"arrays of objects: {names[:120]}",
-        expected="numeric arrays",
-        remedy="save the numbers themselves, as in: t = data{1}; save('file.mat', 't', '-v7')",
-    )
+    remedy = "save the numbers themselves, as in: t = data{1}; save('file.mat', 't', '-v7')"
+    return BadFileError(shown, f"arrays of objects: {names[:120]}", "numeric arrays", remedy)

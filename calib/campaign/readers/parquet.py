@@ -49,12 +49,9 @@ def _cells(column: Any) -> tuple[np.ndarray[Any, Any], int | None]:
 
 
 def _damaged(shown: str, error: Exception, column: str | None = None) -> BadFileError:
+    remedy = "write it again"
     return BadFileError(
-        shown,
-        column=column,
-        found=f"a damaged parquet file ({' '.join(str(error).split())[:100]})",
-        expected="a whole one",
-        remedy="write it again",
+        shown, f"a damaged parquet file ({' '.join(str(error).split())[:100]})", "a whole one", remedy, column=column
     )
 
 

@@ -198,12 +198,9 @@ def refuse_nothing(recording: Recording, shown: str) -> None:
     if any(len(stream) for stream in recording.streams):
         return
     unread = next((note.text for note in recording.notes if note.code == UNREAD), "")
-    raise BadFileError(
-        shown,
-        found=f"nothing but {unread}" if unread else "no messages or samples at all",
-        expected="wheels (JointState, or numbers of std_msgs) and what measures the path (poses, Odometry, TF, Range)",
-        remedy="record these topics too, or leave the recording out" if unread else "record again, or leave it out",
-    )
+    expected = "wheels (JointState, or numbers of std_msgs) and what measures the path (poses, Odometry, TF, Range)"
+    remedy = "record these topics too, or leave the recording out" if unread else "record again, or leave it out"
+    raise BadFileError(shown, f"nothing but {unread}" if unread else "no messages or samples at all", expected, remedy)
 
 
 def in_order(time_ns: IntArray, columns: Sequence[FloatArray]) -> tuple[IntArray, list[FloatArray], int]:

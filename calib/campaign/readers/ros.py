@@ -180,18 +180,12 @@ def _words(error: Exception) -> str:
 
 def _encoding(shown: str, text: str) -> BadFileError:
     name = text.partition("{")[2].partition("}")[0].strip("'") or text
-    return BadFileError(
-        shown,
-        found=f"messages in the encoding {name!r}, which nothing here can read",
-        expected="ROS messages in 'cdr', the encoding that ROS 2 records in",
-        remedy="convert the recording with 'ros2 bag convert' (serialization cdr), or record it again with the default",
-    )
+    expected = "ROS messages in 'cdr', the encoding that ROS 2 records in"
+    remedy = "convert the recording with 'ros2 bag convert' (serialization cdr), or record it again with the default"
+    return BadFileError(shown, f"messages in the encoding {name!r}, which nothing here can read", expected, remedy)
 
 
 def _damaged(shown: str, reason: str) -> BadFileError:
-    return BadFileError(
-        shown,
-        found=f"a recording that is cut or damaged ({reason})",
-        expected="a whole one, closed by its recorder",
-        remedy="copy it again, or repair it with 'mcap recover', 'ros2 bag reindex' or 'rosbag reindex'",
-    )
+    expected = "a whole one, closed by its recorder"
+    remedy = "copy it again, or repair it with 'mcap recover', 'ros2 bag reindex' or 'rosbag reindex'"
+    return BadFileError(shown, f"a recording that is cut or damaged ({reason})", expected, remedy)

@@ -33,12 +33,9 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
         raise
     except Exception as error:
         # the library answers damaged workbooks with errors of many kinds (zip, XML, keys, values)
-        raise BadFileError(
-            shown,
-            found=f"a damaged workbook ({type(error).__name__})",
-            expected="an .xlsx file that a spreadsheet program opens",
-            remedy="open it and save it again, or export it as CSV",
-        ) from error
+        expected = "an .xlsx file that a spreadsheet program opens"
+        remedy = "open it and save it again, or export it as CSV"
+        raise BadFileError(shown, f"a damaged workbook ({type(error).__name__})", expected, remedy) from error
     if not header:
         raise BadFileError(shown, found="no cells", expected="a header line and rows", remedy="export the table again")
     refuse_duplicates(header, shown, row=lines[0] if lines else 1)
@@ -62,12 +59,9 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
 def _sheet(book: Any, shown: str, layout: Layout, last_row: int) -> tuple[str, list[str], list[list[Any]], list[int]]:
     """Return name, header, rows and line numbers of the sheet asked for, or of the first that holds a table."""
     if layout.sheet is not None and layout.sheet not in book.sheetnames:
-        raise BadFileError(
-            shown,
-            found=f"the sheets {', '.join(map(str, book.sheetnames))[:200]}",
-            expected=f"a sheet {layout.sheet!r}",
-            remedy="correct sheet of the mapping",
-        )
+        expected = f"a sheet {layout.sheet!r}"
+        remedy = "correct sheet of the mapping"
+        raise BadFileError(shown, f"the sheets {', '.join(map(str, book.sheetnames))[:200]}", expected, remedy)
     first: tuple[str, list[str], list[list[Any]], list[int]] = ("", [], [], [])
     for sheet in book.worksheets:
         if layout.sheet is not None and sheet.title != layout.sheet:
@@ -99,13 +93,8 @@ def _header_at(filled: list[tuple[int, list[Any]]], layout: Layout, shown: str) 
         return find_header([cells for _, cells in filled[:LOOKED_AT]])
     at = next((index for index, (number, _) in enumerate(filled) if number == layout.header_row), None)
     if at is None:
-        raise BadFileError(
-            shown,
-            row=layout.header_row,
-            found="no cells",
-            expected="the header, as the mapping says",
-            remedy="correct header_row of the mapping",
-        )
+        remedy = "correct header_row of the mapping"
+        raise BadFileError(shown, "no cells", "the header, as the mapping says", remedy, row=layout.header_row)
     return at
 
 
@@ -119,13 +108,9 @@ def _cells(filled: list[tuple[int, list[Any]]], at: int, shown: str) -> tuple[li
     for number, cells in filled[at + 1 :]:
         extra = [cell for cell in cells[len(header) :] if cell is not None]
         if extra:
-            raise BadFileError(
-                shown,
-                row=number,
-                found=f"{str(extra[0])[:40]!r} beside the table",
-                expected=f"at most {len(header)} cells, as the header in row {lines[0]} has",
-                remedy="name the column, remove the cell, or name the header's row (header_row)",
-            )
+            expected = f"at most {len(header)} cells, as the header in row {lines[0]} has"
+            remedy = "name the column, remove the cell, or name the header's row (header_row)"
+            raise BadFileError(shown, f"{str(extra[0])[:40]!r} beside the table", expected, remedy, row=number)
         rows.append(cells)
         lines.append(number)
     return header, rows, lines

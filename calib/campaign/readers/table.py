@@ -56,13 +56,9 @@ def refuse_duplicates(names: Sequence[str], shown: str, row: int = 1) -> None:
     seen: set[str] = set()
     for name in names:
         if len(name) > 100 or not name.isprintable():
-            raise BadFileError(
-                shown,
-                row=row,
-                found=f"{name[:20]!r}, no column name",
-                expected="names of at most 100 printable characters",
-                remedy="check that this is the right file and its encoding UTF-8; export it again",
-            )
+            expected = "names of at most 100 printable characters"
+            remedy = "check that this is the right file and its encoding UTF-8; export it again"
+            raise BadFileError(shown, f"{name[:20]!r}, no column name", expected, remedy, row=row)
         if name in seen and name:
             raise BadFileError(
                 shown,
@@ -157,14 +153,9 @@ def comma_evidence(columns: Sequence[npt.NDArray[Any]]) -> bool | None:
 
 
 def _no_number(shown: str, column: str, row: int, text: str) -> BadFileError:
-    return BadFileError(
-        shown,
-        row=row,
-        column=column,
-        found=repr(text[:40]),
-        expected="a finite number below 1e30, or an empty cell",
-        remedy="correct the cell, or leave it empty where nothing was measured",
-    )
+    expected = "a finite number below 1e30, or an empty cell"
+    remedy = "correct the cell, or leave it empty where nothing was measured"
+    return BadFileError(shown, repr(text[:40]), expected, remedy, row=row, column=column)
 
 
 def _ambiguous(shown: str, column: str, row: int, text: str) -> BadFileError:

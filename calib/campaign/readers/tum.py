@@ -33,13 +33,9 @@ def record(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> Reco
                 if not np.isfinite(pose).all():
                     raise ValueError("a number that is not finite")
             except ValueError as error:
-                raise BadFileError(
-                    shown,
-                    row=number,
-                    found=str(error)[:80],
-                    expected=f"the {_WIDTH} numbers: timestamp {' '.join(POSE)}",
-                    remedy="correct or remove the line; the file may have been cut",
-                ) from error
+                expected = f"the {_WIDTH} numbers: timestamp {' '.join(POSE)}"
+                remedy = "correct or remove the line; the file may have been cut"
+                raise BadFileError(shown, str(error)[:80], expected, remedy, row=number) from error
             times.append(time)
             poses.append(pose)
     if not times:

@@ -53,11 +53,9 @@ def weigh(path: Path, shown: str) -> int:
         with zipfile.ZipFile(path) as archive:
             return _weighed(archive, shown)
     except _DAMAGE as error:
+        remedy = "save it again as .xlsx, or export it as CSV"
         raise BadFileError(
-            shown,
-            found="no workbook (it is not a zip archive, or a damaged one)",
-            expected="an .xlsx file",
-            remedy="save it again as .xlsx, or export it as CSV",
+            shown, "no workbook (it is not a zip archive, or a damaged one)", "an .xlsx file", remedy
         ) from error
 
 
