@@ -13,7 +13,8 @@ from calib.report.blocks import Picture, Section
 from calib.report.gap_findings import GapFindings
 from calib.report.gap_source import findings_of
 from calib.report.html import Page, page_html
-from calib.report.interactive import CauseBar, PanelData, interactive_panels
+from calib.report.interactive import interactive_panels
+from calib.report.panel_data import CauseBar, PanelData
 from calib.report.statements.diagnosis import diagnosis_content
 
 #: effects named beside a cause that they cannot be told from
@@ -43,8 +44,8 @@ def diagnosis_page(diagnosis: Diagnosis, campaign: Campaign) -> str:
     return page_html(page, linked_panels(diagnosis, campaign, findings))
 
 
-def linked_panels(diagnosis: Diagnosis, campaign: Campaign, findings: GapFindings | None = None) -> tuple[str, str]:
-    """Return the linked panels of a diagnosis, for the head and for the body of a page; see `panels_of`."""
+def linked_panels(diagnosis: Diagnosis, campaign: Campaign, findings: GapFindings | None = None) -> str:
+    """Return the linked panels of a diagnosis for a page's body; see `panels_of`."""
     return interactive_panels(panels_of(diagnosis, campaign, findings))
 
 

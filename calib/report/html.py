@@ -40,14 +40,14 @@ class Page:
     footer: str
 
 
-def to_html(report: Report, panels: tuple[str, str] = ("", "")) -> str:
+def to_html(report: Report, panels: str = "") -> str:
     """Return a report as a self-contained page.
 
-    `panels`: interactive panels (`calib.report.interactive.interactive_panels`): what goes into the head and into the
-    body. They take the place of the diagnosis' figures, which keeps the page light.
+    `panels` (see `calib.report.interactive.interactive_panels`) take the place of the diagnosis' figures, which keeps
+    the page light.
     """
     sections = report.sections
-    if panels[1]:
+    if panels:
         sections = tuple(
             replace(section, blocks=tuple(block for block in section.blocks if not _in_panels(block)))
             for section in sections
@@ -68,7 +68,7 @@ def _in_panels(block: Block) -> bool:
     return isinstance(block, Picture) and block.name in GAP_PICTURES
 
 
-def page_html(page: Page, panels: tuple[str, str] = ("", "")) -> str:
+def page_html(page: Page, panels: str = "") -> str:
     """Return a page as markup that fetches nothing; see `to_html`."""
     style = (files("calib.report") / "page.css").read_text(encoding="utf-8")
     simulated = (
@@ -83,8 +83,8 @@ def page_html(page: Page, panels: tuple[str, str] = ("", "")) -> str:
     sections = "\n".join(_section(number, section) for number, section in enumerate(page.sections, start=1))
     looking = (
         f'<section id="look" class="panels">\n<h2>To look into</h2>\n{block_html(Text(HOW_TO_LOOK, small=True))}\n'
-        f"{panels[1]}\n<noscript>The panels need scripts; all that is said stands above.</noscript>\n</section>"
-        if panels[1]
+        f"{panels}\n<noscript>The panels need scripts; all that is said stands above.</noscript>\n</section>"
+        if panels
         else ""
     )
     return f"""<!doctype html>
@@ -95,7 +95,6 @@ def page_html(page: Page, panels: tuple[str, str] = ("", "")) -> str:
 <title>{escape(page.title)} – {escape(page.name)}</title>
 <style>
 {style}</style>
-{panels[0]}
 </head>
 <body>
 <header>

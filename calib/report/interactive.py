@@ -4,75 +4,40 @@ from __future__ import annotations
 
 import base64
 import gzip
-from collections.abc import Mapping
 from dataclasses import dataclass
 from html import escape
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from calib.arrays import FloatArray, StrArray
 from calib.errors import MissingExtraError
 from calib.report.axis_names import with_unit
 from calib.report.interactive_scripts import CHOOSE, ENLARGE, LIGHT, UNPACK
+from calib.report.panel_data import (
+    ALONG,
+    COLOURS,
+    CauseBar,
+    PanelData,
+    channel_floors,
+    channel_units,
+    first_channel,
+    panel_source,
+)
 
 if TYPE_CHECKING:
     from bokeh.models import ColumnDataSource, Model
     from bokeh.plotting import figure
 
-#: Okabe and Ito's colours, told apart by colour-blind eyes too
-COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999")
 FADED: Final = 0.12
-#: points of a drawn path at most: more cannot be seen and weigh on the page
-PATH_POINTS: Final = 60
 WIDTH: Final = 540
 HEIGHT: Final = 380
-#: gap along the way -> its column in `PanelData.along_m`
-ALONG: Final = {"way, mm": 1, "heading, mrad": 2}
 
 
-@dataclass(frozen=True, slots=True)
-class CauseBar:
-    """A cause as the page draws it: its share of the gap with a 95 % interval where there is one."""
+def interactive_panels(data: PanelData) -> str:
+    """Return the panels, and Bokeh itself, as HTML for a page's body: nothing is fetched when the page is opened.
 
-    label: str
-    probability: float
-    share: float
-    share_ci95: tuple[float, float] | None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PanelData:
-    """What the panels show."""
-
-    #: labels of each unit, shape (n_units,)
-    run_id: StrArray
-    session: StrArray
-    kind: StrArray
-    #: name and unit (``m`` or ``rad``) of each channel
-    channels: tuple[tuple[str, str], ...]
-    #: gap without and with the fix, NaN where a unit lacks the channel, shape (n_units, n_channels)
-    before: FloatArray
-    after: FloatArray
-    floor: FloatArray
-    #: what the gap may go with, shape (n_units,)
-    covariates: Mapping[str, FloatArray]
-    #: predicted paths; empty where there are none, shape (n_points, 2)
-    paths_m: tuple[FloatArray, ...] = ()
-    #: measured minus predicted end point, in the frame of the paths, shape (n_units, 2)
-    offset_m: FloatArray | None = None
-    #: distance on the way, and the gap in the way (m) and in heading (rad) there, NaN where not measured, for units
-    #: with a reference or a range all along; an empty array for the others, shape (n_samples, 3)
-    along_m: tuple[FloatArray, ...] = ()
-    #: what the verdict names
-    causes: tuple[CauseBar, ...] = ()
-
-
-def interactive_panels(data: PanelData) -> tuple[str, str]:
-    """Return the panels as HTML: what goes into the head (Bokeh itself, inline) and what into the body.
-
-    Returns `head`, `body`: both self-contained: nothing is fetched when the page is opened. Scripts are packed, so that
-    a page can be sent by mail; the browser unpacks them. Raises MissingExtraError where Bokeh is not installed.
+    Scripts are packed, so that a page can be sent by mail; the browser unpacks them. Raises MissingExtraError where
+    Bokeh is not installed.
     """
     try:
         from bokeh.embed import components
@@ -82,7 +47,7 @@ def interactive_panels(data: PanelData) -> tuple[str, str]:
     resources = Resources(mode="inline", components=["bokeh", "bokeh-widgets"])
     script, div = components(_layout(data), wrap_script=False)
     packed = "\n".join(map(_packed, [*resources.js_raw, script]))
-    return "", f"{div}\n{packed}\n<script>{UNPACK}</script>"
+    return f"{div}\n{packed}\n<script>{UNPACK}</script>"
 
 
 def _packed(script: str) -> str:
@@ -94,7 +59,7 @@ def _packed(script: str) -> str:
 def _layout(data: PanelData) -> Model:
     from bokeh.layouts import column, gridplot, row
 
-    source = _source(data)
+    source = panel_source(data)
     after, band = _before_after_panel(data, source)
     panels = [_covariate_panel(data, source, after.figure, band), after]
     if data.paths_m and data.offset_m is not None:
@@ -121,61 +86,6 @@ def _layout(data: PanelData) -> Model:
 class _Panel:
     figure: figure
     widgets: tuple[Model, ...] = ()
-
-
-def _milli(values: FloatArray) -> FloatArray:
-    return np.asarray(1e3 * values, dtype=np.float64)
-
-
-def _source(data: PanelData) -> ColumnDataSource:
-    """Return the one table of all panels, a row a unit: a selection in one panel is a selection in all."""
-    from bokeh.models import ColumnDataSource
-
-    _, number = np.unique(data.kind, return_inverse=True)
-    columns: dict[str, Any] = {
-        "run": data.run_id,
-        "session": data.session,
-        "kind": data.kind,
-        "colour": [COLOURS[int(k) % len(COLOURS)] for k in number],
-    }
-    for name, values in data.covariates.items():
-        columns[f"by {name}"] = values
-    columns["by order driven"] = np.arange(len(data.run_id), dtype=np.float64)
-    for channel, (name, _) in enumerate(data.channels):
-        columns[f"before {name}"] = _milli(data.before[:, channel])
-        columns[f"after {name}"] = _milli(data.after[:, channel])
-    first = _first_channel(data)
-    columns["x"] = columns["by order driven"]
-    columns["y"] = columns[f"before {first}"]
-    columns["b"], columns["a"] = columns[f"before {first}"], columns[f"after {first}"]
-    if data.paths_m and data.offset_m is not None:
-        thin = [path[:: max(1, len(path) // PATH_POINTS)] for path in data.paths_m]
-        columns["path_x"] = [path[:, 0].astype(np.float32) for path in thin]
-        columns["path_y"] = [path[:, 1].astype(np.float32) for path in thin]
-        ends = np.array([path[-1] for path in data.paths_m])
-        columns["end_x"], columns["end_y"] = ends[:, 0], ends[:, 1]
-        columns["off_x"], columns["off_y"] = data.offset_m[:, 0], data.offset_m[:, 1]
-    if any(len(path) for path in data.along_m):
-        columns["way"] = [np.round(path[:, 0], 4) if len(path) else np.zeros(0) for path in data.along_m]
-        for name, column in ALONG.items():
-            columns[f"way {name}"] = [_milli(path[:, column]) if len(path) else np.zeros(0) for path in data.along_m]
-    return ColumnDataSource(columns, name="units")
-
-
-def _first_channel(data: PanelData) -> str:
-    """Return the channel whose gap stands highest above its floor."""
-    squares = (data.before / np.where(data.floor > 0, data.floor, np.nan)) ** 2
-    known = np.isfinite(squares)
-    ratio = np.where(known, squares, 0.0).sum(axis=0) / np.where(known.any(axis=0), known.sum(axis=0), np.nan)
-    return data.channels[int(np.nanargmax(ratio))][0] if np.isfinite(ratio).any() else data.channels[0][0]
-
-
-def _present(data: PanelData) -> list[tuple[str, str]]:
-    return [pair for k, pair in enumerate(data.channels) if np.isfinite(data.before[:, k]).any()]
-
-
-def _unit(unit: str) -> str:
-    return "mrad" if unit == "rad" else "mm"
 
 
 def _figure(title: str, x: str, y: str, **further: Any) -> figure:
@@ -237,7 +147,7 @@ def _covariate_panel(data: PanelData, source: ColumnDataSource, after: figure, b
     """Draw one channel's gap against one covariate; both can be chosen, the channel for the panel `after`, too."""
     from bokeh.models import CustomJS, Select
 
-    first, units = _first_channel(data), _units(data)
+    first, units = first_channel(data), channel_units(data)
     plot = _figure("The gap against what was driven", "order driven", f"{first}, {units[first]}")
     _points(plot, "x", "y", source)
     names = ["order driven", *data.covariates]
@@ -255,7 +165,7 @@ def _covariate_panel(data: PanelData, source: ColumnDataSource, after: figure, b
             "b": after.xaxis[0],
             "a": after.yaxis[0],
             "band": band,
-            "floors": _floors(data),
+            "floors": channel_floors(data),
         },
         code=CHOOSE,
     )
@@ -268,29 +178,14 @@ def _before_after_panel(data: PanelData, source: ColumnDataSource) -> tuple[_Pan
     """Draw what is left after the fix against what was there before; the floor as a band, the diagonal as a line."""
     from bokeh.models import BoxAnnotation, Slope
 
-    first = _first_channel(data)
-    unit, floor = _units(data)[first], _floors(data)[first]
+    first = first_channel(data)
+    unit, floor = channel_units(data)[first], channel_floors(data)[first]
     plot = _figure("Before and after the fix, on runs left out", f"{first} before, {unit}", f"{first} after, {unit}")
     band = BoxAnnotation(bottom=-floor, top=floor, fill_alpha=0.08, fill_color="#009E73")
     plot.add_layout(band)
     plot.add_layout(Slope(gradient=1.0, y_intercept=0.0, line_dash="dashed", line_color="#999999"))
     _points(plot, "b", "a", source)
     return _Panel(plot), band
-
-
-def _units(data: PanelData) -> dict[str, str]:
-    """Return the unit that each channel is drawn in, by its name."""
-    return {name: _unit(unit) for name, unit in _present(data)}
-
-
-def _floors(data: PanelData) -> dict[str, float]:
-    """Return two standard deviations of the floor of each channel in the unit that it is drawn in, by its name."""
-    names = [name for name, _ in data.channels]
-    squares = {name: data.floor[:, names.index(name)] ** 2 for name in _units(data)}
-    return {
-        name: 2e3 * float(np.sqrt(np.nanmean(square))) if np.isfinite(square).any() else 0.0
-        for name, square in squares.items()
-    }
 
 
 def _along_panel(source: ColumnDataSource, name: str) -> _Panel:
@@ -339,7 +234,7 @@ def _session_choice(data: PanelData, source: ColumnDataSource) -> Model:
     from bokeh.models import CustomJS, MultiChoice
 
     labels = (("session", data.session), ("kind", data.kind), ("run", data.run_id))
-    options = [f"{title} {name}" for title, names in labels for name in sorted({str(one) for one in names})]
+    options = [f"{title} {name}" for title, names in labels for name in sorted(set(map(str, names)))]
     choice = MultiChoice(name="choice", title="light up", options=options, value=[], width=320)
     choice.js_on_change("value", CustomJS(args={"source": source}, code=LIGHT))
     return choice

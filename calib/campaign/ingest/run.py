@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -11,23 +11,21 @@ import numpy as np
 
 from calib.arrays import FloatArray
 from calib.campaign.faults import Border
-from calib.campaign.ingest.log_files import listed_files, match_logs
-from calib.campaign.ingest.mapping import MappingFile, bad_line, read_mapping
-from calib.campaign.ingest.pieces import Part, cut_recordings
+from calib.campaign.ingest.log_files import listed_files
+from calib.campaign.ingest.mapping import bad_line, read_mapping
+from calib.campaign.ingest.parts import Work, parts_cut, parts_matched, parts_of_files, run_table
+from calib.campaign.ingest.pieces import Part
 from calib.campaign.ingest.poses import end_values
-from calib.campaign.ingest.streams import MappedLog, read_mapped
-from calib.campaign.ingest.table import mapped_runs, names_runs
+from calib.campaign.ingest.table import mapped_runs
 from calib.campaign.log_stack import LogStack
 from calib.campaign.model import Campaign, Note, RunTable
-from calib.campaign.readers import RawTable, holds_recording, read_table
-from calib.campaign.readers.table import objects
 from calib.campaign.settings import Encoder
-from calib.campaign.settings_file import Settings, parse_settings
+from calib.campaign.settings_file import parse_settings
 from calib.campaign.wraps import detect_wrap_bits
 from calib.campaign.write import write_campaign
 from calib.errors import BadInputError
 from calib.files import refuse_existing, sha256_file, to_json
-from calib.progress import Progress, silent, stepped
+from calib.progress import Progress, silent
 
 RECORD: Final = "ingest.json"
 RECORDINGS: Final = "recordings"
@@ -49,19 +47,6 @@ class Ingested:
     campaign: Campaign
     #: for each run cut out of a recording: its source, start and end in seconds and nanoseconds
     cuts: tuple[Mapping[str, Any], ...] = ()
-
-
-@dataclass(slots=True)
-class _Work:
-    """What an ingestion gathers on its way."""
-
-    mapping: MappingFile
-    settings: Settings
-    border: Border
-    hashes: dict[str, str] = field(default_factory=dict)
-    whole: dict[str, MappedLog] = field(default_factory=dict)
-    cuts: list[dict[str, Any]] = field(default_factory=list)
-    progress: Progress = silent
 
 
 def ingest(
@@ -108,7 +93,7 @@ def ingest(
         refuse_existing([into / "campaign.toml"], force=force)
     read = read_mapping(mapping)
     settings = parse_settings(read.settings, read.shown, into.name or "campaign")
-    work = _Work(read, settings, Border(lenient=False), progress=progress)
+    work = Work(read, settings, Border(lenient=False), progress=progress)
     # a mapping is no campaign.toml: it names no format, and what it leaves out is written as assumed
     work.border.notes.extend(note for note in settings.notes if note.code not in {"format", "default_vehicle"})
     if mapping:
@@ -123,99 +108,27 @@ def ingest(
     return Ingested(into, len(campaign.runs), n_logs, work.hashes, notes, campaign, tuple(work.cuts))
 
 
-def _campaign(paths: Sequence[Path], work: _Work) -> Campaign:
-    table = _table(paths[0], work)
+def _campaign(paths: Sequence[Path], work: Work) -> Campaign:
+    table = run_table(paths[0], work)
     first = paths[0]
     others = listed_files(paths if table is None else paths[1:])
     if table is None and work.mapping.table_file is not None:
         first = work.mapping.table_file
-        table = _table(first, work)
+        table = run_table(first, work)
     others = [path for path in others if table is None or path.resolve() != first.resolve()]
     runs = None if table is None else mapped_runs(table, work.mapping, str(first), work.border)
     if work.mapping.cut is not None:
-        runs, parts = _cut(runs, table, others, work)
+        runs, parts = parts_cut(runs, table, others, work)
     elif runs is None:
-        runs, parts = _a_run_a_file(others, work)
+        runs, parts = parts_of_files(others, work)
     else:
-        runs, parts = _matched(runs, others, str(first), work)
+        runs, parts = parts_matched(runs, others, str(first), work)
     parts = _exchanged(runs, parts, work)
     runs, parts = _ends(runs, parts)
     return _assembled(runs, parts, work)
 
 
-def _table(first: Path, work: _Work) -> RawTable | None:
-    """Return the run table where a source is one."""
-    if not first.exists() or first.is_dir() or holds_recording(first):
-        if not first.exists():
-            raise BadInputError(f"{first}: found no such file; expected a run table or a recording; correct the path")
-        return None
-    shown = str(first)
-    raw = read_table(first, shown, None, work.mapping.table_layout)
-    if not names_runs(raw, work.mapping) and not any(line.column for line in work.mapping.table):
-        logs = {line.column for line in work.mapping.log if line.column} or {"t_s"}
-        if logs & set(raw.columns):
-            return None
-    work.hashes[shown] = sha256_file(first)
-    work.border.notes.extend(raw.notes)
-    return raw
-
-
-def _read(path: Path, work: _Work) -> MappedLog:
-    shown = str(path)
-    log = read_mapped(path, shown, work.mapping, work.settings.encoder, work.border)
-    files = sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]
-    work.hashes |= {str(file): sha256_file(file) for file in files}
-    return log
-
-
-def _cut(
-    runs: RunTable | None, table: RawTable | None, recordings: Sequence[Path], work: _Work
-) -> tuple[RunTable, dict[int, Part]]:
-    if not recordings:
-        raise BadInputError("sources: found no recording to cut; expected one beside the run table; name it")
-    read = {path: _read(path, work) for path in stepped(recordings, work.progress, "recordings")}
-    runs, parts, whole, cuts = cut_recordings(runs, table, read, work.mapping, work.settings, work.border)
-    work.whole, work.cuts = whole, cuts
-    return runs, parts
-
-
-def _a_run_a_file(files: Sequence[Path], work: _Work) -> tuple[RunTable, dict[int, Part]]:
-    """Take each file for a run of its own, called by the file's name."""
-    raw = RawTable({"run_id": objects([path.stem for path in files])}, np.arange(1, len(files) + 1, dtype=np.int64))
-    runs = mapped_runs(raw, work.mapping, "the files given", work.border)
-    parts = {
-        index: Part.of(_read(path, work), str(path), work.mapping, work.settings)
-        for index, path in enumerate(stepped(files, work.progress, "logs"))
-    }
-    return runs, parts
-
-
-def _matched(runs: RunTable, files: Sequence[Path], shown: str, work: _Work) -> tuple[RunTable, dict[int, Part]]:
-    matched, missing = match_logs(runs, files, work.mapping.log_files, shown, work.border)
-    parts = {
-        index: Part.of(_read(path, work), str(path), work.mapping, work.settings)
-        for index, path in stepped(matched.items(), work.progress, "logs")
-    }
-    if not missing:
-        return runs, parts
-    counted = ~np.isnan(runs.number("counts_left")) & ~np.isnan(runs.number("counts_right"))
-    excluded = runs.excluded.copy()
-    reasons = runs.label("exclusion_reason").astype(object)
-    for index, name in missing.items():
-        text = f"no log {name} was found for this run"
-        if not counted[index] and not excluded[index]:
-            excluded[index] = True
-            reasons[index] = f"no log {name} was found"
-            text += "; it stays in the table, excluded"
-        where = f"{shown}, row {int(runs.line[index])}"
-        work.border.say(where, text, "no_log", level="suspicious", run_id=str(runs.run_id[index]))
-    labels = dict(runs.labels)
-    if excluded.any():
-        labels["exclusion_reason"] = reasons.astype(np.str_)
-    return replace(runs, labels=labels, excluded=excluded), parts
-
-
-def _exchanged(runs: RunTable, parts: dict[int, Part], work: _Work) -> dict[int, Part]:
+def _exchanged(runs: RunTable, parts: dict[int, Part], work: Work) -> dict[int, Part]:
     """Exchange left and right in the logs of the runs that the mapping names."""
     names = {str(run_id): index for index, run_id in enumerate(runs.run_id)}
     out = dict(parts)
@@ -248,7 +161,7 @@ def _ends(runs: RunTable, parts: Mapping[int, Part]) -> tuple[RunTable, dict[int
     return replace(runs, numbers=numbers), dict(parts)
 
 
-def _assembled(runs: RunTable, parts: Mapping[int, Part], work: _Work) -> Campaign:
+def _assembled(runs: RunTable, parts: Mapping[int, Part], work: Work) -> Campaign:
     encoder = _with_wrap(parts, work)
     names = {index: (str(runs.run_id[index]), part.shown) for index, part in parts.items()}
     stack = LogStack(len(runs))
@@ -258,7 +171,7 @@ def _assembled(runs: RunTable, parts: Mapping[int, Part], work: _Work) -> Campai
     return replace(work.settings, encoder=encoder).campaign(runs, logs, notes=tuple(work.border.notes))
 
 
-def _with_wrap(parts: Mapping[int, Part], work: _Work) -> Encoder:
+def _with_wrap(parts: Mapping[int, Part], work: Work) -> Encoder:
     """Return the encoder with the counter's width where overflows show it, so that the vehicle's runtime has it too."""
     encoder = work.settings.encoder
     if encoder.wrap_bits is not None:
@@ -296,7 +209,7 @@ def _csv(columns: Mapping[str, FloatArray]) -> bytes:
     return text.encode("utf-8")
 
 
-def _record(work: _Work) -> dict[str, Any]:
+def _record(work: Work) -> dict[str, Any]:
     record: dict[str, Any] = {
         "sources": [{"path": name, "sha256": digest} for name, digest in sorted(work.hashes.items())],
         "notes": [{"where": note.where, "text": note.text} for note in work.border.notes],
