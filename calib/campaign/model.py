@@ -209,31 +209,48 @@ class Logs:
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Campaign:
-    """A campaign: vehicle, instruments, what the simulator believes, runs and logs."""
+    """A campaign: vehicle, instruments, what the simulator believes, runs and logs.
 
-    #: its folder; None where it was made in memory
+    Parameters
+    ----------
+    root : Path or None
+        Its folder; None where it was made in memory.
+    name : str
+        Name of the campaign.
+    simulated : bool
+        True where a program made the data; every report then says so.
+    vehicle, encoder, model, rangefinder, reference
+        Sections of ``campaign.toml``.
+    runs : RunTable
+        The run table.
+    logs : Logs
+        Logs of the same runs in the same order.
+    notes : tuple of Note
+        What was recognised and converted on the way in.
+    hashes : mapping of str to str
+        SHA-256 of every file read, by path relative to the folder.
+    extra : mapping
+        Sections of ``campaign.toml`` that the contract does not name, as read (``effects`` for one).
+    odometry : Odometry
+        What the vehicle's own odometry runs on.
+    assumed : tuple of str
+        Keys of ``campaign.toml`` whose values nobody stated: a program filled them in (``rangefinder.sigma_m``).
+    """
+
     root: Path | None
     name: str
-    #: True where a program made the data; every report then says so
     simulated: bool
-    #: sections of ``campaign.toml``
     vehicle: Vehicle
     encoder: Encoder
     model: OdometryModel
     rangefinder: Rangefinder
     reference: Reference
     runs: RunTable
-    #: logs of the same runs in the same order
     logs: Logs
-    #: what was recognised and converted on the way in
     notes: tuple[Note, ...] = ()
-    #: SHA-256 of every file read, by path relative to the folder
     hashes: Mapping[str, str] = field(default_factory=dict)
-    #: sections of ``campaign.toml`` that the contract does not name, as read (``effects`` for one)
     extra: Mapping[str, Any] = field(default_factory=dict)
-    #: what the vehicle's own odometry runs on
     odometry: Odometry = field(default_factory=Odometry)
-    #: keys of ``campaign.toml`` whose values nobody stated: a program filled them in (``rangefinder.sigma_m``)
     assumed: tuple[str, ...] = ()
 
     def select(self, keep: npt.ArrayLike) -> Campaign:
