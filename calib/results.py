@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
     from calib.report.blocks import Block, Section
 
-__all__ = ["Diagnosis", "Fit", "Geometry", "Plan", "Replay", "Simulation", "extended"]
-
 Result = TypeVar("Result")
 
 

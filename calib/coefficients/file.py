@@ -192,8 +192,8 @@ def load_coefficients(path: Path | str) -> CoefficientFile:
         file = CoefficientFile.model_validate(document)
         computed = checksum(document)
     except ValidationError as error:
-        where, format_found, expected = _first(error)
-        raise _bad(path, format_found, expected, column=where or None) from error
+        where, found, expected = _first(error)
+        raise _bad(path, found, expected, column=where or None) from error
     except (ValueError, OverflowError) as error:
         raise _bad(path, str(error), "finite numbers") from error
     if computed != file.checksum:
