@@ -8,20 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from calib.arrays import BoolArray, FloatArray, IntArray, StrArray
+from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
-from calib.gap.data.driven_alike import (
-    Driven,
-    joined,
-    lane_names,
-    levels,
-    load_width_N,
-    measured_speed,
-    routes,
-    speed_width_mps,
-)
-from calib.gap.data.observations import CHANNELS, STRAIGHT_RAD, Observations
+from calib.gap.data.channels import Channel
+from calib.gap.data.driven_alike import Driven, alike
+from calib.gap.data.observations import STRAIGHT_RAD, Observations
 from calib.gap.data.straightness import heading_by_straightness, weave_of_log, were_led_straight
 from calib.gap.data.unit import CountsPerRadian, Unit
 from calib.gap.data.wheel_loads import filled_loads
@@ -90,19 +82,21 @@ def assemble(
     stands_in : bool
         Whether the two wheels stand in for a front wheel or for four wheels.
     """
-    said = list(notes)
+    remarks = list(notes)
     steps = _steps(units, model)
     front, steer, turned = _front(units)
     path, turn = steps.total(steps.path_m), steps.total(steps.turn_rad)
     index = np.array([u.run for u in units])
-    measured, usable = _measured(units, path, turn, steps.logged, said)
-    led, sigma_led = _led_straight(campaign, steps, measured, index, said)
+    measured, usable = _measured(units, path, turn, steps.logged, remarks)
+    led, sigma_led = _led_straight(campaign, steps, measured, index, remarks)
     measured[led, 3], usable[led, 3] = 0.0, True
     _front_channels(measured, usable, steps.total(front + steer), stands_in)
-    simulated = _simulated(units, usable, said)
-    numbers = _numbers(campaign, index, path, said)
+    simulated = _simulated(units, usable, remarks)
+    numbers = _numbers(campaign, index, path, remarks)
     labels = {name: campaign.runs.label(name)[index] for name in _LABELS}
-    route, condition, cell = _alike(campaign, steps, measured, numbers, labels)
+    wheels = (steps.left_m, steps.right_m, model.track_m)
+    driven = Driven(steps.starts, *wheels, measured[:, Channel.HEADING], steps.duration, steps.logged)
+    route, condition, cell = alike(campaign, driven, numbers, labels)
     return Observations(
         vehicle=campaign.vehicle,
         model=model,
@@ -136,7 +130,7 @@ def assemble(
         common_frame=_common_frame(campaign, in_map),
         led_straight=led,
         sigmas_assumed=_sigmas_assumed(campaign, usable),
-        notes=tuple(said),
+        notes=tuple(remarks),
         by_front=stands_in and bool(np.isfinite(front).any()),
         aside_m=_aside(units),
     )
@@ -204,7 +198,7 @@ def _unwrapped(heading: FloatArray, turn: FloatArray) -> FloatArray:
 
 
 def _measured(
-    units: Sequence[Unit], path: FloatArray, turn: FloatArray, logged: BoolArray, said: list[str]
+    units: Sequence[Unit], path: FloatArray, turn: FloatArray, logged: BoolArray, remarks: list[str]
 ) -> tuple[FloatArray, BoolArray]:
     """Return what was measured and which channels each unit has, each (n_units, 6), the front wheel's left out."""
     measured = np.full((len(units), 6), np.nan)
@@ -223,12 +217,12 @@ def _measured(
     usable[:, 0] &= logged | led | (np.abs(turn) < STRAIGHT_RAD)
     left_out = int((~pose_ok & np.isfinite(measured[:, 1])).sum())
     if left_out:
-        said.append(f"{left_out} runs have an end pose but no log of a curved path: only their heading counts")
+        remarks.append(f"{left_out} runs have an end pose but no log of a curved path: only their heading counts")
     return measured, usable
 
 
 def _led_straight(
-    campaign: Campaign, steps: _Steps, measured: FloatArray, index: IntArray, said: list[str]
+    campaign: Campaign, steps: _Steps, measured: FloatArray, index: IntArray, remarks: list[str]
 ) -> tuple[BoolArray, FloatArray]:
     """Return which units have the heading of a run led straight, and its standard uncertainty, each (n_units,)."""
     path, turn = steps.total(steps.path_m), steps.total(steps.turn_rad)
@@ -246,14 +240,14 @@ def _led_straight(
     if led.any():
         milli = 1e3 * float(np.median(sigma[led]))
         how = "assumed" if assumed[led].all() else "by their weave"
-        said.append(
+        remarks.append(
             f"{int(led.sum())} runs have a distance and no end pose: led straight, they are taken to end at the "
             f"heading they began with, to within {milli:.2g} mrad ({how}), so that each wheel has a radius of its own"
         )
     return led, sigma
 
 
-def _simulated(units: Sequence[Unit], usable: BoolArray, said: list[str]) -> FloatArray:
+def _simulated(units: Sequence[Unit], usable: BoolArray, remarks: list[str]) -> FloatArray:
     """Return what an outside simulator predicted of the channels used, (n_units, 6), and say where it did not."""
     simulated = np.full((len(units), 6), np.nan)
     simulated[:, :4] = [u.simulated for u in units]
@@ -261,62 +255,21 @@ def _simulated(units: Sequence[Unit], usable: BoolArray, said: list[str]) -> Flo
     for channel in range(4):
         if outside[:, channel].any() and not outside[:, channel][usable[:, channel]].all():
             missing = int((usable[:, channel] & ~outside[:, channel]).sum())
-            said.append(
-                f"{missing} runs have no sim_ value for {CHANNELS[channel]}: judged against calib's own odometry"
+            remarks.append(
+                f"{missing} runs have no sim_ value for {Channel(channel).label}: judged against calib's own odometry"
             )
     return np.where(outside, simulated, np.nan)
 
 
-def _numbers(campaign: Campaign, index: IntArray, path: FloatArray, said: list[str]) -> dict[str, FloatArray]:
+def _numbers(campaign: Campaign, index: IntArray, path: FloatArray, remarks: list[str]) -> dict[str, FloatArray]:
     """Return the covariates of each unit."""
     left, right, known = filled_loads(campaign)
     if not known:
-        said.append("no payload or wheel load is given: every run is taken as unladen")
+        remarks.append("no payload or wheel load is given: every run is taken as unladen")
     numbers = {name: campaign.runs.number(name)[index] for name in campaign.runs.numbers}
     numbers |= {"load_left_N": left[index], "load_right_N": right[index]}
     numbers["travelled_km"] = np.concatenate(([0.0], np.cumsum(np.abs(path))[:-1])) / 1000.0
     return numbers
-
-
-def _alike(
-    campaign: Campaign,
-    steps: _Steps,
-    measured: FloatArray,
-    numbers: dict[str, FloatArray],
-    labels: dict[str, StrArray],
-) -> tuple[IntArray, IntArray, IntArray]:
-    """Return the route, the condition and the cell of each unit, each shape (n_units,)."""
-    driven = Driven(steps.starts, steps.left_m, steps.right_m, steps.model.track_m, measured[:, 3])
-    route = joined([routes(driven), labels["direction"], lane_names(labels["kind"])])
-    speed = measured_speed(steps.starts, driven.rolled_m, steps.duration, steps.logged)
-    set_speed = numbers.get("speed_mps", np.full(len(route), np.nan))
-    speed = np.where(np.isfinite(speed), speed, set_speed)
-    width = load_width_N(campaign.vehicle)
-    condition = joined(
-        [
-            route,
-            levels(numbers["load_left_N"], width),
-            levels(numbers["load_right_N"], width),
-            levels(speed, speed_width_mps(speed)),
-        ]
-    )
-    warmth, dwell = (numbers.get(name, np.zeros(len(route))) for name in ("temperature_C", "minutes_under_load"))
-    cell = joined(
-        [
-            condition,
-            labels["session"],
-            levels(warmth, 2.0),
-            levels(dwell, 5.0),
-            *(levels(numbers[name], _width(numbers[name])) for name in campaign.runs.covariates),
-        ]
-    )
-    return route, condition, cell
-
-
-def _width(values: FloatArray) -> float:
-    """Width that tells set values of a further column apart: a tenth of its spread."""
-    spread = float(np.nanmax(values) - np.nanmin(values)) if np.isfinite(values).any() else 0.0
-    return spread / 10.0 if spread > 0 else 1.0
 
 
 def _common_frame(campaign: Campaign, in_map: bool) -> bool:

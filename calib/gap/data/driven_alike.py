@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from calib.arrays import BoolArray, FloatArray, IntArray, StrArray
+from calib.campaign.model import Campaign
 from calib.vehicle import Vehicle
 
 #: places along a route at which two are compared
@@ -34,6 +35,8 @@ class Driven:
     right_m: FloatArray
     track_m: float
     heading_rad: FloatArray  #: shape (n_units,): measured turn of each unit, NaN where not measured
+    duration_s: FloatArray  #: shape (n_steps,): how long each step took
+    logged: BoolArray  #: shape (n_units,): which units have a log
 
     @property
     def rolled_m(self) -> FloatArray:
@@ -142,13 +145,35 @@ def lane_names(kind: StrArray) -> StrArray:
     return np.array([match.group(1) if match else "" for match in ending], dtype=np.str_)
 
 
-def measured_speed(starts: IntArray, way_m: FloatArray, duration_s: FloatArray, logged: BoolArray) -> FloatArray:
-    """Return the mean speed of each unit over its way, by its log, shape (n_units,); NaN where `logged` is false.
+def measured_speed(driven: Driven) -> FloatArray:
+    """Return the mean speed of each unit over its way, by its log, shape (n_units,); NaN without a log.
 
-    A mean over the way, so that standing still at the ends weighs nothing. Steps of unit u, with the way rolled in
-    each, stand at ``starts[u]:starts[u + 1]``.
+    A mean over the way, so that standing still at the ends weighs nothing.
     """
+    way_m, first = driven.rolled_m, driven.starts[:-1]
     with np.errstate(divide="ignore", invalid="ignore"):
-        pace = np.where(duration_s > 0, way_m**2 / duration_s, 0.0)
-        speed = np.add.reduceat(np.nan_to_num(pace), starts[:-1]) / np.add.reduceat(way_m, starts[:-1])
-    return np.where(logged & np.isfinite(speed) & (speed > 0), speed, np.nan)
+        pace = np.where(driven.duration_s > 0, way_m**2 / driven.duration_s, 0.0)
+        speed = np.add.reduceat(np.nan_to_num(pace), first) / np.add.reduceat(way_m, first)
+    return np.where(driven.logged & np.isfinite(speed) & (speed > 0), speed, np.nan)
+
+
+def alike(
+    campaign: Campaign, driven: Driven, numbers: Mapping[str, FloatArray], labels: Mapping[str, StrArray]
+) -> tuple[IntArray, IntArray, IntArray]:
+    """Return the route, the condition and the cell of each unit, each shape (n_units,)."""
+    route = joined([routes(driven), labels["direction"], lane_names(labels["kind"])])
+    nothing = np.zeros(len(route))
+    speed = measured_speed(driven)
+    speed = np.where(np.isfinite(speed), speed, numbers.get("speed_mps", nothing + np.nan))
+    loads = [levels(numbers[name], load_width_N(campaign.vehicle)) for name in ("load_left_N", "load_right_N")]
+    condition = joined([route, *loads, levels(speed, speed_width_mps(speed))])
+    warmth, dwell = (numbers.get(name, nothing) for name in ("temperature_C", "minutes_under_load"))
+    further = [levels(numbers[name], _width(numbers[name])) for name in campaign.runs.covariates]
+    cell = joined([condition, labels["session"], levels(warmth, 2.0), levels(dwell, 5.0), *further])
+    return route, condition, cell
+
+
+def _width(values: FloatArray) -> float:
+    """Width that tells set values of a further column apart: a tenth of its spread."""
+    spread = float(np.nanmax(values) - np.nanmin(values)) if np.isfinite(values).any() else 0.0
+    return spread / 10.0 if spread > 0 else 1.0

@@ -16,9 +16,6 @@ from calib.campaign.settings import OdometryModel
 from calib.units import GRAVITY_MPS2
 from calib.vehicle import Vehicle
 
-#: channels of a residual: distance by laser; along, left of and heading of the end pose; front wheel against rear
-CHANNELS: Final = ("distance", "along", "lateral", "heading", "front", "steering")
-
 #: so many steps are worked on at a time: their arrays, some forty of half a megabyte, stay in the processor's cache
 #: for the most part, and a campaign of any size needs no more memory for them
 STEPS_AT_ONCE: Final = 2**16

@@ -84,22 +84,15 @@ def _candidates() -> list[GrossFault]:
 
 def corrected(observations: Observations, fault: GrossFault) -> Observations:
     """Return the situation with the counts put right."""
-    left, right = (
-        (observations.roll_right_rad, observations.roll_left_rad)
-        if fault.swapped
-        else (observations.roll_left_rad, observations.roll_right_rad)
-    )
-    phase = (
-        (observations.phase_right_rad, observations.phase_left_rad)
-        if fault.swapped
-        else (observations.phase_left_rad, observations.phase_right_rad)
-    )
+    roll = [observations.roll_left_rad, observations.roll_right_rad]
+    phase = [observations.phase_left_rad, observations.phase_right_rad]
+    left, right = (1, 0) if fault.swapped else (0, 1)
     return replace(
         observations,
-        roll_left_rad=left * fault.left,
-        roll_right_rad=right * fault.right,
-        phase_left_rad=phase[0] * fault.left,
-        phase_right_rad=phase[1] * fault.right,
+        roll_left_rad=roll[left] * fault.left,
+        roll_right_rad=roll[right] * fault.right,
+        phase_left_rad=phase[left] * fault.left,
+        phase_right_rad=phase[right] * fault.right,
     )
 
 
@@ -112,8 +105,7 @@ def misfit(path: Path) -> FloatArray:
     )
     length = np.where(np.isfinite(length) & (length > 0.5), length, np.maximum(observations.length_m, 0.5))
     ways = np.where(observations.usable[:, :3], gap[:, :3], 0.0).max(axis=1) / length
-    made: FloatArray = np.minimum(np.maximum(ways, np.where(observations.usable[:, 3], gap[:, 3], 0.0)), 1.0)
-    return made
+    return np.asarray(np.minimum(np.maximum(ways, np.where(observations.usable[:, 3], gap[:, 3], 0.0)), 1.0))
 
 
 def find_gross(observations: Observations, nominal: Path) -> GrossFault | None:

@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-import re
-from typing import Final
-
 import numpy as np
 
 from calib.arrays import FloatArray, IntArray
-from calib.gap.data.driven_alike import LENGTH_SHARE
+from calib.gap.data.driven_alike import LENGTH_SHARE, lane_names
 from calib.gap.data.observations import Observations
 from calib.gap.predict.path import LED_STRAIGHT_RAD, Path
-
-#: a kind that ends so is driven on another lane of the same floor
-_LANE: Final = re.compile(r"_([b-z]|\d+)$")
 
 
 def common_frame(observations: Observations) -> bool:
@@ -52,8 +46,7 @@ def far_end_m(observations: Observations) -> FloatArray:
 
 def lanes(observations: Observations) -> IntArray:
     """Return the lane of each unit: 0, or a number for each ending of the kind of route such as ``_b`` or ``_2``."""
-    ending = [_LANE.search(str(kind)) for kind in observations.labels["kind"]]
-    names = np.array([match.group(1) if match else "" for match in ending])
+    names = lane_names(observations.labels["kind"])
     others = [name for name in np.unique(names) if name]
     number = np.zeros(len(observations), dtype=np.int64)
     for place, name in enumerate(others, start=1):

@@ -91,8 +91,8 @@ def _cells(
         if 2 * len(zones) <= most:
             # a zone that lies across the edge of two cells fills one of the second grid
             zones += _grid(observations, of_lane, x, across, cosine, 1.0)
-        zones.sort(key=lambda one: -one[0])
-        kept += sorted(one[1] for one in zones[:most])
+        zones.sort(key=lambda zone: -zone[0])
+        kept += sorted(cell for _, cell in zones[:most])
     return kept
 
 

@@ -90,9 +90,9 @@ def _wheel_rad(observations: Observations, angle: FloatArray) -> FloatArray:
     long_enough = np.abs(length) > 0.5 * _SMOOTH_M
     with np.errstate(divide="ignore", invalid="ignore"):
         bend = np.where(long_enough, (turn[last] - turn[first]) / length, np.nan)
-    made = np.arctan(observations.vehicle.wheelbase_m * bend)
+    steered = np.arctan(observations.vehicle.wheelbase_m * bend)
     straight = (np.abs(angle) < _TURN_RAD) & long_enough
-    return np.asarray(made - (np.median(made[straight]) if straight.any() else 0.0))
+    return np.asarray(steered - (np.median(steered[straight]) if straight.any() else 0.0))
 
 
 def _lost_in_play(observations: Observations, angle: FloatArray, play: float, least: float) -> FloatArray:

@@ -117,7 +117,7 @@ class _Task:
     """What the next runs are to tell apart."""
 
     def __init__(self, signatures: Signatures, ties: Sequence[Sequence[str]]) -> None:
-        self.made = signatures
+        self.signatures = signatures
         number = {name: index for index, name in enumerate(signatures.names)}
         self.pairs = [
             (number[group[0]], number[other])
@@ -129,7 +129,7 @@ class _Task:
 
     def distances(self, gram: FloatArray) -> FloatArray:
         """Return the distance of each tied pair, or how well each effect stands apart where there is no tie."""
-        signal, distance = self.made.distances(gram, self.truths)
+        signal, distance = self.signatures.distances(gram, self.truths)
         if self.pairs:
             row = {truth: index for index, truth in enumerate(self.truths)}
             return np.array([distance[row[a], b] for a, b in self.pairs])
@@ -147,7 +147,7 @@ class _Task:
 
     def why(self, before: FloatArray, after: FloatArray) -> str:
         """Say what a run tells apart, most gained first."""
-        names = self.made.names
+        names = self.signatures.names
         order = np.argsort(-(np.minimum(after, 4 * NEAR) - np.minimum(before, 4 * NEAR)))[:NAMED]
         order = np.array([k for k in order if after[k] > before[k] + 0.05], dtype=np.int64)
         if self.pairs:

@@ -200,11 +200,11 @@ def _predicted(s: Observations, push: Push) -> Path:
 
 def _in_start_frame(path: Path, reading: FloatArray) -> FloatArray:
     """Turn the along and lateral columns (n_units, n_channels) from the end frame into the start frame."""
-    made = reading.copy()
+    turned = reading.copy()
     c, s = np.cos(path.frame), np.sin(path.frame)
-    made[:, Channel.ALONG] = c * reading[:, Channel.ALONG] - s * reading[:, Channel.LATERAL]
-    made[:, Channel.LATERAL] = s * reading[:, Channel.ALONG] + c * reading[:, Channel.LATERAL]
-    return made
+    turned[:, Channel.ALONG] = c * reading[:, Channel.ALONG] - s * reading[:, Channel.LATERAL]
+    turned[:, Channel.LATERAL] = s * reading[:, Channel.ALONG] + c * reading[:, Channel.LATERAL]
+    return turned
 
 
 def signature(path: Path, push: Push) -> FloatArray:
