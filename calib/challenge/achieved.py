@@ -55,27 +55,21 @@ def _forms_there(
     diagnosis: Diagnosis, there: Observations, fresh: Campaign, exclude: tuple[str, ...]
 ) -> tuple[Form, ...] | None:
     """Return the verdict's forms on another campaign, found again by effect, label and settings."""
+    from calib.gap.effects.applied import matching_form
     from calib.gap.effects.library import library
 
     effects = {e.id: e for e in library(there, exclude=exclude, declared=fresh.extra.get("effects", ()))}
     matches = []
     for wanted in diagnosis.fitted.forms:
         effect = effects.get(wanted.effect)
-        alike = [
-            form
-            for form in (effect.forms(there) if effect is not None else [])
-            if form.label == wanted.label and len(form.parameters) == len(wanted.parameters)
-        ]
-        if not alike:
+        offered = [] if effect is None else effect.forms(there)
+        alike = [form for form in offered if len(form.parameters) == len(wanted.parameters)]
+        nearest = matching_form(alike, wanted.label, wanted.settings)
+        if nearest is None:
             return None
-        nearest = min(alike, key=lambda form: _apart(form.settings, wanted.settings))
         # the fitted fix as it stands: nought where it was nought on the runs it was fitted to
         matches.append(nearest.centred_at(wanted.centre))
     return tuple(matches)
-
-
-def _apart(settings: dict[str, float], other: dict[str, float]) -> float:
-    return sum(abs(settings.get(key, np.inf) - value) for key, value in other.items())
 
 
 def _rms(there: Observations, values: FloatArray) -> float | None:

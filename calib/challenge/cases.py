@@ -85,22 +85,15 @@ class Truth:
         recipe["targets"] = tuple(float("nan") if item is None else float(item) for item in recipe["targets"])
         noise = dict(data["noise"])
         noise["tail"] = float("inf") if noise["tail"] is None else noise["tail"]
-        return Truth(
-            recipe=Recipe(**recipe),
-            seed=data["seed"],
-            max_runs=data["max_runs"],
-            redraw=data["redraw"],
-            causes=tuple(Cause(**item) for item in data["causes"]),
-            typical=tuple(data["typical"]),
-            signals=tuple(data["signals"]),
-            beside=tuple(data["beside"]),
-            rivals=tuple((name, distance) for name, distance in data["rivals"]),
-            noise=Noise(**noise),
-            model=OdometryModel(**data["model"]),
-            n_runs=data["n_runs"],
-            ceiling=None if data.get("ceiling") is None else (data["ceiling"][0], data["ceiling"][1]),
-            own_ceiling=None if data.get("own_ceiling") is None else (data["own_ceiling"][0], data["own_ceiling"][1]),
-        )
+        changed: dict[str, Any] = {name: tuple(data[name]) for name in ("typical", "signals", "beside")} | {
+            "recipe": Recipe(**recipe),
+            "causes": tuple(Cause(**item) for item in data["causes"]),
+            "rivals": tuple((name, distance) for name, distance in data["rivals"]),
+            "noise": Noise(**noise),
+            "model": OdometryModel(**data["model"]),
+        }
+        changed |= {name: tuple(data[name]) for name in ("ceiling", "own_ceiling") if data.get(name) is not None}
+        return Truth(**{**data, **changed})
 
 
 def case_design(recipe: Recipe, seed: int, max_runs: int, redraw: int = 0) -> Design:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from concurrent.futures import as_completed
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
-from calib.challenge.seal import read_public, workers_of
+from calib.challenge.seal import each, read_public
 from calib.errors import CalibError
 from calib.files import inside, write_json
 
@@ -86,10 +86,6 @@ def run_case(
     return fine
 
 
-def _job(job: tuple[str, str, tuple[str, ...], int]) -> bool:
-    return run_case(Path(job[0]), *job[1:])
-
-
 def run(
     folder: Path,
     *,
@@ -119,21 +115,16 @@ def run(
     folder = Path(folder)
     cases = list(read_public(folder)["cases"].items())[:limit]
     waiting = [
-        (str(folder), case, tuple(entry["exclude"]), seed)
-        for case, entry in cases
-        if not (folder / "verdicts" / f"{case}.json").exists()
+        (case, tuple(entry["exclude"])) for case, entry in cases if not (folder / "verdicts" / f"{case}.json").exists()
     ]
     skipped = len(cases) - len(waiting)
     report = tick or (lambda _done, _total: None)
     report(skipped, len(cases))
-    fine: list[bool] = []
-    if workers <= 1 or diagnoser is not None:
-        for job in waiting:
-            fine.append(run_case(folder, job[1], job[2], seed, diagnoser or diagnose_and_try))
-            report(skipped + len(fine), len(cases))
-    elif waiting:
-        with workers_of(workers) as pool:
-            for future in as_completed([pool.submit(_job, job) for job in waiting]):
-                fine.append(future.result())
-                report(skipped + len(fine), len(cases))
+    work = partial(_job, folder, seed, diagnoser or diagnose_and_try)
+    alone = diagnoser is not None or not waiting
+    fine = each(work, waiting, 1 if alone else workers, lambda done: report(skipped + done, len(cases)))
     return Ran(done=len(fine), skipped=skipped, failed=fine.count(False))
+
+
+def _job(folder: Path, seed: int, diagnoser: Diagnoser, case: tuple[str, tuple[str, ...]]) -> bool:
+    return run_case(folder, *case, seed, diagnoser)

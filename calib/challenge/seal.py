@@ -68,7 +68,7 @@ def workers_of(workers: int) -> Iterator[ProcessPoolExecutor]:
                 os.environ[name] = value
 
 
-def _each(work: Callable[[T], R], items: Sequence[T], workers: int, tick: Callable[[int], None]) -> list[R]:
+def each(work: Callable[[T], R], items: Sequence[T], workers: int, tick: Callable[[int], None]) -> list[R]:
     """Return the work on each item, in order; `tick` gets how many are done."""
     if workers <= 1:
         results = []
@@ -144,7 +144,7 @@ def make(
     seeds = read_seeds(seeds_file)
     wanted = recipes(seeds, limit)
     report: Tick = tick or (lambda _stage, _done, _total: None)
-    truths = _each(
+    truths = each(
         _draw_one,
         [(item, seeds.seed, seeds.max_runs) for item in wanted],
         workers,
@@ -160,7 +160,7 @@ def make(
     write_text(folder / HASH, f"{digest}  {truth_file.name}\n", force=True)
     if sealed is not None:
         sealed(digest)
-    _each(
+    each(
         _write_one,
         [(item, str(folder)) for item in truths],
         workers,

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from calib.arrays import FloatArray
+
+#: what a pose is made of
+POSE: Final = ("x_m", "y_m", "theta_rad")
+#: components of an error: along and left of the path, of the heading, and in the global frame
+COMPONENTS: Final = ("along_m", "lateral_m", "heading_rad", "global_x_m", "global_y_m")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

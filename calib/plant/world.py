@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from typing import Any
 
 import numpy as np
 
@@ -166,32 +167,10 @@ def build_world(design: Design, model: OdometryModel) -> World:
     """Return the world in which the model is right."""
     n_runs = len(design)
     left_N, right_N = wheel_loads(design.vehicle, design.payload_kg, design.payload_x_m, design.payload_y_m)
-    return World(
-        design=design,
-        model=model,
-        load_left_N=left_N,
-        load_right_N=right_N,
-        believed_left_m=model.radius_left_m + model.slope_left_m_per_N * (left_N - model.reference_load_N),
-        believed_right_m=model.radius_right_m + model.slope_right_m_per_N * (right_N - model.reference_load_N),
-        left=np.ones(n_runs),
-        right=np.ones(n_runs),
-        track=np.ones(n_runs),
-        laser_scale=np.ones(n_runs),
-        steer_scale=np.ones(n_runs),
-        wavelength_m=np.full(n_runs, 5.0),
-        payload_scale=np.ones(n_runs),
-        laser_offset_m=np.zeros(n_runs),
-        ref_yaw_rad=np.zeros(n_runs),
-        ref_lever_x_m=np.zeros(n_runs),
-        ref_lever_y_m=np.zeros(n_runs),
-        latency_s=np.zeros(n_runs),
-        steer_zero_rad=np.zeros(n_runs),
-        steer_backlash_rad=np.zeros(n_runs),
-        steer_delay_s=np.zeros(n_runs),
-        weave_m=np.zeros(n_runs),
-        rise=np.zeros(n_runs),
-        euler=np.zeros(n_runs),
-        gross_runs=np.zeros(n_runs),
-        payload_dx_m=np.zeros(n_runs),
-        payload_dy_m=np.zeros(n_runs),
-    )
+    arrays: dict[str, Any] = {field.name: np.zeros(n_runs) for field in fields(World) if field.type == "FloatArray"}
+    ones = ("left", "right", "track", "laser_scale", "steer_scale", "payload_scale")
+    arrays |= {name: np.ones(n_runs) for name in ones} | {"wavelength_m": np.full(n_runs, 5.0)}
+    arrays |= {"load_left_N": left_N, "load_right_N": right_N}
+    arrays["believed_left_m"] = model.radius_left_m + model.slope_left_m_per_N * (left_N - model.reference_load_N)
+    arrays["believed_right_m"] = model.radius_right_m + model.slope_right_m_per_N * (right_N - model.reference_load_N)
+    return World(design=design, model=model, **arrays)

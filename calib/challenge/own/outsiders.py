@@ -47,10 +47,7 @@ def column_act(values: FloatArray) -> SizedAct:
 
 
 def _on_both_radii(share: FloatArray) -> SizedAct:
-    def act(world: World, size: float) -> None:
-        world.left, world.right = world.left * (1 + size * share), world.right * (1 + size * share)
-
-    return act
+    return lambda world, size: world.enlarge(size * share)
 
 
 def _standard(values: FloatArray) -> FloatArray:
@@ -87,8 +84,7 @@ def _one_speed(at_mps: float) -> SizedAct:
     def act(world: World, size: float) -> None:
         def during(now: Moment) -> None:
             near = size * np.exp(-(((np.abs(now.v_mps) - at_mps) / (NARROW * at_mps)) ** 2))
-            now.left += near
-            now.right += near
+            now.roll_more(near)
 
         world.during.append(during)
 
@@ -105,8 +101,4 @@ def _left_turns(world: World, size: float) -> None:
 def _unlogged(drawn: FloatArray, condition: IntArray) -> SizedAct:
     """Something nobody wrote down: another pull in each condition, the same in its repeats."""
     left, right = drawn[0, condition], 0.7 * (drawn[0, condition] + drawn[1, condition])
-
-    def act(world: World, size: float) -> None:
-        world.left, world.right = world.left * (1 + size * left), world.right * (1 + size * right)
-
-    return act
+    return lambda world, size: world.enlarge(size * left, size * right)

@@ -15,13 +15,12 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.errors import BadInputError
 from calib.motion.pose_covariance import jacobian, steps
-from calib.motion.poses import PoseErrors, pose_errors
+from calib.motion.poses import COMPONENTS, PoseErrors, pose_errors
 from calib.motion.routes import Route
 from calib.motion.studies.follow import Axle, end_of_route, wheel_travel
 from calib.radius.law import RadiusLaw, WheelLaw
 
 BANDS: Final = ("mean", "prediction")
-COMPONENTS: Final = ("along_m", "lateral_m", "heading_rad", "global_x_m", "global_y_m")
 
 
 @dataclass(frozen=True, slots=True)

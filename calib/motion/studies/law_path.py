@@ -8,7 +8,7 @@ carried (with it, the scheme of Fig. 7).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -16,13 +16,10 @@ from calib.arrays import FloatArray
 from calib.errors import BadInputError
 from calib.motion.odometry.loaded import radii_under_load
 from calib.motion.pose_covariance import ellipses, jacobian, parameter_covariance, steps
-from calib.motion.poses import PoseErrors, Poses, pose_errors
+from calib.motion.poses import COMPONENTS, POSE, PoseErrors, Poses, pose_errors
 from calib.motion.routes import Route
 from calib.motion.studies.law_source import AxleLaw, Loading
 from calib.motion.studies.sweeps import SPACING_M
-
-#: components of an error: along and left of the path, of the heading, and in the global frame
-COMPONENTS: Final = ("along_m", "lateral_m", "heading_rad", "global_x_m", "global_y_m")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,7 +94,7 @@ class LawPath:
         """Return poses, errors and standard uncertainties along the path, one row a point."""
         columns = {"distance_m": self.distance_m} | self._loads()
         for name, driven in (("without", self.without), ("corrected", self.corrected)):
-            columns |= {f"{name}_{key}": getattr(driven.poses, key) for key in ("x_m", "y_m", "theta_rad")}
+            columns |= {f"{name}_{key}": getattr(driven.poses, key) for key in POSE}
             columns |= {f"{name}_error_{key}": getattr(driven.errors, key) for key in COMPONENTS}
             columns |= {f"{name}_std_{key}": driven.std[key] for key in COMPONENTS}
         return _rows(columns)

@@ -78,11 +78,8 @@ class Replay:
                 "distance_m": float(self.distance_m[k]),
             }
             for method in METHODS:
-                e = self.errors[method]
-                row[f"{method}_along_m"] = float(e.along_m[k])
-                row[f"{method}_lateral_m"] = float(e.lateral_m[k])
-                row[f"{method}_heading_rad"] = float(e.heading_rad[k])
-                row[f"{method}_distance_m"] = float(e.distance_m[k])
+                for name in ("along_m", "lateral_m", "heading_rad", "distance_m"):
+                    row[f"{method}_{name}"] = float(getattr(self.errors[method], name)[k])
             runs.append(row)
         return {
             "rms_m": self.rms_m,

@@ -12,7 +12,7 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.errors import BadInputError
 from calib.limits import SIMULATED_POSES, refuse_more
-from calib.motion.poses import PoseErrors, Poses, pose_errors
+from calib.motion.poses import COMPONENTS, POSE, PoseErrors, Poses, pose_errors
 from calib.motion.routes import Route, find_route
 from calib.motion.studies.follow import Axle, follow
 
@@ -123,40 +123,24 @@ class Sweep:
         """Return the numbers at the end of the route, one row a case."""
         rows: list[dict[str, float | str]] = []
         for number, case in enumerate(self.cases):
-            last = self.poses[number, -1]
-            e = self.errors
-            rows.append(
-                {
-                    "case": case.label,
-                    "which": case.which,
-                    "ratio": case.ratio,
-                    "first_segment_m": float(
-                        math.hypot(float(self.corners.x_m[number, 1]), float(self.corners.y_m[number, 1]))
-                    ),
-                    "end_x_m": float(last.x_m),
-                    "end_y_m": float(last.y_m),
-                    "end_theta_rad": float(last.theta_rad),
-                    "error_along_m": float(e.along_m[number, -1]),
-                    "error_lateral_m": float(e.lateral_m[number, -1]),
-                    "error_heading_rad": float(e.heading_rad[number, -1]),
-                    "error_global_x_m": float(e.global_x_m[number, -1]),
-                    "error_global_y_m": float(e.global_y_m[number, -1]),
-                    "error_distance_m": float(e.distance_m[number, -1]),
-                }
-            )
+            first, last = self.corners[number, 1], self.poses[number, -1]
+            row: dict[str, float | str] = {
+                "case": case.label,
+                "which": case.which,
+                "ratio": case.ratio,
+                "first_segment_m": math.hypot(float(first.x_m), float(first.y_m)),
+            }
+            row |= {f"end_{name}": float(getattr(last, name)) for name in POSE}
+            rows.append(row | {f"error_{name}": float(values[number, -1]) for name, values in self._errors().items()})
         return rows
+
+    def _errors(self) -> dict[str, FloatArray]:
+        return {name: getattr(self.errors, name) for name in (*COMPONENTS, "distance_m")}
 
     def along(self) -> list[dict[str, float | str]]:
         """Return poses and errors along the route, one row a case and point."""
-        e, p = self.errors, self.poses
-        columns = {"x_m": p.x_m, "y_m": p.y_m, "theta_rad": p.theta_rad}
-        columns |= {
-            "error_along_m": e.along_m,
-            "error_lateral_m": e.lateral_m,
-            "error_heading_rad": e.heading_rad,
-            "error_global_x_m": e.global_x_m,
-            "error_global_y_m": e.global_y_m,
-        }
+        columns = {name: getattr(self.poses, name) for name in POSE}
+        columns |= {f"error_{name}": getattr(self.errors, name) for name in COMPONENTS}
         rows: list[dict[str, float | str]] = []
         for number, case in enumerate(self.cases):
             values = np.stack([self.distance_m, *(column[number] for column in columns.values())], axis=1).tolist()

@@ -11,7 +11,8 @@ from matplotlib.patches import Ellipse, Patch
 from matplotlib.ticker import MaxNLocator
 
 from calib.motion.pose_covariance import ellipses
-from calib.motion.studies.law_path import COMPONENTS, LawPath
+from calib.motion.poses import COMPONENTS
+from calib.motion.studies.law_path import LawPath
 from calib.motion.studies.sweeps import Sweep
 from calib.report.figures.motion import sweep_keys, sweep_styles
 from calib.report.figures.style import BLUE, GREY, INK, ORANGE, SKY, canvas, figure_title, styled

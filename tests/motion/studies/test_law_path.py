@@ -9,9 +9,10 @@ import pytest
 
 from calib.errors import BadInputError
 from calib.motion.pose_covariance import RandomWalk, ellipses
+from calib.motion.poses import COMPONENTS
 from calib.motion.routes import NAMED, Route, arc, find_route, straight
 from calib.motion.studies.law_journey import law_journey
-from calib.motion.studies.law_path import COMPONENTS, LawPath, law_path
+from calib.motion.studies.law_path import LawPath, law_path
 from calib.motion.studies.law_source import AxleLaw, Loading
 from calib.radius.law import RadiusLaw, WheelLaw
 
