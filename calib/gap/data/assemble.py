@@ -15,7 +15,7 @@ from calib.gap.data.channels import Channel
 from calib.gap.data.driven_alike import Driven, alike
 from calib.gap.data.observations import STRAIGHT_RAD, Observations
 from calib.gap.data.straightness import heading_by_straightness, weave_of_log, were_led_straight
-from calib.gap.data.unit import CountsPerRadian, Unit
+from calib.gap.data.unit import Setup, Unit
 from calib.gap.data.wheel_loads import filled_loads
 
 _LABELS = ("run_id", "session", "kind", "direction")
@@ -53,35 +53,9 @@ class _Steps:
         return (self.right_m - self.left_m) / self.model.track_m
 
 
-def assemble(
-    campaign: Campaign,
-    model: OdometryModel,
-    units: Sequence[Unit],
-    per_rad: CountsPerRadian,
-    *,
-    in_map: bool,
-    notes: Sequence[str],
-    stands_in: bool = False,
-) -> Observations:
-    """Lay units end to end and settle which channels each of them has and which were driven alike.
-
-    Parameters
-    ----------
-    campaign : Campaign
-        Whose runs the units are.
-    model : OdometryModel
-        What the simulator believes.
-    units : sequence of Unit
-        Units in the order driven.
-    per_rad : CountsPerRadian
-        Scales of the encoders.
-    in_map : bool
-        Whether the reference's poses stand in one frame for all runs.
-    notes : sequence of str
-        What was said on the way here.
-    stands_in : bool
-        Whether the two wheels stand in for a front wheel or for four wheels.
-    """
+def assemble(setup: Setup, units: Sequence[Unit], notes: Sequence[str]) -> Observations:
+    """Lay units in the order driven end to end; settle which channels each has and which were driven alike."""
+    campaign, model, stands_in = setup.campaign, setup.model, setup.stands_in
     remarks = list(notes)
     steps = _steps(units, model)
     front, steer, turned = _front(units)
@@ -122,12 +96,12 @@ def assemble(
         sigma_xy_m=_stated(units, "sigma_xy_m", campaign),
         sigma_theta_rad=np.where(led, sigma_led, _stated(units, "sigma_theta_rad", campaign)),
         sigma_start_rad=np.array([u.sigma_start_rad for u in units]),
-        count_rad=(1 / per_rad.left, 1 / per_rad.right),
+        count_rad=(1 / setup.per_rad.left, 1 / setup.per_rad.right),
         windowed=any(u.window > 0 for u in units),
         run=index,
         window=np.array([u.window for u in units]),
         start_pose=np.array([u.start_pose for u in units]),
-        common_frame=_common_frame(campaign, in_map),
+        common_frame=_common_frame(campaign, setup.in_map),
         led_straight=led,
         sigmas_assumed=_sigmas_assumed(campaign, usable),
         notes=tuple(remarks),

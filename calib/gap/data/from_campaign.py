@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,14 +14,9 @@ from calib.campaign.wheels import on_one_axle, without_rear_wheels
 from calib.errors import RefusedError
 from calib.gap.data.assemble import assemble
 from calib.gap.data.observations import Observations
-from calib.gap.data.reference_poses import (
-    ReferencePoses,
-    end_pose_of_vehicle,
-    poses_are_in_a_map,
-    reference_poses,
-)
-from calib.gap.data.unit import CountsPerRadian, Unit, log_rows, unit_from_log, unit_from_row
-from calib.gap.data.windows import FEW_RUNS, cut, whole, window_length_m
+from calib.gap.data.reference_poses import end_pose_of_vehicle, poses_are_in_a_map, reference_poses
+from calib.gap.data.unit import CountsPerRadian, Setup, Unit, log_rows, unit_from_log, unit_from_row
+from calib.gap.data.windows import FEW_RUNS, Recorded, cut, whole, window_length_m
 
 #: what the wheels may still roll after the last pose of the reference, so that it counts as the end pose
 AT_THE_END_M = 1e-3
@@ -45,14 +39,13 @@ def observations_of(campaign: Campaign, model: OdometryModel | None = None) -> O
         model = replace(model, slope_left_m_per_N=0.0, slope_right_m_per_N=0.0)
         campaign = on_one_axle(campaign, model)
     per_rad = CountsPerRadian.from_encoder(campaign.encoder)
-    in_map = poses_are_in_a_map(campaign)
-    recorded = [_recorded(run, campaign, model, per_rad, in_map) for run in range(len(campaign.runs))]
+    setup = Setup(campaign, model, per_rad, poses_are_in_a_map(campaign), stands_in)
+    recorded = [_recorded(run, setup) for run in range(len(campaign.runs))]
     with_counts = [run for run in recorded if run is not None]
     few = len(recorded) < FEW_RUNS
-    arranged = partial(_arranged, with_counts, campaign, model, per_rad, in_map, stands_in=stands_in)
-    observations = arranged(into_windows=few)
+    observations = _arranged(with_counts, setup, into_windows=few)
     if not few and any(run.reference is not None for run in with_counts) and _n_repeated(observations) < FEW_REPEATED:
-        observations = arranged(into_windows=True)
+        observations = _arranged(with_counts, setup, into_windows=True)
     return observations
 
 
@@ -61,18 +54,10 @@ def _n_repeated(observations: Observations) -> int:
     return int((np.bincount(observations.condition)[observations.condition] > 1).sum())
 
 
-def _arranged(
-    recorded: list[_Recorded],
-    campaign: Campaign,
-    model: OdometryModel,
-    per_rad: CountsPerRadian,
-    in_map: bool,
-    *,
-    into_windows: bool,
-    stands_in: bool,
-) -> Observations:
+def _arranged(recorded: list[Recorded], setup: Setup, *, into_windows: bool) -> Observations:
     """Return the observations of all runs, whole or cut into windows."""
-    units, notes = _units(recorded, campaign, model, per_rad, into_windows=into_windows, keep_front=stands_in)
+    campaign = setup.campaign
+    units, notes = _units(recorded, setup, into_windows=into_windows)
     without_counts = len(campaign.runs) - len(recorded)
     if without_counts:
         notes.insert(0, f"{without_counts} runs have no encoder counts and were left out")
@@ -82,22 +67,12 @@ def _arranged(
             f"{campaign.name}: no run has both encoder counts and a measured distance or end pose; "
             "nothing can be said of a gap; measure distance_m or ref_x_m, ref_y_m, ref_theta_rad"
         )
-    return assemble(campaign, model, units, per_rad, in_map=in_map, stands_in=stands_in, notes=notes)
+    return assemble(setup, units, notes)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Recorded:
-    """A run with its log and the reference's poses in it."""
-
-    unit: Unit
-    log: Mapping[str, FloatArray]
-    reference: ReferencePoses | None
-
-
-def _recorded(
-    run: int, campaign: Campaign, model: OdometryModel, per_rad: CountsPerRadian, in_map: bool
-) -> _Recorded | None:
+def _recorded(run: int, setup: Setup) -> Recorded | None:
     """Return a run with what its row and log measured at its end; None where it has no counts."""
+    campaign, per_rad = setup.campaign, setup.per_rad
     log = campaign.logs.of(run)
     rows = log_rows(log)
     runs = campaign.runs
@@ -110,35 +85,22 @@ def _recorded(
         distance = log["range_m"][-1]
     pose = np.array([runs.number(name)[run] for name in ("ref_x_m", "ref_y_m", "ref_theta_rad")])
     # an end pose in a map says nothing without the pose at the start
-    pose = np.full(3, np.nan) if in_map else end_pose_of_vehicle(pose[None, :], campaign.reference)[0]
+    pose = np.full(3, np.nan) if setup.in_map else end_pose_of_vehicle(pose[None, :], campaign.reference)[0]
     simulated = [runs.number(f"sim_{name}")[run] for name in ("distance_m", "x_m", "y_m", "theta_rad")]
     unit = replace(unit, measured=np.array([distance, *pose]), simulated=np.array(simulated))
-    poses = reference_poses(log, campaign.reference, model, per_rad, in_map=in_map) if logged else None
-    return _Recorded(unit, log, poses)
+    return Recorded(unit, log, reference_poses(log, setup) if logged else None)
 
 
-def _units(
-    recorded: list[_Recorded],
-    campaign: Campaign,
-    model: OdometryModel,
-    per_rad: CountsPerRadian,
-    *,
-    into_windows: bool,
-    keep_front: bool,
-) -> tuple[list[Unit], list[str]]:
+def _units(recorded: list[Recorded], setup: Setup, *, into_windows: bool) -> tuple[list[Unit], list[str]]:
     """Return the units of all runs, long recordings cut into windows, and what has to be said of it."""
     rolled = sum(float(run.reference.travelled_m[-1]) for run in recorded if run.reference is not None)
-    length_m = window_length_m(rolled, model.track_m)
+    length_m = window_length_m(rolled, setup.model.track_m)
     units: list[Unit] = []
     n_cut = 0
     for run in recorded:
-        windows = (
-            []
-            if run.reference is None or not into_windows
-            else cut(run.unit.run, run.log, run.reference, campaign.reference, per_rad, length_m, keep_front=keep_front)
-        )
+        windows = cut(run, setup, length_m) if into_windows else []
         n_cut += bool(windows)
-        units.extend(windows or [_by_log(run, campaign, per_rad)])
+        units.extend(windows or [_by_log(run, setup)])
     notes = []
     if n_cut:
         notes.append(f"{n_cut} recordings with a continuous reference were cut into windows of about {length_m:.2g} m")
@@ -149,7 +111,7 @@ def _units(
     return units, notes
 
 
-def _by_log(run: _Recorded, campaign: Campaign, per_rad: CountsPerRadian) -> Unit:
+def _by_log(run: Recorded, setup: Setup) -> Unit:
     """Return a run's unit with the end pose by its log's own reference, where its row has none."""
     unit, reference = run.unit, run.reference
     if reference is None or not np.isnan(unit.measured[1:]).all():
@@ -157,22 +119,17 @@ def _by_log(run: _Recorded, campaign: Campaign, per_rad: CountsPerRadian) -> Uni
     rows = log_rows(run.log)
     inside = rows[(rows >= (reference.rows[0] if reference.from_first else 0)) & (rows <= reference.rows[-1])]
     left_out = np.setdiff1d(rows, inside, assume_unique=True)
-    if (
-        len(left_out)
-        and _rolled_outside_m(run.log, rows, inside, per_rad, campaign.vehicle.wheel_radius_m) > AT_THE_END_M
-    ):
+    if len(left_out) and _rolled_outside_m(run.log, rows, inside, setup) > AT_THE_END_M:
         # the reference saw a part of the run only: that part is what can be compared
-        part = unit_from_log(unit.run, run.log, inside, per_rad)
+        part = unit_from_log(unit.run, run.log, inside, setup.per_rad)
         unit = replace(part, measured=np.full(4, np.nan))
-    return whole(unit, reference, campaign.reference)
+    return whole(unit, reference, setup.campaign.reference)
 
 
-def _rolled_outside_m(
-    log: Mapping[str, FloatArray], rows: IntArray, inside: IntArray, per_rad: CountsPerRadian, radius_m: float
-) -> float:
+def _rolled_outside_m(log: Mapping[str, FloatArray], rows: IntArray, inside: IntArray, setup: Setup) -> float:
     """Return what the wheels rolled before the first and after the last of some samples, at most."""
     rolled = 0.0
-    for name, scale in (("counts_left", per_rad.left), ("counts_right", per_rad.right)):
+    for name, scale in (("counts_left", setup.per_rad.left), ("counts_right", setup.per_rad.right)):
         angle = log[name] / scale
         rolled = max(rolled, abs(angle[inside[0]] - angle[rows[0]]), abs(angle[rows[-1]] - angle[inside[-1]]))
-    return float(rolled * radius_m)
+    return float(rolled * setup.campaign.vehicle.wheel_radius_m)

@@ -10,8 +10,8 @@ import numpy as np
 
 from calib.arrays import FloatArray, IntArray
 from calib.campaign.model import Campaign
-from calib.campaign.settings import OdometryModel, Reference
-from calib.gap.data.unit import CountsPerRadian, log_rows
+from calib.campaign.settings import Reference
+from calib.gap.data.unit import Setup, log_rows
 
 #: a log needs so many poses for a reference of its own
 FEWEST_POSES: Final = 3
@@ -116,34 +116,9 @@ def poses_are_in_a_map(campaign: Campaign) -> bool:
     return False
 
 
-def reference_poses(
-    log: Mapping[str, FloatArray],
-    reference: Reference,
-    model: OdometryModel,
-    per_rad: CountsPerRadian,
-    *,
-    in_map: bool,
-) -> ReferencePoses | None:
-    """Return the vehicle's poses of a run by its log's reference.
-
-    Parameters
-    ----------
-    log : dict of str to array of float, shape (n_samples,)
-        Columns of the log.
-    reference : Reference
-        Place and yaw of its sensor on the vehicle.
-    model : OdometryModel
-        Radii and track, for the way between poses and for courses.
-    per_rad : CountsPerRadian
-        Scales of the encoders.
-    in_map : bool
-        Whether the poses stand in one frame for all runs.
-
-    Returns
-    -------
-    ReferencePoses or None
-        None where the log has too few poses.
-    """
+def reference_poses(log: Mapping[str, FloatArray], setup: Setup) -> ReferencePoses | None:
+    """Return the vehicle's poses of a run by its log's reference; None where the log has too few."""
+    reference, model, per_rad = setup.campaign.reference, setup.model, setup.per_rad
     if not {"ref_x_m", "ref_y_m"} <= log.keys():
         return None
     rows = log_rows(log)
@@ -174,9 +149,10 @@ def reference_poses(
         on_axle = (reference.sensor_x_m, reference.sensor_y_m) == (0.0, 0.0)
         from_first = not (reference.frame == "start" and on_axle)
         poses = np.column_stack([seen, np.full(len(rows), np.nan)])
-        return ReferencePoses(rows, poses, travelled, in_map, from_first, course)
+        return ReferencePoses(rows, poses, travelled, setup.in_map, from_first, course)
     sensor = np.column_stack([seen, np.unwrap(heading[rows])])
-    return ReferencePoses(rows, _of_vehicle(sensor, reference, in_map=in_map), travelled, in_map, in_map, None)
+    poses = _of_vehicle(sensor, reference, in_map=setup.in_map)
+    return ReferencePoses(rows, poses, travelled, setup.in_map, from_first=setup.in_map, course=None)
 
 
 def _by_wheels(left_m: FloatArray, right_m: FloatArray, track_m: float) -> FloatArray:

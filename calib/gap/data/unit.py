@@ -9,8 +9,8 @@ from typing import Final
 import numpy as np
 
 from calib.arrays import FloatArray, IntArray
-from calib.campaign.model import RunTable
-from calib.campaign.settings import Encoder
+from calib.campaign.model import Campaign, RunTable
+from calib.campaign.settings import Encoder, OdometryModel
 from calib.campaign.wheels import ASIDE
 
 #: a log is thinned to so many steps; the arcs between are exact for what the wheels really rolled
@@ -34,6 +34,17 @@ class CountsPerRadian:
         return CountsPerRadian(
             encoder.counts_per_rev_left / turn, encoder.counts_per_rev_right / turn, encoder.front / turn
         )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Setup:
+    """What all runs of a campaign are read with."""
+
+    campaign: Campaign
+    model: OdometryModel  #: what the simulator believes
+    per_rad: CountsPerRadian
+    in_map: bool  #: whether the reference's poses stand in one frame for all runs
+    stands_in: bool  #: whether the two wheels stand in for a front wheel, or for four wheels
 
 
 def _nan(*shape: int) -> FloatArray:
@@ -91,34 +102,16 @@ def thinned(rows: IntArray) -> IntArray:
     return rows[np.unique(np.linspace(0, len(rows) - 1, MAX_STEPS + 1).astype(np.int64))]
 
 
-def unit_from_log(
-    run: int, log: Mapping[str, FloatArray], rows: IntArray, per_rad: CountsPerRadian, *, window: int = 0
-) -> Unit:
-    """Make a unit of some samples of a log.
+def unit_from_log(run: int, log: Mapping[str, FloatArray], rows: IntArray, per_rad: CountsPerRadian) -> Unit:
+    """Make a unit of two or more samples of a log, thinned here; nothing is measured yet.
 
-    Parameters
-    ----------
-    run : int
-        Row of the run table.
-    log : dict of str to array of float, shape (n_samples,)
-        Columns of the log.
-    rows : array of int
-        Samples to use, two or more, thinned here.
-    per_rad : CountsPerRadian
-        Scales of the encoders.
-    window : int
-        Number of the window within the run.
-
-    Returns
-    -------
-    Unit
-        Nothing measured yet. The front wheel counts where all of its samples are there.
+    The front wheel counts where all of its samples are there.
     """
     index = thinned(rows)
     front, steer, aside = (log[name][index] if name in log else None for name in ("counts_front", "steer_rad", ASIDE))
     return Unit(
         run=run,
-        window=window,
+        window=0,
         time_s=log["t_s"][index],
         left_rad=log["counts_left"][index] / per_rad.left,
         right_rad=log["counts_right"][index] / per_rad.right,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Final
 
@@ -12,7 +12,7 @@ import numpy as np
 from calib.arrays import FloatArray, IntArray
 from calib.campaign.settings import Reference
 from calib.gap.data.reference_poses import ReferencePoses, relative_pose
-from calib.gap.data.unit import CountsPerRadian, Unit, log_rows, unit_from_log
+from calib.gap.data.unit import Setup, Unit, log_rows, unit_from_log
 
 #: with fewer runs than this, recordings are cut into windows
 FEW_RUNS: Final = 12
@@ -24,6 +24,15 @@ WINDOWS_WANTED: Final = 48
 SHORTEST_TRACKS: Final = 1.5
 #: fewest samples of a window
 FEWEST_SAMPLES: Final = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recorded:
+    """A run with its log and the reference's poses in it."""
+
+    unit: Unit
+    log: Mapping[str, FloatArray]
+    reference: ReferencePoses | None
 
 
 def window_length_m(travelled_m: float, track_m: float) -> float:
@@ -55,40 +64,14 @@ def whole(unit: Unit, reference: ReferencePoses, settings: Reference) -> Unit:
     return replace(unit, measured=measured)
 
 
-def cut(
-    run: int,
-    log: Mapping[str, FloatArray],
-    reference: ReferencePoses,
-    settings: Reference,
-    per_rad: CountsPerRadian,
-    length_m: float,
-    *,
-    keep_front: bool = False,
-) -> list[Unit]:
-    """Cut a recording into windows of about a length.
+def cut(recorded: Recorded, setup: Setup, length_m: float) -> list[Unit]:
+    """Cut a recording into windows of about a length, by what the wheels roll; empty where there is but one.
 
-    Parameters
-    ----------
-    run : int
-        Row of the run table.
-    log : dict of str to array of float, shape (n_samples,)
-        Columns of the log.
-    reference : ReferencePoses
-        The vehicle's poses by the reference.
-    settings : Reference
-        Stated uncertainties.
-    per_rad : CountsPerRadian
-        Scales of the encoders.
-    length_m : float
-        Length of a window, by what the wheels roll.
-    keep_front : bool
-        Keep the front wheel, which drives the odometry; else it is compared over whole runs only.
-
-    Returns
-    -------
-    list of Unit
-        Empty where there is but one.
+    A front wheel is kept where it drives the odometry; else it is compared over whole runs only.
     """
+    reference, log = recorded.reference, recorded.log
+    if reference is None:
+        return []
     travelled = reference.travelled_m
     edges = edges_along(travelled, float(np.rint(travelled[-1] / length_m)))
     rows = log_rows(log)
@@ -97,9 +80,9 @@ def cut(
         inside = rows[(rows >= reference.rows[first]) & (rows <= reference.rows[last])]
         if len(inside) < FEWEST_SAMPLES:
             continue
-        unit = unit_from_log(run, log, inside, per_rad, window=len(windows))
-        unit = unit if keep_front else replace(unit, front_rad=None, steer_rad=None)
-        windows.append(_between(unit, reference, int(first), int(last), settings))
+        unit = replace(unit_from_log(recorded.unit.run, log, inside, setup.per_rad), window=len(windows))
+        unit = unit if setup.stands_in else replace(unit, front_rad=None, steer_rad=None)
+        windows.append(_between(unit, reference, int(first), int(last), setup.campaign.reference))
     return windows if len(windows) > 1 else []
 
 
