@@ -110,13 +110,15 @@ def _outcomes(files: Sequence[LogFile], renames: Renames | None) -> Iterator[_Ou
 
 
 def _small(reader: _Reader, files: Sequence[LogFile], threads: int) -> Iterator[tuple[_Outcome, bool]]:
-    """Read small logs, some at a time as one; a thread hashes ahead, which needs the interpreter for a moment only."""
-    paths = (path for _, _, path, _ in files)
-    with _pool(min(threads, 2) - 1) as pool:
-        contents = iter(pool.map(reader.known.content, paths) if pool else map(reader.known.content, paths))
-        for first in range(0, len(files), TOGETHER):
-            batch = files[first : first + TOGETHER]
-            yield from reader.read(batch, [next(contents) for _ in batch])
+    """Read small logs, some at a time as one, which needs the interpreter for a part of the time only."""
+    batches = [files[first : first + TOGETHER] for first in range(0, len(files), TOGETHER)]
+
+    def read(batch: Sequence[LogFile]) -> list[tuple[_Outcome, bool]]:
+        return reader.read(batch, [reader.known.content(path) for _, _, path, _ in batch])
+
+    with _pool(min(threads, 2) if threads > 1 else 0) as pool:
+        for outcomes in pool.map(read, batches) if pool else map(read, batches):
+            yield from outcomes
 
 
 def _large(reader: _Reader, files: Sequence[LogFile], threads: int) -> Iterator[tuple[_Outcome, bool]]:

@@ -116,6 +116,9 @@ def refuse_incomplete(columns: Mapping[str, FloatArray], shown: str, line: IntAr
                 expected=f"t_s with {others}",
                 remedy="name the columns so in the header line; a unit may differ if it is named (t_ms)",
             )
+        # the sum of a column without a gap is a number: one pass
+        if not np.isnan(columns[name].sum()):
+            continue
         gaps = np.flatnonzero(np.isnan(columns[name]))
         if len(gaps):
             raise BadFileError(

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from calib.arrays import BoolArray, FloatArray
 from calib.campaign.faults import Border
+from calib.campaign.log_files import log_files
 from calib.campaign.log_reading import read_logs
-from calib.campaign.logs_file import LogFile
 from calib.campaign.model import Campaign, Logs, RunTable
 from calib.campaign.readers import READERS, read_table
 from calib.campaign.runs_file import run_table
@@ -25,7 +25,6 @@ from calib.progress import Progress, silent
 from calib.vehicle import Vehicle, wheel_loads_N
 
 SETTINGS: Final = "campaign.toml"
-_MAX_PATH: Final = 500
 #: counts that a total and the log of the same run may differ by, since they are not read at the same instant
 _SAME_COUNTS: Final = 50.0
 
@@ -60,7 +59,7 @@ def read_campaign(folder: Path, *, logs: bool = True, lenient: bool = False, pro
     runs = run_table(raw, shown, border)
     found_logs = Logs.empty(len(runs))
     if logs:
-        files = _log_files(folder, runs, shown, border)
+        files = log_files(folder, runs, shown, border)
         found_logs, of_logs = read_logs(files, len(runs), settings.encoder, border, progress=progress)
         hashes |= of_logs
     numbers = _filled_from_logs(runs, found_logs, shown, border)
@@ -106,46 +105,6 @@ def _say_look_alikes(folder: Path, shown: str, border: Border) -> None:
                 "look_alike",
                 level="suspicious",
             )
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except OSError:
-        # a name that the file system cannot hold
-        return False
-
-
-def _log_files(folder: Path, runs: RunTable, shown: str, border: Border) -> list[LogFile]:
-    named = "log" in runs.labels
-    files: list[LogFile] = []
-    taken: dict[Path, int] = {}
-    for index, (run_id, row) in enumerate(zip(map(str, runs.run_id), map(int, runs.line), strict=True)):
-        if named:
-            relative = str(runs.labels["log"][index])
-        else:
-            # a run id that is no plain file name has no log of that name
-            candidates = [f"logs/{run_id}{suffix}" for suffix in READERS] if Path(run_id).name == run_id else []
-            relative = next((name for name in candidates if (folder / name).exists()), "")
-        if not relative:
-            continue
-        place: dict[str, Any] = {"row": row, "column": "log"}
-        if len(relative) > _MAX_PATH:
-            length = f"a path of {len(relative)} characters"
-            raise BadFileError(shown, length, f"at most {_MAX_PATH}", "correct the path", **place)
-        path = inside(folder, relative, named_in=shown, row=row, column="log")
-        if path in taken:
-            twice = f"{relative}, which row {taken[path]} names too"
-            fault = BadFileError(shown, twice, "a log of its own for each run", "correct the path", **place)
-            border.fault(fault, "shared_log", run_id)
-        taken.setdefault(path, row)
-        if not _is_file(path):
-            missing = f"{relative}, which is {'a folder' if path.is_dir() else 'not there'}"
-            fault = BadFileError(shown, missing, "a log file", "put the file there, or leave the cell empty", **place)
-            border.fault(fault, "missing_log", run_id)
-            continue
-        files.append((index, run_id, path, relative))
-    return files
 
 
 def _filled_from_logs(runs: RunTable, logs: Logs, shown: str, border: Border) -> dict[str, FloatArray]:

@@ -1,7 +1,7 @@
 """Fit a fleet once in a process of its own: ``python -m tests.fleet.once FLEET INTO --workers 2`` prints one JSON line.
 
 Seconds are those of the call, from listing the folder to the fleet's view, workers' start included, imports of this
-process before it not. Dask workers (``--scheduler``) run already; what they import for the work is in the seconds.
+process before it not. Dask workers (``--scheduler``) run already; what they still import for the work counts.
 """
 
 from __future__ import annotations

@@ -70,11 +70,16 @@ def at_once(fleet: Path, into: Path, *ways: str) -> list[dict[str, Any]]:
 
 @contextmanager
 def dask_workers() -> Iterator[Any]:
-    """Give a Dask cluster on this machine with two fresh worker processes."""
+    """Give a Dask cluster on this machine with two fresh worker processes, which have calib, as a pool's parent has."""
     import distributed
 
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1"
+        n_workers=2,
+        threads_per_worker=1,
+        processes=True,
+        dashboard_address=None,
+        host="127.0.0.1",
+        preload=["calib.fleet.pieces"],
     ) as cluster:
         yield cluster
 

@@ -19,7 +19,8 @@ from calib.errors import BadFileError
 SUFFIX: Final = ".csv"
 #: what takes a file out: quotes, other ends of lines, other separators, no text, and a zero with a sign, which is one
 #: among decimals and none among whole numbers
-_ODD: Final = (b'"', b"\r", b";", b"\t", b"\0", b"-0,", b"-0\n")
+_ODD: Final = (b'"', b"\r", b";", b"\t", b"\0")
+_SIGNED_ZERO: Final = (b"-0,", b"-0\n")
 #: whole numbers from here on are told apart only where they are read as such
 _EXACT: Final = 2.0**53
 
@@ -71,6 +72,9 @@ def _plain(path: Path, shown: str, place: int) -> _Plain | None:
         return None
     begin = data.find(b"\n") + 1
     if not 0 < begin < len(data) or not data.isascii() or any(odd in data for odd in _ODD):
+        return None
+    # one sign is found at the speed of memory, several are not
+    if b"-" in data and any(zero in data for zero in _SIGNED_ZERO):
         return None
     if not data.endswith(b"\n"):
         data += b"\n"
