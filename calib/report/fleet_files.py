@@ -33,17 +33,17 @@ def write_fleet(fleet: Fleet, into: Path, heads: Heads | None = None) -> list[Pa
     `into`: result folder; `heads`: for ``fleet.pdf`` and ``fleet.html``; without it they are not written.
     """
     from calib.report.figures.fleet import fleet_distribution, fleet_drift
-    from calib.report.figures.style import render
+    from calib.report.figures.style import render_all
 
     document = fleet.to_dict()
     files = {"fleet.json": _bytes(to_json(document)), "vehicles.csv": _bytes(_table(document["vehicles"]))}
     if fleet.view.n_fitted:
         figures = {"distribution": fleet_distribution(fleet), "drift": fleet_drift(fleet)}
         files |= {
-            f"{name}.{form}": render(figure, form)
+            f"{name}.{form}": data
             for name, figure in figures.items()
             if figure is not None
-            for form in FORMS
+            for form, data in render_all(figure, FORMS).items()
         }
     return write_files(into, files | _pages(fleet_content(fleet, pictures=True), document, "fleet", heads), force=True)
 

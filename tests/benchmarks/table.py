@@ -157,7 +157,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--turns", type=int, default=5)
     parser.add_argument("--vehicles", type=int, default=2000)
-    parser.add_argument("--sizes", type=int, nargs=3, default=(60, 240, 960))
+    parser.add_argument("--sizes", type=int, nargs=3, default=(120, 480, 1920))
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS)
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as place:

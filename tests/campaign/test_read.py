@@ -205,6 +205,18 @@ def test_a_log_path_never_leads_out_of_the_campaign(tmp_path: Path, path: str) -
         read_campaign(made)
 
 
+def test_a_folder_of_logs_never_leads_out_of_the_campaign(tmp_path: Path) -> None:
+    """A plain file in a folder that is a link is as far away as the folder."""
+    inner = tmp_path / "inner"
+    inner.mkdir()
+    made = folder(inner, "run_id,log\na,logs/a.csv\n")
+    (made / "logs").rename(tmp_path / "elsewhere")
+    (tmp_path / "elsewhere" / "a.csv").write_text("t_s,counts_left,counts_right\n0,0,0\n1,1,1\n")
+    (made / "logs").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(BadFileError, match="row 2, column log"):
+        read_campaign(made)
+
+
 def test_parquet_and_xlsx_give_what_csv_gives(tmp_path: Path) -> None:
     pd = pytest.importorskip("pandas")
     pytest.importorskip("pyarrow")
