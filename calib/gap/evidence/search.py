@@ -31,7 +31,7 @@ _LIKELY_NATS: Final = 7.0
 #: what is less probable than this is likelier not to be
 EVEN: Final = 0.5
 #: sets that are taken at hand, one after the other
-_TURNS: Final = 4
+_TURNS: Final = 5
 #: beside a larger rest, the search begins again from elsewhere
 _SMALL_REST: Final = 1.0
 
@@ -215,23 +215,22 @@ def _likeliest(
 ) -> tuple[Climb, Fitted, _Weighed]:
     """Move to the likeliest set of effects until that at hand is the likeliest about its own path, too.
 
-    Where sets take turns, the one that is the most probable about its own path.
+    Where sets take turns, each the likeliest about the other's path, that of the fewest effects.
     """
-    best = None
+    visited: dict[tuple[str, ...], tuple[Climb, Fitted, _Weighed]] = {}
     for _ in range(_TURNS):
         weighed = weigh(room)
         by_set, own = room.by_effects(weighed.models, weighed.probability.sum(axis=0)), room.set_at_hand
         if something:
             # no effect then counts by a rest and by the calibration alone
             by_set[()] -= weighed.nothing * weighed.as_believed
-        if best is None or by_set[own] > best[0]:
-            best = by_set[own], (room, fitted, weighed)
+        visited[own] = room, fitted, weighed
         likeliest = max(by_set, key=lambda key: by_set[key])
-        if likeliest == own:
-            return room, fitted, weighed
+        if likeliest in visited:
+            turns = list(visited)
+            return visited[min(turns[turns.index(likeliest) :], key=len)]
         room, fitted = settle(room.with_only(room.best_form(likeliest, weighed.models, weighed.probability)))
-    assert best is not None
-    return best[1]
+    return list(visited.values())[-1]
 
 
 def _settle(
