@@ -41,6 +41,8 @@ ROUTE_POINTS: Final = 200_000
 SIMULATED_POSES: Final = 500_000
 #: draws of a Monte Carlo; values of a sweep of loads
 DRAWS: Final = 1_000_000
+#: pieces of a route driven in a Monte Carlo, all journeys and draws together
+DRAWN_PIECES: Final = 200_000_000
 SWEEP_VALUES: Final = 10_000
 #: a simulated fleet: runs of all its vehicles, months that they are spread over; cases of a blind check; processes
 FLEET_RUNS: Final = 20_000_000

@@ -12,7 +12,7 @@ from calib.arrays import BoolArray, FloatArray, StrArray
 from calib.campaign.columns import Recognised, converted, recognise
 from calib.campaign.faults import Border
 from calib.campaign.model import LABEL_COLUMNS, NUMERIC_COLUMNS, RunTable
-from calib.campaign.readers.table import RawTable, comma_evidence, numbers
+from calib.campaign.readers.table import RawTable, comma_evidence, mixed_marks, numbers
 from calib.errors import BadFileError
 from calib.limits import LABEL_CHARACTERS, RUNS, refuse_beyond
 
@@ -105,6 +105,8 @@ def _numbers(raw: RawTable, matched: Mapping[str, Recognised], shown: str, borde
         values[name] = converted(column, match.factor, match.offset)
     if commas:
         border.say(shown, "decimal commas were read as decimal points", "decimal_comma")
+        written = {matched[name].found: raw.columns[matched[name].found] for name in values}
+        border.notes.extend(mixed_marks(written, shown, raw.line))
     return values
 
 

@@ -18,6 +18,7 @@ from calib.cli.options import nearest
 from calib.cli.respell import respelled
 from calib.cli.terminal import KEPT, visible
 from calib.cli.typed import as_typed
+from calib.cli.warned import numbers_beyond_said
 from calib.errors import CalibError, ImplausibleError
 
 EXIT_FINE: Final = 0
@@ -141,7 +142,8 @@ def run(arguments: list[str] | None = None, settle: Callable[[], bool] = lambda:
     KEPT.set(kept)
     given = sys.argv[1:] if arguments is None else arguments
     try:
-        status = _invoke(given)
+        with numbers_beyond_said():
+            status = _invoke(given)
         sys.stdout.flush()
         settle()
     except (typer.Abort, KeyboardInterrupt):
@@ -200,6 +202,9 @@ def _told_of_the_world(error: Exception) -> int:
     if isinstance(error, OverflowError | RecursionError):
         beyond = f"found a number or a nesting beyond all bounds ({error})"
         return _complain(f"{beyond}; expected numbers of ordinary size; correct the input")
+    if type(error).__name__ == "LinAlgError":
+        beyond = f"found numbers that differ too much in size to compute with ({error})"
+        return _complain(f"{beyond}; expected numbers of ordinary size; hold the campaign against 'calib check'")
     if isinstance(error, OSError):
         where = os.fsdecode(error.filename) if isinstance(error.filename, str | bytes) else "output"
         return _complain(f"{where}: found {error.strerror or error}; expected a place that works; choose another")

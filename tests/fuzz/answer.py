@@ -76,7 +76,10 @@ def outcome(arguments: list[str]) -> Outcome:
     status: int | str
     try:
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), warnings.catch_warnings(), built_once():
-            warnings.simplefilter("ignore")
+            # as a user's Python has them: what is not about code is shown
+            warnings.simplefilter("default")
+            for about_code in (DeprecationWarning, PendingDeprecationWarning, ImportWarning, ResourceWarning):
+                warnings.simplefilter("ignore", about_code)
             status = main.run(arguments)
     except BaseException as error:
         status = f"{type(error).__name__}: {error}"

@@ -16,6 +16,7 @@ from calib.cli.guard import ALSO, OUTPUTS, Application
 from calib.cli.main import COMMANDS
 from tests.fuzz.answer import Outcome, outcome
 from tests.fuzz.damage import WORDS, damaged, resealed
+from tests.fuzz.quantities import quantity_case
 
 Case = Callable[[Path, random.Random], list[str]]
 
@@ -115,11 +116,15 @@ def option_case(base: Path, rng: random.Random) -> list[str]:
 CASES: tuple[Case, ...] = (campaign_case, campaign_case, file_case, file_case, option_case)
 
 
-def outcomes(base: Path, count: int, seed: int, first: int = 0) -> Iterator[tuple[int, Outcome, str]]:
+#: what the inputs are made for: all formats and options, or numbers that become counts, sizes and ranges
+AIMS: dict[str, tuple[Case, ...]] = {"all": CASES, "quantities": (quantity_case,)}
+
+
+def outcomes(base: Path, count: int, seed: int, first: int = 0, aim: str = "all") -> Iterator[tuple[int, Outcome, str]]:
     """Yield number, outcome and fault of `count` inputs; each number is one input, whatever came before."""
     for number in range(first, first + count):
         rng = random.Random(seed * 1_000_003 + number)
-        arguments = rng.choice(CASES)(base, rng)
+        arguments = rng.choice(AIMS[aim])(base, rng)
         answered = outcome(arguments)
         # what an option made a command write over on purpose is put right, too, so that each input begins alike
         harm = _harm(base, arguments) if str(base / "C") in " ".join(arguments) else ""

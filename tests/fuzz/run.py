@@ -20,14 +20,14 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from tests.fuzz.inputs import outcomes
+from tests.fuzz.inputs import AIMS, outcomes
 from tests.fuzz.sound import prepared
 
 #: inputs of one process, memory that it may take, and seconds without an answer after which it hangs
 OF_A_PROCESS, MEMORY_BYTES, SILENT_S = 5000, 8 << 30, 120.0
 
 
-def answers(base: Path, first: int, count: int, seed: int) -> Iterator[dict[str, Any]]:
+def answers(base: Path, first: int, count: int, seed: int, aim: str) -> Iterator[dict[str, Any]]:
     """Yield what another process answers to some inputs; where it dies, that is the answer to the last of them."""
     reading, writing = os.pipe()
     child = os.fork()
@@ -36,7 +36,7 @@ def answers(base: Path, first: int, count: int, seed: int) -> Iterator[dict[str,
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
         with os.fdopen(writing, "w") as out:
             faulthandler.dump_traceback_later(0.8 * SILENT_S)
-            for number, answered, fault in outcomes(base, count, seed, first):
+            for number, answered, fault in outcomes(base, count, seed, first, aim):
                 record = {"number": number, "status": str(answered.status)[:40], "seconds": answered.seconds}
                 if fault:
                     record |= {"fault": fault, "arguments": " ".join(answered.arguments)[:300]}
@@ -69,6 +69,7 @@ def main() -> int:
     parser.add_argument("--inputs", type=int, default=2000)
     parser.add_argument("--first", type=int, default=0, help="number of the first input")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--aim", choices=sorted(AIMS), default="all", help="all, or numbers alone")
     parser.add_argument("--seconds", type=float, default=float("inf"), help="begin no process after so many seconds")
     options = parser.parse_args()
     started, statuses, faults, longest = time.monotonic(), Counter[str](), 0, 0.0
@@ -76,7 +77,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         base = prepared(Path(folder) / "base")
         while number < end and time.monotonic() - started < options.seconds:
-            for record in answers(base, number, min(OF_A_PROCESS, end - number), options.seed):
+            for record in answers(base, number, min(OF_A_PROCESS, end - number), options.seed, options.aim):
                 number = record["number"] + 1
                 statuses[record["status"]] += 1
                 longest = max(longest, record["seconds"])

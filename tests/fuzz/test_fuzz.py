@@ -20,6 +20,8 @@ from tests.fuzz.sound import prepared
 
 #: inputs of the suite, in parts so that a fault names its part; the script takes as many as it is given
 PARTS, OF_A_PART = 8, 225
+#: inputs with numbers alone, which reach further and take longer
+QUANTITIES = 30
 #: examples that hypothesis adds
 TEXTS, NUMBERS = 100, 100
 
@@ -35,6 +37,16 @@ def test_damage_ends_in_one_line(part: int, base: Path) -> None:
     faults = [
         f"input {number} of seed {part}: {result.arguments}: {fault}"
         for number, result, fault in outcomes(base, OF_A_PART, seed=part)
+        if fault
+    ]
+    assert not faults, "\n".join(faults)
+
+
+def test_numbers_that_nobody_means_end_in_one_line(base: Path) -> None:
+    """One number of a sound command spoilt: in its options, a plan, a route, coefficients, a table, a log."""
+    faults = [
+        f"input {number}: {result.arguments}: {fault}"
+        for number, result, fault in outcomes(base, QUANTITIES, seed=0, aim="quantities")
         if fault
     ]
     assert not faults, "\n".join(faults)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -10,12 +11,13 @@ import pytest
 
 from calib import limits
 from calib.cli.main import run
+from calib.cli.warned import numbers_beyond_said
 from calib.gap.data.windows import edges_along
 from calib.gap.plan import separability
 from calib.gap.plan.outlook import outlook_of
 from calib.gap.plan.plan_file import read_plan
 from calib.gap.plan.planned_logs import stop_and_go
-from tests.fuzz.sound import ROOT, SEEDS
+from tests.fuzz.sound import ROOT, SEEDS, small_campaign
 
 #: processor time in which a number beyond its limit is refused, imports included; what it asks for takes minutes or
 #: all memory
@@ -137,3 +139,46 @@ def test_windows_are_no_more_than_samples(way: float) -> None:
     assert edges[0] == 0
     assert edges[-1] <= 100
     assert (np.diff(edges) > 0).all()
+
+
+#: name -> command, what is said; each ended in exit status 3, or in a library's lines about its code
+ABSURD: dict[str, tuple[str, str]] = {
+    "a track of nothing": ("--load 400,400 --track 1e-300", "--track: found 1e-300 m; expected lengths from 0.0001"),
+    "a load beyond all": ("--load 1e300,1e300", "load of the left wheel: found 1e+300 N, where the law gives a radius"),
+    "a reference beyond all": ("--load 400,400 --reference-load 1,1e9", "load of the right wheel: found 1e+09 N"),
+    "a thousand journeys": ("--load 400,400 " * 1000, "draws of 1000 journeys of 2 pieces: found 20000; expected"),
+}
+
+
+@pytest.mark.parametrize("name", list(ABSURD))
+def test_an_absurd_journey_is_one_line(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    options, words = ABSURD[name]
+    assert run(["simulate", "journey", "figure8", "--law", LAW, *options.split()]) == 2
+    err = capsys.readouterr().err
+    assert words in err
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize("command", ["geometry", "diagnose"])
+def test_counts_beyond_computing_are_one_line(command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Counts of 10^18 on one wheel: the other's part is lost in rounding, and no matrix can be solved."""
+    log = small_campaign(tmp_path / "C") / "logs" / "r000.csv"
+    header, *rows = log.read_text(encoding="utf-8").splitlines()
+    beyond = [f"{t},{int(left) * 10**12},{right}" for t, left, right in (row.split(",") for row in rows)]
+    log.write_text("\n".join([header, *beyond]) + "\n", encoding="utf-8")
+    assert run([command, str(tmp_path / "C")]) == 2
+    err = capsys.readouterr().err
+    assert "found numbers that differ too much in size to compute with" in err
+    assert err.count("\n") == 1
+
+
+def test_what_a_library_warns_of_is_one_note(capsys: pytest.CaptureFixture[str]) -> None:
+    """Overflows of numpy are said without its code, once; other warnings are shown as they are."""
+    with numbers_beyond_said():
+        for _ in range(3):
+            np.float64(1e300) * np.float64(1e300)
+    err = capsys.readouterr().err
+    assert err == ("calib: note: some numbers are too large, too small or missing to compute with (overflow)\n")
+    with pytest.warns(UserWarning, match="look here"), numbers_beyond_said():
+        warnings.warn("look here", UserWarning, stacklevel=1)
+    assert not capsys.readouterr().err

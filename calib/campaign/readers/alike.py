@@ -13,6 +13,7 @@ import numpy as np
 
 from calib.arrays import FloatArray
 from calib.campaign.readers.delimited import begins_with_its_header
+from calib.campaign.readers.layout import of_one_width
 from calib.campaign.readers.table import LARGEST, RawTable, Wanted, refuse_duplicates
 from calib.errors import BadFileError
 
@@ -63,7 +64,7 @@ def read_alike(files: Sequence[tuple[Path, str]], wanted: Wanted) -> list[RawTab
 
 
 def _plain(path: Path, shown: str, place: int) -> _Plain | None:
-    """Return a file with commas between plain cells, as many in each row as in the header on the whole; else None."""
+    """Return a file with commas between plain cells, as many in each row as in the header; else None."""
     if path.suffix.lower() != SUFFIX:
         return None
     try:
@@ -81,13 +82,14 @@ def _plain(path: Path, shown: str, place: int) -> _Plain | None:
     header = data[: begin - 1]
     rows = data.count(b"\n") - 1
     names = [name.strip() for name in header.decode("ascii").split(",")]
-    if data.count(b",", begin) != rows * (len(names) - 1) or not begins_with_its_header(data, shown):
+    body = data[begin:]
+    if not of_one_width(body, len(names), ",") or not begins_with_its_header(data, shown):
         return None
     try:
         refuse_duplicates(names, shown)
     except BadFileError:
         return None
-    return _Plain(place, header, data[begin:], rows)
+    return _Plain(place, header, body, rows)
 
 
 def _values(group: Sequence[_Plain], names: Sequence[str], keep: Sequence[str]) -> FloatArray | None:

@@ -13,7 +13,15 @@ import numpy as np
 
 from calib.arrays import FloatArray
 from calib.campaign.model import Note
-from calib.campaign.readers.layout import LOOKED_AT, Layout, find_delimiter, find_header, is_number, with_units
+from calib.campaign.readers.layout import (
+    LOOKED_AT,
+    Layout,
+    find_delimiter,
+    find_header,
+    is_number,
+    of_one_width,
+    with_units,
+)
 from calib.campaign.readers.table import LARGEST, RawTable, Wanted, made_numeric, refuse_duplicates
 from calib.errors import BadFileError
 
@@ -178,17 +186,17 @@ def _fast(
     data: bytes, start: int, names: list[str], delimiter: str, wanted: Wanted
 ) -> tuple[dict[str, np.ndarray], int, bool] | None:
     """Read clean numeric columns at once; None where anything is odd, and then every cell is looked at."""
-    body = memoryview(data)[start:]
-    rows = data.count(b"\n", start) + (0 if data.endswith(b"\n") or start >= len(data) else 1)
+    body = data[start:]
+    rows = body.count(b"\n") + (0 if body.endswith(b"\n") or not body else 1)
     keep = [name for name in names if name and wanted(name)]
-    if rows == 0 or not keep or data.count(delimiter.encode(), start) != rows * (len(names) - 1):
+    if rows == 0 or not keep or not of_one_width(body, len(names), delimiter):
         return None
     comma = delimiter != "," and data.find(b",", start) >= 0
     # with a point or an ambiguous 1,234 anywhere beside the commas, only the careful way can tell
     if comma and (data.find(b".", start) >= 0 or not re.search(rb",\d{1,2}(?!\d)|,\d{4}|[+\-;\t\n]0,", data)):
         return None
     positions = [names.index(name) for name in keep]
-    plain = _plain(bytes(body), rows, len(names), delimiter)
+    plain = _plain(body, rows, len(names), delimiter)
     if plain is not None:
         few = plain[:, positions]
         within = few.size == 0 or np.abs(few).max() <= LARGEST
@@ -288,6 +296,9 @@ def _careful(text: str, shown: str, delimiter: str, wanted: Wanted | None, notes
 
 def _remedy(cells: list[str], names: list[str], delimiter: str) -> str:
     """Return what to do about a row of another width than the header."""
+    for other, called in _NAMES.items():
+        if other != delimiter and sum(cell.count(other) for cell in cells) + 1 == len(names):
+            return f"the row separates its cells by {called}, those above by {_NAMES[delimiter]}: export it with one"
     if delimiter == "," and len(cells) > len(names):
         return "export with semicolons where commas are decimal, or quote the cell; name header_row if it stands lower"
     return "complete or remove the row; the file may have been cut"

@@ -14,6 +14,8 @@ from calib.units import SUFFIXES
 #: rows looked at in search of the header
 LOOKED_AT: Final = 60
 _NUMBER: Final = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?", re.ASCII)
+#: the separators that are known -> all bytes but them and the end of a line
+_ALL_BUT: Final = {mark: bytes(set(range(256)) - {ord(mark), 10}) for mark in (",", ";", "\t")}
 _UNIT_WORDS: Final = frozenset(SUFFIXES) | {"m/s", "km/h", "°", "°C", "µm", "1", "-", "rpm", "rad/s", "counts", "ticks"}
 
 
@@ -87,6 +89,19 @@ def find_delimiter(lines: Sequence[str]) -> str:
     stretches = {mark: _stretch([len(row) for row in _split(filled, mark)]) for mark in (";", "\t", ",")}
     best = max(stretches, key=lambda mark: stretches[mark])
     return best if stretches[best] else ","
+
+
+def of_one_width(body: bytes, width: int, delimiter: str) -> bool:
+    """Return whether every line of a text without quotes has `width` cells, none more and none fewer.
+
+    What is left of the text without its cells has to be the same line over and over: a row too long beside one too
+    short, which are as many cells in all, is seen.
+    """
+    line = delimiter.encode() * (width - 1) + b"\n"
+    marks = body.translate(None, _ALL_BUT[delimiter])
+    if not body.endswith(b"\n"):
+        marks += b"\n"
+    return marks == line * (len(marks) // len(line))
 
 
 def _stretch(counts: Sequence[int]) -> int:

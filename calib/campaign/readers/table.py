@@ -179,6 +179,7 @@ def made_numeric(
     a cell is no number.
     """
     evidence = comma_evidence(list(columns.values()))
+    written = dict(columns)
     used = False
     notes: list[Note] = []
     epochs: dict[str, int] = {}
@@ -193,7 +194,30 @@ def made_numeric(
         used = used or comma
     if used:
         notes.append(Note("info", shown, "decimal commas were read as decimal points", "decimal_comma"))
+        notes += mixed_marks(written, shown, line)
     return notes, epochs
+
+
+def mixed_marks(columns: Mapping[str, npt.NDArray[Any]], shown: str, line: npt.NDArray[np.int64]) -> list[Note]:
+    """Return a note where a table writes decimal commas in some cells and points in others: which, and where.
+
+    `columns` (shape (n_rows,)): cells as text, by name; `line` (shape (n_rows,)): line of each row in the file.
+    """
+    first: dict[str, tuple[int, str, str]] = {}
+    for name, cells in columns.items():
+        for mark, form in ((",", _COMMA), (".", _POINT)):
+            for row, cell in zip(line.tolist(), cells, strict=True):
+                if isinstance(cell, str) and mark in cell and form.fullmatch(cell.strip().replace("−", "-")):
+                    first[mark] = min(first.get(mark, (row, name, cell)), (row, name, cell))
+                    break
+    if len(first) < 2:
+        return []
+    (row, name, cell), (other_row, other_name, other_cell) = first[","], first["."]
+    text = (
+        f"a decimal comma ({cell.strip()!r:.40}) and, in row {other_row}, column {other_name}, a decimal point "
+        f"({other_cell.strip()!r:.40}); both were read as decimal marks: look whether one of them separates thousands"
+    )
+    return [Note("suspicious", f"{shown}, row {row}, column {name}", text, "decimal_marks")]
 
 
 def _moments(

@@ -22,6 +22,9 @@ from calib.motion.routes import Route
 
 #: vehicles a block: the arrays in use stay in the second-level cache
 BLOCK: Final = 16384
+#: radii, their ratios and tracks that a vehicle can have
+SHORTEST_M: Final = 1e-4
+LONGEST_M: Final = 1e4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,13 +38,16 @@ class Axle:
     track_m: npt.ArrayLike
 
     def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return left radius, right radius and track, each () or (vehicles,), checked to be finite and above 0."""
+        """Return left radius, right radius and track, each () or (vehicles,), checked to be lengths of a vehicle."""
         parts = tuple(
             np.asarray(part, dtype=np.float64) for part in (self.radius_left_m, self.radius_right_m, self.track_m)
         )
         for name, part in zip(("left radius", "right radius", "track"), parts, strict=True):
-            if part.ndim > 1 or not (np.isfinite(part) & (part > 0.0)).all():
-                raise BadInputError(f"{name}: found {part!s:.60}; expected lengths above 0 in m, one a vehicle")
+            impossible = ~((part >= SHORTEST_M) & (part <= LONGEST_M))
+            if part.ndim > 1 or impossible.any():
+                found = f"{part.shape} of them" if part.ndim > 1 else f"{np.atleast_1d(part[impossible])[0]:g} m"
+                expected = f"lengths from {SHORTEST_M:g} to {LONGEST_M:g} m, one a vehicle"
+                raise BadInputError(f"{name}: found {found}; expected {expected}")
         return parts[0], parts[1], parts[2]
 
 

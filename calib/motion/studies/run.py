@@ -8,8 +8,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from calib.campaign.plausible import off
+from calib.campaign.plausible_terms import SIDES
 from calib.errors import BadInputError
-from calib.limits import DRAWS, refuse_more
+from calib.limits import DRAWN_PIECES, DRAWS, refuse_more
 from calib.motion.routes import Route, find_route
 from calib.motion.studies.law_journey import BANDS, Journey, TableRow, law_journey, law_table
 from calib.motion.studies.law_path import LawPath, law_path
@@ -144,6 +146,18 @@ def simulate(
     )
 
 
+def _hold_radii(law: RadiusLaw, loads_N: Sequence[tuple[float, float]]) -> None:
+    """Refuse loads so far from those measured that the law's radius is none of this wheel any more."""
+    for pair in loads_N:
+        for side, wheel, load in zip(SIDES, (law.left, law.right), pair, strict=True):
+            radius = float(wheel.radius_m(load))
+            if off(radius / float(wheel.radius_m(wheel.reference_load_N))):
+                raise BadInputError(
+                    f"load of the {side} wheel: found {load:g} N, where the law gives a radius of {radius:g} m; "
+                    f"expected a load nearer to the {wheel.load_min_N:g} to {wheel.load_max_N:g} N that were measured"
+                )
+
+
 def _law_part(study: str, route: Route, under: LawJourneys, rng: np.random.Generator) -> LawPart:
     law, track_m, reference_N, draws = under.axle.radii, under.axle.track_m, under.reference_N, under.draws
     refuse_more("draws", draws, DRAWS, "the intervals no longer change")
@@ -151,6 +165,10 @@ def _law_part(study: str, route: Route, under: LawJourneys, rng: np.random.Gener
         raise BadInputError(f"draws: found {draws}; expected 100 or more; quantiles need them")
     own = under.loading.pairs if under.loading is not None and study == CUSTOM else ()
     pairs = tuple(under.loads_N) or own or LOADS_N.get(study, LOADS_N["corrected"])
+    # setting a journey up takes as long as some twenty pieces
+    most = DRAWN_PIECES // (len(pairs) * (len(route) + 20))
+    refuse_more(f"draws of {len(pairs)} journeys of {len(route)} pieces", draws, most, "ask for fewer of them")
+    _hold_radii(law, [*pairs, reference_N])
     loading = under.loading or Loading.from_rows([(0.0, *pairs[0])])
     path = law_path(under.axle, route, loading=loading, reference_N=reference_N, draws=draws, rng=rng.spawn(1)[0])
     journeys = tuple(
