@@ -46,7 +46,7 @@ def _status(run: Callable[..., int]) -> Any:
 
     try:
         signal.signal(signal.SIGINT, interrupt)
-        return run(settle=settle)
+        return run(settle=settle, interrupted=lambda: bool(interruptions))
     except SystemExit as error:
         return error.code
     finally:

@@ -16,7 +16,7 @@ import typer
 from calib.cli.guard import Application
 from calib.cli.options import nearest
 from calib.cli.respell import respelled
-from calib.cli.terminal import KEPT, visible
+from calib.cli.terminal import INTERRUPTED, KEPT, visible
 from calib.cli.typed import as_typed
 from calib.cli.warned import numbers_beyond_said
 from calib.errors import CalibError, ImplausibleError
@@ -128,11 +128,13 @@ def main(arguments: list[str] | None = None) -> None:
     sys.exit(run(arguments))
 
 
-def run(arguments: list[str] | None = None, settle: Callable[[], bool] = lambda: False) -> int:
+def run(
+    arguments: list[str] | None = None, settle: Callable[[], bool] = bool, interrupted: Callable[[], bool] = bool
+) -> int:
     """Run the command line and return its exit status.
 
-    ``settle`` is called before the last line is said, and returns whether the user interrupted the command: libraries
-    may turn an interruption into an error of their own.
+    ``settle``, called before the last line is said, and ``interrupted`` say whether the user interrupted the command:
+    libraries may turn an interruption into an error of their own, or let it pass.
     """
     if sys.stdout is None or sys.stderr is None:
         _reopen()
@@ -140,6 +142,7 @@ def run(arguments: list[str] | None = None, settle: Callable[[], bool] = lambda:
     os.environ["MPLBACKEND"] = "agg"
     kept: list[str] = []
     KEPT.set(kept)
+    INTERRUPTED.set(interrupted)
     given = sys.argv[1:] if arguments is None else arguments
     try:
         with numbers_beyond_said():

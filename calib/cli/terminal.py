@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 #: what the command at work has written so far, for the line after an interruption
 KEPT: Final[ContextVar[list[str]]] = ContextVar("kept")
+#: whether the user has interrupted the command at work, also where a library took that for an error of its own
+INTERRUPTED: Final[ContextVar[Callable[[], bool]]] = ContextVar("interrupted")
 
 #: widest line, so that sentences can be read on a wide screen
 WIDEST: Final = 110
@@ -43,6 +45,12 @@ _STEERING: Final = re.compile("[\u200b\u200e\u200f\u2028-\u202e\u2060\u2066-\u20
 def wants_stdout(target: str | None) -> bool:
     """Return whether standard output belongs to the JSON alone."""
     return target == "-"
+
+
+def heed() -> None:
+    """Stop where the user has interrupted the command and a library let that pass."""
+    if INTERRUPTED.get(bool)():
+        raise KeyboardInterrupt
 
 
 def emit_json(value: Any, target: str | None, *, force: bool) -> None:
@@ -82,6 +90,7 @@ def show(blocks: Iterable[Block | Section], *, target: str | None = None) -> Non
     """Print blocks for people; to standard error where standard output belongs to JSON."""
     from calib.report.text import text_lines
 
+    heed()
     stream = sys.stderr if wants_stdout(target) else sys.stdout
     lines = text_lines(blocks, _width())
     if _is_coloured(stream):
@@ -140,7 +149,8 @@ def progress(what: str) -> Iterator[Callable[[int, int, str], None]]:
     Before the first stage is named, a sign of life alone is shown; a total of 0 means that nobody knows it.
     """
     if not sys.stderr.isatty():
-        yield lambda _done, _total, _stage: None
+        yield lambda _done, _total, _stage: heed()
+        heed()
         return
     from rich.console import Console
     from rich.progress import (
@@ -174,6 +184,7 @@ def progress(what: str) -> Iterator[Callable[[int, int, str], None]]:
         at: list[str] = [""]
 
         def tick(done: int, total: int, stage: str) -> None:
+            heed()
             if stage != at[0]:
                 # one line, which says the stage at work
                 at[0] = stage
@@ -181,6 +192,7 @@ def progress(what: str) -> Iterator[Callable[[int, int, str], None]]:
             bar.update(task, completed=done, total=total or None)
 
         yield tick
+    heed()
 
 
 @contextmanager
@@ -188,11 +200,13 @@ def waiting(what: str) -> Iterator[None]:
     """Show on standard error, where that is a terminal, that something is at work which takes seconds."""
     if not sys.stderr.isatty():
         yield
+        heed()
         return
     from rich.console import Console
 
     with Console(stderr=True).status(f"{what} ..."):
         yield
+    heed()
 
 
 def _width() -> int:

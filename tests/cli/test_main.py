@@ -106,14 +106,37 @@ def test_an_interruption_is_one_line_that_says_what_was_kept(
     assert capsys.readouterr().err.startswith(f"calib: interrupted; kept: {tmp_path / 'result'}, and")
 
 
+def test_an_interruption_that_a_library_let_pass_is_heeded(
+    project_root: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As a bare ``except`` around an import does: nothing is printed, one line, 130."""
+    from calib.campaign import opening
+
+    stopped: list[bool] = []
+    once = opening.read_or_ingest
+
+    def let_pass(*given: object, **named: object) -> object:
+        stopped.append(True)
+        return once(*given, **named)
+
+    monkeypatch.setattr(opening, "read_or_ingest", let_pass)
+    arguments = ["check", str(project_root / "sample_runs/corridor")]
+    assert run(arguments, settle=lambda: bool(stopped), interrupted=lambda: bool(stopped)) == 130
+    shown = capsys.readouterr()
+    assert (shown.out, shown.err) == (
+        "",
+        "calib: interrupted; nothing was written, and nothing half-written is left\n",
+    )
+
+
 def test_control_c_ends_a_process_with_130(project_root: Path) -> None:
     """Two seconds into a diagnosis, which takes longer; one line, and nothing on standard output."""
     program = (
-        "import os, signal, threading; from calib.cli.main import main; "
+        "import os, signal, threading; from calib.__main__ import main; "
         "threading.Timer(2.0, lambda: os.kill(os.getpid(), signal.SIGINT)).start(); "
-        "main(['diagnose', 'sample_runs/corridor'])"
+        "main()"
     )
-    command = [sys.executable, "-c", program]
+    command = [sys.executable, "-c", program, "diagnose", "sample_runs/corridor"]
     done = subprocess.run(command, cwd=project_root, capture_output=True, text=True, check=False, timeout=120)
     assert done.returncode == 130
     assert done.stdout == ""
