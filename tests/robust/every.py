@@ -227,10 +227,12 @@ def json_to_a_fifo(command: str, usual: int) -> Iterator[str]:
 
 
 def _inputs(command: str) -> list[Path]:
-    """Return the files that the command's inputs are, or hold."""
+    """Return the files that the command's inputs are, or hold: of a folder one of each name, and one log."""
     named = [Path(word) for word in SOUND[command].split() if Path(word).exists() and not word.startswith("out")]
-    within = [path for place in named if place.is_dir() for path in sorted(place.rglob("*")) if path.is_file()]
-    return [place for place in named if place.is_file()] + within
+    within: dict[str, Path] = {}
+    for path in (path for place in named if place.is_dir() for path in sorted(place.rglob("*")) if path.is_file()):
+        within.setdefault(path.suffix if path.parent.name == "logs" else path.name, path)
+    return [place for place in named if place.is_file()] + list(within.values())
 
 
 def no_files(command: str, usual: int) -> Iterator[str]:

@@ -1,0 +1,42 @@
+"""The script that takes every command into every odd world knows every command, and its worlds can fail."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from pathlib import Path
+
+import pytest
+
+from calib.cli.main import COMMANDS, run
+from tests.robust import every
+
+
+def test_every_command_has_a_sound_call() -> None:
+    """A command that is added later is taken along, under its own name."""
+    assert set(every.SOUND) == set(COMMANDS)
+    assert all(call.split()[: len(name.split())] == name.split() for name, call in every.SOUND.items())
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _imported() -> None:
+    """Import what the command takes once, and not in each process forked off."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        assert run(["loads", "--payload", "20"]) == 0
+
+
+@pytest.mark.parametrize("world", ["closed", "unread", "full", "ascii", "fifo"])
+def test_a_quick_command_in_an_odd_world(world: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No input but its options: ends as usual, as 141, or in one line."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(every.SOUND, "loads", "loads --payload 20")
+    assert list(every.faults_of(world, ["loads"])) == []
+
+
+def test_a_fault_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A command that ends otherwise than usual is named with its status."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(every.SOUND, "loads", "loads --no-such-option")
+    Path("out").mkdir()
+    [fault] = every.closed("loads", 0)
+    assert "loads: status 2" in fault
