@@ -132,7 +132,9 @@ def test_an_interruption_that_a_library_let_pass_is_heeded(
 def test_control_c_ends_a_process_with_130(project_root: Path) -> None:
     """Two seconds into a diagnosis, which takes longer; one line, and nothing on standard output."""
     program = (
-        "import os, signal, threading; from calib.__main__ import main; "
+        # a suite that runs in the background hands on that interruptions are ignored
+        "import os, signal, threading; signal.signal(signal.SIGINT, signal.default_int_handler); "
+        "from calib.__main__ import main; "
         "threading.Timer(2.0, lambda: os.kill(os.getpid(), signal.SIGINT)).start(); "
         "main()"
     )
