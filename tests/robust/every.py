@@ -55,7 +55,7 @@ SOUND: dict[str, str] = {
 }  # fmt: skip
 #: names and labels that a spreadsheet, a terminal or an encoding could take for more than text
 HOSTILE = ("=1+1", "@SUM(A1)", "+cmd|' /C calc'!A0", "-2+3", "[/red]", "中文", "Ωμέγα")
-LONGEST_S = 120.0
+LONGEST_S = 600.0
 
 
 @dataclass
