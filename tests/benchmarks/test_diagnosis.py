@@ -105,9 +105,9 @@ def test_where_the_time_of_a_diagnosis_goes(benchmark: BenchmarkFixture, capsys:
     made = campaign_of(160 if benchmark.enabled else 24)
     with clocked() as clock:
         begun = time.process_time()
-        verdict = benchmark.pedantic(whole.diagnose, args=(made,), rounds=1)
+        diagnosis = benchmark.pedantic(whole.diagnose_in_full, args=(made,), rounds=1)
         total = time.process_time() - begun
-    assert verdict.causes[0].effect == "load_radius"
+    assert diagnosis.verdict.causes[0].effect == "load_radius"
     shares = {name: round(value / total, 3) for name, value in clock.spent_s.items()}
     assert {"signatures", "noise", "search", "evidence", "held-out fits"} <= shares.keys()
     # stages that do not lie within one another cannot add up to more than the whole; clocks tick in milliseconds
@@ -123,7 +123,7 @@ def test_cost_grows_linearly_with_runs(benchmark: BenchmarkFixture, capsys: pyte
     """Time for 80 and 160 runs over that for 40; a cost linear in runs at most doubles each time."""
     sizes = (40, 80, 160) if benchmark.enabled else (16, 32)
     made = {size: campaign_of(size) for size in sizes}
-    took = {size: spent(lambda size=size: whole.diagnose(made[size])) for size in sizes}  # type: ignore[misc]
+    took = {size: spent(lambda size=size: whole.diagnose_in_full(made[size])) for size in sizes}  # type: ignore[misc]
     ratios = {f"time of {size} runs over {sizes[0]}": round(took[size] / took[sizes[0]], 2) for size in sizes[1:]}
     benchmark.extra_info.update(ratios)
     benchmark.pedantic(noise.estimate_noise, args=_gap_of(made[sizes[0]]), rounds=1)
@@ -149,7 +149,7 @@ def test_the_whole_command_over_the_diagnosis_alone(
     """`calib diagnose` in a process of its own, reading included, over the diagnosis of the campaign in memory."""
     made = campaign_of(160 if benchmark.enabled else 16)
     folder = write_campaign(made, tmp_path / "campaign")
-    alone = spent(lambda: whole.diagnose(made))
+    alone = spent(lambda: whole.diagnose_in_full(made))
     verdict = tmp_path / "verdict.json"
     command = [sys.executable, "-m", "calib", "diagnose", str(folder), "--json", str(verdict)]
 

@@ -122,9 +122,9 @@ def estimate_noise(path: Path, gap: FloatArray, *, start: Noise | None = None) -
             continue
         log_scale, weight = _scales(path, gap, shapes, grouped, support, whole, begin)
         noise = _noise(path, shapes, log_scale, weight, support.basis, whole.dof)
-        if noise.supported:
+        if noise.supported and (first is None or support.basis is Basis.REPEATS):
             return noise
-        # more units to compare are worth nothing where what they differ by cannot be told from a gap
+        # many units are worth nothing where what they differ by cannot be told from a gap: then repeats alone count
         first = first or noise
     return first or _noise(path, shapes, np.log(MEDIANS), np.ones(len(gap)), Basis.STATED, 0.0)
 
