@@ -90,7 +90,8 @@ def estimate_noise(path: Path, gap: FloatArray, *, start: Noise | None = None) -
 
     These are units of one cell where there are enough of them; else of one condition, with a trend on temperature,
     dwell, session and further columns removed; else neighbours in the order driven; else runs of one route with their
-    loads and speeds as trends; at last the stated sigmas stand alone.
+    loads and speeds as trends; at last the stated sigmas stand alone. Where the first of these supports no floor,
+    repeats with fewer degrees of freedom do, if there are any.
 
     Parameters
     ----------
