@@ -201,8 +201,10 @@ def odd_names(command: str, usual: int) -> Iterator[str]:
     for place in Path().iterdir():
         if place != odd:
             (shutil.copytree if place.is_dir() else shutil.copy)(place, odd / place.name)
-    words = [str(odd / word) if word.startswith("out/") or Path(word).exists() else word for word in _worded(command)]
-    end = ended(words)
+    # the first word is the command, whatever folder is called alike
+    first, *further = _worded(command)
+    paths = [str(odd / word) if word.startswith("out/") or Path(word).exists() else word for word in further]
+    end = ended([first, *paths])
     yield from _told(command, end, {usual})
     if b"\x1b" in end.out or "\x1b" in end.error:
         yield f"{command}: an escape sequence was sent"
