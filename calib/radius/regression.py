@@ -177,18 +177,18 @@ def fit_wheel(
     if distinct_loads(load) == 1:
         return _constant(wheel, load, radius, groups)
     x = load - reference_load_N
-    plain, results = plain_line(x, radius)
+    plain, line = plain_line(x, radius)
     estimate = stratified_line(x, radius, groups) if 2 <= len(groups) < len(load) else None
     estimate = estimate or plain
     design = "confounded" if estimate is plain and 2 <= len(groups) < len(load) else estimate.design
-    influence = _influence(x, radius, np.asarray(results.resid), float(results.scale))
+    influence = _influence(x, radius, line.residual, line.variance)
     naive = NaiveLine(
-        radius_ref_m=float(plain.coefficients[0]),
-        slope_m_per_N=float(plain.coefficients[1]),
-        covariance=np.asarray(results.cov_params()),
-        dof=float(results.df_resid),
-        radius_ref_ci95_m=t_interval(plain.coefficients[0], float(results.bse[0]), results.df_resid),
-        slope_ci95_m_per_N=t_interval(plain.coefficients[1], float(results.bse[1]), results.df_resid),
+        radius_ref_m=float(line.coefficients[0]),
+        slope_m_per_N=float(line.coefficients[1]),
+        covariance=line.covariance,
+        dof=line.dof,
+        radius_ref_ci95_m=t_interval(line.coefficients[0], np.sqrt(line.covariance[0, 0]), line.dof),
+        slope_ci95_m_per_N=t_interval(line.coefficients[1], np.sqrt(line.covariance[1, 1]), line.dof),
     )
     return _wheel_fit(wheel, load, radius, estimate, design, naive, reference_load_N, influence)
 

@@ -10,13 +10,14 @@ the exact t of the regression on session means, and between the two it follows `
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from calib.arrays import FloatArray, IntArray, StrArray
 from calib.radius.estimate import Estimate, of_one_stratum
+from calib.radius.least_squares import PlainLine, fit_line
 
 #: session variance over run variance for which strata are weighted; it sets efficiency, never validity, because the
 #: variances are estimated afterwards
@@ -77,21 +78,16 @@ def breusch_pagan(residual: FloatArray, x: FloatArray) -> tuple[float, float]:
     return statistic, float(chdtrc(1.0, statistic))
 
 
-def plain_line(x: FloatArray, y: FloatArray, *, robust: bool = True) -> tuple[Estimate, Any]:
+def plain_line(x: FloatArray, y: FloatArray, *, robust: bool = True) -> tuple[Estimate, PlainLine]:
     """Return the ordinary least-squares line, every run counted as independent.
 
     `x`, `y` (shape (n_runs,)): load minus reference load; radius; `robust`: use HC3 where the scatter clearly depends
-    on `x`. With everything in the within part; the fit itself, for its leverages and residuals.
+    on `x`. With everything in the within part; the fit itself, for its residuals.
     """
-    from statsmodels.regression.linear_model import OLS
-
-    results = OLS(y, np.column_stack((np.ones_like(x), x))).fit(method="qr")
-    covariance = np.asarray(results.cov_params(), dtype=np.float64)
-    hc3 = bool(robust and results.df_resid >= 4 and breusch_pagan(results.resid, x)[1] < HC3_BELOW)
-    if hc3:
-        covariance = np.asarray(results.cov_HC3, dtype=np.float64)
-    coefficients, dof = np.asarray(results.params, dtype=np.float64), float(results.df_resid)
-    return of_one_stratum("single", coefficients, covariance, dof, float(results.scale), robust=hc3), results
+    line = fit_line(x, y)
+    hc3 = bool(robust and line.dof >= 4 and breusch_pagan(line.residual, x)[1] < HC3_BELOW)
+    covariance = line.robust_covariance if hc3 else line.covariance
+    return of_one_stratum("single", line.coefficients, covariance, line.dof, line.variance, robust=hc3), line
 
 
 @dataclass(frozen=True, slots=True, eq=False)

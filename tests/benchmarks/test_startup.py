@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 ROUNDS = 15
-#: what the work itself is done with: arguments parsed (typer does it with pydantic), tables read, the fit, tables shown
+#: what such work is commonly done with: arguments parsed (typer does it with pydantic), tables read and shown, a fit
 NEEDED = (
     "import typer, numpy, pandas, statsmodels.regression.linear_model, rich.console, rich.table; "
     "from pydantic import TypeAdapter"
@@ -46,12 +46,12 @@ def test_help_takes_at_most_1_4_times_the_import_of_typer(project_root: Path) ->
     assert ratio <= 1.4, f"calib --help takes {ratio:.2f} times as long as import typer"
 
 
-def test_fit_takes_at_most_1_25_times_the_imports_it_needs(project_root: Path) -> None:
+def test_fit_takes_less_than_the_imports_of_what_such_work_is_done_with(project_root: Path) -> None:
     if not (project_root / "sample_runs" / "corridor").is_dir():
         pytest.skip("the sample campaign is not here: sample_runs/corridor")
     ours, needed = ["-m", "calib", "fit", "sample_runs/corridor"], ["-c", NEEDED]
-    ratio = _ratio(ours, needed, project_root, 1.25)
-    assert ratio <= 1.25, f"calib fit takes {ratio:.2f} times as long as the imports it needs"
+    ratio = _ratio(ours, needed, project_root, 0.9)
+    assert ratio <= 0.9, f"calib fit takes {ratio:.2f} times as long as these imports"
 
 
 def test_import_takes_at_most_1_2_times_bare_python_and_typing(project_root: Path) -> None:
