@@ -6,7 +6,7 @@ import hashlib
 import json
 import os
 import zlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import astuple, dataclass
 from functools import lru_cache
@@ -103,16 +103,10 @@ class LogCache:
             total -= size
 
 
-def log_cache(files: Iterable[Path]) -> LogCache | None:
-    """Return the cache for a campaign's logs, or None where they are few or the environment says ``off``."""
+def log_cache(n_bytes: int) -> LogCache | None:
+    """Return the cache for a campaign's logs, or None where they are few bytes or the environment says ``off``."""
     chosen = os.environ.get(CACHE, "")
-    if chosen == "off":
-        return None
-    total = 0
-    for path in files:
-        with suppress(OSError):
-            total += path.stat().st_size
-    if total < WORTH_BYTES:
+    if chosen == "off" or n_bytes < WORTH_BYTES:
         return None
     if chosen:
         return LogCache(Path(chosen))

@@ -17,6 +17,7 @@ from calib.campaign.log_stack import LogStack
 from calib.campaign.logs_file import LogFile, Renames, read_log, wanted_in_log
 from calib.campaign.model import Logs, Note
 from calib.campaign.readers.alike import read_alike
+from calib.campaign.readers.delimited import SMALL
 from calib.campaign.readers.table import RawTable
 from calib.campaign.settings import Encoder
 from calib.errors import BadFileError
@@ -33,6 +34,8 @@ MANY: Final = 8
 LARGE_BYTES: Final = 512 << 10
 #: small logs that are parsed as one
 TOGETHER: Final = 16
+#: where all of them are fewer bytes, each is read by numpy before what parses many as one is imported
+MANY_BYTES: Final = 16 << 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,12 +99,13 @@ def read_logs(
 
 def _outcomes(files: Sequence[LogFile], renames: Renames | None) -> Iterator[_Outcome]:
     """Yield what came of each log, in their order."""
-    cache = log_cache(path for _, _, path, _ in files)
+    n_bytes = _bytes(files)
+    cache = log_cache(n_bytes)
     known = KnownHashes.read(None if cache is None else cache.folder, files[0][2].parent if files else Path())
-    reader = _Reader(renames, cache, known)
-    threads = min(MOST_THREADS, _processors()) if len(files) >= MANY else 1
+    reader = _Reader(renames, cache, known, together=n_bytes >= MANY_BYTES or n_bytes > SMALL * len(files))
+    threads = min(MOST_THREADS, _processors()) if reader.together and len(files) >= MANY else 1
     stored = 0
-    for outcome, new in (_small if _mean_bytes(files) < LARGE_BYTES else _large)(reader, files, threads):
+    for outcome, new in (_small if n_bytes < LARGE_BYTES * len(files) else _large)(reader, files, threads):
         stored += new
         yield outcome
     known.keep()
@@ -146,10 +150,12 @@ def _pool(threads: int) -> Iterator[ThreadPoolExecutor | None]:
         pool.shutdown(cancel_futures=True)
 
 
-def _mean_bytes(files: Sequence[LogFile]) -> float:
-    with suppress(OSError):
-        return sum(path.stat().st_size for _, _, path, _ in files) / max(len(files), 1)
-    return 0.0
+def _bytes(files: Sequence[LogFile]) -> int:
+    total = 0
+    for _, _, path, _ in files:
+        with suppress(OSError):
+            total += path.stat().st_size
+    return total
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,6 +165,8 @@ class _Reader:
     renames: Renames | None
     cache: LogCache | None
     known: KnownHashes
+    #: parse small logs as one
+    together: bool
 
     def read(self, files: Sequence[LogFile], contents: Sequence[Content]) -> list[tuple[_Outcome, bool]]:
         """Return what came of each of some logs, and whether it was put into the cache."""
@@ -166,7 +174,7 @@ class _Reader:
         kept = [None if self.cache is None or place is None else self.cache.get(place) for place in places]
         anew = [number for number, log in enumerate(kept) if log is None]
         raws: dict[int, RawTable | None] = {}
-        if len(anew) > 1:
+        if self.together and len(anew) > 1:
             plain = [(files[number][2], files[number][3]) for number in anew]
             raws = dict(zip(anew, read_alike(plain, wanted_in_log(self.renames)), strict=True))
         outcomes = []

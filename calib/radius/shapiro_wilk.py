@@ -61,7 +61,7 @@ def shapiro_wilk(values: FloatArray) -> tuple[float, float]:
 
 def _coefficients(n: int) -> FloatArray:
     """Return the coefficients of the upper half of `n` values, largest first, shape (n // 2,)."""
-    normal = _normal_quantiles(1.0 - (np.arange(1, n // 2 + 1) - 0.375) / (n + 0.25))
+    normal = _normal_quantiles(1.0 - np.asarray((np.arange(1, n // 2 + 1) - 0.375) / (n + 0.25), dtype=np.float64))
     square = 2.0 * float(normal @ normal)
     first = normal[0] / np.sqrt(square) + polyval(n**-0.5, _LARGEST)
     second = normal[1] / np.sqrt(square) + polyval(n**-0.5, _SECOND)

@@ -31,7 +31,7 @@ _MAX_BYTES: Final = 4 << 30
 _HEAD: Final = 1 << 16
 #: tables of nothing but numbers, up to so many bytes, are read by numpy: as fast as pandas there, whose import
 #: takes as long as two hundred such logs
-_SMALL: Final = 1 << 16
+SMALL: Final = 1 << 16
 _OF_NUMBERS: Final = b"0123456789+-.eE\n"
 #: rows that show a header in the first of them
 _FEW: Final = 8
@@ -233,7 +233,7 @@ def _fast(
 
 def _plain(body: bytes, rows: int, width: int, delimiter: str) -> FloatArray | None:
     """Return a small table of nothing but numbers, shape (rows, width); None where it is anything else."""
-    if len(body) > _SMALL or body.translate(None, _OF_NUMBERS + delimiter.encode()):
+    if len(body) > SMALL or body.translate(None, _OF_NUMBERS + delimiter.encode()):
         return None
     try:
         values = np.loadtxt(io.BytesIO(body), delimiter=delimiter, comments=None, ndmin=2)

@@ -7,7 +7,7 @@ import io
 import numpy as np
 import pytest
 
-from calib.campaign.readers.delimited import _SMALL, _plain
+from calib.campaign.readers.delimited import SMALL, _plain
 
 
 def table(rows: list[list[str]], delimiter: str = ",") -> bytes:
@@ -39,6 +39,6 @@ def test_a_blank_or_a_short_row_is_left_to_the_careful() -> None:
 
 
 def test_a_large_table_is_left_to_pandas() -> None:
-    rows = [["1", "2"]] * (_SMALL // 4 + 1)
+    rows = [["1", "2"]] * (SMALL // 4 + 1)
     assert _plain(table(rows), len(rows), 2, ",") is None
     assert _plain(table(rows[1:]), len(rows) - 1, 2, ",") is not None
