@@ -17,7 +17,7 @@ def one_each(_item: object) -> int:
 
 
 def batches(
-    items: Sequence[Item], weigh: Callable[[Item], int], largest: int, workers: int = 1
+    items: Sequence[Item], weigh: Callable[[Item], int], largest: int, workers: int = 1, smallest: int = 1
 ) -> list[Sequence[Item]]:
     """Cut items into batches in their order.
 
@@ -31,6 +31,8 @@ def batches(
         Pieces of work in a batch, at most; a single item may stand for more.
     workers : int
         Who share them.
+    smallest : int
+        Pieces of work from which on a batch may end, though it would be smaller for all to end together.
 
     Returns
     -------
@@ -42,7 +44,7 @@ def batches(
     cut: list[Sequence[Item]] = []
     first = filled = 0
     for number, weight in enumerate(weights):
-        if filled and filled + weight > min(largest, left // (PARTS_OF_A_SHARE * workers)):
+        if filled and filled + weight > min(largest, max(smallest, left // (PARTS_OF_A_SHARE * workers))):
             cut.append(items[first:number])
             left -= filled
             first, filled = number, 0

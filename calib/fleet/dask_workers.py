@@ -13,8 +13,10 @@ from calib.fleet.processes import OWN, SHARED, import_modules
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-#: pieces of work in a task: a task costs the scheduler and its connections some milliseconds
-BATCH: Final = 64
+#: pieces of work in a task, at most and at least: a task costs client, scheduler and worker ten milliseconds together,
+#: a piece of work takes four or more
+BATCH: Final = 256
+SMALLEST: Final = 8
 
 
 @contextmanager
@@ -55,21 +57,35 @@ class DaskWorkers:
     ) -> Iterator[Result]:
         """Run on the scheduler's workers."""
         from distributed import KilledWorker, as_completed
+        from distributed.protocol import deserialize, serialize
+
+        def submit(batch: Sequence[Item]) -> Any:
+            return client.submit(_in_bytes, task, *serialize(batch), pure=False)
 
         client = self._client
         workers = max(1, sum(client.nthreads().values()))
-        batch_of = {client.submit(task, batch, pure=False): batch for batch in batches(items, weigh, BATCH, workers)}
+        cut = batches(items, weigh, BATCH, workers, SMALLEST)
+        batch_of = {submit(batch): batch for batch in cut}
+        # this process needs them in the end, and has nothing to do until the first task is done
+        import_modules(SHARED)
         finished = as_completed(list(batch_of))
         for future in finished:
             batch = batch_of.pop(future)
             try:
-                yield from future.result()
+                yield from deserialize(*future.result())
             except KilledWorker:
                 if len(batch) == 1:
                     yield given_up(batch[0], "its worker died again and again; expected one that ends; read it alone")
                     continue
                 for item in batch:
-                    single = client.submit(task, [item], pure=False)
+                    single = submit([item])
                     batch_of[single] = [item]
                     finished.add(single)
             future.release()
+
+
+def _in_bytes(task: Callable[[Any], Any], header: Any, frames: Any) -> Any:
+    """Run a task on items as bytes and give its results as bytes: of these the scheduler need not know any more."""
+    from distributed.protocol import deserialize, serialize
+
+    return serialize(task(deserialize(header, frames)))

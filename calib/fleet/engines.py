@@ -86,13 +86,14 @@ def run_tasks(
     task: Callable[[Sequence[Item]], list[Result]],
     items: Sequence[Item],
     given_up: Callable[[Item, str], Result],
+    weigh: Callable[[Item], int] = one_each,
     *,
     workers: int = 1,
     scheduler: str = "",
 ) -> Iterator[Result]:
     """Run one task on an engine of its own; see `engine` and `Engine.run`."""
     with engine(workers, scheduler) as opened:
-        yield from opened.run(task, items, given_up)
+        yield from opened.run(task, items, given_up, weigh)
 
 
 class _Here:

@@ -25,3 +25,11 @@ def test_the_last_batches_are_single_items() -> None:
     cut = batches(range(2000), lambda _: 1, LARGEST, 2)
     assert {len(batch) for batch in cut[-4:]} == {1}
     assert len(cut) < 2 * 2000 / LARGEST
+
+
+def test_batches_are_cut_no_smaller_than_handing_over_is_worth() -> None:
+    """None but the last holds less than the least, whatever would be left for the others."""
+    cut = batches(range(2000), lambda _: 1, 256, 2, smallest=8)
+    assert all(len(batch) >= 8 for batch in cut[:-1])
+    assert len(cut[-2]) == 8
+    assert len(cut) < 25
