@@ -43,12 +43,16 @@ class FloorZone(Effect):
         places: WeakKeyDictionary[Path, tuple[FloatArray, FloatArray, FloatArray]] = WeakKeyDictionary()
 
         def place(path: Path) -> tuple[FloatArray, FloatArray, FloatArray]:
-            """Return x, y and the cosine of the heading on the floor; kept, as every cell asks for them."""
+            """Return x (nowhere without a log), y and the cosine of the heading on the floor, as every cell asks."""
             if path not in places:
-                places[path] = (*floor_place(path, path.s.here(far_end)), np.cos(map_heading_rad(path)))
+                x, y = floor_place(path, path.s.here(far_end))
+                x[~path.s.from_log[path.s.unit]] = np.inf
+                places[path] = x, y, np.cos(map_heading_rad(path))
             return places[path]
 
-        cells = _cells(observations, lane[observations.unit], *place(predict(observations)))
+        nominal = predict(observations)
+        _, _, cosine = place(nominal)
+        cells = _cells(observations, lane[observations.unit], *floor_place(nominal, far_end), cosine)
         along = Parameter("along", "1", typical=1e-3, largest=2e-2)
         turn = Parameter("turn", "rad/m", typical=1e-3, largest=2e-2)
         turn_by_heading = Parameter("turn_by_heading", "rad/m", typical=1e-3, largest=2e-2)
@@ -59,13 +63,17 @@ class FloorZone(Effect):
             def pushes(path: Path) -> list[Push]:
                 at_x, at_y, cosine = place(path)
                 observations = path.s
-                inside = observations.from_log[observations.unit] & (np.abs(at_x - x) < 0.5 * CELL_M)
+                inside = np.flatnonzero(np.abs(at_x - x) < 0.5 * CELL_M)
                 if not strip:
-                    inside &= (observations.here(lane) == number)[observations.unit] & (np.abs(at_y - y) < 0.5 * CELL_M)
-                share = inside.astype(np.float64)
-                way = share * np.abs(observations.path_m)
+                    inside = inside[np.abs(at_y[inside] - y) < 0.5 * CELL_M]
+                    inside = inside[observations.here(lane)[observations.unit[inside]] == number]
+                share, way, way_by_heading = np.zeros((3, len(at_x)))
+                share[inside], way[inside] = 1.0, np.abs(observations.path_m[inside])
                 pushes = [Push(left=share, right=share), Push(heading_rad=way)]
-                return [*pushes, Push(heading_rad=way * cosine)] if both_ways else pushes
+                if both_ways:
+                    way_by_heading[inside] = way[inside] * cosine[inside]
+                    pushes.append(Push(heading_rad=way_by_heading))
+                return pushes
 
             where = ", whole width" if strip else f", y {y:g} m" + (f", lane {number + 1}" if lane.max() > 0 else "")
             label = f"x {x:g} m{where}"

@@ -142,6 +142,9 @@ def rest_kinds(path: Path, noise: Noise, blocks: Blocks) -> list[RestKind]:
                 continue
             parts = tuple(
                 _spread(columns[rows_b], cells[blocks.unit[rows_b]], repeated[blocks.unit[rows_b]])
+                if grouping == "cell"
+                # a block is a condition
+                else columns[rows_b][:, : columns.shape[1] if repeated[blocks.unit[rows_b.start]] else 0]
                 for rows_b in blocks.slices()
             )
             kinds.append(RestKind(f"{name} by {grouping}", by_block=parts))

@@ -111,7 +111,12 @@ class Path:
         measured = self.s.measured[:, Channel.HEADING]
         return np.where(np.isfinite(measured), measured, self.end[:, 2])
 
-    @property
+    @cached_property
+    def frame_turned(self) -> tuple[FloatArray, FloatArray]:
+        """Cosine and sine of `frame`, each shape (n_units,)."""
+        return np.cos(self.frame), np.sin(self.frame)
+
+    @cached_property
     def way_sign(self) -> FloatArray:
         """Sign of the way along: -1 for a unit driven backwards, shape (n_units,)."""
         return np.asarray(np.sign(self.way_m))
@@ -239,13 +244,16 @@ def _along_path(path: Path, push: Push) -> FloatArray:
     sums = path.steps.sums(push)
     x, y = sums[X], sums[Y]
     change = np.zeros((len(s), N_CHANNELS))
-    c, sn = np.cos(path.frame), np.sin(path.frame)
+    c, sn = path.frame_turned
     change[:, Channel.ALONG], change[:, Channel.LATERAL] = c * x + sn * y, c * y - sn * x
     change[:, Channel.HEADING] = sums[TURN]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        chord = np.nan_to_num((path.end[:, 0] * x + path.end[:, 1] * y) / np.hypot(path.end[:, 0], path.end[:, 1]))
-    line = sums[LINE] * path.way_sign
-    change[:, Channel.DISTANCE] = np.where(s.axis == 1, x, np.where(s.axis == 2, chord, line))
+    change[:, Channel.DISTANCE] = np.where(s.axis == 1, x, sums[LINE] * path.way_sign)
+    chords = np.flatnonzero(s.axis == 2)
+    if len(chords):
+        end_x, end_y = path.end[chords, 0], path.end[chords, 1]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            chord = (end_x * x[chords] + end_y * y[chords]) / np.hypot(end_x, end_y)
+        change[chords, Channel.DISTANCE] = np.nan_to_num(chord)
     if s.usable[:, Channel.FRONT :].any():
         change[:, Channel.FRONT] = sums[WAY]
         change[:, Channel.STEERING] = sums[TURN]

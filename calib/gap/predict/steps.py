@@ -132,9 +132,10 @@ class Steps:
         s, summed = self.s, np.zeros((N_SUMS, len(self.s)))
         for part, lever in self._levers(push):
             wide = part if len(part) == len(s.unit) and len(s) != len(s.unit) else part[s.unit]
-            there = np.flatnonzero(wide != 0.0)
-            if len(there) * FEW < len(wide):
+            takes_part = wide != 0.0
+            if np.count_nonzero(takes_part) * FEW < len(wide):
                 # a place on the floor, a stop: most steps have no part in it
+                there = np.flatnonzero(takes_part)
                 some, unit = lever.by_step[:, there] * wide[there], s.unit[there]
                 for number, values in zip(lever.sums, some, strict=True):
                     summed[number] += np.bincount(unit, values, len(s))
