@@ -7,6 +7,7 @@ a grid that includes nought.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -25,6 +26,15 @@ INTERACTION: Final = "interaction"
 FEWEST_CELLS: Final = 8
 #: standard deviation of the rest, in floors of one unit
 REST_SCALES: Final = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stack:
+    """Columns that some blocks of one length have of their own, of one number."""
+
+    group: int  #: number of the length in `Blocks.alike`
+    same: IntArray | slice  #: which of the blocks of that length
+    part: FloatArray  #: shape (n, length, q)
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +68,20 @@ class Blocks:
             numbers = np.flatnonzero(lengths == length)
             groups.append((numbers, self.starts[numbers][:, None] + np.arange(length)))
         return groups
+
+    def stacked(self, parts: Sequence[FloatArray]) -> list[Stack]:
+        """Put columns that each block has of its own, (n_rows of the block, q), end to end where they are of one shape.
+
+        There are hundreds of small blocks; those without a column are left out.
+        """
+        stacks = []
+        for group, (numbers, _) in enumerate(self.alike):
+            widths = np.array([parts[number].shape[1] for number in numbers])
+            for width in np.unique(widths[widths > 0]):
+                same = np.flatnonzero(widths == width)
+                part = np.stack([parts[number] for number in numbers[same]])
+                stacks.append(Stack(group, slice(None) if len(same) == len(numbers) else same, part))
+        return stacks
 
     def slices(self) -> list[slice]:
         """Return the rows of each block."""
@@ -144,7 +168,7 @@ def rest_kinds(path: Path, noise: Noise, blocks: Blocks) -> list[RestKind]:
                 _spread(columns[rows_b], cells[blocks.unit[rows_b]], repeated[blocks.unit[rows_b]])
                 if grouping == "cell"
                 # a block is a condition
-                else columns[rows_b][:, : columns.shape[1] if repeated[blocks.unit[rows_b.start]] else 0]
+                else columns[rows_b, : columns.shape[1] if repeated[blocks.unit[rows_b.start]] else 0].copy()
                 for rows_b in blocks.slices()
             )
             kinds.append(RestKind(f"{name} by {grouping}", by_block=parts))

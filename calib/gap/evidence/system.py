@@ -17,7 +17,7 @@ from calib.gap.effects.effect import Form
 from calib.gap.evidence.fit import Fitted
 from calib.gap.evidence.marginal import CALIBRATION_SD, columns_of_forms, rows
 from calib.gap.evidence.noise import Noise
-from calib.gap.evidence.rest import REST_SCALES, Blocks, RestKind, blocks_of, rest_kinds
+from calib.gap.evidence.rest import REST_SCALES, Blocks, RestKind, Stack, blocks_of, rest_kinds
 from calib.gap.predict.path import Path
 from calib.gap.predict.residuals import residuals
 
@@ -106,6 +106,7 @@ class LinearSystem:
             gap = gap + self.of(number) @ (theta / form.typical)
         self.gap = gap
         self.kinds: list[RestKind] = rest_kinds(path, noise, self.blocks)
+        self._stacks = [self.blocks.stacked(kind.by_block) if kind.by_block is not None else [] for kind in self.kinds]
 
     def only(self, numbers: Sequence[int]) -> LinearSystem:
         """Return the system with some of its forms, in the order given."""
@@ -157,13 +158,14 @@ class LinearSystem:
         reduced = _Reduced(whole, deviations, self.blocks)
         m, p = nuisance.shape[1], columns.shape[1] + 1
         core = m + p
-        grams, log_dets, weights = [reduced.gram[:core, :core]], [reduced.log_det], [0.0]
-        labels = [(-1, 0.0)]
+        log_dets, weights, labels = [reduced.log_det], [0.0], [(-1, 0.0)]
+        gram = np.empty((1 + len(kinds) * len(scales), core, core))
+        gram[0] = reduced.gram[:core, :core]
         share = np.log(prior_rest / max(len(kinds) * len(scales), 1))
         place = core
         for number, kind in kinds:
             if kind.by_block is not None:
-                eigen, turned = reduced.of_blocks(kind.by_block, core)
+                eigen, turned = reduced.of_blocks(self._stacks[number], core)
             else:
                 assert kind.common is not None
                 where = slice(place, place + kind.common.shape[1])
@@ -173,18 +175,20 @@ class LinearSystem:
             eigen = np.maximum(eigen, 0.0)
             for scale in scales:
                 shrink = scale**2 / (1.0 + scale**2 * eigen)
-                grams.append(grams[0] - (turned * shrink[:, None]).T @ turned)
+                np.subtract(gram[0], (turned * shrink[:, None]).T @ turned, out=gram[len(labels)])
                 log_dets.append(reduced.log_det + float(np.log1p(scale**2 * eigen).sum()))
                 weights.append(float(share))
                 labels.append((number, scale))
-        gram, log_det = np.stack(grams), np.array(log_dets)
+        log_det = np.array(log_dets)
         # the nuisances' own scale is one: (I + N^T N) on a unit diagonal
         inner = gram[:, :m, :m] + np.eye(m)
         root = np.sqrt(np.diagonal(inner, axis1=1, axis2=2))
         lower = np.linalg.cholesky(inner / (root[:, :, None] * root[:, None, :]) + 1e-11 * np.eye(m))
         cross = np.linalg.solve(lower, gram[:, :m, m:] / root[:, :, None])
         log_det = log_det + 2 * (np.log(np.diagonal(lower, axis1=1, axis2=2)) + np.log(root)).sum(axis=1)
-        left = gram[:, m:, m:] - cross.transpose(0, 2, 1) @ cross
+        left = gram[:, m:, m:]
+        for of_scale, taken in zip(left, cross, strict=True):
+            of_scale -= taken.T @ taken
         return Sums(
             gram=left[:, :-1, :-1],
             right=left[:, :-1, -1],
@@ -201,42 +205,36 @@ class _Reduced:
     """Scalar products with what each block may have of its own taken out."""
 
     def __init__(self, whole: FloatArray, deviations: FloatArray, blocks: Blocks) -> None:
-        self.whole, self.blocks = whole, blocks
         self.gram = whole.T @ whole
         self.log_det = 0.0
+        #: rows of the blocks of each length, shape (n, length, width), and what takes their own columns out of them
+        self.wholes = [whole[places] for _, places in blocks.alike]
         self.factors: list[FloatArray] = []
         if deviations.shape[1]:
-            self.factors = [np.zeros((0, 0))] * len(blocks)
-            for numbers, places in blocks.alike:
+            for (_, places), of_blocks in zip(blocks.alike, self.wholes, strict=True):
                 own = deviations[places]
                 turned = own.transpose(0, 2, 1)
                 lower = np.linalg.cholesky(np.eye(own.shape[2]) + turned @ own)
                 self.log_det += 2 * float(np.log(np.diagonal(lower, axis1=1, axis2=2)).sum())
                 factor = np.linalg.solve(lower, turned)
-                for number, of_block in zip(numbers, factor, strict=True):
-                    self.factors[number] = of_block
-                taken = (factor @ whole[places]).reshape(-1, whole.shape[1])
+                self.factors.append(factor)
+                taken = (factor @ of_blocks).reshape(-1, whole.shape[1])
                 self.gram = self.gram - taken.T @ taken
 
-    def of_blocks(self, parts: Sequence[FloatArray], core: int) -> tuple[FloatArray, FloatArray]:
+    def of_blocks(self, stacks: Sequence[Stack], core: int) -> tuple[FloatArray, FloatArray]:
         """Return eigenvalues (q,) of the parts' scalar products and the turned products (q, core) with the columns."""
         eigens, turned = [np.zeros(0)], [np.zeros((0, core))]
-        for numbers, places in self.blocks.alike:
-            widths = np.array([parts[number].shape[1] for number in numbers])
-            for width in np.unique(widths[widths > 0]):
-                # blocks of one shape at once: there are hundreds of small ones
-                same = widths == width
-                part = np.stack([parts[number] for number in numbers[same]])
-                whole = self.whole[places[same], :core]
-                across = part.transpose(0, 2, 1)
-                own, cross = across @ part, across @ whole
-                if self.factors:
-                    factor = np.stack([self.factors[number] for number in numbers[same]])
-                    with_part = factor @ part
-                    own = own - with_part.transpose(0, 2, 1) @ with_part
-                    cross = cross - with_part.transpose(0, 2, 1) @ (factor @ whole)
-                eigen, vectors = np.linalg.eigh(own)
-                keep = eigen > 1e-9 * np.maximum(eigen[:, -1:], 1e-12)
-                eigens.append(eigen[keep])
-                turned.append((vectors.transpose(0, 2, 1) @ cross)[keep])
+        for stack in stacks:
+            whole, part = self.wholes[stack.group][stack.same][:, :, :core], stack.part
+            across = part.transpose(0, 2, 1)
+            own, cross = across @ part, across @ whole
+            if self.factors:
+                factor = self.factors[stack.group][stack.same]
+                with_part = factor @ part
+                own = own - with_part.transpose(0, 2, 1) @ with_part
+                cross = cross - with_part.transpose(0, 2, 1) @ (factor @ whole)
+            eigen, vectors = np.linalg.eigh(own)
+            keep = eigen > 1e-9 * np.maximum(eigen[:, -1:], 1e-12)
+            eigens.append(eigen[keep])
+            turned.append((vectors.transpose(0, 2, 1) @ cross)[keep])
         return np.concatenate(eigens), np.concatenate(turned)
