@@ -19,6 +19,8 @@ from calib.vehicle import Vehicle
 #: so many steps are worked on at a time: their arrays, some forty of half a megabyte, stay in the processor's cache
 #: for the most part, and a campaign of any size needs no more memory for them
 STEPS_AT_ONCE: Final = 2**16
+#: what follows from the counts alone is kept up to so many steps: some ten values a step, of all units and of parts
+KEPT_STEPS: Final = 2**20
 
 #: a run without a log whose heading changes by less than this is taken as one arc
 STRAIGHT_RAD: Final = 0.35
@@ -33,7 +35,7 @@ Value = TypeVar("Value")
 
 
 class _KeptIfFew(Generic[Value]):
-    """A property of steps that is kept once worked out, unless the steps are too many to be worked on at once."""
+    """A property of steps that is kept once worked out, unless the steps are too many."""
 
     def __init__(self, make: Callable[[Observations], Value]) -> None:
         self.make, self.__doc__ = make, make.__doc__
@@ -44,7 +46,7 @@ class _KeptIfFew(Generic[Value]):
         if name in known:
             return cast("Value", known[name])
         value = self.make(observations)
-        if len(observations.spans) == 1:
+        if len(observations.unit) <= KEPT_STEPS:
             known[name] = value
         return value
 
@@ -135,7 +137,19 @@ class Observations:
         return tuple(slice(first, behind) for first, behind in pairwise(edges))
 
     def part(self, units: slice) -> Observations:
-        """Return some units alone; their arrays are views of these."""
+        """Return some units alone; their arrays are views of these. Parts are kept with what is worked out of them."""
+        known = self._parts.get((units.start, units.stop))
+        if known is None:
+            known = self._part(units)
+            if len(self.unit) <= KEPT_STEPS:
+                self._parts[units.start, units.stop] = known
+        return known
+
+    @cached_property
+    def _parts(self) -> dict[tuple[int, int], Observations]:
+        return {}
+
+    def _part(self, units: slice) -> Observations:
         first, behind = int(self.starts[units.start]), int(self.starts[units.stop])
         changes: dict[str, Any] = {
             "starts": self.starts[units.start : units.stop + 1] - first,
@@ -213,17 +227,20 @@ class Observations:
         One over the mean of 1 / cos at the ends of the step: over a whole turn the errors of this mean cancel, wherever
         between two samples the angle begins and ends to change (Euler and Maclaurin).
         """
-        return 1.0 / np.asarray(self._at_ends(lambda angle: 1.0 / np.cos(angle)))
+        begin, end = self._steer_ends
+        return 1.0 / (0.5 * (1.0 / np.cos(begin) + 1.0 / np.cos(end)))
 
     @_KeptIfFew
     def steer_sin(self) -> FloatArray:
         """Return what of the front wheel's way over the wheelbase is turn, 0 where none is logged, shape (n_steps,)."""
-        return self.steer_cos * self._at_ends(np.tan)
+        begin, end = self._steer_ends
+        return self.steer_cos * (0.5 * (np.tan(begin) + np.tan(end)))
 
-    def _at_ends(self, what: Callable[[FloatArray], FloatArray]) -> FloatArray:
-        """Return the mean of a function of the steering angle over the ends of each step, shape (n_steps,)."""
+    @property
+    def _steer_ends(self) -> tuple[FloatArray, FloatArray]:
+        """Steering angle at the beginning and at the end of each step, each shape (n_steps,)."""
         angle, half = np.nan_to_num(self.steer_rad), 0.5 * np.nan_to_num(self.steer_change_rad)
-        return 0.5 * (what(angle - half) + what(angle + half))
+        return angle - half, angle + half
 
     @_KeptIfFew
     def speed_mps(self) -> FloatArray:

@@ -74,5 +74,6 @@ def floor_place(path: Path, far_end_m: FloatArray) -> tuple[FloatArray, FloatArr
         np.where(known, observations.start_pose[:, 1], 0.0),
     )
     heading = np.where(known, observations.start_pose[:, 2], np.pi * is_back(observations))
-    c, sn = np.cos(heading)[observations.unit], np.sin(heading)[observations.unit]
-    return x[observations.unit] + c * path.x_m - sn * path.y_m, y[observations.unit] + sn * path.x_m + c * path.y_m
+    unit, steps = observations.unit, path.steps
+    c, sn = np.cos(heading)[unit], np.sin(heading)[unit]
+    return x[unit] + c * steps.x_m - sn * steps.y_m, y[unit] + sn * steps.x_m + c * steps.y_m

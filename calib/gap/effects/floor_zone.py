@@ -51,7 +51,7 @@ class FloorZone(Effect):
             return places[path]
 
         nominal = predict(observations)
-        _, _, cosine = place(nominal)
+        cosine = np.cos(map_heading_rad(nominal))
         cells = _cells(observations, lane[observations.unit], *floor_place(nominal, far_end), cosine)
         along = Parameter("along", "1", typical=1e-3, largest=2e-2)
         turn = Parameter("turn", "rad/m", typical=1e-3, largest=2e-2)
