@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from calib.gap.effects.library import effect_class
 from calib.gap.verdict.result import Verdict
-from calib.motion.studies.paper_headline import Improvement, paper_headline
+
+if TYPE_CHECKING:
+    from calib.motion.studies.paper_headline import Improvement
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +41,8 @@ def headline(verdict: Verdict) -> PaperHeadline | None:
     before, after = verdict.closure.before_rms_m, verdict.closure.after_rms_m
     if effect is None or before is None or after is None:
         return None
+    from calib.motion.studies.paper_headline import Improvement, paper_headline
+
     sole = not any(effect in group.effects for group in verdict.groups)
     campaign = Improvement(float(before), float(after), before / after if after > 0.0 else None)
     here = f"this campaign: {_metres(before)} m to {_metres(after)} m"

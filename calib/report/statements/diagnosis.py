@@ -11,9 +11,9 @@ from calib.report.gap_findings import GapFindings
 from calib.report.numbers import prose
 from calib.report.statements.causes import apart_blocks, cause_blocks, limit_blocks
 from calib.report.statements.closure import closure_blocks
-from calib.report.statements.fit import simulated_notice
 from calib.report.statements.gap_pictures import before_after_picture, covariate_picture, map_picture
 from calib.report.statements.plan import next_runs_table
+from calib.report.statements.simulated import simulated_notice
 from calib.report.statements.where import where_blocks
 
 #: verdict -> how it is shown, and its title

@@ -6,17 +6,13 @@ from collections.abc import Sequence
 
 from calib.radius.comparison import Difference, ModelComparison
 from calib.radius.fitted import Fit
-from calib.report.blocks import Block, Heading, Notice, Section, Table, Text, items
+from calib.report.blocks import Block, Heading, Section, Table, Text, items
 from calib.report.numbers import fixed, left, number_columns, places, plural, prose, text_columns
 from calib.report.statements.budget import radius_budget
 from calib.report.statements.checks import checks_table, usable_notice
 from calib.report.statements.law import law_table, naive_text, quality_text, single_run_text, static_table
 from calib.report.statements.runs import left_out_table, runs_table
-
-
-def simulated_notice() -> Notice:
-    """Return the words that stand over everything made from a program's data."""
-    return Notice("simulated", "SIMULATED DATA", "A program made these data; no vehicle was measured.")
+from calib.report.statements.simulated import simulated_notice
 
 
 def fit_content(fit: Fit, *, runs: bool = False) -> tuple[Block | Section, ...]:
