@@ -177,9 +177,10 @@ class Observations:
     def cumulative(self, steps: FloatArray) -> FloatArray:
         """Return the running sum of a step array (n_steps,) within each unit, the step included, shape (n_steps,)."""
         running = np.cumsum(steps)
-        before = np.concatenate(([0.0], running))[self.starts[:-1]]
-        within: FloatArray = running - np.repeat(before, self.lengths)
-        return within
+        before = np.zeros(len(self))
+        before[1:] = running[self.starts[1:-1] - 1]
+        running -= np.repeat(before, self.lengths)
+        return running
 
     def number(self, name: str) -> FloatArray:
         """Return a covariate, shape (n_units,); NaN where the campaign has none."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -99,7 +100,12 @@ def thinned(rows: IntArray) -> IntArray:
     """Return at most `MAX_STEPS` + 1 of the samples, evenly spread, first and last kept."""
     if len(rows) <= MAX_STEPS + 1:
         return rows
-    return rows[np.unique(np.linspace(0, len(rows) - 1, MAX_STEPS + 1).astype(np.int64))]
+    return rows[_evenly(len(rows))]
+
+
+@lru_cache(maxsize=16)
+def _evenly(n_rows: int) -> IntArray:
+    return np.unique(np.linspace(0, n_rows - 1, MAX_STEPS + 1).astype(np.int64))
 
 
 def unit_from_log(run: int, log: Mapping[str, FloatArray], rows: IntArray, per_rad: CountsPerRadian) -> Unit:

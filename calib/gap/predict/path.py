@@ -171,12 +171,15 @@ def predict(s: Observations, pushes: list[Push] | None = None) -> Path:
     if len(s.spans) == 1:
         return _predicted(s, push)
     path = Path(s, push, np.zeros((len(s), 3)), np.zeros((len(s), N_CHANNELS)), np.zeros(len(s)))
-    derivatives = []
+    derivatives, ways, radii = [], [], []
     for units in s.spans:
         part = _predicted(s.part(units), push.part(units, s))
         path.end[units], path.reading[units], path.line_m[units] = part.end, part.reading, part.line_m
         # asked of every path, and the steps are at hand
         derivatives.append(_calibration(part))
+        ways.append(part.way_m)
+        radii.append(part.rolling_radii_m)
+    vars(path).update(way_m=np.concatenate(ways), rolling_radii_m=np.concatenate(radii))
     vars(path)["calibration"] = path.beside_straights(np.concatenate(derivatives))
     return path
 

@@ -99,12 +99,17 @@ class Steps:
         return self.by_left + self.by_right
 
     def _by_wheel(self, travel_m: FloatArray, sense: float) -> Lever:
-        ds, turn = 0.5 * travel_m, sense * travel_m / self.track_m
-        x, y = ds * self.cos + turn * self.lever_x, ds * self.sin + turn * self.lever_y
+        by_step = np.empty((N_SUMS, len(travel_m)))
+        x, y, turn, line, ds = by_step
+        np.multiply(0.5, travel_m, out=ds)
+        np.divide(sense * travel_m, self.track_m, out=turn)
+        np.add(ds * self.cos, turn * self.lever_x, out=x)
+        np.add(ds * self.sin, turn * self.lever_y, out=y)
+        np.multiply(ds, self.weave_cos, out=line)
         if self.s.aside_m is not None:
             x -= 0.5 * self.s.aside_m * self.sin
             y += 0.5 * self.s.aside_m * self.cos
-        return Lever((X, Y, TURN, LINE, WAY), np.stack([x, y, turn, ds * self.weave_cos, ds]))
+        return Lever((X, Y, TURN, LINE, WAY), by_step)
 
     @cached_property
     def by_track(self) -> Lever:
@@ -166,28 +171,35 @@ def steps_of(s: Observations, push: Push) -> Steps:
     """Integrate the counts (exact arcs) under a hypothesis that is already scaled by its parameters."""
     unit = s.unit
 
-    def wide(part: FloatArray | None) -> FloatArray | float:
-        if part is None:
-            return 0.0
+    def wide(part: FloatArray) -> FloatArray:
         return part if len(part) == len(unit) else part[unit]
 
-    left = s.travel_left_m * (1.0 + wide(push.left))
-    right = s.travel_right_m * (1.0 + wide(push.right))
-    track = s.model.track_m * (1.0 + wide(push.track)) * np.ones(1)
-    ds = 0.5 * (left + right) + wide(push.along_m)
-    turn = (right - left) / track + wide(push.heading_rad)
-    slip = np.broadcast_to(np.asarray(wide(push.lateral_m), dtype=np.float64), ds.shape)
+    # most hypotheses leave most of this alone, and every product goes through all steps
+    left = s.travel_left_m if push.left is None else s.travel_left_m * (1.0 + wide(push.left))
+    right = s.travel_right_m if push.right is None else s.travel_right_m * (1.0 + wide(push.right))
+    track = s.model.track_m * (np.ones(1) if push.track is None else 1.0 + wide(push.track))
+    ds, turn = 0.5 * (left + right), (right - left) / track
+    if push.along_m is not None:
+        ds += wide(push.along_m)
+    if push.heading_rad is not None:
+        turn += wide(push.heading_rad)
+    slip = None if push.lateral_m is None else wide(push.lateral_m)
     if s.aside_m is not None:
-        slip = slip + s.aside_m * (1.0 + 0.5 * (wide(push.left) + wide(push.right)))
+        by_left, by_right = (0.0 if part is None else wide(part) for part in (push.left, push.right))
+        aside = s.aside_m * (1.0 + 0.5 * (by_left + by_right))
+        slip = aside if slip is None else slip + aside
     heading = s.cumulative(turn)
     mid = heading - 0.5 * turn + _bend(s, turn)
     half = 0.5 * turn
     chord = ds * (1.0 - half * half / 6.0)
     c, sn = np.cos(mid), np.sin(mid)
-    dx, dy = chord * c - slip * sn, chord * sn + slip * c
+    dx, dy = chord * c, chord * sn
+    if slip is not None:
+        dx -= slip * sn
+        dy += slip * c
     x, y = s.cumulative(dx), s.cumulative(dy)
     last = s.starts[1:] - 1
-    return Steps(
+    steps = Steps(
         s=s,
         ds_left_m=left,
         ds_right_m=right,
@@ -199,6 +211,8 @@ def steps_of(s: Observations, push: Push) -> Steps:
         y_m=y - 0.5 * dy,
         end=np.stack([x[last], y[last], heading[last]], axis=1),
     )
+    vars(steps).update(cos=c, sin=sn)
+    return steps
 
 
 def _bend(s: Observations, turn: FloatArray) -> FloatArray:
