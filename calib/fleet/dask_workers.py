@@ -60,7 +60,7 @@ class DaskWorkers:
         from distributed.protocol import deserialize, serialize
 
         def submit(batch: Sequence[Item]) -> Any:
-            return client.submit(_in_bytes, task, *serialize(batch), pure=False)
+            return client.submit(_in_bytes, *serialize((task, batch)), pure=False)
 
         client = self._client
         workers = max(1, sum(client.nthreads().values()))
@@ -84,8 +84,9 @@ class DaskWorkers:
             future.release()
 
 
-def _in_bytes(task: Callable[[Any], Any], header: Any, frames: Any) -> Any:
-    """Run a task on items as bytes and give its results as bytes: of these the scheduler need not know any more."""
+def _in_bytes(header: Any, frames: Any) -> Any:
+    """Run a task on items, all of it as bytes and its results too: the scheduler need not know what it passes on."""
     from distributed.protocol import deserialize, serialize
 
-    return serialize(task(deserialize(header, frames)))
+    task, items = deserialize(header, frames)
+    return serialize(task(items))
