@@ -68,20 +68,21 @@ class DaskWorkers:
         batch_of = {submit(batch): batch for batch in cut}
         # this process needs them in the end, and has nothing to do until the first task is done
         import_modules(SHARED)
-        finished = as_completed(list(batch_of))
-        for future in finished:
+        suspects: list[Item] = []
+        for future in as_completed(list(batch_of)):
             batch = batch_of.pop(future)
             try:
                 yield from deserialize(*future.result())
             except KilledWorker:
-                if len(batch) == 1:
-                    yield given_up(batch[0], "its worker died again and again; expected one that ends; read it alone")
-                    continue
-                for item in batch:
-                    single = submit([item])
-                    batch_of[single] = [item]
-                    finished.add(single)
+                # the scheduler blames what waited for the dead worker, too
+                suspects += batch
             future.release()
+        for item in suspects:
+            # by itself, so that nothing beside it can be to blame
+            try:
+                yield from deserialize(*submit([item]).result())
+            except KilledWorker:
+                yield given_up(item, "its worker died again and again; expected one that ends; read it alone")
 
 
 def _in_bytes(header: Any, frames: Any) -> Any:

@@ -15,12 +15,13 @@ if TYPE_CHECKING:
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-#: pieces of work handed over at once: a file takes some milliseconds, a hand-over a part of one
-BATCH: Final = 16
+#: pieces of work handed over at once, at most and at least: one takes four milliseconds or more, a hand-over two
+BATCH: Final = 64
+SMALLEST: Final = 4
 #: how often an item may take its worker down before it is given up
 TRIES: Final = 2
 #: what nearly every task needs and the parent too: imported before processes are made of it
-SHARED: Final = ("calib.fleet.pieces", "calib.fleet.view", "scipy.special")
+SHARED: Final = ("calib.fleet.pieces", "scipy.special")
 #: what nearly every task needs and what starts threads: imported by each worker
 OWN: Final = ("pyarrow.parquet",)
 
@@ -69,7 +70,7 @@ class Processes:
         from concurrent.futures.process import BrokenProcessPool
 
         waiting: list[tuple[Sequence[Item], int]] = [
-            (batch, 0) for batch in batches(items, weigh, BATCH, self._workers)
+            (batch, 0) for batch in batches(items, weigh, BATCH, self._workers, SMALLEST)
         ]
         while waiting:
             again: list[tuple[Sequence[Item], int]] = []

@@ -19,7 +19,7 @@ from calib.fleet.run import Progress
 from calib.fleet.store import Store, line_of
 
 #: what a vehicle's task weighs beside the reading of one file: from ten times as long (a check) to a thousand times
-WEIGHT: Final = 16
+WEIGHT: Final = 64
 
 
 @dataclass(frozen=True, slots=True)

@@ -128,11 +128,27 @@ def test_a_worker_that_dies_costs_its_own_task_only() -> None:
     assert sorted(results) == sorted([*(k * k for k in range(40) if k != 7), -7])
 
 
-def test_a_dask_scheduler_gives_the_same_bytes(small: tuple[Path, FleetTruth], tmp_path: Path) -> None:
-    """A real scheduler with two worker processes, started here."""
+@pytest.fixture(scope="module")
+def scheduler() -> Iterator[str]:
+    """A real scheduler with two worker processes, started here; a task may take a single worker down."""
     distributed = pytest.importorskip("distributed", reason="the extra fleet is not installed")
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1"
-    ) as cluster:
-        through = fit_fleet(small[0], tmp_path / "dask", scheduler=cluster.scheduler_address)
+    from dask import config
+
+    with (
+        config.set({"distributed.scheduler.allowed-failures": 0}),
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1"
+        ) as cluster,
+    ):
+        yield cluster.scheduler_address
+
+
+def test_a_dask_scheduler_gives_the_same_bytes(small: tuple[Path, FleetTruth], tmp_path: Path, scheduler: str) -> None:
+    through = fit_fleet(small[0], tmp_path / "dask", scheduler=scheduler)
     assert _bytes(through) == _bytes(fit_fleet(small[0], tmp_path / "alone"))
+
+
+def test_a_dask_worker_that_dies_costs_its_own_task_only(scheduler: str) -> None:
+    """The item that kills its worker is given up; every other of its task has its result from another worker."""
+    results = run_tasks(_dies_at_seven, list(range(40)), lambda item, why: -item, scheduler=scheduler)
+    assert sorted(results) == sorted([*(k * k for k in range(40) if k != 7), -7])
