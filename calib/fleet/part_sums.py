@@ -169,5 +169,7 @@ def campaign_of(part: Part, settings: dict[Path, Settings] | None = None) -> Cam
 
 def _days(campaign: Campaign, run_id: Any, part: Part) -> FloatArray:
     """Return the day of each run used, shape (n_runs,); 0 where none is known."""
-    days = campaign.runs.number(DAY)[np.isin(campaign.runs.run_id, run_id)]
+    days = campaign.runs.number(DAY)
+    if len(run_id) < len(days):
+        days = days[np.isin(campaign.runs.run_id, run_id)]
     return np.where(np.isfinite(days), days, 0.0 if part.day is None else part.day)
