@@ -21,7 +21,7 @@ _PARTITION: Final = re.compile(r"vehicle=(.+)")
 _MONTH: Final = re.compile(r"month=(\d{4})-(\d{2})")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Part:
     """A file with journeys of one vehicle.
 
@@ -50,7 +50,7 @@ class Part:
         return f"{status.st_size}-{status.st_mtime_ns}"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Member:
     """A vehicle: its id and the files of its journeys, in order."""
 

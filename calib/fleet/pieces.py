@@ -16,7 +16,7 @@ from calib.fleet.vehicle import VehicleRecord, record_of
 MOST_FILES: Final = 64
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Piece:
     """What to do for a vehicle.
 
@@ -38,7 +38,7 @@ class Piece:
     whole: bool = True
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class PieceDone:
     """What came of a piece: the line of each file read, by the file's name, and the record of a whole vehicle."""
 

@@ -15,7 +15,7 @@ WHEELS: Final = ("left", "right")
 COVERAGE: Final = 0.95
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Drift:
     """Change of a wheel's radius with time, from session means.
 
@@ -35,7 +35,7 @@ class Drift:
     last_day: float
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class WheelLine:
     """A wheel's law.
 
@@ -63,7 +63,7 @@ class WheelLine:
     drift: Drift | None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class VehicleRecord:
     """What is known of one vehicle; `why` says in one line what went wrong where `left` and `right` are None."""
 
