@@ -39,6 +39,8 @@ PARTS = ("commands", "reading", "odometry", "fleet", "growth")
 def spent(arguments: Sequence[str]) -> float:
     """Return the seconds of the processor that a Python process takes."""
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "CALIB_CACHE": "off"}
+    # what is compiled is kept, as that of an installed tool is
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     command = [sys.executable, *arguments]
     process = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, env=environment, check=False)

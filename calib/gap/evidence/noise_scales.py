@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -154,7 +155,7 @@ class ScaleLikelihood:
         self.k = trends.shape[2]
         self.columns = np.concatenate([design, trends, gap[:, :, None]], axis=2)[units]
 
-    @property
+    @cached_property
     def dof(self) -> float:
         """Degrees of freedom that are left for the noise."""
         used = _rank(self.columns[:, :, :_OWN], self.grouped, self.usable)

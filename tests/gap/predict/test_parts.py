@@ -29,10 +29,12 @@ def whole() -> Observations:
     return s
 
 
-@pytest.fixture
-def parted(whole: Observations, monkeypatch: pytest.MonkeyPatch) -> Observations:
-    """The same, about three units at a time."""
+@pytest.fixture(params=["kept", "made anew"])
+def parted(request: pytest.FixtureRequest, whole: Observations, monkeypatch: pytest.MonkeyPatch) -> Observations:
+    """The same, about three units at a time, parts kept or too many for it."""
     monkeypatch.setattr(data, "STEPS_AT_ONCE", 3 * int(whole.lengths.max()))
+    if request.param == "made anew":
+        monkeypatch.setattr(data, "KEPT_STEPS", 0)
     return replace(whole)
 
 
