@@ -67,13 +67,11 @@ class FloorZone(Effect):
                 if not strip:
                     inside = inside[np.abs(at_y[inside] - y) < 0.5 * CELL_M]
                     inside = inside[observations.here(lane)[observations.unit[inside]] == number]
-                share, way, way_by_heading = np.zeros((3, len(at_x)))
+                share, way, *by_heading = np.zeros((3 if both_ways else 2, len(at_x)))
                 share[inside], way[inside] = 1.0, np.abs(observations.path_m[inside])
-                pushes = [Push(left=share, right=share), Push(heading_rad=way)]
-                if both_ways:
+                for way_by_heading in by_heading:
                     way_by_heading[inside] = way[inside] * cosine[inside]
-                    pushes.append(Push(heading_rad=way_by_heading))
-                return pushes
+                return [Push(left=share, right=share), *(Push(heading_rad=part) for part in (way, *by_heading))]
 
             where = ", whole width" if strip else f", y {y:g} m" + (f", lane {number + 1}" if lane.max() > 0 else "")
             label = f"x {x:g} m{where}"

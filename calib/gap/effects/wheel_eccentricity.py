@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from weakref import WeakKeyDictionary
+
 import numpy as np
 
 from calib.arrays import FloatArray
@@ -41,13 +43,16 @@ class WheelEccentricity(Effect):
             )
             return np.cos(middle) * share, -np.sin(middle) * share
 
-        def left(path: Path) -> list[Push]:
-            s = path.s
-            return [Push(left=part) for part in relative(s, s.phase_left_rad, s.roll_left_rad, s.radius_left_m)]
+        kept: WeakKeyDictionary[Path, tuple[list[Push], list[Push]]] = WeakKeyDictionary()
 
-        def right(path: Path) -> list[Push]:
-            s = path.s
-            return [Push(right=part) for part in relative(s, s.phase_right_rad, s.roll_right_rad, s.radius_right_m)]
+        def sides(path: Path) -> tuple[list[Push], list[Push]]:
+            """Return the pushes of the left and of the right wheel; kept, as two forms ask for each."""
+            if path not in kept:
+                s = path.s
+                lefts = relative(s, s.phase_left_rad, s.roll_left_rad, s.radius_left_m)
+                rights = relative(s, s.phase_right_rad, s.roll_right_rad, s.radius_right_m)
+                kept[path] = [Push(left=part) for part in lefts], [Push(right=part) for part in rights]
+            return kept[path]
 
         scale = wheel_size(observations)
 
@@ -55,11 +60,15 @@ class WheelEccentricity(Effect):
             names = (f"{side}_cos", f"{side}_sin")
             return tuple(Parameter(name, "m", typical=2e-4 * scale, largest=2e-3 * scale) for name in names)
 
-        def both(path: Path) -> list[Push]:
-            return [*left(path), *right(path)]
-
         return [
-            Form(self.id, "left wheel", parameters("left"), left, tries=3, by_parts=True),
-            Form(self.id, "right wheel", parameters("right"), right, tries=3, by_parts=True),
-            Form(self.id, "both wheels", parameters("left") + parameters("right"), both, tries=3, by_parts=True),
+            Form(self.id, "left wheel", parameters("left"), lambda path: sides(path)[0], tries=3, by_parts=True),
+            Form(self.id, "right wheel", parameters("right"), lambda path: sides(path)[1], tries=3, by_parts=True),
+            Form(
+                self.id,
+                "both wheels",
+                parameters("left") + parameters("right"),
+                lambda path: [push for side in sides(path) for push in side],
+                tries=3,
+                by_parts=True,
+            ),
         ]

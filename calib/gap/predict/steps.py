@@ -141,7 +141,7 @@ class Steps:
             if np.count_nonzero(takes_part) * FEW < len(wide):
                 # a place on the floor, a stop: most steps have no part in it
                 there = np.flatnonzero(takes_part)
-                some, unit = lever.by_step[:, there] * wide[there], s.unit[there]
+                some, unit = lever.by_step.take(there, axis=1) * wide[there], s.unit[there]
                 for number, values in zip(lever.sums, some, strict=True):
                     summed[number] += np.bincount(unit, values, len(s))
             else:
