@@ -13,8 +13,8 @@ from calib.fleet.processes import OWN, SHARED, import_modules
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-#: pieces of work in a task, at most and at least: a task costs client, scheduler and worker ten milliseconds together,
-#: a piece of work takes four or more
+#: pieces of work in a task, at most and at least: a task costs client, scheduler and worker eight milliseconds together,
+#: a file of journeys takes three or more
 BATCH: Final = 256
 SMALLEST: Final = 8
 

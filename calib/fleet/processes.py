@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-#: pieces of work handed over at once, at most and at least: one takes four milliseconds or more, a hand-over two
+#: pieces of work handed over at once, at most and at least: a file takes three milliseconds or more, a hand-over two
 BATCH: Final = 64
 SMALLEST: Final = 4
 #: how often an item may take its worker down before it is given up
