@@ -13,8 +13,8 @@ from calib.fleet.processes import OWN, SHARED, import_modules
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-#: pieces of work in a task, at most and at least: a task costs client, scheduler and worker eight milliseconds together,
-#: a file of journeys takes three or more
+#: pieces of work in a task, at most and at least: a task costs client, scheduler and worker 8 ms together,
+#: a file of journeys takes 3 ms or more
 BATCH: Final = 256
 SMALLEST: Final = 8
 
