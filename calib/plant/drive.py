@@ -21,7 +21,7 @@ _CREEP_MPS: Final = 0.02
 _PAUSE_S: Final = 0.8
 _BLOCK: Final = 128
 #: what a frame begins with
-_MOTION: Final = ("t_s", "x_m", "y_m", "theta_rad", "v_mps", "omega_radps", "steer_rad")
+_MOTION: Final = ("t_s", "x_m", "y_m", "theta_rad", "v_mps", "omega_radps", "steer_rad", "late_rad")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,7 +30,7 @@ class Record:
 
     frames: IntArray  #: shape (n_runs,): frames of a run; frame 0 is its start
     #: t_s, x_m, y_m, theta_rad, v_mps, omega_radps, steer_rad: shape (n_frames, n_runs): true motion in the run's own
-    #: frame; frames behind a run's end repeat it
+    #: frame; frames behind a run's end repeat it; late_rad: the steering angle as it was the sensor's delay ago
     t_s: FloatArray
     x_m: FloatArray
     y_m: FloatArray
@@ -38,6 +38,7 @@ class Record:
     v_mps: FloatArray
     omega_radps: FloatArray
     steer_rad: FloatArray
+    late_rad: FloatArray
     #: shape (3, n_frames, n_runs): counters left, right, front since the start; whole numbers unless the drive was not
     #: quantised
     counts: FloatArray
@@ -83,8 +84,34 @@ def drive(world: World, noise: NoiseDraw, *, quantise: bool = True, step_s: floa
     before_end = np.where(runs.done, before_end, len(frames))
     stacked = np.stack([*frames, final], axis=1)
     stacked = np.where(np.arange(stacked.shape[1])[:, None] >= before_end, final[:, None], stacked)
-    motion = dict(zip(_MOTION, stacked[:7], strict=True))
-    return Record(frames=before_end + 1, **motion, counts=stacked[7:10], odo=stacked[10:14])
+    motion = dict(zip(_MOTION, stacked[:8], strict=True))
+    return Record(frames=before_end + 1, **motion, counts=stacked[8:11], odo=stacked[11:15])
+
+
+class _PastAngles:
+    """The steering angle of some time ago, from those of the last steps.
+
+    Between steps by a parabola: a straight line would cut the corners of every bend, which no late sensor does.
+    """
+
+    def __init__(self, delay_s: FloatArray, step_s: float) -> None:
+        back = delay_s / step_s
+        self.whole = np.floor(back).astype(np.int64)
+        share = back - self.whole
+        self.weights = np.stack([0.5 * (1 - share) * (2 - share), share * (2 - share), -0.5 * share * (1 - share)])
+        self.angles = np.zeros((int(self.whole.max(initial=0)) + 3, len(back)))  # before its start a run stands
+        self.number = 0
+
+    def add(self, angle: FloatArray) -> None:
+        """Take the angle at the end of a step, shape (n_runs,)."""
+        self.number += 1
+        self.angles[self.number % len(self.angles)] = angle
+
+    def read(self) -> FloatArray:
+        """Return the angle that a late sensor reads now, shape (n_runs,)."""
+        places = (self.number - self.whole - np.arange(3)[:, None]) % len(self.angles)
+        past: FloatArray = (self.weights * self.angles[places, np.arange(len(self.whole))]).sum(axis=0)
+        return past
 
 
 class _Runs:
@@ -123,15 +150,16 @@ class _Runs:
         # progress along the plan for each metre of odometry: cosine to the plan, over what a bend shortens
         self.ahead, self.bend = np.ones(n_runs), np.ones(n_runs)
         self.done = np.zeros(n_runs, dtype=bool)
+        self.past = _PastAngles(world.steer_delay_s, step_s)
 
     def frame(self) -> FloatArray:
-        """Return what a record has of this moment, shape (14, n_runs)."""
+        """Return what a record has of this moment, shape (15, n_runs)."""
         now, counted = self.now, self.angle * self.per_rad
         if self.quantise:
             counted = np.floor(counted + self.noise.phase)
         omega = now.v_mps * now.curvature_per_m
         time = np.full(len(omega), now.t_s)
-        motion = (time, now.x_m, now.y_m, now.theta_rad, now.v_mps, omega, self.steering)
+        motion = (time, now.x_m, now.y_m, now.theta_rad, now.v_mps, omega, self.steering, self.past.read())
         return np.stack([*motion, *counted, self.odo_x, self.odo_y, self.odo_theta, self.odo_s])
 
     def steer(self) -> FloatArray:
@@ -151,6 +179,7 @@ class _Runs:
         # the sensor is read at the end of a step, the wheel rolls at the middle angle
         rolling = self.steering + 0.5 * change
         self.steering = self.steering + change
+        self.past.add(self.steering)
         self.ahead, self.bend = np.cos(heading), np.maximum(1.0 - tables.curvature_per_m[index] * lateral, 0.3)
         return np.asarray(rolling)
 

@@ -42,17 +42,7 @@ def _per(values: FloatArray, by: FloatArray) -> FloatArray:
 
 def steering_readings(world: World, noise: NoiseDraw, record: Record, *, quantise: bool = True) -> FloatArray:
     """Return what the steering sensor says, shape (n_frames, n_runs): late, with play, zero and scale."""
-    steer = record.steer_rad
-    delay = world.steer_delay_s
-    if delay.any():
-        period_s = float(np.max(record.t_s[1]))
-        wanted_s = np.maximum(record.t_s - delay, 0.0)
-        first = np.minimum((wanted_s / period_s + 1e-9).astype(np.int64), len(steer) - 2)
-        runs = np.arange(steer.shape[1])
-        # the frame behind a run's last regular one is its end, nearer than a period
-        before_s, after_s = record.t_s[first, runs], record.t_s[first + 1, runs]
-        share = np.clip((wanted_s - before_s) / np.maximum(after_s - before_s, 1e-9), 0.0, 1.0)
-        steer = steer[first, runs] + share * (steer[first + 1, runs] - steer[first, runs])
+    steer = record.late_rad
     if world.steer_backlash_rad.any():
         half = 0.5 * world.steer_backlash_rad
         shown = np.empty_like(steer)

@@ -135,6 +135,22 @@ def test_finer_steps_change_nothing_that_matters() -> None:
         np.testing.assert_allclose(gaps[0], gaps[1], rtol=0.02, atol=2e-4)
 
 
+@pytest.mark.parametrize("delay_s", [0.06, 0.09, 0.125])
+def test_a_late_steering_sensor_shows_the_angle_of_then(delay_s: float) -> None:
+    """Whatever the log's rate, it reads what the angle was the delay ago: known from the same drive, logged finely."""
+    fine, coarse = (some(["slalom", "square_cw"], log_period_s=period_s) for period_s in (0.02, 0.1))
+    late, true = (
+        drive(apply_causes(build_world(design, MODEL), [Cause("steering_delay", delay_s)]), quiet(2), quantise=False)
+        for design in (coarse, fine)
+    )
+    assert np.abs(true.steer_rad).max() > 0.2
+    for run in range(2):
+        past_s = late.t_s[: late.frames[run], run] - delay_s
+        expected = np.interp(past_s, true.t_s[: true.frames[run], run], true.steer_rad[: true.frames[run], run])
+        # atol: the oracle's straight line between steps of 0.02 s, at up to some 10 rad/s^2: 10 * 0.02^2 / 8
+        np.testing.assert_allclose(late.late_rad[: late.frames[run], run], expected, atol=6e-4)
+
+
 def test_exact_arcs_of_the_log_agree_with_the_fine_steps() -> None:
     """The log's rate loses less than half a millimetre: an empty campaign is empty for whoever reads its logs."""
     design = some(ALL_KINDS)

@@ -12,7 +12,7 @@ from calib.plant.drive import drive
 from calib.plant.effects.form import Cause
 from calib.plant.effects.registry import ALL, find
 from calib.plant.make import as_causes, make_campaign, random_model
-from calib.plant.noise import Noise, draw_noise
+from calib.plant.noise import Noise, draw_noise, quiet
 from calib.plant.plans import good_design
 from calib.plant.rivals import rivals
 from calib.plant.signal import covariance, outputs, recalibration, strength, strengths, to_signal
@@ -46,6 +46,28 @@ def test_the_linear_covariance_is_that_of_noisy_drives() -> None:
         correlation = np.corrcoef(out[one][:, 2], out[one][:, 3])[0, 1]
         said = expected[one][2, 3] / np.sqrt(expected[one][2, 2] * expected[one][3, 3])
         assert correlation == pytest.approx(said, abs=0.25)  # three times the scatter of a correlation of 240
+
+
+def test_a_late_steering_angle_shows_by_the_motion_alone() -> None:
+    """The turn by steering is the integral of v tan(angle) / L: late, of the angle of then beside the way of now.
+
+    With the log as it is written, however coarse: the front wheel rolls v / cos(angle) of now.
+    """
+    rng = np.random.default_rng(3)
+    once = good_design(rng, n_runs=24, needs={"front"})
+    chosen = once.select(np.flatnonzero(np.char.startswith(once.kind, "square"))[:2])
+    design = replace(chosen, speed_mps=np.array([0.35, 0.5]), flying=np.ones(2, dtype=bool), log_period_s=0.1)
+    model, delay_s = random_model(once, rng), 0.08
+    change = strengths(design, model, NORMAL, [Cause("steering_delay", delay_s)]).change[0]
+    fine = replace(design, log_period_s=0.02)
+    record = drive(build_world(fine, model), quiet(2), quantise=False)
+    for run in range(2):
+        time, angle, v = (x[: record.frames[run], run] for x in (record.t_s, record.steer_rad, record.v_mps))
+        excess = np.sin(np.interp(time - delay_s, time, angle)) - np.sin(angle)
+        expected = np.trapezoid(v / np.cos(angle) * excess, time) / design.vehicle.wheelbase_m
+        assert abs(expected) > 0.01
+        # rtol: sums over a log of 0.1 s, in which the angle turns by 0.1 rad: some per cent of what a bend does
+        assert change[run, 5] == pytest.approx(expected, rel=0.1)
 
 
 def test_a_recalibration_hides_a_wrong_track_entirely() -> None:

@@ -17,7 +17,7 @@ _STILL_RAD: Final = 2e-3
 #: plays that are tried; the least stands for the side of the last move
 PLAYS_RAD: Final = (2e-3, 8e-3, 2e-2)
 #: way to either side over which the rear wheels' turn is taken: over less the counters are too coarse to tell it
-_SMOOTH_M: Final = 0.12
+_SMOOTH_M: Final = 0.2
 
 
 class SteeringBacklash(Effect):
@@ -72,9 +72,10 @@ def _noise_rad(observations: Observations, angle: FloatArray) -> float:
 
 
 def _wheel_rad(observations: Observations, angle: FloatArray) -> FloatArray:
-    """Return the steering angle that the rear wheels' turn tells, smoothed over some way, shape (n_steps,).
+    """Return the steering angle that the rear wheels' turn tells, shape (n_steps,); NaN where the vehicle hardly moves.
 
-    Its middle value on the straight is taken off: unequal radii are no steering. NaN where the vehicle hardly moves.
+    The bend is the slope of a straight line through the headings over some way to either side: coarse counts then add
+    little noise. Its middle value on the straight is taken off: unequal radii are no steering.
     """
     turn, path, way = (
         np.cumsum(observations.turn_rad),
@@ -86,12 +87,18 @@ def _wheel_rad(observations: Observations, angle: FloatArray) -> FloatArray:
     last = np.maximum(np.searchsorted(way, way + _SMOOTH_M, side="right") - 1, index + 1)
     first = np.maximum(first, observations.starts[observations.unit])
     last = np.minimum(last, observations.starts[observations.unit + 1] - 1)
-    length = path[last] - path[first]
-    long_enough = np.abs(length) > 0.5 * _SMOOTH_M
+    long_enough = np.abs(path[last] - path[first]) > 0.5 * _SMOOTH_M
+
+    def summed(values: FloatArray) -> FloatArray:
+        running = np.concatenate(([0.0], np.cumsum(values)))
+        return np.asarray(running[last + 1] - running[first])
+
+    count = last - first + 1.0
     with np.errstate(divide="ignore", invalid="ignore"):
-        bend = np.where(long_enough, (turn[last] - turn[first]) / length, np.nan)
-    steered = np.arctan(observations.vehicle.wheelbase_m * bend)
-    straight = (np.abs(angle) < _TURN_RAD) & long_enough
+        variance = summed(path**2) - summed(path) ** 2 / count
+        slope = (summed(path * turn) - summed(path) * summed(turn) / count) / variance
+    steered = np.arctan(observations.vehicle.wheelbase_m * np.where(long_enough & np.isfinite(slope), slope, np.nan))
+    straight = (np.abs(angle) < _TURN_RAD) & np.isfinite(steered)
     return np.asarray(steered - (np.median(steered[straight]) if straight.any() else 0.0))
 
 

@@ -28,6 +28,8 @@ _ALONE: Final = 3
 #: models weighed together with the calibration: so many at most, those within so many nats of the best
 _LIKELY: Final = 12
 _LIKELY_NATS: Final = 7.0
+#: a gap is said to exist from this probability on: of 326 sound campaigns 13 (4 %) then raise a false alarm; 5 % may
+DETECTION: Final = 0.43
 #: what is less probable than this is likelier not to be
 EVEN: Final = 0.5
 #: sets that are taken at hand, one after the other
@@ -147,7 +149,7 @@ def search(
     room, fitted, weighed = _likeliest(
         room,
         fitted,
-        of_base.nothing * of_base.as_believed < EVEN,
+        of_base.nothing * of_base.as_believed < 1.0 - DETECTION,
         lambda other: _settle(other, noise, every, settings, passed, climbs=False),
         lambda other: _weighed(other, settings, shifts),
     )
@@ -177,6 +179,8 @@ class _Weighed:
     probability: FloatArray  #: shape (n_scales, n_models)
     #: probability that the calibration is what it is believed to be, if no effect is at work; 1 where that is unlikely
     as_believed: float
+    #: log weight of the model at hand, all scales of the rest and all of the calibration together
+    at_hand: float
 
     @property
     def nothing(self) -> float:
@@ -203,7 +207,8 @@ def _weighed(room: Climb, settings: Settings, shifts: Mapping[str, tuple[str, ..
     # what is hardly likely is taken to need the calibration off as much as the neediest of the likely
     weight = weight + np.array([over_free.get(n, min(over_free.values())) for n in range(len(models))])
     probability = np.exp(weight - weight.max())
-    return _Weighed(models, probability / probability.sum(), as_believed)
+    at_hand = float(np.logaddexp.reduce(weight[:, models.index(room.current)]))
+    return _Weighed(models, probability / probability.sum(), as_believed, at_hand)
 
 
 def _likeliest(
@@ -215,7 +220,8 @@ def _likeliest(
 ) -> tuple[Climb, Fitted, _Weighed]:
     """Move to the likeliest set of effects until that at hand is the likeliest about its own path, too.
 
-    Where sets take turns, each the likeliest about the other's path, that of the fewest effects.
+    Where sets take turns, each the likeliest about the other's path, that of the fewest effects; of as many, that which
+    is the likeliest about its own.
     """
     visited: dict[tuple[str, ...], tuple[Climb, Fitted, _Weighed]] = {}
     for _ in range(_TURNS):
@@ -228,7 +234,10 @@ def _likeliest(
         likeliest = max(by_set, key=lambda key: by_set[key])
         if likeliest in visited:
             turns = list(visited)
-            return visited[min(turns[turns.index(likeliest) :], key=len)]
+            fewest_first = sorted(
+                turns[turns.index(likeliest) :], key=lambda name: (len(name), -visited[name][2].at_hand)
+            )
+            return visited[fewest_first[0]]
         room, fitted = settle(room.with_only(room.best_form(likeliest, weighed.models, weighed.probability)))
     return list(visited.values())[-1]
 

@@ -7,21 +7,26 @@ from dataclasses import dataclass, replace
 from math import prod
 from typing import Final
 
+from calib.gap.evidence.search import DETECTION
 from calib.gap.verdict.agreement import agreement_m
 from calib.gap.verdict.causes import causes_of
 from calib.gap.verdict.closure import closure_of
 from calib.gap.verdict.evidence import Evidence
 from calib.gap.verdict.gross import gross_cause
 from calib.gap.verdict.groups import groups_of
-from calib.gap.verdict.odds import any_probability, credible_sets, effect_probabilities, gap_probability
+from calib.gap.verdict.odds import (
+    any_probability,
+    credible_sets,
+    effect_probabilities,
+    gap_probability,
+    nothing_else_probability,
+)
 from calib.gap.verdict.outcome import DRIVEN, JOURNEYS, Closure, Fix, Group, NoiseSummary, Rest
 from calib.gap.verdict.rest import rest_of
 from calib.gap.verdict.result import ALIKE, SURE, Cause, Verdict, VerdictKind
 from calib.gap.verdict.sentence import sentence
 from calib.gap.verdict.transfer import Trial
 
-#: a gap is said to exist where it is likelier than not; 5 of 140 sound development campaigns then raise a false alarm
-DETECTION: Final = 0.5
 #: closure on held-out runs below which a fix is not recommended, and an explanation not believed
 CLOSES: Final = 0.7
 #: closure below which nothing is explained, not even in part
@@ -113,8 +118,9 @@ def recommended(
     trials: Sequence[Trial] = (),
     agreement: float | None = None,
     rest: Rest | None = None,
+    nothing_else: float = 1.0,
 ) -> bool:
-    """Return whether all that is named is likely at work, and the fix helps on runs left out and wherever it is tried.
+    """Return whether what is named is likely at work and all there is, and the fix helps wherever it is tried.
 
     Parameters
     ----------
@@ -130,8 +136,10 @@ def recommended(
         How far the corrections of causes that cannot be told apart differ, in metres; None where nothing is tied.
     rest : Rest or None
         What no cause explains.
+    nothing_else : float
+        Probability that no further effect is at work.
     """
-    if not causes or prod(certain) < SURE:
+    if not causes or prod(certain) < SURE or nothing_else < SURE:
         return False
     beside = rest.signal if rest is not None and rest.share > SMALL else 0.0
     if any(cause.share > SMALL and cause.signal < CLEAR * beside for cause in causes):
@@ -168,15 +176,25 @@ def decide(evidence: Evidence) -> Verdict:
     tied = [group for group in groups if len(group) > 1 and names.intersection(group)]
     closure = closure_of(evidence.held_out, evidence.observations)
     agreement = agreement_m(evidence, tied)
+    nothing_else = nothing_else_probability(evidence, alike)
     concerned = {*evidence.named, *(name for group in tied for name in group)}
     fix = Fix(
         # the correction holds all that was fitted, and what steps from session to session says nothing of those to come
         recommended=kind is not VerdictKind.UNDECIDED
         and names.issuperset(evidence.named)
         and not any(evidence.effects[name].per_session for name in concerned)
-        and recommended(causes, [certain[cause.effect] for cause in causes], closure, evidence.trials, agreement, rest),
+        and recommended(
+            causes,
+            [certain[cause.effect] for cause in causes],
+            closure,
+            evidence.trials,
+            agreement,
+            rest,
+            nothing_else,
+        ),
         agreement_m=agreement,
         agreement_on=DRIVEN if evidence.journeys is None else JOURNEYS,
+        nothing_else=nothing_else,
         transfer=() if nothing_named else tuple(trial.transfer for trial in evidence.trials),
     )
     if evidence.faults:

@@ -62,6 +62,13 @@ def any_probability(evidence: Evidence, names: Collection[str]) -> float:
     return min(1.0, calibrated(float(effects)) + calibrated(float(parameters)))
 
 
+def nothing_else_probability(evidence: Evidence, groups: Sequence[Sequence[str]]) -> float:
+    """Return the probability that no further effect is at work beside what is named, or what stands in for it."""
+    held = set(evidence.named).union(*groups)
+    search = evidence.search
+    return float(sum(p for model, p in zip(search.models, search.probabilities, strict=True) if held.issuperset(model)))
+
+
 def _shared_with_aliases(evidence: Evidence, groups: Sequence[Sequence[str]]) -> dict[str, dict[str, float]]:
     """Return which shares of each calibration parameter's probability go to the effects that look like it.
 

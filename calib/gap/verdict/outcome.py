@@ -186,6 +186,8 @@ class Fix:
         By how much the corrections of causes that cannot be told apart differ at the end; None where nothing is tied.
     agreement_on : str
         On which runs: ``runs driven`` or ``journeys``.
+    nothing_else : float
+        Probability that no further effect of the library is at work beside what is named.
     transfer : tuple of Transfer
         What it did where it was tried.
     """
@@ -193,6 +195,7 @@ class Fix:
     recommended: bool = False
     agreement_m: float | None = None
     agreement_on: str = DRIVEN
+    nothing_else: float = 1.0
     transfer: tuple[Transfer, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
@@ -201,6 +204,7 @@ class Fix:
             "recommended": self.recommended,
             "agreement_m": self.agreement_m,
             "agreement_on": self.agreement_on,
+            "nothing_else": self.nothing_else,
             "transfer": [trial.to_dict() for trial in self.transfer],
         }
 

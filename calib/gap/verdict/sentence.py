@@ -86,6 +86,10 @@ def advice(verdict: Verdict) -> str:
     if doubtful:
         names = _joined([f"{cause.effect} ({cause.probability:.2f})" for cause in doubtful], "and")
         return f"Not recommended: too little speaks for {names}."
+    further = _further(verdict)
+    if further:
+        names = _joined([f"{name} ({probability:.2f})" for name, probability in further], "or")
+        return f"Not recommended: beside what is named {names} may be at work."
     if any(steps_by_session(cause.effect) for cause in verdict.causes):
         return "Not recommended: what steps from session to session says nothing of the next one; calibrate in each."
     return "Not recommended: the fix is not shown to hold on runs that it has not seen."
@@ -103,6 +107,17 @@ def _doubtful(causes: Sequence[Cause]) -> list[Cause]:
     # one that has no probability is not doubted for it
     count = next(n for n in range(len(rising) + 1) if not prod(cause.probability for cause in rising[n:]) < SURE)
     return rising[:count]
+
+
+def _further(verdict: Verdict) -> list[tuple[str, float]]:
+    """Return what may be at work beside what is named and what stands in for it, the likeliest first, three at most.
+
+    Empty where it is sure enough that nothing is.
+    """
+    if not verdict.fix.nothing_else < SURE:
+        return []
+    held = {cause.effect for cause in verdict.causes}.union(*(group.effects for group in verdict.groups))
+    return [(name, p) for name, p in verdict.probabilities.items() if name not in {*held, "unknown"}][:3]
 
 
 def _listed(causes: Sequence[Cause]) -> str:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
+from calib.arrays import FloatArray
 from calib.gap.effects.library import library
 from calib.gap.evidence.climb import Settings
 from calib.gap.evidence.fit import fit
-from calib.gap.evidence.search import Search, search
+from calib.gap.evidence.search import Search, _likeliest, _Weighed, search
 from calib.gap.plan.separability import noise_at
 from calib.gap.predict.path import predict
 from tests.gap.effects.making import MODEL, RADIUS_M, Motion, Run, rich_runs, situation
@@ -131,6 +132,41 @@ def test_something_that_is_off_gets_its_likeliest_name() -> None:
     found = searched(faint)
     assert found.nothing < 0.5
     assert found.effects == ("curve_scrub",)
+
+
+@dataclass
+class Sets:
+    """A search that only knows which set is at hand, and which one is the likeliest about its path."""
+
+    set_at_hand: tuple[str, ...]
+
+    def by_effects(self, models: list[tuple[str, ...]], probability: FloatArray) -> dict[tuple[str, ...], float]:
+        return dict(zip(models, probability.tolist(), strict=True))
+
+    def best_form(self, effects: tuple[str, ...], models: object, probability: object) -> tuple[str, ...]:
+        return effects
+
+    def with_only(self, model: tuple[str, ...]) -> Sets:
+        return Sets(model)
+
+
+@pytest.mark.parametrize("other", [("b",), ("b", "c")])
+@pytest.mark.parametrize("first", [True, False])
+@pytest.mark.parametrize("better", [True, False])
+def test_of_sets_that_take_turns_the_smallest_or_the_likeliest_about_its_own_path_is_kept(
+    other: tuple[str, ...], first: bool, better: bool
+) -> None:
+    """Each is the likeliest about the path of the other: the fewer effects win, then its own path, whatever the start."""
+    each = {("a",): other, other: ("a",)}
+
+    def weigh(room: Sets) -> _Weighed:
+        models = [each[room.set_at_hand], room.set_at_hand]
+        at_hand = 1.0 if (room.set_at_hand == other) is better else 0.0
+        return _Weighed(models, np.array([[0.6, 0.4]]), 1.0, at_hand)  # type: ignore[arg-type]
+
+    start = Sets(("a",) if first else other)
+    kept, _, _ = _likeliest(start, None, False, lambda room: (room, None), weigh)  # type: ignore[arg-type, return-value]
+    assert kept.set_at_hand == (other if better and len(other) == 1 else ("a",))
 
 
 def test_without_a_gap_nothing_comes_first() -> None:

@@ -141,3 +141,9 @@ def test_beside_a_rest_that_shows_half_as_strongly_a_cause_is_no_fix(rest: Rest 
     """What leaves much behind may itself be an imitation of it; a rest that carries little does not matter."""
     named = replace(cause(), share=0.8, signal=10.0)
     assert recommended([named], [0.9], CLOSED, (), None, rest) is expected
+
+
+@pytest.mark.parametrize(("nothing_else", "expected"), [(0.9, True), (0.5, False)])
+def test_where_something_else_may_be_at_work_what_is_named_is_no_fix(nothing_else: float, expected: bool) -> None:
+    """Each cause may be sure while it is not that they are all: what carries over is the whole."""
+    assert recommended([cause()], [0.9], CLOSED, (), None, None, nothing_else) is expected

@@ -71,6 +71,7 @@ def test_the_fields_are_those_of_the_contract() -> None:
         "recommended": True,
         "agreement_m": 0.002,
         "agreement_on": "runs driven",
+        "nothing_else": 1.0,
         "transfer": [{"left_out": "kind", "value": "square_cw", "before_rms_m": 0.07, "after_rms_m": 0.02}],
     }
     assert document["recommended"] is document["fix"]["recommended"]
