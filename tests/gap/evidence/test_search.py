@@ -156,7 +156,7 @@ class Sets:
 def test_of_sets_that_take_turns_the_smallest_or_the_likeliest_about_its_own_path_is_kept(
     other: tuple[str, ...], first: bool, better: bool
 ) -> None:
-    """Each is the likeliest about the path of the other: the fewer effects win, then its own path, whatever the start."""
+    """Each is the likeliest about the path of the other: the fewer effects win, then the own path, from any start."""
     each = {("a",): other, other: ("a",)}
 
     def weigh(room: Sets) -> _Weighed:
