@@ -175,28 +175,8 @@ def decide(evidence: Evidence) -> Verdict:
     names = {cause.effect for cause in causes}
     tied = [group for group in groups if len(group) > 1 and names.intersection(group)]
     closure = closure_of(evidence.held_out, evidence.observations)
-    agreement = agreement_m(evidence, tied)
     nothing_else = nothing_else_probability(evidence, alike)
-    concerned = {*evidence.named, *(name for group in tied for name in group)}
-    fix = Fix(
-        # the correction holds all that was fitted, and what steps from session to session says nothing of those to come
-        recommended=kind is not VerdictKind.UNDECIDED
-        and names.issuperset(evidence.named)
-        and not any(evidence.effects[name].per_session for name in concerned)
-        and recommended(
-            causes,
-            [certain[cause.effect] for cause in causes],
-            closure,
-            evidence.trials,
-            agreement,
-            rest,
-            nothing_else,
-        ),
-        agreement_m=agreement,
-        agreement_on=DRIVEN if evidence.journeys is None else JOURNEYS,
-        nothing_else=nothing_else,
-        transfer=() if nothing_named else tuple(trial.transfer for trial in evidence.trials),
-    )
+    fix = _fix(evidence, tied, causes, [certain[cause.effect] for cause in causes], rest, nothing_else)
     if evidence.faults:
         # where the rest is no gap or unknown, the fault alone is named
         causes = [*map(gross_cause, evidence.faults), *causes]
@@ -224,6 +204,29 @@ def decide(evidence: Evidence) -> Verdict:
         simulated=evidence.simulated,
     )
     return replace(verdict, sentence=sentence(verdict))
+
+
+def _fix(
+    evidence: Evidence,
+    tied: Sequence[Sequence[str]],
+    causes: Sequence[Cause],
+    certain: Sequence[float],
+    rest: Rest | None,
+    nothing_else: float,
+) -> Fix:
+    """Return what the correction is worth; `certain` is that of each cause, as in `recommended`."""
+    agreement, closure = agreement_m(evidence, tied), closure_of(evidence.held_out, evidence.observations)
+    concerned = {*evidence.named, *(name for group in tied for name in group)}
+    return Fix(
+        # the correction holds all that was fitted, and what steps from session to session says nothing of those to come
+        recommended={cause.effect for cause in causes}.issuperset(evidence.named)
+        and not any(evidence.effects[name].per_session for name in concerned)
+        and recommended(causes, certain, closure, evidence.trials, agreement, rest, nothing_else),
+        agreement_m=agreement,
+        agreement_on=DRIVEN if evidence.journeys is None else JOURNEYS,
+        nothing_else=nothing_else,
+        transfer=tuple(trial.transfer for trial in evidence.trials) if causes else (),
+    )
 
 
 def _by_family(
