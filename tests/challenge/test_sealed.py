@@ -206,5 +206,5 @@ def test_a_bad_seeds_file_is_named(tmp_path: Path, text: str, match: str) -> Non
 
 def test_the_next_set_to_score_holds_every_group() -> None:
     """Several causes at once beside one outside the library included."""
-    count = Counter(recipe.group for recipe in recipes(read_seeds(SEEDS / "scoring7.toml")))
+    count = Counter(recipe.group for recipe in recipes(read_seeds(SEEDS / "scoring8.toml")))
     assert set(count) == set(GROUPS)
