@@ -13,6 +13,7 @@ from calib.gap.effects.floor import common_frame, far_end_m, floor_place, lanes,
 from calib.gap.predict.path import predict
 
 CELL_M: Final = 2.0
+#: strips at most, and half as many cells
 MOST_FORMS: Final = 40
 _FEWEST_UNITS: Final = 3
 #: cells are numbered (lane, column, row) in one integer; a floor is smaller than this many cells either way
@@ -90,9 +91,9 @@ def _cells(
     aside = bool((lane != lane[0]).any()) or bool((np.abs(y) > 0.5 * CELL_M).any())
     # where all runs keep to one line, its cells are strips
     grids = [(one_lane, flat), (lane, y)] if aside else [(one_lane, flat)]
-    most = MOST_FORMS // len(grids)
     kept: list[tuple[int, float, float, bool]] = []
     for of_lane, across in grids:
+        most = MOST_FORMS if across is flat else MOST_FORMS // 2
         zones = _grid(observations, of_lane, x, across, cosine, 0.5)
         if 2 * len(zones) <= most:
             # a zone that lies across the edge of two cells fills one of the second grid

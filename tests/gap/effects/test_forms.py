@@ -94,8 +94,10 @@ def test_floor_zones_stay_within_their_number_on_a_large_floor() -> None:
     runs = [Run([(20.0 + 7 * (i % 9), 0.02 * (i % 5))], kind=f"way{i % 5}", steps=400) for i in range(60)]
     s = situation(runs)
     found = next(e for e in library(s) if e.id == "floor_zone").forms(s)
-    assert len(found) == MOST_FORMS
-    assert all(form.tries == MOST_FORMS for form in found)
+    strips = [form for form in found if form.settings["lane"] < 0]
+    assert 0 < len(strips) <= MOST_FORMS
+    assert len(found) - len(strips) == MOST_FORMS // 2
+    assert all(form.tries == len(found) for form in found)
 
 
 def test_a_floor_zone_that_all_runs_cross_alike_is_left_out() -> None:
