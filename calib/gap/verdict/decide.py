@@ -175,8 +175,7 @@ def decide(evidence: Evidence) -> Verdict:
     names = {cause.effect for cause in causes}
     tied = [group for group in groups if len(group) > 1 and names.intersection(group)]
     closure = closure_of(evidence.held_out, evidence.observations)
-    nothing_else = nothing_else_probability(evidence, alike)
-    fix = _fix(evidence, tied, causes, [certain[cause.effect] for cause in causes], rest, nothing_else)
+    fix = _fix(evidence, alike, tied, causes, [certain[cause.effect] for cause in causes], closure, rest)
     if evidence.faults:
         # where the rest is no gap or unknown, the fault alone is named
         causes = [*map(gross_cause, evidence.faults), *causes]
@@ -208,14 +207,15 @@ def decide(evidence: Evidence) -> Verdict:
 
 def _fix(
     evidence: Evidence,
+    alike: Sequence[Sequence[str]],
     tied: Sequence[Sequence[str]],
     causes: Sequence[Cause],
     certain: Sequence[float],
+    closure: Closure,
     rest: Rest | None,
-    nothing_else: float,
 ) -> Fix:
     """Return what the correction is worth; `certain` is that of each cause, as in `recommended`."""
-    agreement, closure = agreement_m(evidence, tied), closure_of(evidence.held_out, evidence.observations)
+    agreement, nothing_else = agreement_m(evidence, tied), nothing_else_probability(evidence, alike)
     concerned = {*evidence.named, *(name for group in tied for name in group)}
     return Fix(
         # the correction holds all that was fitted, and what steps from session to session says nothing of those to come
