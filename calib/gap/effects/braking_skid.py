@@ -28,9 +28,11 @@ class BrakingSkid(Effect):
         if not stops(observations).any():
             return []
         speed = driven_speed_mps(observations)
-        slips = [("the same at each stop", np.ones_like(speed), Parameter("per_stop", "m", typical=5e-4, largest=1e-2))]
+        per_stop = Parameter("per_stop", "m", typical=5e-4, largest=1e-2, sign=1)
+        slips = [("the same at each stop", np.ones_like(speed), per_stop)]
         if varies(speed, 0.02):
-            slips.append(("~ v^2", speed**2, Parameter("per_speed_squared", "s2/m", typical=2e-3, largest=4e-2)))
+            squared = Parameter("per_speed_squared", "s2/m", typical=2e-3, largest=4e-2, sign=1)
+            slips.append(("~ v^2", speed**2, squared))
 
         def form(label: str, size: FloatArray, parameter: Parameter) -> Form:
             def pushes(path: Path) -> list[Push]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from calib.arrays import FloatArray
@@ -35,8 +37,11 @@ class DriveSlip(Effect):
         speeding = np.maximum(acceleration, 0.0)
         front, ones = front_travel_m(observations), np.ones(len(observations.unit))
         cosine, sine, wheelbase = observations.steer_cos, observations.steer_sin, observations.vehicle.wheelbase_m
-        per_acceleration = Parameter("slip_per_mps2", "s2/m", typical=1e-2, largest=1e-1)
-        rolling = Parameter("slip_rolling", "1", typical=3e-3, largest=5e-2)
+        # a driven wheel turns too much, never too little; but a share common to all runs may be the radius, off either way
+        weight_varies = float(np.ptp(_over_mean(observations.weight_N))) > 1e-9
+        per_acceleration = Parameter("slip_per_mps2", "s2/m", typical=1e-2, largest=1e-1, sign=1)
+        common = Parameter("slip_rolling", "1", typical=3e-3, largest=5e-2)
+        rolling = replace(common, sign=1) if weight_varies else common
         # a run from rest to rest gains and loses the same by acceleration and braking
         gains = bool((np.abs(observations.total(front * speeding)) > 1e-4).any())
         forces = {"by the force": observations.weight_N}
@@ -61,8 +66,8 @@ class DriveSlip(Effect):
                 both = (per_acceleration, rolling)
                 slips.append((f"{name}, speeding up, braking and rolling", force, [with_acceleration, with_way], both))
             slips.append((f"{name}, rolling", force, [with_way], (rolling,)))
-        if float(np.ptp(_over_mean(observations.weight_N))) > 1e-9:
-            slips.append(("a constant share, or the front wheel's radius", None, [with_way], (rolling,)))
+        if weight_varies:
+            slips.append(("a constant share, or the front wheel's radius", None, [with_way], (common,)))
 
         def form(
             label: str,

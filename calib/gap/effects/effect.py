@@ -30,7 +30,7 @@ class Parameter:
     unit: str
     typical: float  #: order of magnitude that the field's literature and arithmetic give; the scale of its prior
     largest: float  #: beyond this size the effect as named is physically implausible
-    sign: int = 0  #: 1 where only positive values have a meaning, 0 where either sign does
+    sign: int = 0  #: 1 or -1 where only that sign has a meaning, 0 where either does
 
 
 @dataclass(frozen=True, slots=True)

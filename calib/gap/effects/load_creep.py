@@ -41,7 +41,7 @@ class LoadCreep(Effect):
         reference = observations.model.reference_load_N
         unladen = observations.vehicle.unladen_load_N
         parameters = tuple(
-            Parameter(name, "m/N", typical=1.5e-6 * radius, largest=2e-5 * radius)
+            Parameter(name, "m/N", typical=1.5e-6 * radius, largest=2e-5 * radius, sign=1)
             for name in ("creep_left", "creep_right")
         )
         # the load before it, from which the band creeps to the present one; the reference load is no load at all

@@ -28,5 +28,5 @@ class SideSlip(Effect):
             # v^2 kappa ds is v |v| times the turn: it changes sides when the vehicle rolls backward
             return [Push(lateral_m=-(observations.speed_mps**2) * curvature_per_m(observations) * observations.path_m)]
 
-        parameter = Parameter("slip_per_acceleration", "s2/m", typical=2e-3, largest=5e-2)
+        parameter = Parameter("slip_per_acceleration", "s2/m", typical=2e-3, largest=5e-2, sign=1)
         return [Form(self.id, "", (parameter,), pushes, by_parts=True)]

@@ -39,7 +39,7 @@ class SteeringBacklash(Effect):
         angle = steer_rad(observations)
         if not has_front(observations).any() or not (np.abs(angle) > _TURN_RAD).any():
             return []
-        parameter = Parameter("play", "rad", typical=8e-3, largest=4e-2)
+        parameter = Parameter("play", "rad", typical=8e-3, largest=4e-2, sign=1)
         # only a clear turn has a side: the sign of an angle near zero is the sign of its sensor's noise
         by_side = np.where(np.abs(angle) > _TURN_RAD, np.sign(angle), 0.0)
         noise = _noise_rad(observations, angle)

@@ -10,7 +10,7 @@ from calib.gap.effects.shapes import sessions
 
 
 class Wear(Effect):
-    """dr_i / r_i = w_i times the km driven in the campaign, or the number of the session; each wheel its own w."""
+    """dr_i / r_i = w_i times the km driven in the campaign, or the number of the session; each wheel its own w < 0."""
 
     id = "wear"
     title = "wheels that wear"
@@ -36,7 +36,7 @@ class Wear(Effect):
         def form(
             label: str, unit: str, driven: FloatArray, typical: float, largest: float, centre: Centre | None = None
         ) -> Form:
-            parameters = tuple(Parameter(f"rate_{side}", unit, typical, largest) for side in ("left", "right"))
+            parameters = tuple(Parameter(f"rate_{side}", unit, typical, largest, sign=-1) for side in ("left", "right"))
             centre = centre or Centre.of(driven)
             grows = centre.deviations(driven)
             return Form(

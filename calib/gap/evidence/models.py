@@ -35,7 +35,7 @@ class Columns:
     most : array of float, shape (p,)
         Largest prior scale of each column, in typical sizes.
     sign : array of int, shape (p,)
-        1 where only positive sizes have a meaning, else 0.
+        1 or -1 where only sizes of that sign have a meaning, else 0.
     log_prior : array of float, shape (n_forms,)
         Of each form of its effect, the search over forms and scales paid for.
     by_count : array of float, shape (n_effects + 1,)
@@ -90,10 +90,7 @@ class Columns:
 
 
 def log_weights(sums: Sums, columns: Columns, models: Sequence[tuple[int, ...]], temper: float) -> FloatArray:
-    """Return log evidence plus log prior of each model at each scale of the rest, shape (n_scales, n_models).
-
-    Minus infinity where a parameter that can only have one sign comes out with the other.
-    """
+    """Return log evidence plus log prior of each model at each scale of the rest, shape (n_scales, n_models)."""
     value = np.full((len(sums.square), len(models)), -np.inf)
     widths = np.array([int(sum(columns.cuts[f + 1] - columns.cuts[f] for f in model)) for model in models])
     # models of like width together: padding a narrow one to the widest would cost the cube of it
@@ -119,11 +116,14 @@ def _batch(sums: Sums, columns: Columns, models: Sequence[tuple[int, ...]], temp
     right = sums.right[:, index] * there
     sizes = ridge_solve(gram, right, 1e-2)
     variance = np.where(there, prior_scale(sizes, owner, columns.most[index]) ** 2, 1e-12)
+    sign = np.where(there, columns.sign[index], 0)
     bayes, gain = log_evidence_parts(gram, right, variance)
     square = np.maximum(sums.square[:, None] - gain, 1e-9)
     value = temper * log_marginal(square, sums.log_det[:, None] + bayes, sums.n_rows)
-    wrong = ((columns.sign[index] * sizes < 0) & there).any(axis=2)
-    return np.where(wrong, -np.inf, base + value)
+    signed = sign.any(axis=1)
+    if signed.any():
+        value[:, signed] += log_right_sign(gram[:, signed], right[:, signed], variance[:, signed], sign[signed])
+    return np.asarray(base + value)
 
 
 def prior_scale(sizes: FloatArray, owner: IntArray, most: FloatArray) -> FloatArray:
@@ -150,6 +150,20 @@ def log_evidence_parts(gram: FloatArray, right: FloatArray, variance: FloatArray
     solved = np.linalg.solve(lower, (root * right / size)[..., None])[..., 0]
     log_det = 2 * (np.log(np.diagonal(lower, axis1=-2, axis2=-1)) + np.log(size)).sum(axis=-1)
     return log_det, (solved**2).sum(axis=-1)
+
+
+def log_right_sign(gram: FloatArray, right: FloatArray, variance: FloatArray, sign: IntArray) -> FloatArray:
+    """Return the log probability that each size has the sign it can only have, both being as likely before, shape (...).
+
+    Of several parameters each by itself, shape (..., k), as if their estimates were independent.
+    """
+    from scipy.special import log_ndtr
+
+    root = np.sqrt(variance)
+    inverse = np.linalg.inv(root[..., :, None] * gram * root[..., None, :] + np.eye(gram.shape[-1]))
+    mean = (inverse @ (root * right)[..., None])[..., 0]
+    spread = np.sqrt(np.diagonal(inverse, axis1=-2, axis2=-1))
+    return np.asarray(np.where(sign != 0, log_ndtr(sign * mean / spread), 0.0).sum(axis=-1))
 
 
 def model_sizes(sums: Sums, columns: Columns, model: tuple[int, ...], weight: FloatArray) -> FloatArray:

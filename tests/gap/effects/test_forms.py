@@ -146,8 +146,9 @@ def test_the_surplus_of_a_sine_is_that_of_fig_9(amplitude_m: float, wavelength_m
 def test_session_steps_count_from_the_first_session_driven() -> None:
     runs = [Run(STRAIGHT, session=("zeta", "alpha", "mid")[i // 4]) for i in range(12)]
     s = situation(runs)
-    (form,) = next(e for e in library(s) if e.id == "session_step").forms(s)
-    assert [p.name for p in form.parameters] == ["left_alpha", "right_alpha", "left_mid", "right_mid"]
+    alike, each = next(e for e in library(s) if e.id == "session_step").forms(s)
+    assert [p.name for p in alike.parameters] == ["both_alpha", "both_mid"]
+    assert [p.name for p in each.parameters] == ["left_alpha", "right_alpha", "left_mid", "right_mid"]
 
 
 def test_all_payloads_at_once_are_asked_of_only_where_the_model_follows_the_load() -> None:
