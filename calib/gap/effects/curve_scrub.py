@@ -31,6 +31,6 @@ class CurveScrub(Effect):
 
         # up to 3 % in a turn of the vehicle's own length
         parameter = Parameter(
-            "widening", "m", typical=1.5e-2 * reach(observations), largest=1.5e-1 * reach(observations), sign=1
+            "widening", "m", typical=1.5e-2 * reach(observations), largest=1.5e-1 * reach(observations)
         )
         return [Form(self.id, "", (parameter,), pushes, by_parts=True)]

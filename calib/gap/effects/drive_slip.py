@@ -37,7 +37,7 @@ class DriveSlip(Effect):
         speeding = np.maximum(acceleration, 0.0)
         front, ones = front_travel_m(observations), np.ones(len(observations.unit))
         cosine, sine, wheelbase = observations.steer_cos, observations.steer_sin, observations.vehicle.wheelbase_m
-        # a driven wheel turns too much, never too little; but a share common to all runs may be the radius, off either way
+        # a driven wheel turns too much, never too little; a share common to all runs may be the radius, off either way
         weight_varies = float(np.ptp(_over_mean(observations.weight_N))) > 1e-9
         per_acceleration = Parameter("slip_per_mps2", "s2/m", typical=1e-2, largest=1e-1, sign=1)
         common = Parameter("slip_rolling", "1", typical=3e-3, largest=5e-2)

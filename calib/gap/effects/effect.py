@@ -104,6 +104,8 @@ class Effect(ABC):
     is_load_law: ClassVar[bool] = False
     #: whether its parameters ``slope_left`` and ``slope_right`` are the slopes of the radius law
     carries_law_slope: ClassVar[bool] = False
+    #: why its correction is none for journeys to come, as the end of a sentence; empty where it is one
+    stays: ClassVar[str] = ""
     #: whether it has parameters for each session, so that it says nothing of a session left out
     per_session: ClassVar[bool] = False
     #: whether it is about two wheels on one axle, so that it does not apply where a front wheel alone drives the

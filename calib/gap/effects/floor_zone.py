@@ -31,6 +31,7 @@ class FloorZone(Effect):
     family = Family.FLOOR
     needs = "logs, the poses in one frame"
     separates = "runs that cross the place beside runs that do not"
+    stays = "what lies at a place of the floor is mended there; a vehicle's correction goes with it everywhere"
 
     def forms(self, observations: Observations) -> list[Form]:
         """Return a form for each strip and cell of about 2 m that some runs cross and others not, or cross otherwise.

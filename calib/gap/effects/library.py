@@ -77,10 +77,10 @@ def title_of(name: str) -> str:
     return name.replace("_", " ") if column is None else Covariate(column).title
 
 
-def steps_by_session(name: str) -> bool:
-    """Return whether an effect has a size of its own in each session, which says nothing of another session."""
+def why_it_stays(name: str) -> str:
+    """Return why the correction of an effect is none for journeys to come, empty where it is one."""
     registered = effect_class(name)
-    return registered is not None and registered.per_session
+    return "" if registered is None else registered.stays
 
 
 def library(observations: Observations, *, exclude: Collection[str] = (), declared: object = ()) -> list[Effect]:

@@ -28,7 +28,7 @@ class LoadCreep(Effect):
     def forms(self, observations: Observations) -> list[Form]:
         """Return forms by time constant and by the load that creeps; none where the times under load do not vary.
 
-        The load that creeps is the whole wheel load, its part above the reference load, or (where the order of the
+        The load that creeps is the whole wheel load, its part above the unladen load, or (where the order of the
         loads makes a difference) the change since the load before: then a band that was unloaded recovers as slowly.
         """
         minutes = observations.number("minutes_under_load")
@@ -38,16 +38,15 @@ class LoadCreep(Effect):
         # the middle of the run stands for the run: a tau of minutes hardly moves within it
         t = minutes + 0.5 * np.nan_to_num(observations.total(np.nan_to_num(observations.duration_s))) / 60.0
         radius = 0.5 * (observations.model.radius_left_m + observations.model.radius_right_m) * softness(observations)
-        reference = observations.model.reference_load_N
         unladen = observations.vehicle.unladen_load_N
         parameters = tuple(
             Parameter(name, "m/N", typical=1.5e-6 * radius, largest=2e-5 * radius, sign=1)
             for name in ("creep_left", "creep_right")
         )
-        # the load before it, from which the band creeps to the present one; the reference load is no load at all
+        # the load before it, from which the band creeps to the present one; its own load the vehicle always bears
         before: dict[str, tuple[FloatArray, FloatArray] | None] = {"whole load": None}
         if varies(left, 5.0) or varies(right, 5.0):
-            before["load above the reference"] = None
+            before["load above the unladen"] = None
             loads = (_before(left, right, unladen), _before(right, left, unladen))
             if np.ptp(loads[0]) > 5.0 or np.ptp(loads[1]) > 5.0:
                 before["change of load"] = loads
@@ -75,7 +74,7 @@ class LoadCreep(Effect):
                 about=None if centre is None else lambda elsewhere: form(name, tau, elsewhere),
             )
 
-        centre = Centre(reference)
+        centre = Centre(unladen)
         return [form(name, tau, None if name == "whole load" else centre) for name in before for tau in TIMES_MIN]
 
 

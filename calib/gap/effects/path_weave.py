@@ -25,7 +25,7 @@ class PathWeave(Effect):
     separates = "the log within a run"
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return a form by the noted amplitude and wavelength and one by the logs of outside simulations."""
+        """Return forms by the noted amplitude and wavelength and one by the logs of outside simulations."""
         amplitude, wavelength = observations.number("amplitude_m"), observations.number("wavelength_m")
         noted = np.zeros(len(observations))
         weaves = ~observations.from_log & (amplitude > 0.0) & (wavelength > 0.0)
@@ -35,21 +35,33 @@ class PathWeave(Effect):
         outside = observations.from_log & np.isfinite(observations.simulated[:, :2]).any(axis=1)
         logged = np.where(outside, _weave_of_logs(observations), 0.0)
         has_logged = bool((logged > 1e-7).any())
-        parameter = Parameter("share", "1", typical=1.0, largest=2.0, sign=1)
-        tries = int(has_noted) + int(has_logged)
+        share = Parameter("share", "1", typical=1.0, largest=2.0, sign=1)
+        # nobody measured the heading, and every run ends at one place of its wave, but not that where it began
+        led = weaves & observations.led_straight
+        swing = np.zeros(len(observations))
+        swing[led] = 2.0 * np.pi * amplitude[led] / wavelength[led]
+        turned = Parameter("end_heading", "1", typical=1.0, largest=2.0)
+        tries = int(has_noted) * (1 + int(led.any())) + int(has_logged)
 
-        def form(label: str, excess: FloatArray) -> Form:
+        def form(label: str, excess: FloatArray, *further: Push) -> Form:
             shorter = -excess / (1.0 + excess)
 
             def pushes(path: Path) -> list[Push]:
                 along, lateral = start_to_end_frame(path, shorter * path.end[:, 0], shorter * path.end[:, 1])
                 distance = shorter * distance_m(path)
-                return [Push.on_readings(observations, distance=distance, along=along, lateral=lateral)]
+                return [Push.on_readings(observations, distance=distance, along=along, lateral=lateral), *further]
 
-            return Form(self.id, label, (parameter,), pushes, tries=tries)
+            return Form(self.id, label, (share, turned)[: 1 + len(further)], pushes, tries=tries)
 
-        wanted = [("by the noted amplitude", has_noted, noted), ("by the logs", has_logged, logged)]
-        return [form(label, excess) for label, offered, excess in wanted if offered]
+        forms = []
+        if has_noted:
+            forms.append(form("by the noted amplitude", noted))
+        if has_noted and led.any():
+            swung = Push.on_readings(observations, heading=swing)
+            forms.append(form("by the noted amplitude, turned at the end", noted, swung))
+        if has_logged:
+            forms.append(form("by the logs", logged))
+        return forms
 
 
 def sine_excess(amplitude_m: FloatArray, wavelength_m: FloatArray) -> FloatArray:

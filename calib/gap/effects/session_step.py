@@ -18,24 +18,21 @@ class SessionStep(Effect):
     needs = "two sessions"
     separates = "one run repeated at the beginning of each session"
     per_session = True
+    stays = "what steps from session to session says nothing of the next one; calibrate in each"
     shifts = ("radius_scale", "unequal_radii")
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return forms with a step a session but the first, one for both wheels or one each; none with one session."""
+        """Return the single form, a left and a right step a session but the first; none with one session."""
         session = sessions(observations)
         names, first = np.unique(session, return_index=True)
         names = names[np.argsort(first)]
         if len(names) < 2:
             return []
-        inside = [(session == name).astype(np.float64) for name in names[1:]]
-        steps = [share - share.mean() for share in inside]
-
-        def form(label: str, pushes: list[Push], sides: tuple[str, ...]) -> Form:
-            parameters = tuple(
-                Parameter(f"{side}_{name}", "1", typical=5e-4, largest=1e-2) for name in names[1:] for side in sides
-            )
-            return Form(self.id, label, parameters, lambda _: pushes, tries=2)
-
-        alike = [Push(left=step, right=step) for step in steps]
-        each = [push for step in steps for push in (Push(left=step), Push(right=step))]
-        return [form("both wheels alike", alike, ("both",)), form("each wheel its own", each, ("left", "right"))]
+        parameters: list[Parameter] = []
+        pushes: list[Push] = []
+        for name in names[1:]:
+            inside = (session == name).astype(np.float64)
+            step = inside - inside.mean()
+            parameters += [Parameter(f"{side}_{name}", "1", typical=5e-4, largest=1e-2) for side in ("left", "right")]
+            pushes += [Push(left=step), Push(right=step)]
+        return [Form(self.id, "", tuple(parameters), lambda _: pushes)]

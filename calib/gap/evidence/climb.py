@@ -50,7 +50,7 @@ class Settings:
     tolerance : float
         Share by which an effect may deviate from its assumed form, a condition.
     temper : float
-        Power of the evidence; below 1 because the noise is never quite the one assumed.
+        Power of the evidence. 1: that the floor is never quite the one assumed is weighed already (`log_marginal`).
     most_effects : int
         Effects named at once, at most.
     paired : int
@@ -60,7 +60,7 @@ class Settings:
     further: float = 0.5
     prior_rest: float = 0.15
     tolerance: float = 0.15
-    temper: float = 0.9
+    temper: float = 1.0
     most_effects: int = 6
     paired: int = 60
 

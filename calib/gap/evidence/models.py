@@ -144,26 +144,34 @@ def effect_scale(sizes: FloatArray, form: Form) -> float:
 def log_evidence_parts(gram: FloatArray, right: FloatArray, variance: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return log |I + S G| and g^T (S^-1 + G)^-1 g, each shape (...)."""
     root = np.sqrt(variance)
-    inner = root[..., :, None] * gram * root[..., None, :] + np.eye(gram.shape[-1])
-    size = np.sqrt(np.diagonal(inner, axis1=-2, axis2=-1))
-    lower = np.linalg.cholesky(inner / (size[..., :, None] * size[..., None, :]) + 1e-11 * np.eye(gram.shape[-1]))
+    inner, size = _inner(gram, root)
+    lower = np.linalg.cholesky(inner)
     solved = np.linalg.solve(lower, (root * right / size)[..., None])[..., 0]
     log_det = 2 * (np.log(np.diagonal(lower, axis1=-2, axis2=-1)) + np.log(size)).sum(axis=-1)
     return log_det, (solved**2).sum(axis=-1)
 
 
 def log_right_sign(gram: FloatArray, right: FloatArray, variance: FloatArray, sign: IntArray) -> FloatArray:
-    """Return the log probability that each size has the sign it can only have, both being as likely before, shape (...).
+    """Return the log probability that sizes have the sign they can only have, both being as likely before, shape (...).
 
     Of several parameters each by itself, shape (..., k), as if their estimates were independent.
     """
     from scipy.special import log_ndtr
 
     root = np.sqrt(variance)
-    inverse = np.linalg.inv(root[..., :, None] * gram * root[..., None, :] + np.eye(gram.shape[-1]))
-    mean = (inverse @ (root * right)[..., None])[..., 0]
+    inner, size = _inner(gram, root)
+    inverse = np.linalg.inv(inner)
+    # both times the prior scale over the scaling
+    mean = (inverse @ (root * right / size)[..., None])[..., 0]
     spread = np.sqrt(np.diagonal(inverse, axis1=-2, axis2=-1))
     return np.asarray(np.where(sign != 0, log_ndtr(sign * mean / spread), 0.0).sum(axis=-1))
+
+
+def _inner(gram: FloatArray, root: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return I + S G scaled to a unit diagonal, so that columns exactly alike do no harm, and the scaling (..., k)."""
+    inner = root[..., :, None] * gram * root[..., None, :] + np.eye(gram.shape[-1])
+    size = np.sqrt(np.diagonal(inner, axis1=-2, axis2=-1))
+    return inner / (size[..., :, None] * size[..., None, :]) + 1e-11 * np.eye(gram.shape[-1]), size
 
 
 def model_sizes(sums: Sums, columns: Columns, model: tuple[int, ...], weight: FloatArray) -> FloatArray:

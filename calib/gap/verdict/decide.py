@@ -218,9 +218,9 @@ def _fix(
     agreement, nothing_else = agreement_m(evidence, tied), nothing_else_probability(evidence, alike)
     concerned = {*evidence.named, *(name for group in tied for name in group)}
     return Fix(
-        # the correction holds all that was fitted, and what steps from session to session says nothing of those to come
+        # the correction holds all that was fitted, and some of it may be none for the journeys to come
         recommended={cause.effect for cause in causes}.issuperset(evidence.named)
-        and not any(evidence.effects[name].per_session for name in concerned)
+        and not any(evidence.effects[name].stays for name in concerned)
         and recommended(causes, certain, closure, evidence.trials, agreement, rest, nothing_else),
         agreement_m=agreement,
         agreement_on=DRIVEN if evidence.journeys is None else JOURNEYS,

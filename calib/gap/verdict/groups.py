@@ -65,7 +65,10 @@ def _groups_of_effects(evidence: Evidence) -> list[list[str]]:
 
 
 def _as_likely(evidence: Evidence, effect: str) -> list[str]:
-    """Return the effects that, put in the place of one of the best hypothesis, are nearly as likely."""
+    """Return what, put in the place of one effect of the best hypothesis, is nearly as likely.
+
+    These are other effects and, where the others do without it, parameters of the calibration that it would look like.
+    """
     best, search = evidence.search.effects, evidence.search
     probability = dict(zip(search.models, search.probabilities, strict=True))
     others = {name for name in best if name != effect}
@@ -77,4 +80,7 @@ def _as_likely(evidence: Evidence, effect: str) -> list[str]:
         together = probability.get(tuple(sorted({*best, *instead})), 0.0)
         if p > max(least, together) and len(model) == len(best) and others <= set(model) and effect not in model:
             alike += list(instead)
+    if probability.get(tuple(sorted(others)), 0.0) > least:
+        shifts = [name for name in evidence.effects[effect].shifts if name in evidence.effects]
+        alike += [name for name in shifts if evidence.recalibration.probability(name) > least]
     return alike

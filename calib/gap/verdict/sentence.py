@@ -7,7 +7,7 @@ from math import prod
 from typing import Final
 
 from calib.gap.effects.calibration import HIDES_IN
-from calib.gap.effects.library import steps_by_session, title_of
+from calib.gap.effects.library import title_of, why_it_stays
 from calib.gap.verdict.outcome import ChannelClosure
 from calib.gap.verdict.result import ALIKE, SURE, Cause, Verdict, VerdictKind
 from calib.gap.where.result import PlaceLine, Where
@@ -90,8 +90,10 @@ def advice(verdict: Verdict) -> str:
     if further:
         names = _joined([f"{name} ({probability:.2f})" for name, probability in further], "or")
         return f"Not recommended: beside what is named {names} may be at work."
-    if any(steps_by_session(cause.effect) for cause in verdict.causes):
-        return "Not recommended: what steps from session to session says nothing of the next one; calibrate in each."
+    concerned = {cause.effect for cause in verdict.causes}.union(*(group.effects for group in verdict.groups))
+    reasons = sorted({why_it_stays(effect) for effect in concerned} - {""})
+    if reasons:
+        return f"Not recommended: {'; '.join(reasons)}."
     return "Not recommended: the fix is not shown to hold on runs that it has not seen."
 
 

@@ -106,7 +106,7 @@ def _milli(value: float) -> str:
 
 
 def _signed(parameter: Parameter) -> str:
-    return ("" if parameter.sign else "± ") + size_text(parameter.typical, parameter.unit)
+    return {-1: "- ", 0: "± ", 1: ""}[parameter.sign] + size_text(parameter.typical, parameter.unit)
 
 
 def _typical(entry: Entry) -> str:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.gap.data.channels import Channel
 from calib.gap.data.from_campaign import observations_of
 from calib.gap.data.observations import Observations
 from calib.gap.effects.braking_skid import stops
@@ -15,7 +16,8 @@ from calib.gap.effects.floor_zone import CELL_M, MOST_FORMS
 from calib.gap.effects.library import library
 from calib.gap.effects.path_weave import sine_excess
 from calib.gap.effects.shapes import driven_speed_mps, end_motion
-from calib.gap.predict.path import predict
+from calib.gap.predict.path import predict, signature
+from calib.gap.predict.residuals import residuals
 from calib.vehicle import Vehicle
 from tests.gap.effects.making import (
     MODEL,
@@ -143,12 +145,33 @@ def test_the_surplus_of_a_sine_is_that_of_fig_9(amplitude_m: float, wavelength_m
     assert 100 * float(excess[0]) == pytest.approx(percent, abs=5e-7)
 
 
+def test_runs_that_all_end_elsewhere_in_their_wave_turn_alike() -> None:
+    """A sine of amplitude A and wavelength l that ends a quarter wave on: the wheels have turned by 2 pi A / l."""
+    weaves = [{"amplitude_m": 0.01 * (1 + i % 2), "wavelength_m": 5.0} for i in range(12)]
+
+    def quarter(run: Run, now: Motion) -> None:
+        swing = 2 * np.pi * run.numbers["amplitude_m"] / run.numbers["wavelength_m"]
+        now.yaw_rad = -swing * now.ds_m / now.ds_m.sum()
+
+    made = campaign([Run(STRAIGHT, log=False, numbers=weave) for weave in weaves], truth=quarter)
+    nowhere = {name: np.full(12, np.nan) for name in ("ref_x_m", "ref_y_m", "ref_theta_rad")}
+    s = observations_of(replace(made, runs=replace(made.runs, numbers=made.runs.numbers | nowhere)))
+    assert s.led_straight.all()
+    forms = {form.label: form for e in library(s) if e.id == "path_weave" for form in e.forms(s)}
+    form, path = forms["by the noted amplitude, turned at the end"], predict(s)
+    assert [p.name for p in form.parameters] == ["share", "end_heading"]
+    end_heading = form.pushes(path)[1]
+    # taken to end as they began, they end by one swing to the other side of what their wheels say
+    np.testing.assert_allclose(
+        residuals(path, path)[:, Channel.HEADING], -signature(path, end_heading)[:, Channel.HEADING], rtol=1e-9
+    )
+
+
 def test_session_steps_count_from_the_first_session_driven() -> None:
     runs = [Run(STRAIGHT, session=("zeta", "alpha", "mid")[i // 4]) for i in range(12)]
     s = situation(runs)
-    alike, each = next(e for e in library(s) if e.id == "session_step").forms(s)
-    assert [p.name for p in alike.parameters] == ["both_alpha", "both_mid"]
-    assert [p.name for p in each.parameters] == ["left_alpha", "right_alpha", "left_mid", "right_mid"]
+    (form,) = next(e for e in library(s) if e.id == "session_step").forms(s)
+    assert [p.name for p in form.parameters] == ["left_alpha", "right_alpha", "left_mid", "right_mid"]
 
 
 def test_all_payloads_at_once_are_asked_of_only_where_the_model_follows_the_load() -> None:

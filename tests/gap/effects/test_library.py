@@ -80,7 +80,7 @@ def test_parameters_have_names_units_and_sizes(rich: Observations) -> None:
         for p in form.parameters:
             assert p.name and p.unit, form.effect
             assert 0.0 < p.typical <= p.largest, form.effect
-            assert p.sign in (0, 1)
+            assert p.sign in (-1, 0, 1)
         assert form.tries >= 1
 
 

@@ -42,9 +42,7 @@ def test_an_effect_costs_more_in_a_larger_library_and_less_beside_others() -> No
 def test_a_size_of_one_sign_is_weighed_over_the_half_line(size: float, sign: int) -> None:
     """The evidence of a size that can only have one sign: likelihood times twice the prior, over that half alone."""
     gram, variance = 4.0, 2.0
-    log_det, gain = log_evidence_parts(
-        np.array([[gram]]), np.array([gram * size]), np.array([variance])
-    )
+    log_det, gain = log_evidence_parts(np.array([[gram]]), np.array([gram * size]), np.array([variance]))
     half = float(log_right_sign(np.array([[gram]]), np.array([gram * size]), np.array([variance]), np.array([sign])))
     ours = np.exp(0.5 * (float(gain) - float(log_det)) + np.log(2.0) + half)
 

@@ -38,25 +38,29 @@ def _(run: Run, now: Motion) -> None:
     now.left, now.right = -2e-7 * run.load_left_N * gone / RADIUS_M, -3e-7 * run.load_right_N * gone / RADIUS_M
 
 
-@case("load_creep", "load above the reference, time constant 30 min", 2e-7, 3e-7, runs=LOGGED)
+# the vehicle's own load on each wheel, from its mass and where its middle lies
+UNLADEN_N = 0.5 * 100.0 * G * (1.0 - 0.388)
+
+
+@case("load_creep", "load above the unladen, time constant 30 min", 2e-7, 3e-7, runs=LOGGED)
 def _(run: Run, now: Motion) -> None:
     gone = 1.0 - np.exp(-(run.numbers["minutes_under_load"] + (now.t_s - 0.5 * now.dt_s) / 60.0) / 30.0)
-    now.left = -2e-7 * (run.load_left_N - 300.0) * gone / RADIUS_M
-    now.right = -3e-7 * (run.load_right_N - 300.0) * gone / RADIUS_M
+    now.left = -2e-7 * (run.load_left_N - UNLADEN_N) * gone / RADIUS_M
+    now.right = -3e-7 * (run.load_right_N - UNLADEN_N) * gone / RADIUS_M
 
 
 @case("load_creep", "change of load, time constant 30 min", 2e-7, 3e-7, runs=LOGGED)
 def _(run: Run, now: Motion) -> None:
     """The band's set follows the loads in the order driven: old load, then exponentially to the new one."""
     index = next(i for i, other in enumerate(LOGGED) if other is run)
-    left = right = 0.5 * 100.0 * G * (1.0 - 0.388)
+    left = right = UNLADEN_N
     for earlier in reversed(LOGGED[:index]):
         if earlier.load_left_N != run.load_left_N:
             left, right = earlier.load_left_N, earlier.load_right_N
             break
     rest = np.exp(-(run.numbers["minutes_under_load"] + (now.t_s - 0.5 * now.dt_s) / 60.0) / 30.0)
-    now.left = -2e-7 * ((run.load_left_N - 300.0) * (1.0 - rest) + (left - 300.0) * rest) / RADIUS_M
-    now.right = -3e-7 * ((run.load_right_N - 300.0) * (1.0 - rest) + (right - 300.0) * rest) / RADIUS_M
+    now.left = -2e-7 * ((run.load_left_N - UNLADEN_N) * (1.0 - rest) + (left - UNLADEN_N) * rest) / RADIUS_M
+    now.right = -3e-7 * ((run.load_right_N - UNLADEN_N) * (1.0 - rest) + (right - UNLADEN_N) * rest) / RADIUS_M
 
 
 @case("load_dependent_track", "", 6e-6)
