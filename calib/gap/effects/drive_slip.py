@@ -31,8 +31,6 @@ class DriveSlip(Effect):
         """Return forms by the force that slips; none without a front wheel in the log."""
         if not has_front(observations).any():
             return []
-        front_N = observations.weight_N - observations.number("load_left_N") - observations.number("load_right_N")
-        over_front = observations.weight_N / np.maximum(front_N, 0.05 * observations.weight_N)
         acceleration = _acceleration_mps2(observations)
         speeding = np.maximum(acceleration, 0.0)
         front, ones = front_travel_m(observations), np.ones(len(observations.unit))
@@ -44,9 +42,7 @@ class DriveSlip(Effect):
         rolling = replace(common, sign=1) if weight_varies else common
         # a run from rest to rest gains and loses the same by acceleration and braking
         gains = bool((np.abs(observations.total(front * speeding)) > 1e-4).any())
-        forces = {"by the force": observations.weight_N}
-        if np.isfinite(over_front).all() and np.ptp(_over_mean(over_front) / _over_mean(observations.weight_N)) > 0.02:
-            forces["by the force over the front load"] = over_front
+        forces = _forces_N(observations)
         # label, the force (None where the load does nothing), the parts that go with it, their parameters
         slips: list[tuple[str, FloatArray | None, list[Push], tuple[Parameter, ...]]] = []
 
@@ -91,6 +87,16 @@ class DriveSlip(Effect):
             )
 
         return [form(*slip) for slip in slips]
+
+
+def _forces_N(observations: Observations) -> dict[str, FloatArray]:
+    """Return what the slip may go with: the weight, and where that is something else the weight over the front load."""
+    forces = {"by the force": observations.weight_N}
+    front_N = observations.weight_N - observations.number("load_left_N") - observations.number("load_right_N")
+    over_front = observations.weight_N / np.maximum(front_N, 0.05 * observations.weight_N)
+    if np.isfinite(over_front).all() and np.ptp(_over_mean(over_front) / _over_mean(observations.weight_N)) > 0.02:
+        forces["by the force over the front load"] = over_front
+    return forces
 
 
 def _shared(observations: Observations, push: Push, share: FloatArray) -> Push:

@@ -34,6 +34,8 @@ _CENTRES: Final = 4
 #: other models that the recalibration is judged beside, and how probable they are at least, over the best
 _RIVALS: Final = 4
 _LEAST_RIVAL: Final = 0.05
+#: shares of what effects may deviate by, the likeliest of which they are fitted beside: all, a tenth, nothing
+_DEVIATIONS: Final = (1.0, 0.1, 0.0)
 Model = tuple[int, ...]
 
 
@@ -111,12 +113,13 @@ class Climb:
         deviations = [self.settings.tolerance * (system.of(k) @ size) for k, size in sizes.items()]
         return np.stack(deviations, axis=1) if deviations else np.zeros((len(system.gap), 0))
 
-    def _summed(self) -> Sums:
+    def _summed(self, share: float = 1.0) -> Sums:
+        """Return the sums beside the hypothesis at hand, its effects deviating by a share of what they may."""
         at_hand = {k: self.sizes[k] for k in self.current}
         return self.system.sums(
             self.system.columns,
             self.system.calibration,
-            self._deviations(self.system, at_hand),
+            share * self._deviations(self.system, at_hand),
             prior_rest=self.settings.prior_rest,
         )
 
@@ -140,10 +143,19 @@ class Climb:
         return float(_total(self.weigh([self.current]))[0])
 
     def weighting(self) -> Weighting:
-        """Return the most probable rest beside the hypothesis at hand."""
-        best = int(np.argmax(self.weigh([self.current])[:, 0]))
-        deviations = self._deviations(self.system, {k: self.sizes[k] for k in self.current})
-        return Weighting.from_rest(self.system, int(self.sums.kind[best]), float(self.sums.scale[best]), deviations)
+        """Return the most probable rest beside the hypothesis at hand, and deviation of its effects from their forms.
+
+        Deviations that may be large but are not would leave a strong effect's size to chance.
+        """
+        most = self._deviations(self.system, {k: self.sizes[k] for k in self.current})
+        weightings = []
+        for share in _DEVIATIONS if self.current else (1.0,):
+            sums = self.sums if share == 1.0 else self._summed(share)
+            weight = self.weigh([self.current], sums)[:, 0]
+            best = int(np.argmax(weight))
+            weightings.append((float(weight[best]), int(sums.kind[best]), float(sums.scale[best]), share))
+        _, kind, scale, share = max(weightings, key=lambda each: each[0])
+        return Weighting.from_rest(self.system, kind, scale, share * most)
 
     def fitted(self) -> Fitted:
         """Return the hypothesis at hand, fitted beside the most probable scale of the rest, re-simulated."""

@@ -28,7 +28,7 @@ _ALONE: Final = 3
 #: models weighed together with the calibration: so many at most, those within so many nats of the best
 _LIKELY: Final = 12
 _LIKELY_NATS: Final = 7.0
-#: a gap is said to exist where it is likelier than not: of 326 sound campaigns 12 (3.7 %) then raise a false alarm; 5 % may
+#: a gap is said to exist where it is likelier than not: 12 of 326 sound campaigns (3.7 %) then raise a false alarm
 DETECTION: Final = 0.5
 #: what is less probable than this is likelier not to be
 EVEN: Final = 0.5
