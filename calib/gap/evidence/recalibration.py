@@ -37,7 +37,8 @@ class Recalibration:
     instead : mapping of str to tuple of str
         For each, effects of other likely sets beside which it is hardly off.
     likeliest : tuple of str
-        The likeliest subset, without what the runs say nothing of.
+        The likeliest subset, or where that is empty all that is likelier off than not, without what the runs say
+        nothing of.
     needed : tuple of str
         The same where something of it has to be off, because no effect is named: where none is the likeliest, what is
         beside the best hypothesis alone or, where one is likelier off than not, the next.
@@ -112,6 +113,10 @@ def judge_recalibration(
     probability = np.asarray(sum(weight * beside for weight, beside in weighed)) / total
     order = np.argsort(-probability, kind="stable")
     likeliest = needed = SUBSETS[int(order[0])]
+    if not likeliest:
+        # what is likelier off than not may be divided among sets with parameters that the runs say nothing of
+        off = [float(sum(p for s, p in zip(SUBSETS, probability, strict=True) if k in s)) for k in range(3)]
+        likeliest = needed = tuple(k for k in range(3) if off[k] > EVEN)
     if not likeliest:
         beside_own = int(np.argmax(weighed[0][1]))
         # needless beside another cause, which is not the one at hand
