@@ -293,9 +293,9 @@ class Climb:
         return listed, self.weigh(listed)
 
     def rivals(self, models: Sequence[Model], probability: FloatArray) -> tuple[tuple[Model, float], ...]:
-        """Return the best models of other effects, each with its probability over that of the set at hand."""
+        """Return the best models beside the one at hand, each with its probability over that one's."""
+        own = float(probability[models.index(self.current)])
         held = {self.columns.forms[k].effect for k in self.current}
-        own = self.by_effects(models, probability)[self.set_at_hand]
         others = [
             (models[int(n)], float(probability[n]) / max(own, 1e-12))
             for n in np.argsort(-probability)
