@@ -29,7 +29,7 @@ class CurveScrub(Effect):
         def pushes(path: Path) -> list[Push]:
             return [Push(track=np.abs(curvature_per_m(path.s)))]
 
-        # up to 3 % in a turn of the vehicle's own length
+        # up to 3 % in a turn of the vehicle's own length; of either sign: tracks of real robots narrow in turns, too
         parameter = Parameter(
             "widening", "m", typical=1.5e-2 * reach(observations), largest=1.5e-1 * reach(observations)
         )

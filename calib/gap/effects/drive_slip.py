@@ -90,7 +90,7 @@ class DriveSlip(Effect):
 
 
 def _forces_N(observations: Observations) -> dict[str, FloatArray]:
-    """Return what the slip may go with: the weight, and where that is something else the weight over the front load."""
+    """Return what the slip may go with, each (n_units,): the weight and, where it differs, that over the front load."""
     forces = {"by the force": observations.weight_N}
     front_N = observations.weight_N - observations.number("load_left_N") - observations.number("load_right_N")
     over_front = observations.weight_N / np.maximum(front_N, 0.05 * observations.weight_N)

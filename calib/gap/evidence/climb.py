@@ -12,12 +12,11 @@ import numpy as np
 
 from calib.arrays import FloatArray
 from calib.gap.effects.effect import Form
-from calib.gap.evidence.fit import Fitted, hypothesis_path
-from calib.gap.evidence.marginal import CALIBRATION_SD, rows
+from calib.gap.evidence.fit import Fitted
 from calib.gap.evidence.models import Columns, log_weights, model_sizes
+from calib.gap.evidence.step import stepped
 from calib.gap.evidence.system import LinearSystem, Sums
-from calib.gap.evidence.weighting import Weighting, prior_precision
-from calib.gap.predict.residuals import residuals
+from calib.gap.evidence.weighting import Weighting
 
 #: forms of an effect that are kept beside the best
 _FORMS: Final = 2
@@ -51,8 +50,6 @@ class Settings:
         Prior odds of a rest that no effect of the library explains.
     tolerance : float
         Share by which an effect may deviate from its assumed form, a condition.
-    temper : float
-        Power of the evidence. 1: that the floor is never quite the one assumed is weighed already (`log_marginal`).
     most_effects : int
         Effects named at once, at most.
     paired : int
@@ -62,7 +59,6 @@ class Settings:
     further: float = 0.5
     prior_rest: float = 0.15
     tolerance: float = 0.15
-    temper: float = 1.0
     most_effects: int = 6
     paired: int = 60
 
@@ -99,7 +95,7 @@ class Climb:
         for number, form in enumerate(whole.forms):
             others = tuple(k for k in held if whole.forms[k].effect != form.effect)
             models.append((*others, number))
-        value = _total(log_weights(sums, columns, models, self.settings.temper))
+        value = _total(log_weights(sums, columns, models))
         kept, count = list(held), dict[str, int]()
         for number in np.argsort(-value, kind="stable"):
             name = whole.forms[int(number)].effect
@@ -129,7 +125,7 @@ class Climb:
 
     def weigh(self, models: Sequence[Model], sums: Sums | None = None) -> FloatArray:
         """Return the log weights of models, shape (n_scales, n_models)."""
-        return log_weights(sums or self.sums, self.columns, models, self.settings.temper)
+        return log_weights(sums or self.sums, self.columns, models)
 
     def active(self) -> Sums:
         """Return the sums at the scales that matter for the hypothesis at hand."""
@@ -159,28 +155,7 @@ class Climb:
 
     def fitted(self) -> Fitted:
         """Return the hypothesis at hand, fitted beside the most probable scale of the rest, re-simulated."""
-        system, model = self.system, self.current
-        forms = self.forms_of(model)
-        columns = np.concatenate([system.calibration, *(system.of(k) for k in model)], axis=1)
-        sizes, covariance = self.weighting().solve(columns, prior_precision(columns.shape[1]))
-        units = np.concatenate([CALIBRATION_SD, *(form.typical for form in forms)])
-        calibration = np.where(system.path.s.usable[:, 4:].any() | (np.arange(4) < 3), sizes[:4], 0.0) * CALIBRATION_SD
-        cuts = np.cumsum([4, *(len(form.parameters) for form in forms)])
-        theta = tuple(
-            sizes[first:last] * form.typical for first, last, form in zip(cuts[:-1], cuts[1:], forms, strict=True)
-        )
-        path = hypothesis_path(system.path.s, calibration, forms, theta, system.path)
-        left = residuals(path, system.nominal)
-        white = rows(path, system.noise, left[:, :, None])[:, 0]
-        return Fitted(
-            forms=forms,
-            theta=theta,
-            calibration=calibration,
-            covariance=covariance * np.outer(units, units),
-            path=path,
-            chi_square=float(white @ white),
-            left=left,
-        )
+        return stepped(self.system, self.current, self.weighting())
 
     def neighbours(self, model: Model) -> list[Model]:
         """Return the models one effect more, one less or one exchanged away, this one first."""

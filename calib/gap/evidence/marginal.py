@@ -129,8 +129,7 @@ def ridge_solve(gram: FloatArray, right: FloatArray, ridge: float) -> FloatArray
     array of float, shape (..., p)
     """
     eye = np.eye(gram.shape[-1])
-    # what a nuisance took all of is left with the rounding of its square, which may be below nought
-    size = np.sqrt(np.maximum(np.diagonal(gram, axis1=-2, axis2=-1), 0.0) + ridge)
+    size = np.sqrt(np.diagonal(gram, axis1=-2, axis2=-1) + ridge)
     scaled = (gram + ridge * eye) / (size[..., :, None] * size[..., None, :]) + 1e-10 * eye
     made: FloatArray = np.linalg.solve(scaled, (right / size)[..., None])[..., 0] / size
     return made

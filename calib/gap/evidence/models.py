@@ -89,7 +89,7 @@ class Columns:
         return columns, owner
 
 
-def log_weights(sums: Sums, columns: Columns, models: Sequence[tuple[int, ...]], temper: float) -> FloatArray:
+def log_weights(sums: Sums, columns: Columns, models: Sequence[tuple[int, ...]]) -> FloatArray:
     """Return log evidence plus log prior of each model at each scale of the rest, shape (n_scales, n_models)."""
     value = np.full((len(sums.square), len(models)), -np.inf)
     widths = np.array([int(sum(columns.cuts[f + 1] - columns.cuts[f] for f in model)) for model in models])
@@ -99,16 +99,16 @@ def log_weights(sums: Sums, columns: Columns, models: Sequence[tuple[int, ...]],
         places = np.flatnonzero(group == number)
         for first in range(0, len(places), _BATCH):
             some = places[first : first + _BATCH]
-            value[:, some] = _batch(sums, columns, [models[k] for k in some], temper)
+            value[:, some] = _batch(sums, columns, [models[k] for k in some])
     return value
 
 
-def _batch(sums: Sums, columns: Columns, models: Sequence[tuple[int, ...]], temper: float) -> FloatArray:
+def _batch(sums: Sums, columns: Columns, models: Sequence[tuple[int, ...]]) -> FloatArray:
     index, owner = columns.index(models)
     prior = np.array([columns.log_prior[list(model)].sum() + columns.by_count[len(model)] for model in models])
     base = sums.log_prior[:, None] + prior[None, :]
     if index.shape[1] == 0:
-        empty: FloatArray = base + temper * log_marginal(sums.square, sums.log_det, sums.n_rows)[:, None]
+        empty: FloatArray = base + log_marginal(sums.square, sums.log_det, sums.n_rows)[:, None]
         return empty
     there = index >= 0
     gram = sums.gram[:, index[:, :, None], index[:, None, :]] * (there[:, :, None] & there[:, None, :])
@@ -119,7 +119,7 @@ def _batch(sums: Sums, columns: Columns, models: Sequence[tuple[int, ...]], temp
     sign = np.where(there, columns.sign[index], 0)
     bayes, gain = log_evidence_parts(gram, right, variance)
     square = np.maximum(sums.square[:, None] - gain, 1e-9)
-    value = temper * log_marginal(square, sums.log_det[:, None] + bayes, sums.n_rows)
+    value = log_marginal(square, sums.log_det[:, None] + bayes, sums.n_rows)
     signed = sign.any(axis=1)
     if signed.any():
         value[:, signed] += log_right_sign(gram[:, signed], right[:, signed], variance[:, signed], sign[signed])
@@ -154,7 +154,8 @@ def log_evidence_parts(gram: FloatArray, right: FloatArray, variance: FloatArray
 def log_right_sign(gram: FloatArray, right: FloatArray, variance: FloatArray, sign: IntArray) -> FloatArray:
     """Return the log probability that sizes have the sign they can only have, both being as likely before, shape (...).
 
-    Of several parameters each by itself, shape (..., k), as if their estimates were independent.
+    Of several parameters each by itself, as if their estimates were independent. Scalar products (..., k, k) and
+    (..., k), prior variances (..., k) and signs (..., k), 0 where either may be.
     """
     from scipy.special import log_ndtr
 

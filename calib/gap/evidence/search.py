@@ -11,6 +11,7 @@ import numpy as np
 
 from calib.arrays import FloatArray
 from calib.gap.effects.effect import Effect, Form
+from calib.gap.evidence.approach import approached
 from calib.gap.evidence.climb import Climb, Model, Settings
 from calib.gap.evidence.fit import Fitted
 from calib.gap.evidence.noise import Noise
@@ -28,9 +29,7 @@ _ALONE: Final = 3
 #: models weighed together with the calibration: so many at most, those within so many nats of the best
 _LIKELY: Final = 12
 _LIKELY_NATS: Final = 7.0
-#: a gap is said to exist where it is likelier than not: 12 of 326 sound campaigns (3.7 %) then raise a false alarm
-DETECTION: Final = 0.5
-#: what is less probable than this is likelier not to be
+#: what is less probable than this is likelier not to be; of 326 sound campaigns 12 (3.7 %) have a likelier gap
 EVEN: Final = 0.5
 #: sets that are taken at hand, one after the other
 _TURNS: Final = 5
@@ -132,7 +131,8 @@ def search(
     every = [form for made in forms.values() for form in made]
     alone = LinearSystem(base, nominal, noise, every)
     begun = Climb(alone, settings)
-    first = copy(begun) if start is None else Climb(LinearSystem(start.fitted, nominal, noise, every), settings)
+    near = _begin_at(start, nominal, noise, begun)
+    first = copy(begun) if near is base else Climb(LinearSystem(near, nominal, noise, every), settings)
     room, fitted = _settle(first, noise, every, settings, passed)
     if room.weighting().scale > _SMALL_REST and begun.offered:
         # several causes together may leave little where each alone leaves a large rest, and about a path far off the
@@ -149,7 +149,7 @@ def search(
     room, fitted, weighed = _likeliest(
         room,
         fitted,
-        of_base.nothing * of_base.as_believed < 1.0 - DETECTION,
+        of_base.nothing * of_base.as_believed < EVEN,
         lambda other: _settle(other, noise, every, settings, passed, climbs=False),
         lambda other: _weighed(other, settings, shifts),
     )
@@ -169,6 +169,14 @@ def search(
         weighting=room.weighting(),
         nothing=of_base.nothing,
     )
+
+
+def _begin_at(start: Search | None, nominal: Path, noise: Noise, begun: Climb) -> Fitted:
+    """Return the hypothesis about whose path the search begins."""
+    if start is not None:
+        return start.fitted
+    on_offer = begun.forms_of(tuple(begun.offered))
+    return approached(nominal, noise, begun.system.fitted, on_offer, begun.settings.most_effects)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

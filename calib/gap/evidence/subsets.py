@@ -156,7 +156,7 @@ def weigh_subsets(
     def weight(picked: Sequence[int], scale: float) -> float:
         gram, right = sums.gram[:, picked][:, :, picked], sums.right[:, picked]
         log_det, gain = log_evidence_parts(gram, right, np.full(len(picked), scale**2))
-        value = settings.temper * (log_marginal(sums.square - gain, sums.log_det + log_det, sums.n_rows))
+        value = log_marginal(sums.square - gain, sums.log_det + log_det, sums.n_rows)
         return float(np.logaddexp.reduce(value + sums.log_prior))
 
     def of_subset(subset: tuple[int, ...]) -> float:
@@ -165,7 +165,7 @@ def weigh_subsets(
             return weight(picked, 1.0)
         # as with the parameters of a form: one scale for all that is off, chosen by its size and paid for once
         scale = float(np.clip(np.sqrt(np.mean(times[picked] ** 2)), 0.1, 10.0))
-        return weight(picked, scale) + log_prior_of(len(picked), settings) - settings.temper * SCALE_COST
+        return weight(picked, scale) + log_prior_of(len(picked), settings) - SCALE_COST
 
     weights = {subset: of_subset(subset) for subset in SUBSETS + _ONE_WHEEL}
     for subset in _ONE_WHEEL:

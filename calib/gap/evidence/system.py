@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -23,6 +24,8 @@ from calib.gap.predict.residuals import residuals
 
 #: prior odds that something is left that no named cause explains
 PRIOR_REST = 0.15
+#: of a sum of products over some thousand rows in double precision, relative to its largest part
+_ROUNDING: Final = 1e-13
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -205,7 +208,7 @@ class _Reduced:
     """Scalar products with what each block may have of its own taken out."""
 
     def __init__(self, whole: FloatArray, deviations: FloatArray, blocks: Blocks) -> None:
-        self.gram = whole.T @ whole
+        self.gram = _above_rounding(whole.T @ whole)
         self.log_det = 0.0
         #: rows of the blocks of each length, shape (n, length, width), and what takes their own columns out of them
         self.wholes = [whole[places] for _, places in blocks.alike]
@@ -214,7 +217,7 @@ class _Reduced:
             for (_, places), of_blocks in zip(blocks.alike, self.wholes, strict=True):
                 own = deviations[places]
                 turned = own.transpose(0, 2, 1)
-                lower = np.linalg.cholesky(np.eye(own.shape[2]) + turned @ own)
+                lower = np.linalg.cholesky(np.eye(own.shape[2]) + _above_rounding(turned @ own))
                 self.log_det += 2 * float(np.log(np.diagonal(lower, axis1=1, axis2=2)).sum())
                 factor = np.linalg.solve(lower, turned)
                 self.factors.append(factor)
@@ -238,3 +241,8 @@ class _Reduced:
             eigens.append(eigen[keep])
             turned.append((vectors.transpose(0, 2, 1) @ cross)[keep])
         return np.concatenate(eigens), np.concatenate(turned)
+
+
+def _above_rounding(gram: FloatArray) -> FloatArray:
+    """Return scalar products (..., k, k) with squares a little larger: what is left of any is not below nought then."""
+    return np.asarray(gram * (1.0 + _ROUNDING * np.eye(gram.shape[-1])))

@@ -101,6 +101,17 @@ class Weighting:
         p = columns.shape[1]
         return (inverse @ right)[:p], inverse[:p, :p]
 
+    def square(self, gap: FloatArray) -> float:
+        """Return y^T V^-1 y of a gap y, shape (n_rows,)."""
+        inside = np.zeros((1 + self.common.shape[1],) * 2)
+        whole = np.concatenate([gap[:, None], self.common], axis=1)
+        for numbers, places in self.system.blocks.alike:
+            part = whole[places]
+            solved = np.linalg.solve(np.stack([self.covariance[number] for number in numbers]), part)
+            inside += part.reshape(-1, part.shape[2]).T @ solved.reshape(-1, part.shape[2])
+        common = inside[0, 1:] @ np.linalg.solve(np.eye(len(inside) - 1) + inside[1:, 1:], inside[1:, 0])
+        return float(inside[0, 0] - common)
+
     def spread(self, change: FloatArray, units: BoolArray) -> float:
         """Return the standard deviation of the gap along a change (n_rows,) of some units: sqrt(change^T V change)."""
         system, total = self.system, 0.0

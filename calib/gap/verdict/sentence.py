@@ -8,6 +8,7 @@ from typing import Final
 
 from calib.gap.effects.calibration import HIDES_IN
 from calib.gap.effects.library import title_of, why_it_stays
+from calib.gap.evidence.search import EVEN
 from calib.gap.verdict.outcome import ChannelClosure
 from calib.gap.verdict.result import ALIKE, SURE, Cause, Verdict, VerdictKind
 from calib.gap.where.result import PlaceLine, Where
@@ -43,7 +44,7 @@ def _sentence(verdict: Verdict) -> str:
         )
     if verdict.kind is VerdictKind.UNKNOWN:
         cause = f"There is a gap, but no effect of the library explains it{_depends(verdict.where)}."
-        return f"{_channels(verdict)}{cause}"
+        return f"{_channels(verdict)}{cause}{_nearest(verdict)}"
     return f"{_channels(verdict)}{_explained(verdict)}"
 
 
@@ -60,6 +61,16 @@ def _explained(verdict: Verdict) -> str:
     else:
         words = f"The gap is explained by {_listed(verdict.causes)}"
     return f"{words}.{_hidden(verdict)}{_implausible(verdict)}"
+
+
+def _nearest(verdict: Verdict) -> str:
+    """Return what would be named if it did not leave more of the gap than it explains."""
+    likely = [name for name, probability in verdict.probabilities.items() if probability >= EVEN and name != "unknown"]
+    if not likely:
+        return ""
+    return (
+        f" What comes nearest, {_joined([_named(name, {}) for name in likely], 'and')}, leaves more than it explains."
+    )
 
 
 def _left(verdict: Verdict) -> str:

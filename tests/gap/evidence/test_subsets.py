@@ -21,7 +21,7 @@ from tests.gap.effects.making import Motion, Run, rich_runs, situation
 #: rounding of sums over some hundred rows, in nats
 ROUNDING = 1e-6
 #: without a rest, and with the evidence as it is
-PLAIN = Settings(prior_rest=1e-300, temper=1.0, tolerance=1e-9)
+PLAIN = Settings(prior_rest=1e-300, tolerance=1e-9)
 #: of one subset of so many: 0.3, 0.15 and 0.075 for all of a size together, of which there are 5, 5 and 1
 PRIOR_ODDS = (1.0, 0.06, 0.03, 0.075)
 

@@ -24,6 +24,8 @@ def verdict(kind: str, *causes: tuple[str, float], recommended: bool = False, ti
         (verdict("partly_explained", ("load_radius", 0.5)), "a rest of the gap is left"),
         (verdict("explained", ("load_radius", 0.9), ("wear", 0.4)), "too little speaks for wear (0.40)"),
         (verdict("explained", ("load_radius", 0.9)), "not shown to hold"),
+        (verdict("explained", ("session_step", 0.9)), "calibrate in each"),
+        (verdict("explained", ("load_radius", 0.9), ("floor_zone", 0.9)), "at a place of the floor is mended there"),
     ],
 )
 def test_the_reason_fits_the_verdict(given: Verdict, words: str) -> None:

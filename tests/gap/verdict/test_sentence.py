@@ -41,3 +41,19 @@ def test_an_unknown_gap_has_a_size_but_nothing_after() -> None:
     """Nothing is named, so nothing was fitted that could shrink it."""
     words = said(VerdictKind.UNKNOWN, DISTANCE, named=False)
     assert words.startswith("Against the campaign's own model: distance 6.1 mm (floor 2.3). There is a gap")
+    assert "nearest" not in words
+
+
+def test_what_would_be_named_if_it_did_not_leave_most_is_said_to_come_nearest() -> None:
+    """The reader sees where the search ended, and that it is no cause."""
+    verdict = Verdict(
+        VerdictKind.UNKNOWN,
+        "",
+        (),
+        closure=Closure(channels=(DISTANCE,)),
+        probabilities={"unknown": 0.99, "track_width": 0.9, "floor_zone": 0.6, "wear": 0.2},
+    )
+    assert sentence(verdict).endswith(
+        "What comes nearest, a track other than believed (track_width) and a zone of the floor that shortens the way "
+        "or turns the vehicle (floor_zone), leaves more than it explains."
+    )
