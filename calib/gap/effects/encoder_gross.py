@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.arrays import FloatArray
+from calib.arrays import BoolArray, FloatArray
 from calib.gap.effects.effect import Effect, Family, Form, Observations, Path
 from calib.gap.predict.path import predict
 from calib.gap.predict.residuals import residuals
@@ -19,6 +19,8 @@ _SWAPPED: Final = "swapped wheels"
 GROSS: Final = 0.08
 #: and a correction is believed where it leaves less than this share of that
 CLOSES: Final = 0.2
+#: rise over run, and radians, within which a run is straight: no route turns by so little
+_ASIDE: Final = 0.2
 
 
 class EncoderGross(Effect):
@@ -45,12 +47,17 @@ class GrossFault:
     """What the counts have to be multiplied by to be right; sides swapped first where `swapped`."""
 
     effect = EncoderGross
-    remark = "put the counts right, then diagnose again"
 
     label: str
     left: float
     right: float
     swapped: bool = False
+
+    @property
+    def remark(self) -> str:
+        """What to do about it."""
+        axes = "or the reference's axes (y to the left, angles counter-clockwise), " if self.swapped else ""
+        return f"put the counts right, {axes}then diagnose again"
 
     @property
     def sizes(self) -> Mapping[str, tuple[float, tuple[float, float], str]]:
@@ -97,15 +104,29 @@ def corrected(observations: Observations, fault: GrossFault) -> Observations:
 
 
 def misfit(path: Path) -> FloatArray:
-    """Return how far each unit is off, as a share of its length and per radian, 1 at most, shape (n_units,)."""
+    """Return how far each unit is off, as a share of its length and per radian, 1 at most, shape (n_units,).
+
+    A straight run is judged by its length and by how far its wheels differ: over a long one a radius that is half a
+    per cent off, as one under load is, turns the vehicle by a quarter radian and leads it far aside.
+    """
     observations = path.s
-    gap = np.abs(residuals(path, path))
+    gap = np.where(observations.usable, np.abs(residuals(path, path)), 0.0)
     length = np.maximum(
         np.hypot(observations.measured[:, 1], observations.measured[:, 2]), np.nan_to_num(observations.measured[:, 0])
     )
     length = np.where(np.isfinite(length) & (length > 0.5), length, np.maximum(observations.length_m, 0.5))
-    ways = np.where(observations.usable[:, :3], gap[:, :3], 0.0).max(axis=1) / length
-    return np.asarray(np.minimum(np.maximum(ways, np.where(observations.usable[:, 3], gap[:, 3], 0.0)), 1.0))
+    straight = _straight(observations)
+    ways = np.where(straight, gap[:, :2].max(axis=1), gap[:, :3].max(axis=1)) / length
+    per_turn = np.where(straight, observations.model.track_m / length, 1.0)
+    return np.asarray(np.minimum(np.maximum(ways, per_turn * gap[:, 3]), 1.0))
+
+
+def _straight(observations: Observations) -> BoolArray:
+    """Return which units were measured to end ahead, headed as at their beginning, shape (n_units,)."""
+    measured, usable = observations.measured, observations.usable
+    aside = usable[:, 2] & ~(np.abs(measured[:, 2]) < _ASIDE * np.abs(measured[:, 1]))
+    turned = usable[:, 3] & ~(np.abs(measured[:, 3]) < _ASIDE)
+    return np.asarray(~aside & ~turned)
 
 
 def find_gross(observations: Observations, nominal: Path) -> GrossFault | None:

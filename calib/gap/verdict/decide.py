@@ -7,6 +7,9 @@ from dataclasses import dataclass, replace
 from math import prod
 from typing import Final
 
+import numpy as np
+
+from calib.gap.effects.encoder_gross import GROSS, misfit
 from calib.gap.evidence.search import EVEN
 from calib.gap.verdict.agreement import agreement_m
 from calib.gap.verdict.causes import causes_of
@@ -24,7 +27,7 @@ from calib.gap.verdict.odds import (
 from calib.gap.verdict.outcome import DRIVEN, JOURNEYS, Closure, Fix, Group, NoiseSummary, Rest
 from calib.gap.verdict.rest import rest_of
 from calib.gap.verdict.result import ALIKE, SURE, Cause, Verdict, VerdictKind
-from calib.gap.verdict.sentence import sentence
+from calib.gap.verdict.sentence import gross_sentence, sentence
 from calib.gap.verdict.transfer import Trial
 
 #: closure on held-out runs below which a fix is not recommended, and an explanation not believed
@@ -73,6 +76,8 @@ class Balance:
         Whether the correction closes the gap on whatever was left out.
     supported : bool
         Whether the runs support a floor at all.
+    off : float
+        How far runs end off with what would be named, as a share of their length, on average.
     """
 
     gap: float
@@ -85,6 +90,7 @@ class Balance:
     ci95: tuple[float, float] | None = None
     carries: bool = True
     supported: bool = True
+    off: float = 0.0
 
     @property
     def beside_rest(self) -> bool:
@@ -110,7 +116,7 @@ def kind_of(balance: Balance) -> VerdictKind:
         return VerdictKind.UNDECIDED
     if balance.gap < EVEN:
         return VerdictKind.NO_GAP
-    if balance.n_named == 0 or balance.leaves_most:
+    if balance.n_named == 0 or balance.leaves_most or balance.off >= GROSS:
         return VerdictKind.UNKNOWN
     if balance.buried:
         return VerdictKind.PARTLY_EXPLAINED if balance.sure else VerdictKind.UNKNOWN
@@ -214,7 +220,7 @@ def decide(evidence: Evidence) -> Verdict:
         campaign=evidence.campaign,
         simulated=evidence.simulated,
     )
-    return replace(verdict, sentence=sentence(verdict))
+    return replace(verdict, sentence=sentence(verdict) if balance.off < GROSS else gross_sentence(verdict, balance.off))
 
 
 def _fix(
@@ -279,4 +285,5 @@ def _balance(
         ci95=evidence.held_out.ci95,
         carries=not any(trial.fails for trial in evidence.trials),
         supported=evidence.noise.supported,
+        off=float(np.mean(misfit(evidence.fitted.path))),
     )

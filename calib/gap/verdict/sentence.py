@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from math import prod
+from math import isinf, prod
 from typing import Final
 
 from calib.gap.effects.calibration import HIDES_IN
@@ -30,6 +30,16 @@ def sentence(verdict: Verdict) -> str:
     """
     finding = verdict.noise.finding
     return f"{finding} {_sentence(verdict)}" if finding else _sentence(verdict)
+
+
+def gross_sentence(verdict: Verdict, off: float) -> str:
+    """Return the verdict where runs end off by a share of their length that no effect of a vehicle explains."""
+    return (
+        f"Against {verdict.against} runs end off by {100 * off:.0f} % of their length on average, whatever effect of "
+        "the library is assumed: that is no matter of wheels and floor. Look for units (metres, radians, newtons), axes "
+        "of the reference (x ahead, y to the left, angles counter-clockwise), columns that stand for one another, "
+        "counts per revolution, and wheels that this drive does not have."
+    )
 
 
 def _sentence(verdict: Verdict) -> str:
@@ -134,7 +144,10 @@ def _further(verdict: Verdict) -> list[tuple[str, float]]:
 
 
 def _listed(causes: Sequence[Cause]) -> str:
-    return _joined([f"{cause.title} ({cause.effect})" for cause in causes], "and")
+    # of a gross fault the label says what to do
+    return _joined(
+        [f"{cause.title} ({cause.effect}{f': {cause.form}' * isinf(cause.signal)})" for cause in causes], "and"
+    )
 
 
 def _joined(parts: Sequence[str], word: str) -> str:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from calib.campaign.model import Campaign
+from calib.campaign.read import read_campaign
 from calib.gap.data.from_campaign import observations_of
 from calib.gap.effects.encoder_gross import GrossFault, corrected, find_gross
 from calib.gap.predict.path import predict
@@ -42,6 +44,24 @@ def test_a_factor_planted_is_named_with_its_inverse(factor: float, side: str) ->
     assert (fault.left, fault.right) == pytest.approx((1 / a, 1 / b))
     assert ("backwards" in fault.label) == (factor < 0)
     assert side in fault.label
+
+
+@pytest.mark.parametrize("factor", [0.25, 0.5, 2.0, 4.0])
+@pytest.mark.parametrize("sample", ["corridor", "corridor_crossed", "yard"])
+def test_counts_per_revolution_taken_for_another_are_named_whatever_the_loads(
+    sample: str, factor: float, project_root: Path
+) -> None:
+    """Of 40 m under unequal loads the end lies metres aside and a quarter radian turned with the right counts, too."""
+    fault = found(
+        lambda left, right: (left * factor, right * factor), read_campaign(project_root / "sample_runs" / sample)
+    )
+    assert fault is not None
+    assert (fault.left, fault.right) == pytest.approx((1 / factor, 1 / factor))
+
+
+@pytest.mark.parametrize("sample", ["corridor", "corridor_crossed", "yard"])
+def test_samples_with_the_right_counts_have_no_fault(sample: str, project_root: Path) -> None:
+    assert found(lambda left, right: (left, right), read_campaign(project_root / "sample_runs" / sample)) is None
 
 
 def test_swapped_wheels_are_named() -> None:

@@ -71,10 +71,18 @@ def test_what_leaves_a_rest_explains_in_part(balance: Balance) -> None:
         replace(CLEAR, rest=0.9, fraction=None, ci95=None),
         replace(CLEAR, fraction=0.1, ci95=(-0.2, 0.4)),
         Balance(gap=1.0, n_named=0, rest=1.0),
+        replace(CLEAR, off=0.2),
         # however probable: an effect that is in no library is imitated by those that are
         replace(CLEAR, rest=0.6, sure=True, fraction=0.3, ci95=(0.1, 0.45)),
     ],
-    ids=["rest, no closure", "rest, closure unmeasured", "no closure", "nothing named", "surely less than half"],
+    ids=[
+        "rest, no closure",
+        "rest, closure unmeasured",
+        "no closure",
+        "nothing named",
+        "gross",
+        "surely less than half",
+    ],
 )
 def test_what_closes_nothing_leaves_the_cause_unknown(balance: Balance) -> None:
     assert kind_of(balance) is VerdictKind.UNKNOWN
