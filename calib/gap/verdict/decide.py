@@ -114,7 +114,7 @@ def kind_of(balance: Balance) -> VerdictKind:
     """Return which verdict it is."""
     if not balance.supported:
         return VerdictKind.UNDECIDED
-    if balance.gap < EVEN:
+    if balance.gap < EVEN and balance.off < GROSS:
         return VerdictKind.NO_GAP
     if balance.n_named == 0 or balance.leaves_most or balance.off >= GROSS:
         return VerdictKind.UNKNOWN
@@ -220,7 +220,8 @@ def decide(evidence: Evidence) -> Verdict:
         campaign=evidence.campaign,
         simulated=evidence.simulated,
     )
-    return replace(verdict, sentence=sentence(verdict) if balance.off < GROSS else gross_sentence(verdict, balance.off))
+    gross = kind is VerdictKind.UNKNOWN and balance.off >= GROSS
+    return replace(verdict, sentence=gross_sentence(verdict, balance.off) if gross else sentence(verdict))
 
 
 def _fix(

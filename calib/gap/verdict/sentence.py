@@ -36,8 +36,8 @@ def gross_sentence(verdict: Verdict, off: float) -> str:
     """Return the verdict where runs end off by a share of their length that no effect of a vehicle explains."""
     return (
         f"Against {verdict.against} runs end off by {100 * off:.0f} % of their length on average, whatever effect of "
-        "the library is assumed: that is no matter of wheels and floor. Look for units (metres, radians, newtons), axes "
-        "of the reference (x ahead, y to the left, angles counter-clockwise), columns that stand for one another, "
+        "the library is assumed: that is no matter of wheels and floor. Look for units (metres, radians, newtons), "
+        "axes of the reference (x ahead, y to the left, angles counter-clockwise), columns that stand for one another, "
         "counts per revolution, and wheels that this drive does not have."
     )
 

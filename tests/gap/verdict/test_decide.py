@@ -72,6 +72,7 @@ def test_what_leaves_a_rest_explains_in_part(balance: Balance) -> None:
         replace(CLEAR, fraction=0.1, ci95=(-0.2, 0.4)),
         Balance(gap=1.0, n_named=0, rest=1.0),
         replace(CLEAR, off=0.2),
+        replace(CLEAR, gap=0.1, off=0.2),
         # however probable: an effect that is in no library is imitated by those that are
         replace(CLEAR, rest=0.6, sure=True, fraction=0.3, ci95=(0.1, 0.45)),
     ],
@@ -81,6 +82,7 @@ def test_what_leaves_a_rest_explains_in_part(balance: Balance) -> None:
         "no closure",
         "nothing named",
         "gross",
+        "gross beside a gross floor",
         "surely less than half",
     ],
 )
