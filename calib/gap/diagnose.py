@@ -12,7 +12,7 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
-from calib.errors import RefusedError
+from calib.errors import BadInputError, RefusedError
 from calib.gap.data.from_campaign import observations_of
 from calib.gap.data.observations import Observations
 from calib.gap.diagnosis import Diagnosis
@@ -49,6 +49,8 @@ if TYPE_CHECKING:
 MOST_FLOOR: Final = 1.5
 #: how often at most the floor is taken again once a large effect is known
 PASSES: Final = 3
+#: of a millimetre the square is a part in 1e18 of this way's: double precision ends there
+FURTHEST_M: Final = 1e6
 
 
 def diagnose_in_full(
@@ -184,6 +186,7 @@ def _observed(
 ) -> tuple[Observations, tuple[str, ...]]:
     """Return what was driven, as a simulator that has some effects already predicts it, and what had to be assumed."""
     observations = observations_of(campaign, model)
+    _check_ways(campaign, observations)
     if not observations.usable.any():
         raise RefusedError(
             f"{campaign.name}: no run has a channel that can be compared with the simulation; an end pose needs "
@@ -192,6 +195,19 @@ def _observed(
     if not applied:
         return observations, ()
     return with_effects(observations, applied, declared=campaign.extra.get("effects", ()))
+
+
+def _check_ways(campaign: Campaign, observations: Observations) -> None:
+    """Refuse runs whose wheels rolled further than can be computed with beside millimetres."""
+    for travel_m in (observations.travel_left_m, observations.travel_right_m):
+        ways_m = np.bincount(observations.unit, np.abs(travel_m), len(observations))
+        number = int(np.argmax(ways_m))
+        if not ways_m[number] <= FURTHEST_M:
+            raise BadInputError(
+                f"{campaign.name}: run {observations.labels['run_id'][number]}: found counts of a way of "
+                f"{ways_m[number]:.3g} m; expected {FURTHEST_M:.0e} m at most, beside which a millimetre is lost in "
+                "rounding; look at the counts of this run"
+            )
 
 
 def _searched(
