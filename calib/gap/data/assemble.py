@@ -14,7 +14,12 @@ from calib.campaign.settings import OdometryModel
 from calib.gap.data.channels import Channel
 from calib.gap.data.driven_alike import Driven, alike
 from calib.gap.data.observations import STRAIGHT_RAD, Observations
-from calib.gap.data.straightness import heading_by_straightness, weave_of_log, were_led_straight
+from calib.gap.data.straightness import (
+    heading_by_straightness,
+    steered_by_counts,
+    weave_of_log,
+    were_led_straight,
+)
 from calib.gap.data.unit import Setup, Unit
 from calib.gap.data.wheel_loads import filled_loads
 
@@ -62,7 +67,7 @@ def assemble(setup: Setup, units: Sequence[Unit], notes: Sequence[str]) -> Obser
     path, turn = steps.total(steps.path_m), steps.total(steps.turn_rad)
     index = np.array([u.run for u in units])
     measured, usable = _measured(units, path, turn, steps.logged, remarks)
-    led, sigma_led = _led_straight(campaign, steps, measured, index, remarks)
+    led, sigma_led = _led_straight(setup, steps, measured, index, remarks)
     measured[led, 3], usable[led, 3] = 0.0, True
     _front_channels(measured, usable, steps.total(front + steer), stands_in)
     simulated = _simulated(units, usable, remarks)
@@ -196,15 +201,26 @@ def _measured(
 
 
 def _led_straight(
-    campaign: Campaign, steps: _Steps, measured: FloatArray, index: IntArray, remarks: list[str]
+    setup: Setup, steps: _Steps, measured: FloatArray, index: IntArray, remarks: list[str]
 ) -> tuple[BoolArray, FloatArray]:
     """Return which units have the heading of a run led straight, and its standard uncertainty, each (n_units,)."""
+    campaign = setup.campaign
     path, turn = steps.total(steps.path_m), steps.total(steps.turn_rad)
     posed = np.asarray(np.isfinite(measured[:, 1:4]).any(axis=1))
     if np.array_equal(steps.roll_left, steps.roll_right):
         # one sensor stands for both wheels: nothing can tell them apart
         posed[:] = True
     led = were_led_straight(measured[:, 0], path, turn, steps.model.track_m, posed)
+    apart_m = turn[led] * steps.model.track_m
+    radius = campaign.vehicle.wheel_radius_m
+    if steered_by_counts(apart_m, path[led], (radius / setup.per_rad.left, radius / setup.per_rad.right)):
+        milli = 1e3 * float(np.sqrt(np.mean(apart_m**2)))
+        remarks.append(
+            f"{int(led.sum())} runs have a distance and no end pose, and their wheels rolled alike to within "
+            f"{milli:.2g} mm, as no floor lets them: the vehicle steered by its own counts, and these runs say nothing "
+            "of one wheel against the other"
+        )
+        led = np.zeros_like(led)
     sigma, assumed = heading_by_straightness(
         campaign.runs.number("amplitude_m")[index],
         campaign.runs.number("wavelength_m")[index],

@@ -18,6 +18,11 @@ ASSUMED_LATERAL_M: Final = 0.05
 MOST_UNEQUAL: Final = 0.02
 #: the distance measured and that rolled agree to this share, on a straight line
 AGREES: Final = 0.05
+#: wheels on a smooth floor part by so much over a square root of a metre at least; of the real robots at hand the
+#: smoothest parts by 9e-4
+LEAST_WALK: Final = 1e-4
+#: fewer runs may roll alike by chance
+FEWEST_ALIKE: Final = 5
 
 
 def were_led_straight(
@@ -45,6 +50,28 @@ def were_led_straight(
     straight = np.abs(turn_rad) * track_m < MOST_UNEQUAL * way
     led: BoolArray = along & straight & ~posed
     return led
+
+
+def steered_by_counts(apart_m: FloatArray, way_m: FloatArray, count_m: tuple[float, float]) -> bool:
+    """Return whether wheels rolled so alike, run by run, that the vehicle kept them alike itself.
+
+    A vehicle that steers by its own counts ends each run with the wheels alike to within a count, wherever it went:
+    nothing then says that the way was straight. Led along a line, the wheels part by what floor and rubber make of it.
+    Where counting is coarser than that, the runs cannot say which it was, and are taken as led.
+
+    Parameters
+    ----------
+    apart_m, way_m : array of float, shape (n_units,)
+        What the right wheel rolled beyond the left, and the length of the way.
+    count_m : tuple of float
+        Way of one count, left and right.
+    """
+    if len(apart_m) < FEWEST_ALIKE:
+        return False
+    # the first and the last count are each off by a uniform share of a count
+    counting = (count_m[0] ** 2 + count_m[1] ** 2) / 6.0
+    walk = LEAST_WALK**2 * float(np.mean(np.abs(way_m)))
+    return counting < walk and float(np.mean(apart_m**2)) < counting + 0.25 * walk
 
 
 def heading_by_straightness(

@@ -57,7 +57,7 @@ class Settings:
     """
 
     further: float = 0.5
-    prior_rest: float = 0.15
+    prior_rest: float = 0.05
     tolerance: float = 0.15
     most_effects: int = 6
     paired: int = 60

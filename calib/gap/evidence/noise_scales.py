@@ -13,8 +13,10 @@ from calib.gap.evidence.noise_kernels import COMPONENTS, MEDIANS, fixed_noise, k
 from calib.gap.predict.path import Path
 
 SPREADS: Final = np.array([spread for _, _, spread in COMPONENTS])
-#: Student-t weights of units far from their repeats have so many degrees of freedom
-ROBUST_DOF: Final = 5.0
+#: units further from their repeats than normal noise takes one in so many of weigh less. Weights that already fall
+#: within its reach let what repeats have in common scatter beyond its stated floor, by a seventh to a quarter in the
+#: square and two to three times as often beyond its 99 % quantile, even where noise is normal
+BEYOND: Final = 0.05
 #: scales are found from at most so many units: their uncertainty is then a few per cent, and the cost is bounded
 MOST_UNITS: Final = 480
 _ROUNDS: Final = 3
@@ -213,7 +215,9 @@ class ScaleLikelihood:
         return 0.5 * (log_det + middle + float(away @ away)), gradient
 
     def weights(self, log_scale: FloatArray) -> FloatArray:
-        """Return Student-t weights from how far units stand from their repeats, shape (n,)."""
+        """Return weights of units by how far they stand from their repeats, 1 within normal reach, shape (n,)."""
+        from scipy.special import chdtri
+
         _, columns = self._whitened(self.shapes.covariance(log_scale, np.ones(len(self.usable))))
         left, own, _ = self._solved(columns)
         lever = 6.0 - np.trace(own, axis1=1, axis2=2)
@@ -221,7 +225,8 @@ class ScaleLikelihood:
         # what a unit keeps of its own after its group's means are removed
         kept = np.maximum(dim - lever, 0.25 * dim)
         square = (left**2).sum(axis=1) / kept * dim
-        weight: FloatArray = np.minimum(1.0, (ROBUST_DOF + dim) / (ROBUST_DOF + square))
+        reach = chdtri(dim, BEYOND)
+        weight: FloatArray = reach / np.maximum(square, reach)
         return weight
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import prod
 from typing import Final
@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from calib.gap.effects.encoder_gross import GROSS, misfit
-from calib.gap.evidence.search import EVEN
+from calib.gap.evidence.search import GAP
 from calib.gap.verdict.agreement import agreement_m
 from calib.gap.verdict.causes import causes_of
 from calib.gap.verdict.closure import closure_of
@@ -25,7 +25,7 @@ from calib.gap.verdict.odds import (
     nothing_else_probability,
 )
 from calib.gap.verdict.outcome import DRIVEN, JOURNEYS, Closure, Fix, Group, NoiseSummary, Rest
-from calib.gap.verdict.rest import rest_of
+from calib.gap.verdict.rest import SMALL, explained_share, faint_beside, rest_of
 from calib.gap.verdict.result import ALIKE, SURE, Cause, Verdict, VerdictKind
 from calib.gap.verdict.sentence import gross_sentence, sentence
 from calib.gap.verdict.transfer import Trial
@@ -43,8 +43,6 @@ EXPLAINS: Final = 0.9
 LEAST: Final = 0.1
 #: where a rest hides whether a correction helps, nothing but its own probability speaks for a cause: so much at least
 ALONE: Final = 0.8
-#: a rest, or causes that cannot be told apart, that carry a larger share of the gap are part of the verdict's word
-SMALL: Final = 0.05
 #: beside a larger rest a fix needs causes that show so many times as strongly; half of a fainter one may be the rest
 CLEAR: Final = 2.0
 
@@ -114,7 +112,7 @@ def kind_of(balance: Balance) -> VerdictKind:
     """Return which verdict it is."""
     if not balance.supported:
         return VerdictKind.UNDECIDED
-    if balance.gap < EVEN and balance.off < GROSS:
+    if balance.gap < GAP and balance.off < GROSS:
         return VerdictKind.NO_GAP
     if balance.n_named == 0 or balance.leaves_most or balance.off >= GROSS:
         return VerdictKind.UNKNOWN
@@ -184,8 +182,9 @@ def decide(evidence: Evidence) -> Verdict:
     rest = rest_of(evidence)
     probabilities = effect_probabilities(evidence, alike)
     certain = {name: _certain(evidence, name, alike) for name in evidence.named}
-    causes = causes_of(evidence, probabilities, certain, forms_open)
+    causes = faint_beside(rest, causes_of(evidence, probabilities, certain, forms_open))
     causes = [cause for cause in causes if certain[cause.effect] >= LEAST]
+    probabilities = _stated(probabilities, causes)
     balance = _balance(evidence, groups, None if rest is None else rest.share, causes)
     kind = kind_of(balance)
     nothing_named = kind in {VerdictKind.NO_GAP, VerdictKind.UNKNOWN, VerdictKind.UNDECIDED}
@@ -219,9 +218,16 @@ def decide(evidence: Evidence) -> Verdict:
         judged_against=evidence.judged_against,
         campaign=evidence.campaign,
         simulated=evidence.simulated,
+        gap_probability=1.0 if evidence.faults else balance.gap,
     )
     gross = kind is VerdictKind.UNKNOWN and balance.off >= GROSS
     return replace(verdict, sentence=gross_sentence(verdict, balance.off) if gross else sentence(verdict))
+
+
+def _stated(probabilities: Mapping[str, float], causes: Sequence[Cause]) -> dict[str, float]:
+    """Return the probabilities as the named causes have them, largest first."""
+    stated = {**probabilities, **{cause.effect: cause.probability for cause in causes if cause.effect in probabilities}}
+    return dict(sorted(stated.items(), key=lambda item: -item[1]))
 
 
 def _fix(
@@ -236,11 +242,14 @@ def _fix(
     """Return what the correction is worth; `certain` is that of each cause, as in `recommended`."""
     agreement, nothing_else = agreement_m(evidence, tied), nothing_else_probability(evidence, alike)
     concerned = {*evidence.named, *(name for group in tied for name in group)}
+    explained, scatter = explained_share(evidence)
+    # where all but a small share is surely explained, whatever else is at work can carry no more than that share
+    whole = explained - 2.0 * scatter >= 1.0 - SMALL
     return Fix(
         # the correction holds all that was fitted, and some of it may be none for the journeys to come
         recommended={cause.effect for cause in causes}.issuperset(evidence.named)
         and not any(evidence.effects[name].stays for name in concerned)
-        and recommended(causes, certain, closure, evidence.trials, agreement, rest, nothing_else),
+        and recommended(causes, certain, closure, evidence.trials, agreement, rest, 1.0 if whole else nothing_else),
         agreement_m=agreement,
         agreement_on=DRIVEN if evidence.journeys is None else JOURNEYS,
         nothing_else=nothing_else,

@@ -166,6 +166,8 @@ class Verdict:
         Its name.
     simulated : bool
         Whether its data were made by a program.
+    gap_probability : float or None
+        That anything is off at all; None where nothing says.
     """
 
     kind: VerdictKind
@@ -185,6 +187,7 @@ class Verdict:
     judged_against: str = BY_MODEL
     campaign: str = ""
     simulated: bool = False
+    gap_probability: float | None = None
 
     @property
     def against(self) -> str:
@@ -203,6 +206,7 @@ class Verdict:
             "campaign": self.campaign,
             "simulated": self.simulated,
             "verdict": self.kind.value,
+            "gap_probability": None if self.gap_probability is None else json_number(self.gap_probability),
             "sentence": self.sentence,
             "judged_against": self.judged_against,
             "causes": [cause.to_dict() for cause in self.causes],

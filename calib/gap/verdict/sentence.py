@@ -52,10 +52,16 @@ def _sentence(verdict: Verdict) -> str:
             f"These runs cannot show whether there is a gap: their noise floor rests on {verdict.noise.support}. "
             "Drive one route several times over, alike: repeats decide it."
         )
+    doubt = _doubt(verdict.gap_probability)
     if verdict.kind is VerdictKind.UNKNOWN:
         cause = f"There is a gap, but no effect of the library explains it{_depends(verdict.where)}."
-        return f"{_channels(verdict)}{cause}{_nearest(verdict)}"
-    return f"{_channels(verdict)}{_explained(verdict)}"
+        return f"{_channels(verdict)}{doubt}{cause}{_nearest(verdict)}"
+    return f"{_channels(verdict)}{doubt}{_explained(verdict)}"
+
+
+def _doubt(gap: float | None) -> str:
+    """Return what is said before a gap that is likelier not to be."""
+    return "" if gap is None or gap >= EVEN else f"A gap at all has a probability of {gap:.2f}; if there is one: "
 
 
 def _explained(verdict: Verdict) -> str:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.gap.data.from_campaign import observations_of
-from calib.gap.data.straightness import ASSUMED_LATERAL_M, weave_of_log
+from calib.gap.data.straightness import ASSUMED_LATERAL_M, LEAST_WALK, steered_by_counts, weave_of_log
 from calib.gap.predict.path import predict
 from calib.gap.predict.residuals import residuals
 from tests.gap.data.paths import TRACK_M, Truth, campaign_of
@@ -69,3 +69,39 @@ def test_other_runs_get_no_heading_for_nothing(spoil: str) -> None:
     led = observations_of(campaign_of(**made)).led_straight
     assert not led[:3].any()
     assert led[3:].all() == (spoil == "short")
+
+
+COUNT_M = (1.5e-4, 1.5e-4)
+
+
+@pytest.mark.parametrize(
+    ("walk", "mean_m", "count_m", "expected"),
+    [
+        (0.0, 0.0, COUNT_M, True),
+        (LEAST_WALK, 0.0, COUNT_M, False),
+        (9e-4, 0.0, COUNT_M, False),
+        (0.0, 0.02, COUNT_M, False),
+        (0.0, 0.0, (2e-3, 2e-3), False),
+    ],
+    ids=["to a count", "a smooth floor", "a real robot", "unequal wheels", "coarse counts"],
+)
+def test_wheels_alike_to_a_count_say_that_the_vehicle_kept_them_so(
+    walk: float, mean_m: float, count_m: tuple[float, float], expected: bool
+) -> None:
+    """Thirty runs of 20 m: each end is off by a uniform share of a count, and the floor lets the wheels part."""
+    rng = np.random.default_rng(1)
+    counted = (rng.random((30, 2)) - rng.random((30, 2))) * 0.5 * count_m[0]
+    apart = counted[:, 1] - counted[:, 0] + walk * np.sqrt(20.0) * rng.standard_normal(30) + mean_m
+    assert steered_by_counts(apart, np.full(30, 20.0), count_m) is expected
+
+
+def test_a_few_runs_may_roll_alike_by_chance() -> None:
+    assert not steered_by_counts(np.zeros(4), np.full(4, 20.0), COUNT_M)
+
+
+def test_runs_steered_by_their_counts_get_no_heading_and_it_is_said() -> None:
+    """The wheels turned alike wherever the vehicle went: a heading of nought would say that the radii are equal."""
+    observations = observations_of(campaign_of(**corridor(1e-6)))
+    assert not observations.led_straight.any()
+    assert not observations.usable[:, 3].any()
+    assert any("steered by its own counts" in note for note in observations.notes)

@@ -167,6 +167,18 @@ def test_an_outlier_weighs_less_and_leaves_the_floor_alone() -> None:
     assert 0.7 < ratio < 1.4
 
 
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_normal_noise_keeps_its_weight(seed: int) -> None:
+    """One unit in twenty lies further from its repeats than normal noise takes nineteen; the others weigh all they can.
+
+    Where more weighed less, the floor would come from those close by, and what repeats have in common lie beyond it.
+    """
+    weight = estimated(repeats(seed)).weight
+    # four standard errors of a share of 0.05 among 48 units; the scales are estimated from the same units
+    assert (weight < 1.0).mean() < 0.05 + 4 * np.sqrt(0.05 * 0.95 / 48)
+    assert weight.mean() > 0.95
+
+
 def test_few_repeats_fall_back_to_coarser_groups() -> None:
     """Hardly two runs in one warmth and humidity: conditions serve as repeats, and what the warmth does is no noise."""
     rng = np.random.default_rng(6)

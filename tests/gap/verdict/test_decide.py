@@ -8,6 +8,7 @@ import pytest
 
 from calib.gap.verdict.decide import Balance, kind_of, recommended
 from calib.gap.verdict.outcome import Closure, Rest
+from calib.gap.verdict.rest import faint_beside
 from calib.gap.verdict.result import Cause, VerdictKind
 from calib.gap.verdict.transfer import Trial
 
@@ -159,3 +160,23 @@ def test_beside_a_rest_that_shows_half_as_strongly_a_cause_is_no_fix(rest: Rest 
 def test_where_something_else_may_be_at_work_what_is_named_is_no_fix(nothing_else: float, expected: bool) -> None:
     """Each cause may be sure while it is not that they are all: what carries over is the whole."""
     assert recommended([cause()], [0.9], CLOSED, (), None, None, nothing_else) is expected
+
+
+@pytest.mark.parametrize(
+    ("share", "signal", "expected"),
+    [(0.4, 60.0, 0.5), (0.4, 29.0, 0.9), (0.04, 60.0, 0.9)],
+    ids=["fainter than the rest", "stronger than the rest", "a rest that carries next to nothing"],
+)
+def test_a_cause_fainter_than_a_rest_beside_it_has_even_odds_at_most(
+    share: float, signal: float, expected: float
+) -> None:
+    """What left so much that nothing explains may have left that little, too; the cause shows by 30."""
+    assert [each.probability for each in faint_beside(Rest(share, signal), [cause()])] == [expected]
+
+
+def test_even_odds_raise_no_probability() -> None:
+    assert faint_beside(Rest(0.4, 60.0), [cause(0.3)])[0].probability == 0.3
+
+
+def test_without_a_rest_the_causes_stay_as_they_are() -> None:
+    assert faint_beside(None, [cause()]) == [cause()]

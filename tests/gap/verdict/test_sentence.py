@@ -57,3 +57,12 @@ def test_what_would_be_named_if_it_did_not_leave_most_is_said_to_come_nearest() 
         "What comes nearest, a track other than believed (track_width) and a zone of the floor that shortens the way "
         "or turns the vehicle (floor_zone), leaves more than it explains."
     )
+
+
+@pytest.mark.parametrize(("probability", "doubted"), [(0.44, True), (0.5, False), (0.99, False), (None, False)])
+def test_a_gap_that_is_likelier_not_to_be_is_said_to_be_so(probability: float | None, doubted: bool) -> None:
+    """It is reported, since looking again costs less than a gap not seen; but not as a matter of course."""
+    closure = Closure(channels=(DISTANCE,))
+    words = sentence(Verdict(VerdictKind.EXPLAINED, "", (CAUSE,), closure=closure, gap_probability=probability))
+    assert ("A gap at all has a probability of 0.44; if there is one: The gap is" in words) is doubted
+    assert ("probability" in words) is doubted
