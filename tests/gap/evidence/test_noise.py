@@ -110,6 +110,26 @@ def test_the_gradient_of_the_likelihood_is_that_of_central_differences() -> None
         assert gradient[k] == pytest.approx(change, rel=1e-4, abs=1e-4), NAMES[k]
 
 
+def test_trends_that_a_group_has_of_its_own_leave_no_more_than_rounding() -> None:
+    """Own columns nearly alike, and trends in their span 1e6 floors large: what is left is never less than nought.
+
+    It is the difference of two large sums, and the inverse of columns alike to 1e-5 is wrong in its sixth digit.
+    """
+    s = situation(rich_runs())
+    path = predict(s)
+    rng = np.random.default_rng(1)
+    problem = likelihood(path, residuals(path, path), np.arange(len(s)) // 4, np.zeros((len(s), 6, 4)))
+    n = len(problem.columns)
+    alike = rng.standard_normal((n, 6, 1))
+    problem.columns[:, :, :9] = alike + 1e-5 * rng.standard_normal((n, 6, 9))
+    problem.columns[:, :, 9:13] = 1e6 * alike + rng.standard_normal((n, 6, 4))
+    problem.prior[:] = 1e-6
+    _, kept, middle = problem._solved(problem.columns)
+    assert np.isfinite(middle)
+    # what a unit keeps of itself lies between nothing and all
+    assert np.linalg.eigvalsh(0.5 * (kept + kept.transpose(0, 2, 1))).max() < 1.0 + 1e-6
+
+
 def likelihood(path: Path, gap: np.ndarray, labels: np.ndarray, trend: np.ndarray | None = None) -> ScaleLikelihood:
     return ScaleLikelihood(path, gap, NoiseShapes.about(path), Grouped.by(labels), trend)
 
