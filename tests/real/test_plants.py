@@ -33,7 +33,6 @@ def test_a_manipulation_changes_the_data_as_it_says(shared_data: Path) -> None:
     np.testing.assert_array_equal(struck.runs.number("distance_m"), base.runs.number("distance_m"))
 
 
-@pytest.mark.xfail(strict=False, reason="known shortfall: a temperature effect at a signal of 6 ends as unknown")
 @pytest.mark.slow
 def test_strong_manipulations_of_a_straight_line_are_named(shared_data: Path) -> None:
     """A temperature and a further column that drive the radii are named first, on real noise, and never `no_gap`."""
