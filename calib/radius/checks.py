@@ -18,7 +18,7 @@ class Check:
     """One check of a fit."""
 
     #: stable name: ``design``, ``lack_of_fit``, ``curvature``, ``equal_scatter``, ``influence``, ``session``,
-    #: ``normality``, ``direction``, ``range``, ``plausible``
+    #: ``normality``, ``direction``, ``temperature``, ``range``, ``plausible``
     name: str
     #: ``ok``; ``note`` where the reader has to know something but the result stands; ``failed`` where the law should
     #: not be used as it is

@@ -16,6 +16,7 @@ from calib.radius.plausible import held_against_bounds, refuse_implausible
 from calib.radius.regression import WheelFit, fit_wheel
 from calib.radius.residual_checks import checked
 from calib.radius.systematic import declared_sources, systematic_components, with_systematic
+from calib.radius.temperature_check import against_temperature
 
 #: the reference load may lie beyond the largest load driven by this factor; further out the line has no digits left
 MOST_REFERENCE: Final = 1e4
@@ -80,6 +81,12 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -
     fit = held_against_bounds(fit, campaign)
     static, notes = _static(campaign, reference)
     used = campaign.select(np.isin(campaign.runs.run_id, radii.run_id)).runs
+    warmth, session = used.number("temperature_C"), used.label("session")
+    fit = replace(
+        fit,
+        left=against_temperature(fit.left, warmth, session),
+        right=against_temperature(fit.right, warmth, session),
+    )
     conditions = {}
     for name in CONDITIONS:
         column = used.number(name)

@@ -60,7 +60,8 @@ def checked(fit: WheelFit, session: StrArray, direction: StrArray, run_id: StrAr
     return replace(fit, checks=tuple(check for check in checks if check is not None))
 
 
-def _level(p_value: float) -> str:
+def level(p_value: float) -> str:
+    """Return the level of a check by its p-value."""
     return FAILED if p_value < FAIL_BELOW else NOTE if p_value < NOTE_BELOW else OK
 
 
@@ -70,7 +71,8 @@ def _p_f(statistic: float, dof_first: float, dof_second: float) -> float:
     return float(fdtrc(dof_first, dof_second, max(statistic, 0.0)))
 
 
-def _p_t(statistic: float, dof: float) -> float:
+def p_t(statistic: float, dof: float) -> float:
+    """Return the probability of a Student's t at least as far from nought, either way."""
     from scipy.special import stdtr
 
     return float(2 * stdtr(dof, -abs(statistic)))
@@ -119,7 +121,7 @@ def _lack_of_fit(runs: _Runs) -> Check | None:
         else "The mean radii at the loads miss the straight line by more than repeats explain: use the law between "
         "neighbouring measured loads only, or look for a load that is misreported."
     )
-    return Check("lack_of_fit", _level(p_value), sentence, statistic, f"F({more}, {left})", p_value)
+    return Check("lack_of_fit", level(p_value), sentence, statistic, f"F({more}, {left})", p_value)
 
 
 def _curvature(runs: _Runs) -> Check | None:
@@ -142,7 +144,7 @@ def _curvature(runs: _Runs) -> Check | None:
         return None
     bend = float(projected @ y) / norm
     statistic = bend / np.sqrt(full / dof / norm)
-    p_value = _p_t(statistic, dof)
+    p_value = p_t(statistic, dof)
     # a parabola over the whole span departs from its chord by a quarter of its coefficient in the middle
     sag = abs(bend) / 4
     sentence = (
@@ -151,7 +153,7 @@ def _curvature(runs: _Runs) -> Check | None:
         else f"The radius bends by about {sag:.2g} um in the middle of the load range: a straight law is that far off "
         "there; narrow the load range, or use a look-up table of measured loads."
     )
-    return Check("curvature", _level(p_value), sentence, float(statistic), f"t({dof})", p_value)
+    return Check("curvature", level(p_value), sentence, float(statistic), f"t({dof})", p_value)
 
 
 def _equal_scatter(runs: _Runs) -> Check:
@@ -188,7 +190,7 @@ def _influence(runs: _Runs) -> Check | None:
     others = np.maximum(total - own, 1e-12 * total) / (dof - 1)
     studentised = np.abs(runs.rest) / np.sqrt(others * slack)
     worst = int(np.argmax(studentised))
-    p_value = min(n * _p_t(float(studentised[worst]), dof - 1), 1.0)
+    p_value = min(n * p_t(float(studentised[worst]), dof - 1), 1.0)
     cook = float(runs.fit.cook.max())
     label = f"largest studentised residual of {n}"
     if p_value < NOTE_BELOW:
@@ -205,7 +207,7 @@ def _influence(runs: _Runs) -> Check | None:
         return Check("influence", NOTE, sentence, cook, "Cook's distance", None)
     else:
         sentence = f"No single run stands out or carries the line (largest Cook's distance {cook:.2g})."
-    return Check("influence", _level(p_value), sentence, float(studentised[worst]), label, p_value)
+    return Check("influence", level(p_value), sentence, float(studentised[worst]), label, p_value)
 
 
 def _normality(runs: _Runs) -> Check | None:
@@ -238,7 +240,7 @@ def _direction(runs: _Runs) -> Check | None:
         return None
     difference = float(first.mean() - second.mean())
     statistic = difference / np.sqrt(pooled * (1 / out.sum() + 1 / back.sum()))
-    p_value = _p_t(statistic, dof)
+    p_value = p_t(statistic, dof)
     sentence = (
         "Out and back give the same radius."
         if p_value >= NOTE_BELOW

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from calib.campaign.model import Campaign
+from calib.campaign.read import read_campaign
 from calib.errors import CalibError
+from calib.radius.fit import fit_campaign
 from calib.radius.fitted import Fit
 from calib.report.blocks import Facts, Items, Notice, Section, Table, Text
 from calib.report.content import Report, compose
 from calib.report.pages import PAGES
 from calib.report.source import Source, from_campaign, issue_date
 from calib.report.stated import STATED
+from calib.report.statements.checks import usable_notice
 
 
 def words(section: Section) -> str:
@@ -213,3 +217,12 @@ def test_assumptions_survive_the_result_folder(source: Source) -> None:
     again = Fit.from_dict(fit.to_dict())
     assert again.setup is not None
     assert dict(again.setup.assumed) == {"vehicle.track_m": "0.7"}
+
+
+def test_page_one_agrees_with_the_diagnosis_of_radii_that_follow_the_temperature(project_root: Path) -> None:
+    """The yard's radii follow the temperature: `calib diagnose` names it, and the law alone is not called usable."""
+    fit = fit_campaign(read_campaign(project_root / "sample_runs" / "yard"))
+    notice = usable_notice(fit)
+    assert notice.level == "bad"
+    assert notice.title == "The law should not be used as it is"
+    assert "temperature" in notice.text
