@@ -22,13 +22,15 @@ FEWEST_DOF: Final = 5
 def against_temperature(fit: WheelFit, temperature_C: FloatArray, session: StrArray) -> WheelFit:
     """Return `fit` with the check of its residuals against the temperature, where these runs allow one.
 
-    `temperature_C`, `session` (shape (n_runs,)): of the same runs. Within sessions: what a session shifts as a whole is
-    the check of sessions. The load is taken off both, so that a temperature that went with it is not blamed.
+    `temperature_C` (NaN where not read), `session` (shape (n_runs,)): of the same runs. Within sessions: what a session
+    shifts as a whole is the check of sessions. The load is taken off both, so that a temperature that went with it is
+    not blamed.
     """
-    if not np.isfinite(temperature_C).all() or np.ptp(temperature_C) < LEAST_SPAN_K:
+    on = np.isfinite(temperature_C)
+    if not on.any() or np.ptp(temperature_C[on]) < LEAST_SPAN_K:
         return fit
-    groups = groups_of(session)
-    left, warmth, load = (groups.within(each) for each in (fit.residual_m, temperature_C, fit.load_N))
+    groups, temperature_C = groups_of(session[on]), temperature_C[on]
+    left, warmth, load = (groups.within(each) for each in (fit.residual_m[on], temperature_C, fit.load_N[on]))
     if load @ load > 0:
         left, warmth = (each - load * float(load @ each) / float(load @ load) for each in (left, warmth))
     dof = len(left) - len(groups) - 2

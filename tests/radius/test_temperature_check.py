@@ -14,14 +14,20 @@ SCATTER_M, PER_K = 30e-6, 7e-6
 
 
 def checked(
-    rng: np.random.Generator, per_K: float, span_K: float = 12.0, between_K: float = 0.0, with_load: float = 0.0
+    rng: np.random.Generator,
+    per_K: float,
+    span_K: float = 12.0,
+    between_K: float = 0.0,
+    with_load: float = 0.0,
+    unread: int = 0,
 ) -> Check | None:
-    """Return the check of forty runs in four sessions."""
+    """Return the check of forty runs in four sessions, the temperature of the first few not read."""
     session = np.repeat(["a", "b", "c", "d"], 10)
     load_N = rng.uniform(300.0, 1100.0, 40)
     warmth = 20.0 + span_K * rng.random(40) + between_K * np.repeat(np.arange(4), 10) + with_load * (load_N - 700.0)
     radius = 0.1 - 1e-9 * load_N + per_K * (warmth - 20.0) + SCATTER_M * rng.standard_normal(40)
     fit = fit_wheel("left", load_N, radius, session, reference_load_N=300.0)
+    warmth[:unread] = np.nan
     found = against_temperature(fit, warmth, session).checks
     return found[-1] if found else None
 
@@ -49,3 +55,9 @@ def test_a_temperature_that_went_with_the_load_alone_is_not_judged() -> None:
 
 def test_what_differs_between_sessions_alone_is_left_to_the_sessions() -> None:
     assert checked(np.random.default_rng(4), PER_K, span_K=0.0, between_K=4.0) is None
+
+
+@pytest.mark.parametrize(("unread", "made"), [(3, True), (40, False)])
+def test_runs_whose_temperature_was_not_read_are_left_out(unread: int, made: bool) -> None:
+    check = checked(np.random.default_rng(1), PER_K, unread=unread)
+    assert (check is not None and check.level == FAILED) is made

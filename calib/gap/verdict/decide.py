@@ -27,7 +27,7 @@ from calib.gap.verdict.odds import (
 from calib.gap.verdict.outcome import DRIVEN, JOURNEYS, Closure, Fix, Group, NoiseSummary, Rest
 from calib.gap.verdict.rest import SMALL, explained_share, faint_beside, rest_of
 from calib.gap.verdict.result import ALIKE, SURE, Cause, Verdict, VerdictKind
-from calib.gap.verdict.sentence import gross_sentence, sentence
+from calib.gap.verdict.sentence import TELLING, gross_sentence, sentence
 from calib.gap.verdict.transfer import Trial
 
 #: closure on held-out runs below which a fix is not recommended, and an explanation not believed
@@ -243,12 +243,15 @@ def _fix(
     agreement, nothing_else = agreement_m(evidence, tied), nothing_else_probability(evidence, alike)
     concerned = {*evidence.named, *(name for group in tied for name in group)}
     explained, scatter = explained_share(evidence)
-    # where all but a small share is surely explained, whatever else is at work can carry no more than that share
-    whole = explained - 2.0 * scatter >= 1.0 - SMALL
+    # where all but a small share is surely explained, and by what nothing else stands in for, whatever else is at work
+    # can carry no more than that share
+    whole = not tied and explained - 2.0 * scatter >= 1.0 - SMALL
     return Fix(
         # the correction holds all that was fitted, and some of it may be none for the journeys to come
         recommended={cause.effect for cause in causes}.issuperset(evidence.named)
         and not any(evidence.effects[name].stays for name in concerned)
+        # runs that tell nothing of a cause do not tell what it does elsewhere
+        and not any(len(group) > TELLING for group in tied)
         and recommended(causes, certain, closure, evidence.trials, agreement, rest, 1.0 if whole else nothing_else),
         agreement_m=agreement,
         agreement_on=DRIVEN if evidence.journeys is None else JOURNEYS,

@@ -105,7 +105,7 @@ def advice(verdict: Verdict) -> str:
         return f"Recommended: whichever it is of {tied}, their corrections are alike; either way, apply this."
     if verdict.recommended:
         return "Recommended: the fix holds on runs it has not seen."
-    if verdict.groups and not _alike(verdict):
+    if verdict.groups and (not _alike(verdict) or any(len(group.effects) > TELLING for group in verdict.groups)):
         return "Not recommended: other causes would explain these runs as well."
     if verdict.kind is VerdictKind.PARTLY_EXPLAINED:
         return "Not recommended: a rest of the gap is left, and its cause may be what the named one imitates."

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
-from calib.gap.verdict.outcome import Fix, Group
+from calib.gap.verdict.outcome import Closure, Fix, Group
 from calib.gap.verdict.result import Cause, Verdict, VerdictKind
 from calib.gap.verdict.sentence import advice
+
+CLOSED = Closure(0.09, 0.002, 0.002, 0.99, (0.9, 1.0))
 
 
 def verdict(kind: str, *causes: tuple[str, float], recommended: bool = False, tied: bool = False) -> Verdict:
@@ -35,3 +39,13 @@ def test_the_reason_fits_the_verdict(given: Verdict, words: str) -> None:
 
 def test_without_a_cause_there_is_nothing_to_recommend() -> None:
     assert advice(verdict("no_gap")) == ""
+
+
+def test_where_runs_tell_nothing_of_the_cause_alike_corrections_are_no_fix() -> None:
+    """Seven effects would do as well: what they do on other routes these runs cannot say, however alike on these."""
+    seven = ("track_width", "curve_scrub", "lost_counts", "wear", "side_slip", "braking_skid", "reference_latency")
+    given = replace(
+        verdict("ambiguous", ("track_width", 0.5)), groups=(Group(seven),), fix=Fix(agreement_m=0.0), closure=CLOSED
+    )
+    assert "other causes would explain" in advice(given)
+    assert "other causes would explain" not in advice(replace(given, groups=(Group(seven[:2]),)))
