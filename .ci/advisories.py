@@ -40,7 +40,7 @@ def records(path: Path) -> Iterator[Record]:
 def within(version: Version, events: list[Mapping[str, str]]) -> bool:
     """Return whether a version lies in a range of OSV: introduced, and not fixed or beyond the last affected one."""
     inside = False
-    # in the order of versions, whatever the order in the file; at one version the end of a range comes first
+    # in the order of versions, for any order in the file; at one version the end of a range comes first
     steps = sorted((Version(text), kind == "introduced", kind) for event in events for kind, text in event.items())
     for at, starts, kind in steps:
         if starts and version >= at:
@@ -89,7 +89,7 @@ def main(path: Path) -> int:
             known += any(part.get("package", {}).get("ecosystem") == "PyPI" for part in parts)
             for name, version, fixed in affected(record, installed):
                 weak += 1
-                sys.stdout.write(f"audit: {name} {version}: {record.get('id', '?')}, put right in {fixed}\n")
+                sys.stdout.write(f"audit: {name} {version}: {record.get('id', '?')}, corrected in {fixed}\n")
     except (OSError, ValueError, AttributeError, KeyError) as error:
         sys.stdout.write(f"audit: NOT DONE: {path}: {error}\n")
         return 3

@@ -1,6 +1,6 @@
 """Calibrate a vehicle's wheel odometry, and find out why its simulation is wrong.
 
-The way in from Python:
+From Python:
 
 >>> import calib
 >>> campaign = calib.read("sample_runs/corridor_crossed")
@@ -10,20 +10,23 @@ The way in from Python:
 >>> diagnosis.plot()
 
 Nothing heavy is imported until one of these functions is called. The folders show the data's way: ``campaign`` (what
-was driven and measured) -> ``radius`` (effective radius and load law) -> ``coefficients`` (the law as the vehicle gets
-it) -> ``motion`` (odometry, routes, simulation) -> ``gap`` (simulated against real) -> ``report``. A folder imports
-only folders before it.
+was driven and measured) -> ``radius`` (effective radius and load law) -> ``kinematics`` (radii, track and
+sensor together) -> ``coefficients`` (the law as the vehicle gets it) -> ``odometry`` (from counts to poses, simulation)
+-> ``gap`` (simulated against real) -> ``reporting``. A folder imports only folders before it.
 """
 
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from calib.api import diagnose, export, fit, geometry, plan, read, replay, report, simulate
     from calib.campaign.model import Campaign
-    from calib.results import Diagnosis, Fit, Geometry, Plan, Replay, Simulation
+    from calib.gap.decision.diagnosis import Diagnosis, Plan
+    from calib.kinematics.result import Geometry
+    from calib.odometry.replay import Replay
+    from calib.odometry.simulation import Simulation
+    from calib.radius.result import Fit
 
-__version__ = "0.1.0"
+__version__ = "1.0.0"
 
 __all__ = [
     "Campaign",
@@ -45,9 +48,6 @@ __all__ = [
     "simulate",
 ]
 
-#: folders of this package that bear the name of a function of `calib.api`
-_ALSO_FOLDERS = ("geometry", "report")
-
 
 def __getattr__(name: str) -> Any:
     if name not in __all__:
@@ -60,26 +60,3 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted(__all__)
-
-
-class _CallableFolder(ModuleType):
-    """A folder that can be called by its name: importing one binds it here, where the function would stand."""
-
-    def __call__(self, *args: Any, **options: Any) -> Any:
-        return self.__wrapped__(*args, **options)
-
-    @property
-    def __wrapped__(self) -> Any:
-        from calib import api
-
-        return getattr(api, self.__name__.rpartition(".")[2])
-
-
-def _make_callable(name: str) -> None:
-    from importlib import import_module
-
-    import_module(f"{__name__}.{name}").__class__ = _CallableFolder
-
-
-for _name in _ALSO_FOLDERS:
-    _make_callable(_name)

@@ -1,4 +1,4 @@
-"""The way in from Python: one function a stage, each returning a result with `summary`, `to_dict` and `plot`."""
+"""The Python API: one function a stage, each returning a result with `summary`, `to_dict` and `plot`."""
 
 from __future__ import annotations
 
@@ -9,8 +9,11 @@ from typing import Literal
 
 from calib.campaign.model import Campaign
 from calib.errors import BadInputError
-from calib.radius import fitted as radius_fitted
-from calib.results import Diagnosis, Fit, Geometry, Plan, Replay, Simulation, extended
+from calib.gap.decision.diagnosis import Diagnosis, Plan
+from calib.kinematics.result import Geometry
+from calib.odometry.replay import Replay
+from calib.odometry.simulation import Simulation
+from calib.radius.result import Fit
 
 
 def read(folder: Path | str) -> Campaign:
@@ -62,7 +65,7 @@ def fit(campaign: Campaign, *, reference_load_N: float | None = None) -> Fit:
 
     arguments = {} if reference_load_N is None else {"reference_load_N": reference_load_N}
     fitted = fit_campaign(campaign, reference_load_N=reference_load_N)
-    return extended(Fit, fitted, provenance=provenance(campaign, version=__version__, arguments=arguments))
+    return replace(fitted, provenance=provenance(campaign, version=__version__, arguments=arguments))
 
 
 def geometry(
@@ -95,11 +98,10 @@ def geometry(
     RefusedError
         Where no run has both wheels and a reference.
     """
-    from calib.geometry.estimate import estimate_geometry
-    from calib.geometry.paths import paths_of
+    from calib.kinematics.estimate import estimate_geometry, paths_of
 
     estimated = estimate_geometry(campaign, using=using, kinds=kinds, leave_out=leave_out)
-    return extended(Geometry, estimated, paths=paths_of(campaign, estimated))
+    return replace(estimated, paths=paths_of(campaign, estimated))
 
 
 def diagnose(
@@ -128,27 +130,26 @@ def diagnose(
     Returns
     -------
     Diagnosis
-        ``diagnosis.verdict`` has everything that was found.
+        Verdict, causes, confounded effects, and the arrays behind them.
 
     Raises
     ------
     RefusedError
         Where no run has both counts and something measured.
     """
-    from calib.gap.data.from_campaign import observations_of
     from calib.gap.diagnose import diagnose_in_full
     from calib.gap.effects.applied import model_of
     from calib.gap.effects.library import check_excluded
+    from calib.gap.observations.from_campaign import observations_of
     from calib.gap.plan.plan_file import read_plan
 
     if exclude:
         check_excluded(exclude, observations_of(campaign), campaign.extra.get("effects", ()))
     believed, effects = (None, ()) if model is None else model_of(Path(model), campaign)
     to_come = None if journeys is None else read_plan(Path(journeys))
-    full = diagnose_in_full(
+    return diagnose_in_full(
         campaign, seed=seed, exclude=tuple(exclude), model=believed, applied=effects, journeys=to_come
     )
-    return extended(Diagnosis, full)
 
 
 def plan(campaign: Campaign, *, most: int = 5, seed: int = 0) -> Plan:
@@ -172,15 +173,15 @@ def plan(campaign: Campaign, *, most: int = 5, seed: int = 0) -> Plan:
     from calib.gap.plan.next_runs import next_runs
 
     full = diagnose_in_full(campaign, seed=seed, plan=False)
-    ties = [group.effects for group in full.verdict.groups]
+    ties = [group.effects for group in full.groups]
     runs = next_runs(campaign, full.effects, full.noise, ties, full.fitted, most=most)
-    return Plan(campaign=campaign, verdict=full.verdict, runs=tuple(runs))
+    return Plan(campaign=campaign, diagnosis=full, runs=tuple(runs))
 
 
 def simulate(
     study: str = "corrected",
     *,
-    law: radius_fitted.Fit | None = None,
+    law: Fit | None = None,
     routes: Sequence[str] = (),
     loads_N: Sequence[tuple[float, float]] = (),
     seed: int = 0,
@@ -212,9 +213,9 @@ def simulate(
     """
     from numpy.random import default_rng
 
-    from calib.motion.studies.law_source import AxleLaw
-    from calib.motion.studies.run import LawJourneys
-    from calib.motion.studies.run import simulate as run
+    from calib.odometry.law_path import AxleLaw
+    from calib.odometry.simulation import LawJourneys
+    from calib.odometry.simulation import simulate as run
     from calib.vehicle import Vehicle
 
     vehicle = Vehicle() if law is None or law.setup is None else law.setup.vehicle
@@ -225,10 +226,10 @@ def simulate(
         under=None if law is None else LawJourneys(AxleLaw(law.law, vehicle.track_m), loads_N),
         rng=default_rng(seed),
     )
-    return extended(Simulation, simulation)
+    return simulation
 
 
-def replay(campaign: Campaign, law: radius_fitted.Fit | Geometry, *, scheme: str = "exact", seed: int = 0) -> Replay:
+def replay(campaign: Campaign, law: Fit | Geometry, *, scheme: str = "exact", seed: int = 0) -> Replay:
     """Replay the logged runs of a campaign through odometry, with and without the load correction.
 
     Parameters
@@ -254,17 +255,15 @@ def replay(campaign: Campaign, law: radius_fitted.Fit | Geometry, *, scheme: str
     """
     from numpy.random import default_rng
 
-    from calib.coefficients.build import from_fit
-    from calib.coefficients.from_geometry import from_geometry
-    from calib.geometry import result as estimated
-    from calib.motion.studies.replay import replay as run
+    from calib.coefficients.build import from_fit, from_geometry
+    from calib.odometry.replay import replay as run
 
-    file = from_geometry(law, campaign) if isinstance(law, estimated.Geometry) else from_fit(law)
-    return extended(Replay, run(campaign, file, rng=default_rng(seed), scheme=scheme))
+    file = from_geometry(law, campaign) if isinstance(law, Geometry) else from_fit(law)
+    return run(campaign, file, rng=default_rng(seed), scheme=scheme)
 
 
 def report(
-    source: Campaign | radius_fitted.Fit,
+    source: Campaign | Fit,
     target: Path | str,
     *,
     date: str | None = None,
@@ -301,19 +300,17 @@ def report(
     RefusedError
         Where the runs allow no law.
     """
-    from calib.files import write_bytes
     from calib.gap.diagnose import diagnose_in_full
-    from calib.report.content import compose
-    from calib.report.gap_source import findings_of
-    from calib.report.pdf import to_pdf
-    from calib.report.place import place_of
-    from calib.report.source import from_campaign, issue_date, source_of_fit
+    from calib.io import write_bytes
+    from calib.reporting.content import compose, place_of
+    from calib.reporting.pdf import to_pdf
+    from calib.reporting.source import from_campaign, issue_date, source_of_fit
 
     issued = issue_date(date)
     if isinstance(source, Campaign):
         content = from_campaign(source, issued=issued, accept=accept_implausible)
         if diagnosis:
-            content = replace(content, gap=findings_of(diagnose_in_full(source)))
+            content = content.with_diagnosis(diagnose_in_full(source))
     elif diagnosis:
         raise BadInputError("report: found a fit; expected a campaign, which a diagnosis needs; give the campaign")
     else:
@@ -323,7 +320,7 @@ def report(
 
 
 def export(
-    source: Campaign | radius_fitted.Fit,
+    source: Campaign | Fit,
     to: str = "json",
     target: Path | str | None = None,
     *,
@@ -357,11 +354,10 @@ def export(
         Text of each file by its name.
     """
     from calib.campaign.wheels import without_rear_wheels
-    from calib.coefficients.build import from_fit
+    from calib.coefficients.build import from_fit, from_geometry
     from calib.coefficients.export import export as rendered
     from calib.coefficients.export import parse_loads, place
-    from calib.coefficients.from_geometry import from_geometry
-    from calib.coefficients.loads import ExportOptions
+    from calib.coefficients.formats import ExportOptions
 
     options = ExportOptions(loads=parse_loads(loads), controllers=tuple(controllers))
     if isinstance(source, Campaign) and without_rear_wheels(source):

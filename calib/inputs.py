@@ -1,4 +1,4 @@
-"""Inputs are sacred: while a command runs, nothing is written over what it was given to read."""
+"""Inputs are never overwritten: while a command runs, no writer replaces what it reads."""
 
 from __future__ import annotations
 
@@ -12,21 +12,18 @@ from typing import Final
 
 from calib.errors import BadInputError
 
-#: what the command at work was given to read; empty for a program that uses calib as a library
-_INPUTS: Final[ContextVar[tuple[Path, ...]]] = ContextVar("inputs", default=())
-#: files that calib makes and never takes for measurements: inside an input folder they may be replaced
-_MADE: Final = frozenset({".json", ".pdf", ".png", ".svg", ".html", ".h", ".yaml", ".yml"})
+#: entries of an input folder searched for a hard link to the target; with more, the target is refused
+MOST_SEARCHED: Final = 200_000
+#: files that calib writes and never reads as measurements: inside an input folder they may be replaced
+_OUTPUT_SUFFIXES: Final = frozenset({".json", ".pdf", ".png", ".svg", ".html", ".h", ".yaml", ".yml"})
 _FIT: Final = "fit.json"
-#: entries of an input folder among which a second name of a file is looked for; with more, the file is refused
-MOST_LOOKED_AT: Final = 200_000
+#: inputs of the running command; empty for a program that uses calib as a library
+_INPUTS: Final[ContextVar[tuple[Path, ...]]] = ContextVar("inputs", default=())
 
 
 @contextmanager
 def inputs_kept(paths: Iterable[Path | str]) -> Iterator[None]:
-    """Hold `paths` sacred inside the block: no writer of `calib.files` or `calib.folders` replaces them.
-
-    `paths`: files, or folders whose data files are meant (campaigns, result folders, folders of logs).
-    """
+    """Refuse to overwrite `paths` inside the block: files, or folders whose data files are meant."""
     token = _INPUTS.set((*_INPUTS.get(), *(Path(path) for path in paths)))
     try:
         yield
@@ -35,10 +32,7 @@ def inputs_kept(paths: Iterable[Path | str]) -> Iterator[None]:
 
 
 def refuse_input(target: Path) -> None:
-    """Refuse to write to `target` where it is an input, under whatever name: links, ``..``, another case.
-
-    Raises BadInputError where it is one; the message never advises to force.
-    """
+    """Raise BadInputError where `target` is an input, under any name: links, ``..``, another case."""
     for given in _INPUTS.get():
         if _is_input(Path(target), given):
             raise BadInputError(
@@ -48,64 +42,53 @@ def refuse_input(target: Path) -> None:
 
 
 def refuse_special(path: Path) -> None:
-    """Refuse to read what is no regular file and no folder: a device may be endless, a FIFO may never speak.
-
-    Raises BadInputError where `path` is a device, a FIFO or a socket.
-    """
-    try:
+    """Raise BadInputError where `path`, to be read, is a device, a FIFO or a socket, which may never end."""
+    with suppress(OSError, ValueError):
         mode = Path(path).stat().st_mode
-    except (OSError, ValueError):
-        return
-    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
-        raise BadInputError(
-            f"{path}: found a device, pipe or socket; expected a regular file or a folder; save the data to a file"
-        )
+        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+            raise BadInputError(
+                f"{path}: found a device, pipe or socket; expected a regular file or a folder; save the data to a file"
+            )
 
 
 def _is_input(target: Path, given: Path) -> bool:
     try:
         at, source = target.stat(), given.stat()
     except (OSError, ValueError, RuntimeError):
-        # what does not exist cannot be written over
-        return False
+        return False  # what does not exist cannot be overwritten
     if not stat.S_ISDIR(source.st_mode):
         return os.path.samestat(at, source) and stat.S_ISREG(at.st_mode)
     if stat.S_ISDIR(at.st_mode):
         return False
-    if at.st_nlink > 1 and _linked_from(given, at):
+    if at.st_nlink > 1 and _is_linked_from(given, at):
         return True
     real = target.resolve()
-    inner: list[Path] = []
+    between: list[Path] = []
     for parent in real.parents:
         if os.path.samestat(parent.stat(), source):
-            return _is_data(real, inner)
-        inner.append(parent)
+            return _is_data(real, between)
+        between.append(parent)
     return False
 
 
 def _is_data(path: Path, between: list[Path]) -> bool:
-    """Return whether a file inside an input folder belongs to the input; `between` are the folders on the way."""
+    """Return whether a file inside an input folder belongs to the input; `between`: the folders between them."""
     if any((folder / _FIT).is_file() for folder in between):
-        # a result that stands inside the campaign
-        return False
-    return path.suffix.lower() not in _MADE or (path.name == _FIT and not between)
+        return False  # a result inside the campaign's folder
+    return path.suffix.lower() not in _OUTPUT_SUFFIXES or (path.name == _FIT and not between)
 
 
-def _linked_from(folder: Path, at: os.stat_result) -> bool:
-    """Return whether a file has a second name among the data of a folder; True where that takes too long to tell."""
-    seen = 0
+def _is_linked_from(folder: Path, at: os.stat_result) -> bool:
+    """Return whether a data file of a folder is a hard link to `at`; True where the folder is too large to search."""
+    searched = 0
     for place, _, names in os.walk(folder):
-        seen += len(names) + 1
-        if seen > MOST_LOOKED_AT:
+        searched += len(names) + 1
+        if searched > MOST_SEARCHED:
             return True
-        if not names:
-            continue
-        with suppress(OSError), os.scandir(place) as entries:
-            if any(
-                entry.inode() == at.st_ino
-                and Path(entry.name).suffix.lower() not in _MADE
-                and os.path.samestat(entry.stat(), at)
-                for entry in entries
-            ):
-                return True
+        with suppress(OSError):
+            for name in names:
+                if Path(name).suffix.lower() not in _OUTPUT_SUFFIXES and os.path.samestat(
+                    (Path(place) / name).stat(), at
+                ):
+                    return True
     return False

@@ -8,8 +8,8 @@ from typing import Final, Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from calib.arrays import FloatArray
 from calib.errors import BadInputError, RefusedError
+from calib.types import FloatArray
 from calib.units import GRAVITY_MPS2
 
 Drive = Literal["tricycle", "differential", "mecanum"]
@@ -45,7 +45,7 @@ class Vehicle:
     drive: Drive = "tricycle"
     #: radius of the front wheel; None where the rear wheels' holds for it too
     front_wheel_radius_m: float | None = None
-    #: half the wheelbase plus half the track of a mecanum vehicle; None where nobody says
+    #: half the wheelbase plus half the track of a mecanum vehicle; None where unspecified
     half_length_plus_half_width_m: float | None = None
 
     @property

@@ -17,15 +17,14 @@ import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
-from calib.gap.data.from_campaign import observations_of
 from calib.gap.effects.effect import Effect
-from calib.gap.effects.library import REGISTRY, effect_class
-from calib.gap.effects.signatures import EffectSignature, signature_of
+from calib.gap.effects.library import REGISTRY, EffectSignature, effect_class, signature_of
+from calib.gap.observations.from_campaign import observations_of
 from calib.gap.plan.planned_runs import Measured, PlannedRun, drive
-from calib.gap.predict.path import Path as DrivenPath
-from calib.gap.predict.path import predict
-from calib.report.figures.signature import signature_figure
-from calib.report.figures.style import render
+from calib.gap.predict import Path as DrivenPath
+from calib.gap.predict import predict
+from calib.reporting.figures.effects import signature_figure
+from calib.reporting.figures.style import render
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "docs" / "effects"

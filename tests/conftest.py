@@ -17,7 +17,7 @@ from hypothesis import settings
 
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign
-    from calib.gap.diagnosis import Diagnosis
+    from calib.gap.decision.diagnosis import Diagnosis
 
 # the same examples every time, so that one commit has one outcome; HYPOTHESIS_PROFILE=explore looks further.
 # No deadline: a busy machine is no fault of the code.

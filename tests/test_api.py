@@ -1,4 +1,4 @@
-"""The way in from Python gives what the commands give, lazily and by name."""
+"""The Python API gives what the commands give, lazily and by name."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import calib
 from calib import api
 from calib.cli.main import run
 from calib.errors import BadInputError
-from calib.radius.fitted import Fit
+from calib.radius.result import Fit
 
 
 @pytest.fixture(scope="module")
@@ -51,18 +51,6 @@ def test_every_name_is_there_and_listed() -> None:
     assert all(getattr(calib, name) is not None for name in calib.__all__)
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         calib.nothing  # noqa: B018
-
-
-@pytest.mark.parametrize("before", ["", "import calib.report.pdf; ", "from calib.report import content; "])
-def test_a_function_that_bears_a_folders_name_can_be_called_whatever_was_imported_before(before: str) -> None:
-    """Importing a folder binds it in the package under its name; it can then still be called."""
-    program = before + (
-        "import calib, inspect; from calib import report; "
-        "print(callable(report), callable(calib.report), list(inspect.signature(calib.report).parameters)[:2]); "
-        "import calib.report.place as place; print(place.file_name('a'))"
-    )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines() == ["True True ['source', 'target']", "a.pdf"]
 
 
 def test_importing_it_imports_nothing_of_the_scientific_stack() -> None:
@@ -133,7 +121,7 @@ def test_a_plan_names_runs_with_their_reasons(campaign: calib.Campaign) -> None:
     plan = calib.plan(campaign, most=2)
     assert len(plan.runs) <= 2 and all(run.why for run in plan.runs)
     assert len(plan.table) == len(plan.runs) == len(plan.to_dict()["next_runs"])
-    assert plan.verdict.to_dict()["verdict"] in plan.to_dict()["verdict"]
+    assert plan.diagnosis.to_dict()["verdict"] in plan.to_dict()["verdict"]
 
 
 def test_a_simulation_under_a_fit_has_its_law(fit: calib.Fit) -> None:

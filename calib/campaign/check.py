@@ -2,21 +2,78 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
-from calib.arrays import BoolArray, FloatArray
-from calib.campaign.checks import CHECKS
+from calib.campaign.checks.counts import (
+    clock,
+    count_jumps,
+    count_scale,
+    counts_against_log,
+    log_speed,
+    reversed_wheels,
+    swapped_wheels,
+    turn_direction,
+)
+from calib.campaign.checks.design import (
+    assumed_values,
+    far_from_repeats,
+    few_loads,
+    load_and_session,
+    model_against_vehicle,
+    pasted_rows,
+)
+from calib.campaign.checks.distances import (
+    distance_against_log,
+    distance_against_pose,
+    distance_span,
+    missing_values,
+    track_against_bows,
+)
+from calib.campaign.checks.loads import loads_against_payload, wheel_loads
+from calib.campaign.checks.plausible import implausible
 from calib.campaign.model import Campaign, Note
-from calib.progress import Progress, silent, stepped
+from calib.types import BoolArray, FloatArray, Progress, silent, stepped
 
 Span = tuple[float, float]
 _SPANS = ("load_left_N", "load_right_N", "distance_m", "speed_mps", "temperature_C", "counts_left", "counts_right")
 
 
+#: Looks at a campaign and yields what it finds.
+Check = Callable[[Campaign], Iterator[Note]]
+
+#: name of a check -> function; the order is the order of the report
+CHECKS: Final[dict[str, Check]] = {
+    "assumed_values": assumed_values,
+    "missing_values": missing_values,
+    "distance_span": distance_span,
+    "distance_against_log": distance_against_log,
+    "distance_against_pose": distance_against_pose,
+    "reversed_wheels": reversed_wheels,
+    "count_scale": count_scale,
+    "counts_against_log": counts_against_log,
+    "swapped_wheels": swapped_wheels,
+    "turn_direction": turn_direction,
+    "clock": clock,
+    "count_jumps": count_jumps,
+    "log_speed": log_speed,
+    "repeats": far_from_repeats,
+    "pasted_rows": pasted_rows,
+    "wheel_loads": wheel_loads,
+    "loads_against_payload": loads_against_payload,
+    "track_against_bows": track_against_bows,
+    "load_and_session": load_and_session,
+    "few_loads": few_loads,
+    "model_against_vehicle": model_against_vehicle,
+    "implausible": implausible,
+}
+
+
 @dataclass(frozen=True, slots=True)
-class Found:
+class CampaignContents:
     """What a campaign holds; spans are (smallest, largest), None where nothing was measured."""
 
     n_runs: int
@@ -46,8 +103,8 @@ class CheckReport:
     campaign: str
     #: whether a program made the data
     simulated: bool
-    found: Found
-    #: faults to put right; things to look at; what was recognised and converted
+    found: CampaignContents
+    #: faults to correct; things to look at; what was recognised and converted
     wrong: tuple[Note, ...]
     suspicious: tuple[Note, ...]
     info: tuple[Note, ...]
@@ -69,7 +126,7 @@ def check_campaign(campaign: Campaign, progress: Progress = silent) -> CheckRepo
     """Run every check; nothing is changed or deleted.
 
     `campaign`: read leniently, so that faults of single runs are among its notes. The notes of the reading and of every
-    check, those of a run that is flagged as excluded left out but for faults.
+    check, those of a run that is flagged as excluded omitted but for faults.
     """
     excluded = {str(name) for name in campaign.runs.run_id[campaign.runs.excluded]}
     kept = campaign.included()
@@ -84,7 +141,7 @@ def check_campaign(campaign: Campaign, progress: Progress = silent) -> CheckRepo
     return CheckReport(campaign.name, campaign.simulated, summarise(campaign), **levels)
 
 
-def summarise(campaign: Campaign) -> Found:
+def summarise(campaign: Campaign) -> CampaignContents:
     """Return what a campaign holds: runs, sessions, loads, spans and rates."""
     runs, logs = campaign.runs, campaign.logs
     present: BoolArray = logs.present
@@ -95,7 +152,7 @@ def summarise(campaign: Campaign) -> Found:
         duration = time[logs.offsets[1:][present] - 1] - time[logs.offsets[:-1][present]]
         rate = (logs.lengths[present] - 1)[duration > 0] / duration[duration > 0]
     payload = runs.number("payload_kg")
-    return Found(
+    return CampaignContents(
         n_runs=len(runs),
         n_excluded=int(runs.excluded.sum()),
         sessions=_counted(runs.label("session")),

@@ -10,8 +10,8 @@ from typing import Final
 
 import numpy as np
 
-from calib.arrays import FloatArray
 from calib.errors import BadFileError
+from calib.types import FloatArray
 from calib.units import SUFFIXES, convertible, split_suffix
 
 _BRACKETS: Final = re.compile(r"(.*?)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]\s*")

@@ -1,31 +1,148 @@
-"""Read the logs of a campaign: several at a time, and those that were read before from the cache."""
+"""Read the logs of a campaign: several at once, and unchanged large ones from the cache.
+
+The cache holds one file of plain columns a log, under the hash of its content; it may be deleted at any time.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 import sys
-from collections.abc import Iterator, Sequence
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
+from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
-from calib.arrays import FloatArray
-from calib.campaign.faults import Border
-from calib.campaign.known_hashes import Content, FileState, KnownHashes
-from calib.campaign.log_cache import LogCache, ReadLog, log_cache
-from calib.campaign.log_stack import LogStack
+import numpy as np
+
+from calib.campaign.counters import LogStack
 from calib.campaign.logs_file import LogFile, Renames, read_log, wanted_in_log
-from calib.campaign.model import Logs, Note
-from calib.campaign.readers.alike import read_alike
-from calib.campaign.readers.delimited import SMALL
+from calib.campaign.model import Border, Logs, Note
+from calib.campaign.readers.delimited import NUMPY_BYTES, read_batch
 from calib.campaign.readers.table import RawTable
 from calib.campaign.settings import Encoder
-from calib.errors import BadFileError
-from calib.progress import Progress, silent, stepped
+from calib.errors import BadFileError, CalibError
+from calib.io import sha256_file, write_bytes
+from calib.types import FloatArray, Progress, silent, stepped
 
 if TYPE_CHECKING:
     from concurrent.futures import ThreadPoolExecutor
+
+#: environment variable: a folder for the cache, or ``off``
+CACHE: Final = "CALIB_CACHE"
+#: smaller campaigns are read in less time than it takes to ask
+WORTH_BYTES: Final = 16 << 20
+#: the oldest files go where all together are larger than this
+MOST_BYTES: Final = 8 << 30
+#: what reads a log, whose change makes what was kept worthless
+_READ_BY: Final = ("columns.py", "log_reading.py", "logs_file.py", "readers/*.py")
+_MAGIC: Final = b"calib-log-cache\n"
+
+
+@dataclass(frozen=True, slots=True)
+class ReadLog:
+    """A log as read: its columns by calib's names (read-only where they come from the cache), and what was said."""
+
+    columns: Mapping[str, FloatArray]
+    notes: tuple[Note, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class LogCache:
+    """A folder of logs as read.
+
+    A file is written under another name first and then renamed, so that a reader, this process or another, sees it
+    whole or not at all; one that is damaged is as good as none.
+    """
+
+    folder: Path
+
+    def path_of(self, sha256: str, asked: Sequence[Any]) -> Path:
+        """Return the place of a log.
+
+        `sha256`: of the file's bytes; `asked`: what else the answer depends on: the file's name in messages, columns
+        renamed.
+        """
+        what = json.dumps([_read_by(), sha256, *asked], sort_keys=True)
+        name = hashlib.sha256(what.encode("utf-8", "backslashreplace")).hexdigest()
+        return self.folder / name[:2] / f"{name}.log"
+
+    def get(self, path: Path) -> ReadLog | None:
+        """Return what is kept at `path` (of `path_of`); None where there is nothing, or nothing whole."""
+        try:
+            data = path.read_bytes()
+            head_end = data.index(b"\n", len(_MAGIC))
+            if not data.startswith(_MAGIC):
+                return None
+            head = json.loads(data[len(_MAGIC) : head_end])
+            body = memoryview(data)[head_end + 1 :]
+            if zlib.crc32(body) != head["crc32"]:
+                return None
+            values = np.frombuffer(body, dtype="<f8").reshape(len(head["columns"]), -1)
+            notes = tuple(Note(*map(str, note)) for note in head["notes"])
+            columns = {str(name): row for name, row in zip(head["columns"], values, strict=True)}
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
+        return ReadLog(columns, notes)
+
+    def put(self, path: Path, log: ReadLog) -> None:
+        """Keep a log at `path`; where that cannot be done it is read again the next time."""
+        values = np.ascontiguousarray(np.stack(list(log.columns.values())), dtype="<f8")
+        body = values.data.cast("B")
+        head = {"columns": list(log.columns), "notes": [astuple(note) for note in log.notes], "crc32": zlib.crc32(body)}
+        data = b"".join((_MAGIC, json.dumps(head).encode("utf-8"), b"\n", body))
+        with suppress(CalibError, OSError):
+            path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+            write_bytes(path, data, force=True)
+
+    def trim(self, most_bytes: int = MOST_BYTES) -> None:
+        """Remove the oldest files until all together are at most `most_bytes`."""
+        files = []
+        for path in self.folder.glob("*/*"):
+            with suppress(OSError):
+                status = path.stat()
+                files.append((status.st_mtime_ns, status.st_size, path))
+        total = sum(size for _, size, _ in files)
+        for _, size, path in sorted(files):
+            if total <= most_bytes:
+                break
+            with suppress(OSError):
+                path.unlink()
+            total -= size
+
+
+def log_cache(n_bytes: int) -> LogCache | None:
+    """Return the cache for a campaign's logs, or None where they are few bytes or the environment says ``off``."""
+    chosen = os.environ.get(CACHE, "")
+    if chosen == "off" or n_bytes < WORTH_BYTES:
+        return None
+    if chosen:
+        return LogCache(Path(chosen))
+    base = os.environ.get("XDG_CACHE_HOME", "")
+    if not Path(base).is_absolute():
+        try:
+            base = str(Path.home() / ".cache")
+        except RuntimeError:
+            return None
+    return LogCache(Path(base) / "calib" / "logs")
+
+
+@lru_cache(maxsize=1)
+def _read_by() -> str:
+    """Return a digest of the code by which logs are read, the parser's version included."""
+    from importlib.metadata import version
+
+    here = Path(__file__).parent
+    digest = hashlib.sha256(version("pandas").encode())
+    for pattern in _READ_BY:
+        for path in sorted(here.glob(pattern)):
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
+
 
 #: parsers and hashes let go of the interpreter; beyond some threads what they hold it for is all that is left
 MOST_THREADS: Final = 8
@@ -37,6 +154,29 @@ LARGE_BYTES: Final = 512 << 10
 TOGETHER: Final = 16
 #: where all of them are fewer bytes, each is read by numpy before what parses many as one is imported
 MANY_BYTES: Final = 16 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class _Content:
+    """The hash of a file's bytes, empty where it cannot be read, and the state of the file before it was read."""
+
+    sha256: str
+    state: tuple[int, ...]
+
+
+def _content(path: Path) -> _Content:
+    state = _state(path)
+    with suppress(OSError):
+        return _Content(sha256_file(path), state)
+    return _Content("", state)
+
+
+def _state(path: Path) -> tuple[int, ...]:
+    """Return inode, size and times of the last change of a file: any writing to it changes them; empty without it."""
+    with suppress(OSError):
+        status = path.stat()
+        return status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns
+    return ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +213,7 @@ def read_logs(
     renames : mapping of str to (str, float), optional
         See `calib.campaign.logs_file.read_log`.
     progress : callable
-        See `calib.progress.Progress`.
+        See `calib.types.Progress`.
 
     Returns
     -------
@@ -102,14 +242,12 @@ def _outcomes(files: Sequence[LogFile], renames: Renames | None) -> Iterator[_Ou
     """Yield what came of each log, in their order."""
     n_bytes = _bytes(files)
     cache = log_cache(n_bytes)
-    known = KnownHashes.read(None if cache is None else cache.folder, files[0][2].parent if files else Path())
-    reader = _Reader(renames, cache, known, together=n_bytes >= MANY_BYTES or n_bytes > SMALL * len(files))
+    reader = _Reader(renames, cache, together=n_bytes >= MANY_BYTES or n_bytes > NUMPY_BYTES * len(files))
     threads = min(MOST_THREADS, _processors()) if reader.together and len(files) >= MANY else 1
     stored = 0
     for outcome, new in (_small if n_bytes < LARGE_BYTES * len(files) else _large)(reader, files, threads):
         stored += new
         yield outcome
-    known.keep()
     if cache is not None and stored:
         cache.trim()
 
@@ -119,7 +257,7 @@ def _small(reader: _Reader, files: Sequence[LogFile], threads: int) -> Iterator[
     batches = [files[first : first + TOGETHER] for first in range(0, len(files), TOGETHER)]
 
     def read(batch: Sequence[LogFile]) -> list[tuple[_Outcome, bool]]:
-        return reader.read(batch, [reader.known.content(path) for _, _, path, _ in batch])
+        return reader.read(batch)
 
     with _pool(min(threads, 2) if threads > 1 else 0) as pool:
         for outcomes in pool.map(read, batches) if pool else map(read, batches):
@@ -130,7 +268,7 @@ def _large(reader: _Reader, files: Sequence[LogFile], threads: int) -> Iterator[
     """Read large logs one by one, several threads at once."""
 
     def read(file: LogFile) -> tuple[_Outcome, bool]:
-        return reader.read([file], [reader.known.content(file[2])])[0]
+        return reader.read([file])[0]
 
     with _pool(threads if threads > 1 else 0) as pool:
         yield from pool.map(read, files) if pool else map(read, files)
@@ -165,12 +303,12 @@ class _Reader:
 
     renames: Renames | None
     cache: LogCache | None
-    known: KnownHashes
     #: parse small logs as one
     together: bool
 
-    def read(self, files: Sequence[LogFile], contents: Sequence[Content]) -> list[tuple[_Outcome, bool]]:
+    def read(self, files: Sequence[LogFile]) -> list[tuple[_Outcome, bool]]:
         """Return what came of each of some logs, and whether it was put into the cache."""
+        contents = [_content(path) for _, _, path, _ in files]
         places = [self._place(file, content) for file, content in zip(files, contents, strict=True)]
         kept = [None if self.cache is None or place is None else self.cache.get(place) for place in places]
         anew = [number for number, log in enumerate(kept) if log is None]
@@ -178,7 +316,7 @@ class _Reader:
         # an odd log may have asked for the parser of many already
         if (self.together or "pandas" in sys.modules) and len(anew) > 1:
             plain = [(files[number][2], files[number][3]) for number in anew]
-            raws = dict(zip(anew, read_alike(plain, wanted_in_log(self.renames)), strict=True))
+            raws = dict(zip(anew, read_batch(plain, wanted_in_log(self.renames)), strict=True))
         outcomes = []
         for number, (file, content, place, log) in enumerate(zip(files, contents, places, kept, strict=True)):
             if log is not None:
@@ -187,13 +325,13 @@ class _Reader:
                 outcomes.append(self._parsed(file, content, place, raws.get(number)))
         return outcomes
 
-    def _place(self, file: LogFile, content: Content) -> Path | None:
+    def _place(self, file: LogFile, content: _Content) -> Path | None:
         if self.cache is None or not content.sha256:
             return None
         return self.cache.path_of(content.sha256, [file[3], sorted((self.renames or {}).items())])
 
     def _parsed(
-        self, file: LogFile, content: Content, place: Path | None, raw: RawTable | None
+        self, file: LogFile, content: _Content, place: Path | None, raw: RawTable | None
     ) -> tuple[_Outcome, bool]:
         _, _, path, name = file
         own = Border(lenient=False)
@@ -202,9 +340,9 @@ class _Reader:
         except BadFileError as error:
             return _Outcome({}, tuple(own.notes), content.sha256, error), False
         notes = tuple(own.notes)
-        if not content.sha256 or FileState.of(path) != content.state:
+        if not content.sha256 or _state(path) != content.state:
             # a file that changed while it was read is neither kept nor named under the hash of what it was
-            return _Outcome(columns, notes, KnownHashes(None).content(path).sha256), False
+            return _Outcome(columns, notes, _content(path).sha256), False
         if self.cache is None or place is None:
             return _Outcome(columns, notes, content.sha256), False
         self.cache.put(place, ReadLog(columns, notes))

@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from calib.arrays import BoolArray, FloatArray, IntArray, StrArray
 from calib.campaign.settings import Encoder, Odometry, OdometryModel, Rangefinder, Reference
+from calib.errors import BadFileError
+from calib.types import BoolArray, FloatArray, IntArray, StrArray
 from calib.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -80,7 +81,7 @@ WHEEL_SETS: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """Something recognised, converted or found on the way in."""
+    """Something recognised, converted or found on the API."""
 
     #: ``info`` (recognised or converted), ``suspicious`` or ``wrong``
     level: str
@@ -92,6 +93,45 @@ class Note:
     code: str = ""
     #: the run concerned, or empty
     run_id: str = ""
+
+
+class Border:
+    """Notes made while reading; a fault is raised, or in a lenient reading kept as a note of level ``wrong``."""
+
+    def __init__(self, *, lenient: bool) -> None:
+        self.lenient = lenient
+        self.notes: list[Note] = []
+
+    def say(self, where: str, text: str, code: str, *, level: str = "info", run_id: str = "") -> None:
+        """Keep a note.
+
+        Parameters
+        ----------
+        where : str
+            File, row and column.
+        text : str
+            What was found, what was expected, what to do.
+        code : str
+            Name of the fault.
+        level : str
+            ``wrong``, ``suspicious`` or ``info``.
+        run_id : str
+            The run concerned; empty where it is none.
+        """
+        self.notes.append(Note(level, where, text, code, run_id))
+
+    def fault(self, error: BadFileError, code: str, run_id: str = "") -> None:
+        """Raise `error`, or keep it where the reading is lenient."""
+        if not self.lenient:
+            raise error
+        where = error.path
+        if error.row is not None:
+            where += f", row {error.row}"
+        if error.column is not None:
+            where += f", column {error.column}"
+        self.say(
+            where, f"found {error.found}; expected {error.expected}; {error.remedy}", code, level="wrong", run_id=run_id
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -176,7 +216,7 @@ class Logs:
         return enough
 
     def of(self, run: int) -> dict[str, FloatArray]:
-        """Return the columns of run number `run`, each of shape (n_samples_of_run,); columns it lacks are left out."""
+        """Return the columns of run number `run`, each of shape (n_samples_of_run,); columns it lacks are omitted."""
         part = slice(int(self.offsets[run]), int(self.offsets[run + 1]))
         cut = {name: column[part] for name, column in self.columns.items()}
         return {name: column for name, column in cut.items() if len(column) and not np.isnan(column).all()}
@@ -226,7 +266,7 @@ class Campaign:
     logs : Logs
         Logs of the same runs in the same order.
     notes : tuple of Note
-        What was recognised and converted on the way in.
+        What was recognised and converted on the API.
     hashes : mapping of str to str
         SHA-256 of every file read, by path relative to the folder.
     extra : mapping
@@ -269,7 +309,7 @@ class Campaign:
         """Return what was driven, as lines of text."""
         runs, logs = self.runs, self.logs
         kinds, counts = np.unique(runs.label("kind"), return_counts=True)
-        driven = ", ".join(f"{count} {kind or 'of no kind'}" for kind, count in zip(kinds, counts, strict=True))
+        driven = ", ".join(f"{count} {kind or 'unspecified'}" for kind, count in zip(kinds, counts, strict=True))
         sessions = len(np.unique(runs.label("session")))
         excluded = f", {int(runs.excluded.sum())} excluded" if runs.excluded.any() else ""
         lines = [

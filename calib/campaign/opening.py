@@ -10,7 +10,7 @@ from calib.campaign.model import Campaign
 from calib.campaign.read import SETTINGS, read_campaign
 from calib.campaign.readers import is_bag_folder
 from calib.errors import BadInputError
-from calib.progress import Progress, silent
+from calib.types import Progress, silent
 
 
 def read_or_ingest(
@@ -36,7 +36,7 @@ def read_or_ingest(
         return read_campaign(path, lenient=lenient, progress=progress)
     if not path.exists():
         return read_campaign(path, lenient=lenient, progress=progress)
-    from calib.campaign.ingest.run import ingest
+    from calib.campaign.ingest.build import ingest
 
     with tempfile.TemporaryDirectory(prefix="calib-") as place:
         folder = Path(place) / (path.stem or "campaign")

@@ -9,19 +9,16 @@ from typing import Final
 
 import numpy as np
 
-from calib.arrays import BoolArray, FloatArray
-from calib.campaign.faults import Border
-from calib.campaign.log_files import log_files
+from calib.campaign.counters import rewrap_total
 from calib.campaign.log_reading import read_logs
-from calib.campaign.model import Campaign, Logs, RunTable
+from calib.campaign.logs_file import log_files
+from calib.campaign.model import Border, Campaign, Logs, RunTable
 from calib.campaign.readers import READERS, read_table
 from calib.campaign.runs_file import run_table
 from calib.campaign.settings_file import Settings, read_settings
-from calib.campaign.wraps import rewrap_total
 from calib.errors import BadFileError
-from calib.files import inside, sha256_file
-from calib.folders import settle
-from calib.progress import Progress, silent
+from calib.io import inside, settle, sha256_file
+from calib.types import BoolArray, FloatArray, Progress, silent
 from calib.vehicle import Vehicle, wheel_loads_N
 
 SETTINGS: Final = "campaign.toml"

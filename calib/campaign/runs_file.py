@@ -8,13 +8,12 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from calib.arrays import BoolArray, FloatArray, StrArray
 from calib.campaign.columns import Recognised, converted, recognise
-from calib.campaign.faults import Border
-from calib.campaign.model import LABEL_COLUMNS, NUMERIC_COLUMNS, RunTable
-from calib.campaign.readers.table import RawTable, comma_evidence, mixed_marks, numbers
+from calib.campaign.model import LABEL_COLUMNS, NUMERIC_COLUMNS, Border, RunTable
+from calib.campaign.readers.table import RawTable, comma_evidence, mixed_decimal_marks, numbers
 from calib.errors import BadFileError
 from calib.limits import LABEL_CHARACTERS, RUNS, refuse_beyond
+from calib.types import BoolArray, FloatArray, StrArray
 
 _KNOWN: Final = (*LABEL_COLUMNS, *NUMERIC_COLUMNS, "excluded")
 #: ways along a corridor
@@ -106,7 +105,7 @@ def _numbers(raw: RawTable, matched: Mapping[str, Recognised], shown: str, borde
     if commas:
         border.say(shown, "decimal commas were read as decimal points", "decimal_comma")
         written = {matched[name].found: raw.columns[matched[name].found] for name in values}
-        border.notes.extend(mixed_marks(written, shown, raw.line))
+        border.notes.extend(mixed_decimal_marks(written, shown, raw.line))
     return values
 
 

@@ -23,7 +23,7 @@ class Encoder:
     #: counts a revolution of the rear wheels
     counts_per_rev_left: float = 4096.0
     counts_per_rev_right: float = 4096.0
-    #: width of the counter; None where it does not wrap or nobody says
+    #: width of the counter; None where it does not wrap or unspecified
     wrap_bits: int | None = None
     #: counts a revolution of the front wheel; None where the left wheel's value holds for it too
     counts_per_rev_front: float | None = None
@@ -96,7 +96,7 @@ class Reference:
     sensor_x_m: float = 0.0
     sensor_y_m: float = 0.0
     sensor_yaw_rad: float = 0.0
-    #: start: poses in each run's own start frame; map: in one frame common to all runs; None where nobody says
+    #: start: poses in each run's own start frame; map: in one frame common to all runs; None where unspecified
     frame: Frame | None = None
 
 
@@ -105,5 +105,5 @@ class Odometry:
     """What the vehicle's own odometry runs on."""
 
     #: rear: the two rear wheels' encoders; front: the front wheel's encoder and steering angle; wheels: all (mecanum);
-    #: None where nobody says. The key in the file is ``from``
+    #: None where unspecified. The key in the file is ``from``
     source: OdometrySource | None = None

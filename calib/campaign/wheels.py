@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from calib.arrays import FloatArray
 from calib.campaign.settings import FrontModel, MecanumModel, Odometry, OdometryModel, OdometrySource
 from calib.errors import BadInputError
+from calib.types import FloatArray
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -73,7 +73,7 @@ def on_one_axle(campaign: Campaign, model: OdometryModel | None = None) -> Campa
     aside = np.full(n, np.nan)
     if source == "front":
         front = model.front or FrontModel.of(campaign.vehicle)
-        # a count of the wheels that stand in for it is as fine as one of the front wheel
+        # a count of the wheels that are confounded with it is as fine as one of the front wheel
         per_m = encoder.front / (2 * np.pi * front.radius_m)
         encoder = replace(
             encoder,

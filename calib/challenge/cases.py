@@ -8,7 +8,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from calib.arrays import FloatArray
 from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
 from calib.challenge.ceiling import ceiling_of, ceiling_of_truth
@@ -21,6 +20,7 @@ from calib.plant.noise import Noise, random_noise
 from calib.plant.plans import good_design, poor_design
 from calib.plant.rivals import rivals, signatures, whitened
 from calib.plant.signal import is_calibration, to_signal
+from calib.types import FloatArray
 
 _UNSIGNED: Final = ("encoder_gross", "integration_scheme")
 #: effects of which only positive sizes have a meaning

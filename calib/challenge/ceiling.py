@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.arrays import FloatArray
+from calib.types import FloatArray
 
 #: false alarms that the gate allows
 ALARMS: Final = 0.05

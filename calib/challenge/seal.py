@@ -15,8 +15,9 @@ from typing import Any, Final, TypeVar
 from calib.campaign.write import write_campaign
 from calib.challenge.cases import Truth, campaigns_of, truth_of
 from calib.challenge.recipe import Recipe, read_seeds, recipes
+from calib.documents import to_json
 from calib.errors import BadFileError
-from calib.files import refuse_existing, sha256_file, to_json, write_text
+from calib.io import refuse_existing, sha256_file, write_text
 from calib.limits import refuse_workers
 
 PUBLIC: Final = "challenge.json"

@@ -10,8 +10,6 @@ import typer
 from calib.cli.options import Force, JsonTarget, MappingOption
 from calib.cli.terminal import answer, progress
 
-EPILOG = "Example: calib check sample_runs/corridor --json -"
-
 
 def run(
     campaign: Annotated[Path, typer.Argument(help="Campaign folder (campaign.toml, runs.csv, logs), or a recording.")],
@@ -25,12 +23,14 @@ def run(
     It ends in one of three verdicts: sound, look at this (something is suspicious), or wrong. The exit status is 1
     where something is wrong, 0 otherwise (with --strict only where nothing is suspicious either), 2 where the campaign
     cannot be read at all.
+
+    Example: calib check sample_runs/corridor --json -
     """
     from dataclasses import asdict
 
     from calib.campaign.check import check_campaign
     from calib.campaign.opening import read_or_ingest
-    from calib.report.statements.check import check_content
+    from calib.reporting.topics.campaign_check import check_content
 
     with progress("checking") as tick:
         report = check_campaign(read_or_ingest(campaign, mapping=mapping, lenient=True, progress=tick), tick)

@@ -14,10 +14,6 @@ if TYPE_CHECKING:
     from calib.campaign.model import Campaign
     from calib.radius.run_deviation import RunDeviations
 
-EPILOG = (
-    "Examples: calib deviation sample_runs/corridor --tolerance 0.0005; "
-    "calib deviation --amplitude 0.5 --wavelength 5 --distance 37.5"
-)
 DISTANCE_M: Final = 40.0
 AMPLITUDES_M: Final = (0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0)
 WAVELENGTHS_M: Final = (40.0, 5.0)
@@ -50,9 +46,11 @@ def run(
     """Show the error that a woven path or a steady arc adds to a radius, and judge each run.
 
     Exit status 1 where a run's path moved a radius by more than the tolerance.
+
+    Example: calib deviation sample_runs/corridor --tolerance 0.0005; calib deviation --amplitude 0.5 --wavelength 5
     """
-    from calib.radius import deviation_table as table
-    from calib.report.statements.deviation import arc_content, runs_content, weave_content
+    from calib.radius import deviation as table
+    from calib.reporting.topics.deviation import arc_content, runs_content, weave_content
 
     with waiting("reading"):
         read, judged = _judged(campaign, tolerance)

@@ -9,17 +9,15 @@ import typer
 
 from calib.cli.options import CampaignOrRecording, Figures, Force, JsonTarget, MappingOption, nearest
 from calib.cli.terminal import emit_json, progress, say, show, waiting, wrote
-from calib.cli.threads import one_blas_thread
 from calib.errors import BadInputError
-from calib.files import refuse_existing
+from calib.io import refuse_existing
 
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign
     from calib.coefficients.sections import EffectSection
-    from calib.gap.diagnosis import Diagnosis
-    from calib.progress import Progress
+    from calib.gap.decision.diagnosis import Diagnosis
+    from calib.types import Progress
 
-EPILOG = "Example: calib diagnose sample_runs/corridor_crossed --apply coefficients.json"
 RESULT_FILE = "diagnosis.json"
 
 
@@ -53,28 +51,28 @@ def run(
 
     Exit status 0: there is no gap, or it is explained. 1: the causes cannot be told apart, or the gap is explained
     in part only, or its cause is unknown. 2: bad input.
+
+    Example: calib diagnose sample_runs/corridor_crossed --apply coefficients.json
     """
-    one_blas_thread()
     from calib.campaign.opening import read_or_ingest
-    from calib.files import write_json
-    from calib.gap.verdict.result import VerdictKind
-    from calib.report.gap_findings import GapFindings
-    from calib.report.statements.diagnosis import verdict_content
+    from calib.gap.decision.diagnosis import VerdictKind
+    from calib.io import write_json
+    from calib.reporting.source import verdict_document
+    from calib.reporting.topics.diagnosis import verdict_content
 
     refuse_existing([apply, html, None if into is None else into / RESULT_FILE, *_pictures(figures)], force=force)
     with progress("diagnosing") as tick:
         read = read_or_ingest(campaign, mapping=mapping, progress=tick)
         diagnosis, effects = _diagnosed(read, model, tuple(exclude or ()), seed, journeys, tick)
-    verdict = diagnosis.verdict
-    document = GapFindings.of(verdict).to_dict()
-    show(verdict_content(verdict), target=json)
+    document = verdict_document(diagnosis)
+    show(verdict_content(diagnosis), target=json)
     if apply is not None:
         _apply(diagnosis, read, effects, apply, json=json, force=force)
     if into is not None:
         wrote([write_json(into / RESULT_FILE, document, force=force)], target=json)
     _draw(diagnosis, read, html, figures, json=json, force=force)
     emit_json(document, json, force=force)
-    return 0 if verdict.kind in {VerdictKind.NO_GAP, VerdictKind.EXPLAINED} else 1
+    return 0 if diagnosis.kind in {VerdictKind.NO_GAP, VerdictKind.EXPLAINED} else 1
 
 
 def _apply(
@@ -87,11 +85,11 @@ def _apply(
     force: bool,
 ) -> None:
     """Write the model with its correction, and say so where that is not recommended."""
-    from calib.files import write_bytes
     from calib.gap.apply import applied_model
+    from calib.io import write_bytes
 
     wrote([write_bytes(target, applied_model(diagnosis, campaign, effects).to_bytes(), force=force)], target=json)
-    if not diagnosis.verdict.recommended:
+    if not diagnosis.recommended:
         say("The written model is not recommended: see above what speaks against it.", target=json)
 
 
@@ -99,10 +97,10 @@ def _pictures(folder: Path | None) -> list[Path]:
     """Return the files that figures may be written to, so that existing ones are refused before the work."""
     if folder is None:
         return []
-    from calib.report.figures.files import figure_paths
-    from calib.report.figures.gap_files import GAP_FILES
+    from calib.reporting.figures.gap import GAP_FIGURES
+    from calib.reporting.figures.style import figure_paths
 
-    return figure_paths(folder, GAP_FILES)
+    return figure_paths(folder, GAP_FIGURES)
 
 
 def _draw(
@@ -110,18 +108,18 @@ def _draw(
 ) -> None:
     """Write the page and the figures that were asked for."""
     if html is not None:
-        from calib.files import write_text
-        from calib.report.gap_page import diagnosis_page
+        from calib.io import write_text
+        from calib.reporting.html import diagnosis_page
 
         with waiting("making the page"):
             page = diagnosis_page(diagnosis, campaign)
         wrote([write_text(html, page, force=force)], target=json)
     if figures is not None:
-        from calib.report.figures.files import write_figures
-        from calib.report.figures.gap_files import gap_pictures
+        from calib.reporting.figures.gap import gap_figures
+        from calib.reporting.figures.style import write_figures
 
         with progress("drawing") as tick:
-            written = write_figures(gap_pictures(diagnosis), figures, force=force, progress=tick)
+            written = write_figures(gap_figures(diagnosis), figures, force=force, progress=tick)
         wrote(written, target=json, what=f"{len(written)} figure files to {figures}")
 
 
@@ -152,8 +150,8 @@ def _diagnosed(
 
 def _check_excluded(exclude: tuple[str, ...], campaign: Campaign) -> None:
     """Refuse what is no effect of the campaign's library, its columns' and the user's own included."""
-    from calib.gap.data.from_campaign import observations_of
     from calib.gap.effects.library import REGISTRY, check_excluded
+    from calib.gap.observations.from_campaign import observations_of
 
     try:
         check_excluded(exclude, observations_of(campaign), campaign.extra.get("effects", ()))

@@ -9,15 +9,13 @@ import typer
 
 from calib.cli.options import Figures, Force, JsonTarget, nearest
 from calib.cli.terminal import emit_json, progress, show, waiting, wrote
-from calib.cli.threads import one_blas_thread
 from calib.errors import BadInputError
-from calib.files import refuse_existing
+from calib.io import refuse_existing
 
 if TYPE_CHECKING:
-    from calib.gap.effects.catalogue import Entry
-    from calib.gap.predict.path import Path as DrivenPath
+    from calib.gap.effects.library import Entry
+    from calib.gap.predict import Path as DrivenPath
 
-EPILOG = "Example: calib effects track_width --figures pictures"
 
 DEMONSTRATION = "demonstration runs (corridor both ways, squares, curves)"
 
@@ -40,16 +38,17 @@ def run(
 
     Effects of installed packages (entry points of the group calib.effects) are listed with the package; those that
     campaign.toml declares, and further columns of the run table, with --campaign.
+
+    Example: calib effects track_width --figures pictures
     """
-    one_blas_thread()
     with waiting("looking"):
         nominal, entries, runs = _catalogued(effect, campaign)
     if figures is not None:
-        from calib.report.figures.files import figure_paths
+        from calib.reporting.figures.style import figure_paths
 
         drawable = [_file_name(entry) for entry in entries if entry.signature is not None]
         refuse_existing(figure_paths(figures, drawable), force=force)
-    from calib.report.statements.effects import effect_content, effects_content
+    from calib.reporting.topics.effects import effect_content, effects_content
 
     show(effects_content(entries, runs) if effect is None else effect_content(entries[0], runs), target=json)
     if figures is not None:
@@ -60,11 +59,10 @@ def run(
 def _catalogued(effect: str | None, campaign: Path | None) -> tuple[DrivenPath, list[Entry], str]:
     """Return the runs, the effects asked for, and the runs' name."""
     from calib.campaign.read import read_campaign
-    from calib.gap.data.from_campaign import observations_of
-    from calib.gap.effects.catalogue import catalogue
-    from calib.gap.effects.library import every_effect
-    from calib.gap.plan.demonstration import demonstration
-    from calib.gap.predict.path import predict
+    from calib.gap.effects.library import catalogue, every_effect
+    from calib.gap.observations.from_campaign import observations_of
+    from calib.gap.plan.plan_file import demonstration
+    from calib.gap.predict import predict
 
     read = demonstration() if campaign is None else read_campaign(campaign)
     declared = read.extra.get("effects", ())
@@ -85,9 +83,9 @@ def _file_name(entry: Entry) -> str:
 
 
 def _draw(entries: list[Entry], nominal: DrivenPath, folder: Path, json: str | None, *, force: bool) -> None:
-    from calib.progress import stepped
-    from calib.report.figures.files import write_figures
-    from calib.report.figures.signature import signature_figure
+    from calib.reporting.figures.effects import signature_figure
+    from calib.reporting.figures.style import write_figures
+    from calib.types import stepped
 
     drawable = [entry for entry in entries if entry.signature is not None]
     written = []

@@ -11,12 +11,11 @@ import typer
 from calib.cli.options import AcceptImplausible, Force, JsonTarget
 from calib.cli.terminal import emit_json, emit_text, note, wants_stdout, wrote
 from calib.coefficients.formats import FORMATS
-from calib.files import refuse_existing
+from calib.io import refuse_existing
 
 if TYPE_CHECKING:
-    from calib.coefficients.loads import Artifact
+    from calib.coefficients.formats import Artifact
 
-EPILOG = "Example: calib export sample_runs/corridor --to ros2 --load 300 --load 500,700 --output params"
 
 Loads = Annotated[
     list[str] | None,
@@ -64,10 +63,12 @@ def run(
     json: JsonTarget = None,
     force: Force = False,
 ) -> None:
-    """Write the coefficients as JSON, ROS 2 parameters, C99 header or look-up table."""
-    from calib.coefficients.export import export, parse_loads
-    from calib.coefficients.loads import ExportOptions
-    from calib.coefficients.source import coefficients_of
+    """Write the coefficients as JSON, ROS 2 parameters, C99 header or look-up table.
+
+    Example: calib export sample_runs/corridor --to ros2 --load 300 --load 500,700 --output params
+    """
+    from calib.coefficients.export import coefficients_of, export, parse_loads
+    from calib.coefficients.formats import ExportOptions
 
     # a dash is standard output, as for --json
     output = None if output == Path("-") else output

@@ -10,14 +10,12 @@ import typer
 from calib.cli.options import CampaignOrRecording, Figures, Force, JsonTarget, MappingOption
 from calib.cli.terminal import emit_json, progress, show, wants_stdout, wrote
 from calib.errors import BadInputError
-from calib.files import refuse_existing
+from calib.io import refuse_existing
 
 if TYPE_CHECKING:
-    from calib.coefficients.source import Source
-    from calib.radius.fitted import Fit
-    from calib.report.blocks import Block
-
-EPILOG = "Example: calib fit sample_runs/corridor --into results/corridor"
+    from calib.coefficients.export import Source
+    from calib.radius.result import Fit
+    from calib.reporting.blocks import Block
 
 
 def run(
@@ -49,6 +47,8 @@ def run(
 
     The intervals allow for what runs of one session have in common. Exit status 1 where a check says that the law
     should not be used as it is; what --model shows is told, and does not change it.
+
+    Example: calib fit sample_runs/corridor --into results/corridor
     """
     from dataclasses import replace
 
@@ -56,7 +56,7 @@ def run(
     from calib.campaign.opening import read_or_ingest
     from calib.radius.fit import fit_campaign
     from calib.radius.result import provenance, write_result
-    from calib.report.statements.fit import fit_content
+    from calib.reporting.topics.fit import fit_content
 
     refuse_existing([*_results(into), *_pictures(figures)], force=force)
     believed, reference_load = _believed(model, reference_load)
@@ -81,7 +81,7 @@ def run(
 
 def _believed(model: Path | None, reference_load: float | None) -> tuple[Source | None, float | None]:
     """Return the coefficients that a simulator believes, and the load to fit at."""
-    from calib.coefficients.source import coefficients_of
+    from calib.coefficients.export import coefficients_of
 
     if model is None:
         return None, reference_load
@@ -95,9 +95,9 @@ def _believed(model: Path | None, reference_load: float | None) -> tuple[Source 
 
 def _compared(fitted: Fit, believed: Source) -> tuple[dict[str, Any], tuple[Block, ...]]:
     """Return the fit held against the model, as plain values and as blocks."""
-    from calib.coefficients.source import effects_left_out
-    from calib.radius.comparison import compare_laws
-    from calib.report.statements.fit import comparison_content
+    from calib.coefficients.export import effects_left_out
+    from calib.radius.fit import compare_laws
+    from calib.reporting.topics.fit import comparison_content
 
     notes = (*believed.notes, *effects_left_out(believed.file, "not compared"))
     compared = compare_laws(fitted.left, fitted.right, believed.file.law)
@@ -115,15 +115,15 @@ def _pictures(folder: Path | None) -> list[Path]:
     """Return the files of the figures, so that existing ones are refused before the work."""
     if folder is None:
         return []
-    from calib.report.figures.files import figure_paths
-    from calib.report.statements.fit_pictures import FIT_PICTURES
+    from calib.reporting.figures.style import figure_paths
+    from calib.reporting.topics.fit import FIT_PICTURES
 
     return figure_paths(folder, FIT_PICTURES)
 
 
 def _draw(fitted: Fit, folder: Path, json: str | None, *, force: bool) -> None:
-    from calib.report.figures.files import write_figures
-    from calib.report.statements.fit_pictures import fit_pictures
+    from calib.reporting.figures.style import write_figures
+    from calib.reporting.topics.fit import fit_pictures
 
     with progress("drawing") as tick:
         drawn = {picture.name: picture.draw() for picture in fit_pictures(fitted)}

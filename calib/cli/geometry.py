@@ -9,14 +9,12 @@ import typer
 
 from calib.cli.options import CampaignOrRecording, Figures, Force, JsonTarget, MappingOption
 from calib.cli.terminal import emit_json, progress, show, wrote
-from calib.cli.threads import one_blas_thread
-from calib.files import refuse_existing
+from calib.io import refuse_existing
 
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign
-    from calib.geometry.result import Geometry
+    from calib.kinematics.result import Geometry
 
-EPILOG = "Example: calib geometry my_squares --figures pictures --output coefficients.json"
 
 USING = {"end-poses": "end_poses", "windows": "windows"}
 LEAVE_OUT = {"session": "session", "kind": "kind", "run": "run_id"}
@@ -46,14 +44,15 @@ def run(
     """Estimate radii, track and the reference's sensor together, with intervals.
 
     From end poses (any routes; squares both ways by UMBmark too) or by windows along the way. The coefficient file is
-    what export, diagnose --model and simulate take. Status 1 where a gross fault (swapped columns, half a track) was
+    what export, diagnose --model and simulate take. Status 1 where a blunder (swapped columns, half a track) was
     recognised: correct it first.
+
+    Example: calib geometry my_squares --figures pictures --output coefficients.json
     """
-    one_blas_thread()
     from calib.campaign.opening import read_or_ingest
-    from calib.files import write_bytes, write_json
-    from calib.geometry.estimate import estimate_geometry
-    from calib.report.statements.geometry import geometry_content
+    from calib.io import write_bytes, write_json
+    from calib.kinematics.estimate import estimate_geometry
+    from calib.reporting.topics.geometry import geometry_content
 
     way, left_out = _choice("--using", using, USING), _choice("--leave-out", leave_out, LEAVE_OUT)
     pictures = [] if figures is None else [figures / f"{PICTURE}.{form}" for form in FORMS]
@@ -67,7 +66,7 @@ def run(
     if result is not None:
         wrote([write_json(result, document, force=force)], target=json)
     if output is not None:
-        from calib.coefficients.from_geometry import from_geometry
+        from calib.coefficients.build import from_geometry
 
         wrote([write_bytes(output, from_geometry(estimated, read).to_bytes(), force=force)], target=json)
     if figures is not None:
@@ -88,9 +87,9 @@ def _choice(option: str, given: str | None, known: dict[str, str]) -> Any:
 
 
 def _draw(estimated: Geometry, read: Campaign, folder: Path, json: str | None, *, force: bool) -> None:
-    from calib.geometry.paths import paths_of
-    from calib.report.figures.files import write_figures
-    from calib.report.figures.geometry import draw_paths
+    from calib.kinematics.estimate import paths_of
+    from calib.reporting.figures.motion import draw_paths
+    from calib.reporting.figures.style import write_figures
 
     figure = draw_paths(paths_of(read, estimated), simulated=estimated.simulated)
     wrote(write_figures({PICTURE: figure}, folder, force=force), target=json)

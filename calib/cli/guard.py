@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import itertools
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -10,8 +11,8 @@ import typer
 from typer.core import TyperCommand
 
 from calib.errors import BadInputError
-from calib.files import refuse_existing
 from calib.inputs import inputs_kept, refuse_special
+from calib.io import refuse_empty, refuse_existing
 
 #: parameters that say where something is written; every other path is an input
 OUTPUTS: Final = frozenset({"into", "output", "json", "json_target", "figures", "apply", "html", "tum", "plot"})
@@ -21,6 +22,11 @@ ALSO: Final[dict[str, frozenset[str]]] = {"make": frozenset({"truth"})}
 
 class Guarded(TyperCommand):
     """A command whose path arguments are held sacred while it runs."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the words of a command line, none of whose paths may be empty."""
+        _refuse_empty(self.params, args)
+        return super().parse_args(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command with its inputs kept, where the JSON can be written."""
@@ -35,6 +41,21 @@ class Guarded(TyperCommand):
             # before the work, not after it
             refuse_existing([ctx.params.get("json")], force=bool(ctx.params.get("force")))
             return super().invoke(ctx)
+
+
+def _refuse_empty(parameters: Sequence[Any], words: Sequence[str]) -> None:
+    """Refuse an empty path, which `Path` would read as the working folder."""
+    paths: set[str] = set()
+    others: set[str] = set()
+    for parameter in parameters:
+        is_path = parameter.name in OUTPUTS or "Path" in str(parameter.type_descriptor.annotation)
+        (paths if is_path else others).update(parameter.opts)
+    for before, word in itertools.pairwise(["", *words]):
+        option, equals, value = word.partition("=")
+        if option in paths and equals:
+            refuse_empty(value, option)
+        elif before in paths or (before not in others and any(not name.startswith("-") for name in paths)):
+            refuse_empty(word, before if before in paths else "argument")
 
 
 def _refuse_dash(ctx: Any) -> None:

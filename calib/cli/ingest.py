@@ -1,4 +1,4 @@
-"""``calib ingest``: raw lab files and recordings become a campaign; or a description of them and a mapping to go by."""
+"""``calib ingest``: raw laboratory files and recordings become a campaign; or a description and a proposed mapping."""
 
 from __future__ import annotations
 
@@ -13,9 +13,8 @@ from calib.cli.terminal import emit_json, emit_text, progress, say, waiting, wan
 if TYPE_CHECKING:
     from calib.campaign.ingest import Ingested
 
-EPILOG = "Example: calib ingest export.xlsx logger/ --mapping lab.toml --into hall3"
 #: runs cut out of a recording that are listed
-_LISTED = 8
+_LISTED_RUNS = 8
 
 
 def run(
@@ -26,7 +25,7 @@ def run(
     into: Annotated[Path | None, typer.Option(metavar="CAMPAIGN", help="Campaign folder to make.")] = None,
     mapping: Annotated[Path | None, typer.Option(metavar="FILE", help="TOML that names the columns.")] = None,
     describe: Annotated[
-        bool, typer.Option("--describe", help="Say what is in the files and propose a mapping, as TOML.")
+        bool, typer.Option("--describe", help="Describe the files and propose a mapping, as TOML.")
     ] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Do everything but write.")] = False,
     json: JsonTarget = None,
@@ -34,11 +33,13 @@ def run(
 ) -> None:
     """Make a campaign out of raw lab files; the sources are hashed and left untouched.
 
-    First 'calib ingest --describe FILE... > lab.toml': it says what is inside (sheets, header rows, topics, channels,
+    First 'calib ingest --describe FILE... > lab.toml': it lists the contents (sheets, header rows, topics, channels,
     units, time formats, overflowing counters) and proposes a mapping. Edit it, try it with --dry-run, and ingest. The
     mapping's sections [table] and [log] say which source column is which calib column, as a name (run_id = "Run no.")
     or with unit, factor and texts (distance_m = {column = "Distance", unit = "mm"}); log.file = "Run_{n:02}.csv" names
     a run's log; [cut] says how a continuous recording is cut into runs. All else goes into campaign.toml.
+
+    Example: calib ingest export.xlsx logger/ --mapping lab.toml --into hall3
     """
     from calib.errors import BadInputError
 
@@ -49,7 +50,8 @@ def run(
         raise BadInputError(
             "--into: found no campaign folder to make; expected one; give --into FOLDER, or --describe to look first"
         )
-    from calib.campaign.ingest import gathered, ingest
+    from calib.campaign.ingest import ingest, merged_notes
+    from calib.result import plain
 
     with progress("reading") as tick:
         ingested = ingest(sources, into, mapping=mapping, force=force, dry_run=dry_run, progress=tick)
@@ -60,13 +62,13 @@ def run(
         "written": not dry_run,
         "assumed": list(ingested.campaign.assumed),
         "sources": dict(ingested.sources),
-        "cuts": [dict(cut) for cut in ingested.cuts],
+        "cuts": plain(ingested.cuts),
         "notes": [{"level": note.level, "where": note.where, "text": note.text} for note in ingested.notes],
     }
     emit_json(document, json, force=force)
     if wants_stdout(json):
         return
-    for note in gathered(ingested.notes):
+    for note in merged_notes(ingested.notes):
         say(f"{note.where}: {note.text}")
     _say_cuts(ingested)
     end = "nothing was written" if dry_run else f"look at it with 'calib check {ingested.folder}'"
@@ -86,6 +88,6 @@ def _describe(sources: list[Path], json: str | None, force: bool) -> None:
 def _say_cuts(ingested: Ingested) -> None:
     if not ingested.cuts:
         return
-    shown = ", ".join(f"{cut['run_id']} {cut['start_s']:.1f}-{cut['end_s']:.1f} s" for cut in ingested.cuts[:_LISTED])
-    more = f" and {len(ingested.cuts) - _LISTED} more" if len(ingested.cuts) > _LISTED else ""
+    shown = ", ".join(f"{cut.run_id} {cut.start_s:.1f}-{cut.end_s:.1f} s" for cut in ingested.cuts[:_LISTED_RUNS])
+    more = f" and {len(ingested.cuts) - _LISTED_RUNS} more" if len(ingested.cuts) > _LISTED_RUNS else ""
     say(f"Cut into runs: {shown}{more}.")

@@ -10,8 +10,6 @@ import typer
 from calib.cli.options import Force, JsonTarget
 from calib.cli.terminal import emit_json, say, wants_stdout, wrote
 
-EPILOG = "Example: calib init hall3"
-
 
 def run(
     folder: Annotated[Path, typer.Argument(help="Campaign folder to make.")],
@@ -21,8 +19,10 @@ def run(
     """Make an empty campaign to fill in by hand: campaign.toml with remarks, runs.csv with its header, logs.
 
     What a laboratory has already, in spreadsheets, loggers or recordings, goes in with 'calib ingest' instead.
+
+    Example: calib init hall3
     """
-    from calib.campaign.ingest.blank import write_blank
+    from calib.campaign.ingest.build import write_blank
 
     written = write_blank(folder, force=force)
     emit_json({"campaign": str(folder), "written": [str(path) for path in written]}, json, force=force)

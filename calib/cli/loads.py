@@ -10,9 +10,7 @@ import typer
 from calib.cli.options import Figures, Force, JsonTarget, nearest, numbers
 from calib.cli.terminal import answer, wants_stdout, wrote
 from calib.errors import BadInputError
-from calib.files import refuse_existing
-
-EPILOG = "Example: calib loads --payload 100 --x 0.5 --sweep y --from -0.2333 --to 0.2333 --figures loads"
+from calib.io import refuse_existing
 
 COLUMNS: Final = {"payload": "payload_kg", "x": "payload_x_m", "y": "payload_y_m"}
 #: what is swept -> name of the figure's files
@@ -48,8 +46,10 @@ def run(
     """Compute static wheel loads (Eqs 1 and 2 with the force balance), or the payload from weighed wheels.
 
     A payload under which a wheel would lift or carry more than is permitted is refused.
+
+    Example: calib loads --payload 100 --x 0.5 --sweep y --from -0.2333 --to 0.2333 --figures loads
     """
-    from calib.motion.studies.vehicle_source import vehicle_of
+    from calib.odometry.load_sweep import vehicle_of
 
     meant = vehicle_of(
         vehicle,
@@ -81,9 +81,9 @@ def _loads(
 ) -> None:
     from dataclasses import asdict
 
-    from calib.motion.studies.load_sweep import sweep_loads
-    from calib.report.figures.files import FORMS, write_figures
-    from calib.report.statements.loads import loads_content
+    from calib.odometry.load_sweep import sweep_loads
+    from calib.reporting.figures.style import FORMS, write_figures
+    from calib.reporting.topics.simulation import loads_content
 
     what, first, last, steps = sweep
     stem = STEMS.get(what or "", "loads")
@@ -91,7 +91,7 @@ def _loads(
     swept = sweep_loads(vehicle, *payload, swept=COLUMNS[what] if what else "", span=(first, last), steps=steps)
     written: list[Path] = []
     if figures is not None:
-        from calib.report.figures.motion import load_figure
+        from calib.reporting.figures.motion import load_figure
 
         written = write_figures({stem: load_figure(swept)}, figures, force=force)
     document = {
@@ -108,7 +108,7 @@ def _loads(
 def _weighed(vehicle: Any, text: str, sigma: float, json: str | None, force: bool) -> None:
     from dataclasses import asdict
 
-    from calib.report.statements.loads import weighed_content
+    from calib.reporting.topics.simulation import weighed_content
     from calib.vehicle import payload_from_wheel_loads
 
     front, left, right = numbers(text, 3, "--weighed")

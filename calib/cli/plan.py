@@ -9,11 +9,8 @@ import typer
 
 from calib.cli.options import Force, JsonTarget
 from calib.cli.terminal import emit_json, progress, say, show, wrote
-from calib.cli.threads import one_blas_thread
 from calib.errors import BadInputError
-from calib.files import refuse_existing
-
-EPILOG = "Example: calib plan sample_runs/corridor; calib plan --from PLAN.toml --figures pictures"
+from calib.io import refuse_existing
 
 
 def run(
@@ -39,8 +36,9 @@ def run(
     format = "calib-plan/1", the sections of campaign.toml, [measured] with distance, poses, front, log (true or
     false) and corridor_m, and [[runs]], each with kind, count, direction, session, payload_kg, payload_x_m,
     payload_y_m, speed_mps, temperature_C, minutes_under_load, stops, read_rolling, or a further numeric column.
+
+    Example: calib plan sample_runs/corridor; calib plan --from PLAN.toml --figures pictures
     """
-    one_blas_thread()
     if (campaign is None) == (source is None):
         raise BadInputError("plan: found both or none; expected a CAMPAIGN or --from PLAN.toml; give one of them")
     if source is not None:
@@ -58,25 +56,24 @@ def _next(campaign: Path, candidates: Path | None, most: int, seed: int, json: s
     from calib.gap.diagnose import diagnose_in_full
     from calib.gap.plan.next_runs import next_runs
     from calib.gap.plan.plan_file import read_candidates
-    from calib.report.statements.plan import next_runs_table
+    from calib.reporting.topics.effects import next_runs_table
 
     with progress("planning") as tick:
         read = read_campaign(campaign, progress=tick)
         offered = None if candidates is None else read_candidates(candidates)
         diagnosis = diagnose_in_full(read, seed=seed, plan=False, progress=tick)
-        verdict = diagnosis.verdict
-        ties = [group.effects for group in verdict.groups]
+        ties = [group.effects for group in diagnosis.groups]
         runs = [
             run.to_dict()
             for run in next_runs(
                 read, diagnosis.effects, diagnosis.noise, ties, diagnosis.fitted, candidates=offered, most=most
             )
         ]
-    say(f"{verdict.campaign}: {verdict.sentence}", target=json)
+    say(f"{diagnosis.campaign}: {diagnosis.sentence}", target=json)
     show([next_runs_table(runs)], target=json)
     document = {
-        "verdict": verdict.kind.value,
-        "indistinguishable": [list(group.effects) for group in verdict.groups],
+        "verdict": diagnosis.kind.value,
+        "indistinguishable": [list(group.effects) for group in diagnosis.groups],
         "next_runs": runs,
     }
     emit_json(document, json, force=force)
@@ -84,13 +81,13 @@ def _next(campaign: Path, candidates: Path | None, most: int, seed: int, json: s
 
 
 def _judge(source: Path, figures: Path | None, json: str | None, *, force: bool) -> int:
-    from calib.gap.plan.outlook import outlook_of
+    from calib.gap.plan.identifiability import outlook_of
     from calib.gap.plan.plan_file import read_plan
-    from calib.report.statements.plan import outlook_content
+    from calib.reporting.topics.effects import outlook_content
 
     stem = "plan-matrix"
     if figures is not None:
-        from calib.report.figures.files import FORMS
+        from calib.reporting.figures.style import FORMS
 
         refuse_existing([figures / f"{stem}.{form}" for form in FORMS], force=force)
     with progress("judging the plan") as tick:
@@ -98,8 +95,8 @@ def _judge(source: Path, figures: Path | None, json: str | None, *, force: bool)
         outlook = outlook_of(planned, progress=tick)
     show(outlook_content(planned.name, len(planned.runs), outlook), target=json)
     if figures is not None:
-        from calib.report.figures.files import write_figures
-        from calib.report.figures.plan import plan_matrix
+        from calib.reporting.figures.effects import plan_matrix
+        from calib.reporting.figures.style import write_figures
 
         written = write_figures({stem: plan_matrix(outlook)}, figures, force=force)
         wrote(written, target=json, what=f"{len(written)} figure files to {figures}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,17 +10,14 @@ import typer
 
 from calib.cli.options import AcceptImplausible, Date, Figures, Force, JsonTarget
 from calib.cli.terminal import emit_json, progress, say, wrote
-from calib.cli.threads import one_blas_thread
 from calib.errors import BadInputError, RefusedError
-from calib.files import refuse_existing
+from calib.io import refuse_existing
 
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign
-    from calib.gap.diagnosis import Diagnosis
-    from calib.progress import Progress
-    from calib.report.content import Report
-
-EPILOG = "Example: calib report sample_runs/corridor_crossed --into corridor_crossed.pdf --date 2025-03-31"
+    from calib.gap.decision.diagnosis import Diagnosis
+    from calib.reporting.content import Report
+    from calib.types import Progress
 
 
 def run(
@@ -53,14 +50,14 @@ def run(
     The [report] section of campaign.toml states laboratory, customer, vehicle, instruments and dates. Exit status 1
     where a check says that the law should not be used as it is; the report is written all the same and says so.
     With --diagnosis, runs that allow no law, as loops do, still give a report of the diagnosis.
+
+    Example: calib report sample_runs/corridor_crossed --into corridor_crossed.pdf --date 2025-03-31
     """
-    if diagnosis:
-        one_blas_thread()
-    from calib.files import write_bytes, write_text
-    from calib.report.figures.files import write_figures
-    from calib.report.pdf import to_pdf
-    from calib.report.place import place_of
-    from calib.report.source import issue_date
+    from calib.io import write_bytes, write_text
+    from calib.reporting.content import place_of
+    from calib.reporting.figures.style import write_figures
+    from calib.reporting.pdf import to_pdf
+    from calib.reporting.source import issue_date
 
     refuse_existing([html], force=force)
     issued = issue_date(date)
@@ -103,10 +100,10 @@ class _Content:
 def _refuse_targets(source: Path, into: Path | None, figures: Path | None, *, force: bool) -> None:
     """Refuse existing targets before the work, as far as their names are known before it."""
     from calib.campaign.settings_file import read_settings
-    from calib.report.figures.files import figure_paths
-    from calib.report.place import place_of
-    from calib.report.statements.fit_pictures import FIT_PICTURES
-    from calib.report.statements.gap_pictures import GAP_PICTURES
+    from calib.reporting.content import place_of
+    from calib.reporting.figures.gap import GAP_PICTURES
+    from calib.reporting.figures.style import figure_paths
+    from calib.reporting.topics.fit import FIT_PICTURES
 
     settings = source / "campaign.toml"
     if settings.is_file():
@@ -118,10 +115,8 @@ def _content(path: Path, issued: str, accept: str, seed: int | None, tick: Progr
     """Return the report; runs that allow no law give one of the diagnosis alone, where it is asked for by its seed."""
     from calib.campaign.read import read_campaign
     from calib.gap.diagnose import diagnose_in_full
-    from calib.report.content import compose
-    from calib.report.gap_report import diagnosis_report
-    from calib.report.gap_source import findings_of
-    from calib.report.source import source_of
+    from calib.reporting.content import compose, diagnosis_report
+    from calib.reporting.source import source_of
 
     try:
         source, campaign = source_of(path, issued=issued, accept=accept, progress=tick)
@@ -131,7 +126,7 @@ def _content(path: Path, issued: str, accept: str, seed: int | None, tick: Progr
         read = read_campaign(path, progress=tick)
         diagnosis = diagnose_in_full(read, seed=seed, progress=tick)
         why = str(error).removeprefix(f"{path}: ")
-        return _Content(diagnosis_report(read, findings_of(diagnosis), issued=issued, why=why), diagnosis, read)
+        return _Content(diagnosis_report(read, diagnosis, issued=issued, why=why), diagnosis, read)
     if seed is None:
         return _Content(compose(source))
     if campaign is None:
@@ -139,16 +134,16 @@ def _content(path: Path, issued: str, accept: str, seed: int | None, tick: Progr
             f"{path}: found the result of a fit; expected a campaign folder, which a diagnosis needs; give the campaign"
         )
     diagnosis = diagnose_in_full(campaign, seed=seed, progress=tick)
-    return _Content(compose(replace(source, gap=findings_of(diagnosis))), diagnosis, campaign)
+    return _Content(compose(source.with_diagnosis(diagnosis)), diagnosis, campaign)
 
 
 def _page(content: _Content, tick: Progress) -> str:
     """Return the page, with linked panels where there is a diagnosis to look into."""
-    from calib.report.html import to_html
+    from calib.reporting.html import to_html
 
     tick(0, 0, "page")
     if content.diagnosis is None or content.campaign is None:
         return to_html(content.report)
-    from calib.report.gap_page import linked_panels
+    from calib.reporting.interactive import interactive_panels
 
-    return to_html(content.report, linked_panels(content.diagnosis, content.campaign))
+    return to_html(content.report, interactive_panels(content.diagnosis, content.campaign))

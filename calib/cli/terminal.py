@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 from calib.errors import BadInputError
 
 if TYPE_CHECKING:
-    from calib.report.blocks import Block, Section
+    from calib.reporting.blocks import Block, Section
 
 #: what the command at work has written so far, for the line after an interruption
 KEPT: Final[ContextVar[list[str]]] = ContextVar("kept")
@@ -55,7 +55,8 @@ def heed() -> None:
 
 def emit_json(value: Any, target: str | None, *, force: bool) -> None:
     """Write `value` as JSON where `target` says; nothing where it is None."""
-    from calib.files import to_json, write_json
+    from calib.documents import to_json
+    from calib.io import write_json
 
     if target is None:
         return
@@ -88,7 +89,7 @@ def emit_text(text: str) -> None:
 
 def show(blocks: Iterable[Block | Section], *, target: str | None = None) -> None:
     """Print blocks for people; to standard error where standard output belongs to JSON."""
-    from calib.report.text import text_lines
+    from calib.reporting.text import text_lines
 
     heed()
     stream = sys.stderr if wants_stdout(target) else sys.stdout
@@ -114,7 +115,7 @@ def answer(document: Any, blocks: Iterable[Block | Section], *, json: str | None
 
 def say(text: str, *, target: str | None = None) -> None:
     """Print a sentence for people over as many lines as it takes."""
-    from calib.report.blocks import Text
+    from calib.reporting.blocks import Text
 
     show([Text(text)] if text else [], target=target)
 

@@ -1,39 +1,60 @@
-"""Building the coefficient file from a fitted law and its campaign."""
+"""The coefficient file of a fitted law, or of a geometry estimated with or without loads."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from calib import __version__
 from calib.coefficients.file import FORMAT, CoefficientFile, Outside, sealed
-from calib.coefficients.sections import EffectSection
-from calib.errors import BadInputError, ImplausibleError
+from calib.coefficients.sections import (
+    CovarianceEntry,
+    EffectSection,
+    EncoderSection,
+    GeometrySection,
+    LimitsSection,
+    LoadPoint,
+    LoadRange,
+    NoiseSection,
+    Quantity,
+    VehicleSection,
+    WheelSection,
+    WheelsSection,
+)
+from calib.errors import BadInputError, ImplausibleError, RefusedError
 from calib.radius.law import RadiusLaw, WheelLaw
 from calib.units import GRAVITY_MPS2
 from calib.vehicle import Vehicle
 
 if TYPE_CHECKING:
+    from calib.campaign.model import Campaign
     from calib.campaign.settings import Encoder
-    from calib.radius.fitted import Fit
+    from calib.kinematics.result import Geometry
+    from calib.radius.result import Fit
 
-# Defaults of what a corridor campaign does not measure; every one stands in the file, where it can be bettered.
+# Defaults for numbers that a corridor campaign does not measure; the file states each, so that it can be replaced.
 TRACK_STD_M: Final = 1e-3
 ALONG_M_PER_SQRT_M: Final = 5e-4
 HEADING_RAD_PER_SQRT_M: Final = 5e-4
 COUNT_STD: Final = 1.0 / math.sqrt(12.0)  # a reading is uniform within one count
 # The valid range reaches beyond the loads measured by this part of their span, and by 1 N at least: weighing scatters
-# by newtons, and a vehicle that carries what it carried in the campaign must not be refused.
+# by newtons, and a vehicle with the payload of the campaign must not be refused.
 LOAD_MARGIN: Final = 0.01
-LEAST_LOAD_MARGIN_N: Final = 1.0
+MIN_LOAD_MARGIN_N: Final = 1.0
 MAX_STEP_M: Final = 0.5
 MAX_GAP_S: Final = 1.0
 LOAD_TABLE_LINES: Final = 64
+#: standard deviation of the slope where no loads were driven, relative to the radius, per newton: 1 % per kN
+SLOPE_STD_PER_N: Final = 1e-5
+#: relative standard deviation of a length that was not measured
+NOMINAL_STD: Final = 0.01
+#: suffix of a parameter -> its unit
+UNITS: Final = {"_m": "m", "_rad": "rad", "_s": "s", "_scale": "1", "_m_per_N": "m/N"}
 
 
 def from_fit(
@@ -48,7 +69,7 @@ def from_fit(
     `outside` ({"refuse", "clamp"}): what the vehicle does with a load that was not measured; `created`: date as
     YYYY-MM-DD; passed in, so that the same input gives the same file; `inputs`: path of an input -> its SHA-256; None:
     those of the fit's provenance. Raises BadInputError where the fit lacks vehicle and encoder, or its provenance is
-    damaged; ImplausibleError where the fit is beyond the bounds of its vehicle and nobody accepted that.
+    damaged; ImplausibleError where the fit is beyond the bounds of its vehicle and the user does not accept that.
     """
     if fit.implausible and not fit.accepted:
         raise ImplausibleError(fit.name, fit.implausible)
@@ -81,7 +102,7 @@ def load_points(load_left_N: npt.ArrayLike, load_right_N: npt.ArrayLike) -> dict
 
     Runs whose loads agree to a newton are one point. Empty where there are more than 64 points: no table is then meant.
 
-    `load_left_N`, `load_right_N` (shape (n_runs,)): wheel loads; runs where one is not finite are passed over.
+    `load_left_N`, `load_right_N` (shape (n_runs,)): wheel loads; runs where one is not finite are ignored.
     """
     pairs = np.column_stack([load_left_N, load_right_N])
     pairs = pairs[np.isfinite(pairs).all(axis=1)]
@@ -97,7 +118,7 @@ def load_points(load_left_N: npt.ArrayLike, load_right_N: npt.ArrayLike) -> dict
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """What a coefficient file says of itself."""
+    """Name, origin and date of a coefficient file, and its rule outside the valid range."""
 
     name: str
     #: whether a program made the measurements
@@ -141,98 +162,198 @@ def from_law(
     encoder : Encoder
         Counts of a turn, and where the counters wrap.
     header : Header
-        What the file says of itself.
+        Name, origin and date.
     load_table : mapping of str to (float, float)
-        Name of a line -> wheel loads left and right in N; lines outside the valid range are left out.
+        Name of a line -> wheel loads left and right in N; lines outside the valid range are omitted.
     effects : iterable of EffectSection
-        Effects that a diagnosis added to the model.
+        Diagnosed effects in the model.
     load_margin_N : float, optional
         How far the valid range reaches beyond the loads measured. None: 1 % of their span, 1 N at least.
     noise : PoseNoise
-        What the pose scatters by.
+        Random walk of the pose.
     """
-    lengths = [
-        2.0**encoder.wrap_bits / per_rev * 2.0 * math.pi * wheel.radius_ref_m
-        for per_rev, wheel in ((encoder.counts_per_rev_left, law.left), (encoder.counts_per_rev_right, law.right))
-        if encoder.wrap_bits is not None
-    ]
-    # a quarter of what the counter holds: which way it wrapped stays clear
-    step = min([MAX_STEP_M, *(0.25 * length for length in lengths)])
-    sides = {"left": _wheel(law.left, load_margin_N), "right": _wheel(law.right, load_margin_N)}
-    loads = [
-        {"name": key, "load_left": _q(left, "N"), "load_right": _q(right, "N")}
-        for key, (left, right) in (load_table or {}).items()
-        if _within(sides["left"], left) and _within(sides["right"], right)
-    ]
+    wheels = WheelsSection(left=_wheel(law.left, load_margin_N), right=_wheel(law.right, load_margin_N))
     return sealed(
-        {
-            "format": FORMAT,
-            "calib_version": __version__,
-            "name": header.name,
-            "created": header.created,
-            "simulated": bool(header.simulated),
-            "outside": header.outside,
-            "wheels": sides,
-            "vehicle": _vehicle(vehicle, noise.track_std_m),
-            "encoder": {
-                "counts_per_rev_left": _q(encoder.counts_per_rev_left, "count/rev"),
-                "counts_per_rev_right": _q(encoder.counts_per_rev_right, "count/rev"),
-                "wrap_bits": None if encoder.wrap_bits is None else _q(encoder.wrap_bits, "bit"),
-            },
-            "noise": {
-                "along": _q(noise.along_m_per_sqrt_m, "m/m^0.5"),
-                "heading": _q(noise.heading_rad_per_sqrt_m, "rad/m^0.5"),
-                "count_std": _q(COUNT_STD, "count"),
-            },
-            "limits": {"max_step": _q(step, "m"), "max_gap": _q(MAX_GAP_S, "s")},
-            "load_table": loads,
-            "effects": [effect.model_dump(mode="json") for effect in effects],
-            "inputs": [{"path": key, "sha256": value} for key, value in sorted(header.inputs.items())],
-        }
+        format=FORMAT,
+        calib_version=__version__,
+        name=header.name,
+        created=header.created,
+        simulated=bool(header.simulated),
+        outside=header.outside,
+        wheels=wheels,
+        vehicle=_vehicle(vehicle, noise.track_std_m),
+        encoder=EncoderSection.of(
+            counts_per_rev_left=encoder.counts_per_rev_left,
+            counts_per_rev_right=encoder.counts_per_rev_right,
+            wrap_bits=encoder.wrap_bits,
+        ),
+        noise=NoiseSection.of(
+            along=noise.along_m_per_sqrt_m, heading=noise.heading_rad_per_sqrt_m, count_std=COUNT_STD
+        ),
+        limits=LimitsSection.of(max_step=_max_step_m(law, encoder), max_gap=MAX_GAP_S),
+        load_table=[
+            LoadPoint.of(name=name, load_left=left, load_right=right)
+            for name, (left, right) in (load_table or {}).items()
+            if left in wheels.left.valid_load and right in wheels.right.valid_load
+        ],
+        effects=list(effects),
+        inputs=[{"path": path, "sha256": digest} for path, digest in sorted(header.inputs.items())],
     )
 
 
-def _q(value: float, unit: str) -> dict[str, Any]:
-    return {"value": float(value), "unit": unit}
+def _max_step_m(law: RadiusLaw, encoder: Encoder) -> float:
+    """Return the longest step between two samples, a quarter of the counter's range: its wrap stays unambiguous."""
+    if encoder.wrap_bits is None:
+        return MAX_STEP_M
+    turns = (
+        2.0**encoder.wrap_bits / per_rev for per_rev in (encoder.counts_per_rev_left, encoder.counts_per_rev_right)
+    )
+    radii = (law.left.radius_ref_m, law.right.radius_ref_m)
+    return min(MAX_STEP_M, *(0.25 * turn * 2.0 * math.pi * radius for turn, radius in zip(turns, radii, strict=True)))
 
 
-def _vehicle(vehicle: Vehicle, track_std_m: float) -> dict[str, Any]:
-    return {
-        "track": _q(vehicle.track_m, "m"),
-        "track_std": _q(track_std_m, "m"),
-        "wheelbase": _q(vehicle.wheelbase_m, "m"),
-        "wheel_radius": _q(vehicle.wheel_radius_m, "m"),
-        "mass": _q(vehicle.mass_kg, "kg"),
-        "cog_x": _q(vehicle.cog_x_m, "m"),
-        "cog_y": _q(vehicle.cog_y_m, "m"),
-        "cog_z": _q(vehicle.cog_z_m, "m"),
-        "max_wheel_load": _q(vehicle.max_wheel_load_N, "N"),
-        "gravity": _q(GRAVITY_MPS2, "m/s^2"),
-        "drive": vehicle.drive,
-        "front_wheel_radius": None if vehicle.front_wheel_radius_m is None else _q(vehicle.front_wheel_radius_m, "m"),
-    }
+def _vehicle(vehicle: Vehicle, track_std_m: float) -> VehicleSection:
+    return VehicleSection.of(
+        track=vehicle.track_m,
+        track_std=track_std_m,
+        wheelbase=vehicle.wheelbase_m,
+        wheel_radius=vehicle.wheel_radius_m,
+        mass=vehicle.mass_kg,
+        cog_x=vehicle.cog_x_m,
+        cog_y=vehicle.cog_y_m,
+        cog_z=vehicle.cog_z_m,
+        max_wheel_load=vehicle.max_wheel_load_N,
+        gravity=GRAVITY_MPS2,
+        drive=vehicle.drive,
+        front_wheel_radius=vehicle.front_wheel_radius_m,
+    )
 
 
-def _wheel(law: WheelLaw, load_margin_N: float | None) -> dict[str, Any]:
+def _wheel(law: WheelLaw, load_margin_N: float | None) -> WheelSection:
     span = law.load_max_N - law.load_min_N
-    margin = max(LOAD_MARGIN * span, LEAST_LOAD_MARGIN_N) if load_margin_N is None else load_margin_N
-    return {
-        "radius_ref": _q(law.radius_ref_m, "m"),
-        "slope": _q(law.slope_m_per_N, "m/N"),
-        "reference_load": _q(law.reference_load_N, "N"),
-        "variance_radius_ref": _q(law.covariance[0, 0], "m^2"),
-        "covariance_radius_ref_slope": _q(law.covariance[0, 1], "m^2/N"),
-        "variance_slope": _q(law.covariance[1, 1], "m^2/N^2"),
-        "dof": _q(law.dof, "1"),
-        "residual_std": _q(law.residual_std_m, "m"),
-        "n_runs": _q(law.n_runs, "1"),
+    margin = max(LOAD_MARGIN * span, MIN_LOAD_MARGIN_N) if load_margin_N is None else load_margin_N
+    return WheelSection.of(
+        radius_ref=law.radius_ref_m,
+        slope=law.slope_m_per_N,
+        reference_load=law.reference_load_N,
+        variance_radius_ref=law.covariance[0, 0],
+        covariance_radius_ref_slope=law.covariance[0, 1],
+        variance_slope=law.covariance[1, 1],
+        dof=law.dof,
+        residual_std=law.residual_std_m,
+        n_runs=law.n_runs,
         # outwards to whole millinewtons: a load computed by another program must not fall out by its last bit
-        "valid_load": {
-            "min": _q(max(math.floor((law.load_min_N - margin) * 1e3) / 1e3, 0.0), "N"),
-            "max": _q(math.ceil((law.load_max_N + margin) * 1e3) / 1e3, "N"),
-        },
-    }
+        valid_load=LoadRange.of(
+            min=max(math.floor((law.load_min_N - margin) * 1e3) / 1e3, 0.0),
+            max=math.ceil((law.load_max_N + margin) * 1e3) / 1e3,
+        ),
+    )
 
 
-def _within(wheel: dict[str, Any], load_N: float) -> bool:
-    return bool(wheel["valid_load"]["min"]["value"] <= load_N <= wheel["valid_load"]["max"]["value"])
+def from_geometry(
+    geometry: Geometry, campaign: Campaign, *, outside: Outside = "refuse", created: str | None = None
+) -> CoefficientFile:
+    """Return the coefficient file of a geometry.
+
+    Where no loads were driven the slope is 0 and its standard deviation what is usual (1 % of the radius per kN), about
+    the mean load of the runs: the uncertainty of a radius grows with the distance from that load. The valid range is
+    then all that the vehicle may carry. Lengths that were not determined keep their nominal value, with 1 %.
+
+    `campaign`: the one it was estimated from; `outside` ({"refuse", "clamp"}): what the vehicle does with a load
+    outside the valid range; `created`: date as YYYY-MM-DD. Raises RefusedError where the campaign has a blunder (wrong
+    unit, axis, column or count): the file would carry it to the vehicle.
+    """
+    if geometry.faults:
+        raise RefusedError(
+            f"coefficients of {geometry.name!r}: found a blunder ({geometry.faults[0].text}); expected a campaign "
+            "without; correct it and estimate again"
+        )
+    vehicle = campaign.vehicle
+    names = {
+        "rear": ("radius_left_m", "radius_right_m"),
+        "wheels": ("wheel_radius_m", "wheel_radius_m"),
+        "front": ("", ""),
+    }[geometry.source]
+    law = RadiusLaw(left=_law(geometry, campaign, "left", names[0]), right=_law(geometry, campaign, "right", names[1]))
+    track, track_std = _track(geometry, campaign)
+    wheelbase = geometry.values.get("wheelbase_m", vehicle.wheelbase_m)
+    runs = campaign.included().runs
+    file = from_law(
+        law,
+        replace(vehicle, track_m=track, wheelbase_m=wheelbase),
+        campaign.encoder,
+        Header(geometry.name, geometry.simulated, outside, created, geometry.inputs),
+        load_table=load_points(runs.number("load_left_N"), runs.number("load_right_N")),
+        noise=PoseNoise(track_std, geometry.noise["along_walk"], geometry.noise["heading_walk"]),
+    )
+    return file.changed(joint_geometry=_section(geometry))
+
+
+def _section(geometry: Geometry) -> GeometrySection:
+    names = [estimate.name for estimate in geometry.estimates]
+    return GeometrySection.of(
+        drive=geometry.drive,
+        source=geometry.source,
+        parameters={name: Quantity.of(value=value, unit=_unit(name)) for name, value in geometry.values.items()},
+        covariance=[
+            CovarianceEntry.of(
+                first=first,
+                second=second,
+                covariance=Quantity.of(value=float(geometry.covariance[row, column]), unit=_product(first, second)),
+            )
+            for row, first in enumerate(names)
+            for column, second in enumerate(names[row:], row)
+        ],
+    )
+
+
+def _unit(name: str) -> str:
+    return next(unit for suffix, unit in sorted(UNITS.items(), key=lambda pair: -len(pair[0])) if name.endswith(suffix))
+
+
+def _product(first: str, second: str) -> str:
+    one, other = _unit(first), _unit(second)
+    return f"({one})^2" if one == other else f"({one})({other})"
+
+
+def _law(geometry: Geometry, campaign: Campaign, side: str, name: str) -> WheelLaw:
+    """Return the law of a wheel; at the nominal radius where rear wheels were not estimated."""
+    runs = campaign.included().runs
+    loads = runs.number(f"load_{side}_N")
+    loads = loads[np.isfinite(loads)]
+    slope_name = f"slope_{side}_m_per_N"
+    names = [estimate.name for estimate in geometry.estimates]
+    radius = geometry.values.get(name, campaign.vehicle.wheel_radius_m)
+    covariance = np.diag([(NOMINAL_STD * radius) ** 2, (SLOPE_STD_PER_N * radius) ** 2])
+    dof = 0.0
+    for row, first in enumerate((name, slope_name)):
+        if first not in names:
+            continue
+        covariance[row, row] = geometry[first].std ** 2
+        dof = geometry[first].dof if row == 0 else dof
+    if name in names and slope_name in names:
+        cross = geometry.covariance[names.index(name), names.index(slope_name)]
+        covariance[0, 1] = covariance[1, 0] = cross
+    driven = slope_name in names
+    reference = campaign.model.reference_load_N
+    if not driven and len(loads):
+        reference = float(loads.mean())
+    return WheelLaw(
+        reference_load_N=reference,
+        radius_ref_m=radius,
+        slope_m_per_N=geometry.values.get(slope_name, 0.0),
+        covariance=covariance,
+        dof=dof,
+        residual_std_m=0.0,
+        load_min_N=float(loads.min()) if driven else 0.0,
+        load_max_N=float(loads.max()) if driven else max(campaign.vehicle.max_wheel_load_N, reference),
+        n_runs=geometry.n_runs,
+    )
+
+
+def _track(geometry: Geometry, campaign: Campaign) -> tuple[float, float]:
+    """Return the track and its standard deviation; of mecanum wheels the track of two wheels that turn alike."""
+    name, factor = ("half_length_plus_half_width_m", 2.0) if geometry.source == "wheels" else ("track_m", 1.0)
+    track = factor * geometry.values.get(name, campaign.vehicle.track_m)
+    determined = any(estimate.name == name for estimate in geometry.estimates)
+    return track, factor * geometry[name].std if determined else NOMINAL_STD * track

@@ -12,8 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, ValidationError, model_validator
 
-from calib.arrays import FloatArray
-from calib.coefficients.quantities import Section
+from calib.campaign.settings import FrontModel, MecanumModel, OdometryModel
 from calib.coefficients.sections import (
     AcceptedSection,
     EffectSection,
@@ -23,23 +22,28 @@ from calib.coefficients.sections import (
     LimitsSection,
     LoadPoint,
     NoiseSection,
+    Section,
     VehicleSection,
     WheelSection,
     WheelsSection,
+    first_fault,
+    no_file,
 )
+from calib.documents import checksum, to_json
 from calib.errors import BadFileError, BadInputError, RefusedError
-from calib.files import to_json
-from calib.radius.law import JOINT, RadiusLaw, WheelLaw
-from calib.seal import checksum
+from calib.kinematics.drives import STEERING_SCALE
+from calib.radius.law import JOINT, RadiusLaw
+from calib.types import FloatArray
 from calib.vehicle import Vehicle
 
 FORMAT: Final = "calib-coefficients/1"
 
 Outside = Literal["refuse", "clamp"]
 
-#: what is not written into the section of the vehicle, since it is meant where nothing stands
+#: not written into the section of the vehicle: the defaults
 USUAL_VEHICLE: Final = {"drive": "tricycle", "front_wheel_radius": None}
 
+#: a coefficient file has some 10 kB
 FILE_LIMIT_BYTES: Final = 16 << 20
 
 
@@ -93,7 +97,7 @@ class CoefficientFile(Section):
         document = self.model_dump(mode="json")
         for name in ("joint_geometry", "accepted_implausible"):
             if document[name] is None:
-                # a file without it reads as files have always read
+                # older readers do not know these sections
                 del document[name]
         for name, usual in USUAL_VEHICLE.items():
             if document["vehicle"][name] == usual:
@@ -106,13 +110,12 @@ class CoefficientFile(Section):
 
     def changed(self, **fields: Any) -> CoefficientFile:
         """Return the file with `fields` (sections or plain values) replaced and a new checksum."""
-        document = {key: _plain(value) for key, value in {**self.to_dict(), **fields}.items()}
-        return sealed(document)
+        return sealed(**{**self.to_dict(), **fields})
 
     @property
     def law(self) -> RadiusLaw:
-        """The laws of both wheels as arrays compute with them; they do not look at the valid range."""
-        return RadiusLaw(left=_law(self.wheels.left), right=_law(self.wheels.right), joint=self._joint())
+        """The laws of both wheels as arrays compute with them; they ignore the valid range."""
+        return RadiusLaw(left=self.wheels.left.law, right=self.wheels.right.law, joint=self._joint())
 
     def _joint(self) -> FloatArray | None:
         """Return the joint covariance of both wheels' laws and the track; None where they were not fitted together."""
@@ -122,7 +125,7 @@ class CoefficientFile(Section):
         wheels = self.wheels
         joint = np.zeros((len(JOINT), len(JOINT)))
         for at, wheel in ((0, wheels.left), (2, wheels.right)):
-            joint[at : at + 2, at : at + 2] = _law(wheel).covariance
+            joint[at : at + 2, at : at + 2] = wheel.law.covariance
         joint[4, 4] = self.vehicle.track_std.value**2
         for entry in together.covariance:
             if entry.first in JOINT and entry.second in JOINT:
@@ -134,18 +137,8 @@ class CoefficientFile(Section):
     def geometry(self) -> Vehicle:
         """The vehicle."""
         part, together = self.vehicle, self.joint_geometry
-        radius = part.front_wheel_radius
-        drive: dict[str, Any] = {
-            "drive": part.drive,
-            "front_wheel_radius_m": None if radius is None else radius.value,
-        }
-        if together is not None:
-            lengths = {name: quantity.value for name, quantity in together.parameters.items()}
-            drive = {
-                "drive": together.drive,
-                "front_wheel_radius_m": lengths.get("front_radius_m", drive["front_wheel_radius_m"]),
-                "half_length_plus_half_width_m": lengths.get("half_length_plus_half_width_m"),
-            }
+        nominal = part.front_wheel_radius
+        lengths = {} if together is None else together.values
         return Vehicle(
             track_m=part.track.value,
             wheelbase_m=part.wheelbase.value,
@@ -155,7 +148,9 @@ class CoefficientFile(Section):
             cog_y_m=part.cog_y.value,
             cog_z_m=part.cog_z.value,
             max_wheel_load_N=part.max_wheel_load.value,
-            **drive,
+            drive=part.drive if together is None else together.drive,
+            front_wheel_radius_m=lengths.get("front_radius_m", None if nominal is None else nominal.value),
+            half_length_plus_half_width_m=lengths.get("half_length_plus_half_width_m"),
         )
 
     def radius_m(self, load_left_N: npt.ArrayLike, load_right_N: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
@@ -192,7 +187,7 @@ def load_coefficients(path: Path | str) -> CoefficientFile:
         file = CoefficientFile.model_validate(document)
         computed = checksum(document)
     except ValidationError as error:
-        where, found, expected = _first(error)
+        where, found, expected = first_fault(error)
         raise _bad(path, found, expected, column=where or None) from error
     except (ValueError, OverflowError) as error:
         raise _bad(path, str(error), "finite numbers") from error
@@ -204,48 +199,46 @@ def load_coefficients(path: Path | str) -> CoefficientFile:
             expected=f"{file.checksum[:19]} as written in the file",
             remedy="the file was altered or damaged: export it again",
         )
-    # sections that may be left out are written from here on, and the checksum covers what is written
+    # the checksum covers the file as it is written, with or without optional sections
     written = checksum(file.to_dict())
     return file if written == computed else file.model_copy(update={"checksum": written})
 
 
-def sealed(document: dict[str, Any]) -> CoefficientFile:
-    """Return the coefficient file of a document without checksum.
+def sealed(**sections: Any) -> CoefficientFile:
+    """Return the coefficient file of its sections, as models or plain values, with the checksum of its content.
 
-    Raises BadInputError where the document breaks the schema.
+    Raises BadInputError where they break the schema.
     """
-    blank = {**document, "checksum": "sha256:" + "0" * 64}
     try:
-        # through the model first, so that the checksum covers exactly what is written
-        body = CoefficientFile.model_validate(blank).to_dict()
-        return CoefficientFile.model_validate({**body, "checksum": checksum(body)})
+        file = CoefficientFile.model_validate({**sections, "checksum": "sha256:" + "0" * 64})
     except ValidationError as error:
-        where, found, expected = _first(error)
-        raise BadInputError(
-            f"{where or 'the coefficients'}: found {found}; expected {expected}; these make no coefficient file"
-        ) from error
+        raise no_file(error) from error
+    return file.model_copy(update={"checksum": checksum(file.to_dict())})
 
 
-def _plain(value: Any) -> Any:
-    if isinstance(value, Section):
-        return value.model_dump(mode="json")
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    return value
+def believed_model(file: CoefficientFile, reference_load_N: float) -> OdometryModel:
+    """Return the odometry's model of a coefficient file.
 
-
-def _law(wheel: WheelSection) -> WheelLaw:
-    cross = wheel.covariance_radius_ref_slope.value
-    return WheelLaw(
-        reference_load_N=wheel.reference_load.value,
-        radius_ref_m=wheel.radius_ref.value,
-        slope_m_per_N=wheel.slope.value,
-        covariance=np.array([[wheel.variance_radius_ref.value, cross], [cross, wheel.variance_slope.value]]),
-        dof=wheel.dof.value,
-        residual_std_m=wheel.residual_std.value,
-        load_min_N=wheel.valid_load.min.value,
-        load_max_N=wheel.valid_load.max.value,
-        n_runs=int(wheel.n_runs.value),
+    `file`: its laws, its track and, where a geometry was estimated, its front wheel or its four wheels;
+    `reference_load_N`: load on which the model is centred.
+    """
+    law, together = file.law, file.joint_geometry
+    front = mecanum = None
+    if together is not None and together.source == "front":
+        values, names = together.values, ("front_radius_m", "wheelbase_m", "steering_zero_rad", STEERING_SCALE)
+        front = FrontModel(*(values[name] for name in names))
+    if together is not None and together.source == "wheels":
+        values = together.values
+        mecanum = MecanumModel(values["wheel_radius_m"], values["half_length_plus_half_width_m"])
+    return OdometryModel(
+        radius_left_m=float(law.left.radius_m(reference_load_N)),
+        radius_right_m=float(law.right.radius_m(reference_load_N)),
+        track_m=file.geometry.track_m,
+        reference_load_N=reference_load_N,
+        slope_left_m_per_N=law.left.slope_m_per_N,
+        slope_right_m_per_N=law.right.slope_m_per_N,
+        front=front,
+        mecanum=mecanum,
     )
 
 
@@ -260,25 +253,14 @@ def _radius(wheel: WheelSection, load_N: npt.ArrayLike, outside: Outside, side: 
             f"{side} wheel load: found {worst:g} N; expected {low:g} to {high:g} N, where the law was measured; "
             "measure there, or export with --outside clamp"
         )
-    return _law(wheel).radius_m(np.clip(loads, low, high))
+    return wheel.law.radius_m(np.clip(loads, low, high))
 
 
 def _no_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     document = dict(pairs)
     if len(document) != len(pairs):
-        raise ValueError("a key stands twice in one object")
+        raise ValueError("an object has the same key twice")
     return document
-
-
-def _first(error: ValidationError) -> tuple[str, str, str]:
-    """Return where the first fault stands, what was found and what was expected."""
-    first = error.errors(include_url=False)[0]
-    where = ".".join(str(part) for part in first["loc"])
-    return where, _shown(first.get("input")), first["msg"].removeprefix("Value error, ")
-
-
-def _shown(value: Any) -> str:
-    return repr(value) if isinstance(value, (str, int, float, bool)) or value is None else f"a {type(value).__name__}"
 
 
 def _bad(path: Path, found: str, expected: str, *, column: str | None = None) -> BadFileError:

@@ -1,36 +1,147 @@
-"""The sections of the coefficient file."""
+"""The sections of the coefficient file; numbers have their unit: ``{"value": 0.7, "unit": "m"}``."""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Final, Generic, Literal, Self, TypeVar, get_args
 
-from pydantic import Field, model_validator
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from calib.coefficients.quantities import (
-    Bits,
-    CountsPerRev,
-    CountStd,
-    Force,
-    GravityAcceleration,
-    HeadingPerRootMetre,
-    Length,
-    LengthPerForce,
-    LengthPerRootMetre,
-    LengthSquared,
-    LengthSquaredPerForce,
-    LengthSquaredPerForceSquared,
-    Mass,
-    NonNegativeLength,
-    Number,
-    PositiveLength,
-    Quantity,
-    Section,
-    Time,
-)
+from calib.errors import BadInputError
+from calib.radius.law import WheelLaw
 from calib.vehicle import Drive
 
+Positive = Annotated[float, Field(gt=0.0)]
+NonNegative = Annotated[float, Field(ge=0.0)]
+#: width of a counter
+BitCount = Annotated[float, Field(ge=8.0, le=48.0, multiple_of=1.0)]
+ValueT = TypeVar("ValueT", bound=float)
+UnitT = TypeVar("UnitT", bound=str)
+
 #: how far a covariance may miss being positive semi-definite through rounding, relative
-ROUNDING = 1e-9
+ROUNDING: Final = 1e-9
+
+
+class Section(BaseModel):
+    """A part of the file: immutable, no unknown keys, no infinity or NaN, no numbers written as text."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=True)
+
+    @classmethod
+    def of(cls, **fields: Any) -> Self:
+        """Return the section of SI numbers, which get the units that it states, and of other fields as they are.
+
+        Raises BadInputError where a value breaks the schema.
+        """
+        try:
+            return cls.model_validate({name: _with_unit(cls, name, value) for name, value in fields.items()})
+        except ValidationError as error:
+            raise no_file(error) from error
+
+
+class Measured(Section, Generic[ValueT, UnitT]):
+    """A number and its unit."""
+
+    value: ValueT
+    unit: UnitT
+
+
+class Quantity(Measured[float, str]):
+    """A number and its unit."""
+
+
+class Length(Measured[float, Literal["m"]]):
+    """A length."""
+
+
+class PositiveLength(Measured[Positive, Literal["m"]]):
+    """A length above zero."""
+
+
+class NonNegativeLength(Measured[NonNegative, Literal["m"]]):
+    """A length of zero or more."""
+
+
+class LengthPerForce(Measured[float, Literal["m/N"]]):
+    """Change of a length with a force."""
+
+
+class LengthSquared(Measured[NonNegative, Literal["m^2"]]):
+    """Variance of a length."""
+
+
+class LengthSquaredPerForce(Measured[float, Literal["m^2/N"]]):
+    """Covariance of a length and its change with force."""
+
+
+class LengthSquaredPerForceSquared(Measured[NonNegative, Literal["m^2/N^2"]]):
+    """Variance of the change of a length with force."""
+
+
+class Force(Measured[NonNegative, Literal["N"]]):
+    """A force; here a wheel load, so never below zero."""
+
+
+class Mass(Measured[Positive, Literal["kg"]]):
+    """A mass."""
+
+
+class GravityAcceleration(Measured[Positive, Literal["m/s^2"]]):
+    """Acceleration of free fall."""
+
+
+class Time(Measured[Positive, Literal["s"]]):
+    """A duration."""
+
+
+class Number(Measured[NonNegative, Literal["1"]]):
+    """A number without dimension."""
+
+
+class CountsPerRev(Measured[Positive, Literal["count/rev"]]):
+    """Encoder counts per revolution of the wheel."""
+
+
+class CountStd(Measured[NonNegative, Literal["count"]]):
+    """Standard deviation of one encoder reading."""
+
+
+class Bits(Measured[BitCount, Literal["bit"]]):
+    """Width of a counter."""
+
+
+class LengthPerRootMetre(Measured[NonNegative, Literal["m/m^0.5"]]):
+    """Random walk of the distance along the path, per square root of the distance driven."""
+
+
+class HeadingPerRootMetre(Measured[NonNegative, Literal["rad/m^0.5"]]):
+    """Random walk of the heading, per square root of the distance driven."""
+
+
+def _with_unit(section: type[Section], name: str, value: Any) -> Any:
+    """Return a field: a number as its quantity, other values as they are."""
+    annotation: Any = section.model_fields[name].annotation
+    kinds = [kind for kind in (annotation, *get_args(annotation)) if isinstance(kind, type)]
+    quantity = next((kind for kind in kinds if issubclass(kind, Measured)), None)
+    if quantity is None or not isinstance(value, (int, float)):
+        return value
+    return {"value": float(value), "unit": get_args(quantity.model_fields["unit"].annotation)[0]}
+
+
+def first_fault(error: ValidationError) -> tuple[str, str, str]:
+    """Return place, found value and expectation of the first fault."""
+    first = error.errors(include_url=False)[0]
+    value = first.get("input")
+    found = repr(value) if isinstance(value, (str, int, float)) or value is None else f"a {type(value).__name__}"
+    return ".".join(str(part) for part in first["loc"]), found, first["msg"].removeprefix("Value error, ")
+
+
+def no_file(error: ValidationError) -> BadInputError:
+    """Return the error of values that break the schema."""
+    where, found, expected = first_fault(error)
+    return BadInputError(
+        f"{where or 'the coefficients'}: found {found}; expected {expected}; these make no coefficient file"
+    )
 
 
 class LoadRange(Section):
@@ -42,8 +153,11 @@ class LoadRange(Section):
     @model_validator(mode="after")
     def _ordered(self) -> Self:
         if self.min.value > self.max.value:
-            raise ValueError("min stands above max")
+            raise ValueError("min is above max")
         return self
+
+    def __contains__(self, load_N: float) -> bool:
+        return self.min.value <= load_N <= self.max.value
 
 
 class WheelSection(Section):
@@ -72,6 +186,22 @@ class WheelSection(Section):
                 raise ValueError(f"the radius is not above zero at the valid load {load:g} N")
         return self
 
+    @property
+    def law(self) -> WheelLaw:
+        """The law of the wheel, as arrays compute with it; it does not look at the valid range."""
+        cross = self.covariance_radius_ref_slope.value
+        return WheelLaw(
+            reference_load_N=self.reference_load.value,
+            radius_ref_m=self.radius_ref.value,
+            slope_m_per_N=self.slope.value,
+            covariance=np.array([[self.variance_radius_ref.value, cross], [cross, self.variance_slope.value]]),
+            dof=self.dof.value,
+            residual_std_m=self.residual_std.value,
+            load_min_N=self.valid_load.min.value,
+            load_max_N=self.valid_load.max.value,
+            n_runs=int(self.n_runs.value),
+        )
+
 
 class WheelsSection(Section):
     """The laws of both rear wheels."""
@@ -83,7 +213,7 @@ class WheelsSection(Section):
 class VehicleSection(Section):
     """Geometry and mass, enough for the vehicle to compute its wheel loads from a payload (Eqs 1-2).
 
-    `drive` and `front_wheel_radius` stand in the file only where they are not those of the usual tricycle.
+    `drive` and `front_wheel_radius` are in the file only where they differ from those of a tricycle.
     """
 
     track: PositiveLength
@@ -117,7 +247,7 @@ class NoiseSection(Section):
 
 
 class LimitsSection(Section):
-    """What the runtime takes for a fault: a travel between two samples, a silence between two samples."""
+    """Faults for the runtime: a longer travel, or a longer gap, between two samples."""
 
     max_step: PositiveLength
     max_gap: Time
@@ -152,7 +282,7 @@ class GeometrySection(Section):
     """Geometry estimated together: every parameter of the drive, and the joint covariance of those determined.
 
     Holds what the wheels' sections cannot: the parameters of drives other than two wheels on an axle, and the terms
-    that couple left, right and track. Parameters without a variance were not determined and stand at their nominal
+    that couple left, right and track. Parameters without a variance were not determined and keep their nominal
     value.
     """
 
@@ -167,6 +297,11 @@ class GeometrySection(Section):
         if not names <= set(self.parameters):
             raise ValueError(f"covariance names {', '.join(sorted(names - set(self.parameters)))}, which have no value")
         return self
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Value of each parameter."""
+        return {name: quantity.value for name, quantity in self.parameters.items()}
 
 
 class AcceptedSection(Section):

@@ -12,7 +12,7 @@ from typing import Final
 
 from calib.campaign.readers import READERS, read_table
 from calib.errors import BadFileError
-from calib.files import inside
+from calib.io import inside
 
 SETTINGS: Final = "campaign.toml"
 LABELS: Final = "vehicles.csv"

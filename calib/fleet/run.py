@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from calib.fleet.engines import Engine, engine
 from calib.fleet.members import Member, labels_of, members_of
-from calib.fleet.part_sums import PartSums
-from calib.fleet.pieces import PieceDone, do_pieces, given_up, pieces_of, size_of
+from calib.fleet.reading import PieceDone, do_pieces, given_up, pieces_of, size_of
 from calib.fleet.store import SUMS, Store, line_of
-from calib.fleet.vehicle import VehicleRecord
+from calib.fleet.vehicle import PartSums, VehicleRecord
 from calib.fleet.view import FleetView, view_of
+from calib.fleet.workers import Engine, engine
+from calib.result import plain
 
 #: called with the number of files done and the number to do
 Progress = Callable[[int, int], None]
@@ -47,7 +47,7 @@ class Fleet:
             values["outlier"] = record.vehicle in outliers
             values["why"] = values["why"] or outliers.get(record.vehicle, "")
             vehicles.append(values)
-        return {"format": "calib-fleet/1", "vehicles": vehicles, "fleet": self.view.to_dict()}
+        return {"format": "calib-fleet/1", "vehicles": vehicles, "fleet": plain(self.view)}
 
 
 def fit_fleet(
@@ -77,7 +77,7 @@ def fit_fleet(
     Returns
     -------
     Fleet
-        The same whatever the engine, the number of workers and the order.
+        The same for any engine, number of workers and order.
     """
     store = Store(Path(into) / SUMS, PartSums.from_dict)
     # workers start while this process lists the files

@@ -6,11 +6,13 @@ import json
 import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Generic, Protocol, TypeVar
 
 from calib.errors import BadInputError
-from calib.leftovers import sweep, temporary_beside
+from calib.io import sweep, temporary_beside
+from calib.result import plain_fields
 
 SUMS: Final = "sums.jsonl"
 
@@ -28,6 +30,42 @@ class Kept(Protocol):
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON values."""
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleResult:
+    """Result of a task for one vehicle.
+
+    Parameters
+    ----------
+    name : str
+        Its id.
+    key : str
+        By which its files are known again.
+    values : mapping
+        Plain JSON values of the result.
+    why : str
+        One line; empty where the task could be done.
+    """
+
+    name: str
+    key: str
+    values: Mapping[str, Any] = field(default_factory=dict)
+    why: str = ""
+
+    @property
+    def status(self) -> str:
+        """``done`` or ``failed``."""
+        return "failed" if self.why else "done"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain JSON values."""
+        return plain_fields(self)
+
+    @staticmethod
+    def from_dict(value: Mapping[str, Any]) -> VehicleResult:
+        """Return what `to_dict` wrote."""
+        return VehicleResult(str(value["name"]), str(value["key"]), dict(value["values"]), str(value["why"]))
 
 
 Record = TypeVar("Record", bound=Kept)
@@ -82,7 +120,7 @@ class Store(Generic[Record]):
             yield add
 
     def rewrite(self, lines: Mapping[str, str]) -> None:
-        """Put all lines in order of their names, each once; the same bytes whatever order they came in."""
+        """Put all lines in order of their names, each once; the same bytes in any order of arrival."""
         sweep(self.path)
         temporary = temporary_beside(self.path)
         try:

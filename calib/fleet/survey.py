@@ -1,22 +1,26 @@
-"""A task done for every vehicle of a fleet, and what many vehicles have in common in it."""
+"""A task for every vehicle of a fleet (check, geometry, diagnosis), and what many vehicles have in common in it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from calib.errors import BadInputError
-from calib.fleet.engines import run_tasks
-from calib.fleet.findings import SharedCause, shared_causes
-from calib.fleet.member_tasks import MEMBER_TASKS, MemberRecord, key_of
+from calib.campaign.model import Campaign
+from calib.errors import BadInputError, CalibError, RefusedError
+from calib.fleet.comparison import Quantities, SharedCause, quantities_of, shared_causes
 from calib.fleet.members import Member, labels_of, members_of
-from calib.fleet.quantities import Quantities, quantities_of
+from calib.fleet.reading import campaign_of
 from calib.fleet.run import Progress
-from calib.fleet.store import Store, line_of
+from calib.fleet.store import Store, VehicleResult, line_of
+from calib.fleet.workers import run_tasks
+from calib.result import plain
+
+if TYPE_CHECKING:
+    from calib.gap.decision.diagnosis import Cause
 
 #: what a vehicle's task weighs beside the reading of one file: from ten times as long (a check) to a thousand times
 WEIGHT: Final = 64
@@ -27,7 +31,7 @@ class Survey:
     """A task's records, by vehicle, and what they share; `quantities` where the task estimates some."""
 
     what: str
-    records: tuple[MemberRecord, ...]
+    records: tuple[VehicleResult, ...]
     shared: tuple[SharedCause, ...]
     n_done: int
     n_kept: int
@@ -45,7 +49,7 @@ class Survey:
             "shared": [cause.to_dict() for cause in self.shared],
         }
         if self.quantities is not None:
-            fleet |= self.quantities.to_dict()
+            fleet |= plain(self.quantities)
         return {"format": "calib-fleet/1", "what": self.what, "vehicles": vehicles, "fleet": fleet}
 
 
@@ -65,27 +69,27 @@ def survey_fleet(
     folder, into, workers, scheduler, progress
         As in `calib.fleet.run.fit_fleet`.
     what : str
-        One of `calib.fleet.member_tasks.MEMBER_TASKS`.
+        One of `TASKS`.
 
     Returns
     -------
     Survey
-        The same whatever the engine, the number of workers and the order.
+        The same for any engine, number of workers and order.
 
     Raises
     ------
     BadInputError
         Where the task is not known.
     """
-    if what not in MEMBER_TASKS:
-        raise BadInputError(f"what: found {what!r}; expected fit or one of {', '.join(MEMBER_TASKS)}; choose one")
+    if what not in TASKS:
+        raise BadInputError(f"what: found {what!r}; expected fit or one of {', '.join(TASKS)}; choose one")
     members = members_of(folder)
-    store = Store(Path(into) / f"{what}.jsonl", MemberRecord.from_dict)
+    store = Store(Path(into) / f"{what}.jsonl", VehicleResult.from_dict)
     before = store.read()
     kept = {member.vehicle: before[member.vehicle] for member in members if _valid(member, before)}
     todo = [member for member in members if member.vehicle not in kept]
     n_kept = len(kept)
-    results = run_tasks(MEMBER_TASKS[what], todo, _given_up, _weight, workers=workers, scheduler=scheduler)
+    results = run_tasks(TASKS[what], todo, _given_up, _weight, workers=workers, scheduler=scheduler)
     with store.adding() as add:
         for number, record in enumerate(results, 1):
             add({record.name: line_of(record)})
@@ -99,7 +103,7 @@ def survey_fleet(
     return Survey(what, records, shared, len(todo), n_kept, _quantities(records, labels))
 
 
-def _valid(member: Member, kept: Mapping[str, MemberRecord]) -> bool:
+def _valid(member: Member, kept: Mapping[str, VehicleResult]) -> bool:
     """Return whether a vehicle's record is there and its files are unchanged."""
     record = kept.get(member.vehicle)
     try:
@@ -112,11 +116,11 @@ def _weight(_member: Member) -> int:
     return WEIGHT
 
 
-def _given_up(member: Member, why: str) -> MemberRecord:
-    return MemberRecord(member.vehicle, "", why=why)
+def _given_up(member: Member, why: str) -> VehicleResult:
+    return VehicleResult(member.vehicle, "", why=why)
 
 
-def _quantities(records: Sequence[MemberRecord], labels: Mapping[str, Mapping[str, str]]) -> Quantities | None:
+def _quantities(records: Sequence[VehicleResult], labels: Mapping[str, Mapping[str, str]]) -> Quantities | None:
     """Return what the fleet shows in the vehicles' estimates; None where the task makes none."""
     done = [record for record in records if "estimates" in record.values]
     if not done:
@@ -130,3 +134,100 @@ def _quantities(records: Sequence[MemberRecord], labels: Mapping[str, Mapping[st
         for key in ("value", "sd")
     }
     return quantities_of([record.name for record in done], table["value"], table["sd"], labels)
+
+
+def key_of(member: Member) -> str:
+    """Return the keys of a vehicle's files, by which they are known again."""
+    return "|".join(f"{part.name}:{part.key}" for part in member.parts)
+
+
+def _campaign(member: Member) -> Campaign:
+    if len(member.parts) != 1:
+        raise RefusedError(
+            f"{member.vehicle}: found {len(member.parts)} files of journeys; expected one for this task; "
+            "put a vehicle's journeys into one campaign folder"
+        )
+    return campaign_of(member.parts[0])
+
+
+def _check(member: Member) -> dict[str, Any]:
+    from calib.campaign.check import check_campaign
+    from calib.campaign.read import read_campaign
+
+    part = member.parts[0] if len(member.parts) == 1 else None
+    own_folder = part is not None and part.path.parent == part.settings
+    campaign = read_campaign(part.settings, lenient=True) if part is not None and own_folder else _campaign(member)
+    report = check_campaign(campaign)
+    return {
+        "sound": report.sound,
+        "wrong": [note.code for note in report.wrong],
+        "suspicious": [note.code for note in report.suspicious],
+    }
+
+
+def _diagnose(member: Member) -> dict[str, Any]:
+    from calib.gap.diagnose import diagnose_in_full
+
+    verdict = diagnose_in_full(_campaign(member), plan=False)
+    return {
+        "verdict": str(verdict.kind),
+        "sentence": verdict.sentence,
+        "causes": [
+            {"effect": cause.effect, "probability": cause.probability}
+            | ({"x_m": cause.settings["x_m"], "size_m": cause.settings["size_m"]} if _has_place(cause) else {})
+            for cause in verdict.causes
+        ],
+    }
+
+
+def _has_place(cause: Cause) -> bool:
+    """Return whether a cause lies at a place on the floor."""
+    return {"x_m", "size_m"} <= set(cause.settings)
+
+
+def _geometry(member: Member) -> dict[str, Any]:
+    from calib.kinematics.estimate import estimate_geometry
+
+    geometry = estimate_geometry(_campaign(member))
+    return {
+        "passed": geometry.passed,
+        "using": geometry.using,
+        "estimates": {estimate.name: estimate.to_dict() for estimate in geometry.estimates},
+        "undetermined": list(geometry.undetermined),
+        "wrong": [fault.code for fault in geometry.faults],
+    }
+
+
+def _run(task: Callable[[Member], dict[str, Any]], members: Sequence[Member]) -> list[VehicleResult]:
+    records = []
+    for member in members:
+        key = ""
+        try:
+            key = key_of(member)
+            records.append(VehicleResult(member.vehicle, key, task(member)))
+        except (CalibError, OSError) as error:
+            records.append(VehicleResult(member.vehicle, key, why=" ".join(str(error).split())))
+    return records
+
+
+def check_members(members: Sequence[Member]) -> list[VehicleResult]:
+    """Check vehicles: what is wrong and what is suspicious in each."""
+    return _run(_check, members)
+
+
+def geometry_members(members: Sequence[Member]) -> list[VehicleResult]:
+    """Estimate radii, track and sensor of vehicles."""
+    return _run(_geometry, members)
+
+
+def diagnose_members(members: Sequence[Member]) -> list[VehicleResult]:
+    """Diagnose vehicles: verdict and causes of each."""
+    return _run(_diagnose, members)
+
+
+#: task -> function of some members; a new task is a function and a line here
+TASKS: Final[dict[str, Callable[[Sequence[Member]], list[VehicleResult]]]] = {
+    "check": check_members,
+    "geometry": geometry_members,
+    "diagnose": diagnose_members,
+}

@@ -1,18 +1,67 @@
-"""A vehicle's record: both wheels' laws from its sums, and how they drift."""
+"""The record of a vehicle: both wheels' laws from the sums of its files, and their drift."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
 
-from calib.fleet.part_sums import PartSums
-from calib.radius.session_sums import SessionSums, line_from_sums
+from calib.radius.sessions import SessionSums, line_from_sums
+from calib.result import plain_fields
 
 WHEELS: Final = ("left", "right")
 COVERAGE: Final = 0.95
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PartSums:
+    """The runs of one file as sums.
+
+    Parameters
+    ----------
+    name : str
+        Of the file.
+    key : str
+        By which the file is known again.
+    reference_load_N, radius_m : float
+        From which loads and radii are counted; the model's reference load, the nominal radius.
+    left, right : SessionSums or None
+        None where `why` says what is wrong.
+    why : str
+        One line; empty where the file could be used.
+    """
+
+    name: str
+    key: str
+    reference_load_N: float
+    radius_m: float
+    left: SessionSums | None = field(metadata={"json": False})
+    right: SessionSums | None = field(metadata={"json": False})
+    why: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain JSON values."""
+        return plain_fields(self, wheels={"left": self.left, "right": self.right})
+
+    @staticmethod
+    def from_dict(value: Mapping[str, Any]) -> PartSums:
+        """Return what `to_dict` wrote."""
+        left, right = (_sums(value["wheels"][name]) for name in WHEELS)
+        reference, nominal = float(value["reference_load_N"]), float(value["radius_m"])
+        return PartSums(str(value["name"]), str(value["key"]), reference, nominal, left, right, str(value["why"]))
+
+
+def _sums(value: Mapping[str, Any] | None) -> SessionSums | None:
+    if value is None:
+        return None
+    return SessionSums(
+        np.array(value["session"], dtype=np.str_),
+        np.array(value["table"], dtype=np.float64).reshape(-1, 8),
+        float(value["load_min_N"]),
+        float(value["load_max_N"]),
+    )
 
 
 @dataclass(frozen=True)
@@ -153,7 +202,7 @@ def _line(sums: SessionSums, nominal_m: float) -> WheelLine | None:
 
 
 def _drift(sums: SessionSums, slope: float) -> Drift | None:
-    """Return the drift of session means, what the law says of their loads taken out; sessions scatter freely."""
+    """Return the drift of session means, what the law says of their loads removed; sessions scatter freely."""
     x, y, day = sums.means.T
     if len(day) < 4 or np.ptp(day) <= 0:
         return None
@@ -162,7 +211,7 @@ def _drift(sums: SessionSums, slope: float) -> Drift | None:
     day_away = day - weight @ day / weight.sum()
     info = float(weight @ day_away**2)
     rate = float(weight @ (day_away * level)) / info
-    left = level - weight @ level / weight.sum() - rate * day_away
+    residuals = level - weight @ level / weight.sum() - rate * day_away
     dof = len(day) - 2.0
-    variance = float(weight @ left**2) / dof / info
+    variance = float(weight @ residuals**2) / dof / info
     return Drift(rate, float(np.sqrt(variance)), dof, float(day.max()))

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
 
-from calib.arrays import FloatArray
-from calib.fleet.quantities import FEWEST, difference_of
-from calib.fleet.random_effects import Population, any_false, false_discovery, outlying, population
+from calib.fleet.comparison import FEWEST_COMPARED
+from calib.fleet.population import Population, any_false, difference_of, false_discovery, outlying, population
 from calib.fleet.vehicle import WHEELS, VehicleRecord
+from calib.result import plain_fields
+from calib.types import FloatArray
 
 #: relative change of a radius from which on a vehicle is due for recalibration: the share by which the deviation check
 #: of a single radius is held (0.05 %), 5 mm over 10 m
@@ -23,12 +24,16 @@ _QUANTITIES: Final = tuple((side, kind) for side in WHEELS for kind in ("radius_
 class Outlier:
     """A vehicle that stands apart: which wheel, which quantity, by how much."""
 
-    vehicle: str
+    vehicle: str = field(metadata={"json": "id"})
     wheel: str
     quantity: str
-    value: float
-    fleet_median: float
+    value: float = field(metadata={"json": False})
+    fleet_median: float = field(metadata={"json": False})
     z: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain JSON values."""
+        return plain_fields(self, why=self.why)
 
     @property
     def why(self) -> str:
@@ -47,10 +52,10 @@ class DriftingVehicle:
     `per_day_m` and its 95 % half width; `due_day` counts as the journeys' days do.
     """
 
-    vehicle: str
+    vehicle: str = field(metadata={"json": "id"})
     wheel: str
     per_day_m: float
-    half_width_m: float
+    half_width_m: float = field(metadata={"json": "half_width95_m"})
     due_day: float
 
 
@@ -66,6 +71,10 @@ class CommonCause:
     size: float
     size_ci95: tuple[float, float]
     p_value: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain JSON values."""
+        return plain_fields(self, sentence=self.sentence)
 
     @property
     def sentence(self) -> str:
@@ -99,43 +108,6 @@ class FleetView:
     outliers: tuple[Outlier, ...]
     drifting: tuple[DriftingVehicle, ...]
     common: tuple[CommonCause, ...]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return it as plain JSON values."""
-        return {
-            "n_vehicles": self.n_vehicles,
-            "n_fitted": self.n_fitted,
-            "n_failed": self.n_failed,
-            "populations": {name: one.to_dict() for name, one in self.populations.items()},
-            "outliers": [
-                {"id": one.vehicle, "wheel": one.wheel, "quantity": one.quantity, "z": one.z, "why": one.why}
-                for one in self.outliers
-            ],
-            "drifting": [
-                {
-                    "id": one.vehicle,
-                    "wheel": one.wheel,
-                    "per_day_m": one.per_day_m,
-                    "half_width95_m": one.half_width_m,
-                    "due_day": one.due_day,
-                }
-                for one in self.drifting
-            ],
-            "common": [
-                {
-                    "label": one.label,
-                    "value": one.value,
-                    "what": one.what,
-                    "n_showing": one.n_showing,
-                    "n_vehicles": one.n_vehicles,
-                    "size": one.size,
-                    "size_ci95": list(one.size_ci95),
-                    "p_value": one.p_value,
-                    "sentence": one.sentence,
-                }
-                for one in self.common
-            ],
-        }
 
 
 def view_of(records: Sequence[VehicleRecord], labels: Mapping[str, Mapping[str, str]] | None = None) -> FleetView:
@@ -192,7 +164,7 @@ def _table(fitted: Sequence[VehicleRecord]) -> tuple[FloatArray, FloatArray]:
 
 
 def _outliers(fitted: Sequence[VehicleRecord], values: FloatArray, std: FloatArray) -> tuple[Outlier, ...]:
-    if len(fitted) < FEWEST:
+    if len(fitted) < FEWEST_COMPARED:
         return ()
     judged = [outlying(values[:, k], std[:, k]) for k in range(values.shape[1])]
     z, p_value = (np.stack(part, axis=1) for part in zip(*judged, strict=True))
@@ -241,7 +213,7 @@ def _common(
         mine = np.array([of_vehicle.get(record.vehicle, "") for record in fitted])
         for value in np.unique(mine[mine != ""]):
             inside = mine == value
-            if inside.sum() < FEWEST or (~inside).sum() < FEWEST or inside.sum() > (~inside).sum():
+            if inside.sum() < FEWEST_COMPARED or (~inside).sum() < FEWEST_COMPARED or inside.sum() > (~inside).sum():
                 # what the larger part has in common is the fleet's own
                 continue
             for k, (side, kind) in enumerate(_QUANTITIES):

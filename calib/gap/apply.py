@@ -12,18 +12,16 @@ from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
 from calib.coefficients.build import Header, PoseNoise, from_law, load_points
 from calib.coefficients.file import CoefficientFile
-from calib.coefficients.quantities import Quantity
-from calib.coefficients.sections import EffectSection
+from calib.coefficients.sections import EffectSection, Quantity
 from calib.errors import RefusedError
+from calib.gap.decision.diagnosis import VerdictKind
 from calib.gap.effects.applied import section_of
 from calib.gap.effects.library import effect_class
-from calib.gap.evidence.fit import Fitted
-from calib.gap.verdict.result import VerdictKind
+from calib.gap.inference.fit import Fitted
 from calib.radius.law import RadiusLaw, WheelLaw
 
 if TYPE_CHECKING:
-    from calib.gap.diagnosis import Diagnosis
-    from calib.gap.verdict.result import Cause, Verdict
+    from calib.gap.decision.diagnosis import Cause, Diagnosis
 
 SIDES = ("left", "right")
 
@@ -44,11 +42,11 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[Effe
     law; every other effect is written down by its id, form, settings and parameters. `model_of` and `with_effects` of
     `calib.gap.effects.applied` take them back. Effects that the diagnosed model had already (`given`) are kept.
     """
-    verdict, fitted = diagnosis.verdict, diagnosis.fitted
-    _refuse_without_cause(verdict)
+    fitted = diagnosis.fitted
+    _refuse_without_cause(diagnosis)
     observations = diagnosis.observations
     model = observations.model
-    line, sections = _line_and_sections(model, fitted, verdict.causes)
+    line, sections = _line_and_sections(model, fitted, diagnosis.causes)
     sections = [*given, *sections]
     loads = {side: observations.number(f"load_{side}_N") for side in SIDES}
     scatter = float(diagnosis.noise.scales.get("radius_scatter", 0.0))
@@ -79,12 +77,12 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[Effe
     )
 
 
-def _refuse_without_cause(verdict: Verdict) -> None:
-    if verdict.causes:
+def _refuse_without_cause(diagnosis: Diagnosis) -> None:
+    if diagnosis.causes:
         return
-    why = "there is no gap" if verdict.kind is VerdictKind.NO_GAP else f"the verdict is {verdict.kind.value}"
+    why = "there is no gap" if diagnosis.kind is VerdictKind.NO_GAP else f"the verdict is {diagnosis.kind.value}"
     raise RefusedError(
-        f"{verdict.campaign}: {why}, so there is no effect to add to the model; "
+        f"{diagnosis.campaign}: {why}, so there is no effect to add to the model; "
         "drive the runs that 'calib plan' names, or leave the model as it is"
     )
 

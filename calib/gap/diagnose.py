@@ -1,56 +1,54 @@
-"""From a campaign to a verdict: where the gap lies, which effect causes it, how far it shrinks."""
+"""The pipeline of a diagnosis: from a campaign to the causes of its gap and what their correction is worth."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import count
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from calib.arrays import FloatArray
 from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
 from calib.errors import BadInputError, RefusedError
-from calib.gap.data.from_campaign import observations_of
-from calib.gap.data.observations import Observations
-from calib.gap.diagnosis import Diagnosis
+from calib.gap.decision.decide import decide
+from calib.gap.decision.diagnosis import BY_MODEL, BY_SIMULATOR, Diagnosis
+from calib.gap.decision.evidence import Evidence, Situation
+from calib.gap.decision.held_out import HeldOut, measure_closure, trials
 from calib.gap.effects.applied import with_effects
 from calib.gap.effects.effect import Effect
-from calib.gap.effects.encoder_gross import GrossFault, corrected
-from calib.gap.effects.library import fault_before_search, library, turned_before_search
-from calib.gap.effects.turned_reference import TurnedReference
-from calib.gap.evidence.climb import Settings
-from calib.gap.evidence.fit import Fitted, fit
-from calib.gap.evidence.left_out import LeftOut
-from calib.gap.evidence.marginal import FLOOR_DOF
-from calib.gap.evidence.noise import Noise, estimate_noise
-from calib.gap.evidence.recalibration import judge_recalibration
-from calib.gap.evidence.search import Search, search
-from calib.gap.evidence.whitened import WhitenedSystem
+from calib.gap.effects.encoder import Blunder, corrected
+from calib.gap.effects.library import blunder_before_search, library, turned_before_search
+from calib.gap.effects.reference import TurnedReference
+from calib.gap.inference.fit import Fitted, fit
+from calib.gap.inference.least_squares import HeldOutFit
+from calib.gap.inference.linear_model import WhitenedSystem
+from calib.gap.inference.local_search import EVEN_PROBABILITY, SearchResult, SearchSettings
+from calib.gap.inference.marginal_likelihood import FLOOR_DOF
+from calib.gap.inference.model_search import search
+from calib.gap.inference.noise import Noise, estimate_noise
+from calib.gap.inference.recalibration import judge_recalibration
+from calib.gap.localise.locate import locate
+from calib.gap.observations.arrays import Observations
+from calib.gap.observations.from_campaign import observations_of
+from calib.gap.plan.identifiability import undetectable
 from calib.gap.plan.next_runs import next_runs
-from calib.gap.plan.outlook import undetectable
 from calib.gap.plan.planned_runs import joined
-from calib.gap.predict.path import Path, predict
-from calib.gap.predict.residuals import residuals
-from calib.gap.verdict.closure import HeldOut, measure_closure
-from calib.gap.verdict.decide import decide
-from calib.gap.verdict.evidence import Evidence
-from calib.gap.verdict.result import BY_MODEL, BY_SIMULATOR
-from calib.gap.verdict.transfer import trials
-from calib.gap.where.locate import locate
-from calib.progress import Progress, silent
+from calib.gap.predict import Path, predict, residuals
+from calib.types import Progress, silent
 
 if TYPE_CHECKING:
     from calib.coefficients.sections import EffectSection
 
-#: by which factor at most what the fit leaves may enlarge the floor's variance
-MOST_FLOOR: Final = 1.5
-#: how often at most the floor is taken again once a large effect is known
-PASSES: Final = 3
-#: of a millimetre the square is a part in 1e18 of this way's: double precision ends there
-FURTHEST_M: Final = 1e6
+#: largest variance factor by which the residual of the fit may enlarge the noise level: more is a cause not found
+MOST_VARIANCE_FACTOR: Final = 1.5
+#: estimates of the noise level, each without the causes named so far; it settles in one or two
+NOISE_PASSES: Final = 3
+#: change of a typical noise level that calls for another search: below, the evidence changes by less than its scatter
+NOISE_CHANGE: Final = 1.25
+#: of a millimetre the square is a part in 1e18 of this distance's: double precision ends there
+LONGEST_RUN_M: Final = 1e6
 
 
 def diagnose_in_full(
@@ -60,7 +58,7 @@ def diagnose_in_full(
     exclude: tuple[str, ...] = (),
     model: OdometryModel | None = None,
     applied: Sequence[EffectSection] = (),
-    settings: Settings | None = None,
+    settings: SearchSettings | None = None,
     plan: bool = True,
     model_name: str = "",
     observations: Observations | None = None,
@@ -78,83 +76,64 @@ def diagnose_in_full(
     exclude : tuple of str
         Effects to leave out of the library.
     model : OdometryModel, optional
-        What the simulator believes; the campaign's own by default.
+        The simulator's model; the campaign's own by default.
     applied : sequence of EffectSection
         Effects that the simulator has already, from a coefficient file.
     settings : Settings, optional
-        What the search takes for granted.
+        Priors and limits of the model search.
     plan : bool
-        Look for the runs that would tell tied causes apart, where there are any.
+        Recommend the runs that would separate confounded causes.
     model_name : str
-        Name of the file that `model` is from, for the verdict to say what it judged against.
+        Name of the file that `model` is from, for the sentence.
     observations : Observations, optional
-        What was observed on the campaign, in place of its own files: planted effects, drawn noise. `model` and
-        `applied` are in it already.
+        Replace those of the campaign's own files: planted effects, drawn noise. They hold `model` and `applied`
+        already.
     journeys : Campaign, optional
-        Runs still to be driven, of `calib.gap.plan.plan_file.read_plan`: where causes cannot be told apart, their
-        corrections are compared on these instead of on the runs driven.
+        Runs to come, of `calib.gap.plan.plan_file.read_plan`: the corrections of confounded causes are compared on
+        these instead of on the runs driven.
     progress : callable
-        See `calib.progress.Progress`.
+        See `calib.types.Progress`.
 
     Raises
     ------
     RefusedError
         Where no run has both counts and something measured.
     """
-    settings = settings or Settings()
+    settings = settings or SearchSettings()
     rng = np.random.default_rng(seed)
     declared = campaign.extra.get("effects", ())
     situation = _situation(campaign, model, applied, exclude, observations)
     campaign, observations = situation.campaign, situation.observations
-    judged_against = BY_SIMULATOR if np.isfinite(observations.simulated).any() else (model_name or BY_MODEL)
+    simulator = BY_SIMULATOR if np.isfinite(observations.simulated).any() else None
     nominal = predict(observations)
     effects = library(observations, exclude=exclude, declared=declared)
-    shifts = {effect.id: effect.shifts for effect in effects}
     noise, base, searched = _searched(nominal, effects, settings, progress)
-    best = searched.fitted
     progress(0, 0, "verdict")
-    left_out = LeftOut(best, nominal, noise, searched.weighting)
-    held_out = _held_out(nominal, noise, searched, effects, left_out, rng)
-    if situation.as_counted is not None:
-        held_out = replace(held_out, before=situation.as_counted)
-    alone = WhitenedSystem(base.path, nominal, noise)
-    alone.know(searched.alone)
+    left_out = HeldOutFit(searched.fitted, nominal, noise, searched.weighting)
+    held_out = _held_out(situation, nominal, noise, searched, effects, left_out, rng)
+    shifts = {effect.id: effect.shifts for effect in effects}
     evidence = Evidence(
-        campaign=campaign.name,
-        simulated=campaign.simulated,
+        situation=situation,
+        judged_against=simulator or model_name or BY_MODEL,
         nominal=nominal,
         noise=noise,
         effects={effect.id: effect for effect in effects},
         search=searched,
-        recalibration=judge_recalibration(best, nominal, noise, settings, shifts, searched),
+        recalibration=judge_recalibration(searched.fitted, nominal, noise, settings, shifts, searched),
         held_out=held_out,
         trials=trials(left_out, residuals(nominal, nominal), noise.dof),
         where=locate(observations, nominal, noise, held_out.before, rng=rng, floor=held_out.floor, campaign=campaign),
-        undetectable=undetectable(alone, effects, searched.forms),
-        faults=situation.faults,
-        settings=settings,
-        notes=situation.notes,
-        judged_against=judged_against,
         journeys=None if journeys is None else observations_of(joined(campaign, journeys), observations.model),
-        declared=declared,
     )
-    verdict = decide(evidence)
-    if plan and verdict.groups:
-        progress(0, 0, "next runs")
-        ties = [group.effects for group in verdict.groups]
-        verdict = replace(verdict, next_runs=tuple(next_runs(campaign, effects, noise, ties, best, model=model)))
-    return Diagnosis(verdict, observations, noise, nominal, best, held_out, searched, tuple(effects))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Situation:
-    """What was driven, gross faults put right; and the gap with the counts as they were, where they were wrong."""
-
-    campaign: Campaign
-    observations: Observations
-    notes: tuple[str, ...]
-    faults: tuple[GrossFault | TurnedReference, ...]
-    as_counted: FloatArray | None
+    recalibrated = WhitenedSystem(base.path, nominal, noise)
+    recalibrated.know(searched.alone)
+    diagnosis = replace(decide(evidence), undetectable=undetectable(recalibrated, effects, searched.forms))
+    if not plan or not diagnosis.groups:
+        return diagnosis
+    progress(0, 0, "next runs")
+    ties = [group.effects for group in diagnosis.groups]
+    runs = next_runs(campaign, effects, noise, ties, searched.fitted, model=model)
+    return replace(diagnosis, next_runs=tuple(runs))
 
 
 def _situation(
@@ -163,30 +142,31 @@ def _situation(
     applied: Sequence[EffectSection],
     exclude: tuple[str, ...],
     observations: Observations | None,
-) -> _Situation:
-    faults: list[GrossFault | TurnedReference] = []
+) -> Situation:
+    """Return what was driven with blunders of counts and reference mounting corrected; see `diagnose_in_full`."""
+    faults: list[Blunder | TurnedReference] = []
     notes: tuple[str, ...] = ()
     if observations is None:
         observations, notes = _observed(campaign, model, applied)
         turned = turned_before_search(predict(observations), exclude)
         if turned is not None:
             faults.append(turned)
-            campaign = turned.put_right(campaign)
+            campaign = turned.correct(campaign)
             observations, notes = _observed(campaign, model, applied)
     nominal = predict(observations)
-    fault = fault_before_search(observations, nominal, exclude)
+    fault = blunder_before_search(observations, nominal, exclude)
     if fault is None:
-        return _Situation(campaign, observations, notes, tuple(faults), None)
+        return Situation(campaign, observations, notes, tuple(faults))
     as_counted = residuals(nominal, nominal)
-    return _Situation(campaign, corrected(observations, fault), notes, (*faults, fault), as_counted)
+    return Situation(campaign, corrected(observations, fault), notes, (*faults, fault), as_counted)
 
 
 def _observed(
     campaign: Campaign, model: OdometryModel | None, applied: Sequence[EffectSection]
 ) -> tuple[Observations, tuple[str, ...]]:
-    """Return what was driven, as a simulator that has some effects already predicts it, and what had to be assumed."""
+    """Return the observations, some effects in their simulated motion, and notes on what had to be assumed."""
     observations = observations_of(campaign, model)
-    _check_ways(campaign, observations)
+    _check_distances(campaign, observations)
     if not observations.usable.any():
         raise RefusedError(
             f"{campaign.name}: no run has a channel that can be compared with the simulation; an end pose needs "
@@ -197,36 +177,40 @@ def _observed(
     return with_effects(observations, applied, declared=campaign.extra.get("effects", ()))
 
 
-def _check_ways(campaign: Campaign, observations: Observations) -> None:
-    """Refuse runs whose wheels rolled further than can be computed with beside millimetres."""
+def _check_distances(campaign: Campaign, observations: Observations) -> None:
+    """Refuse runs whose wheels rolled too far for double precision to resolve millimetres."""
     for travel_m in (observations.travel_left_m, observations.travel_right_m):
-        ways_m = np.bincount(observations.unit, np.abs(travel_m), len(observations))
-        number = int(np.argmax(ways_m))
-        if not ways_m[number] <= FURTHEST_M:
+        distances_m = np.bincount(observations.unit, np.abs(travel_m), len(observations))
+        number = int(np.argmax(distances_m))
+        if not distances_m[number] <= LONGEST_RUN_M:
             raise BadInputError(
-                f"{campaign.name}: run {observations.labels['run_id'][number]}: found counts of a way of "
-                f"{ways_m[number]:.3g} m; expected {FURTHEST_M:.0e} m at most, beside which a millimetre is lost in "
-                "rounding; look at the counts of this run"
+                f"{campaign.name}: run {observations.labels['run_id'][number]}: found counts of a distance of "
+                f"{distances_m[number]:.3g} m; expected {LONGEST_RUN_M:.0e} m at most, beyond which rounding hides "
+                "millimetres; check the counts of this run"
             )
 
 
 def _searched(
-    nominal: Path, effects: Sequence[Effect], settings: Settings, progress: Progress
-) -> tuple[Noise, Fitted, Search]:
-    """Return the floor, the recalibration alone, and the hypotheses tried; the floor is that of the best of them."""
+    nominal: Path, effects: Sequence[Effect], settings: SearchSettings, progress: Progress
+) -> tuple[Noise, Fitted, SearchResult]:
+    """Return noise, recalibration alone and model search; the noise is that beside the most probable hypothesis."""
     passes = count(1)
 
     def passed() -> None:
-        # how many passes it takes, the data decide
+        # the data decide how many passes it takes
         progress(next(passes), 0, "search of causes")
 
-    noise, base = _settle(nominal)
+    noise = estimate_noise(nominal, residuals(nominal, nominal))
+    recalibrated = fit(nominal, noise)
+    noise = estimate_noise(recalibrated.path, recalibrated.left)
+    base = fit(nominal, noise, start=recalibrated)
     searched = search(nominal, noise, base, effects, settings, passed=passed)
-    for _ in range(PASSES):
+    for _ in range(NOISE_PASSES):
         best = searched.fitted
-        # what a large effect leaves within conditions is no noise: take the floor again without it, and ask again
+        # what a large effect leaves within conditions is no noise: estimate it without the effect, and search again
         again = estimate_noise(best.path, best.left) if best.forms else noise
-        if again is noise or not _differ(noise, again):
+        change = np.abs(np.log(np.median(noise.floor / again.floor, axis=0)))
+        if not (change > np.log(NOISE_CHANGE)).any():
             break
         noise, base = again, fit(nominal, again, start=base)
         searched = search(nominal, noise, base, effects, settings, start=searched, passed=passed)
@@ -234,31 +218,43 @@ def _searched(
 
 
 def _held_out(
+    situation: Situation,
     nominal: Path,
     noise: Noise,
-    searched: Search,
+    searched: SearchResult,
     effects: Sequence[Effect],
-    left_out: LeftOut,
+    left_out: HeldOutFit,
     rng: np.random.Generator,
 ) -> HeldOut:
-    """Return the gap before and after on runs left out: whole sessions, unless the cause is a step between them."""
-    # where no cause is missing, what is left is noise, and its size the better estimate of the floor
-    best, n_rows = searched.fitted, int(nominal.s.usable.sum())
-    factor = (FLOOR_DOF + best.chi_square) / (FLOOR_DOF + n_rows)
-    factor = 1.0 if searched.rest > 0.5 else min(factor, MOST_FLOOR)
-    sessions = not any(effect.per_session for effect in effects if effect.id in searched.effects)
-    return measure_closure(nominal, noise, best, rng, sessions=sessions, floor_factor=factor, left_out=left_out)
+    """Return the gap before and after on held-out runs: whole sessions, unless the cause is a step between them.
 
-
-def _differ(before: Noise, after: Noise) -> bool:
-    """Return whether the typical floor of any channel changed by more than a quarter."""
-    ratio = np.median(before.floor / after.floor, axis=0)
-    return bool((np.abs(np.log(ratio)) > np.log(1.25)).any())
-
-
-def _settle(nominal: Path) -> tuple[Noise, Fitted]:
-    """Fit the recalibration and the noise in turn."""
-    noise = estimate_noise(nominal, residuals(nominal, nominal))
-    base = fit(nominal, noise)
-    noise = estimate_noise(base.path, base.left)
-    return noise, fit(nominal, noise, start=base)
+    Parameters
+    ----------
+    situation : Situation
+        The gap with the counts as they were, where these had a blunder.
+    nominal : Path
+        The model alone.
+    noise : Noise
+        Covariance of each observation.
+    searched : Search
+        The most probable hypothesis, and whether a residual is unexplained.
+    effects : sequence of Effect
+        The library.
+    left_out : LeftOut
+        Predicts held-out runs.
+    rng : numpy.random.Generator
+        For the bootstrap.
+    """
+    best = searched.fitted
+    # where no cause is missing, the residual is noise, and a better estimate of its level
+    factor = (FLOOR_DOF + best.chi_square) / (FLOOR_DOF + int(nominal.s.usable.sum()))
+    return measure_closure(
+        nominal,
+        noise,
+        best,
+        rng,
+        sessions=not any(effect.per_session for effect in effects if effect.id in searched.effects),
+        floor_factor=1.0 if searched.rest > EVEN_PROBABILITY else min(factor, MOST_VARIANCE_FACTOR),
+        left_out=left_out,
+        as_counted=situation.as_counted,
+    )

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from calib.arrays import BoolArray, FloatArray, IntArray, StrArray
 from calib.plant.routes import SHORT
+from calib.types import BoolArray, FloatArray, IntArray, StrArray
 from calib.vehicle import Vehicle
 
 

@@ -7,10 +7,10 @@ from typing import Final
 
 import numpy as np
 
-from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.plant.noise import NoiseDraw
 from calib.plant.routes import PITCH_M, RouteTables, tabulate
 from calib.plant.world import Moment, World
+from calib.types import BoolArray, FloatArray, IntArray
 
 STEP_S: Final = 0.02
 _ACCELERATION_MPS2: Final = 0.35

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from calib.arrays import FloatArray
 from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
 from calib.plant.design import Design
@@ -16,6 +15,7 @@ from calib.plant.effects.registry import find
 from calib.plant.measure import campaign_of
 from calib.plant.noise import Noise, draw_noise, random_noise
 from calib.plant.world import REFERENCE_LOAD_N, World, build_world
+from calib.types import FloatArray
 
 
 def random_model(design: Design, rng: np.random.Generator) -> OdometryModel:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.arrays import FloatArray, IntArray
 from calib.campaign.model import Campaign, Logs, RunTable
 from calib.campaign.settings import Encoder, Rangefinder, Reference
 from calib.plant.drive import Record
 from calib.plant.noise import Noise, NoiseDraw
 from calib.plant.world import World, wheel_loads
+from calib.types import FloatArray, IntArray
 
 _STEER_STEP_RAD = 5e-4
 
@@ -58,7 +58,7 @@ def steering_readings(world: World, noise: NoiseDraw, record: Record, *, quantis
 
 
 def gross_counts(world: World, counts: FloatArray) -> FloatArray:
-    """Return the counters as recorded, shape (3, n_frames, n_runs), with a gross fault where the world has one."""
+    """Return the counters as recorded, shape (3, n_frames, n_runs), with a blunder where the world has one."""
     if not world.gross or not world.gross_runs.any():
         return counts
     struck = world.gross_runs > 0

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from calib.arrays import FloatArray
+from calib.types import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

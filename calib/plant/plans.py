@@ -110,7 +110,7 @@ def _scheduled(
     rng: np.random.Generator, conditions: list[dict[str, Any]], n_runs: int, n_sessions: int
 ) -> list[dict[str, Any]]:
     """Return the runs in the order driven: sessions, dwell and temperatures vary apart from the conditions."""
-    # each session has a cold and a warm half; dwell varies from run to run; no condition goes with a session
+    # each session has a cold and a warm half; dwell varies from run to run; no condition correlates with a session
     levels = []
     for _ in range(n_sessions):
         cold = float(rng.uniform(10, 20))

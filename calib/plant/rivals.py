@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import FloatArray
 from calib.campaign.settings import OdometryModel
 from calib.plant.design import Design, lacks
 from calib.plant.effects.form import Cause
 from calib.plant.effects.registry import ALL
 from calib.plant.noise import Noise
 from calib.plant.signal import is_calibration, strength, strengths, whiten
+from calib.types import FloatArray
 
 _EXPONENTS = {"hertz": 2 / 3, "root": 0.5, "quadratic": 2.0, "power": 0.87, "running_in": 0.8}
 _SKIPPED = ("encoder_gross", "integration_scheme", "path_weave", "floor_zone")
@@ -86,7 +86,7 @@ def _families(causes: list[Cause], first: int) -> dict[tuple[str, str], list[int
 
 
 def signatures(design: Design, model: OdometryModel, noise: Noise) -> dict[str, list[FloatArray]]:
-    """Return what each effect, calibration left out, can do on a design: whitened, a recalibration projected out.
+    """Return what each effect, without calibration, can do on a design: whitened, a recalibration projected out.
 
     Effect -> its forms, each (n_rows, n_directions).
     """

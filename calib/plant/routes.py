@@ -9,8 +9,8 @@ from typing import Final
 
 import numpy as np
 
-from calib.arrays import FloatArray
 from calib.errors import BadInputError
+from calib.types import FloatArray
 
 PITCH_M: Final = 0.01
 #: length of ``corridor_short`` over that of ``corridor``

@@ -12,7 +12,6 @@ from typing import Final
 
 import numpy as np
 
-from calib.arrays import FloatArray
 from calib.campaign.settings import OdometryModel
 from calib.plant.design import Design
 from calib.plant.drive import Record, drive
@@ -22,6 +21,7 @@ from calib.plant.make import apply_causes
 from calib.plant.measure import reference_poses, simulated_poses, steering_readings
 from calib.plant.noise import Noise, NoiseDraw, quiet
 from calib.plant.world import World, build_world
+from calib.types import FloatArray
 
 #: effects that a recalibration absorbs by definition: their signal is taken without projecting it out
 CALIBRATION: Final = ("radius_scale", "unequal_radii", "track_width")

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from calib.arrays import FloatArray
 from calib.campaign.settings import OdometryModel
 from calib.plant.design import Design
+from calib.types import FloatArray
 from calib.units import GRAVITY_MPS2
 from calib.vehicle import Vehicle
 
@@ -105,7 +105,7 @@ class World:
     payload_scale: FloatArray
     payload_dx_m: FloatArray
     payload_dy_m: FloatArray
-    gross: str = ""  #: a gross fault of the counters in the record; empty is none
+    gross: str = ""  #: a blunder of the counters in the record; empty is none
     during: list[Callable[[Moment], None]] = field(default_factory=list)  #: effects that act while driving
 
     def enlarge(self, left: FloatArray, right: FloatArray | None = None) -> None:

@@ -1,55 +1,388 @@
-"""What an expert would check after a fit: a statistic, and a sentence that says what it means and what to do."""
+"""The checks that an expert would run on a wheel's fit; each ends in a sentence: what it means and what to do."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from math import isfinite
-from typing import Any, Final
+from dataclasses import dataclass, replace
+from typing import Final
 
-OK: Final = "ok"
-NOTE: Final = "note"
-FAILED: Final = "failed"
-#: name of the check that holds a fit against its nominal vehicle and physical bounds
-PLAUSIBLE: Final = "plausible"
+import numpy as np
 
+from calib.radius.law import COVERAGE
+from calib.radius.regression import FAILED, NOTE, OK, Check, WheelFit, distinct_loads, load_groups
+from calib.radius.sessions import Groups, breusch_pagan, groups_of
+from calib.types import FloatArray, StrArray
 
-@dataclass(frozen=True, slots=True)
-class Check:
-    """One check of a fit."""
-
-    #: stable name: ``design``, ``lack_of_fit``, ``curvature``, ``equal_scatter``, ``influence``, ``session``,
-    #: ``normality``, ``direction``, ``temperature``, ``range``, ``plausible``
-    name: str
-    #: ``ok``; ``note`` where the reader has to know something but the result stands; ``failed`` where the law should
-    #: not be used as it is
-    level: str
-    #: what it means for the user and what to do
-    sentence: str
-    #: value of the test statistic; None where the check has none or could not be made
-    statistic: float | None = None
-    #: what the statistic is, for example ``F(3, 55)``
-    statistic_name: str = ""
-    #: probability of a statistic at least as extreme where nothing is wrong
-    p_value: float | None = None
-
-    @property
-    def passed(self) -> bool:
-        """Whether the result can be used as it is (``ok`` and ``note``)."""
-        return self.level != FAILED
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the check as plain values."""
-        return {
-            "name": self.name,
-            "level": self.level,
-            "passed": self.passed,
-            "statistic": _finite(self.statistic),
-            "statistic_name": self.statistic_name,
-            "p_value": _finite(self.p_value),
-            "sentence": self.sentence,
-        }
+#: p-values below which a check gives a note, and below which the law should not be used as it is. With some nine checks
+#: a wheel the usual 5 % would give a false note in every third campaign.
+NOTE_BELOW: Final = 0.01
+FAIL_BELOW: Final = 1e-4
+UM: Final = 1e6
+#: the reference load may lie this share of the load range outside it without a note
+REFERENCE_MARGIN: Final = 0.02
+#: sessions beyond which no single one is omitted: too many to carry the slope alone
+MAX_INFLUENCE_SESSIONS: Final = 100
+#: runs that the Shapiro-Wilk test takes, by its approximation of the p-value
+SHAPIRO_RUNS: Final = (8, 5000)
+#: a smaller span of temperatures shows nothing of a radius
+MIN_SPAN_K: Final = 1.0
+#: degrees of freedom, less sessions and both lines, that the scatter about the temperature needs
+MIN_TEMPERATURE_DOF: Final = 5
 
 
-def _finite(value: float | None) -> float | None:
-    """Return `value` as JSON can hold it: an infinite statistic, of data without any scatter, is not a number there."""
-    return float(value) if value is not None and isfinite(value) else None
+@dataclass(frozen=True, slots=True, eq=False)
+class _Residuals:
+    """Input of the checks: centred loads, residuals about line and session means, and labels."""
+
+    fit: WheelFit
+    groups: Groups
+    x: FloatArray
+    residual_m: FloatArray
+    dof: float
+    direction: StrArray
+    run_id: StrArray
+    #: indicator columns of the sessions, or of a constant where there is one session or one run a session
+    sessions: FloatArray
+
+
+def with_checks(fit: WheelFit, session: StrArray, direction: StrArray, run_id: StrArray) -> WheelFit:
+    """Return `fit` with its checks.
+
+    `session`, `direction`, `run_id` (shape (n_runs,)): labels of the same runs.
+    """
+    groups, n = groups_of(session), len(fit.load_N)
+    by_session = 2 <= len(groups) < n
+    residual = groups.within(fit.residual_m) if by_session else fit.residual_m - fit.residual_m.mean()
+    sessions = np.eye(len(groups))[groups.index] if by_session else np.ones((n, 1))
+    sloped = fit.model == "line" and fit.design != "confounded"
+    dof = float(n - sessions.shape[1] - sloped)
+    runs = _Residuals(fit, groups, fit.load_N - fit.load_N.mean(), residual, dof, direction, run_id, sessions)
+    checks = [_design(fit, groups), _session(fit, groups)]
+    if fit.model == "line":
+        checks += [
+            _range(fit),
+            _lack_of_fit(runs),
+            _curvature(runs),
+            _equal_scatter(runs),
+            _session_influence(fit, groups),
+        ]
+    checks += [_influence(runs), _normality(runs), _direction(runs)]
+    return replace(fit, checks=tuple(check for check in checks if check is not None))
+
+
+def _tested(
+    name: str, statistic: float, statistic_name: str, p_value: float, sentences: tuple[str, str], *, fails: bool = False
+) -> Check:
+    """Return the check of a test.
+
+    Parameters
+    ----------
+    name, statistic_name : str
+        Of the check and of its statistic.
+    statistic, p_value : float
+        Result of the test.
+    sentences : (str, str)
+        Without and with a finding.
+    fails : bool
+        Whether a clear finding forbids the law; False where the intervals allow for it.
+    """
+    level = FAILED if fails and p_value < FAIL_BELOW else NOTE if p_value < NOTE_BELOW else OK
+    return Check(name, level, sentences[p_value < NOTE_BELOW], float(statistic), statistic_name, p_value)
+
+
+def _p_f(statistic: float, dof_first: float, dof_second: float) -> float:
+    from scipy.special import fdtrc
+
+    return float(fdtrc(dof_first, dof_second, max(statistic, 0.0)))
+
+
+def _p_t(statistic: float, dof: float) -> float:
+    """Return the two-sided probability of a Student's t."""
+    from scipy.special import stdtr
+
+    return float(2 * stdtr(dof, -abs(statistic)))
+
+
+def _squares(design: FloatArray, y: FloatArray) -> tuple[float, int]:
+    """Return the residual sum of squares and the rank of a design, whose columns may be collinear to rounding."""
+    coefficients, _, rank, _ = np.linalg.lstsq(design, y, rcond=1e-10)
+    residual = y - design @ coefficients
+    return float(residual @ residual), int(rank)
+
+
+def _lack_of_fit(runs: _Residuals) -> Check | None:
+    if runs.fit.design == "confounded":
+        return None  # covered by the check of sessions: sessions and loads are one there
+    group = load_groups(runs.fit.load_N)
+    n, levels = len(runs.x), int(group.max()) + 1
+    if levels < 3:
+        sentence = "With two loads any law runs through both: straightness cannot be tested; add a third load between."
+        return Check("lack_of_fit", NOTE, sentence)
+    y = runs.fit.residual_m * UM
+    line = np.column_stack((runs.sessions, runs.x / np.ptp(runs.x)))
+    reduced, rank_reduced = _squares(line, y)
+    full, rank_full = _squares(np.column_stack((line, np.eye(levels)[group])), y)
+    dof_levels, dof = rank_full - rank_reduced, n - rank_full
+    if dof_levels < 1 or dof < 3 or full <= 0:
+        sentence = "Too few repeats at the same load to tell lack of fit from scatter; drive each load twice or more."
+        return Check("lack_of_fit", NOTE, sentence)
+    statistic = (reduced - full) / dof_levels / (full / dof)
+    sentences = (
+        "The straight line fits as well as the repeats at each load allow.",
+        "The mean radii at the loads miss the straight line by more than repeats explain: use the law between "
+        "neighbouring measured loads only, or look for a load that is misreported.",
+    )
+    p_value = _p_f(statistic, dof_levels, dof)
+    return _tested("lack_of_fit", statistic, f"F({dof_levels}, {dof})", p_value, sentences, fails=True)
+
+
+def _curvature(runs: _Residuals) -> Check | None:
+    z, y = runs.x / np.ptp(runs.x), runs.fit.residual_m * UM
+    base, square = np.column_stack((runs.sessions, z)), z**2
+    if runs.fit.design == "confounded":
+        weight = np.sqrt(runs.groups.sizes)
+        z, y = runs.groups.means(z), runs.groups.means(y) * weight
+        base, square = np.column_stack((np.ones_like(z), z)) * weight[:, None], z**2 * weight
+    projected = square - base @ np.linalg.lstsq(base, square, rcond=1e-10)[0]
+    norm = float(projected @ projected)
+    full, rank = _squares(np.column_stack((base, square)), y)
+    dof = len(y) - rank
+    if norm <= 1e-9 * float(square @ square) or dof < 1 or full <= 0:
+        return None
+    bend = float(projected @ y) / norm
+    statistic = bend / np.sqrt(full / dof / norm)
+    # a parabola over the whole span departs from its chord by a quarter of its coefficient in the middle
+    sag = abs(bend) / 4
+    sentences = (
+        f"No curvature shows; a bend, if any, is about {sag:.2g} um in the middle of the load range.",
+        f"The radius bends by about {sag:.2g} um in the middle of the load range: a straight law is that far off "
+        "there; narrow the load range, or use a look-up table of measured loads.",
+    )
+    return _tested("curvature", statistic, f"t({dof})", _p_t(statistic, dof), sentences, fails=True)
+
+
+def _equal_scatter(runs: _Residuals) -> Check:
+    statistic, p_value = breusch_pagan(runs.residual_m, runs.x)
+    if runs.fit.design == "confounded":
+        finding = (
+            "The scatter of single runs changes with load; the intervals rest on session means and hold, the "
+            "prediction band is too narrow at one end."
+        )
+    else:
+        finding = (
+            "The scatter changes with load; the slope's interval uses the heteroscedasticity-consistent covariance "
+            "(HC3) and holds, the prediction band is too narrow at one end."
+        )
+    sentences = ("The scatter is the same at every load.", finding)
+    return _tested("equal_scatter", statistic, "chi2(1)", p_value, sentences)
+
+
+def _influence(runs: _Residuals) -> Check | None:
+    n, dof = len(runs.x), runs.dof
+    total = float(runs.residual_m @ runs.residual_m)
+    if dof < 3 or total <= 0:
+        return None
+    slack = np.full(n, dof / n)
+    own = runs.residual_m**2 / slack
+    # externally studentised: each run against the scatter of the others
+    others = np.maximum(total - own, 1e-12 * total) / (dof - 1)
+    studentised = np.abs(runs.residual_m) / np.sqrt(others * slack)
+    worst = int(np.argmax(studentised))
+    p_value = min(n * _p_t(float(studentised[worst]), dof - 1), 1.0)
+    cook = float(runs.fit.cook.max())
+    if p_value >= NOTE_BELOW and cook > 1:
+        pulling = int(np.argmax(runs.fit.cook))
+        sentence = (
+            f"Run {runs.run_id[pulling]} alone moves the line by more than its uncertainty (Cook's distance "
+            f"{cook:.1f}): repeat its load."
+        )
+        return Check("influence", NOTE, sentence, cook, "Cook's distance", None)
+    # beyond a thousand the digits mean nothing
+    times = f"{studentised[worst]:.1f}" if studentised[worst] < 1000.0 else "over 1000"
+    sentences = (
+        f"No single run stands out or carries the line (largest Cook's distance {cook:.2g}).",
+        f"Run {runs.run_id[worst]} lies {UM * runs.residual_m[worst]:+.0f} um off, {times} standard "
+        "deviations of the others: look at it with 'calib check', and exclude it with a reason or repeat it.",
+    )
+    name = f"largest studentised residual of {n}"
+    return _tested("influence", studentised[worst], name, p_value, sentences, fails=True)
+
+
+def _normality(runs: _Residuals) -> Check | None:
+    n = len(runs.residual_m)
+    if not SHAPIRO_RUNS[0] <= n <= SHAPIRO_RUNS[1] or float(runs.residual_m @ runs.residual_m) <= 0:
+        return None
+    from scipy.stats import shapiro
+
+    statistic, p_value = (float(number) for number in shapiro(runs.residual_m))
+    sentences = (
+        "The residuals look normal, as the intervals assume.",
+        "The residuals are not normal: the intervals of the coefficients still hold for means of many runs, the "
+        "prediction band may not; look for outliers or two groups of runs.",
+    )
+    return _tested("normality", statistic, "Shapiro-Wilk W", p_value, sentences)
+
+
+def _direction(runs: _Residuals) -> Check | None:
+    direction = np.char.lower(runs.direction)
+    out, back = runs.residual_m[direction == "out"], runs.residual_m[direction == "back"]
+    dof = runs.dof - 1
+    if len(out) < 3 or len(back) < 3 or dof < 3:
+        return None
+    pooled = float(np.sum((out - out.mean()) ** 2) + np.sum((back - back.mean()) ** 2)) / dof
+    if pooled <= 0:
+        return None
+    difference = float(out.mean() - back.mean())
+    statistic = difference / np.sqrt(pooled * (1 / len(out) + 1 / len(back)))
+    sentences = (
+        "Out and back give the same radius.",
+        f"Radii driven out are {UM * difference:+.1f} um from those driven back: a zero error of the rangefinder, "
+        "a sloping floor or drag in one direction; as many runs out as back cancel it, keep it so.",
+    )
+    return _tested("direction", statistic, f"t({dof:.0f})", _p_t(statistic, dof), sentences)
+
+
+def _design(fit: WheelFit, groups: Groups) -> Check:
+    """Say what the plan of loads and sessions allows."""
+    loads = distinct_loads(fit.load_N)
+    few = " There are only two loads: whether the law is straight stays unknown." if loads == 2 else ""
+    level = NOTE
+    if fit.model == "constant":
+        few = ""
+        sentence = (
+            f"All runs have one load ({fit.law.reference_load_N:.0f} N): a constant radius is given, for that load "
+            "only, and no slope; drive two further loads at least."
+        )
+    elif len(groups) == 1:
+        sentence = (
+            "All runs are of one session: what shifts from session to session is not in the intervals; repeat some "
+            "loads on another day."
+        )
+    elif len(groups) == len(fit.load_N):
+        level, sentence = NOTE if few else OK, "Every run is a session of its own: the runs are independent."
+    elif fit.design == "confounded" and fit.estimate.design != "confounded":
+        sentence = (
+            f"Each session has a load of its own and there are only {len(groups)} sessions: the scatter of sessions "
+            "cannot be estimated, so the intervals count every run as independent and are too narrow; drive every load "
+            "in every session."
+        )
+    elif fit.design == "confounded":
+        sentence = (
+            f"Each session has a load of its own: a drift from session to session looks like load. The intervals rest "
+            f"on the {len(groups)} session means ({fit.law.dof:.3g} degrees of freedom) and hold if sessions scatter "
+            "at random; to split the two, drive at least two loads in every session."
+        )
+    else:
+        crossed = "crossed" if fit.design == "crossed" else "partly crossed"
+        level = NOTE if few else OK
+        sentence = f"The loads are {crossed} with the sessions: load and drift between sessions are told apart."
+    return Check("design", level, sentence + few)
+
+
+def _range(fit: WheelFit) -> Check:
+    """Say where the law holds, and whether the reference load lies there."""
+    law = fit.law
+    margin = REFERENCE_MARGIN * (law.load_max_N - law.load_min_N)
+    inside = law.load_min_N - margin <= law.reference_load_N <= law.load_max_N + margin
+    span = f"{law.load_min_N:.0f} to {law.load_max_N:.0f} N"
+    if inside:
+        return Check("range", OK, f"The law holds for {span} a wheel and was not measured outside.")
+    sentence = (
+        f"The reference load {law.reference_load_N:.0f} N lies outside the measured {span}: the radius there is "
+        "extrapolated; measure near it, or set reference_load_N in campaign.toml."
+    )
+    return Check("range", NOTE, sentence)
+
+
+def _session(fit: WheelFit, groups: Groups) -> Check | None:
+    """Say whether sessions scatter beyond their runs, and what counting runs as independent would have claimed."""
+    estimate = fit.estimate
+    if len(groups) < 2 or len(groups) == len(fit.load_N) or estimate.session_f is None or estimate.dof_between < 1:
+        return None
+    confounded = estimate.design == "confounded"
+    p_value = _p_f(estimate.session_f, estimate.dof_between, estimate.dof_within)
+    width_ratio = _against_naive(fit)
+    subject = "Session means leave the line" if confounded else "Sessions differ"
+    cause = (
+        "a bend of the law, or a shift from session to session, which these runs cannot tell apart"
+        if confounded
+        else "temperature, a remounted rangefinder, wear"
+    )
+    sentences = (
+        f"{subject} no more than their runs explain; the intervals allow for sessions all the same.{width_ratio}",
+        f"{subject} by {UM * fit.session_std_m:.2g} um more than their runs explain ({cause}); the intervals allow for "
+        f"it, but look for the cause.{width_ratio}",
+    )
+    name = f"F({estimate.dof_between:.0f}, {estimate.dof_within:.0f})"
+    return _tested("session", estimate.session_f, name, p_value, sentences)
+
+
+def _against_naive(fit: WheelFit) -> str:
+    if fit.naive is None:
+        return ""
+    slope = (0.0, 1.0)
+    aware, naive = (float(estimate.half_width(slope, COVERAGE)) for estimate in (fit.estimate, fit.naive))
+    if naive <= 0 or aware <= 0:
+        return ""
+    return f" Counting every run as independent would give a slope interval {naive / aware:.2g} times as wide."
+
+
+def _session_influence(fit: WheelFit, groups: Groups) -> Check | None:
+    """Say how far the slope moves when one session is omitted."""
+    if not 3 <= len(groups) <= MAX_INFLUENCE_SESSIONS:
+        return None
+    n = groups.sizes
+    x, y = fit.load_N - fit.load_N.mean(), fit.residual_m
+    moments = [np.bincount(groups.index, weights=w, minlength=len(groups)) for w in (x, y, x * x, x * y)]
+    sx, sy, sxx, sxy = (total.sum() - total for total in moments)
+    kept = n.sum() - n
+    spread = sxx - sx**2 / kept
+    usable = spread > 1e-6 * float(x @ x)
+    if not usable.any():
+        return None
+    change = np.where(usable, (sxy - sx * sy / kept) / np.where(usable, spread, 1.0), 0.0)
+    worst = int(np.argmax(np.abs(change)))
+    half = float(fit.estimate.half_width((0.0, 1.0), COVERAGE))
+    ratio = abs(float(change[worst])) / half if half > 0 else 0.0
+    slope, name = fit.law.slope_m_per_N, groups.names[worst]
+    words = f"changes the slope by {100 * change[worst] / slope:+.2g} %" if slope else ""
+    level, sentence = OK, f"No session carries the slope alone: leaving out {name} {words}, within its interval."
+    if ratio > 1:
+        level = NOTE
+        sentence = (
+            f"The slope depends on session {name}: leaving it out {words}, more than the interval's half width; "
+            "repeat its loads."
+        )
+    return Check("session_influence", level, sentence, ratio, "change over half interval")
+
+
+def with_temperature_check(fit: WheelFit, temperature_C: FloatArray, session: StrArray) -> WheelFit:
+    """Return `fit` with the check of its residuals against the temperature, where these runs allow one.
+
+    `temperature_C` (NaN where not read), `session` (shape (n_runs,)): of the same runs. Within sessions: shifts of
+    whole sessions belong to the check of sessions. Both are taken minus their regression on the load, so that a
+    temperature that correlates with it is not blamed.
+    """
+    known = np.isfinite(temperature_C)
+    if not known.any() or np.ptp(temperature_C[known]) < MIN_SPAN_K:
+        return fit
+    groups, span = groups_of(session[known]), np.ptp(temperature_C[known])
+    columns = (fit.residual_m[known], temperature_C[known], fit.load_N[known])
+    residual, warmth, load = (groups.within(column) for column in columns)
+    if load @ load > 0:
+        residual, warmth = (each - load * float(load @ each) / float(load @ load) for each in (residual, warmth))
+    dof, squares = len(residual) - len(groups) - 2, float(warmth @ warmth)
+    if dof < MIN_TEMPERATURE_DOF or np.sqrt(squares / len(warmth)) < 0.1 * MIN_SPAN_K:
+        return fit
+    slope = float(warmth @ residual) / squares
+    scatter = float(np.sum((residual - slope * warmth) ** 2)) / dof
+    if scatter <= 0:
+        return fit
+    statistic = slope * np.sqrt(squares / scatter)
+    sentences = (
+        "The radius does not follow the temperature.",
+        f"The radius follows the temperature by {UM * slope:+.2g} um/K over {span:.0f} K driven: a law of the load "
+        "alone is off by that on a warmer or colder day; calib diagnose says whether it is the temperature or "
+        "something that correlates with it, and corrects it.",
+    )
+    check = _tested("temperature", statistic, f"t({dof})", _p_t(statistic, dof), sentences, fails=True)
+    return replace(fit, checks=(*fit.checks, check))

@@ -1,4 +1,4 @@
-"""What a path beside the straight line does to an effective radius (Figs 8 and 9), in closed form.
+"""Effect of a path off the straight line on an effective radius (Figs 8 and 9): closed forms, and tables of them.
 
 The rangefinder sees S_O along the corridor; the wheels roll along the path. A path longer by the share e makes a radius
 computed as S_O / (2 pi n) too small: its relative error is 1 / (1 + e) - 1.
@@ -7,11 +7,24 @@ computed as S_O / (2 pi n) too small: its relative error is 1 / (1 + e) - 1.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from calib.arrays import FloatArray
+from calib.campaign.model import Campaign
+from calib.errors import BadInputError
+from calib.types import FloatArray
+from calib.vehicle import Vehicle
+
+#: below this u = (2 pi A / lambda)^2 subtractions lose digits that a series has: relative truncation 5 u^2 / 64
+SERIES_BELOW: Final = 1e-6
+#: the same for the derivative of the excess
+DERIVATIVE_SERIES_BELOW: Final = 1e-4
+#: Newton's steps to the allowed amplitude; ten reach rounding
+NEWTON_STEPS: Final = 20
+#: halvings of the bracket, to a relative 1e-14
+BISECTIONS: Final = 50
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,8 +51,7 @@ def whole_period_excess(amplitude_m: npt.ArrayLike, wavelength_m: npt.ArrayLike)
 
     u = (2 * np.pi * np.asarray(amplitude_m, dtype=np.float64) / np.asarray(wavelength_m, dtype=np.float64)) ** 2
     exact = 2 / np.pi * np.sqrt(1 + u) * ellipe(u / (1 + u)) - 1
-    # below this the subtraction loses digits that the series has: relative truncation 5 u^2 / 64
-    return np.asarray(np.where(u < 1e-6, u / 4 - 3 * u**2 / 64, exact))
+    return np.asarray(np.where(u < SERIES_BELOW, u / 4 - 3 * u**2 / 64, exact))
 
 
 def small_amplitude_excess(amplitude_m: npt.ArrayLike, wavelength_m: npt.ArrayLike) -> FloatArray:
@@ -98,7 +110,7 @@ def arc_excess(yaw_rad: npt.ArrayLike, distance_m: npt.ArrayLike, track_m: float
     """
     yaw, distance = np.broadcast_arrays(np.asarray(yaw_rad, dtype=np.float64), np.asarray(distance_m, dtype=np.float64))
     half_turn = 0.5 * yaw
-    # np.sinc is sin(pi x) / (pi x) and takes 0 in its stride
+    # np.sinc is sin(pi x) / (pi x) and is defined at 0
     centre = 1.0 / np.sinc(half_turn / np.pi) - 1.0
     half = 0.5 * track_m * yaw / distance
     return PathExcess(centre=centre, left=centre - half, right=centre + half, yaw_rad=np.asarray(yaw))
@@ -138,8 +150,8 @@ def allowed_amplitude_on_run_m(
 ) -> FloatArray:
     """Return the largest amplitude that keeps the radii of *both* wheels within a tolerance on one run.
 
-    Unlike `allowed_amplitude_m` it counts the turn that is left where the run is no whole number of periods. The worse
-    wheel's error grows with the amplitude, so that bisection finds it.
+    Unlike `allowed_amplitude_m` it counts the net turn where the run is no whole number of periods. The worse wheel's
+    error grows with the amplitude: bisection.
 
     Parameters
     ----------
@@ -158,9 +170,9 @@ def allowed_amplitude_on_run_m(
     high = np.broadcast_arrays(
         allowed_amplitude_m(tolerance, wavelength_m), np.asarray(distance_m, dtype=np.float64), np.asarray(phase_rad)
     )[0].copy()
-    # a part of a period may be flatter than the whole: a wide bracket, and halvings to a relative 1e-14
+    # a part of a period may be flatter than the whole: a wide bracket
     high, low = 8 * high, np.zeros_like(high)
-    for _ in range(50):
+    for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
         excess = weave_excess(middle, wavelength_m, distance_m, track_m, phase_rad=phase_rad)
         worse = np.maximum(np.abs(radius_error(excess.left)), np.abs(radius_error(excess.right)))
@@ -183,14 +195,109 @@ def allowed_amplitude_m(tolerance: npt.ArrayLike, wavelength_m: npt.ArrayLike) -
     wavelength = np.asarray(wavelength_m, dtype=np.float64)
     target = excess_of_radius_error(tolerance)
     u = 4 * target
-    for _ in range(20):
+    for _ in range(NEWTON_STEPS):
         m = u / (1 + u)
         value = 2 / np.pi * np.sqrt(1 + u) * ellipe(m) - 1
         # d/du of (2/pi) int sqrt(1 + u cos^2) = (1/pi) int cos^2 / sqrt(1 + u cos^2), in complete integrals
         with np.errstate(invalid="ignore", divide="ignore"):
             derivative = np.where(
-                u > 1e-4, (np.sqrt(1 + u) * ellipe(m) - ellipk(m) / np.sqrt(1 + u)) / (np.pi * u), 0.25 - 3 * u / 32
+                u > DERIVATIVE_SERIES_BELOW,
+                (np.sqrt(1 + u) * ellipe(m) - ellipk(m) / np.sqrt(1 + u)) / (np.pi * u),
+                0.25 - 3 * u / 32,
             )
-        value = np.where(u < 1e-6, u / 4 - 3 * u**2 / 64, value)
+        value = np.where(u < SERIES_BELOW, u / 4 - 3 * u**2 / 64, value)
         u = np.maximum(u - (value - target) / derivative, 0.0)
     return np.asarray(wavelength * np.sqrt(u) / (2 * np.pi))
+
+
+def deviation_rows(
+    amplitudes_m: npt.ArrayLike, wavelengths_m: npt.ArrayLike, distance_m: float, track_m: float, tolerance: float
+) -> list[dict[str, float]]:
+    """Return the table of Fig. 9: one mapping for each pair of amplitude and wavelength.
+
+    Parameters
+    ----------
+    amplitudes_m, wavelengths_m : array_like of float, shapes (n,) and (m,)
+        A and lambda.
+    distance_m, track_m : float
+        S_O, and distance between the wheels' contact points; the path starts on the line, at phase 0.
+    tolerance : float
+        Largest relative error of a radius, for the amplitude that is allowed.
+
+    Returns
+    -------
+    list of mapping
+        Relative excess over whole periods, exact and by the small-amplitude form; over `distance_m` for centre and both
+        wheels; relative errors of radii computed without correction; amplitude allowed.
+
+    Raises
+    ------
+    BadInputError
+        Where a length is not positive.
+    """
+    lengths = (amplitudes_m, wavelengths_m, distance_m, track_m)
+    columns = [np.atleast_1d(np.asarray(values, dtype=np.float64)) for values in lengths]
+    for name, values in zip(("amplitude", "wavelength", "distance", "track"), columns, strict=True):
+        expected = "zero or more" if name == "amplitude" else "more than zero"
+        bad = ~np.isfinite(values) | (values < 0) | ((values == 0) & (name != "amplitude"))
+        if bad.any():
+            raise BadInputError(f"{name}: found {values[bad][0]:g} m; expected {expected}; give a length in metres")
+    if not 0 < tolerance < 1:
+        raise BadInputError(f"tolerance: found {tolerance:g}; expected a share between 0 and 1; 0.0005 is 0.05 %")
+    a, w = (grid.ravel() for grid in np.meshgrid(*columns[:2], indexing="ij"))
+    path = weave_excess(a, w, distance_m, track_m)
+    whole = whole_period_excess(a, w)
+    table = {
+        "amplitude_m": a,
+        "wavelength_m": w,
+        "distance_m": np.full_like(a, distance_m),
+        "excess_whole_periods": whole,
+        "excess_small_amplitude": small_amplitude_excess(a, w),
+        "radius_error_whole_periods": radius_error(whole),
+        "excess_centre": path.centre,
+        "excess_left": path.left,
+        "excess_right": path.right,
+        "wheel_difference_m": (path.right - path.left) * distance_m,
+        "radius_error_left": radius_error(path.left),
+        "radius_error_right": radius_error(path.right),
+        "yaw_rad": path.yaw_rad,
+        "allowed_amplitude_m": allowed_amplitude_m(tolerance, w),
+    }
+    return [dict(zip(table, map(float, row), strict=True)) for row in zip(*table.values(), strict=True)]
+
+
+def table_setting(
+    campaign: Campaign | None, distance_m: float | None, track_m: float | None, *, default_distance_m: float
+) -> tuple[float, float]:
+    """Return distance and track of the table: as given, else the campaign's, else the paper's.
+
+    `campaign`: its median distance and its track are taken where nothing is given; `default_distance_m`: distance where
+    there is no campaign. `distance_m`, `track_m`.
+    """
+    if distance_m is None:
+        known = np.array([]) if campaign is None else campaign.runs.number("distance_m")
+        known = np.abs(known[np.isfinite(known)])
+        distance_m = float(np.median(known)) if len(known) else default_distance_m
+    if track_m is None:
+        track_m = (Vehicle() if campaign is None else campaign.vehicle).track_m
+    return distance_m, track_m
+
+
+def arc_row(radius_ratio: float, distance_m: float, track_m: float) -> dict[str, float]:
+    """Return the steady arc of a vehicle that takes wheels of ratio ``r_R / r_L`` (Eq. 15) for equal (Fig. 8a).
+
+    Raises BadInputError where the ratio is not positive.
+    """
+    if not 0 < radius_ratio < np.inf:
+        raise BadInputError(f"radius_ratio: found {radius_ratio:g}; expected r_R / r_L above 0; 1 is equal wheels")
+    turn = float(arc_of_radii_rad(distance_m, 1.0, radius_ratio, track_m))
+    path = arc_excess(turn, distance_m, track_m)
+    return {
+        "radius_ratio": radius_ratio,
+        "distance_m": distance_m,
+        "turn_rad": turn,
+        "offset_m": float(0.5 * turn * distance_m),
+        "excess_centre": float(path.centre),
+        "excess_left": float(path.left),
+        "excess_right": float(path.right),
+    }

@@ -2,20 +2,35 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from calib.arrays import FloatArray, StrArray
 from calib.campaign.model import Campaign
+from calib.campaign.wheels import odometry_source, without_rear_wheels
+from calib.errors import RefusedError
 from calib.radius.path_length import correct_paths
-from calib.radius.usable import LeftOut, usable_runs
+from calib.types import FloatArray, StrArray
 
 #: standard deviation, in counts, of the difference of two readings of a counter that shows whole counts
 QUANTISATION_COUNTS: Final = (1.0 / 6.0) ** 0.5
 #: factor between measured and nominal radius that no load explains
 IMPLAUSIBLE: Final = 1.2
+#: apparent turn beyond which a run was not straight; radii 1.5 % apart show 0.9 rad over 42 m on a track of 0.7 m
+STRAIGHT_TURN_RAD: Final = 1.2
+#: measured turn beyond which a run was not straight
+STRAIGHT_HEADING_RAD: Final = 0.5
+#: over less, counts and rangefinder leave more than a per mille of the radius
+SHORTEST_M: Final = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class UnusedRun:
+    """A run that the fit does not use, and why."""
+
+    run_id: str
+    reason: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,12 +83,94 @@ class EffectiveRadii:
     #: uncertainty budget of a single radius, for a typical run
     budget: tuple[Component, ...] = ()
     #: runs not used
-    left_out: tuple[LeftOut, ...] = ()
+    left_out: tuple[UnusedRun, ...] = ()
     #: what the user should know, in sentences
     notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.run_id)
+
+
+def usable_runs(campaign: Campaign, *, need_load: bool = True) -> tuple[Campaign, tuple[UnusedRun, ...], list[str]]:
+    """Return the runs whose radii can be computed.
+
+    `need_load`: leave out runs without a wheel load; where no run has one, all count as unladen. Returns `campaign`: of
+    the runs that can be used; `left_out`: the others; `notes`: what was assumed. Raises RefusedError where no run can
+    be used.
+    """
+    _refuse_without_rear_wheels(campaign)
+    runs, notes = campaign.runs, []
+    loads = {side: runs.number(f"load_{side}_N") for side in ("left", "right")}
+    if need_load and not any(np.isfinite(load).any() for load in loads.values()):
+        unladen = campaign.vehicle.unladen_load_N
+        notes.append(
+            f"No run has wheel loads or a payload: all are taken as unladen ({unladen:.0f} N a wheel), so the radius "
+            "holds for that load only; add payload_kg, or load_left_N and load_right_N, to runs.csv."
+        )
+        loads = {side: np.full(len(runs), unladen) for side in loads}
+    turn = _apparent_turn_rad(campaign)
+    # a wrong counts_per_rev turns every run by the same angle: a note for the user, no reason to drop them all
+    usual = np.nanmedian(turn) if np.isfinite(turn).any() else 0.0
+    kind = np.char.lower(runs.label("kind"))
+    straight = np.char.startswith(kind, "corridor") | np.char.startswith(kind, "straight")
+    if not straight.any():
+        straight = np.ones(len(runs), dtype=np.bool_)
+    counts = {side: runs.number(f"counts_{side}") for side in loads}
+    distance = runs.number("distance_m")
+    # the first reason that applies is reported
+    reasons = (
+        (runs.excluded, "flagged as excluded in runs.csv"),
+        (~straight, "not a corridor run by its kind"),
+        (~np.isfinite(distance), "has no distance_m"),
+        (np.abs(distance) < SHORTEST_M, f"is shorter than {SHORTEST_M} m"),
+        (~(np.isfinite(counts["left"]) & np.isfinite(counts["right"])), "has no counts"),
+        ((counts["left"] == 0) | (counts["right"] == 0), "has a wheel without a single count"),
+        (
+            counts["left"] * counts["right"] < 0,
+            "has counts of opposite sign: one encoder runs backwards, or the vehicle turned on the spot",
+        ),
+        (
+            need_load & ~(np.isfinite(loads["left"]) & np.isfinite(loads["right"])),
+            "has no wheel load and no payload",
+        ),
+        (
+            ((np.abs(turn) > STRAIGHT_TURN_RAD) & (np.abs(turn - usual) > STRAIGHT_TURN_RAD))
+            | (np.abs(runs.number("ref_theta_rad")) > STRAIGHT_HEADING_RAD),
+            "is not a straight run: its heading changed too much",
+        ),
+    )
+    hits = np.stack([hit for hit, _ in reasons])
+    keep = ~hits.any(axis=0)
+    first_reason = hits.argmax(axis=0)
+    left_out = tuple(UnusedRun(str(runs.run_id[run]), reasons[first_reason[run]][1]) for run in np.flatnonzero(~keep))
+    if not keep.any():
+        first = left_out[0] if left_out else UnusedRun("(none)", "the run table is empty")
+        raise RefusedError(
+            f"{campaign.root or campaign.name}: found no run that can be used; expected straight runs with a distance, "
+            f"counts and a load; run {first.run_id} {first.reason}"
+        )
+    numbers = {**runs.numbers, **{f"load_{side}_N": load for side, load in loads.items()}}
+    return replace(campaign, runs=replace(runs, numbers=numbers)).select(keep), left_out, notes
+
+
+def _refuse_without_rear_wheels(campaign: Campaign) -> None:
+    """Refuse odometry from a front wheel or from four wheels; say what a law of the load needs."""
+    if not without_rear_wheels(campaign):
+        return
+    wheels = "the front wheel" if odometry_source(campaign) == "front" else "four wheels"
+    raise RefusedError(
+        f"{campaign.root or campaign.name}: found odometry from {wheels} alone; expected counts_left and counts_right "
+        "of two wheels on one axle, with distance_m and wheel loads; log them for a law of the load, or run "
+        "'calib geometry' for the radius and the lengths of this vehicle"
+    )
+
+
+def _apparent_turn_rad(campaign: Campaign) -> FloatArray:
+    """Return the turn that the counts would mean if the model's radii were right, shape (n_runs,)."""
+    runs, model = campaign.runs, campaign.model
+    left = runs.number("counts_left") / campaign.encoder.counts_per_rev_left * model.radius_left_m
+    right = runs.number("counts_right") / campaign.encoder.counts_per_rev_right * model.radius_right_m
+    return np.asarray(2 * np.pi * (right - left) / campaign.vehicle.track_m)
 
 
 def effective_radii(campaign: Campaign) -> EffectiveRadii:
@@ -83,7 +180,7 @@ def effective_radii(campaign: Campaign) -> EffectiveRadii:
     measured heading at its end, or measured amplitude and wavelength. The total counts alone never do: a steady arc
     and unequal radii leave the same difference between them, and correcting for it would make the radii equal.
 
-    `campaign`: excluded rows, runs that are no straight run, and runs that lack distance, counts or load are left out
+    `campaign`: excluded rows, runs that are no straight run, and runs that lack distance, counts or load are omitted
     and named. Radii with their standard uncertainties. Raises RefusedError where no run can be used.
     """
     campaign, left_out, notes = usable_runs(campaign)
@@ -105,7 +202,7 @@ def effective_radii(campaign: Campaign) -> EffectiveRadii:
             "path": radius * np.hypot(0.5 * track * path.yaw_std_rad / distance, path.centre_std),
         }
         sides[side] = radius, parts, np.sqrt(sum(part**2 for part in parts.values()))
-    notes.extend(_plausible(campaign, sides["left"][0], sides["right"][0]))
+    notes.extend(_plausible(campaign, left=sides["left"][0], right=sides["right"][0]))
     return EffectiveRadii(
         run_id=runs.run_id,
         session=runs.label("session"),
@@ -128,17 +225,15 @@ def effective_radii(campaign: Campaign) -> EffectiveRadii:
     )
 
 
-def _plausible(campaign: Campaign, left: FloatArray, right: FloatArray) -> list[str]:
+def _plausible(campaign: Campaign, **radii_m: FloatArray) -> list[str]:
     nominal = campaign.vehicle.wheel_radius_m
-    notes = []
-    for side, radius in (("left", left), ("right", right)):
-        ratio = float(np.median(radius)) / nominal
-        if not 1 / IMPLAUSIBLE < ratio < IMPLAUSIBLE:
-            notes.append(
-                f"The {side} radii come out at {ratio:.3g} times the nominal {nominal:g} m: look for a wrong "
-                "counts_per_rev (a factor 2, 4 or pi), a wrong unit or swapped columns before using them."
-            )
-    return notes
+    ratios = {side: float(np.median(radius)) / nominal for side, radius in radii_m.items()}
+    return [
+        f"The {side} radii come out at {ratio:.3g} times the nominal {nominal:g} m: look for a wrong "
+        "counts_per_rev (a factor 2, 4 or pi), a wrong unit or swapped columns before using them."
+        for side, ratio in ratios.items()
+        if not 1 / IMPLAUSIBLE < ratio < IMPLAUSIBLE
+    ]
 
 
 def _budget(left: dict[str, FloatArray], right: dict[str, FloatArray], campaign: Campaign) -> tuple[Component, ...]:

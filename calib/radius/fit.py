@@ -1,25 +1,29 @@
-"""From a campaign to the laws of both wheels: effective radii, regression, checks, static radii, budget."""
+"""From a campaign to the laws of both wheels: radii, regression, checks, bounds, and comparison with a model."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Final
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any, Final
 
 import numpy as np
 
-from calib.campaign.checks.assumed import stand_ins
+from calib.campaign.checks.design import assumed_settings
+from calib.campaign.checks.plausible import factor_reason, implausible, off
 from calib.campaign.model import Campaign
-from calib.errors import BadInputError, RefusedError
-from calib.radius.effective import Component, EffectiveRadii, effective_radii
-from calib.radius.fitted import Fit, Setup
-from calib.radius.plausible import held_against_bounds, refuse_implausible
-from calib.radius.regression import WheelFit, fit_wheel
-from calib.radius.residual_checks import checked
-from calib.radius.systematic import declared_sources, systematic_components, with_systematic
-from calib.radius.temperature_check import against_temperature
+from calib.errors import BadInputError, ImplausibleError, RefusedError
+from calib.radius.budget import declared_sources, observed_components, systematic_components, with_systematic
+from calib.radius.checks import with_checks, with_temperature_check
+from calib.radius.effective import EffectiveRadii, effective_radii
+from calib.radius.law import RadiusLaw
+from calib.radius.regression import FAILED, Check, WheelFit, fit_wheel
+from calib.radius.result import PLAUSIBLE, Fit, Setup
 
 #: the reference load may lie beyond the largest load driven by this factor; further out the line has no digits left
-MOST_REFERENCE: Final = 1e4
+MAX_REFERENCE_RATIO: Final = 1e4
+#: share of the radius by which load may change it over the measured range, and by which single runs may scatter
+MAX_LOAD_CHANGE: Final = 0.2
+MAX_SCATTER: Final = 0.03
 #: columns whose span tells the conditions of a campaign
 CONDITIONS: Final = (
     "distance_m",
@@ -46,8 +50,8 @@ def fit_law(radii: EffectiveRadii, *, reference_load_N: float, name: str = "", s
         ("right", radii.load_right_N, radii.radius_right_m),
     ):
         unchecked = fit_wheel(wheel, load, radius, radii.session, reference_load_N=reference_load_N)
-        wheels[wheel] = checked(unchecked, radii.session, radii.direction, radii.run_id)
-    radii = replace(radii, budget=(*radii.budget, *_observed(radii, wheels["left"], wheels["right"])))
+        wheels[wheel] = with_checks(unchecked, radii.session, radii.direction, radii.run_id)
+    radii = replace(radii, budget=(*radii.budget, *observed_components(radii, wheels["left"], wheels["right"])))
     return Fit(
         name=name, simulated=simulated, left=wheels["left"], right=wheels["right"], radii=radii, notes=radii.notes
     )
@@ -64,36 +68,30 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -
     reference = campaign.model.reference_load_N if reference_load_N is None else reference_load_N
     if not np.isfinite(reference) or reference < 0:
         raise BadInputError(f"reference load: found {reference:g} N; expected a load of zero or more; correct it")
+    findings = [f"{note.where}: {note.text}" for note in implausible(campaign)]
     try:
         radii = effective_radii(campaign)
         _refuse_far(reference, radii)
         fit = fit_law(radii, reference_load_N=reference, name=campaign.name, simulated=campaign.simulated)
-    except RefusedError:
-        refuse_implausible(campaign)
+    except RefusedError as error:
+        if findings:
+            raise ImplausibleError(campaign.name, findings) from error
         raise
     sources = declared_sources(campaign)
-    fit = replace(
-        fit,
-        left=with_systematic(fit.left, fit.radii, sources),
-        right=with_systematic(fit.right, fit.radii, sources),
-        radii=replace(fit.radii, budget=(*fit.radii.budget, *systematic_components(fit.wheels, fit.radii, sources))),
-    )
-    fit = held_against_bounds(fit, campaign)
-    static, notes = _static(campaign, reference)
     used = campaign.select(np.isin(campaign.runs.run_id, radii.run_id)).runs
-    warmth, session = used.number("temperature_C"), used.label("session")
-    fit = replace(
-        fit,
-        left=against_temperature(fit.left, warmth, session),
-        right=against_temperature(fit.right, warmth, session),
-    )
-    conditions = {}
-    for name in CONDITIONS:
-        column = used.number(name)
-        if np.isfinite(column).any():
-            conditions[name] = (float(np.nanmin(column)), float(np.nanmax(column)))
+    nominal = None if "vehicle.wheel_radius_m" in campaign.assumed else campaign.vehicle.wheel_radius_m
+    wheels = {}
+    for name, line in fit.wheels.items():
+        wheel = with_systematic(line, radii, sources)
+        wheel = replace(wheel, checks=(*_implausible(wheel, findings, nominal), *wheel.checks))
+        wheels[name] = with_temperature_check(wheel, used.number("temperature_C"), used.label("session"))
+    static, notes = _static(campaign, reference)
+    spans = {name: used.number(name) for name in CONDITIONS}
     return replace(
         fit,
+        left=wheels["left"],
+        right=wheels["right"],
+        radii=replace(fit.radii, budget=(*fit.radii.budget, *systematic_components(wheels, radii, sources))),
         static=static,
         notes=(*fit.notes, *notes),
         setup=Setup(
@@ -102,17 +100,21 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -
             model=campaign.model,
             rangefinder=campaign.rangefinder,
             reference=campaign.reference,
-            conditions=conditions,
-            assumed=stand_ins(campaign),
+            conditions={
+                name: (float(np.nanmin(column)), float(np.nanmax(column)))
+                for name, column in spans.items()
+                if np.isfinite(column).any()
+            },
+            assumed=assumed_settings(campaign),
         ),
     )
 
 
 def _refuse_far(reference_load_N: float, radii: EffectiveRadii) -> None:
-    """Refuse a reference load so far from the loads driven that nothing of the radius is left there."""
+    """Refuse a reference load so far from the loads driven that the radius has no digits there."""
     loads = np.append(radii.load_left_N, radii.load_right_N)
     largest = float(np.max(loads[np.isfinite(loads)], initial=1.0))
-    if reference_load_N > MOST_REFERENCE * largest:
+    if reference_load_N > MAX_REFERENCE_RATIO * largest:
         raise BadInputError(
             f"reference load: found {reference_load_N:g} N; expected a load near those driven, up to {largest:g} N; "
             "correct it"
@@ -120,7 +122,7 @@ def _refuse_far(reference_load_N: float, radii: EffectiveRadii) -> None:
 
 
 def _static(campaign: Campaign, reference_load_N: float) -> tuple[dict[str, WheelFit], tuple[str, ...]]:
-    """Return the fits of the static radius against load, and notes on those that could not be made."""
+    """Return the fits of the static radius against load, and notes on those that were not fitted."""
     runs = campaign.included().runs
     fits, notes = {}, []
     for wheel in ("left", "right"):
@@ -134,38 +136,129 @@ def _static(campaign: Campaign, reference_load_N: float) -> tuple[dict[str, Whee
         except RefusedError as error:
             notes.append(f"Static radius not fitted: {error}.")
             continue
-        fits[wheel] = checked(unchecked, session, runs.label("direction")[good], runs.run_id[good])
+        fits[wheel] = with_checks(unchecked, session, runs.label("direction")[good], runs.run_id[good])
     return fits, tuple(notes)
 
 
-def _observed(radii: EffectiveRadii, left: WheelFit, right: WheelFit) -> tuple[Component, ...]:
-    """Return the type A lines of the budget: what the runs scatter beyond what the instruments explain."""
-    explained = [float(np.sqrt(np.mean(np.nan_to_num(std) ** 2))) for std in (radii.std_left_m, radii.std_right_m)]
-    rest = [
-        float(np.sqrt(max(wheel.run_std_m**2 - known**2, 0.0)))
-        for wheel, known in zip((left, right), explained, strict=True)
-    ]
-    lines = [
-        Component(
-            "other_run_to_run",
-            "A",
-            "t",
-            "scatter of runs within a session beyond the above",
-            rest[0],
-            rest[1],
-            left.estimate.dof_within,
+def _implausible(wheel: WheelFit, findings: list[str], nominal_m: float | None) -> tuple[Check, ...]:
+    """Return a failed check ``plausible`` for each finding beyond the bounds of a vehicle.
+
+    `findings`: of the campaign; `nominal_m`: nominal radius, None where it was assumed.
+    """
+    other = "right" if wheel.wheel == "left" else "left"
+    own = [text for text in findings if f"the {other} wheel" not in text]
+    radius_named = any(f"the {wheel.wheel} wheel's radius" in text for text in own)
+    texts = dict.fromkeys([*own, *_beyond_bounds(wheel, nominal_m, radius_named=radius_named)])
+    return tuple(Check(PLAUSIBLE, FAILED, text if text.endswith((".", "?")) else f"{text}.") for text in texts)
+
+
+def _beyond_bounds(wheel: WheelFit, nominal_m: float | None, *, radius_named: bool) -> Iterator[str]:
+    radius = wheel.law.radius_ref_m
+    if not (np.isfinite(radius) and radius > 0):
+        yield f"the radius at the reference load comes out as {radius:.4g} m; expected one above zero; check the loads"
+        return
+    if nominal_m is not None and off(radius / nominal_m) and not radius_named:
+        yield (
+            f"the radius comes out {radius / nominal_m:.2f} times nominal ({1e3 * radius:.4g} mm for "
+            f"{1e3 * nominal_m:.4g} mm): {factor_reason(radius / nominal_m)}"
         )
-    ]
-    if left.estimate.dof_between > 0:
-        lines.append(
-            Component(
-                "session_to_session",
-                "A",
-                "t",
-                "scatter of sessions beyond their runs",
-                left.session_std_m,
-                right.session_std_m,
-                left.estimate.dof_between,
-            )
+    change = wheel.law.slope_m_per_N * (wheel.law.load_max_N - wheel.law.load_min_N) / radius
+    if wheel.model == "line" and abs(change) > MAX_LOAD_CHANGE:
+        yield (
+            f"load changes the radius by {100 * change:.3g} % over the loads driven; expected less than "
+            f"{100 * MAX_LOAD_CHANGE:.0f} %; check loads and distances"
         )
-    return tuple(lines)
+    if wheel.run_std_m > MAX_SCATTER * radius:
+        yield (
+            f"single runs scatter by {100 * wheel.run_std_m / radius:.2g} % of the radius; expected less than "
+            f"{100 * MAX_SCATTER:.0f} %; check that distances, counts and loads are those of the same runs"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """One coefficient, fitted minus believed."""
+
+    #: the coefficient in the fit and in the model
+    fitted: float
+    model: float
+    #: fitted minus model
+    difference: float
+    #: 95 % interval of the difference, the model taken as it is
+    ci95: tuple[float, float]
+
+    @property
+    def inside(self) -> bool:
+        """Whether the model lies within the fit's 95 % interval."""
+        return self.ci95[0] <= 0.0 <= self.ci95[1]
+
+    def to_dict(self, unit: str) -> dict[str, Any]:
+        """Return it as plain values, keys ending in the unit suffix."""
+        return {
+            f"fitted_{unit}": self.fitted,
+            f"model_{unit}": self.model,
+            f"difference_{unit}": self.difference,
+            f"difference_ci95_{unit}": list(self.ci95),
+            "model_inside": self.inside,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class WheelComparison:
+    """One wheel's radius at the reference load and its slope; the slope is None where the fit has none."""
+
+    radius_ref: Difference
+    slope: Difference | None
+
+    @property
+    def inside(self) -> bool:
+        """Whether the model lies within both intervals."""
+        return self.radius_ref.inside and (self.slope is None or self.slope.inside)
+
+
+@dataclass(frozen=True, slots=True)
+class ModelComparison:
+    """Both wheels' fitted laws against a model's."""
+
+    #: load at which the radii are compared
+    reference_load_N: float
+    #: in m, and m/N
+    left: WheelComparison
+    right: WheelComparison
+
+    @property
+    def inside(self) -> bool:
+        """Whether the model lies within every interval."""
+        return self.left.inside and self.right.inside
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain values: the key ``model_comparison`` of ``calib fit --model --json``."""
+        return {
+            "reference_load_N": self.reference_load_N,
+            "model_inside": self.inside,
+            "wheels": {
+                side: {
+                    "radius_ref": wheel.radius_ref.to_dict("m"),
+                    "slope": None if wheel.slope is None else wheel.slope.to_dict("m_per_N"),
+                }
+                for side, wheel in (("left", self.left), ("right", self.right))
+            },
+        }
+
+
+def compare_laws(left: WheelFit, right: WheelFit, model: RadiusLaw) -> ModelComparison:
+    """Return the differences of fitted laws from a model, at the fit's reference load.
+
+    The intervals are the fit's own: the model counts as given, since a model of the same runs shares their errors.
+    """
+    wheels = []
+    for wheel, law in ((left, model.left), (right, model.right)):
+        radius_m, slope = float(law.radius_m(wheel.reference_load_N)), None
+        if wheel.slope_ci95_m_per_N is not None:
+            slope = _difference(wheel.law.slope_m_per_N, law.slope_m_per_N, wheel.slope_ci95_m_per_N)
+        wheels.append(WheelComparison(_difference(wheel.law.radius_ref_m, radius_m, wheel.radius_ref_ci95_m), slope))
+    return ModelComparison(left.reference_load_N, *wheels)
+
+
+def _difference(fitted: float, model: float, ci95: tuple[float, float]) -> Difference:
+    return Difference(fitted, model, fitted - model, (ci95[0] - model, ci95[1] - model))

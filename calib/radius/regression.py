@@ -2,79 +2,89 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from calib.arrays import FloatArray, IntArray
 from calib.errors import RefusedError
-from calib.radius.checks import Check
-from calib.radius.estimate import Estimate
-from calib.radius.law import WheelLaw
+from calib.radius.law import COVERAGE, LineEstimate, WheelLaw
 from calib.radius.sessions import (
-    Groups,
+    HC3_BELOW,
+    HC3_MIN_DOF,
+    breusch_pagan,
     groups_of,
-    plain_line,
     stratified_constant,
     stratified_line,
 )
+from calib.result import plain
+from calib.types import FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from statsmodels.regression.linear_model import RegressionResults
+
+Plain = TypeVar("Plain")
 
 #: loads nearer than this share of the largest count as one load
 SAME_LOAD: Final = 0.02
-COVERAGE: Final = 0.95
+#: of `WheelFit`, in the order of the document
+RUN_ARRAYS: Final = ("load_N", "radius_m", "residual_m", "leverage", "cook")
+#: levels of a check: the result can be used; it can be used with a caution; the law should not be used as it is
+OK: Final = "ok"
+NOTE: Final = "note"
+FAILED: Final = "failed"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class NaiveLine:
-    """The line and its intervals where every run counts as independent; beside the honest one, never instead of it."""
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One check of a fit: a statistic, and a sentence that says what it means and what to do."""
 
-    #: ordinary least-squares coefficients
-    radius_ref_m: float
-    slope_m_per_N: float
-    #: their covariance, shape (2, 2)
-    covariance: FloatArray
-    #: number of runs minus the number of coefficients
-    dof: float
-    #: 95 % intervals
-    radius_ref_ci95_m: tuple[float, float]
-    slope_ci95_m_per_N: tuple[float, float]
+    #: stable name: ``design``, ``lack_of_fit``, ``curvature``, ``equal_scatter``, ``influence``, ``session``,
+    #: ``session_influence``, ``normality``, ``direction``, ``temperature``, ``range``, ``plausible``
+    name: str
+    #: ``ok``, ``note`` or ``failed``
+    level: str
+    #: what it means for the user and what to do
+    sentence: str
+    #: value of the test statistic; None where the check has none or could not be made
+    statistic: float | None = None
+    #: what the statistic is, for example ``F(3, 55)``
+    statistic_name: str = ""
+    #: probability of a statistic at least as extreme where nothing is wrong
+    p_value: float | None = None
+
+    @property
+    def passed(self) -> bool:
+        """Whether the result can be used as it is (``ok`` and ``note``)."""
+        return self.level != FAILED
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the check as plain values; a statistic of data without scatter, infinite, is null."""
+        keys = ("name", "level", "passed", "statistic", "statistic_name", "p_value", "sentence")
+        return {key: plain(getattr(self, key)) for key in keys}
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class WheelFit:
-    """Everything known of one wheel's law."""
+    """One wheel's fit: the session-aware estimate, the runs behind it, and its checks."""
 
     #: ``left`` or ``right``
     wheel: str
-    #: the law that is handed on; its covariance is the session-aware one, its ``dof`` the smaller of those of radius
-    #: and slope, its ``residual_std_m`` the standard deviation of a single run in a session of its own
-    law: WheelLaw
-    #: ``line``, or ``constant`` where the loads do not carry a slope
-    model: str
-    #: ``crossed``, ``mixed``, ``confounded``, ``single`` or ``constant``; see `calib.radius.estimate.Estimate`
+    #: ``crossed``, ``mixed``, ``confounded``, ``single`` or ``constant``; see `calib.radius.law.LineEstimate`
     design: str
-    #: coefficients and covariance by stratum, for bands at any load
-    estimate: Estimate
-    #: the same with every run counted as independent; None for a constant
-    naive: NaiveLine | None
-    #: radius at zero load, where the line is prolonged to it
-    intercept_m: float
-    #: share of the variance of the radii that the line explains
+    reference_load_N: float
+    #: coefficients and covariance by stratum
+    estimate: LineEstimate
+    #: the same by ordinary least squares, every run counted as independent; None for a constant
+    naive: LineEstimate | None
+    #: share of the variance of the radii that the least-squares line explains
     r_squared: float
     #: root mean square residual over the runs' degrees of freedom (as in ordinary least squares)
     residual_std_m: float
-    #: standard deviations of runs within a session and of sessions
-    run_std_m: float
-    session_std_m: float
-    #: degrees of freedom behind each interval
-    dof_radius_ref: float
-    dof_slope: float
-    #: 95 % interval of the radius at the reference load
-    radius_ref_ci95_m: tuple[float, float]
-    #: 95 % interval of the slope; None for a constant
-    slope_ci95_m_per_N: tuple[float, float] | None
     #: what was fitted, and radius minus law, shape (n_runs,)
     load_N: FloatArray
     radius_m: FloatArray
@@ -85,29 +95,184 @@ class WheelFit:
     #: what an expert would check
     checks: tuple[Check, ...] = ()
 
+    @property
+    def model(self) -> str:
+        """``line``, or ``constant`` where the loads do not carry a slope."""
+        return "constant" if self.design == "constant" else "line"
+
+    @cached_property
+    def law(self) -> WheelLaw:
+        """The law that is handed on.
+
+        Its covariance is the session-aware one, its ``dof`` the smaller of those of radius and slope, its
+        ``residual_std_m`` the standard deviation of a single run in a session of its own.
+        """
+        radius, slope = self.estimate.coefficients.tolist()
+        return WheelLaw(
+            reference_load_N=self.reference_load_N,
+            radius_ref_m=radius,
+            slope_m_per_N=slope,
+            covariance=self.estimate.covariance,
+            dof=min(self._dof) if self.model == "line" else self.dof_radius_ref,
+            residual_std_m=float(np.sqrt(self.estimate.run_variance + self.estimate.session_variance)),
+            load_min_N=float(self.load_N.min()),
+            load_max_N=float(self.load_N.max()),
+            n_runs=len(self.load_N),
+        )
+
+    @cached_property
+    def _dof(self) -> list[float]:
+        dof: list[float] = self.estimate.dof(np.eye(2)).tolist()
+        return dof
+
+    @property
+    def dof_radius_ref(self) -> float:
+        """Degrees of freedom of the radius at the reference load."""
+        return self._dof[0]
+
+    @property
+    def dof_slope(self) -> float:
+        """Degrees of freedom of the slope; 0 for a constant."""
+        return self._dof[1] if self.model == "line" else 0.0
+
+    @property
+    def intercept_m(self) -> float:
+        """Radius at zero load, to which the line is prolonged."""
+        return self.law.radius_ref_m - self.law.slope_m_per_N * self.reference_load_N
+
+    @property
+    def run_std_m(self) -> float:
+        """Standard deviation of runs within a session."""
+        return float(np.sqrt(self.estimate.run_variance))
+
+    @property
+    def session_std_m(self) -> float:
+        """Standard deviation of sessions."""
+        return float(np.sqrt(self.estimate.session_variance))
+
+    @property
+    def radius_ref_ci95_m(self) -> tuple[float, float]:
+        """95 % interval of the radius at the reference load."""
+        return self.estimate.radius_ref_ci95_m
+
+    @property
+    def slope_ci95_m_per_N(self) -> tuple[float, float] | None:
+        """95 % interval of the slope; None for a constant."""
+        return self.estimate.slope_ci95_m_per_N if self.model == "line" else None
+
     def mean_band_m(self, load_N: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return the 95 % band of the regression mean (Fig. 11).
 
         `load_N`: wheel loads. Returns `low`, `high`: in m.
         """
-        centre, half = self._band(load_N, single=False)
-        return centre - half, centre + half
+        return self._band(load_N, 0.0, 0.0)
 
     def prediction_band_m(self, load_N: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return the band that holds the radius of one further run in a session of its own; see `mean_band_m`."""
-        centre, half = self._band(load_N, single=True)
+        return self._band(load_N, self.estimate.run_variance, self.estimate.session_variance)
+
+    def _band(self, load_N: npt.ArrayLike, more_within: float, more_between: float) -> tuple[FloatArray, FloatArray]:
+        load = np.asarray(load_N, dtype=np.float64)
+        contrast = np.stack((np.ones_like(load), load - self.reference_load_N), axis=-1)
+        half = self.estimate.half_width(contrast, COVERAGE, more_within=more_within, more_between=more_between)
+        centre = self.law.radius_m(load)
         return centre - half, centre + half
 
-    def _band(self, load_N: npt.ArrayLike, *, single: bool) -> tuple[FloatArray, FloatArray]:
-        load = np.asarray(load_N, dtype=np.float64)
-        contrast = np.stack((np.ones_like(load), load - self.law.reference_load_N), axis=-1)
-        half = self.estimate.half_width(
-            contrast,
-            COVERAGE,
-            more_within=self.run_std_m**2 if single else 0.0,
-            more_between=self.session_std_m**2 if single else 0.0,
+    def to_dict(self) -> dict[str, Any]:
+        """Return the fit as plain values; the contract's keys first."""
+        law, line, naive = self.law, self.model == "line", self.naive
+        document = {
+            "n_runs": law.n_runs,
+            "reference_load_N": law.reference_load_N,
+            "radius_ref_m": law.radius_ref_m,
+            "intercept_m": self.intercept_m,
+            "slope_m_per_N": law.slope_m_per_N if line else None,
+            "radius_ref_ci95_m": self.radius_ref_ci95_m,
+            "slope_ci95_m_per_N": self.slope_ci95_m_per_N,
+            "r_squared": self.r_squared,
+            "residual_std_m": self.residual_std_m,
+            "dof": law.dof,
+            "covariance": law.covariance,
+            "dof_radius_ref": self.dof_radius_ref,
+            "dof_slope": self.dof_slope if line else None,
+            "model": self.model,
+            "design": self.design,
+            "load_range_N": (law.load_min_N, law.load_max_N),
+            "single_run_std_m": law.residual_std_m,
+            "run_std_m": self.run_std_m,
+            "session_std_m": self.session_std_m,
+            "strata": self.estimate,
+            "naive": naive
+            and {
+                "radius_ref_m": naive.coefficients[0],
+                "slope_m_per_N": naive.coefficients[1],
+                "radius_ref_ci95_m": naive.radius_ref_ci95_m,
+                "slope_ci95_m_per_N": naive.slope_ci95_m_per_N,
+                "dof": naive.dof_within,
+                "covariance": naive.covariance,
+            },
+            **{name: getattr(self, name) for name in RUN_ARRAYS},
+            "checks": self.checks,
+        }
+        return {key: plain(value) for key, value in document.items()}
+
+    @staticmethod
+    def from_dict(wheel: str, value: Mapping[str, Any]) -> WheelFit:
+        """Return the fit that `to_dict` wrote; what follows from estimate and runs is computed from them."""
+        strata, naive, line = value["strata"], value["naive"], value["model"] == "line"
+        residual_std = float(value["residual_std_m"])
+        estimate = LineEstimate(
+            coefficients=np.array([float(value["radius_ref_m"]), float(value["slope_m_per_N"]) if line else 0.0]),
+            dof_within=float(strata["dof_within"]),
+            dof_between=float(strata["dof_between"]),
+            run_variance=float(strata["run_variance"]),
+            session_variance=float(strata["session_variance"]),
+            cov_within=_covariance(strata["covariance_within"]),
+            cov_between=_covariance(strata["covariance_between"]),
+            session_f=strata["session_f"],
+            hc3=bool(strata["hc3"]),
+            design=str(strata["design"]),
+            systematic=np.array(strata.get("systematic", []), dtype=np.float64).reshape(-1, 2),
+            systematic_dof=np.array([np.inf if dof is None else dof for dof in strata.get("systematic_dof", [])]),
         )
-        return self.law.radius_m(load), np.asarray(half)
+        if not np.allclose(_covariance(value["covariance"]), estimate.covariance, rtol=1e-6, atol=0.0):
+            raise ValueError(f"a covariance of the {wheel} wheel's law that is not the sum of its strata")
+        return WheelFit(
+            wheel=wheel,
+            design=str(value["design"]),
+            reference_load_N=float(value["reference_load_N"]),
+            estimate=estimate,
+            naive=naive
+            and LineEstimate.one_stratum(
+                "single",
+                np.array([float(naive["radius_ref_m"]), float(naive["slope_m_per_N"])]),
+                _covariance(naive["covariance"]),
+                float(naive["dof"]),
+                residual_std**2,
+            ),
+            r_squared=float(value["r_squared"]),
+            residual_std_m=residual_std,
+            **{name: np.array(value[name], dtype=np.float64) for name in RUN_ARRAYS},
+            checks=tuple(from_plain(Check, check) for check in value["checks"]),
+        )
+
+
+def _covariance(rows: Any) -> FloatArray:
+    """Return the covariance of a radius and its slope, shape (2, 2)."""
+    matrix = np.array(rows, dtype=np.float64)
+    if matrix.shape != (2, 2) or not (np.isfinite(matrix).all() and (np.diag(matrix) >= 0.0).all()):
+        raise ValueError(f"{str(rows)[:60]} where the covariance of radius and slope, 2 by 2, is expected")
+    return matrix
+
+
+def from_plain(kind: type[Plain], value: Any) -> Plain:
+    """Return the dataclass of a JSON object, its types checked, numbers not taken from text.
+
+    Raises ValueError where a key is missing or of the wrong kind.
+    """
+    from pydantic import TypeAdapter
+
+    return TypeAdapter(kind).validate_json(json.dumps(value), strict=True)
 
 
 def t_quantile(dof: npt.ArrayLike) -> FloatArray:
@@ -115,12 +280,6 @@ def t_quantile(dof: npt.ArrayLike) -> FloatArray:
     from scipy.special import stdtrit
 
     return np.asarray(stdtrit(np.asarray(dof, dtype=np.float64), 0.5 + COVERAGE / 2))
-
-
-def t_interval(value: float, std: float, dof: float) -> tuple[float, float]:
-    """Return the 95 % interval ``value +- t std``."""
-    half = float(t_quantile(dof)) * float(std)
-    return float(value) - half, float(value) + half
 
 
 def distinct_loads(load_N: FloatArray) -> int:
@@ -159,8 +318,7 @@ def fit_wheel(
     Returns
     -------
     WheelFit
-        A line, or a constant where the runs have one load only. Its checks are empty; see
-        `calib.radius.residual_checks`.
+        A line, or a constant where the runs have one load only. Its checks are empty; see `calib.radius.checks`.
 
     Raises
     ------
@@ -171,107 +329,61 @@ def fit_wheel(
     if len(load) < 3:
         raise RefusedError(
             f"{wheel} wheel: found {len(load)} usable runs; expected three or more; drive more corridor runs, "
-            "or see 'calib check' for why runs were left out"
+            "or see 'calib check' for why runs were omitted"
         )
     groups = groups_of(session)
+    grouped = 2 <= len(groups) < len(load)
     if distinct_loads(load) == 1:
-        return _constant(wheel, load, radius, groups)
-    x = load - reference_load_N
-    plain, line = plain_line(x, radius)
-    estimate = stratified_line(x, radius, groups) if 2 <= len(groups) < len(load) else None
-    estimate = estimate or plain
-    design = "confounded" if estimate is plain and 2 <= len(groups) < len(load) else estimate.design
-    influence = _influence(x, radius, line.residual, line.variance)
-    naive = NaiveLine(
-        radius_ref_m=float(line.coefficients[0]),
-        slope_m_per_N=float(line.coefficients[1]),
-        covariance=line.covariance,
-        dof=line.dof,
-        radius_ref_ci95_m=t_interval(line.coefficients[0], np.sqrt(line.covariance[0, 0]), line.dof),
-        slope_ci95_m_per_N=t_interval(line.coefficients[1], np.sqrt(line.covariance[1, 1]), line.dof),
-    )
-    return _wheel_fit(wheel, load, radius, estimate, design, naive, reference_load_N, influence)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Influence:
-    """How well the ordinary least-squares fit does, and how much each run carries of it."""
-
-    r_squared: float
-    variance_m2: float
-    leverage: FloatArray
-    cook: FloatArray
-
-
-def _constant(wheel: str, load: FloatArray, radius: FloatArray, groups: Groups) -> WheelFit:
-    estimate = stratified_constant(radius, groups)
-    n = len(radius)
-    scatter = radius - radius.mean()
-    variance = float(scatter @ scatter) / (n - 1)
-    leverage = np.full(n, 1.0 / n)
-    cook = scatter**2 / variance * leverage / (1 - leverage) ** 2 if variance > 0 else np.zeros(n)
-    influence = _Influence(0.0, variance, leverage, cook)
-    return _wheel_fit(wheel, load, radius, estimate, "constant", None, float(load.mean()), influence)
-
-
-def _wheel_fit(
-    wheel: str,
-    load: FloatArray,
-    radius: FloatArray,
-    estimate: Estimate,
-    design: str,
-    naive: NaiveLine | None,
-    reference_load_N: float,
-    influence: _Influence,
-) -> WheelFit:
-    value, slope = estimate.coefficients.tolist()
-    covariance = estimate.covariance
-    dof_radius, dof_slope = estimate.dof(np.eye(2)).tolist()
-    line = design != "constant"
-    law = WheelLaw(
-        reference_load_N=reference_load_N,
-        radius_ref_m=value,
-        slope_m_per_N=slope,
-        covariance=covariance,
-        dof=min(dof_radius, dof_slope) if line else dof_radius,
-        residual_std_m=float(np.sqrt(estimate.run_variance + estimate.session_variance)),
-        load_min_N=float(load.min()),
-        load_max_N=float(load.max()),
-        n_runs=len(load),
-    )
+        reference_load_N, x = float(load.mean()), np.zeros_like(load)
+        ols = least_squares(None, radius)
+        naive, estimate, design = None, stratified_constant(radius, groups), "constant"
+    else:
+        x = load - reference_load_N
+        ols = least_squares(x, radius)
+        naive = independent_line(ols)
+        estimate = (stratified_line(x, radius, groups) if grouped else None) or independent_line(ols, x)
+        # also where there are too few sessions to estimate their scatter
+        design = "confounded" if grouped and estimate.design == "single" else estimate.design
+    leverage, cook = _influence(ols)
     return WheelFit(
         wheel=wheel,
-        law=law,
-        model="line" if line else "constant",
         design=design,
+        reference_load_N=reference_load_N,
         estimate=estimate,
         naive=naive,
-        intercept_m=value - slope * reference_load_N,
-        r_squared=influence.r_squared,
-        residual_std_m=float(np.sqrt(influence.variance_m2)),
-        run_std_m=float(np.sqrt(estimate.run_variance)),
-        session_std_m=float(np.sqrt(estimate.session_variance)),
-        dof_radius_ref=dof_radius,
-        dof_slope=dof_slope if line else 0.0,
-        radius_ref_ci95_m=t_interval(value, float(np.sqrt(covariance[0, 0])), dof_radius),
-        slope_ci95_m_per_N=t_interval(slope, float(np.sqrt(covariance[1, 1])), dof_slope) if line else None,
+        r_squared=float(ols.rsquared) if naive and ols.centered_tss > 0 else 0.0,
+        residual_std_m=float(np.sqrt(ols.mse_resid)),
         load_N=load,
         radius_m=radius,
-        residual_m=radius - law.radius_m(load),
-        leverage=influence.leverage,
-        cook=influence.cook,
+        residual_m=radius - estimate.coefficients[0] - estimate.coefficients[1] * x,
+        leverage=leverage,
+        cook=cook,
     )
 
 
-def _r_squared(radius: FloatArray, residual: FloatArray) -> float:
-    centred = radius - radius.mean()
-    total = float(centred @ centred)
-    return 1.0 - float(residual @ residual) / total if total > 0 else 0.0
+def least_squares(x: FloatArray | None, y: FloatArray) -> RegressionResults:
+    """Return the ordinary least-squares fit of ``y = a + b x``, shape (n_runs,) both; None for x: of a constant."""
+    from statsmodels.regression.linear_model import OLS
+
+    columns = [np.ones_like(y)] if x is None else [np.ones_like(y), x]
+    return OLS(y, np.column_stack(columns)).fit(method="qr")
 
 
-def _influence(x: FloatArray, radius: FloatArray, residual: FloatArray, scale: float) -> _Influence:
-    centred = x - x.mean()
-    leverage = 1.0 / len(x) + centred**2 / float(centred @ centred)
-    slack = np.maximum(1.0 - leverage, 1e-12)
-    cook = residual**2 * leverage / (2 * scale * slack**2) if scale > 0 else np.zeros_like(x)
-    return _Influence(_r_squared(radius, residual), scale, leverage, cook)
+def independent_line(ols: RegressionResults, x: FloatArray | None = None) -> LineEstimate:
+    """Return a least-squares line in which every run counts as independent.
+
+    `x` (shape (n_runs,)): load minus reference load, for HC3 where the scatter clearly depends on it; None: never HC3.
+    """
+    hc3 = x is not None and ols.df_resid >= HC3_MIN_DOF and breusch_pagan(ols.resid, x)[1] < HC3_BELOW
+    covariance = ols.cov_HC3 if hc3 else ols.cov_params()
+    return LineEstimate.one_stratum(
+        "single", ols.params, covariance, float(ols.df_resid), float(ols.mse_resid), hc3=bool(hc3)
+    )
+
+
+def _influence(ols: RegressionResults) -> tuple[FloatArray, FloatArray]:
+    """Return leverage and Cook's distance of each run; 0 where there is no scatter."""
+    influence = ols.get_influence()
+    with np.errstate(divide="ignore", invalid="ignore"):
+        cook = np.nan_to_num(influence.cooks_distance[0], nan=0.0, posinf=0.0)
+    return np.asarray(influence.hat_matrix_diag), np.asarray(cook)

@@ -1,24 +1,205 @@
-"""The result folder of a fit: ``fit.json``, ``runs.csv``; report and export read it and compute nothing again."""
+"""The fit of a campaign: both wheels' laws with the runs, vehicle and conditions behind them, and its result folder.
+
+The folder holds ``fit.json`` and ``runs.csv``; report and export read it and fit nothing again.
+"""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
 
 from calib.campaign.model import Campaign
-from calib.errors import BadFileError, CalibError
-from calib.files import csv_text, sha256_file, to_json
-from calib.folders import settle, write_files
-from calib.radius.fitted import Fit
-from calib.seal import CHECKSUM_KEY, checksum
+from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
+from calib.documents import CHECKSUM_KEY, checksum, csv_text, to_json
+from calib.errors import BadFileError, BadInputError, CalibError
+from calib.io import settle, sha256_file, write_files
+from calib.radius.effective import Component, EffectiveRadii, UnusedRun
+from calib.radius.law import RadiusLaw
+from calib.radius.regression import RUN_ARRAYS, WheelFit, from_plain
+from calib.result import Result, plain
+from calib.vehicle import Vehicle
 
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+FORMAT: Final = "calib-fit/1"
 FIT_FILE: Final = "fit.json"
 RUNS_FILE: Final = "runs.csv"
+#: name of the check of a fit against its nominal vehicle and physical bounds
+PLAUSIBLE: Final = "plausible"
 #: what ``calib fit --json`` adds for other programs; nothing here reads it
 _ADDED: Final = ("model_comparison",)
 REMEDY: Final = "make it with 'calib fit CAMPAIGN --into FOLDER'"
+_TEXTS: Final = ("run_id", "session", "direction", "path_source")
+_RUN_COLUMNS: Final = tuple(
+    column.name for column in fields(EffectiveRadii) if column.name not in {"budget", "left_out", "notes"}
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """Vehicle, instruments and conditions of the runs, so that a report needs no campaign."""
+
+    #: sections of ``campaign.toml``
+    vehicle: Vehicle
+    encoder: Encoder
+    model: OdometryModel
+    rangefinder: Rangefinder
+    reference: Reference
+    #: smallest and largest value over the runs used, by column of the run table
+    conditions: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    #: keys of ``campaign.toml`` that are not stated and that matter for these runs, with the values assumed
+    assumed: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Fit(Result):
+    """Both wheels' laws and all that report and export need of the campaign behind them.
+
+    Parameters
+    ----------
+    name : str
+        Name of the campaign.
+    simulated : bool
+        True where a program made the data.
+    left, right : WheelFit
+        The moving wheels.
+    radii : EffectiveRadii
+        The runs behind them.
+    static : mapping of str to WheelFit
+        Static radius against load by wheel, where the run table has it.
+    notes : tuple of str
+        What the user should know, in sentences.
+    provenance : mapping
+        ``version`` of calib, ``inputs`` (path -> sha256), ``arguments``; filled by the command line.
+    setup : Setup or None
+        Vehicle, instruments and conditions; None where the radii came from elsewhere than a campaign.
+    accepted : str
+        Why the user passes on a law that failed the check ``plausible``; empty where it is refused.
+    """
+
+    name: str
+    simulated: bool
+    left: WheelFit
+    right: WheelFit
+    radii: EffectiveRadii
+    static: Mapping[str, WheelFit] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    setup: Setup | None = None
+    accepted: str = ""
+
+    @property
+    def law(self) -> RadiusLaw:
+        """The law of both wheels."""
+        return RadiusLaw(left=self.left.law, right=self.right.law)
+
+    @property
+    def wheels(self) -> dict[str, WheelFit]:
+        """The moving wheels by name."""
+        return {"left": self.left, "right": self.right}
+
+    @property
+    def passed(self) -> bool:
+        """Whether every check lets the law be used."""
+        return all(check.passed for wheel in (self.left, self.right) for check in wheel.checks)
+
+    @property
+    def implausible(self) -> tuple[str, ...]:
+        """Findings beyond the bounds of a vehicle; such a law is passed on only where the user accepts it."""
+        checks = [check for wheel in (self.left, self.right) for check in wheel.checks]
+        return tuple(dict.fromkeys(check.sentence for check in checks if check.name == PLAUSIBLE and not check.passed))
+
+    @property
+    def table(self) -> DataFrame:
+        """The runs used as a table: labels, loads, radii, their standard uncertainties and residuals; SI units."""
+        from pandas import DataFrame
+
+        return DataFrame(_rows(self))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the fit as plain values: the keys of ``calib fit --json`` and everything `from_dict` needs."""
+        document: dict[str, Any] = plain(
+            {
+                "format": FORMAT,
+                "campaign": self.name,
+                "simulated": self.simulated,
+                "wheels": self.wheels,
+                "runs": _rows(self),
+                "static": self.static,
+                "budget": self.radii.budget,
+                "left_out": self.radii.left_out,
+                "notes": self.notes,
+                "setup": self.setup,
+                "provenance": self.provenance,
+                "passed": self.passed,
+            }
+        )
+        return document | {CHECKSUM_KEY: checksum(document)}
+
+    @staticmethod
+    def from_dict(value: Mapping[str, Any]) -> Fit:
+        """Return the fit that `to_dict` wrote.
+
+        Raises BadInputError where a key is missing or of the wrong kind.
+        """
+        if value.get("format") != FORMAT:
+            raise BadInputError(
+                f"found format {value.get('format')!r}; expected {FORMAT!r}; make it anew with 'calib fit'"
+            )
+        try:
+            setup, notes = value.get("setup"), tuple(value["notes"])
+            fit = Fit(
+                name=str(value["campaign"]),
+                simulated=bool(value["simulated"]),
+                left=WheelFit.from_dict("left", value["wheels"]["left"]),
+                right=WheelFit.from_dict("right", value["wheels"]["right"]),
+                radii=EffectiveRadii(
+                    **_columns(value["runs"]),
+                    budget=from_plain(tuple[Component, ...], value["budget"]),
+                    left_out=from_plain(tuple[UnusedRun, ...], value["left_out"]),
+                    notes=notes,
+                ),
+                static={name: WheelFit.from_dict(name, wheel) for name, wheel in value["static"].items()},
+                notes=notes,
+                provenance=dict(value["provenance"]),
+                setup=None if setup is None else from_plain(Setup, setup),
+            )
+            _check_runs(fit)
+            return fit
+        except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+            text = " ".join(str(error).split())
+            raise BadInputError(
+                f"the fit is damaged ({type(error).__name__}: {text}); expected what 'calib fit' wrote; make it anew"
+            ) from error
+
+
+def _rows(fit: Fit) -> list[dict[str, Any]]:
+    """Return the runs used, one mapping each: every array of the radii, and the residual of each wheel."""
+    columns = {name: getattr(fit.radii, name) for name in _RUN_COLUMNS}
+    columns |= {f"residual_{name}_m": wheel.residual_m for name, wheel in fit.wheels.items()}
+    return [dict(zip(columns, row, strict=True)) for row in zip(*map(plain, columns.values()), strict=True)]
+
+
+def _columns(rows: Any) -> dict[str, Any]:
+    """Return the arrays of the runs that `_rows` wrote."""
+    return {
+        name: np.array([row[name] for row in rows], dtype=np.str_ if name in _TEXTS else np.float64)
+        for name in _RUN_COLUMNS
+    }
+
+
+def _check_runs(fit: Fit) -> None:
+    """Refuse a fit that lists another number of runs than its wheels were fitted on."""
+    listed = len(fit.radii.run_id)
+    for name, wheel in fit.wheels.items():
+        if any(len(getattr(wheel, column)) != listed for column in RUN_ARRAYS):
+            raise ValueError(f"{listed} runs are listed, and the {name} wheel was fitted on {len(wheel.load_N)}")
 
 
 def provenance(campaign: Campaign, *, version: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
@@ -55,7 +236,7 @@ def write_result(fit: Fit, folder: Path, *, force: bool = False) -> Path:
 
 
 def _check_seal(file: Path, value: dict[str, Any]) -> None:
-    """Refuse a fit that is not as it was written: report and export compute nothing again, and would pass it on."""
+    """Refuse a fit that was changed: report and export would pass the changed numbers on."""
     stated = value.get(CHECKSUM_KEY)
     try:
         computed = checksum({key: part for key, part in value.items() if key not in _ADDED})

@@ -7,7 +7,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from calib.arrays import FloatArray, StrArray
 from calib.campaign.model import Campaign
 from calib.errors import BadInputError
 from calib.radius.deviation import (
@@ -18,8 +17,10 @@ from calib.radius.deviation import (
     radius_error,
     small_amplitude_excess,
 )
+from calib.radius.effective import UnusedRun, usable_runs
 from calib.radius.path_length import correct_paths
-from calib.radius.usable import LeftOut, usable_runs
+from calib.result import plain
+from calib.types import FloatArray, StrArray
 
 PASSED: Final = "within"
 BEYOND: Final = "beyond"
@@ -28,7 +29,7 @@ UNKNOWN: Final = "unknown"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunDeviations:
-    """What each run's path did to its radii; arrays of shape (n_runs,), NaN where unknown."""
+    """Effect of each run's path on its radii; arrays of shape (n_runs,), NaN where unknown."""
 
     #: largest relative error of a radius that is accepted
     tolerance: float
@@ -58,8 +59,8 @@ class RunDeviations:
     arc_turn_rad: FloatArray
     arc_excess: FloatArray
     #: runs that are not judged
-    left_out: tuple[LeftOut, ...]
-    #: what was done
+    left_out: tuple[UnusedRun, ...]
+    #: which corrections were made
     notes: tuple[str, ...]
 
     @property
@@ -87,14 +88,9 @@ class RunDeviations:
 
     def rows(self) -> list[dict[str, Any]]:
         """Return one mapping of plain values a run."""
-        texts = {name: [str(value) for value in getattr(self, name)] for name in ("run_id", "source", "verdict")}
-        numbers = {
-            name: [float(value) if np.isfinite(value) else None for value in getattr(self, name)]
-            for name in self.__dataclass_fields__
-            if name not in {*texts, "tolerance", "left_out", "notes"}
-        }
-        columns: dict[str, list[Any]] = {**texts, **numbers}
-        return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+        names = [name for name in self.__dataclass_fields__ if name not in {"tolerance", "left_out", "notes"}]
+        columns = [plain(getattr(self, name)) for name in names]
+        return [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
 
 
 def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
@@ -105,9 +101,8 @@ def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
     run; BadInputError where the tolerance is not between 0 and 1.
     """
     if not 0 < tolerance < 1:
-        raise BadInputError(
-            f"tolerance: found {tolerance:g}; expected a share between 0 and 1; 0.0005 is 0.05 % of the radius"
-        )
+        expected = "a share between 0 and 1; 0.0005 is 0.05 % of the radius"
+        raise BadInputError(f"tolerance: found {tolerance:g}; expected {expected}")
     campaign, left_out, _ = usable_runs(campaign, need_load=False)
     runs, vehicle, model = campaign.runs, campaign.vehicle, campaign.model
     path = correct_paths(campaign)
@@ -115,27 +110,24 @@ def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
     known = path.source != "none"
     error = {"left": radius_error(path.left), "right": radius_error(path.right)}
     worse = np.maximum(np.abs(error["left"]), np.abs(error["right"]))
-    woven = np.isfinite(path.wavelength_m) & (path.wavelength_m > 0)
-    phased = woven & np.isfinite(path.phase_rad)
+    weaving = np.isfinite(path.wavelength_m) & (path.wavelength_m > 0)
+    phased = weaving & np.isfinite(path.phase_rad)
     allowed = np.full(len(runs), np.nan)
-    allowed[woven] = allowed_amplitude_m(tolerance, path.wavelength_m[woven])
+    allowed[weaving] = allowed_amplitude_m(tolerance, path.wavelength_m[weaving])
     if phased.any():
+        length, phase = path.wavelength_m[phased], path.phase_rad[phased]
         allowed[phased] = allowed_amplitude_on_run_m(
-            tolerance,
-            path.wavelength_m[phased],
-            distance[phased],
-            vehicle.track_m,
-            phase_rad=path.phase_rad[phased],
+            tolerance, length, distance[phased], vehicle.track_m, phase_rad=phase
         )
     small = np.full(len(runs), np.nan)
-    small[woven] = small_amplitude_excess(path.amplitude_m[woven], path.wavelength_m[woven])
+    small[weaving] = small_amplitude_excess(path.amplitude_m[weaving], path.wavelength_m[weaving])
     # r_R / r_L as each run shows it; the distance cancels
     ratio = (np.abs(runs.number("counts_left")) / campaign.encoder.counts_per_rev_left * (1 + path.right)) / (
         np.abs(runs.number("counts_right")) / campaign.encoder.counts_per_rev_right * (1 + path.left)
     )
     believed = model.radius_right_m / model.radius_left_m
     turn = arc_of_radii_rad(distance, 1.0, ratio / believed, vehicle.track_m)
-    blank = np.where(known, 0.0, np.nan)
+    unknown_nan = np.where(known, 0.0, np.nan)
     return RunDeviations(
         tolerance=tolerance,
         run_id=runs.run_id,
@@ -144,14 +136,14 @@ def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
         distance_m=distance,
         amplitude_m=path.amplitude_m,
         wavelength_m=path.wavelength_m,
-        excess_centre=path.centre + blank,
-        excess_left=path.left + blank,
-        excess_right=path.right + blank,
+        excess_centre=path.centre + unknown_nan,
+        excess_left=path.left + unknown_nan,
+        excess_right=path.right + unknown_nan,
         small_amplitude=small,
-        error_left=error["left"] + blank,
-        error_right=error["right"] + blank,
-        error_left_m=error["left"] * vehicle.wheel_radius_m + blank,
-        error_right_m=error["right"] * vehicle.wheel_radius_m + blank,
+        error_left=error["left"] + unknown_nan,
+        error_right=error["right"] + unknown_nan,
+        error_left_m=error["left"] * vehicle.wheel_radius_m + unknown_nan,
+        error_right_m=error["right"] * vehicle.wheel_radius_m + unknown_nan,
         allowed_amplitude_m=allowed,
         arc_turn_rad=turn,
         arc_excess=arc_excess(turn, distance, vehicle.track_m).centre,

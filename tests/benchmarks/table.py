@@ -21,8 +21,8 @@ import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.campaign.write import write_campaign
-from calib.motion.odometry.integrate import integrate
-from calib.motion.poses import Poses
+from calib.odometry.integrate import integrate
+from calib.odometry.poses import Poses
 from tests.benchmarks import reading_bag, test_odometry
 from tests.benchmarks.test_diagnosis import campaign_of, of_rows
 from tests.benchmarks.test_startup import NEEDED

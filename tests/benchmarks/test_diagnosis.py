@@ -22,7 +22,7 @@ from pytest_benchmark.fixture import BenchmarkFixture
 from calib.campaign.model import Campaign, Logs
 from calib.campaign.write import write_campaign
 from calib.gap import diagnose as whole
-from calib.gap.evidence import climb, noise, system, whitened
+from calib.gap.inference import linear_model, local_search, noise
 from calib.plant.make import make_campaign
 from calib.plant.plans import good_design
 
@@ -77,11 +77,10 @@ def clocked() -> Iterator[Clock]:
     """Time the stages of a diagnosis as it calls them."""
     clock = Clock()
     places = [
-        (system, "columns_of_forms", "signatures"),
-        (whitened, "columns_of_forms", "signatures"),
+        (linear_model, "signature_columns", "signatures"),
         (whole, "estimate_noise", "noise"),
         (whole, "search", "search"),
-        (climb, "log_weights", "evidence"),
+        (local_search, "log_weights", "evidence"),
         (whole, "measure_closure", "held-out fits"),
         (whole, "trials", "transfer"),
         (whole, "locate", "where"),
@@ -107,7 +106,7 @@ def test_where_the_time_of_a_diagnosis_goes(benchmark: BenchmarkFixture, capsys:
         begun = time.process_time()
         diagnosis = benchmark.pedantic(whole.diagnose_in_full, args=(made,), rounds=1)
         total = time.process_time() - begun
-    assert diagnosis.verdict.causes[0].effect == "load_radius"
+    assert diagnosis.causes[0].effect == "load_radius"
     shares = {name: round(value / total, 3) for name, value in clock.spent_s.items()}
     assert {"signatures", "noise", "search", "evidence", "held-out fits"} <= shares.keys()
     # stages that do not lie within one another cannot add up to more than the whole; clocks tick in milliseconds
@@ -134,9 +133,8 @@ def test_cost_grows_linearly_with_runs(benchmark: BenchmarkFixture, capsys: pyte
 
 
 def _gap_of(made: Campaign) -> tuple[Any, Any]:
-    from calib.gap.data.from_campaign import observations_of
-    from calib.gap.predict.path import predict
-    from calib.gap.predict.residuals import residuals
+    from calib.gap.observations.from_campaign import observations_of
+    from calib.gap.predict import predict, residuals
 
     nominal = predict(observations_of(made))
     return nominal, residuals(nominal, nominal)

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from calib.motion.odometry.integrate import end_poses, integrate
-from calib.motion.poses import Poses
-from calib.motion.routes import Route, find_route
-from calib.motion.studies.follow import Axle, end_of_route
+from calib.odometry.integrate import end_poses, integrate
+from calib.odometry.paper import Axle, end_of_route
+from calib.odometry.poses import Poses
+from calib.odometry.routes import Route, find_route
 
 TRACK_M = 0.7
 REPEATS = 15

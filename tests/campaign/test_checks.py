@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.campaign.check import check_campaign
-from calib.campaign.checks import CHECKS
+from calib.campaign.check import CHECKS, check_campaign
 from calib.campaign.model import Campaign, Logs
 from tests.campaign.making import campaign, with_log_columns, with_numbers
 

@@ -18,18 +18,18 @@ from unittest import mock
 
 import numpy as np
 
-from calib.arrays import FloatArray
 from calib.challenge.cases import Truth, campaigns_of, case_design, truth_of
 from calib.challenge.recipe import Recipe, Seeds, recipes
 from calib.challenge.seal import each
 from calib.gap import diagnose as diagnosis
-from calib.gap.evidence.noise import Noise, estimate_noise
-from calib.gap.predict.path import Path
-from calib.gap.verdict.result import VerdictKind
+from calib.gap.decision.diagnosis import VerdictKind
+from calib.gap.inference.noise import Noise, estimate_noise
+from calib.gap.predict import Path
 from calib.plant.drive import drive
 from calib.plant.noise import quiet
 from calib.plant.signal import covariance
 from calib.plant.world import build_world
+from calib.types import FloatArray
 
 SEED = 771155
 SIGNAL = 5.0
@@ -83,9 +83,9 @@ def answers(recipe: Recipe) -> tuple[str, float, tuple[bool, bool], tuple[bool, 
     """Return the group, the own ceiling, and by each floor whether a gap is reported and the truth named first."""
     truth = truth_of(recipe, SEED, MAX_RUNS)
     campaign, _ = campaigns_of(truth)
-    estimated = diagnosis.diagnose_in_full(campaign, plan=False).verdict
+    estimated = diagnosis.diagnose_in_full(campaign, plan=False)
     with floor_known(truth):
-        known = diagnosis.diagnose_in_full(campaign, plan=False).verdict
+        known = diagnosis.diagnose_in_full(campaign, plan=False)
     true = {cause.effect for cause in truth.causes}
     own = float("nan") if truth.own_ceiling is None else truth.own_ceiling[1]
     verdicts = (estimated, known)

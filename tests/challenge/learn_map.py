@@ -2,7 +2,7 @@
 
 Prints, for bins of the model's own probability (what is stated, taken back through the present map), how many causes
 were named so and how many of them were at work. A cause that the plant's own measure cannot tell from a deleted truth
-is left out: no diagnosis could.
+is omitted: no diagnosis could.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 
 from calib.challenge.judge import APART, judge
 from calib.challenge.score import open_truth
-from calib.gap.verdict.calibrated import TABLE
+from calib.gap.decision.confounding import TABLE
 
 EDGES = (0.0, 0.5, 0.6, 0.7, 0.8, 0.9, 0.99, 1.0)
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calib.arrays import FloatArray
+from calib.types import FloatArray
 
 __all__ = ["ever_alarmed", "levels"]
 

@@ -39,7 +39,7 @@ def test_an_exact_alias_halves_it() -> None:
 
 
 def test_without_a_signal_only_chance_is_left_and_the_gate_lets_five_per_cent_through() -> None:
-    """Of n orthogonal effects 1 / n at a signal of nought, and 5 % of that behind the gate."""
+    """Of n orthogonal effects 1 / n at a signal of zero, and 5 % of that behind the gate."""
     effects = {str(number): [np.eye(10)[:, [number]]] for number in range(10)}
     reached = ceiling_of(effects, 1e-6, np.random.default_rng(3), draws=4000)
     assert reached is not None
@@ -61,7 +61,7 @@ def test_nothing_that_shows_has_no_ceiling() -> None:
 
 
 def test_the_own_ceiling_of_two_effects_a_known_way_apart_is_the_normal_distribution() -> None:
-    """Two effects of one sign d apart, equally likely: the nearer one is named, P = Phi(d / 2), whichever acts."""
+    """Two effects of one sign d apart, equally likely: the nearer one is named, P = Phi(d / 2), each acts."""
     signal, angle = 4.0, 0.6
     one, other = np.array([[1.0], [0.0]]), np.array([[np.cos(angle)], [np.sin(angle)]])
     apart = signal * np.sqrt(2.0 - 2.0 * np.cos(angle))

@@ -9,10 +9,9 @@ import pytest
 
 from calib.campaign.settings import OdometryModel
 from calib.challenge.cases import Truth
-from calib.challenge.intervals import clopper_pearson, wilson
 from calib.challenge.judge import judge
 from calib.challenge.recipe import Recipe
-from calib.challenge.score import score_of
+from calib.challenge.score import clopper_pearson, score_of, wilson
 from calib.plant.effects.form import Cause
 from calib.plant.noise import Noise
 

@@ -20,7 +20,7 @@ from calib.challenge.score import open_truth, score
 from calib.challenge.seal import HASH, PUBLIC, make, truth_path
 from calib.errors import BadFileError, BadInputError
 from calib.plant.effects.registry import effects
-from calib.report.figures.challenge import board_figure, confusion_figure, save
+from calib.reporting.figures.challenge import board_figure, confusion_figure, save
 
 ROOT = Path(__file__).resolve().parents[2]
 SMALL = """

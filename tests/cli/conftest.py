@@ -8,9 +8,9 @@ import pytest
 @pytest.fixture
 def drawn_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Set each figure as SVG, and give its other files their format's name: the formats are the figures' own tests'."""
-    from calib.report.figures.style import render
+    from calib.reporting.figures.style import render
 
     monkeypatch.setattr(
-        "calib.report.figures.files.render_all",
+        "calib.reporting.figures.style.render_all",
         lambda figure, forms: {form: render(figure, form) if form == "svg" else form.encode() for form in forms},
     )

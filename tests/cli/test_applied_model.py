@@ -9,8 +9,7 @@ import pytest
 
 from calib.cli.main import run
 from calib.coefficients.file import CoefficientFile, load_coefficients
-from calib.coefficients.quantities import Quantity
-from calib.coefficients.sections import EffectSection
+from calib.coefficients.sections import EffectSection, Quantity
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +45,9 @@ def test_a_journey_under_an_applied_load_effect_has_the_radii_of_its_line(
     applied: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """E_r, right over left, of radii over those at the 300 N that the uncorrected odometry uses."""
-    document = _json(["simulate", "corrected", "--model", str(applied), "--load", "900,300", "--draws", "2000"], capsys)
+    document = _json(
+        ["simulate", "study", "corrected", "--model", str(applied), "--load", "900,300", "--draws", "2000"], capsys
+    )
     text = json.loads(applied.read_text(encoding="utf-8"))
     ratio = {}
     for side, load in (("left", 900.0), ("right", 300.0)):
@@ -63,13 +64,13 @@ def test_replay_with_the_applied_model_leaves_a_small_part_of_the_end_error(
     crossed: Path, applied: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The model was wrong by metres; with the load in it the end error falls by more than the paper's factor of 17."""
-    document = _json(["simulate", "--replay", str(crossed), "--model", str(applied)], capsys)
+    document = _json(["simulate", "replay", str(crossed), "--model", str(applied)], capsys)
     rms = document["rms_m"]
     assert rms["model"] / rms["corrected"] > 17  # type: ignore[index]
 
 
 @pytest.mark.parametrize(
-    "arguments", [["simulate", "corrected"], ["simulate", "--replay", "CROSSED"], ["fit", "CROSSED"]]
+    "arguments", [["simulate", "study", "corrected"], ["simulate", "replay", "CROSSED"], ["fit", "CROSSED"]]
 )
 def test_an_effect_that_is_left_out_is_named_in_one_note(
     crossed: Path, warm: Path, arguments: list[str], capsys: pytest.CaptureFixture[str]

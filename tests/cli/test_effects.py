@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from calib.cli.main import run
-from calib.gap.effects import user
+from calib.gap.effects import columns
 from calib.gap.effects.library import REGISTRY
-from calib.report.statements.effects import size_text
+from calib.reporting.topics.effects import size_text
 
 DECLARED = """
 [[effects]]
@@ -66,11 +66,11 @@ def test_what_a_campaign_declares_is_listed_with_its_origin(campaign: Path, caps
 def test_an_effect_of_a_package_is_listed_with_the_package(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    point = EntryPoint("ours", "tests.gap.effects.test_user:Foreign", user.GROUP)
-    monkeypatch.setattr(user, "entry_points", lambda group: [point])
+    point = EntryPoint("ours", "tests.gap.effects.test_columns:Foreign", columns.ENTRY_POINT_GROUP)
+    monkeypatch.setattr(columns, "entry_points", lambda group: [point])
     assert run(["effects"]) == 0
     words = " ".join(capsys.readouterr().out.split())
-    assert "- foreign: from an installed package (ours = tests.gap.effects.test_user:Foreign)" in words
+    assert "- foreign: from an installed package (ours = tests.gap.effects.test_columns:Foreign)" in words
 
 
 def test_an_unknown_effect_is_one_line_with_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
@@ -84,7 +84,7 @@ def test_a_signature_is_drawn_once(
     """Three forms of one picture; an existing one is refused."""
     # how a figure becomes bytes has its own tests
     monkeypatch.setattr(
-        "calib.report.figures.files.render_all", lambda _figure, forms: {form: form.encode() for form in forms}
+        "calib.reporting.figures.style.render_all", lambda _figure, forms: {form: form.encode() for form in forms}
     )
     assert run(["effects", "curve_scrub", "--figures", str(tmp_path)]) == 0
     names = sorted(path.name for path in tmp_path.iterdir())

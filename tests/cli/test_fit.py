@@ -10,9 +10,9 @@ from calib.campaign.read import read_campaign
 from calib.campaign.write import write_campaign
 from calib.cli.main import run
 from calib.radius.result import read_result
-from calib.report.content import compose
-from calib.report.source import from_campaign
-from calib.report.statements.fit_pictures import FIT_PICTURES
+from calib.reporting.content import compose
+from calib.reporting.source import from_campaign
+from calib.reporting.topics.fit import FIT_PICTURES
 from tests.campaign.making import campaign
 
 
@@ -134,7 +134,7 @@ def test_the_figures_are_those_of_the_report(
     """Every picture of the report's pages, no other; existing ones are refused before anything is fitted."""
     # how a figure becomes bytes has its own tests
     monkeypatch.setattr(
-        "calib.report.figures.files.render_all", lambda _figure, forms: {form: form.encode() for form in forms}
+        "calib.reporting.figures.style.render_all", lambda _figure, forms: {form: form.encode() for form in forms}
     )
     assert run(["fit", str(folder), "--figures", str(tmp_path / "f")]) == 0
     shown = compose(from_campaign(read_campaign(folder), issued="2026-01-01")).pictures

@@ -10,7 +10,7 @@ import pytest
 
 from calib.campaign.write import write_campaign
 from calib.cli.main import run
-from tests.geometry.campaigns import Truth, campaign, mixed
+from tests.kinematics.campaigns import Truth, campaign, mixed
 
 
 @pytest.fixture(scope="module")

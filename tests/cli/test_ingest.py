@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from calib.cli.main import run
-from tests.campaign.ingest.driven import mapping_text, recorded, write
+from tests.campaign.ingest.continuous import mapping_text, recorded, write
 from tests.campaign.ingest.lab import german, plain
 
 
@@ -74,7 +74,7 @@ def test_a_description_is_a_mapping(make: object, tmp_path: Path, capsys: pytest
 def test_the_screen_of_24_runs(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """At 80 columns what ingestion says of the export fits on two screens, and no line is longer."""
+    """At 80 columns the notes on the export fit on two screens, and no line is longer."""
     monkeypatch.setenv("COLUMNS", "80")
     lab = german(tmp_path)
     run(["ingest", "--describe", str(lab.table), str(lab.logs)])
@@ -98,13 +98,13 @@ def test_one_command_from_a_recording(tmp_path: Path, capsys: pytest.CaptureFixt
     for command in ("check", "fit", "diagnose"):
         capsys.readouterr()
         first = run([command, str(source), "--mapping", str(mapping), "--json", "-"])
-        on_the_way = json.loads(capsys.readouterr().out)
+        direct = json.loads(capsys.readouterr().out)
         assert run([command, str(campaign), "--json", "-"]) == first
         written = json.loads(capsys.readouterr().out)
         if command == "check":
-            assert on_the_way["found"] == written["found"]
+            assert direct["found"] == written["found"]
         elif command == "fit":
-            assert on_the_way["wheels"] == written["wheels"]
+            assert direct["wheels"] == written["wheels"]
         else:
-            assert on_the_way["verdict"] == written["verdict"]
-            assert on_the_way["causes"] == written["causes"]
+            assert direct["verdict"] == written["verdict"]
+            assert direct["causes"] == written["causes"]

@@ -39,3 +39,18 @@ def test_what_stands_there_is_not_replaced(tmp_path: Path, capsys: pytest.Captur
     assert run(["init", str(tmp_path / "c")]) == 2
     assert "--force" in capsys.readouterr().err
     assert (tmp_path / "c" / "runs.csv").read_text() == "run_id\na\n"
+
+
+@pytest.mark.parametrize(
+    "arguments", [["init", ""], ["check", ""], ["ingest", "a.csv", "--into", ""], ["ingest", "a.csv", "--into="]]
+)
+def test_an_empty_path_is_refused(
+    arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It is not the working folder: status 2, one line, and nothing is written."""
+    monkeypatch.chdir(tmp_path)
+    assert run(arguments) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "found ''; expected the path of a file or folder; name one" in error
+    assert not list(tmp_path.iterdir())

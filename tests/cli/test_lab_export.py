@@ -28,7 +28,7 @@ SAME_M = 1e-9
 VARIANTS = {"german": (german, "Lauf {}"), "plain": (plain, "run{:02}")}
 #: radius at 300 N and slope of the wheels that the export was made of
 TRUE = {"left": (0.0990, 1.3e-6), "right": (0.0993, 1.2e-6)}
-#: lines of a mapping at most, remarks and empty ones left out
+#: lines of a mapping at most, without remarks and empty ones
 MOST_LINES = 30
 
 
@@ -65,7 +65,7 @@ def _samples(folder: Path, number: int) -> list[tuple[float, int, int]]:
 def test_the_header_has_the_width_and_the_report_is_there(exported: tuple[Lab, Path]) -> None:
     lab, folder = exported
     fitted = json.loads((folder / "f" / "fit.json").read_text())
-    # the run without a log is left out; the one with exchanged wheels was put right
+    # the run without a log is omitted; the one with exchanged wheels was corrected
     assert fitted["wheels"]["left"]["n_runs"] == N_RUNS - 1
     for side in ("left", "right"):
         low, high = fitted["wheels"][side]["radius_ref_ci95_m"]
@@ -86,9 +86,11 @@ def test_the_runtime_drives_on_across_overflows(number: int, exported: tuple[Lab
     jumps = np.abs(np.diff([left for _, left, _ in samples])) > 2**15
     assert jumps.sum() >= 3
     odometer = Odometer(Coefficients.parse((folder / "coefficients.json").read_text()))
-    odometer.set_wheel_loads(*(float(lab.made.runs.number(f"load_{side}_N")[number - 1]) for side in ("left", "right")))
+    sides = ("left", "right")
+    loads = [float(lab.truth.runs.number(f"load_{side}_N")[number - 1]) for side in sides]
+    odometer.set_wheel_loads(*loads)
     assert {odometer.feed(left, right, t) for t, left, right in samples} == {Status.OK}
-    assert odometer.pose.distance_m == pytest.approx(lab.made.runs.number("distance_m")[number - 1], abs=DISTANCE_M)
+    assert odometer.pose.distance_m == pytest.approx(lab.truth.runs.number("distance_m")[number - 1], abs=DISTANCE_M)
 
 
 def test_the_compiled_header_drives_the_same(exported: tuple[Lab, Path], tmp_path: Path) -> None:
@@ -98,7 +100,7 @@ def test_the_compiled_header_drives_the_same(exported: tuple[Lab, Path], tmp_pat
     lab, folder = exported
     command = [compiler, "-std=c99", "-I", str(folder), str(DRIVER), "-lm", "-o", str(tmp_path / "driver")]
     subprocess.run(command, check=True, capture_output=True)
-    loads = [float(lab.made.runs.number(f"load_{side}_N")[0]) for side in ("left", "right")]
+    loads = [float(lab.truth.runs.number(f"load_{side}_N")[0]) for side in ("left", "right")]
     samples = _samples(folder, 1)
     script = f"L {loads[0]!r} {loads[1]!r}\n" + "".join(f"T {a} {b} {t!r}\n" for t, a, b in samples)
     out = subprocess.run([str(tmp_path / "driver")], input=script, capture_output=True, text=True, check=True).stdout

@@ -11,7 +11,7 @@ import pytest
 
 from calib.campaign.write import write_campaign
 from calib.cli.main import run
-from tests.geometry.campaigns import mecanum, tricycle
+from tests.kinematics.campaigns import mecanum, tricycle
 
 #: what the runs were made with
 TRUTH = {

@@ -58,7 +58,7 @@ def test_only_candidates_given_are_named(
 
 
 def test_a_plan_is_judged_as_matrix_and_picture(plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Straight unladen and laden runs: no turn, so nothing about turns can be seen; direction goes with load."""
+    """Straight unladen and laden runs: no turn, so nothing about turns can be seen; direction correlates with load."""
     figures = tmp_path / "figures"
     assert run(["plan", "--from", str(plan), "--figures", str(figures), "--json", "-"]) == 0
     document = json.loads(capsys.readouterr().out)

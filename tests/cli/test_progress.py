@@ -13,7 +13,7 @@ import pytest
 from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
 from calib.gap.diagnose import diagnose_in_full
-from calib.progress import stepped
+from calib.types import stepped
 
 Told = list[tuple[int, int, str]]
 

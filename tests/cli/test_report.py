@@ -91,7 +91,7 @@ def test_bad_input_is_one_line(
 
 
 def test_a_name_becomes_a_file_name_inside_the_folder() -> None:
-    from calib.report.place import file_name
+    from calib.reporting.content import file_name
 
     assert file_name("corridor") == "corridor.pdf"
     for name in ("../../etc/passwd", "a/b\\c", "...", "", " ", "x" * 500, "#$*<>|"):

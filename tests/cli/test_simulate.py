@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from calib.cli.main import run
-from calib.cli.respell import respelled
-from calib.motion.trajectory import read_tum
+from calib.odometry.poses import read_tum
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +37,7 @@ def document(capsys: pytest.CaptureFixture[str]) -> dict:
 
 
 def test_symmetric_study_gives_fig_12(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["simulate", "symmetric", "--json", "-"]) == 0
+    assert run(["simulate", "study", "symmetric", "--json", "-"]) == 0
     row = document(capsys)["sweeps"][0]["cases"][0]
     got = (row["first_segment_m"], row["end_x_m"], row["end_y_m"], row["error_distance_m"])
     assert got == pytest.approx((4.9, 8.052432, 7.803350, 0.203520), abs=0.5e-6)  # digits printed
@@ -46,7 +45,7 @@ def test_symmetric_study_gives_fig_12(capsys: pytest.CaptureFixture[str]) -> Non
 
 @pytest.mark.usefixtures("drawn_once")
 def test_corrected_study_gives_fig_16_and_the_headline(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["simulate", "corrected", "--output", str(tmp_path), "--json", "-"]) == 0
+    assert run(["simulate", "study", "corrected", "--output", str(tmp_path), "--json", "-"]) == 0
     found = document(capsys)
     right = next(line for line in found["headline"] if line["which"] == "right")
     assert (right["without_m"], right["corrected_m"]) == pytest.approx((1.24753, 0.07375), abs=0.5e-5)  # digits printed
@@ -63,9 +62,9 @@ def test_table_1_and_fig_15_come_from_coefficients_or_campaign_alike(
     campaign: Path, coefficients: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     common = ["--draws", "500", "--seed", "4", "--json", "-"]
-    assert run(["simulate", "asymmetric", "--law", str(campaign), "--output", str(tmp_path), *common]) == 0
+    assert run(["simulate", "study", "asymmetric", "--law", str(campaign), "--output", str(tmp_path), *common]) == 0
     by_campaign = document(capsys)
-    assert run(["simulate", "asymmetric", "--model", str(coefficients), *common]) == 0
+    assert run(["simulate", "study", "asymmetric", "--model", str(coefficients), *common]) == 0
     by_file = document(capsys)
     assert by_campaign["law"]["table"] == by_file["law"]["table"]
     assert by_campaign["law"]["journeys"] == by_file["law"]["journeys"]
@@ -77,8 +76,8 @@ def test_table_1_and_fig_15_come_from_coefficients_or_campaign_alike(
 
 def test_a_study_of_ones_own(capsys: pytest.CaptureFixture[str]) -> None:
     """Radii believed and real, on a square: both directions, real track another."""
-    arguments = ["--route", "square_cw", "--route", "square_ccw", "--real", "0.099,0.1", "--believed", "0.1,0.1"]
-    assert run(["simulate", "custom", *arguments, "--real-track", "0.702", "--json", "-"]) == 0
+    arguments = ["square_cw", "square_ccw", "--real", "0.099,0.1", "--believed", "0.1,0.1"]
+    assert run(["simulate", "route", *arguments, "--real-track", "0.702", "--json", "-"]) == 0
     found = document(capsys)
     assert [sweep["route"] for sweep in found["sweeps"]] == ["square_cw", "square_ccw"]
     ends = [sweep["cases"][0]["error_distance_m"] for sweep in found["sweeps"]]
@@ -87,7 +86,7 @@ def test_a_study_of_ones_own(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_payload_and_wheel_loads_say_the_same(coefficients: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    common = ["simulate", "custom", "--law", str(coefficients), "--draws", "200", "--json", "-"]
+    common = ["simulate", "journey", "--law", str(coefficients), "--draws", "200", "--json", "-"]
     assert run([*common, "--payload", "100,0.5,0.1"]) == 0
     by_payload = document(capsys)["law"]["journeys"][0]
     loads = f"{by_payload['load_left_N']!r},{by_payload['load_right_N']!r}"
@@ -99,7 +98,7 @@ def test_payload_and_wheel_loads_say_the_same(coefficients: Path, capsys: pytest
 def test_a_payload_put_on_the_way_and_taken_off_again(
     coefficients: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    common = ["simulate", "custom", "--law", str(coefficients), "--draws", "200"]
+    common = ["simulate", "journey", "--law", str(coefficients), "--draws", "200"]
     changes = ["--payload-at", "10,0,0,0", "--payload-at", "5,100,0.5,0.1"]
     assert run([*common, *changes, "--output", str(tmp_path), "--json", "-"]) == 0
     path = document(capsys)["law"]["path"]
@@ -117,13 +116,13 @@ def test_a_payload_put_on_the_way_and_taken_off_again(
 
 
 def test_trajectories_are_written_and_followed_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["simulate", "symmetric", "--tum", str(tmp_path)]) == 0
+    assert run(["simulate", "study", "symmetric", "--tum", str(tmp_path)]) == 0
     capsys.readouterr()
     t, poses = read_tum(tmp_path / "fig12_equal_0.98.tum")
     assert float(t[-1]) == pytest.approx((10 + 1.5 * 3.141592653589793) / 0.5, rel=1e-12)
     assert float(poses.x_m[-1]) == pytest.approx(8.052432, abs=0.5e-6)
     route = str(tmp_path / "fig12_route.tum")
-    assert run(["simulate", "custom", "--route", route, "--wheel", "equal", "--ratio", "0.98", "--json", "-"]) == 0
+    assert run(["simulate", "route", route, "--wheel", "equal", "--ratio", "0.98", "--json", "-"]) == 0
     row = document(capsys)["sweeps"][0]["cases"][0]
     assert (row["end_x_m"], row["end_y_m"]) == pytest.approx((8.052432, 7.803350), abs=0.5e-6)
 
@@ -132,7 +131,7 @@ def test_trajectories_are_written_and_followed_again(tmp_path: Path, capsys: pyt
 def test_replay_shows_what_the_correction_is_worth(
     campaign: Path, coefficients: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    arguments = ["simulate", "--replay", str(campaign), "--law", str(coefficients), "--output", str(tmp_path / "out")]
+    arguments = ["simulate", "replay", str(campaign), "--law", str(coefficients), "--output", str(tmp_path / "out")]
     assert run([*arguments, "--tum", str(tmp_path / "tum"), "--json", "-"]) == 0
     found = document(capsys)
     assert found["simulated"] is True
@@ -151,27 +150,11 @@ def test_the_schemes_differ_in_replay_as_their_order_says(
 ) -> None:
     ends = {}
     for scheme in ("exact", "mid_point", "end_point"):
-        arguments = ["simulate", "--replay", str(campaign), "--law", str(coefficients), "--scheme", scheme]
+        arguments = ["simulate", "replay", str(campaign), "--law", str(coefficients), "--scheme", scheme]
         assert run([*arguments, "--json", "-"]) == 0
         ends[scheme] = [row["corrected_lateral_m"] for row in document(capsys)["runs"]]
     gap = [max(abs(a - b) for a, b in zip(ends["exact"], ends[s], strict=True)) for s in ("mid_point", "end_point")]
     assert gap[0] < 1e-3 * gap[1]
-
-
-@pytest.mark.parametrize(
-    ("earlier", "today"),
-    [
-        ("--replay C --law L --seed 3", "replay C --law L --seed 3"),
-        ("--law L --replay=C", "replay --law L C"),
-        ("corrected --law L", "study corrected --law L"),
-        ("custom --route a --route b --real 1,1", "route a b --real 1,1"),
-        ("custom --route a --law L --payload-at 1,2,3,4", "journey a --law L --payload-at 1,2,3,4"),
-        ("study corrected", "study corrected"),
-        ("--help", "--help"),
-    ],
-)
-def test_earlier_spellings_are_todays_commands(earlier: str, today: str) -> None:
-    assert respelled(["simulate", *earlier.split()]) == ["simulate", *today.split()]
 
 
 def test_the_list_of_simulations_is_shown_where_none_is_named(capsys: pytest.CaptureFixture[str]) -> None:
@@ -185,22 +168,21 @@ def test_the_list_of_simulations_is_shown_where_none_is_named(capsys: pytest.Cap
     [
         (["sideways"], "sideways"),
         (["study", "symetric"], "did you mean 'symmetric'"),
-        (["custom"], "--real"),
-        (["custom", "--ratio", "0"], "ratio of radii"),
-        (["custom", "--ratio", "1", "--wheel", "front"], "which wheel"),
-        (["custom", "--ratio", "x"], "--ratio"),
-        (["custom", "--believed", "0.1,0.1"], "--real"),
-        (["custom", "--real", "0.1,-0.1"], "radius of 0 or below"),
-        (["symmetric", "--route", "spiral"], "figure8"),
-        (["symmetric", "--load", "300,300"], "--law"),
-        (["symmetric", "--payload-at", "1,50,0,0"], "'calib simulate journey' has it"),
-        (["--replay", "nowhere", "--payload-at", "1,50,0,0"], "'calib simulate journey' has it"),
+        (["route"], "--real"),
+        (["route", "--ratio", "0"], "ratio of radii"),
+        (["route", "--ratio", "1", "--wheel", "front"], "which wheel"),
+        (["route", "--ratio", "x"], "--ratio"),
+        (["route", "--believed", "0.1,0.1"], "--real"),
+        (["route", "--real", "0.1,-0.1"], "radius of 0 or below"),
+        (["study", "symmetric", "--route", "spiral"], "figure8"),
+        (["study", "symmetric", "--load", "300,300"], "--law"),
+        (["study", "symmetric", "--payload-at", "1,50,0,0"], "'calib simulate journey' has it"),
+        (["replay", "nowhere", "--payload-at", "1,50,0,0"], "'calib simulate journey' has it"),
         (["journey"], "--law"),
-        (["symmetric", "--track", "-1"], "track"),
-        (["symmetric", "--speed", "0"], "--speed"),
-        (["symmetric", "--law", "nowhere"], "nowhere"),
-        (["symmetric", "--replay", "nowhere"], "--replay"),
-        (["--replay", "nowhere"], "nowhere"),
+        (["study", "symmetric", "--track", "-1"], "track"),
+        (["study", "symmetric", "--speed", "0"], "--speed"),
+        (["study", "symmetric", "--law", "nowhere"], "nowhere"),
+        (["replay", "nowhere"], "nowhere"),
     ],
 )
 def test_impossible_requests_are_refused_in_one_line(
@@ -227,7 +209,7 @@ def test_impossible_requests_are_refused_in_one_line(
 def test_impossible_loads_on_the_way_are_refused_in_one_line(
     change: str, words: str, coefficients: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run(["simulate", "custom", "--law", str(coefficients), "--payload-at", *change.split()]) != 0
+    assert run(["simulate", "journey", "--law", str(coefficients), "--payload-at", *change.split()]) != 0
     said = capsys.readouterr()
     assert words in said.err
     assert said.err.count("\n") == 1
@@ -238,7 +220,7 @@ def test_the_same_seed_gives_the_same_text_and_another_one_other_draws(
 ) -> None:
     made = []
     for seed in ("9", "9", "10"):
-        arguments = ["simulate", "corrected", "--law", str(coefficients), "--draws", "300", "--seed", seed]
+        arguments = ["simulate", "study", "corrected", "--law", str(coefficients), "--draws", "300", "--seed", seed]
         assert run([*arguments, "--json", "-"]) == 0
         made.append(capsys.readouterr().out)
     assert made[0] == made[1] != made[2]

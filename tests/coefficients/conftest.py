@@ -47,7 +47,7 @@ def file(law: RadiusLaw) -> CoefficientFile:
 
 @pytest.fixture(scope="session")
 def loadless(law: RadiusLaw) -> CoefficientFile:
-    """What a geometry without loads leaves: slope 0 with a spread, all loads valid, no degrees of freedom."""
+    """As from a geometry without loads: slope 0 with a standard deviation, all loads valid, no degrees of freedom."""
     left, right = (
         replace(
             wheel, slope_m_per_N=0.0, covariance=np.diag([9e-12, 1e-12]), dof=0.0, load_min_N=0.0, load_max_N=5000.0

@@ -120,7 +120,7 @@ def test_the_bound_of_the_integer_form_holds_for_any_law(
         assert 0 < form.radius_nm(at) < 2**31
 
 
-def test_outside_the_range_the_header_does_as_the_file_says(file: CoefficientFile, tmp_path: Path) -> None:
+def test_outside_the_range_the_header_follows_the_rule_of_the_file(file: CoefficientFile, tmp_path: Path) -> None:
     loads = np.array([0.0, 199.9, 1100.5, 5000.0])
     refused = ask(build(file, tmp_path), loads)
     assert (refused[:, :4] == 2).all()
@@ -161,7 +161,7 @@ def test_a_law_that_32_bits_cannot_hold_is_refused(file: CoefficientFile) -> Non
 
 
 def test_the_comment_of_a_wheel_and_its_values_agree(file: CoefficientFile, tmp_path: Path) -> None:
-    """Reference load, radius and slope: as the comment says, as defined, and as the compiled law gives them."""
+    """Reference load, radius and slope: in the comment, as defined, and by the compiled law."""
     header = export(file, "c")[0].data.decode()
     found = ask(build(file, tmp_path), np.array([300.0, 301.0]))
     for column, side in ((4, "left"), (5, "right")):
@@ -180,7 +180,7 @@ def test_the_comment_of_a_wheel_and_its_values_agree(file: CoefficientFile, tmp_
 
 
 def test_a_law_that_no_load_changes_compiles_and_is_one_radius(loadless: CoefficientFile, tmp_path: Path) -> None:
-    """From no load to the most the vehicle may carry, in both forms."""
+    """From zero to the largest load of the vehicle, in both forms."""
     found = ask(build(loadless, tmp_path), np.array([0.0, 300.0, 5000.0]))
     assert (found[:, :4] == 0).all()
     assert (found[:, 4] == 0.0990).all() and (found[:, 5] == 0.0991).all()

@@ -54,7 +54,7 @@ def test_the_same_input_gives_the_same_bytes_on_any_day(law: RadiusLaw) -> None:
     assert json.loads(made[0])["created"] is None
 
 
-def test_every_number_stands_beside_its_unit(file: CoefficientFile) -> None:
+def test_every_number_has_its_unit(file: CoefficientFile) -> None:
     document = file.to_dict()
     numbers = 0
     for path, value in leaves(document):
@@ -67,7 +67,7 @@ def test_every_number_stands_beside_its_unit(file: CoefficientFile) -> None:
     assert numbers > 40
 
 
-def test_the_checksum_is_sha256_of_the_sorted_rest_with_all_numbers_as_doubles(file: CoefficientFile) -> None:
+def test_the_checksum_is_sha256_of_all_other_sorted_fields_with_all_numbers_as_doubles(file: CoefficientFile) -> None:
     """The definition of the format, written out a second time with parse_int."""
     document = json.loads(file.to_bytes(), parse_int=float)
     stated = document.pop("checksum")
@@ -86,7 +86,7 @@ def test_reformatting_keeps_the_checksum(file: CoefficientFile, tmp_path: Path) 
 @settings(deadline=None, max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_no_altered_value_passes(file: CoefficientFile, tmp_path: Path, data: st.DataObject) -> None:
-    """Whatever leaf is changed, to whatever, the file is refused in one line."""
+    """For any changed leaf and any value the file is refused in one line."""
     document = file.to_dict()
     path, old = data.draw(st.sampled_from(list(leaves(document))))
     other = st.one_of(
@@ -103,7 +103,7 @@ def test_no_altered_value_passes(file: CoefficientFile, tmp_path: Path, data: st
     "content",
     [b"", b"{", b"[]", b"{}", b'{"format": "calib-coefficients/2"}', b"\xff\xfe", b"[" * 100_000, b'{"a":1,"a":2}'],
 )
-def test_what_is_no_coefficient_file_is_refused_in_one_line(tmp_path: Path, content: bytes) -> None:
+def test_other_content_is_refused_in_one_line(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "c.json"
     path.write_bytes(content)
     with pytest.raises(BadFileError) as caught:
@@ -128,7 +128,7 @@ def test_radii_follow_the_line_of_each_wheel(file: CoefficientFile) -> None:
 
 
 @pytest.mark.parametrize("loads", [(199.9, 300.0), (300.0, 1050.1), (300.0, 212.5)])
-def test_a_load_outside_the_range_is_refused_or_clamped_as_the_file_says(
+def test_a_load_outside_the_range_is_refused_or_clamped_as_the_file_states(
     file: CoefficientFile, loads: tuple[float, float]
 ) -> None:
     with pytest.raises(RefusedError, match="wheel load"):
@@ -149,7 +149,7 @@ def test_the_valid_range_reaches_outwards_to_whole_millinewtons(file: Coefficien
     assert file.law.right.load_max_N == 1050.0
 
 
-def test_the_valid_range_leaves_room_for_the_scatter_of_weighing(law: RadiusLaw) -> None:
+def test_the_valid_range_has_a_margin_for_the_scatter_of_weighing(law: RadiusLaw) -> None:
     """1 % of the span measured, 1 N at least, never below zero."""
     made = from_law(law, Vehicle(), Encoder(), Header("n", False)).law
     assert (made.left.load_min_N, made.left.load_max_N) == (191.0, 1109.0)
@@ -158,7 +158,7 @@ def test_the_valid_range_leaves_room_for_the_scatter_of_weighing(law: RadiusLaw)
     assert (made.left.load_min_N, made.left.load_max_N) == (0.0, 2.5)
 
 
-def test_law_and_vehicle_come_back_as_they_went_in(file: CoefficientFile, law: RadiusLaw) -> None:
+def test_law_and_vehicle_are_those_of_the_input(file: CoefficientFile, law: RadiusLaw) -> None:
     for wheel, given_ in ((file.law.left, law.left), (file.law.right, law.right)):
         np.testing.assert_array_equal(wheel.covariance, given_.covariance)
         assert (wheel.radius_ref_m, wheel.slope_m_per_N, wheel.dof, wheel.n_runs) == (

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 from calib.campaign.model import Campaign
+from calib.coefficients.build import from_geometry
 from calib.coefficients.export import export
 from calib.coefficients.file import CoefficientFile, load_coefficients
-from calib.coefficients.from_geometry import from_geometry
-from calib.coefficients.loads import LoadPair
+from calib.coefficients.formats import LoadPair
 from calib.errors import RefusedError
-from calib.geometry.estimate import estimate_geometry
-from calib.geometry.result import Geometry
-from calib.motion.pose_covariance import parameter_covariance
-from tests.geometry.campaigns import Truth, campaign, mixed
+from calib.kinematics.estimate import estimate_geometry
+from calib.kinematics.result import Geometry
+from calib.odometry.pose_covariance import parameter_covariance
+from tests.kinematics.campaigns import Truth, campaign, mixed
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +31,7 @@ def geometry(made: Campaign) -> Geometry:
 
 
 def test_the_file_holds_radii_track_and_their_joint_covariance(made: Campaign, geometry: Geometry) -> None:
-    """The laws' joint covariance has the estimate's own terms, those that couple left, right and track among them."""
+    """The laws' joint covariance has the estimate's own terms, with those that couple left, right and track."""
     file = from_geometry(geometry, made)
     assert file.law.left.radius_ref_m == geometry["radius_left_m"].value
     assert file.geometry.track_m == geometry["track_m"].value
@@ -40,8 +40,8 @@ def test_the_file_holds_radii_track_and_their_joint_covariance(made: Campaign, g
     assert joint[0, 2] != 0.0
 
 
-def test_without_loads_the_slope_is_nought_and_its_ignorance_stated(made: Campaign, geometry: Geometry) -> None:
-    """A radius is the less certain the further its load is from the one driven."""
+def test_without_loads_the_slope_is_zero_with_its_standard_deviation(made: Campaign, geometry: Geometry) -> None:
+    """The uncertainty of a radius grows with the distance from the load driven."""
     law = from_geometry(geometry, made).law.left
     assert law.slope_m_per_N == 0.0
     near, far = law.mean_std_m([law.reference_load_N, law.reference_load_N + 1000.0])
@@ -63,7 +63,7 @@ def test_a_file_without_a_joint_geometry_is_as_it_was(file: CoefficientFile) -> 
     assert parameter_covariance(file.law)[0, 2] == 0.0
 
 
-def test_ros2_writes_the_calibrated_separation_and_says_where_it_is_nominal(
+def test_ros2_writes_the_calibrated_separation_and_states_where_it_is_nominal(
     made: Campaign, geometry: Geometry, file: CoefficientFile
 ) -> None:
     text = export(from_geometry(geometry, made), "ros2", [LoadPair(300.0, 300.0)])[0].data.decode()
@@ -72,7 +72,7 @@ def test_ros2_writes_the_calibrated_separation_and_says_where_it_is_nominal(
     assert "# NOT calibrated: the nominal track" in export(file, "ros2")[0].data.decode()
 
 
-def test_a_gross_fault_reaches_no_vehicle(made: Campaign) -> None:
+def test_a_blunder_is_not_exported(made: Campaign) -> None:
     off = campaign(mixed(2), Truth(), np.random.default_rng(2), nominal=(0.05, 0.05, 0.2))
     with pytest.raises(RefusedError, match="twice the track"):
         from_geometry(estimate_geometry(off), off)

@@ -16,9 +16,8 @@ from calib.campaign.settings import Encoder
 from calib.coefficients.build import Header, from_law
 from calib.coefficients.export import export
 from calib.coefficients.file import CoefficientFile
-from calib.coefficients.formats import FORMATS, ros2_covariance
-from calib.coefficients.formats.ros2_controllers import CONTROLLERS, OF_DRIVE
-from calib.coefficients.loads import ExportOptions, LoadPair
+from calib.coefficients.formats import FORMATS, ExportOptions, LoadPair, ros2
+from calib.coefficients.formats.ros2 import CONTROLLERS, OF_DRIVE
 from calib.errors import BadInputError, RefusedError
 from calib.radius.law import RadiusLaw
 from calib.runtime import Coefficients, Odometer
@@ -102,7 +101,7 @@ def test_every_parameter_is_one_that_its_controller_declares(file: CoefficientFi
         assert set(values) == set(DECLARED[controller])
 
 
-def test_a_controller_can_be_named_whatever_the_drive(file: CoefficientFile) -> None:
+def test_a_controller_can_be_chosen_for_any_drive(file: CoefficientFile) -> None:
     for name in CONTROLLERS:
         assert list(parameters(file, LOAD, controllers=(name,))) == [name]
     with pytest.raises(BadInputError, match="expected one of diff_drive_controller"):
@@ -135,14 +134,14 @@ def driven(file: CoefficientFile, travels: list[tuple[float, float]]) -> np.ndar
 
 
 def test_the_pose_variances_are_those_of_the_vehicles_own_odometry(file: CoefficientFile) -> None:
-    """Driven for real: a straight by the runtime gives x and y; yaw has beside it a turn to either side, halved."""
+    """The runtime drives a straight for x and y; yaw adds the mean of a left and a right turn."""
     diagonal = parameters(file, LOAD)["diff_drive_controller"]["pose_covariance_diagonal"]
-    way, steps = ros2_covariance.WAY_M, 2000
-    straight = driven(file, [(way / steps, way / steps)] * steps)
+    length, steps = ros2.PATH_M, 2000
+    straight = driven(file, [(length / steps, length / steps)] * steps)
     # the sum of a random walk in steps against its integral: 1.5 / steps of the part of y
     assert diagonal[:2] == pytest.approx([straight[0, 0], straight[1, 1]], rel=2e-3)
-    arc = 0.5 * file.vehicle.track.value * ros2_covariance.TURN_RAD
-    turns = [driven(file, [(way, way), (-side * arc, side * arc)])[2, 2] for side in (1.0, -1.0)]
+    arc = 0.5 * file.vehicle.track.value * ros2.TURN_RAD
+    turns = [driven(file, [(length, length), (-side * arc, side * arc)])[2, 2] for side in (1.0, -1.0)]
     assert diagonal[5] == pytest.approx(np.mean(turns), rel=SIX_DIGITS)
     assert diagonal[2:5] == [1e6] * 3
 
@@ -159,19 +158,19 @@ def test_an_uncertain_track_shows_in_the_yaw_alone(file: CoefficientFile) -> Non
         assert not growth[:5].any()
 
 
-def test_a_steering_that_nobody_calibrated_is_said_to_be_assumed(file: CoefficientFile) -> None:
+def test_a_steering_without_calibration_is_stated_as_assumed(file: CoefficientFile) -> None:
     """One degree of steering zero turns a vehicle of one metre wheelbase by one degree a metre."""
     text = export(file, "ros2", [LOAD])[0].data.decode()
     assert "assumed, since not calibrated: front_radius_m, wheelbase_m, steering_zero_rad, steering_scale" in text
     yaw = parameters(file, LOAD)["tricycle_steering_controller"]["pose_covariance_diagonal"][5]
-    assert yaw > (ros2_covariance.WAY_M * math.radians(1.0)) ** 2
+    assert yaw > (ros2.PATH_M * math.radians(1.0)) ** 2
     way = [parameters(file, LOAD)[name]["pose_covariance_diagonal"][0] for name in OF_DRIVE["tricycle"]]
     assert way[0] == way[2] < way[1]
 
 
 @pytest.mark.parametrize("drive", DRIVES)
 def test_a_vehicle_that_drove_no_loads_exports_in_every_format(loadless: CoefficientFile, drive: str) -> None:
-    """One ROS 2 file, since the radii are the same at any load, and it says so; what is not known stays empty."""
+    """One ROS 2 file with a comment, since the radii are the same at any load; unknown numbers stay empty."""
     file = of_drive(loadless, drive)
     text = {to: export(file, to)[0].data.decode() for to in FORMATS}
     assert all(len(export(file, to)) == 1 for to in FORMATS)
@@ -182,8 +181,8 @@ def test_a_vehicle_that_drove_no_loads_exports_in_every_format(loadless: Coeffic
     assert tuple(parameters(file)) == OF_DRIVE[drive]
 
 
-def test_the_drive_comes_through_the_file_and_the_usual_one_leaves_no_trace(law: RadiusLaw) -> None:
-    """A tricycle's file is byte for byte what it was before files knew drives."""
+def test_the_drive_is_in_the_file_unless_it_is_a_tricycle(law: RadiusLaw) -> None:
+    """The file of a tricycle has no key of the drive."""
     for drive in get_args(Drive):
         file = from_law(law, Vehicle(drive=drive), Encoder(), Header("n", True))
         assert file.geometry.drive == drive

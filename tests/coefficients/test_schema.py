@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from calib import coefficients
 from calib.coefficients.file import CoefficientFile
-from calib.files import to_json
+from calib.documents import to_json
 
 COMMITTED = Path(coefficients.__file__).with_name("coefficients.schema.json")
 

@@ -11,8 +11,7 @@ from scipy.special import stdtrit
 
 from calib.coefficients.export import export, parse_loads
 from calib.coefficients.file import CoefficientFile
-from calib.coefficients.formats import FORMATS
-from calib.coefficients.loads import LoadPair
+from calib.coefficients.formats import FORMATS, LoadPair
 from calib.errors import BadInputError, RefusedError
 
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import importlib
 import re
 from pathlib import Path
 from typing import get_type_hints
 
 import pytest
 
-from calib.cli.main import COMMANDS, SUMMARIES, run
+from calib.cli.main import run
+from calib.cli.registry import COMMANDS, SUMMARIES, function_of, module_of
 
 CLI = Path(__file__).resolve().parents[2] / "calib" / "cli"
 EVERY = [tuple(name.split()) for name in COMMANDS]
@@ -21,40 +21,32 @@ def _help(arguments: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> str
 
 
 def test_every_file_of_a_command_is_registered() -> None:
-    files = {
-        ".".join(path.relative_to(CLI).with_suffix("").parts)
-        for path in CLI.rglob("*.py")
-        if "\nEPILOG = " in path.read_text(encoding="utf-8")
-    }
-    assert files == set(COMMANDS.values())
+    files = {f"calib.cli.{path.stem}" for path in CLI.glob("*.py") if "Example: calib" in path.read_text("utf-8")}
+    assert files - {"calib.cli.registry"} == {module_of(name) for name in COMMANDS}
 
 
-@pytest.mark.parametrize("name", COMMANDS)
-def test_a_command_is_a_function_whose_options_all_say_what_they_are(name: str) -> None:
-    """Nothing is nested: ``run`` can be called and followed from outside, and each parameter has its help."""
-    function = importlib.import_module(f"calib.cli.{COMMANDS[name]}").run
-    for parameter, hint in get_type_hints(function, include_extras=True).items():
-        if parameter != "return":
-            assert hint.__metadata__[0].help, parameter
+def test_a_command_is_a_function_whose_options_all_say_what_they_are() -> None:
+    """Nothing is nested: the function can be called and followed from outside, and each parameter has its help."""
+    for name in COMMANDS:
+        for parameter, hint in get_type_hints(function_of(name), include_extras=True).items():
+            assert parameter == "return" or hint.__metadata__[0].help, f"{name}: {parameter}"
 
 
 def test_every_command_has_a_summary() -> None:
     assert set(COMMANDS) <= set(SUMMARIES)
 
 
-@pytest.mark.parametrize("arguments", EVERY, ids=" ".join)
-def test_help_shows_an_example(arguments: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
-    shown = " ".join(_help(arguments, capsys).split())
-    assert re.search(r"Examples?: .*\bcalib " + " ".join(arguments), shown)
+def test_help_shows_an_example(capsys: pytest.CaptureFixture[str]) -> None:
+    for arguments in EVERY:
+        shown = " ".join(_help(arguments, capsys).split())
+        assert re.search(r"Examples?: .*\bcalib " + " ".join(arguments), shown), arguments
 
 
-@pytest.mark.parametrize("arguments", EVERY, ids=" ".join)
-def test_every_command_offers_json_and_never_overwrites_unasked(
-    arguments: tuple[str, ...], capsys: pytest.CaptureFixture[str]
-) -> None:
-    shown = _help(arguments, capsys)
-    assert "--json" in shown
-    assert "--force" in shown
+def test_every_command_offers_json_and_never_overwrites_unasked(capsys: pytest.CaptureFixture[str]) -> None:
+    for arguments in EVERY:
+        shown = _help(arguments, capsys)
+        assert "--json" in shown, arguments
+        assert "--force" in shown, arguments
 
 
 @pytest.mark.parametrize("arguments", EVERY, ids=" ".join)

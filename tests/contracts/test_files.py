@@ -1,45 +1,83 @@
-"""What holds of every file that is written by hand: its length, and that it speaks of the project alone."""
+"""What holds of every file that is written by hand: its size, and that it speaks of the project alone."""
 
 from __future__ import annotations
 
+import ast
 import re
 import subprocess
+from collections.abc import Iterator
 from pathlib import Path
-
-import pytest
+from typing import Final
 
 ROOT = Path(__file__).resolve().parents[2]
-SOURCES = sorted((ROOT / "calib").rglob("*.py"))
-MOST_LINES = 450
+PACKAGE = ROOT / "calib"
+SOURCES = sorted(PACKAGE.rglob("*.py"))
+#: lines of a function without its docstring: what fits on a screen
+MOST_IN_FUNCTION: Final = 60
+#: lines of a file: what can be read in one go
+MOST_IN_FILE: Final = 400
+#: lines below which a file is a fragment of another topic; a package's ``__init__`` may be shorter
+LEAST_IN_FILE: Final = 25
 #: a folder of one machine: it holds nowhere else; placeholders such as /path/to are none
 MACHINE = re.compile(r"(?<![\w.~<-])/(?:home|Users|root|opt|tmp|work|mnt)/\w")
 
 
-def _written() -> list[Path]:
+def _lines(path: Path) -> int:
+    return path.read_text(encoding="utf-8").count("\n")
+
+
+def _long_functions(text: str) -> Iterator[tuple[str, int]]:
+    """Yield name and lines of the functions that are too long, docstrings aside."""
+    for node in ast.walk(ast.parse(text)):
+        if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            continue
+        first = node.body[0]
+        documented = ast.get_docstring(node) is not None
+        lines = node.end_lineno - node.lineno + 1 - (first.end_lineno - first.lineno + 1 if documented else 0)
+        if lines > MOST_IN_FUNCTION:
+            yield node.name, lines
+
+
+def _tracked() -> list[Path]:
     """Return the files under version control; those of the folders where there is none (an unpacked archive)."""
     try:
         listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
         files = [ROOT / line for line in listed.splitlines()]
     except (OSError, subprocess.CalledProcessError):
-        files = [one for room in ("calib", "tests", "docs", "sample_runs") for one in (ROOT / room).rglob("*")]
+        files = [one for folder in ("calib", "tests", "docs", "sample_runs") for one in (ROOT / folder).rglob("*")]
     texts = {".py", ".md", ".toml", ".json", ".h", ".c", ".typ", ".yaml", ""}
     return [one for one in files if one.is_file() and one.suffix in texts and "__pycache__" not in one.parts]
 
 
-@pytest.mark.parametrize("path", SOURCES, ids=lambda p: str(p.relative_to(ROOT)))
-def test_a_file_holds_one_idea(path: Path) -> None:
-    assert len(path.read_text(encoding="utf-8").splitlines()) <= MOST_LINES
+def test_a_function_fits_on_a_screen() -> None:
+    """No function has more than 60 lines beside its docstring."""
+    too_long = [(path.name, *found) for path in SOURCES for found in _long_functions(path.read_text(encoding="utf-8"))]
+    assert not too_long
+
+
+def test_a_file_is_neither_a_fragment_nor_too_long_to_read() -> None:
+    sizes = {path.relative_to(PACKAGE).as_posix(): _lines(path) for path in SOURCES}
+    assert {name: lines for name, lines in sizes.items() if lines > MOST_IN_FILE} == {}
+    fragments = {name: lines for name, lines in sizes.items() if lines < LEAST_IN_FILE and "__init__" not in name}
+    assert fragments == {}
+
+
+def test_the_measure_counts_lines_but_not_the_docstring() -> None:
+    """61 lines of code are too many, 60 are not, however long the docstring is."""
+    docstring = '    """' + "\n    word" * 30 + '\n    """\n'
+    for lines, too_long in ((60, 0), (61, 1)):
+        assert len(list(_long_functions("def f():\n" + docstring + "    x = 1\n" * (lines - 1)))) == too_long
 
 
 def test_no_file_names_a_folder_of_one_machine() -> None:
-    found = []
-    for path in _written():
-        if path == Path(__file__).resolve():
-            continue
-        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
-            if MACHINE.search(line):
-                found.append(f"{path.relative_to(ROOT)}:{number}: {line.strip()[:80]}")
-    assert not found
+    places = [
+        f"{path.relative_to(ROOT)}:{number}: {line.strip()[:80]}"
+        for path in _tracked()
+        if path != Path(__file__).resolve()
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1)
+        if MACHINE.search(line)
+    ]
+    assert not places
 
 
 def test_the_package_carries_what_it_needs_beside_code() -> None:
@@ -48,7 +86,9 @@ def test_the_package_carries_what_it_needs_beside_code() -> None:
         "py.typed",
         "coefficients/coefficients.schema.json",
         "coefficients/formats/c_runtime.h",
-        "report/page.typ",
+        "reporting/page.typ",
+        "reporting/page.html.j2",
+        "reporting/scripts/choose.js",
         "challenge/seeds/scoring.toml",
     ):
-        assert (ROOT / "calib" / name).is_file(), name
+        assert (PACKAGE / name).is_file(), name

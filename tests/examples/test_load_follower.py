@@ -48,7 +48,7 @@ def turn(follower: LoadFollower, angles_rad: np.ndarray, start_s: float = 0.0) -
     return [follower.feed_angles(angle, angle, start_s + PERIOD_S * i) for i, angle in enumerate(angles_rad)]
 
 
-def test_loads_in_radii_out(follower: LoadFollower, file: CoefficientFile) -> None:
+def test_radii_follow_the_loads(follower: LoadFollower, file: CoefficientFile) -> None:
     """The radii in force are those of the law at the load that was fed last."""
     for i, loads in enumerate([(300.0, 310.0), (900.0, 700.0), (400.0, 1000.0)]):
         assert follower.feed_loads(*loads, t_s=i) is Status.OK
@@ -58,10 +58,10 @@ def test_loads_in_radii_out(follower: LoadFollower, file: CoefficientFile) -> No
         )
 
 
-def test_a_load_that_changes_on_the_way_changes_the_way(
+def test_a_load_that_changes_while_driving_changes_the_path(
     follower: LoadFollower, odometer: Odometer, file: CoefficientFile
 ) -> None:
-    """Way of the vehicle's middle: the angle turned under each load times the mean of the radii at that load."""
+    """Path of the vehicle's middle: the angle turned under each load times the mean of the radii at that load."""
     angles = np.linspace(0.0, 20.0, 101)
     way = 0.0
     for part, load in enumerate((320.0, 1050.0)):
@@ -75,7 +75,7 @@ def test_a_load_that_changes_on_the_way_changes_the_way(
     assert last.speed_mps == pytest.approx(0.2 / PERIOD_S * 0.5 * float(left + right), rel=1e-6)
 
 
-def test_a_recorded_run_ends_where_the_rangefinder_says(odometer: Odometer, corridor: Path) -> None:
+def test_a_recorded_run_ends_at_the_distance_of_the_rangefinder(odometer: Odometer, corridor: Path) -> None:
     """The heaviest run, by its own weighed loads; the radii at the reference load miss by far more."""
     with (corridor / "runs.csv").open(encoding="utf-8") as stream:
         run = max(csv.DictReader(stream), key=lambda row: float(row["load_left_N"]))
@@ -99,7 +99,7 @@ def test_a_recorded_run_ends_where_the_rangefinder_says(odometer: Odometer, corr
 
 
 def test_loads_are_smoothed_by_their_time_constant(odometer: Odometer) -> None:
-    """After one time constant a step has come through but for 1/e, however the samples lie."""
+    """After one time constant a step has reached 1 - 1/e, for any sampling."""
     for steps in (1, 7):
         follower = LoadFollower(odometer, settling_s=2.0)
         follower.feed_loads(400.0, 400.0, 0.0)
@@ -128,7 +128,7 @@ def test_a_refused_load_stops_the_odometry_until_a_valid_one_comes(follower: Loa
     assert after.x_m / before.x_m == pytest.approx(1.2, rel=1e-6)
 
 
-def test_a_stray_sample_costs_nothing_and_a_lasting_fault_is_given_up(follower: LoadFollower) -> None:
+def test_a_single_bad_sample_is_ignored_and_a_lasting_fault_stops(follower: LoadFollower) -> None:
     follower.feed_loads(400.0, 400.0, 0.0)
     turn(follower, np.linspace(0.0, 1.0, 11))
     assert follower.feed_angles(900.0, 1.1, 1.1) is None and follower.status is Status.JUMP
@@ -140,14 +140,14 @@ def test_a_stray_sample_costs_nothing_and_a_lasting_fault_is_given_up(follower: 
     assert offset[-1].x_m == odometry.x_m and offset[-1].speed_mps == 0.0
 
 
-def test_old_loads_hold_on_and_are_said_to_be_old(follower: LoadFollower) -> None:
+def test_old_loads_are_kept_and_flagged_as_old(follower: LoadFollower) -> None:
     follower.feed_loads(400.0, 400.0, 0.0)
     samples = turn(follower, np.zeros(31))
     assert [odometry.loads_are_old for odometry in samples if odometry] == [i * PERIOD_S > 2.0 for i in range(31)]
 
 
-def test_covariances_stand_in_the_order_of_ros(follower: LoadFollower, odometer: Odometer) -> None:
-    """Six by six, symmetric and positive; x, y, yaw as the runtime states them, the rest unseen."""
+def test_covariances_have_the_order_of_ros(follower: LoadFollower, odometer: Odometer) -> None:
+    """Six by six, symmetric and positive; x, y, yaw as the runtime states them, the others not measured."""
     follower.feed_loads(400.0, 900.0, 0.0)
     last = turn(follower, np.linspace(0.0, 30.0, 301))[-1]
     assert last
@@ -160,7 +160,7 @@ def test_covariances_stand_in_the_order_of_ros(follower: LoadFollower, odometer:
     np.testing.assert_array_equal(planar, odometer.covariance)
 
 
-def test_messages_of_other_joints_are_passed_over(follower: LoadFollower) -> None:
+def test_messages_of_other_joints_are_ignored(follower: LoadFollower) -> None:
     follower.feed_loads(400.0, 400.0, 0.0)
     joints = ("left", "right")
     assert follower.feed_joints(["arm", "left"], [0.0, 0.0], joints, 0.0) is None
@@ -187,7 +187,7 @@ def _names(node: ast.AST) -> list[str]:
     return [node.module or ""] if isinstance(node, ast.ImportFrom) else []
 
 
-def test_ros_is_at_the_edge_alone() -> None:
+def test_only_the_node_imports_ros() -> None:
     """The core imports the standard library and the runtime; only the node imports ROS, and no mathematics."""
     assert imported(FOLDER / "follower.py") <= {"__future__", "math", "collections", "dataclasses", "calib"}
     assert "rclpy" in imported(FOLDER / "node.py") and "math" not in imported(FOLDER / "node.py")

@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 
 from calib.campaign.write import write_campaign
-from calib.fleet.member_tasks import MemberRecord
+from calib.fleet.store import VehicleResult
 from calib.fleet.survey import survey_fleet
 from calib.plant.effects.form import Cause
 from calib.plant.make import make_campaign
@@ -64,7 +64,7 @@ def main() -> None:
     sys.stdout.write(f"{time.perf_counter() - begun:.0f} s at load {load:.1f}\n")
 
 
-def _causes(record: MemberRecord) -> list[dict[str, Any]]:
+def _causes(record: VehicleResult) -> list[dict[str, Any]]:
     return list(record.values.get("causes", ()))
 
 

@@ -25,11 +25,11 @@ from unittest import mock
 
 import numpy as np
 
-from calib.files import to_json
+from calib.documents import to_json
 from calib.fleet import run
-from calib.fleet.engines import run_tasks
 from calib.fleet.run import fit_fleet
 from calib.fleet.store import SUMS
+from calib.fleet.workers import run_tasks
 from tests.fleet.speeds import ROOT, at_once, dask_workers, fleet_in, say
 
 #: files done before something is killed: some, and far from all

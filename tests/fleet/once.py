@@ -15,7 +15,7 @@ import sys
 import time
 from pathlib import Path
 
-from calib.files import to_json
+from calib.documents import to_json
 from calib.fleet.run import fit_fleet
 
 

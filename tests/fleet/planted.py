@@ -13,11 +13,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from calib.fleet.part_sums import PartSums
-from calib.fleet.vehicle import VehicleRecord, record_of
+from calib.fleet.vehicle import PartSums, VehicleRecord, record_of
 from calib.fleet.view import FleetView, view_of
 from calib.plant.fleet import COUNTS_PER_REV, FleetSize, FleetTruth, PlannedFleet, plan_fleet
-from calib.radius.session_sums import SessionSums
+from calib.radius.sessions import SessionSums
 
 NOMINAL_M, REFERENCE_N = 0.1, 300.0
 

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 from calib.campaign.read import read_campaign
-from calib.files import to_json
+from calib.documents import to_json
 from calib.fleet import run
-from calib.fleet.engines import run_tasks
 from calib.fleet.run import Fleet, fit_fleet
 from calib.fleet.store import SUMS
+from calib.fleet.workers import run_tasks
 from calib.plant.fleet import FleetTruth
 from calib.radius.fit import fit_campaign
 

@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 import shutil
-from html import escape
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from markupsafe import escape
 
 from calib.campaign.read import read_campaign
 from calib.errors import BadInputError, CalibError
-from calib.fleet import member_tasks
-from calib.fleet.findings import shared_causes
-from calib.fleet.member_tasks import MemberRecord
+from calib.fleet import survey as survey_module
+from calib.fleet.comparison import shared_causes
 from calib.fleet.members import Member
+from calib.fleet.store import VehicleResult
 from calib.fleet.survey import survey_fleet
-from calib.geometry.estimate import estimate_geometry
-from calib.plant.posed_fleet import make_posed_fleet
-from calib.report.fleet_files import Heads, write_survey
+from calib.kinematics.estimate import estimate_geometry
+from calib.plant.fleet import make_posed_fleet
+from calib.reporting.files import Heads, write_survey
 
 ROOT = Path(__file__).resolve().parents[2]
 N_VEHICLES = 12
@@ -79,7 +79,7 @@ def test_geometry_of_a_fleet_has_populations_and_what_a_hall_shares(
         values = {"track_m": (track, 2e-5), "radius_left_m": (radius, 2e-6)}
         return {"estimates": {name: {"value": value, "sd": sd} for name, (value, sd) in values.items()}, "wrong": []}
 
-    monkeypatch.setattr(member_tasks, "_geometry", estimated)
+    monkeypatch.setattr(survey_module, "_geometry", estimated)
     survey = survey_fleet(fleet, tmp_path / "out", "geometry")
     assert survey.quantities is not None
     assert [outlier.vehicle for outlier in survey.quantities.outliers] == ["v05"]
@@ -128,7 +128,7 @@ def test_a_zone_that_a_hall_shares_is_said_with_its_place() -> None:
             causes.append({"effect": "floor_zone", "probability": 0.9, "x_m": (12.0, 12.0, 11.0)[k % 3], "size_m": 2.0})
         if k == 20:
             causes.append({"effect": "floor_zone", "probability": 0.9, "x_m": 4.0, "size_m": 2.0})
-        records.append(MemberRecord(f"v{k}", "key", {"verdict": "explained", "causes": causes}))
+        records.append(VehicleResult(f"v{k}", "key", {"verdict": "explained", "causes": causes}))
     sentences = [cause.sentence for cause in shared_causes(records, labels)]
     assert "7 of 8 vehicles with hall B: floor zone at x = 12 m" in sentences
     assert "24 of 24 vehicles: track_width" in sentences

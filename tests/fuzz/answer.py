@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from unittest import mock
 
-from calib.cli import main
+from calib.cli import failures, main, registry
 
 ALLOWED = {0, 1, 2, 130}
 LONGEST_S = 10.0
@@ -50,7 +50,7 @@ def _command(words: tuple[str, ...]) -> object:
     return _UNCACHED(list(words))
 
 
-_UNCACHED, _OPTIONS = main.command_of, functools.cache(main.options_of)
+_UNCACHED, _OPTIONS = main.command_of, functools.cache(failures.options_of)
 
 
 @contextlib.contextmanager
@@ -58,11 +58,10 @@ def built_once() -> Iterator[None]:
     """Keep the parsers of commands, which are the same for every call and take longer to make than most calls."""
 
     def command(arguments: list[str]) -> object:
-        words = [word for word in arguments if not word.startswith("-")]
-        names = [name for name in main.COMMANDS if words[: len(name.split())] == name.split()]
-        return _command(tuple(names[0].split() if names else words[:1]))
+        name = registry.command_called(arguments)
+        return _command(tuple((name or " ".join(arguments[:1])).split()))
 
-    with mock.patch.object(main, "command_of", command), mock.patch.object(main, "options_of", _OPTIONS):
+    with mock.patch.object(main, "command_of", command), mock.patch.object(failures, "options_of", _OPTIONS):
         yield
 
 

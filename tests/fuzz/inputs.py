@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import importlib
 import os
 import random
 import shutil
@@ -13,7 +12,7 @@ from pathlib import Path
 import typer
 
 from calib.cli.guard import ALSO, OUTPUTS, Application
-from calib.cli.main import COMMANDS
+from calib.cli.registry import COMMANDS, function_of
 from tests.fuzz.answer import Outcome, outcome
 from tests.fuzz.damage import WORDS, damaged, resealed
 from tests.fuzz.quantities import quantity_case
@@ -87,7 +86,7 @@ def file_case(base: Path, rng: random.Random) -> list[str]:
 def options(command: str) -> tuple[tuple[str, bool, bool], ...]:
     """Return every option of a command: its name, whether it is a flag, whether it says where something is written."""
     application = Application(add_completion=False)
-    application.command(command)(importlib.import_module(f"calib.cli.{COMMANDS[command]}").run)
+    application.command(command)(function_of(command))
     outputs = OUTPUTS | ALSO.get(command.rsplit(maxsplit=1)[-1], frozenset())
     return tuple(
         (parameter.opts[-1], bool(getattr(parameter, "is_flag", False)), parameter.name in outputs)
@@ -121,12 +120,12 @@ AIMS: dict[str, tuple[Case, ...]] = {"all": CASES, "quantities": (quantity_case,
 
 
 def outcomes(base: Path, count: int, seed: int, first: int = 0, aim: str = "all") -> Iterator[tuple[int, Outcome, str]]:
-    """Yield number, outcome and fault of `count` inputs; each number is one input, whatever came before."""
+    """Yield number, outcome and fault of `count` inputs; each number is one input, no matter what came before."""
     for number in range(first, first + count):
         rng = random.Random(seed * 1_000_003 + number)
         arguments = rng.choice(AIMS[aim])(base, rng)
         answered = outcome(arguments)
-        # what an option made a command write over on purpose is put right, too, so that each input begins alike
+        # what an option made a command write over on purpose is corrected, too, so that each input begins alike
         harm = _harm(base, arguments) if str(base / "C") in " ".join(arguments) else ""
         yield number, answered, answered.fault or harm
 

@@ -16,7 +16,7 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from calib.seal import checksum
+from calib.documents import checksum
 
 NUMBERS = (
     "0", "-0.0", "-1", "1", "2", "1e-300", "1e-30", "1e-9", "1e-3", "-1e-6", "0.5", "7", "1e3", "1e6", "1e9", "1e12",

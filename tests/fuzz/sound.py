@@ -8,7 +8,7 @@ import shutil
 from pathlib import Path
 
 from calib.cli.main import run
-from tests.campaign.readers.making import weave, write_rosbag1, write_rosbag2, write_tdms
+from tests.campaign.readers.recordings import weave, write_rosbag1, write_rosbag2, write_tdms
 
 ROOT = Path(__file__).resolve().parents[2]
 MAPPING = """[table]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import random
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,9 +11,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from calib.cli.main import COMMANDS
+from calib.cli.registry import COMMANDS
 from calib.coefficients.file import load_coefficients
-from calib.seal import checksum
+from calib.documents import checksum
 from tests.fuzz.answer import outcome
 from tests.fuzz.damage import WORDS, damaged
 from tests.fuzz.inputs import FILES, options, outcomes
@@ -24,6 +25,13 @@ PARTS, OF_A_PART = 8, 225
 QUANTITIES = 30
 #: examples that hypothesis adds
 TEXTS, NUMBERS = 100, 100
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _working_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Relative outputs of the commands go into a folder of the test's own."""
+    with contextlib.chdir(tmp_path_factory.mktemp("fuzz_working_folder")):
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -9,17 +9,15 @@ import numpy as np
 import pytest
 
 from calib.campaign.model import Campaign
-from calib.coefficients.quantities import Quantity
-from calib.coefficients.sections import EffectSection
+from calib.coefficients.sections import EffectSection, Quantity
 from calib.errors import RefusedError
-from calib.files import write_bytes
 from calib.gap.apply import applied_model
-from calib.gap.data.from_campaign import observations_of
+from calib.gap.decision.diagnosis import VerdictKind
 from calib.gap.diagnose import diagnose_in_full
-from calib.gap.effects.applied import applied_pushes, model_of, with_effects
-from calib.gap.predict.path import predict
-from calib.gap.predict.residuals import residuals
-from calib.gap.verdict.result import VerdictKind
+from calib.gap.effects.applied import applied_perturbations, model_of, with_effects
+from calib.gap.observations.from_campaign import observations_of
+from calib.gap.predict import predict, residuals
+from calib.io import write_bytes
 from calib.plant.effects.registry import find
 from calib.plant.make import make_campaign
 from calib.plant.plans import good_design
@@ -47,16 +45,16 @@ def campaign_with(effect: str, times: float = 3.0, seed: int = 3, n_runs: int = 
 def test_with_the_effect_added_there_is_no_gap_on_the_same_runs(effect: str, seed: int, tmp_path: Path) -> None:
     campaign = campaign_with(effect, seed=seed)
     found = diagnose_in_full(campaign)
-    assert effect in {cause.effect for cause in found.verdict.causes}
+    assert effect in {cause.effect for cause in found.causes}
     path = write_bytes(tmp_path / "model.json", applied_model(found, campaign).to_bytes())
     model, sections = model_of(path, campaign)
-    again = diagnose_in_full(campaign, model=model, applied=sections).verdict
+    again = diagnose_in_full(campaign, model=model, applied=sections)
     assert again.kind is VerdictKind.NO_GAP
 
 
 def test_a_zone_of_the_floor_is_named_and_no_part_of_a_recommended_fix() -> None:
-    """It is mended where it lies; the correction of a vehicle goes with it to every other floor."""
-    verdict = diagnose_in_full(campaign_with("floor_zone", seed=5), plan=False).verdict
+    """It is mended where it lies; the correction of a vehicle correlates with it to every other floor."""
+    verdict = diagnose_in_full(campaign_with("floor_zone", seed=5), plan=False)
     assert [cause.effect for cause in verdict.causes] == ["floor_zone"]
     assert not verdict.recommended
 
@@ -79,7 +77,7 @@ def test_a_load_effect_goes_into_the_law_and_nowhere_else(tmp_path: Path) -> Non
     campaign = campaign_with("load_radius")
     found = diagnose_in_full(campaign)
     file = applied_model(found, campaign)
-    slopes = {cause.effect: cause for cause in found.verdict.causes}["load_radius"].parameters
+    slopes = {cause.effect: cause for cause in found.causes}["load_radius"].parameters
     before = campaign.model
     assert "load_radius" not in {section.effect for section in file.effects}
     # the old slope is scaled by the recalibration, which is below 1 %
@@ -97,25 +95,25 @@ def test_a_covariate_is_counted_from_the_mean_that_the_file_says() -> None:
         settings={"centre": 5.0, "spread": 1.0},
         parameters={"alpha": Quantity(value=1e-4, unit="1/K")},
     )
-    (push,), notes = applied_pushes(s, [section])
+    (perturbation,), notes = applied_perturbations(s, [section])
     assert notes == []
-    assert push.left is not None
+    assert perturbation.left is not None
     # closed form
-    np.testing.assert_allclose(push.left, 1e-4 * (s.number("temperature_C") - 5.0), rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(perturbation.left, 1e-4 * (s.number("temperature_C") - 5.0), rtol=1e-12, atol=1e-15)
 
 
 def test_an_effect_that_has_nothing_to_act_on_is_said() -> None:
     s = observations_of(campaign_with("track_width"))
     section = EffectSection(effect="steering_zero", parameters={"zero": Quantity(value=0.01, unit="rad")})
-    pushes, notes = applied_pushes(s, [section])
-    assert pushes == []
+    perturbations, notes = applied_perturbations(s, [section])
+    assert perturbations == []
     assert "steering_zero" in notes[0]
 
 
 def test_without_a_cause_there_is_nothing_to_write() -> None:
     campaign = campaign_with("track_width", 0.0, n_runs=40)
     found = diagnose_in_full(campaign)
-    assert found.verdict.kind is VerdictKind.NO_GAP
+    assert found.kind is VerdictKind.NO_GAP
     with pytest.raises(RefusedError, match="no effect to add"):
         applied_model(found, campaign)
 
@@ -146,12 +144,12 @@ def damp(higher: float, per_unit: float = 0.01) -> Campaign:
 
 
 def test_a_declared_effect_is_named_alone_and_its_model_holds_on_other_days(tmp_path: Path) -> None:
-    """The column is no second candidate beside its declaration, and the model written down is nought where it was."""
+    """The column is no second candidate beside its declaration, and the model written down is zero where it was."""
     here, there = damp(0.0), damp(0.4)
     found = diagnose_in_full(here, plan=False)
-    assert found.verdict.kind is VerdictKind.EXPLAINED
-    assert [cause.effect for cause in found.verdict.causes] == ["damp"]
-    low, high = found.verdict.causes[0].parameters["size"].ci95
+    assert found.kind is VerdictKind.EXPLAINED
+    assert [cause.effect for cause in found.causes] == ["damp"]
+    low, high = found.causes[0].parameters["size"].ci95
     assert low <= 0.01 <= high
     path = write_bytes(tmp_path / "model.json", applied_model(found, here).to_bytes())
     model, sections = model_of(path, there)
@@ -160,6 +158,6 @@ def test_a_declared_effect_is_named_alone_and_its_model_holds_on_other_days(tmp_
     assert notes == ()
     corrected = predict(observations)
     before, after = (np.abs(residuals(nominal, nominal)[:, 0]).max() for nominal in (bare, corrected))
-    # what is left: the instruments, 2 mm of 40 mm, and the uncertainty of the size over half a unit of humidity; nought
+    # what is left: the instruments, 2 mm of 40 mm, and the uncertainty of the size over half a unit of humidity; zero
     # at these runs' own mean, nine tenths would be left
     assert after < 0.2 * before

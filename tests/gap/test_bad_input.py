@@ -11,8 +11,8 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from calib.campaign.model import Campaign, Logs, RunTable
+from calib.documents import to_json
 from calib.errors import CalibError, RefusedError
-from calib.files import to_json
 from calib.gap.diagnose import diagnose_in_full
 from calib.plant.make import make_campaign
 from calib.plant.plans import good_design
@@ -43,7 +43,7 @@ def without(campaign: Campaign, numbers: set[str], labels: set[str], logs: set[s
 def answered(campaign: Campaign) -> str:
     """Return the verdict, or ``refused``; anything else is an error of the test."""
     try:
-        verdict = diagnose_in_full(campaign).verdict
+        verdict = diagnose_in_full(campaign)
     except CalibError as error:
         assert "\n" not in str(error)
         return "refused"
@@ -106,5 +106,5 @@ def test_one_load_never_names_the_load() -> None:
     campaign = driven(1)
     same = campaign.select(campaign.runs.number("payload_kg") == 0.0)
     assert len(same.runs) >= 3
-    verdict = diagnose_in_full(same).verdict
+    verdict = diagnose_in_full(same)
     assert "load_radius" not in {cause.effect for cause in verdict.causes}

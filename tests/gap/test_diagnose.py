@@ -1,4 +1,4 @@
-"""From a campaign to a verdict, on cases whose outcome is known by hand."""
+"""From a campaign to a diagnosis, on cases whose outcome is known by hand."""
 
 from __future__ import annotations
 
@@ -14,10 +14,9 @@ import pytest
 from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
 from calib.errors import RefusedError
+from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
 from calib.gap.diagnose import diagnose_in_full
-from calib.gap.diagnosis import Diagnosis
 from calib.gap.plan.plan_file import read_plan
-from calib.gap.verdict.result import VerdictKind
 from calib.radius.fit import fit_campaign
 from tests.gap.effects.making import Motion, Run, campaign, rich_runs
 
@@ -34,12 +33,12 @@ FIELDS = {
     "next_runs": list,
 }
 CLOSURE = {"before_rms_m", "after_rms_m", "floor_rms_m", "fraction", "ci95", "held_out"}
-#: relative change of both radii a kelvin; plausible, and many floors over 20 K
+#: relative change of both radii a kelvin; plausible, and many noise levels over 20 K
 WARMTH = 2e-4
 VERDICTS = {"no_gap", "explained", "partly_explained", "ambiguous", "unknown", "undecided"}
 
 
-def made(seed: int = 1, warmth: float = 0.0, factor: float = 1.0) -> Campaign:
+def rich_campaign(seed: int = 1, warmth: float = 0.0, factor: float = 1.0) -> Campaign:
     """Rich runs with instruments that scatter as stated, warm wheels and a factor on the left counts."""
     rng = np.random.default_rng(seed)
 
@@ -48,7 +47,7 @@ def made(seed: int = 1, warmth: float = 0.0, factor: float = 1.0) -> Campaign:
         now.laser_m, now.end_x_m, now.end_y_m = rng.normal(0, [0.0015, 0.002, 0.002])
         now.end_rad = rng.normal(0, 0.0008)
 
-    # no front wheel: a route whose curvature jumps is nothing that a steered wheel can follow
+    # no front wheel: no steered wheel follows a route whose curvature jumps
     built = campaign([replace(run, front=False) for run in rich_runs()], truth=truth)
     for table in (built.runs.numbers, built.logs.columns):
         table["counts_left"] *= factor
@@ -72,15 +71,15 @@ def crossed(diagnosed_sample: Diagnosed) -> Diagnosis:
 
 @pytest.fixture(scope="module")
 def sound() -> Diagnosis:
-    return diagnose_in_full(made())
+    return diagnose_in_full(rich_campaign())
 
 
 @pytest.fixture(scope="module")
 def faulty() -> Diagnosis:
-    return diagnose_in_full(made(factor=4.0, warmth=WARMTH))
+    return diagnose_in_full(rich_campaign(factor=4.0, warmth=WARMTH))
 
 
-def test_the_corrections_of_load_and_session_part_on_journeys_as_the_load_law_says(
+def test_the_corrections_of_load_and_session_differ_on_journeys_by_the_load_law(
     corridor: Diagnosis, project_root: Path, tmp_path: Path
 ) -> None:
     """On sessions to come a step of the old ones does nothing: 200 kg more move the two apart as the law moves ends."""
@@ -91,10 +90,10 @@ def test_the_corrections_of_load_and_session_part_on_journeys_as_the_load_law_sa
     for payload in (0, 200):
         file = tmp_path / f"{payload}.toml"
         file.write_text(f'{head}[[runs]]\nkind = "corridor"\npayload_kg = {payload}\npayload_x_m = 0.0\n', "utf-8")
-        fix = diagnose_in_full(campaign, journeys=read_plan(file), plan=False).verdict.fix
+        fix = diagnose_in_full(campaign, journeys=read_plan(file), plan=False).fix
         assert fix.agreement_on == "journeys" and fix.agreement_m is not None
         apart.append(fix.agreement_m)
-    slopes = {cause.effect: cause for cause in corridor.verdict.causes}["load_radius"].parameters
+    slopes = {cause.effect: cause for cause in corridor.causes}["load_radius"].parameters
     way_m, track_m, load_N = 40.0, 0.7, 200 * 9.81 / 2
     left, right = (way_m * slopes[f"slope_{side}"].value * load_N / 0.1 for side in ("left", "right"))
     moved_m = float(np.hypot((left + right) / 2, way_m * (right - left) / track_m / 2))
@@ -104,79 +103,75 @@ def test_the_corrections_of_load_and_session_part_on_journeys_as_the_load_law_sa
 
 
 def test_a_share_lies_in_its_interval_and_a_sole_cause_carries_what_is_explained(crossed: Diagnosis) -> None:
-    """The share's uncertainty is that of the sizes and of the floor's chance; alone, a cause has all that is closed."""
-    (cause,) = crossed.verdict.causes
+    """The uncertainty is that of the sizes and of the noise; a sole cause has the whole closure."""
+    (cause,) = crossed.causes
     assert cause.share_ci95 is not None
     low, high = cause.share_ci95
     assert 0.0 <= low <= cause.share <= high <= 1.0
-    # a gap of 70 floors: what noise adds to its squares is less than a hundredth of them
+    # a gap of 70 noise levels: what noise adds to its squares is less than a hundredth of them
     assert high - low < 0.02
 
 
-def test_one_load_a_session_leaves_load_and_session_tied(corridor: Diagnosis) -> None:
-    """Who drives one load a session cannot tell the two apart; a run that does is named, with what it tells."""
-    verdict = corridor.verdict
-    assert verdict.kind is VerdictKind.AMBIGUOUS
-    assert any({"load_radius", "session_step"} <= set(group.effects) for group in verdict.groups)
-    assert not verdict.recommended
-    assert any("load_radius" in run.why and "session_step" in run.why for run in verdict.next_runs)
+def test_one_load_a_session_confounds_load_and_session(corridor: Diagnosis) -> None:
+    """One load a session cannot separate the two; a run that does is recommended, with its reason."""
+    assert corridor.kind is VerdictKind.AMBIGUOUS
+    assert any({"load_radius", "session_step"} <= set(group.effects) for group in corridor.groups)
+    assert not corridor.recommended
+    assert any("load_radius" in run.why and "session_step" in run.why for run in corridor.next_runs)
 
 
 def test_crossed_loads_name_the_load_with_the_slopes_of_the_regression(
     crossed: Diagnosis, crossed_campaign: Campaign
 ) -> None:
-    """Two ways to the slopes, path by path and radius by radius, agree within the interval of the regression."""
-    verdict = crossed.verdict
-    assert verdict.kind is VerdictKind.EXPLAINED
-    assert [cause.effect for cause in verdict.causes] == ["load_radius"]
+    """Slopes from paths and slopes from radii agree within the interval of the regression."""
+    assert crossed.kind is VerdictKind.EXPLAINED
+    assert [cause.effect for cause in crossed.causes] == ["load_radius"]
     fitted = fit_campaign(crossed_campaign)
     for side, wheel in (("left", fitted.left), ("right", fitted.right)):
         assert wheel.slope_ci95_m_per_N is not None
         low, high = wheel.slope_ci95_m_per_N
-        quantity = verdict.causes[0].parameters[f"slope_{side}"]
+        quantity = crossed.causes[0].parameters[f"slope_{side}"]
         assert low <= quantity.value <= high
         assert quantity.ci95[0] <= quantity.value <= quantity.ci95[1]
-    assert verdict.closure.fraction is not None and verdict.closure.fraction > 0.9
-    assert verdict.recommended
-    assert verdict.next_runs == ()
+    assert crossed.closure.fraction is not None and crossed.closure.fraction > 0.9
+    assert crossed.recommended
+    assert crossed.next_runs == ()
 
 
 def test_a_model_that_is_right_has_no_gap(sound: Diagnosis) -> None:
-    verdict = sound.verdict
-    assert verdict.kind is VerdictKind.NO_GAP
-    assert verdict.causes == ()
-    assert verdict.groups == ()
-    assert not verdict.recommended
-    assert verdict.closure.fraction is None
+    assert sound.kind is VerdictKind.NO_GAP
+    assert sound.causes == ()
+    assert sound.groups == ()
+    assert not sound.recommended
+    assert sound.closure.fraction is None
 
 
-def test_an_effect_is_named_with_its_size_and_unknown_to_who_excludes_it() -> None:
+def test_an_effect_is_named_with_its_size_and_excluded_on_request() -> None:
     """Radii that follow the temperature: named within its interval; excluded, it is neither named nor offered."""
-    warm = made(warmth=WARMTH)
-    verdict = diagnose_in_full(warm).verdict
-    assert verdict.kind is VerdictKind.EXPLAINED
-    assert [cause.effect for cause in verdict.causes] == ["temperature_radius"]
-    low, high = verdict.causes[0].parameters["alpha"].ci95
+    warm = rich_campaign(warmth=WARMTH)
+    diagnosis = diagnose_in_full(warm)
+    assert diagnosis.kind is VerdictKind.EXPLAINED
+    assert [cause.effect for cause in diagnosis.causes] == ["temperature_radius"]
+    low, high = diagnosis.causes[0].parameters["alpha"].ci95
     assert low <= WARMTH <= high
-    without = diagnose_in_full(warm, exclude=("temperature_radius",), plan=False).verdict
+    without = diagnose_in_full(warm, exclude=("temperature_radius",), plan=False)
     assert "temperature_radius" not in json.dumps(
         [without.to_dict()[name] for name in ("probabilities", "credible_sets", "indistinguishable", "undetectable")]
     )
     assert without.kind is not VerdictKind.NO_GAP
 
 
-def test_a_gross_fault_is_named_beside_what_is_left(faulty: Diagnosis) -> None:
-    """Counts of the left wheel times four, and warm wheels: both are said, the fault with certainty."""
-    verdict = faulty.verdict
-    causes = {cause.effect: cause for cause in verdict.causes}
-    assert verdict.causes[0].effect == "encoder_gross"
+def test_a_blunder_is_named_beside_other_causes(faulty: Diagnosis) -> None:
+    """Counts of the left wheel times four, and warm wheels: both are named, the blunder with certainty."""
+    causes = {cause.effect: cause for cause in faulty.causes}
+    assert faulty.causes[0].effect == "encoder_gross"
     assert causes["encoder_gross"].parameters["factor_left"].value == pytest.approx(0.25)
     assert causes["encoder_gross"].parameters["factor_right"].value == pytest.approx(1.0)
     assert "temperature_radius" in causes
 
 
-def test_the_same_seed_gives_the_same_verdict(sound: Diagnosis) -> None:
-    assert diagnose_in_full(made()).verdict.to_dict() == sound.verdict.to_dict()
+def test_the_same_seed_gives_the_same_diagnosis(sound: Diagnosis) -> None:
+    assert diagnose_in_full(rich_campaign()).to_dict() == sound.to_dict()
 
 
 def only(built: Campaign, *names: str) -> Campaign:
@@ -194,7 +189,7 @@ def only(built: Campaign, *names: str) -> Campaign:
 def test_nothing_to_compare_is_refused(names: tuple[str, ...]) -> None:
     """Half an end pose, or none, is no measurement: refused with what would be one."""
     with pytest.raises(RefusedError, match=r"distance_m|measured"):
-        diagnose_in_full(only(made(), *names))
+        diagnose_in_full(only(rich_campaign(), *names))
 
 
 def plain(value: Any) -> bool:
@@ -207,9 +202,9 @@ def plain(value: Any) -> bool:
 
 
 @pytest.mark.parametrize("case", ["corridor", "crossed", "sound", "faulty"])
-def test_a_verdict_is_json_with_the_fields_of_the_contract(case: str, request: pytest.FixtureRequest) -> None:
-    """Every field is there with its type, and nothing that JSON cannot say: no NaN, no infinity, no numpy."""
-    document = request.getfixturevalue(case).verdict.to_dict()
+def test_a_diagnosis_is_json_with_the_fields_of_the_contract(case: str, request: pytest.FixtureRequest) -> None:
+    """Every field is there with its type, and nothing that JSON cannot hold: no NaN, no infinity, no numpy."""
+    document = request.getfixturevalue(case).to_dict()
     for name, kind in FIELDS.items():
         assert type(document[name]) is kind, name
     assert document["verdict"] in VERDICTS
@@ -231,5 +226,5 @@ def test_a_verdict_is_json_with_the_fields_of_the_contract(case: str, request: p
     assert probabilities == sorted(probabilities, reverse=True)
 
 
-def test_whether_a_cause_is_plausible_is_said_in_json(crossed: Diagnosis) -> None:
-    assert all(plain(cause) for cause in crossed.verdict.to_dict()["causes"])
+def test_causes_are_plain_json(crossed: Diagnosis) -> None:
+    assert all(plain(cause) for cause in crossed.to_dict()["causes"])

@@ -1,4 +1,4 @@
-"""A reference in other units or axes is a gross gap: no effect is named for it, and the verdict says where to look."""
+"""A reference in other units or axes is a blunder: no effect is named for it, and the verdict says where to look."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.arrays import FloatArray
 from calib.campaign.read import read_campaign
+from calib.gap.decision.diagnosis import VerdictKind
 from calib.gap.diagnose import diagnose_in_full
-from calib.gap.verdict.result import VerdictKind
+from calib.types import FloatArray
 
 Columns = dict[str, FloatArray]
 
@@ -40,7 +40,7 @@ def test_a_reference_in_other_units_or_axes_gets_no_cause(
     campaign = read_campaign(project_root / "sample_runs" / "yard")
     numbers = {**campaign.runs.numbers, **mistake(dict(campaign.runs.numbers))}
     struck = replace(campaign, runs=replace(campaign.runs, numbers=numbers))
-    verdict = diagnose_in_full(struck, plan=False).verdict
+    verdict = diagnose_in_full(struck, plan=False)
     assert verdict.kind is VerdictKind.UNKNOWN
     assert verdict.causes == ()
     assert "units (metres, radians, newtons)" in verdict.sentence
@@ -51,6 +51,6 @@ def test_a_mirrored_reference_may_be_swapped_wheels_and_is_said_to_be(project_ro
     campaign = read_campaign(project_root / "sample_runs" / "yard")
     mirrored = {name: -campaign.runs.numbers[name] for name in ("ref_y_m", "ref_theta_rad")}
     struck = replace(campaign, runs=replace(campaign.runs, numbers={**campaign.runs.numbers, **mirrored}))
-    cause = diagnose_in_full(struck, plan=False).verdict.causes[0]
+    cause = diagnose_in_full(struck, plan=False).causes[0]
     assert (cause.effect, cause.form) == ("encoder_gross", "swapped wheels")
     assert "y to the left" in cause.remark

@@ -8,9 +8,8 @@ from dataclasses import replace
 import pytest
 
 from calib.campaign.model import Campaign
+from calib.gap.decision.diagnosis import Diagnosis
 from calib.gap.diagnose import diagnose_in_full
-from calib.gap.diagnosis import Diagnosis
-from calib.gap.verdict.result import Verdict
 from calib.radius.fit import fit_campaign
 
 Diagnosed = Callable[[str], tuple[Campaign, Diagnosis]]
@@ -31,25 +30,25 @@ def without(campaign: Campaign, *, labels: Sequence[str] = (), columns: Sequence
     )
 
 
-def outcome(verdict: Verdict) -> tuple[str, list[str]]:
+def outcome(verdict: Diagnosis) -> tuple[str, list[str]]:
     return verdict.kind.value, [cause.effect for cause in verdict.causes]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["corridor", "corridor_crossed", "yard"])
 def test_a_verdict_does_not_hang_on_labels(name: str, diagnosed_sample: Diagnosed) -> None:
-    """Without kinds and sessions a sample ends as with them; stretches under one load stand in for sessions."""
+    """Without kinds and sessions a sample ends as with them; stretches under one load represent sessions."""
     campaign, diagnosis = diagnosed_sample(name)
     bare = without(campaign, labels=("kind", "session"))
-    assert outcome(diagnose_in_full(bare, plan=False).verdict) == outcome(diagnosis.verdict)
+    assert outcome(diagnose_in_full(bare, plan=False)) == outcome(diagnosis)
 
 
 @pytest.mark.slow
 def test_a_corridor_without_end_poses_still_has_two_wheels(diagnosed_sample: Diagnosed) -> None:
     """Distance and counts alone end as with poses, with slopes inside the fit's intervals, wheel by wheel."""
     campaign, diagnosis = diagnosed_sample("corridor_crossed")
-    verdict = diagnose_in_full(without(campaign, columns=POSES), plan=False).verdict
-    assert outcome(verdict) == outcome(diagnosis.verdict)
+    verdict = diagnose_in_full(without(campaign, columns=POSES), plan=False)
+    assert outcome(verdict) == outcome(diagnosis)
     wheels = fit_campaign(campaign).to_dict()["wheels"]
     for side, wheel in wheels.items():
         low, high = wheel["slope_ci95_m_per_N"]

@@ -137,7 +137,7 @@ def test_finer_steps_change_nothing_that_matters() -> None:
 
 @pytest.mark.parametrize("delay_s", [0.06, 0.09, 0.125])
 def test_a_late_steering_sensor_shows_the_angle_of_then(delay_s: float) -> None:
-    """Whatever the log's rate, it reads what the angle was the delay ago: known from the same drive, logged finely."""
+    """At any rate of the log it reads what the angle was the delay ago: known from the same drive, logged finely."""
     fine, coarse = (some(["slalom", "square_cw"], log_period_s=period_s) for period_s in (0.02, 0.1))
     late, true = (
         drive(apply_causes(build_world(design, MODEL), [Cause("steering_delay", delay_s)]), quiet(2), quantise=False)

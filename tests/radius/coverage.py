@@ -16,7 +16,7 @@ import numpy as np
 from calib.campaign.model import Campaign, Logs, RunTable
 from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
 from calib.radius.fit import fit_campaign
-from calib.radius.fitted import Fit
+from calib.radius.result import Fit
 from calib.vehicle import Vehicle
 
 RADIUS_M, SLOPE_M_PER_N, REFERENCE_N = 0.1, 1.3e-6, 300.0

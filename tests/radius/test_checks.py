@@ -1,4 +1,4 @@
-"""Each check speaks up at the fault it is for, and is silent on sound campaigns."""
+"""Each check reports the fault that it is for, and nothing on sound campaigns."""
 
 from __future__ import annotations
 
@@ -9,15 +9,16 @@ from statsmodels.regression.linear_model import OLS
 from statsmodels.stats.anova import anova_lm
 from statsmodels.stats.outliers_influence import OLSInfluence
 
-from calib.radius.checks import FAILED, NOTE, OK, Check
-from calib.radius.regression import WheelFit, fit_wheel
-from calib.radius.residual_checks import checked
+from calib.radius.checks import with_checks, with_temperature_check
+from calib.radius.regression import FAILED, NOTE, OK, Check, WheelFit, fit_wheel
 
 LOADS = np.array([300.0, 500.0, 700.0, 900.0, 1100.0])
 N = 60
+#: scatter of a radius, and how far it follows the temperature
+SCATTER_M, PER_K = 30e-6, 7e-6
 
 
-def made(
+def wheel_of(
     seed: int = 1, *, crossed: bool = True, sessions: int = 5, bend_m: float = 0.0, growth: float = 1.0, **shift: float
 ) -> tuple[WheelFit, dict[str, Check]]:
     """Return a checked fit of 60 runs with the faults asked for."""
@@ -33,18 +34,20 @@ def made(
     names = np.array([f"s{one}" for one in session])
     direction = np.resize(["out", "back"], N)
     run_id = np.array([f"r{run:02d}" for run in range(N)])
-    fit = checked(fit_wheel("left", load, radius, names, reference_load_N=300.0), names, direction, run_id)
+    fit = with_checks(fit_wheel("left", load, radius, names, reference_load_N=300.0), names, direction, run_id)
     return fit, {check.name: check for check in fit.checks}
 
 
 def test_sound_campaigns_seldom_alarm() -> None:
     """Six tests at 1 % each; 40 campaigns give 2.4 notes on average, and more than 8 once in 900."""
-    notes = sum(check.level != OK for seed in range(40) for check in made(seed)[0].checks)
+    notes = sum(check.level != OK for seed in range(40) for check in wheel_of(seed)[0].checks)
     assert notes <= 8
 
 
 def test_no_sound_campaign_fails() -> None:
-    assert all(made(seed)[0].checks and all(check.passed for check in made(seed)[0].checks) for seed in range(20))
+    assert all(
+        wheel_of(seed)[0].checks and all(check.passed for check in wheel_of(seed)[0].checks) for seed in range(20)
+    )
 
 
 @pytest.mark.parametrize(
@@ -60,21 +63,21 @@ def test_no_sound_campaign_fails() -> None:
         ({"sessions": 1}, "design", NOTE, "one session"),
     ],
 )
-def test_a_fault_is_told_by_its_check(fault: dict[str, float], name: str, level: str, word: str) -> None:
-    _, checks = made(**fault)  # type: ignore[arg-type]
+def test_a_fault_is_reported_by_its_check(fault: dict[str, float], name: str, level: str, word: str) -> None:
+    _, checks = wheel_of(**fault)  # type: ignore[arg-type]
     assert checks[name].level == level
     assert word in checks[name].sentence
 
 
 def test_every_check_ends_in_a_sentence() -> None:
     for fault in ({}, {"crossed": False}, {"sessions": 1}, {"bend_m": 1e-4}, {"growth": 8.0}):
-        for check in made(**fault)[0].checks:  # type: ignore[arg-type]
+        for check in wheel_of(**fault)[0].checks:  # type: ignore[arg-type]
             assert check.sentence.endswith(".")
             assert check.sentence[0].isupper()
 
 
 def test_lack_of_fit_is_the_analysis_of_variance_of_nested_models() -> None:
-    fit, checks = made(3, sessions=1)
+    fit, checks = wheel_of(3, sessions=1)
     line = np.column_stack((np.ones(N), fit.load_N))
     levels = (fit.load_N[:, None] == LOADS).astype(float)
     scaled = fit.radius_m * 1e6
@@ -84,28 +87,28 @@ def test_lack_of_fit_is_the_analysis_of_variance_of_nested_models() -> None:
 
 
 def test_curvature_is_the_t_of_a_quadratic_term() -> None:
-    fit, checks = made(3, sessions=1)
+    fit, checks = wheel_of(3, sessions=1)
     z = (fit.load_N - 700) / 400
     oracle = OLS(fit.radius_m * 1e6, np.column_stack((np.ones(N), z, z**2))).fit()
     assert checks["curvature"].statistic == pytest.approx(oracle.tvalues[2], rel=1e-6)  # rounding of residuals
     assert checks["curvature"].p_value == pytest.approx(oracle.pvalues[2], rel=1e-6)
 
 
-def test_the_bend_is_told_in_micrometres() -> None:
-    _, checks = made(4, bend_m=2e-4)
-    told = float(checks["curvature"].sentence.split("about ")[1].split(" um")[0])
-    assert told == pytest.approx(200, abs=20)  # noise of 60 runs: 15 um / sqrt(60) times about 3
+def test_the_bend_is_stated_in_micrometres() -> None:
+    _, checks = wheel_of(4, bend_m=2e-4)
+    bend_um = float(checks["curvature"].sentence.split("about ")[1].split(" um")[0])
+    assert bend_um == pytest.approx(200, abs=20)  # noise of 60 runs: 15 um / sqrt(60) times about 3
 
 
 def test_cook_and_leverage_are_those_of_statsmodels() -> None:
-    fit, _ = made(5)
+    fit, _ = wheel_of(5)
     oracle = OLSInfluence(OLS(fit.radius_m * 1e6, np.column_stack((np.ones(N), fit.load_N))).fit())
     np.testing.assert_allclose(fit.leverage, oracle.hat_matrix_diag, rtol=1e-9)  # rounding
     np.testing.assert_allclose(fit.cook, oracle.cooks_distance[0], rtol=1e-6)  # rounding of residuals
 
 
 def test_session_statistic_is_the_analysis_of_variance_of_sessions_given_load() -> None:
-    fit, checks = made(6, session=1e-5)
+    fit, checks = wheel_of(6, session=1e-5)
     names = np.repeat(np.arange(5), 12)
     dummies = (names[:, None] == np.arange(5)).astype(float)
     scaled = fit.radius_m * 1e6
@@ -118,39 +121,89 @@ def test_session_statistic_is_the_analysis_of_variance_of_sessions_given_load() 
 
 
 def test_normality_is_shapiro_wilk() -> None:
-    fit, checks = made(7, sessions=1)
+    fit, checks = wheel_of(7, sessions=1)
     assert checks["normality"].p_value == pytest.approx(
         stats.shapiro(fit.residual_m * 1e6).pvalue, rel=1e-3
     )  # centring
 
 
-def test_two_loads_are_fitted_and_straightness_is_left_open() -> None:
+def test_two_loads_are_fitted_and_straightness_is_not_tested() -> None:
     rng = np.random.default_rng(8)
     load = np.resize([300.0, 900.0], 20)
     names = np.full(20, "one")
     fit = fit_wheel("left", load, 0.1 + 1e-6 * load + rng.normal(0, 1e-5, 20), names, reference_load_N=300.0)
-    fit = checked(fit, names, np.full(20, ""), np.array([str(run) for run in range(20)]))
+    fit = with_checks(fit, names, np.full(20, ""), np.array([str(run) for run in range(20)]))
     checks = {check.name: check for check in fit.checks}
     assert fit.model == "line"
     assert "two loads" in checks["design"].sentence
     assert "third load" in checks["lack_of_fit"].sentence
 
 
-def test_one_load_says_what_to_drive() -> None:
+def test_one_load_asks_for_further_loads() -> None:
     rng = np.random.default_rng(9)
     names = np.full(20, "one")
     fit = fit_wheel("left", np.full(20, 300.0), 0.1 + rng.normal(0, 1e-5, 20), names, reference_load_N=300.0)
-    fit = checked(fit, names, np.full(20, ""), np.array([str(run) for run in range(20)]))
+    fit = with_checks(fit, names, np.full(20, ""), np.array([str(run) for run in range(20)]))
     assert "drive two further loads" in {check.name: check for check in fit.checks}["design"].sentence
 
 
 def test_reference_load_outside_the_measured_loads_is_extrapolation() -> None:
-    fit, _ = made(10)
+    fit, _ = wheel_of(10)
     names = np.full(N, "one")
-    again = checked(
+    again = with_checks(
         fit_wheel("left", fit.load_N, fit.radius_m, names, reference_load_N=50.0),
         names,
         np.full(N, ""),
         np.array([str(run) for run in range(N)]),
     )
     assert "extrapolated" in {check.name: check for check in again.checks}["range"].sentence
+
+
+def temperature_check(
+    rng: np.random.Generator,
+    per_K: float,
+    span_K: float = 12.0,
+    between_K: float = 0.0,
+    with_load: float = 0.0,
+    unread: int = 0,
+) -> Check | None:
+    """Return the check of forty runs in four sessions, the temperature of the first few not read."""
+    session = np.repeat(["a", "b", "c", "d"], 10)
+    load_N = rng.uniform(300.0, 1100.0, 40)
+    warmth = 20.0 + span_K * rng.random(40) + between_K * np.repeat(np.arange(4), 10) + with_load * (load_N - 700.0)
+    radius = 0.1 - 1e-9 * load_N + per_K * (warmth - 20.0) + SCATTER_M * rng.standard_normal(40)
+    fit = fit_wheel("left", load_N, radius, session, reference_load_N=300.0)
+    warmth[:unread] = np.nan
+    checks = with_temperature_check(fit, warmth, session).checks
+    return checks[-1] if checks else None
+
+
+def test_radii_that_follow_the_temperature_fail_and_the_slope_is_stated() -> None:
+    """Seven micrometres a kelvin over twelve, beside a scatter of thirty: five standard errors and more."""
+    check = temperature_check(np.random.default_rng(1), PER_K)
+    assert check is not None
+    assert check.level == FAILED
+    slope = float(check.sentence.partition("by ")[2].partition(" um/K")[0])
+    # standard error: the scatter over the temperature's own, of forty runs
+    assert slope == pytest.approx(1e6 * PER_K, abs=4 * 1e6 * SCATTER_M / (12 / np.sqrt(12) * np.sqrt(40)))
+
+
+def test_sound_radii_give_a_note_as_often_as_stated() -> None:
+    """At 1 % a test: of 400 campaigns 4 are expected, 11 lie four standard deviations above."""
+    rng = np.random.default_rng(2)
+    checks = [temperature_check(rng, 0.0, with_load=0.005) for _ in range(400)]
+    assert sum(check is not None and check.level != OK for check in checks) <= 11
+
+
+def test_a_temperature_that_follows_the_load_alone_is_not_checked() -> None:
+    assert temperature_check(np.random.default_rng(3), PER_K, span_K=0.0, with_load=0.01) is None
+
+
+def test_temperatures_that_differ_between_sessions_alone_are_not_checked() -> None:
+    assert temperature_check(np.random.default_rng(4), PER_K, span_K=0.0, between_K=4.0) is None
+
+
+@pytest.mark.parametrize(("unread", "checked"), [(3, True), (40, False)])
+def test_runs_whose_temperature_was_not_read_are_left_out(unread: int, checked: bool) -> None:
+    check = temperature_check(np.random.default_rng(1), PER_K, unread=unread)
+    assert (check is not None and check.level == FAILED) is checked

@@ -6,24 +6,24 @@ import pytest
 from calib.errors import RefusedError
 from calib.radius.deviation import weave_excess
 from calib.radius.effective import effective_radii
-from tests.radius.making import COUNTS_PER_REV, campaign_of, straight, woven_counts
+from tests.radius.campaigns import COUNTS_PER_REV, campaign_of, straight, woven_counts
 
 LOAD = np.linspace(300.0, 1100.0, 5)
 
 
 def test_straight_runs_give_equation_6() -> None:
     left, right = 0.1 + 1e-6 * LOAD, 0.1002 - 1e-6 * LOAD
-    found = effective_radii(straight(left, right, LOAD))
-    np.testing.assert_allclose(found.radius_left_m, left, rtol=1e-12)  # rounding
-    np.testing.assert_allclose(found.radius_right_m, right, rtol=1e-12)
+    radii = effective_radii(straight(left, right, LOAD))
+    np.testing.assert_allclose(radii.radius_left_m, left, rtol=1e-12)  # rounding
+    np.testing.assert_allclose(radii.radius_right_m, right, rtol=1e-12)
 
 
 def test_unequal_radii_are_never_taken_for_an_arc() -> None:
     """Wheels 1 % apart leave a difference of counts as an arc of 0.57 rad would."""
     left, right = np.full(5, 0.1), np.full(5, 0.101)
-    found = effective_radii(straight(left, right, LOAD))
-    np.testing.assert_allclose(found.radius_right_m / found.radius_left_m, 1.01, rtol=1e-12)  # rounding
-    assert set(found.path_source) == {"none"}
+    radii = effective_radii(straight(left, right, LOAD))
+    np.testing.assert_allclose(radii.radius_right_m / radii.radius_left_m, 1.01, rtol=1e-12)  # rounding
+    assert set(radii.path_source) == {"none"}
 
 
 def test_counts_of_a_reversing_vehicle_give_the_same_radii() -> None:
@@ -53,11 +53,11 @@ def woven_campaign(**columns: np.ndarray) -> object:
 
 def test_a_logged_weave_is_corrected_for_both_wheels() -> None:
     campaign = woven_campaign()
-    found = effective_radii(campaign)
+    radii = effective_radii(campaign)
     # a count is 4e-6 of the run; the weave is estimated to 1 % and moves these radii by up to 1e-3
-    np.testing.assert_allclose(found.radius_left_m, 0.1003, rtol=1.5e-5)
-    np.testing.assert_allclose(found.radius_right_m, 0.0999, rtol=1.5e-5)
-    raw = found.radius_left_m / (1 + found.path_left)
+    np.testing.assert_allclose(radii.radius_left_m, 0.1003, rtol=1.5e-5)
+    np.testing.assert_allclose(radii.radius_right_m, 0.0999, rtol=1.5e-5)
+    raw = radii.radius_left_m / (1 + radii.path_left)
     assert np.max(np.abs(raw / 0.1003 - 1)) > 3e-4
 
 
@@ -73,18 +73,18 @@ def test_a_measured_heading_corrects_the_turn_where_there_is_no_log() -> None:
         "load_right_N": LOAD,
         "ref_theta_rad": turn,
     }
-    found = effective_radii(campaign_of(numbers))
+    radii = effective_radii(campaign_of(numbers))
     # the heading is trusted to its signal over noise, 0.3 % short of fully, of 1.7e-4
-    np.testing.assert_allclose(found.radius_left_m, 0.1, rtol=1e-6)
-    np.testing.assert_allclose(found.radius_right_m, 0.1, rtol=1e-6)
-    assert set(found.path_source) == {"none+heading"}
+    np.testing.assert_allclose(radii.radius_left_m, 0.1, rtol=1e-6)
+    np.testing.assert_allclose(radii.radius_right_m, 0.1, rtol=1e-6)
+    assert set(radii.path_source) == {"none+heading"}
 
 
 def test_measured_amplitude_and_wavelength_correct_the_length() -> None:
     amplitude, wavelength = np.full(3, 0.1), np.full(3, 5.0)
     excess = float(weave_excess(0.1, 5.0, 40.0, 0.7).centre)
     counts = 40.0 * (1 + excess) / (2 * np.pi * 0.1) * COUNTS_PER_REV
-    found = effective_radii(
+    radii = effective_radii(
         campaign_of(
             {
                 "distance_m": np.full(3, 40.0),
@@ -97,8 +97,8 @@ def test_measured_amplitude_and_wavelength_correct_the_length() -> None:
             }
         )
     )
-    np.testing.assert_allclose(found.radius_left_m, 0.1, rtol=1e-10)  # rounding; whole periods
-    assert set(found.path_source) == {"columns"}
+    np.testing.assert_allclose(radii.radius_left_m, 0.1, rtol=1e-10)  # rounding; whole periods
+    assert set(radii.path_source) == {"columns"}
 
 
 def test_uncertainty_is_what_repeated_simulation_scatters() -> None:
@@ -113,12 +113,12 @@ def test_uncertainty_is_what_repeated_simulation_scatters() -> None:
         "load_left_N": np.full(n, 300.0),
         "load_right_N": np.full(n, 300.0),
     }
-    found = effective_radii(campaign_of(numbers))
+    radii = effective_radii(campaign_of(numbers))
     quantised = np.std(counts[0] * 4) / np.mean(counts[0] * 4)
     expected = 0.1 * np.hypot(0.0015 / 1.25, quantised)
     # 4,000 runs know a standard deviation to 1.1 %; four of those
-    assert np.std(found.radius_left_m) == pytest.approx(expected, rel=0.045)
-    budget = {part.name: part.std_left_m for part in found.budget}
+    assert np.std(radii.radius_left_m) == pytest.approx(expected, rel=0.045)
+    budget = {part.name: part.std_left_m for part in radii.budget}
     assert budget["rangefinder"] == pytest.approx(0.1 * 0.0015 / 1.25, rel=0.01)  # radii differ by 0.1 %
 
 
@@ -141,9 +141,9 @@ def test_runs_that_cannot_be_used_are_named_with_the_reason() -> None:
     numbers["load_left_N"][4] = np.nan
     numbers["ref_theta_rad"] = np.array([0, 0, 0, 0, 0, 1.57, 0])
     excluded = np.array([False] * 6 + [True])
-    found = effective_radii(campaign_of(numbers, excluded=excluded))
-    assert list(found.run_id) == ["r0"]
-    told = {run.run_id: run.reason for run in found.left_out}
+    radii = effective_radii(campaign_of(numbers, excluded=excluded))
+    assert list(radii.run_id) == ["r0"]
+    told = {run.run_id: run.reason for run in radii.left_out}
     assert told.keys() == {"r1", "r2", "r3", "r4", "r5", "r6"}
     for run, word in (("r1", "distance"), ("r2", "counts"), ("r3", "sign"), ("r4", "load"), ("r5", "straight")):
         assert word in told[run]
@@ -157,6 +157,6 @@ def test_a_campaign_without_a_usable_run_is_refused() -> None:
 
 
 def test_gross_encoder_scale_is_said() -> None:
-    found = effective_radii(straight(np.full(3, 0.2), np.full(3, 0.1), LOAD[:3]))
-    assert any("left" in note and "counts_per_rev" in note for note in found.notes)
-    assert not any("right radii" in note for note in found.notes)
+    radii = effective_radii(straight(np.full(3, 0.2), np.full(3, 0.1), LOAD[:3]))
+    assert any("left" in note and "counts_per_rev" in note for note in radii.notes)
+    assert not any("right radii" in note for note in radii.notes)

@@ -6,14 +6,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from calib.errors import BadInputError
+from calib.documents import checksum
+from calib.errors import BadInputError, CalibError
 from calib.radius.fit import fit_campaign
-from calib.radius.fitted import Fit
-from calib.radius.result import is_result, read_result, write_result
-from calib.seal import checksum
+from calib.radius.result import Fit, is_result, read_result, write_result
+from tests.radius import campaigns
+from tests.radius.campaigns import COUNTS_PER_REV, straight
 from tests.radius.coverage import DESIGNS, campaign_of
-from tests.radius.making import straight
 
 LOAD = np.resize([300.0, 500.0, 700.0, 900.0, 1100.0], 20)
 
@@ -96,7 +98,7 @@ def test_a_missing_part_of_a_result_is_bad_input(fit: Fit, tmp_path: Path) -> No
 
 
 def test_a_changed_result_is_refused(fit: Fit, tmp_path: Path) -> None:
-    """Report and export compute nothing again, so that a changed number would go to the vehicle; spacing may change."""
+    """A changed number would go to the vehicle; spacing and order may change."""
     file = write_result(fit, tmp_path / "result")
     document = json.loads(file.read_text(encoding="utf-8"))
     file.write_text(json.dumps(dict(reversed(document.items()))), encoding="utf-8")
@@ -107,7 +109,7 @@ def test_a_changed_result_is_refused(fit: Fit, tmp_path: Path) -> None:
         read_result(file)
 
 
-def test_the_static_radius_is_fitted_beside_the_moving_one() -> None:
+def test_the_static_radius_is_fitted_as_well_as_the_effective_one() -> None:
     campaign = straight(0.1 + 1.3e-6 * (LOAD - 300), 0.1 + 1.2e-6 * (LOAD - 300), LOAD)
     rng = np.random.default_rng(2)
     static = 0.1 - 3e-6 * (LOAD - 300) + rng.normal(0, 1e-6, 20)
@@ -120,7 +122,7 @@ def test_the_static_radius_is_fitted_beside_the_moving_one() -> None:
     assert Fit.from_dict(json.loads(json.dumps(fit.to_dict()))).static["left"].law.n_runs == 20
 
 
-def test_loads_that_nobody_knows_are_taken_as_unladen_and_said() -> None:
+def test_unknown_loads_are_taken_as_unladen_with_a_note() -> None:
     campaign = straight(np.full(20, 0.1), np.full(20, 0.1), LOAD)
     numbers = {name: column for name, column in campaign.runs.numbers.items() if not name.startswith("load")}
     fit = fit_campaign(replace(campaign, runs=replace(campaign.runs, numbers=numbers)))
@@ -141,3 +143,48 @@ def test_budget_adds_up_to_the_observed_scatter(fit: Fit) -> None:
 def test_the_same_campaign_gives_the_same_fit() -> None:
     one, other = (fit_campaign(campaign_of(DESIGNS["crossed"], np.random.default_rng(4))) for _ in range(2))
     assert one.to_dict() == other.to_dict()
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    st.integers(1, 14),
+    st.integers(1, 14),
+    st.integers(1, 6),
+    st.sampled_from([0.0, 1e-12, 1e-5, 1e-3, 0.5]),
+    st.booleans(),
+    st.integers(0, 2**32 - 1),
+)
+def test_any_plan_gives_a_fit_or_one_line(
+    n: int, n_sessions: int, n_loads: int, scatter: float, whole: bool, seed: int
+) -> None:
+    """For every plan of a campaign the fit is a result that JSON can hold, or an error in one line."""
+    rng = np.random.default_rng(seed)
+    load = rng.choice(np.linspace(0.0, 1100.0, n_loads), n)
+    distance = rng.uniform(0.5, 42.0, n)
+    counts = {side: distance / (0.2 * np.pi) * COUNTS_PER_REV * (1 + scatter * rng.normal(size=n)) for side in "lr"}
+    numbers = {
+        "distance_m": np.where(rng.uniform(size=n) < 0.05, np.nan, distance),
+        "counts_left": np.floor(counts["l"]) if whole else counts["l"],
+        "counts_right": np.floor(counts["r"]) if whole else counts["r"],
+        "load_left_N": load,
+        "load_right_N": np.where(rng.uniform(size=n) < 0.05, np.nan, load[::-1]),
+        "ref_theta_rad": np.where(rng.uniform(size=n) < 0.5, np.nan, 1e-2 * rng.normal(size=n)),
+        "amplitude_m": np.where(rng.uniform(size=n) < 0.5, np.nan, 0.1),
+        "wavelength_m": rng.choice([0.0, 5.0, np.nan], n),
+        "static_radius_left_m": rng.choice([0.1, np.nan], n),
+    }
+    labels = {
+        "session": np.array([f"s{one}" for one in rng.integers(n_sessions, size=n)]),
+        "direction": rng.choice(["out", "back", ""], n),
+    }
+    try:
+        fit = fit_campaign(campaigns.campaign_of(numbers, labels=labels))
+    except CalibError as error:
+        assert "\n" not in str(error)
+        return
+    document = json.loads(json.dumps(fit.to_dict(), allow_nan=False))
+    assert Fit.from_dict(document).to_dict() == fit.to_dict()
+    for wheel in fit.wheels.values():
+        low, high = wheel.radius_ref_ci95_m
+        assert low <= wheel.law.radius_ref_m <= high
+        assert np.all(np.linalg.eigvalsh(wheel.law.covariance) >= -1e-12 * np.trace(wheel.law.covariance))

@@ -6,10 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 from statsmodels.regression.linear_model import OLS
-from statsmodels.stats.diagnostic import het_breuschpagan
 
 from calib.errors import RefusedError
-from calib.radius.regression import distinct_loads, fit_wheel, t_quantile
+from calib.radius.regression import distinct_loads, fit_wheel, independent_line, least_squares, t_quantile
 from calib.radius.sessions import breusch_pagan
 
 LOADS = np.array([300.0, 500.0, 700.0, 900.0, 1100.0])
@@ -31,8 +30,8 @@ def test_naive_line_is_ordinary_least_squares() -> None:
     assert fit.naive is not None
     half = stats.t.ppf(0.975, 58) * oracle.stderr
     # rounding
-    assert fit.naive.slope_m_per_N == pytest.approx(oracle.slope, rel=1e-10)
-    assert fit.naive.radius_ref_m == pytest.approx(oracle.intercept, rel=1e-10)
+    assert fit.naive.coefficients[1] == pytest.approx(oracle.slope, rel=1e-10)
+    assert fit.naive.coefficients[0] == pytest.approx(oracle.intercept, rel=1e-10)
     assert fit.naive.slope_ci95_m_per_N == pytest.approx((oracle.slope - half, oracle.slope + half), rel=1e-9)
     assert fit.r_squared == pytest.approx(oracle.rvalue**2, rel=1e-10)
 
@@ -89,7 +88,7 @@ def test_one_session_is_ordinary_least_squares() -> None:
 
 
 @given(st.floats(-5e-6, 5e-6), st.floats(0.05, 0.3), st.booleans())
-def test_an_exact_line_comes_back_whatever_its_sign(slope: float, radius: float, crossed: bool) -> None:
+def test_an_exact_line_is_reproduced_for_slopes_of_both_signs(slope: float, radius: float, crossed: bool) -> None:
     load, _, session = runs(crossed)
     fit = fit_wheel("left", load, radius + slope * (load - 300), session, reference_load_N=300.0)
     # rounding of radii to 1e-17 m over loads of 800 N
@@ -134,21 +133,23 @@ def test_interval_of_the_radius_is_its_band_at_the_reference_load() -> None:
         assert (float(low), float(high)) == pytest.approx(fit.radius_ref_ci95_m, rel=1e-12)  # rounding
 
 
-def test_breusch_pagan_is_that_of_statsmodels() -> None:
+def test_breusch_pagan_is_n_times_r_squared_of_the_squared_residuals() -> None:
+    """Koenker's closed form for one regressor, and no statistic where there is no scatter."""
     rng = np.random.default_rng(2)
     x = rng.uniform(300, 1100, 60)
     residual = rng.normal(0, x)
-    statistic, p_value, _, _ = het_breuschpagan(residual, np.column_stack((np.ones(60), x)))
-    assert breusch_pagan(residual, x) == pytest.approx((statistic, p_value), rel=1e-9)  # rounding
+    statistic = 60 * np.corrcoef(residual**2, x)[0, 1] ** 2
+    assert breusch_pagan(residual, x) == pytest.approx((statistic, stats.chi2.sf(statistic, 1)), rel=1e-9)  # rounding
+    assert breusch_pagan(np.zeros(60), x) == (0.0, 1.0)
 
 
-def test_scatter_that_grows_with_load_brings_hc3() -> None:
+def test_scatter_that_grows_with_load_selects_hc3() -> None:
     rng = np.random.default_rng(2)
     load = np.tile(LOADS, 12)
     radius = 0.1 + 1.3e-6 * load + rng.normal(0, 1e-5 * load / 300)
     fit = fit_wheel("left", load, radius, np.full(60, "one"), reference_load_N=300.0)
     oracle = OLS(radius, np.column_stack((np.ones(60), load - 300))).fit(cov_type="HC3")
-    assert fit.estimate.robust
+    assert fit.estimate.hc3
     np.testing.assert_allclose(np.sqrt(np.diag(fit.law.covariance)), oracle.bse, rtol=1e-9)  # rounding
 
 
@@ -163,6 +164,22 @@ def test_one_load_gives_a_constant_and_no_slope() -> None:
     assert fit.radius_ref_ci95_m == pytest.approx((low, high), rel=1e-12)  # rounding
 
 
+@pytest.mark.parametrize("n_runs", [3, 5, 60, 1000])
+def test_naive_line_has_the_covariance_of_the_normal_equations(n_runs: int) -> None:
+    """Coefficients and both covariances by their textbook formulas, with scatter that grows with the load."""
+    rng = np.random.default_rng(n_runs)
+    x = rng.uniform(0.0, 800.0, n_runs)
+    y = 0.1 + 1.3e-6 * x + rng.normal(0.0, 1e-5, n_runs) * (1.0 + x / 400.0)
+    ols, design = least_squares(x, y), np.column_stack((np.ones(n_runs), x))
+    line, inverse = independent_line(ols), np.linalg.inv(design.T @ design)
+    residual = y - design @ line.coefficients
+    leverage = np.einsum("ij,jk,ik->i", design, inverse, design)
+    weighted = design.T @ np.diag((residual / (1.0 - leverage)) ** 2) @ design
+    np.testing.assert_allclose(line.coefficients, inverse @ design.T @ y, rtol=1e-9)  # the inverse loses digits
+    np.testing.assert_allclose(line.covariance, inverse * (residual @ residual) / (n_runs - 2), rtol=1e-8)
+    np.testing.assert_allclose(ols.cov_HC3, inverse @ weighted @ inverse, rtol=1e-6)  # leverages near one
+
+
 def test_two_runs_are_refused() -> None:
     with pytest.raises(RefusedError, match="three or more"):
         fit_wheel("left", [300.0, 500.0], [0.1, 0.1], ["a", "a"], reference_load_N=300.0)
@@ -173,5 +190,5 @@ def test_loads_a_few_newtons_apart_count_as_one() -> None:
     assert distinct_loads(np.array([300.0])) == 1
 
 
-def test_t_quantile_is_students() -> None:
+def test_t_quantile_is_that_of_student() -> None:
     assert float(t_quantile(3.0)) == pytest.approx(stats.t.ppf(0.975, 3), rel=1e-12)  # rounding

@@ -1,7 +1,7 @@
 """What `calib geometry` makes of recordings of others, as tables: ``python -m tests.real.geometry_tables``.
 
 Khepera III against the published values, full recordings and thirds; OptiOdom by routes and by ways of estimating, and
-each recording left out in turn; OptiOdom's tricycle; the mecanum robot. The recordings stand in ``../shared/data``.
+each recording held out in turn; OptiOdom's tricycle; the mecanum robot. The recordings stand in ``../shared/data``.
 """
 
 from __future__ import annotations
@@ -12,10 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.geometry.estimate import estimate_geometry
-from calib.geometry.parts import Estimate
-from calib.geometry.result import Geometry
-from tests.geometry.published import published, tuples_of
+from calib.kinematics.estimate import estimate_geometry
+from calib.kinematics.result import Estimate, Geometry
+from tests.kinematics.published import published, tuples_of
 from tests.real import recordings
 
 FOLDER = Path(__file__).resolve().parents[3] / "shared" / "data"
@@ -52,7 +51,7 @@ def khepera() -> None:
 
 
 def differential() -> None:
-    """Ways of estimating one vehicle, and each recording left out."""
+    """Ways of estimating one vehicle, and each recording held out."""
     campaign = recordings.optiodom_differential(FOLDER)
     nominal = campaign.model.track_m / (0.5 * (campaign.model.radius_left_m + campaign.model.radius_right_m))
     squares, circles = ["square_cw", "square_ccw"], ["circular_cw", "circular_ccw"]
@@ -77,7 +76,7 @@ def differential() -> None:
         for value, std in ((mark.E_d, mark.E_d_std), (mark.E_b, mark.E_b_std))
     ]
     _say(f"  {'squares, UMBmark':24s} {mark.n_cw + mark.n_ccw:3d} runs  {said[0]}  {said[1]}")
-    _say("  left out: runs, end position error before and after, mm")
+    _say("  held out: runs, end position error before and after, mm")
     for out in rows["all routes, end poses"].transfer:
         _say(f"    {out.left_out} {out.n:3d}  {1e3 * out.before_rms_m:6.1f} {1e3 * out.after_rms_m:6.1f}")
 

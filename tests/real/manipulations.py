@@ -8,8 +8,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from calib.arrays import FloatArray
 from calib.campaign.model import Campaign
+from calib.types import FloatArray
 
 __all__ = ["CORRIDOR", "POSES", "Manipulation"]
 

@@ -12,15 +12,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from calib.arrays import FloatArray
 from calib.campaign.model import Campaign
-from calib.challenge.own.answers import NO_FAMILY
-from calib.gap.data.from_campaign import observations_of
+from calib.challenge.own.result import NO_FAMILY
 from calib.gap.diagnose import diagnose_in_full
 from calib.gap.effects.library import effect_class
-from calib.gap.predict.path import predict
-from calib.gap.predict.residuals import residuals
+from calib.gap.observations.from_campaign import observations_of
+from calib.gap.predict import predict, residuals
 from calib.plant.signal import CALIBRATION, strength
+from calib.types import FloatArray
 from tests.real import recordings
 from tests.real.manipulations import CORRIDOR, POSES, Manipulation
 
@@ -86,7 +85,7 @@ def calibrated(campaign: Campaign) -> tuple[Campaign, dict[str, Any], FloatArray
     )
     base = replace(campaign, model=model)
     again = diagnose_in_full(base, plan=False)
-    return base, again.verdict.to_dict(), again.noise.covariance
+    return base, again.to_dict(), again.noise.covariance
 
 
 def _family(effect: str) -> str:
@@ -100,7 +99,7 @@ def outcome_of(
 ) -> Outcome:
     """Manipulate a calibrated recording, diagnose it, and hold the verdict against what was done."""
     struck = manipulation.change(base)
-    verdict = diagnose_in_full(struck, plan=False).verdict.to_dict()
+    verdict = diagnose_in_full(struck, plan=False).to_dict()
     causes = verdict["causes"]
     named = tuple(cause["effect"] for cause in causes)
     groups = [set(group) for group in verdict["indistinguishable"]]

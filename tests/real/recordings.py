@@ -15,10 +15,10 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
-from calib.arrays import FloatArray
 from calib.campaign.model import Campaign, Logs, RunTable
 from calib.campaign.settings import Encoder, Odometry, OdometryModel, Rangefinder, Reference
 from calib.campaign.wheels import WHEEL_COLUMNS
+from calib.types import FloatArray
 from calib.vehicle import Vehicle
 from tests.campaign.straightline import convert
 
@@ -175,7 +175,7 @@ def khepera(folder: Path, name: str, *, tuples_per_run: int | None = None, senso
     folder : Path
         Folder of the recordings.
     name : str
-        File's stem. Steps at which the scan matcher failed (1 to 4 %, off by a quarter of a radian) are left out, as
+        File's stem. Steps at which the scan matcher failed (1 to 4 %, off by a quarter of a radian) are omitted, as
         those who recorded it did.
     tuples_per_run : int, optional
         Steps (of about 0.8 s) a run; one continuous recording by default. The scan matcher gives the laser's motion in
@@ -255,7 +255,7 @@ def _json_objects(text: str) -> list[dict[str, Any]]:
 
 
 def _chained(moves: FloatArray) -> FloatArray:
-    """Return the poses that a chain of moves, each in the frame of the pose before, leads through, from nought."""
+    """Return the poses that a chain of moves, each in the frame of the pose before, leads through, from zero."""
     heading = np.concatenate(([0.0], np.cumsum(moves[:, 2])))
     c, s = np.cos(heading[:-1]), np.sin(heading[:-1])
     x = np.concatenate(([0.0], np.cumsum(c * moves[:, 0] - s * moves[:, 1])))
@@ -275,7 +275,7 @@ def straight_line(folder: Path, by: Literal["laser", "motion_capture"] = "laser"
 
 @cache
 def _mecanum_log(folder: Path, bag: str) -> Mapping[str, FloatArray]:
-    """Ticks of the four wheels from nought, and the reference's poses at their times."""
+    """Ticks of the four wheels from zero, and the reference's poses at their times."""
     pytest.importorskip("rosbags")
     from rosbags.highlevel import AnyReader
 

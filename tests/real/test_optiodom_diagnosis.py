@@ -12,16 +12,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.gap.data.from_campaign import observations_of
+from calib.gap.decision.diagnosis import Diagnosis
 from calib.gap.diagnose import diagnose_in_full
-from calib.gap.diagnosis import Diagnosis
-from calib.gap.evidence.fit import fit, hypothesis_path
-from calib.gap.predict.path import Path as DrivenPath
-from calib.gap.predict.path import predict
-from calib.gap.predict.residuals import residuals
+from calib.gap.inference.fit import fit, hypothesis_path
+from calib.gap.observations.from_campaign import observations_of
+from calib.gap.predict import Path as DrivenPath
+from calib.gap.predict import predict, residuals
 from tests.real.recordings import available, optiodom_differential
 
-#: left out in turn: a recording of squares, of lines and turns on the spot, of circles
+#: held out in turn: a recording of squares, of lines and turns on the spot, of circles
 LEFT_OUT = ("230620202317", "250620201738", "250620202236")
 #: standard errors by which an end-pose error may be larger and still be no worse
 SCATTER = 2.0
@@ -34,15 +33,15 @@ def diagnosed(shared_data: Path) -> Diagnosis:
 
 def test_track_comes_first_and_unequal_radii_are_named_each_surely(diagnosed: Diagnosis) -> None:
     """A small rest beside them takes nothing of their probability."""
-    causes = {cause.effect: cause for cause in diagnosed.verdict.causes}
-    assert diagnosed.verdict.causes[0].effect == "track_width"
+    causes = {cause.effect: cause for cause in diagnosed.causes}
+    assert diagnosed.causes[0].effect == "track_width"
     assert causes["track_width"].probability > 0.9
     assert causes["track_width"].share > 0.5
     assert causes["unequal_radii"].probability > 0.9
     low, high = causes["unequal_radii"].parameters["relative"].ci95
     assert low < -0.0015 < high < 0.0
-    assert diagnosed.verdict.rest is not None
-    assert diagnosed.verdict.recommended
+    assert diagnosed.unexplained is not None
+    assert diagnosed.recommended
 
 
 def test_without_labels_the_same_causes_are_named_and_the_fix_is_recommended(
@@ -50,8 +49,8 @@ def test_without_labels_the_same_causes_are_named_and_the_fix_is_recommended(
 ) -> None:
     campaign = optiodom_differential(shared_data)
     bare = replace(campaign, runs=replace(campaign.runs, labels={"run_id": campaign.runs.labels["run_id"]}))
-    verdict = diagnose_in_full(bare, plan=False).verdict
-    assert {cause.effect for cause in verdict.causes} == {cause.effect for cause in diagnosed.verdict.causes}
+    verdict = diagnose_in_full(bare, plan=False)
+    assert {cause.effect for cause in verdict.causes} == {cause.effect for cause in diagnosed.causes}
     assert verdict.causes[0].effect == "track_width"
     assert verdict.recommended
 

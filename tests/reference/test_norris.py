@@ -23,10 +23,10 @@ DIGITS = 12
 
 
 @pytest.fixture(scope="module")
-def found(shared_data: Path) -> dict[str, float]:
+def estimates(shared_data: Path) -> dict[str, float]:
     path = shared_data / "nist_strd" / "norris.csv"
     if not path.is_file():
-        pytest.skip("the NIST data set is not here: nist_strd/norris.csv")
+        pytest.skip("the NIST data set is missing: nist_strd/norris.csv")
     with path.open(encoding="utf-8") as stream:
         rows = [(float(row["x"]), float(row["y"])) for row in csv.DictReader(stream)]
     x, y = np.array(rows).T
@@ -44,8 +44,8 @@ def found(shared_data: Path) -> dict[str, float]:
 
 
 @pytest.mark.parametrize("name", CERTIFIED)
-def test_certified_value_is_reproduced_to_twelve_digits(found: dict[str, float], name: str) -> None:
+def test_certified_value_is_reproduced_to_twelve_digits(estimates: dict[str, float], name: str) -> None:
     """The logarithm of the relative error (LRE) is the number of agreeing digits."""
-    error = abs(found[name] - CERTIFIED[name]) / abs(CERTIFIED[name])
+    error = abs(estimates[name] - CERTIFIED[name]) / abs(CERTIFIED[name])
     digits = -np.log10(error) if error > 0 else 15.0
     assert digits >= DIGITS, f"{name}: {digits:.1f} digits agree"

@@ -23,8 +23,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from calib.cli.main import COMMANDS, run
-from calib.files import spreadsheet_cell
+from calib.cli.main import run
+from calib.cli.registry import COMMANDS
+from calib.documents import spreadsheet_cell
 from tests.fuzz.inputs import options
 from tests.fuzz.sound import prepared
 
@@ -201,7 +202,7 @@ def odd_names(command: str, usual: int) -> Iterator[str]:
     for place in Path().iterdir():
         if place != odd:
             (shutil.copytree if place.is_dir() else shutil.copy)(place, odd / place.name)
-    # the first word is the command, whatever folder is called alike
+    # the first word is the command, no matter what folder is called alike
     first, *further = _worded(command)
     paths = [str(odd / word) if word.startswith("out/") or Path(word).exists() else word for word in further]
     end = ended([first, *paths])

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import importlib
 import random
 import shutil
 import sys
@@ -21,7 +20,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from calib.cli.main import COMMANDS
+from calib.cli.registry import COMMANDS, function_of
 from tests.fuzz.sound import small_campaign
 from tests.robust.killing import (
     KILLED,
@@ -200,8 +199,8 @@ def main() -> int:
     counted, changes = Counter[str](), 0
     with tempfile.TemporaryDirectory() as folder:
         base = prepared(Path(folder) / "base")
-        for module in COMMANDS.values():
-            importlib.import_module(f"calib.cli.{module}")
+        for name in COMMANDS:
+            function_of(name)
         for number, job in enumerate(jobs):
             kills = options.kills // len(jobs) + (number < options.kills % len(jobs))
             with trial_of(job, base) as trial:

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import calib.folders
+import calib.io
 from calib.cli.main import run
 from calib.fleet.store import SUMS
 
@@ -25,10 +25,10 @@ LONGEST_S = 300.0
 #: what computes without reading or writing a file of the user's, and takes nearly all of a command's time
 COMPUTED = (
     ("calib.gap.diagnose", "diagnose_in_full"),
-    ("calib.geometry.estimate", "estimate_geometry"),
-    ("calib.report.figures.style", "render"),
-    ("calib.report.pdf", "to_pdf"),
-    ("calib.report.html", "to_html"),
+    ("calib.kinematics.estimate", "estimate_geometry"),
+    ("calib.reporting.figures.style", "render"),
+    ("calib.reporting.pdf", "to_pdf"),
+    ("calib.reporting.html", "to_html"),
 )
 
 
@@ -91,7 +91,7 @@ def _child(arguments: list[str], cwd: Path, deadly_change: int | None) -> None:
         # every way in which calib gives a file or a folder its name
         for name in ("rename", "replace", "link"):
             setattr(os, name, _deadly(getattr(os, name), left))
-        calib.folders._exchange = _deadly(calib.folders._exchange, left)
+        calib.io._swap = _deadly(calib.io._swap, left)
     os._exit(run(arguments))
 
 

@@ -13,7 +13,7 @@ import pytest
 from calib import limits
 from calib.campaign import runs_file
 from calib.campaign.readers import read_table
-from calib.campaign.readers.workbook_size import weigh
+from calib.campaign.readers.workbook import check_size
 from calib.cli.main import run
 from calib.errors import BadFileError
 from calib.gap.effects import library
@@ -158,7 +158,7 @@ def test_rows_that_hold_nothing_below_the_table_are_passed_over(tmp_path: Path) 
     cells = "".join(f'<row r="{row}"><c r="A{row}"><v>{row}</v></c><c r="B{row}"><v>1</v></c></row>' for row in (2, 3))
     empty = "".join(f'<row r="{row}"><c r="A{row}" s="0"/></row>' for row in range(4, 30_000))
     path = _workbook(tmp_path / "w.xlsx", cells + empty)
-    assert weigh(path, "w.xlsx") == 3
+    assert check_size(path, "w.xlsx") == 3
     assert len(read_table(path, "w.xlsx").line) == 2
 
 
@@ -167,9 +167,9 @@ def test_a_workbook_with_more_than_may_be_is_refused(tmp_path: Path, monkeypatch
     path = _workbook(tmp_path / "w.xlsx", '<row r="2"><c r="A2"><v>1</v></c></row>')
     for name, what in (("SHEET_UNPACKED_BYTES", "bytes unpacked"), ("SHEETS", "sheets"), ("SHEET_CELLS", "cells")):
         with monkeypatch.context() as patched:
-            patched.setattr(f"calib.campaign.readers.workbook_size.{name}", 0)
+            patched.setattr(f"calib.campaign.readers.workbook.{name}", 0)
             with pytest.raises(BadFileError, match=f"found .* {what}; expected at most 0"):
-                weigh(path, "w.xlsx")
+                check_size(path, "w.xlsx")
 
 
 def _settings_text(size: int) -> Callable[[], None]:

@@ -19,7 +19,7 @@ import pytest
 
 from calib.cli.main import run
 from calib.cli.terminal import visible
-from calib.files import csv_text, spreadsheet_cell
+from calib.documents import csv_text, spreadsheet_cell
 
 ROOT = Path(__file__).resolve().parents[2]
 CORRIDOR = ROOT / "sample_runs" / "corridor"
@@ -104,7 +104,7 @@ def test_every_table_for_spreadsheets_is_written_in_one_place() -> None:
         for path in (ROOT / "calib").rglob("*.py")
         if re.search(r"csv\.(Dict)?[wW]riter\(", path.read_text(encoding="utf-8"))
     }
-    assert writers == {"calib/files.py", "calib/campaign/write.py"}
+    assert writers == {"calib/documents.py", "calib/campaign/write.py"}
 
 
 def test_a_description_and_an_export_steer_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

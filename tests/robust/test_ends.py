@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from calib.cli.main import run
-from calib.seal import checksum
+from calib.documents import checksum
 from tests.fuzz.sound import ROOT, small_campaign
 
 CORRIDOR = ROOT / "sample_runs" / "corridor"

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from calib.cli.main import COMMANDS, run
+from calib.cli.main import run
+from calib.cli.registry import COMMANDS
 from tests.robust import every
 
 

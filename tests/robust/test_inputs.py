@@ -1,4 +1,4 @@
-"""Inputs are sacred: no command writes over what it was given to read, whatever the flags, links or spelling."""
+"""Inputs are sacred: no command writes over what it was given to read, with any flags, links or spelling."""
 
 from __future__ import annotations
 

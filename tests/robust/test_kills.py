@@ -11,15 +11,15 @@ from typing import Any
 import pytest
 
 from calib.campaign.model import Campaign
-from calib.gap.diagnosis import Diagnosis
+from calib.gap.decision.diagnosis import Diagnosis
 from tests.robust.kill import JOBS, before_each_change, prepared, trial_of
 from tests.robust.killing import ROOT
 
-#: what takes long to compute and is no matter here, whatever it gives
+#: what takes long to compute and is no matter here, no matter what it gives
 STAND_INS = {
-    "calib.report.pdf.to_pdf": b"%PDF-1.7",
-    "calib.report.html.to_html": "<html></html>",
-    "calib.report.figures.style.render": b"<svg/>",
+    "calib.reporting.pdf.to_pdf": b"%PDF-1.7",
+    "calib.reporting.html.to_html": "<html></html>",
+    "calib.reporting.figures.style.render": b"<svg/>",
 }
 
 

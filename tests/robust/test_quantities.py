@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from calib import limits
+from calib.cli.failures import overflow_noted
 from calib.cli.main import run
-from calib.cli.warned import numbers_beyond_said
-from calib.gap.data.windows import edges_along
-from calib.gap.plan import separability
-from calib.gap.plan.outlook import outlook_of
+from calib.gap.observations.from_campaign import edges_along
+from calib.gap.plan import identifiability
+from calib.gap.plan.identifiability import outlook_of
 from calib.gap.plan.plan_file import read_plan
-from calib.gap.plan.planned_logs import stop_and_go
+from calib.gap.plan.planned_runs import stop_and_go
 from tests.fuzz.sound import ROOT, SEEDS, small_campaign
 
 #: processor time in which a number beyond its limit is refused, imports included; what it asks for takes minutes or
@@ -113,15 +113,15 @@ def test_a_slow_run_is_logged_at_wider_steps() -> None:
 def test_a_plan_makes_each_signature_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What each cause would do is computed in one pass: made a second time, a thousand runs took 13 s for 5 s."""
     asked: list[int] = []
-    once = separability.columns_of_forms
+    once = identifiability.signature_columns
 
     def counted(path, forms):  # type: ignore[no-untyped-def]
         asked.append(len(forms))
         return once(path, forms)
 
-    monkeypatch.setattr(separability, "columns_of_forms", counted)
+    monkeypatch.setattr(identifiability, "signature_columns", counted)
     # any other way to the columns of a form would be a second pass
-    monkeypatch.setattr("calib.gap.evidence.whitened.columns_of_forms", None)
+    monkeypatch.setattr("calib.gap.inference.linear_model.signature_columns", None)
     path = tmp_path / "plan.toml"
     path.write_text(PLAN, encoding="utf-8")
     outlook = outlook_of(read_plan(path))
@@ -163,7 +163,7 @@ def test_an_absurd_journey_is_one_line(name: str, capsys: pytest.CaptureFixture[
     ("command", "words"),
     [
         ("geometry", "found numbers that differ too much in size to compute with"),
-        ("diagnose", "run r000: found counts of a way of"),
+        ("diagnose", "run r000: found counts of a distance of"),
     ],
 )
 def test_counts_beyond_computing_are_one_line(
@@ -182,11 +182,11 @@ def test_counts_beyond_computing_are_one_line(
 
 def test_what_a_library_warns_of_is_one_note(capsys: pytest.CaptureFixture[str]) -> None:
     """Overflows of numpy are said without its code, once; other warnings are shown as they are."""
-    with numbers_beyond_said():
+    with overflow_noted():
         for _ in range(3):
             np.float64(1e300) * np.float64(1e300)
     err = capsys.readouterr().err
     assert err == ("calib: note: some numbers are too large, too small or missing to compute with (overflow)\n")
-    with pytest.warns(UserWarning, match="look here"), numbers_beyond_said():
+    with pytest.warns(UserWarning, match="look here"), overflow_noted():
         warnings.warn("look here", UserWarning, stacklevel=1)
     assert not capsys.readouterr().err

@@ -14,8 +14,7 @@ import pytest
 
 from calib.cli.main import run
 from calib.errors import BadInputError
-from calib.files import write_bytes
-from calib.folders import settle, write_files, write_folder
+from calib.io import settle, write_bytes, write_files, write_folder
 from tests.robust.killing import KILLED, ROOT, content, killed_at_rename, leftovers
 
 CORRIDOR = ROOT / "sample_runs" / "corridor"
@@ -68,10 +67,10 @@ def test_a_full_disk_leaves_the_old_generation(inside: bool, tmp_path: Path, mon
 
 
 def test_a_full_disk_leaves_the_old_file(tmp_path: Path) -> None:
-    """A limit on the size of files stands in for the full disk."""
+    """A limit on the size of files replaces the full disk."""
     (tmp_path / "out.json").write_bytes(b"old")
     code = (
-        "import resource, sys; from pathlib import Path; from calib.files import write_bytes\n"
+        "import resource, sys; from pathlib import Path; from calib.io import write_bytes\n"
         "from calib.errors import BadInputError\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\n"
         "try: write_bytes(Path('out.json'), bytes(5000), force=True)\n"

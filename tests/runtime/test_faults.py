@@ -13,8 +13,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from calib.coefficients.file import CoefficientFile
+from calib.documents import checksum
 from calib.runtime import CoefficientError, Coefficients, Odometer, OdometerFault, Status
-from calib.seal import checksum
 
 
 @pytest.fixture

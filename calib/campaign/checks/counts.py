@@ -1,18 +1,27 @@
-"""Encoder counts: sign, scale, overflow, swapped wheels, agreement with the logs."""
+"""Encoder counts and logs: sign, scale, overflow, swapped wheels, the clock, jumps, speed."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Final
 
 import numpy as np
 
-from calib.arrays import FloatArray
-from calib.campaign.checks.common import SIDES, listed, note, per_rev, raw_radius_ratio, robust_spread
+from calib.campaign.checks.terms import (
+    SIDES,
+    cell_note,
+    listed,
+    meaning,
+    per_rev,
+    raw_radius_ratio,
+    robust_spread,
+    stated,
+)
 from calib.campaign.model import Campaign, Note
-from calib.campaign.plausible_terms import meaning, stated
 from calib.campaign.read import log_totals
+from calib.campaign.wheels import odometry_source, on_one_axle
+from calib.types import FloatArray
 
 #: radius found over nominal -> what usually lies behind it
 _FACTORS: Final = (
@@ -55,7 +64,7 @@ def reversed_wheels(campaign: Campaign) -> Iterator[Note]:
                 f"found {runs.number(f'counts_{side}')[run]:.0f}; expected positive counts, as in the other runs; "
                 "check whether the vehicle drove backward"
             )
-            yield note(campaign, run, f"counts_{side}", text, "reversed_wheels")
+            yield cell_note(campaign, run, f"counts_{side}", text, "reversed_wheels")
 
 
 def count_scale(campaign: Campaign) -> Iterator[Note]:
@@ -93,10 +102,10 @@ def _odd_run(campaign: Campaign, run: int, side: str, ratio: float) -> Note:
                 f"found {total:.0f}; about {expected:.0f} was expected; it looks like the rest of {abs(turns)} "
                 f"overflow(s) of a {bits}-bit counter; give encoder.wrap_bits = {bits} to have it undone"
             )
-            return note(campaign, run, f"counts_{side}", text, "wrapped_total")
+            return cell_note(campaign, run, f"counts_{side}", text, "wrapped_total")
     reason = _reason(ratio) or "check the counts and the distance of this run"
     text = f"found {total:.0f}, a radius {ratio:.4g} times the nominal one; about {expected:.0f} was expected; {reason}"
-    return note(campaign, run, f"counts_{side}", text, "count_scale")
+    return cell_note(campaign, run, f"counts_{side}", text, "count_scale")
 
 
 def _reason(ratio: float) -> str:
@@ -121,7 +130,7 @@ def counts_against_log(campaign: Campaign) -> Iterator[Note]:
                 reason = _reason(abs(log / found)) if found else ""
                 hint, code = reason or "the log may be cut, or belong to another run", "counts_disagree"
             text = f"found {found:.0f} in the table but {log:.0f} in the log; {hint}"
-            yield note(campaign, run, f"counts_{side}", text, code)
+            yield cell_note(campaign, run, f"counts_{side}", text, code)
 
 
 def swapped_wheels(campaign: Campaign) -> Iterator[Note]:
@@ -145,7 +154,7 @@ def swapped_wheels(campaign: Campaign) -> Iterator[Note]:
             f"{math.exp(usual):.5f}; left and right "
             "look swapped; check the columns of this run (when it is ingested: swapped = [...] in the mapping's [log])"
         )
-        yield note(campaign, int(run), "counts_left, counts_right", text, "swapped_wheels")
+        yield cell_note(campaign, int(run), "counts_left, counts_right", text, "swapped_wheels")
 
 
 def _robust_fit(values: FloatArray, loads: FloatArray) -> tuple[FloatArray, float]:
@@ -211,4 +220,108 @@ def _turns(campaign: Campaign, clear: np.ndarray, against: np.ndarray, column: s
         return
     for run in np.flatnonzero(against):
         text = f"{what} than the counts say; left and right look swapped in this run"
-        yield note(campaign, int(run), f"counts_left, counts_right, {column}", text, "swapped_wheels")
+        yield cell_note(campaign, int(run), f"counts_left, counts_right, {column}", text, "swapped_wheels")
+
+
+def clock(campaign: Campaign) -> Iterator[Note]:
+    """Find gaps (the vehicle moved on), clock jumps (it did not), and time that stands or runs backwards."""
+    for run in np.flatnonzero(campaign.logs.lengths >= 5):
+        log = campaign.logs.of(int(run))
+        time = log["t_s"]
+        step = np.diff(time)
+        usual = float(np.median(step))
+        back = np.flatnonzero(step < 0)
+        if len(back):
+            text = (
+                f"time runs backwards {len(back)} time(s), first in sample {back[0] + 2} by "
+                f"{-step[back[0]]:.4g} s; the "
+                "clock jumped or files were joined; check the logger"
+            )
+            yield cell_note(campaign, run, "log t_s", text, "clock_jump")
+        still = int((step == 0).sum())
+        if still:
+            yield cell_note(
+                campaign, run, "log t_s", f"{still} sample(s) repeat the time of the one before", "repeated_time"
+            )
+        if usual <= 0:
+            continue
+        long = np.flatnonzero(step > max(3.5 * usual, 0.0))
+        if not len(long):
+            continue
+        moved = np.sum([np.abs(np.diff(log[name])) for name in _wheels(log)], axis=0)
+        rate = float(np.median((moved / np.where(step > 0, step, np.nan))[step > 0]))
+        # while driving, a real gap correlates with as many counts as its time asks for
+        jumped = [at for at in long if rate > 0 and moved[at] < 0.35 * rate * step[at] and _driving(moved, int(at))]
+        gaps = [at for at in long if at not in jumped]
+        if gaps:
+            text = (
+                f"{len(gaps)} gap(s), {step[gaps].sum():.4g} s in all, the longest {step[gaps].max():.4g} s at "
+                f"{time[gaps[int(np.argmax(step[gaps]))]]:.4g} s, where samples come every {usual:.4g} s; "
+                "counts go on, so "
+                "that totals hold, but the path in the gap is not known"
+            )
+            yield cell_note(campaign, run, "log t_s", text, "gap")
+        if jumped:
+            text = (
+                f"the clock jumped {len(jumped)} time(s), first at {time[jumped[0]]:.4g} s by {step[jumped[0]]:.4g} s, "
+                "while the counts went on as in one sample; speeds of this log are not to be trusted"
+            )
+            yield cell_note(campaign, run, "log t_s", text, "clock_jump")
+
+
+def _wheels(log: Mapping[str, FloatArray]) -> list[str]:
+    """Return the columns of a log that count a wheel."""
+    return [name for name in log if name.startswith("counts_")]
+
+
+def _driving(moved: FloatArray, at: int) -> bool:
+    """Return whether the wheels turned just before and just after a step."""
+    return bool(moved[max(0, at - 3) : at].any() and moved[at + 1 : at + 4].any())
+
+
+def count_jumps(campaign: Campaign) -> Iterator[Note]:
+    """Find steps of a counter far beyond all others of the log, as a lost or disturbed encoder makes them."""
+    for run in np.flatnonzero(campaign.logs.lengths >= 20):
+        log = campaign.logs.of(int(run))
+        time_step = np.diff(log["t_s"])
+        usual_time = max(float(np.median(time_step)), 1e-9)
+        for name in _wheels(log):
+            # a gap in time may hold many counts; it is named as a gap
+            step = np.diff(log[name]) / np.maximum(1.0, time_step / usual_time)
+            usual = float(np.percentile(np.abs(step), 95))
+            far = np.flatnonzero(np.abs(step) > 6 * usual + 50)
+            if len(far) and len(far) <= max(5, 0.01 * len(step)):
+                text = (
+                    f"{len(far)} jump(s), first in sample {far[0] + 2} by {step[far[0]]:.0f} counts where "
+                    f"{usual:.0f} are "
+                    "usual; the encoder may have lost contact, or the counter was reset"
+                )
+                yield cell_note(campaign, run, f"log {name}", text, "count_jump")
+
+
+def _can_stand_in(campaign: Campaign) -> bool:
+    """Return whether wheels on one axle can are confounded with others: mecanum wheels need their l + w."""
+    return odometry_source(campaign) != "wheels" or campaign.vehicle.half_length_plus_half_width_m is not None
+
+
+def log_speed(campaign: Campaign) -> Iterator[Note]:
+    """Compare the set speed with what the log's counts say while driving."""
+    campaign = on_one_axle(campaign) if _can_stand_in(campaign) else campaign
+    logs, speed = campaign.logs, campaign.runs.number("speed_mps")
+    ratios = np.full(len(speed), np.nan)
+    per_count = 2 * np.pi * campaign.vehicle.wheel_radius_m / campaign.encoder.counts_per_rev_left
+    for run in np.flatnonzero((logs.lengths >= 20) & (speed > 0)):
+        log = logs.of(int(run))
+        if "counts_left" not in log:
+            continue
+        stride = max(1, len(log["t_s"]) // 50)
+        time, counts = log["t_s"][::stride], log["counts_left"][::stride]
+        step = np.diff(time)
+        if (step > 0).all():
+            ratios[run] = np.median(np.abs(np.diff(counts)) / step) * per_count / speed[run]
+    known = np.isfinite(ratios) & (ratios > 0)
+    # a route with turns or pauses is legitimately slower than its set speed; only a factor is odd
+    if known.sum() and not 0.4 < (usual := float(np.median(ratios[known]))) < 1.6:
+        hint = "km/h look like m/s; name the column speed_kmh" if 0.22 < usual < 0.34 else "check speed and clock"
+        text = f"the logs drive at {usual:.3g} times the set speed; {hint}"
+        yield Note("suspicious", "runs, column speed_mps", text, "speed_disagrees")

@@ -1,13 +1,56 @@
-"""The design of the campaign: what these runs can tell apart at all."""
+"""Design of the campaign: assumed settings, loads and sessions, replicates."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
+from typing import Final
 
 import numpy as np
 
-from calib.campaign.checks.common import SIDES, load_label
+from calib.campaign.checks.terms import SIDES, cell_note, load_label, raw_radius_ratio, robust_spread
 from calib.campaign.model import Campaign, Note
+
+#: keys that every radius or path scales with
+WEIGHTY: Final = ("vehicle.track_m", "vehicle.wheel_radius_m", "encoder.counts_per_rev")
+#: section -> columns of the run table or of logs that make its values matter
+_NEEDED_BY: Final = {"rangefinder": ("distance_m",), "reference": ("ref_x_m", "ref_y_m", "ref_theta_rad")}
+
+
+def relevant(campaign: Campaign) -> tuple[str, ...]:
+    """Return the assumed keys that matter for what the campaign holds."""
+    columns = {*campaign.runs.numbers, *campaign.logs.columns}
+    return tuple(
+        key
+        for key in campaign.assumed
+        if (needed := _NEEDED_BY.get(key.partition(".")[0])) is None or columns.intersection(needed)
+    )
+
+
+def assumed_settings(campaign: Campaign) -> dict[str, str]:
+    """Return the assumed keys that matter, each with the value that stands in."""
+    return {key: value_of(campaign, key) for key in relevant(campaign)}
+
+
+def value_of(campaign: Campaign, key: str) -> str:
+    """Return an assumed value as text; empty where the key is none of the campaign's."""
+    section, _, name = key.partition(".")
+    part = getattr(campaign, section, None)
+    value = getattr(part, "counts_per_rev_left" if name == "counts_per_rev" else name, None)
+    return f"{value:.6g}" if isinstance(value, int | float) else ""
+
+
+def assumed_values(campaign: Campaign) -> Iterator[Note]:
+    """Name what nobody stated, with the values that stand in."""
+    keys = assumed_settings(campaign)
+    if not keys:
+        return
+    listed = ", ".join(f"{key} = {value}" for key, value in keys.items())
+    text = (
+        f"assumed, since nobody stated: {listed}; give the vehicle's and the instruments' own and take them out of "
+        "'assumed'"
+    )
+    yield Note("suspicious" if any(key in WEIGHTY for key in keys) else "info", "campaign.toml", text, "assumed")
 
 
 def load_and_session(campaign: Campaign) -> Iterator[Note]:
@@ -67,3 +110,57 @@ def model_against_vehicle(campaign: Campaign) -> Iterator[Note]:
                 "diameter was given"
             )
             yield Note("suspicious", f"campaign.toml, model.{name}", text, "model_differs")
+
+
+#: a radius this many spreads from its replicates is reported
+_OUTLIER_SPREADS: Final = 6.0
+
+
+def far_from_repeats(campaign: Campaign) -> Iterator[Note]:
+    """Find runs whose radius lies far from runs of the same kind, load and speed.
+
+    Distance from the group's median, against a spread pooled over all groups by the median absolute deviation, so that
+    the runs sought do not widen it.
+    """
+    runs = campaign.runs
+    speed = np.round(runs.number("speed_mps"), 3)
+    label = load_label(campaign)
+    group_of = np.asarray([f"{k}|{w}|{v:g}" for k, w, v in zip(runs.label("kind"), label, speed, strict=True)])
+    names, group = np.unique(group_of, return_inverse=True)
+    for side in SIDES:
+        ratio = raw_radius_ratio(campaign, side)
+        ratio = np.where(np.abs(np.abs(ratio) - 1) < 0.15, ratio, np.nan)
+        away = np.full(len(ratio), np.nan)
+        for number in range(len(names)):
+            members = (group == number) & np.isfinite(ratio)
+            if members.sum() >= 3:
+                away[members] = ratio[members] - np.median(ratio[members])
+        known = np.isfinite(away)
+        if known.sum() < 5:
+            continue
+        # the rangefinder's own share keeps exact data from flagging its last digit
+        floor = campaign.rangefinder.sigma_m / float(np.nanmedian(runs.number("distance_m")))
+        spread = max(robust_spread(away[known]) * 1.2, floor)
+        for run in np.flatnonzero(known & (np.abs(np.nan_to_num(away)) > _OUTLIER_SPREADS * spread)):
+            text = (
+                f"the {side} radius lies {100 * away[run]:+.3f} % from its repeats, "
+                f"{abs(away[run]) / spread:.0f} times "
+                "their spread; look for slip, a wrong distance or a wrong load, and set excluded with a "
+                "reason if found"
+            )
+            yield cell_note(campaign, run, f"distance_m, counts_{side}", text, "far_from_repeats")
+
+
+def pasted_rows(campaign: Campaign) -> Iterator[Note]:
+    """Find runs whose measured values are all those of an earlier run."""
+    runs = campaign.runs
+    seen: dict[tuple[float, ...], int] = {}
+    for run, row in enumerate(
+        zip(*(runs.number(name).tolist() for name in ("distance_m", "counts_left", "counts_right")), strict=True)
+    ):
+        if any(math.isnan(value) or value == 0 for value in row):
+            continue
+        if row in seen:
+            text = f"all three are those of run {runs.run_id[seen[row]]}; one row may have been pasted twice"
+            yield cell_note(campaign, run, "distance_m, counts_left, counts_right", text, "pasted_row")
+        seen.setdefault(row, run)

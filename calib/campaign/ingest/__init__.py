@@ -1,7 +1,6 @@
-"""From a laboratory's files and recordings to a campaign: describe what is there, map it, cut it into runs."""
+"""From a laboratory's files and recordings to a campaign: describe them, map their columns, cut them into runs."""
 
+from calib.campaign.ingest.build import Ingested, ingest, merged_notes, write_blank
 from calib.campaign.ingest.describe import Description, describe
-from calib.campaign.ingest.gathered import gathered
-from calib.campaign.ingest.run import Ingested, ingest
 
-__all__ = ["Description", "Ingested", "describe", "gathered", "ingest"]
+__all__ = ["Description", "Ingested", "describe", "ingest", "merged_notes", "write_blank"]

@@ -31,126 +31,281 @@ Columns that already carry calib's names, with any known unit, need no line.
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping as MappingType
+from dataclasses import dataclass
+from math import pi
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final, Literal, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from calib.campaign.columns import spelled
-from calib.campaign.ingest.cut import Cut, parse_cut
 from calib.campaign.model import LABEL_COLUMNS, LOG_COLUMNS, NUMERIC_COLUMNS
 from calib.campaign.readers import Layout
 from calib.campaign.settings_file import load_toml
 from calib.errors import BadFileError
-from calib.files import inside
+from calib.io import inside
 from calib.units import SUFFIXES, split_suffix
 
 TABLE_COLUMNS: Final = (*LABEL_COLUMNS, *NUMERIC_COLUMNS, "excluded")
 
-#: what a wheel's column may hold instead of counts -> what it is, and how many turns one of its units makes
-COUNT_UNITS: Final[Mapping[str, tuple[str, float]]] = {
+#: unit of a wheel's column -> what its numbers are, and how many turns (or counts) one of its units makes
+COUNT_UNITS: Final[MappingType[str, tuple[str, float]]] = {
     "counts": ("counts", 1.0),
     "counts/sample": ("increments", 1.0),
     "counts/s": ("count_rate", 1.0),
     "turns": ("angle", 1.0),
-    "rad": ("angle", 1.0 / 6.283185307179586),
+    "rad": ("angle", 1.0 / (2.0 * pi)),
     "deg": ("angle", 1.0 / 360.0),
     "turns/s": ("rate", 1.0),
-    "rad/s": ("rate", 1.0 / 6.283185307179586),
+    "rad/s": ("rate", 1.0 / (2.0 * pi)),
     "deg/s": ("rate", 1.0 / 360.0),
     "rpm": ("rate", 1.0 / 60.0),
-    "rad/min": ("rate", 1.0 / (60.0 * 6.283185307179586)),
+    "rad/min": ("rate", 1.0 / (60.0 * 2.0 * pi)),
 }
-_LINE_KEYS: Final = frozenset({"column", "unit", "factor", "value", "values", "from_start", "lag_s"})
-_FILE_KEYS: Final = frozenset({"file", "run", "sheet", "header_row", "lag", "swapped"})
+_COLUMN: Final = 'a column name, or {column = "...", unit = "...", factor = 1}'
+_TIMES: Final = "pairs of start and end, as [[0, 41.5], [60, 101]]"
+_LOG_FILE: Final = 'a name that holds {run_id} or {n}, as "run_{run_id}.csv" or "Run_{n:02}.csv"'
+_NOT_NEGATIVE: Final = "a number, not below 0"
 
 
-@dataclass(frozen=True, slots=True)
-class Line:
-    """One line of a mapping."""
+class _Model(BaseModel):
+    """A part of a mapping; each field's description says in an error what was expected."""
 
-    #: calib's column
-    name: str
-    #: the source's column; empty where `value` stands for it
-    column: str = ""
-    #: what holds for every run, or one value a run
-    value: str | float | tuple[str | float, ...] | None = None
+    model_config = ConfigDict(strict=True, frozen=True, extra="forbid")
+
+
+class _UnfitError(ValueError):
+    """A key whose value does not fit the others."""
+
+    def __init__(self, key: str, found: Any, expected: str) -> None:
+        super().__init__(expected)
+        self.key, self.found, self.expected = key, found, expected
+
+
+class MappedColumn(_Model):
+    """One line of a mapping: the source of one of calib's columns."""
+
+    #: the source's column; empty where `value` is given
+    column: str = Field(default="", description=_COLUMN)
+    #: a constant for every run, or one value a run
+    value: bool | str | int | float | Annotated[list[bool | str | int | float], Field(min_length=1)] | None = Field(
+        default=None, description="a text or a number, or a list of one a run"
+    )
     #: the source's unit
-    unit: str | None = None
-    #: what the source's numbers are multiplied by
-    factor: float = 1.0
-    #: texts of the source and what they stand for
-    values: Mapping[str, str] = field(default_factory=dict)
+    unit: str | None = Field(default=None, description="the name of a unit")
+    #: factor on the source's numbers
+    factor: float = Field(default=1.0, gt=-1e12, lt=1e12, description="a factor that is a number other than 0")
+    #: texts of the source -> calib's
+    values: dict[str, bool | str | int | float] = Field(
+        default_factory=dict, description='texts and their meanings, as {hin = "out", zurueck = "back"}'
+    )
     #: a distance to a target, to be turned into the distance from the start of the run; None: as usual for the source
-    from_start: bool | None = None
-    #: time that the column lags behind the wheels, to be taken off
-    lag_s: float = 0.0
+    from_start: bool | None = Field(default=None, description="true or false")
+    #: time by which the column lags behind the wheels, to be taken off
+    lag_s: float = Field(default=0.0, gt=-1e12, lt=1e12, description="a number of seconds")
 
-    @property
-    def target(self) -> str:
-        """Calib's column in the source's unit (``t_ms``), as the recognition of columns reads it."""
+    @model_validator(mode="after")
+    def _usable(self) -> MappedColumn:
+        if not self.column and self.value is None and "column" not in self.model_fields_set:
+            raise _UnfitError("", None, _COLUMN)
+        if self.factor == 0:
+            raise _UnfitError("", 0, "a factor that is a number other than 0")
+        return self
+
+    def target(self, name: str) -> str:
+        """Return calib's column `name` in the source's unit (``t_ms``), as the recognition of columns reads it."""
         unit = self.unit
         if unit is None and ("[" in self.column or "(" in self.column):
             # the source names its own unit: Distance [mm]
             _, unit = split_suffix(spelled(self.column))
-            _stem, suffix = split_suffix(self.name)
-            if unit is not None and SUFFIXES[unit][0] != suffix:
+            if unit is not None and SUFFIXES[unit][0] != split_suffix(name)[1]:
                 unit = None
-        if unit is None or self.name.startswith("counts_"):
-            return self.name
-        return f"{split_suffix(self.name)[0]}_{unit}"
+        return name if unit is None or name.startswith("counts_") else f"{split_suffix(name)[0]}_{unit}"
+
+    def fits(self, name: str) -> bool:
+        """Return whether the unit is one that calib's column `name` may have."""
+        if self.unit is None:
+            return True
+        if name.startswith("counts_"):
+            return self.unit in COUNT_UNITS
+        suffix = split_suffix(name)[1]
+        return suffix is not None and self.unit in SUFFIXES and SUFFIXES[self.unit][0] == suffix
+
+
+class _Section(_Model):
+    """Where a table is in a file, and its columns: each key of the section that is not a field names one."""
+
+    sheet: str | None = Field(default=None, description="the name of a sheet")
+    header_row: int | None = Field(default=None, ge=1, description="the number of a row, counted from 1")
+    #: calib's column -> its source
+    columns: dict[str, MappedColumn] = Field(default_factory=dict)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _gather_columns(cls, section: dict[str, Any]) -> dict[str, Any]:
+        keys = set(cls.model_fields) - {"columns"}
+        lines = {name: line for name, line in section.items() if name not in keys}
+        columns = {name: {"column": line} if isinstance(line, str) else line for name, line in lines.items()}
+        return {name: section[name] for name in keys & set(section)} | {"columns": columns}
+
+    @model_validator(mode="after")
+    def _units_fit(self) -> _Section:
+        for name, line in self.columns.items():
+            if not line.fits(name):
+                kind = f"one of {', '.join(COUNT_UNITS)}" if name.startswith("counts_") else "a unit of the same kind"
+                raise _UnfitError(name, line.unit, f"{kind} as {name} is in")
+        return self
+
+    @property
+    def layout(self) -> Layout:
+        """Sheet and header row, for the readers."""
+        return Layout(self.sheet, self.header_row)
+
+
+class TableSection(_Section):
+    """``[table]``: the columns of the run table."""
+
+    file: str | None = Field(default=None, description="the name of the run table, relative to the mapping")
+
+
+class LogSection(_Section):
+    """``[log]``: the columns of logs and recordings, and how a run's log is found."""
+
+    #: name of a run's log, with ``{run_id}`` or ``{n}``
+    file: str | None = Field(default=None, pattern=r"\{(run_id|n(:0?\d+)?)\}", description=_LOG_FILE)
+    #: how ``{n}`` is read from the run's name
+    run: str | None = Field(default=None, pattern=r"\{n\}", description='how a run is called, as "Run {n}"')
+    lag: Literal["report", "remove"] = Field(default="report", description='"report" or "remove"')
+    #: runs whose left and right encoder were exchanged
+    swapped: list[str] = Field(default_factory=list, description='names of runs, as ["Run 12"]')
+
+    @field_validator("columns")
+    @classmethod
+    def _known(cls, columns: dict[str, MappedColumn]) -> dict[str, MappedColumn]:
+        for name in columns:
+            if name not in LOG_COLUMNS:
+                known = (*sorted(set(cls.model_fields) - {"columns"}), *LOG_COLUMNS)
+                raise _UnfitError(name, name, f"one of {', '.join(known)}")
+        return columns
+
+
+class Segmentation(_Model):
+    """``[cut]``: how a continuous recording is cut into runs."""
+
+    by: Literal["stops", "length", "column", "times"] = Field(
+        default="stops", description="one of stops, length, column, times"
+    )
+    #: by stops: shortest standstill that ends a run
+    min_stop_s: float = Field(default=1.0, ge=0, description=_NOT_NEGATIVE)
+    #: shorter drives are no runs
+    min_length_m: float = Field(default=0.5, ge=0, description=_NOT_NEGATIVE)
+    #: by length: length of a run, one of the two
+    length_m: float = Field(default=0.0, ge=0, description=_NOT_NEGATIVE)
+    length_s: float = Field(default=0.0, ge=0, description=_NOT_NEGATIVE)
+    #: by column: source column whose value tells the runs; an empty cell or 0 lies between runs
+    column: str = Field(default="", description="a text")
+    #: by times: pairs of start and end, as seconds from the recording's start or as times of the clock
+    times: list[Annotated[list[Any], Field(min_length=2, max_length=2)]] = Field(
+        default_factory=list, description=_TIMES
+    )
+    #: by times: columns of the run table that hold them
+    start: str = Field(default="", description="a text")
+    end: str = Field(default="", description="a text")
+    #: name of a run where no table names it; ``{n}`` is its number
+    run_id: str = Field(default="r{n:03}", description="a text")
+
+    @model_validator(mode="after")
+    def _complete(self) -> Segmentation:
+        if self.by == "length" and (self.length_m > 0) == (self.length_s > 0):
+            raise _UnfitError("length_m", self.length_m, "a length, either length_m or length_s")
+        if self.by == "column" and not self.column:
+            raise _UnfitError("column", "", "the column whose value tells the runs")
+        if self.by == "times" and not self.times and not (self.start and self.end):
+            raise _UnfitError("times", [], "pairs of start and end, or the table's columns start and end")
+        return self
 
 
 @dataclass(frozen=True, slots=True)
-class LogFiles:
-    """How a run's log is found: a name with ``{run_id}`` or ``{n}``, and how ``{n}`` is read from the run's name."""
+class Mapping:
+    """A mapping as read."""
 
-    file: str | None = None
-    run: str | None = None
-    layout: Layout = field(default_factory=Layout)
-    remove_lag: bool = False
-    swapped: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class MappingFile:
-    """A mapping as read: lines of the run table, lines of the logs, the cut, and what goes into ``campaign.toml``."""
-
+    #: its name in messages
     shown: str
-    table: tuple[Line, ...]
-    table_layout: Layout
-    log: tuple[Line, ...]
-    log_files: LogFiles
-    cut: Cut | None
+    table: TableSection
+    log: LogSection
+    #: None where the logs are of one run each
+    cut: Segmentation | None
+    #: all other keys and sections: those of ``campaign.toml``
     settings: dict[str, Any]
+    #: the run table beside the mapping, where it names one
     table_file: Path | None = None
 
 
-def read_mapping(path: Path | None) -> MappingFile:
+def read_mapping(path: Path | None) -> Mapping:
     """Read a mapping.
 
-    `path`: TOML file as this module's text shows; None stands for an empty one. Raises BadFileError where a line cannot
-    be used.
+    `path`: TOML file as this module's text shows; None is an empty one. Raises BadFileError where a line cannot be
+    used.
     """
     shown = str(path) if path else "mapping"
     document = load_toml(path, shown) if path else {}
-    table, log = _section(document, "table", shown), _section(document, "log", shown)
-    cut = parse_cut(_section(document, "cut", shown), shown) if "cut" in document else None
-    layout = _layout(table, shown, "table")
-    table_file = _table_file(table.pop("file", None), path, shown)
-    files = _log_files(log, shown)
-    known_logs = LOG_COLUMNS
-    return MappingFile(
-        shown=shown,
-        table=tuple(_line(name, entry, shown, "table", None) for name, entry in table.items()),
-        table_layout=layout,
-        log=tuple(_line(name, entry, shown, "log", known_logs) for name, entry in log.items()),
-        log_files=files,
-        cut=cut,
-        settings=document,
-        table_file=table_file,
-    )
+    has_cut = "cut" in document
+    sections = {name: document.pop(name, {}) for name in ("table", "log", "cut")}
+    for name, section in sections.items():
+        if not isinstance(section, dict):
+            raise BadFileError(shown, repr(section)[:60], f"a section [{name}]", "correct the mapping", column=name)
+    table = parse_section(TableSection, sections["table"], shown, "table")
+    log = parse_section(LogSection, sections["log"], shown, "log")
+    cut = parse_section(Segmentation, sections["cut"], shown, "cut") if has_cut else None
+    table_file = inside(path.parent, table.file, named_in=shown, column="table.file") if path and table.file else None
+    return Mapping(shown, table, log, cut, document, table_file)
+
+
+_Parsed = TypeVar("_Parsed", bound=BaseModel)
+
+
+def parse_section(model: type[_Parsed], section: dict[str, Any], shown: str, where: str) -> _Parsed:
+    """Check one section of a mapping.
+
+    Parameters
+    ----------
+    model : type
+        `TableSection`, `LogSection` or `Segmentation`.
+    section : dict
+        As TOML gives it.
+    shown, where : str
+        The mapping and the section's name, for messages.
+
+    Returns
+    -------
+    model
+        The section.
+
+    Raises
+    ------
+    BadFileError
+        At the first key that cannot be used, with what was expected there.
+    """
+    try:
+        return model.model_validate(section)
+    except ValidationError as error:
+        first = error.errors()[0]
+        path = [str(part) for part in first["loc"]]
+        unfit = first.get("ctx", {}).get("error")
+        fields: Any = model.model_fields
+        if path and path[0] == "columns":
+            path, fields = path[1:], MappedColumn.model_fields
+        name = path[0] if path else ""
+        if isinstance(unfit, _UnfitError):
+            found = first["input"] if unfit.found is None else unfit.found
+            raise bad_line(shown, where, unfit.key or name, found, unfit.expected) from error
+        key = path[1] if fields is MappedColumn.model_fields and len(path) > 1 else name
+        if first["type"] == "extra_forbidden":
+            expected = f"the keys {', '.join(sorted(fields))}"
+            raise bad_line(shown, where, name, key, expected) from error
+        expected = (fields[key].description if key in fields else None) or _COLUMN
+        raise bad_line(shown, where, name, first["input"], expected) from error
 
 
 def bad_line(shown: str, where: str, name: str, found: Any, expected: str) -> BadFileError:
@@ -166,95 +321,3 @@ def bad_line(shown: str, where: str, name: str, found: Any, expected: str) -> Ba
         What it should say.
     """
     return BadFileError(shown, repr(found)[:80], expected, "correct the mapping", column=f"{where}.{name}")
-
-
-def _section(document: dict[str, Any], name: str, shown: str) -> dict[str, Any]:
-    section = document.pop(name, {})
-    if not isinstance(section, dict):
-        raise BadFileError(shown, repr(section)[:60], f"a section [{name}]", "correct the mapping", column=name)
-    return dict(section)
-
-
-def _layout(section: dict[str, Any], shown: str, where: str) -> Layout:
-    sheet, row = section.pop("sheet", None), section.pop("header_row", None)
-    if sheet is not None and not isinstance(sheet, str):
-        raise bad_line(shown, where, "sheet", sheet, "the name of a sheet")
-    if row is not None and (isinstance(row, bool) or not isinstance(row, int) or row < 1):
-        raise bad_line(shown, where, "header_row", row, "the number of a row, counted from 1")
-    return Layout(sheet, row)
-
-
-def _table_file(name: Any, mapping: Path | None, shown: str) -> Path | None:
-    if name is None or mapping is None:
-        return None
-    if not isinstance(name, str):
-        raise bad_line(shown, "table", "file", name, "the name of the run table, relative to the mapping")
-    return inside(mapping.parent, name, named_in=shown, column="table.file")
-
-
-def _log_files(section: dict[str, Any], shown: str) -> LogFiles:
-    layout = _layout(section, shown, "log")
-    file, run, lag = section.pop("file", None), section.pop("run", None), section.pop("lag", "report")
-    if file is not None and not (isinstance(file, str) and re.search(r"\{(run_id|n(:0?\d+)?)\}", file)):
-        raise bad_line(
-            shown, "log", "file", file, 'a name that holds {run_id} or {n}, as "run_{run_id}.csv" or "Run_{n:02}.csv"'
-        )
-    if run is not None and not (isinstance(run, str) and "{n}" in run):
-        raise bad_line(shown, "log", "run", run, 'how a run is called, as "Run {n}"')
-    if lag not in {"report", "remove"}:
-        raise bad_line(shown, "log", "lag", lag, '"report" or "remove"')
-    swapped = section.pop("swapped", [])
-    if not isinstance(swapped, list) or not all(isinstance(run_id, str) for run_id in swapped):
-        raise bad_line(shown, "log", "swapped", swapped, 'names of runs, as ["Run 12"]')
-    return LogFiles(file, run, layout, lag == "remove", tuple(swapped))
-
-
-def _line(name: str, entry: Any, shown: str, where: str, known: Sequence[str] | None) -> Line:
-    line = {"column": entry} if isinstance(entry, str) else entry
-    if not isinstance(line, dict) or ("value" not in line and not isinstance(line.get("column"), str)):
-        raise bad_line(shown, where, name, entry, 'a column name, or {column = "...", unit = "...", factor = 1}')
-    if known is not None and name not in known:
-        raise bad_line(shown, where, name, name, f"one of {', '.join(sorted(_FILE_KEYS))}, {', '.join(known)}")
-    if strange := sorted(set(line) - _LINE_KEYS):
-        raise bad_line(shown, where, name, strange, f"the keys {', '.join(sorted(_LINE_KEYS))}")
-    value = line.get("value")
-    if isinstance(value, bool):
-        value = "true" if value else "false"
-    if isinstance(value, list) and value and all(isinstance(cell, str | int | float) for cell in value):
-        value = tuple(value)
-    if value is not None and not isinstance(value, str | int | float | tuple):
-        raise bad_line(shown, where, name, value, "a text or a number, or a list of one a run")
-    for key, expected in (("factor", "a factor that is a number other than 0"), ("lag_s", "a number of seconds")):
-        number = line.get(key, 1.0)
-        usable = isinstance(number, int | float) and not isinstance(number, bool) and abs(number) < 1e12
-        if not usable or (key == "factor" and number == 0):
-            raise bad_line(shown, where, name, number, expected)
-    values = line.get("values", {})
-    if not isinstance(values, dict) or not all(isinstance(text, str | int | float) for text in values.values()):
-        raise bad_line(shown, where, name, values, 'texts and what they stand for, as {hin = "out", zurueck = "back"}')
-    unit = line.get("unit")
-    if unit is not None and not _fits(name, unit):
-        kind = f"one of {', '.join(COUNT_UNITS)}" if name.startswith("counts_") else "a unit of the same kind"
-        raise bad_line(shown, where, name, unit, f"{kind} as {name} is in")
-    from_start = line.get("from_start")
-    if from_start is not None and not isinstance(from_start, bool):
-        raise bad_line(shown, where, name, from_start, "true or false")
-    return Line(
-        name=name,
-        column=line.get("column", ""),
-        value=value,
-        unit=unit,
-        factor=float(line.get("factor", 1.0)),
-        values={str(found): str(meant) for found, meant in values.items()},
-        from_start=from_start,
-        lag_s=float(line.get("lag_s", 0.0)),
-    )
-
-
-def _fits(name: str, unit: Any) -> bool:
-    if not isinstance(unit, str):
-        return False
-    if name.startswith("counts_"):
-        return unit in COUNT_UNITS
-    suffix = split_suffix(name)[1]
-    return suffix is not None and unit in SUFFIXES and SUFFIXES[unit][0] == suffix

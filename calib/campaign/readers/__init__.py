@@ -5,20 +5,16 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
-from typing import Any, Final, Protocol, cast
+from typing import Any, Final
 
-from calib.campaign.readers.layout import Layout
 from calib.campaign.readers.recording import Recording, joined_table
-from calib.campaign.readers.table import RawTable, Wanted
+from calib.campaign.readers.table import Layout, RawTable, Wanted
 from calib.errors import BadFileError
 
 __all__ = [
     "READERS",
     "Layout",
     "RawTable",
-    "Reader",
-    "Recorder",
     "Recording",
     "Wanted",
     "holds_recording",
@@ -27,36 +23,24 @@ __all__ = [
     "read_table",
 ]
 
-#: suffix -> module of this package that holds ``read`` (tables) or ``record`` (recordings); imported when first needed
+#: suffix -> module of this package, imported when first needed. It holds ``read(path, shown, wanted, layout)``, which
+#: returns a `RawTable`, or ``record(path, shown, wanted)``, which returns a `Recording`. `shown` is the file's name in
+#: messages; `wanted` picks the columns and makes them numeric, None keeps everything as read.
 READERS: Final[dict[str, str]] = {
     ".csv": "delimited",
     ".tsv": "delimited",
     ".txt": "delimited",
     ".parquet": "parquet",
-    ".xlsx": "spreadsheet",
+    ".xlsx": "workbook",
     ".tdms": "tdms",
     ".bag": "ros",
     ".mcap": "ros",
     ".db3": "ros",
     ".mat": "matlab",
-    ".tum": "tum",
+    ".tum": "recording",
 }
 #: a rosbag2 recording is a folder with this file
 BAG_METADATA: Final = "metadata.yaml"
-
-
-class Reader(Protocol):
-    """What a module for tables offers as ``read``."""
-
-    def __call__(self, path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTable:
-        """Read `path` (called `shown` in messages); `wanted` picks and makes numeric, None keeps everything as read."""
-
-
-class Recorder(Protocol):
-    """What a module for recordings offers as ``record``."""
-
-    def __call__(self, path: Path, shown: str, wanted: Callable[[str], bool] | None) -> Recording:
-        """Read the streams of `path` that hold a column for which `wanted` is true; None keeps everything."""
 
 
 def read_table(path: Path, shown: str, wanted: Wanted | None = None, layout: Layout | None = None) -> RawTable:
@@ -70,10 +54,11 @@ def read_table(path: Path, shown: str, wanted: Wanted | None = None, layout: Lay
     module = _module(path, shown)
     try:
         if hasattr(module, "record"):
-            return joined_table(cast(Recorder, module.record)(path, shown, wanted))
-        return cast(Reader, module.read)(path, shown, wanted, layout or Layout())
+            return joined_table(module.record(path, shown, wanted))
+        table: RawTable = module.read(path, shown, wanted, layout or Layout())
     except OSError as error:
         raise _unreadable(shown, error) from error
+    return table
 
 
 def read_recording(path: Path, shown: str, wanted: Callable[[str], bool] | None = None) -> Recording:
@@ -87,9 +72,10 @@ def read_recording(path: Path, shown: str, wanted: Callable[[str], bool] | None 
     if not hasattr(module, "record"):
         raise BadFileError(shown, "a table", "a recording (bag, TDMS, .mat, .tum)", "read it as a table")
     try:
-        return cast(Recorder, module.record)(path, shown, wanted)
+        recording: Recording = module.record(path, shown, wanted)
     except OSError as error:
         raise _unreadable(shown, error) from error
+    return recording
 
 
 def holds_recording(path: Path) -> bool:
@@ -104,21 +90,17 @@ def is_bag_folder(path: Path) -> bool:
 
 
 def _module_name(path: Path) -> str | None:
-    if path.name == BAG_METADATA or is_bag_folder(path):
-        return "ros"
-    return READERS.get(path.suffix.lower())
+    return "ros" if path.name == BAG_METADATA or is_bag_folder(path) else READERS.get(path.suffix.lower())
 
 
-def _module(path: Path, shown: str) -> ModuleType | Any:
+def _module(path: Path, shown: str) -> Any:
     name = _module_name(path)
     if name is None:
         expected = f"one of {', '.join(READERS)}, or the folder of a rosbag2 recording"
         raise BadFileError(shown, f"the suffix {path.suffix!r}", expected, "export the table in one of these formats")
     if not path.is_file() and not is_bag_folder(path):
-        remedy = "correct the path or put the file there"
-        raise BadFileError(
-            shown, "a folder or special file" if path.exists() else "no such file", "a readable file", remedy
-        )
+        found = "a folder or special file" if path.exists() else "no such file"
+        raise BadFileError(shown, found, "a readable file", "correct the path or put the file there")
     return importlib.import_module(f"{__name__}.{name}")
 
 

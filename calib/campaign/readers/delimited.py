@@ -1,40 +1,52 @@
-"""Text tables: comma, semicolon or tab; UTF-8, UTF-16 or Latin-1; decimal point or comma. All recognised and said."""
+"""Text tables: comma, semicolon or tab; UTF-8, UTF-16 or Latin-1; decimal point or comma. All recognised and noted."""
 
 from __future__ import annotations
 
 import codecs
 import csv
 import io
+import itertools
 import re
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
-from calib.arrays import FloatArray
 from calib.campaign.model import Note
-from calib.campaign.readers.layout import (
-    LOOKED_AT,
+from calib.campaign.readers.table import (
+    HEADER_ROWS,
+    LARGEST_VALUE,
     Layout,
-    find_delimiter,
+    RawTable,
+    Wanted,
+    check_header,
     find_header,
+    header_with_units,
     is_number,
-    of_one_width,
-    with_units,
+    to_numbers,
 )
-from calib.campaign.readers.table import LARGEST, RawTable, Wanted, made_numeric, refuse_duplicates
 from calib.errors import BadFileError
+from calib.types import FloatArray
 
-_NAMES: Final = {",": "commas", ";": "semicolons", "\t": "tabs"}
+_DELIMITERS: Final = {",": "commas", ";": "semicolons", "\t": "tabs"}
+#: delimiter -> all bytes but it and the end of a line
+_CELL_BYTES: Final = {mark: bytes(set(range(256)) - {ord(mark), 10}) for mark in _DELIMITERS}
 _MAX_BYTES: Final = 4 << 30
 #: bytes in which the header is looked for
-_HEAD: Final = 1 << 16
-#: tables of nothing but numbers, up to so many bytes, are read by numpy: as fast as pandas there, whose import
-#: takes as long as two hundred such logs
-SMALL: Final = 1 << 16
-_OF_NUMBERS: Final = b"0123456789+-.eE\n"
-#: rows that show a header in the first of them
-_FEW: Final = 8
+_HEAD_BYTES: Final = 1 << 16
+#: tables of numbers only, up to so many bytes, are read by numpy: as fast as pandas there, whose import takes as long
+#: as two hundred such logs
+NUMPY_BYTES: Final = 1 << 16
+_NUMBER_BYTES: Final = b"0123456789+-.eE\n"
+#: rows that suffice to show a header in the first of them
+_FEW_ROWS: Final = 8
+#: what keeps a file out of a batch: quotes, other ends of lines, other delimiters, no text, and a zero with a sign,
+#: which is a zero with a sign among decimals and a plain one among whole numbers
+_BATCH_ODD: Final = (b'"', b"\r", b";", b"\t", b"\0")
+_BATCH_SIGNED_ZERO: Final = (b"-0,", b"-0\n")
+#: beyond it a float64 no longer holds every whole number
+_EXACT_WHOLE: Final = 2.0**53
 
 
 def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTable:
@@ -43,99 +55,171 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
     if size > _MAX_BYTES:
         raise BadFileError(shown, f"{size} bytes", "at most 4 GiB", "split the file or store it as parquet")
     data, notes = _utf8(path.read_bytes(), shown)
-    delimiter, skipped = _begin(data, layout, shown)
-    start = _after_lines(data, skipped)
+    delimiter, skipped = _locate_header(data, layout, shown)
+    start = 0
+    for _ in range(skipped):
+        start = data.find(b"\n", start) + 1
     end = data.find(b"\n", start)
-    header = (data[start:end] if end >= 0 else data[start:]).decode("utf-8").strip("\r")
+    end = end if end >= 0 else len(data)
+    header = data[start:end].decode("utf-8").strip("\r")
     if not header.strip():
-        raise BadFileError(
-            shown,
-            found="an empty file" if not data.strip() else "an empty first line",
-            expected="a header line with column names",
-            remedy="export the table again",
-        )
+        found = "an empty file" if not data.strip() else "an empty first line"
+        raise BadFileError(shown, found, "a header line with column names", "export the table again")
     if delimiter != ",":
-        notes.append(Note("info", shown, f"columns are separated by {_NAMES[delimiter]}", "delimiter"))
+        notes.append(Note("info", shown, f"columns are separated by {_DELIMITERS[delimiter]}", "delimiter"))
     if skipped:
         notes.append(Note("info", shown, f"the header was found in row {skipped + 1}", "preamble"))
     if wanted is not None and data.find(b'"', start) < 0:
         names = [name.strip() for name in header.split(delimiter)]
-        _refuse_names(names, shown, skipped + 1)
-        fast = _fast(data, (end if end >= 0 else len(data)) + 1, names, delimiter, wanted)
+        _check_names(names, shown, skipped + 1)
+        fast = _read_numeric(data[end + 1 :], names, delimiter, wanted)
         if fast is not None:
             columns, rows, comma = fast
             if comma:
                 notes.append(Note("info", shown, "decimal commas were read as decimal points", "decimal_comma"))
-            line = np.arange(skipped + 2, rows + skipped + 2, dtype=np.int64)
-            return RawTable(columns, line, tuple(notes))
-    return _careful(data[start:].decode("utf-8"), shown, delimiter, wanted, notes, skipped)
+            return RawTable(columns, np.arange(skipped + 2, rows + skipped + 2, dtype=np.int64), tuple(notes))
+    return _read_cells(data[start:].decode("utf-8"), shown, delimiter, wanted, notes, skipped)
 
 
-def _refuse_names(names: list[str], shown: str, row: int) -> None:
+def read_batch(files: Sequence[tuple[Path, str]], wanted: Wanted) -> list[RawTable | None]:
+    """Read the plain ones of many small files, those of one header in one go.
+
+    The same numbers as `calib.campaign.readers.read_table` gives for each.
+
+    `files`: files and their names in messages; `wanted`: called with each column name; True keeps the column. One a
+    file; None where it has to be read by itself.
+    """
+    tables: list[RawTable | None] = [None] * len(files)
+    groups: dict[str, list[tuple[int, bytes]]] = {}
+    for index, (path, shown) in enumerate(files):
+        plain = _plain_csv(path, shown)
+        if plain is not None:
+            groups.setdefault(plain[0], []).append((index, plain[1]))
+    for header, group in groups.items():
+        names = [name.strip() for name in header.split(",")]
+        keep = [name for name in names if name and wanted(name)]
+        rows = [body.count(b"\n") for _, body in group]
+        parsed = _parsed(b"".join(body for _, body in group), sum(rows), names, keep, ",", ".") if keep else None
+        if parsed is None:
+            continue
+        values, is_decimal = parsed
+        if np.fmax.reduce(np.abs(values[:, is_decimal]), axis=None, initial=0.0) >= _EXACT_WHOLE:
+            continue
+        parts = np.split(values, np.cumsum(rows)[:-1])
+        for (index, _), part in zip(group, parts, strict=True):
+            columns = {name: part[:, column] for column, name in enumerate(keep)}
+            tables[index] = RawTable(columns, np.arange(2, len(part) + 2, dtype=np.int64))
+    return tables
+
+
+def _plain_csv(path: Path, shown: str) -> tuple[str, bytes] | None:
+    """Return header and rows of a file with commas between plain cells, as many in each row as in the header."""
+    if path.suffix.lower() != ".csv":
+        return None
+    try:
+        data = path.read_bytes()
+    except OSError:
+        return None
+    start = data.find(b"\n") + 1
+    if not 0 < start < len(data) or not data.isascii() or any(odd in data for odd in _BATCH_ODD):
+        return None
+    # one sign is found at the speed of memory, several are not
+    if b"-" in data and any(zero in data for zero in _BATCH_SIGNED_ZERO):
+        return None
+    if not data.endswith(b"\n"):
+        data += b"\n"
+    header = data[: start - 1].decode("ascii")
+    names = [name.strip() for name in header.split(",")]
+    if not of_one_width(data[start:], len(names), ",") or _locate_header(data, Layout(), shown) != (",", 0):
+        return None
+    try:
+        check_header(names, shown)
+    except BadFileError:
+        return None
+    return header, data[start:]
+
+
+def _check_names(names: list[str], shown: str, row: int) -> None:
     """Refuse a header that names a column twice, or is a row of numbers: a file without names."""
     filled = [name for name in names if name]
     if len(filled) > 1 and all(is_number(name) for name in filled):
-        raise BadFileError(
-            shown,
-            row=row,
-            found=f"numbers alone ({', '.join(filled[:4])})",
-            expected="the names of the columns",
-            remedy="put a line of names above, as t_s,counts_left,counts_right; a mapping can rename them",
-        )
-    refuse_duplicates(names, shown, row)
+        found = f"numbers alone ({', '.join(filled[:4])})"
+        remedy = "put a line of names above, as t_s,counts_left,counts_right; a mapping can rename them"
+        raise BadFileError(shown, found, "the names of the columns", remedy, row=row)
+    check_header(names, shown, row)
 
 
-def _begin(data: bytes, layout: Layout, shown: str) -> tuple[str, int]:
-    """Return the separator and how many rows stand before the header."""
+def _locate_header(data: bytes, layout: Layout, shown: str) -> tuple[str, int]:
+    """Return the delimiter and how many rows stand before the header."""
     if layout.header_row is None:
         # most logs begin with their header, and a few rows as wide as it and of numbers show it
-        lines = _first_lines(data, _FEW).decode("utf-8", errors="ignore").splitlines()[:_FEW]
-        usual = _usual(lines)
+        lines = _first_lines(data, _FEW_ROWS)
+        usual = _first_delimiter(lines)
         rows = _split(lines, usual)
-        if len(rows) == _FEW and len({len(row) for row in rows}) == 1 < len(rows[0]) and find_header(rows) == 0:
+        if len(rows) == _FEW_ROWS and len({len(row) for row in rows}) == 1 < len(rows[0]) and find_header(rows) == 0:
             return usual, 0
-    most = LOOKED_AT + (layout.header_row or 0)
-    lines = _first_lines(data, most).decode("utf-8", errors="ignore").splitlines()[:most]
-    usual = _usual(lines)
+    lines = _first_lines(data, HEADER_ROWS + (layout.header_row or 0))
     if layout.header_row is not None:
         if layout.header_row > len(lines):
-            raise BadFileError(
-                shown,
-                found=f"{len(lines)} rows",
-                expected=f"the header in row {layout.header_row}",
-                remedy="correct header_row of the mapping",
-            )
+            expected = f"the header in row {layout.header_row}"
+            raise BadFileError(shown, f"{len(lines)} rows", expected, "correct header_row of the mapping")
         return find_delimiter(lines[layout.header_row - 1 :]), layout.header_row - 1
-    found = find_header(_split(lines, usual))
-    if found == 0:
+    usual = _first_delimiter(lines)
+    header = find_header(_split(lines, usual))
+    if header == 0:
         return usual, 0
     delimiter = find_delimiter(lines)
     if delimiter != usual:
-        found = find_header(_split(lines, delimiter))
-    return (delimiter, found) if found else (usual, 0)
+        header = find_header(_split(lines, delimiter))
+    return (delimiter, header) if header else (usual, 0)
 
 
-def begins_with_its_header(data: bytes, shown: str) -> bool:
-    """Return whether the header of a text of commas is its first line."""
-    return _begin(data, Layout(), shown) == (",", 0)
+def find_delimiter(lines: Sequence[str]) -> str:
+    """Return the delimiter that splits the most consecutive lines into one number of cells, more than one.
+
+    `lines`: the first lines of the file.
+    """
+    filled = [line for line in lines if line.strip()][:HEADER_ROWS]
+    # the first of equals is taken: commas as regular as semicolons are decimal
+    regular = {mark: _longest_stretch([len(row) for row in _split(filled, mark)]) for mark in (";", "\t", ",")}
+    best = max(regular, key=lambda mark: regular[mark])
+    return best if regular[best] else ","
 
 
-def _usual(lines: list[str]) -> str:
-    first = lines[0] if lines else ""
-    return ";" if ";" in first else "\t" if "\t" in first else ","
+def of_one_width(body: bytes, width: int, delimiter: str) -> bool:
+    """Return whether every line of a text without quotes has `width` cells, none more and none fewer.
+
+    The text without its cells has to be the same line over and over: a row too long beside one too short, which are as
+    many cells in all, is seen.
+    """
+    line = delimiter.encode() * (width - 1) + b"\n"
+    marks = body.translate(None, _CELL_BYTES[delimiter])
+    if not body.endswith(b"\n"):
+        marks += b"\n"
+    return marks == line * (len(marks) // len(line))
 
 
-def _first_lines(data: bytes, lines: int) -> bytes:
-    """Return the bytes up to a line feed that hold so many lines, or those in which the header is looked for."""
-    at = 0
-    for _ in range(lines):
-        at = data.find(b"\n", at, _HEAD) + 1
-        if not at:
-            return data[:_HEAD]
-    return data[:at]
+def _longest_stretch(counts: Sequence[int]) -> int:
+    """Return the length of the longest stretch of equal counts above one."""
+    return max((len(list(stretch)) for count, stretch in itertools.groupby(counts) if count > 1), default=0)
 
 
-def _split(lines: list[str], delimiter: str) -> list[list[str]]:
+def _first_delimiter(lines: list[str]) -> str:
+    return next((mark for mark in (";", "\t") if lines and mark in lines[0]), ",")
+
+
+def _first_lines(data: bytes, n_lines: int) -> list[str]:
+    """Return the first lines, within the bytes in which the header is looked for."""
+    end = 0
+    for _ in range(n_lines):
+        end = data.find(b"\n", end, _HEAD_BYTES) + 1
+        if not end:
+            end = _HEAD_BYTES
+            break
+    return data[:end].decode("utf-8", errors="ignore").splitlines()[:n_lines]
+
+
+def _split(lines: Sequence[str], delimiter: str) -> list[list[str]]:
     try:
         rows = list(csv.reader(lines, delimiter=delimiter, strict=True))
     except csv.Error:
@@ -144,15 +228,8 @@ def _split(lines: list[str], delimiter: str) -> list[list[str]]:
     return rows if len(rows) == len(lines) else [line.split(delimiter) for line in lines]
 
 
-def _after_lines(data: bytes, lines: int) -> int:
-    at = 0
-    for _ in range(lines):
-        at = data.find(b"\n", at) + 1
-    return at
-
-
 def _utf8(data: bytes, shown: str) -> tuple[bytes, list[Note]]:
-    """Return the file as UTF-8 without a byte order mark, with line feeds only, and what had to be done for it."""
+    """Return the file as UTF-8 without a byte order mark, with line feeds only, and notes of what was changed."""
     notes: list[Note] = []
     encoding = None
     if data.startswith(codecs.BOM_UTF8):
@@ -182,58 +259,34 @@ def _utf8(data: bytes, shown: str) -> tuple[bytes, list[Note]]:
     return data, notes
 
 
-def _fast(
-    data: bytes, start: int, names: list[str], delimiter: str, wanted: Wanted
-) -> tuple[dict[str, np.ndarray], int, bool] | None:
-    """Read clean numeric columns at once; None where anything is odd, and then every cell is looked at."""
-    body = data[start:]
+def _read_numeric(
+    body: bytes, names: list[str], delimiter: str, wanted: Wanted
+) -> tuple[dict[str, FloatArray], int, bool] | None:
+    """Read clean numeric columns at once; None where anything is odd, and then every cell is read by itself."""
     rows = body.count(b"\n") + (0 if body.endswith(b"\n") or not body else 1)
     keep = [name for name in names if name and wanted(name)]
     if rows == 0 or not keep or not of_one_width(body, len(names), delimiter):
         return None
-    comma = delimiter != "," and data.find(b",", start) >= 0
-    # with a point or an ambiguous 1,234 anywhere beside the commas, only the careful way can tell
-    if comma and (data.find(b".", start) >= 0 or not re.search(rb",\d{1,2}(?!\d)|,\d{4}|[+\-;\t\n]0,", data)):
+    comma = delimiter != "," and b"," in body
+    # with a point or an ambiguous 1,234 anywhere beside the commas, only the reading cell by cell can tell
+    if comma and (b"." in body or not re.search(rb",\d{1,2}(?!\d)|,\d{4}|[+\-;\t\n]0,", body)):
         return None
-    positions = [names.index(name) for name in keep]
-    plain = _plain(body, rows, len(names), delimiter)
-    if plain is not None:
-        few = plain[:, positions]
-        within = few.size == 0 or np.abs(few).max() <= LARGEST
-        return ({name: few[:, place] for place, name in enumerate(keep)}, rows, comma) if within else None
-    import pandas as pd
-
-    try:
-        frame = pd.read_csv(
-            io.BytesIO(body),
-            header=None,
-            names=range(len(names)),
-            usecols=positions,
-            sep=delimiter,
-            decimal="," if comma else ".",
-            engine="c",
-            index_col=False,
-            quoting=csv.QUOTE_NONE,
-            skip_blank_lines=False,
-            low_memory=False,
-            na_values=["-"],
-        )
-        if any(dtype.kind not in "iuf" for dtype in frame.dtypes):
+    values = numpy_table(body, rows, len(names), delimiter)
+    if values is not None:
+        values = values[:, [names.index(name) for name in keep]]
+        if values.size and np.abs(values).max() > LARGEST_VALUE:
             return None
-        # all columns at once: asking for each costs more than its numbers
-        values = frame.to_numpy(np.float64)
-        if np.fmax.reduce(values, axis=None) > LARGEST or np.fmin.reduce(values, axis=None) < -LARGEST:
+    else:
+        parsed = _parsed(body, rows, names, keep, delimiter, "," if comma else ".")
+        if parsed is None:
             return None
-        at = {position: place for place, position in enumerate(frame.columns)}
-        columns = {name: values[:, at[position]] for name, position in zip(keep, positions, strict=True)}
-    except (ValueError, OverflowError):
-        return None
-    return (columns, rows, comma) if len(frame) == rows else None
+        values = parsed[0]
+    return {name: values[:, index] for index, name in enumerate(keep)}, rows, comma
 
 
-def _plain(body: bytes, rows: int, width: int, delimiter: str) -> FloatArray | None:
-    """Return a small table of nothing but numbers, shape (rows, width); None where it is anything else."""
-    if len(body) > SMALL or body.translate(None, _OF_NUMBERS + delimiter.encode()):
+def numpy_table(body: bytes, rows: int, width: int, delimiter: str) -> FloatArray | None:
+    """Return a small table of numbers only, shape (rows, width); None where it is anything else."""
+    if len(body) > NUMPY_BYTES or body.translate(None, _NUMBER_BYTES + delimiter.encode()):
         return None
     try:
         values = np.loadtxt(io.BytesIO(body), delimiter=delimiter, comments=None, ndmin=2)
@@ -242,7 +295,45 @@ def _plain(body: bytes, rows: int, width: int, delimiter: str) -> FloatArray | N
     return values if values.shape == (rows, width) else None
 
 
-def _careful(text: str, shown: str, delimiter: str, wanted: Wanted | None, notes: list[Note], skipped: int) -> RawTable:
+def _parsed(
+    body: bytes, rows: int, names: Sequence[str], keep: Sequence[str], delimiter: str, decimal: str
+) -> tuple[FloatArray, list[bool]] | None:
+    """Return the kept columns as pandas reads them, shape (rows, n_kept), and which hold decimals.
+
+    None where a cell is no number or too large, or the rows are not as many as the lines.
+    """
+    import pandas as pd
+
+    try:
+        frame = pd.read_csv(
+            io.BytesIO(body),
+            header=None,
+            names=range(len(names)),
+            usecols=[names.index(name) for name in keep],
+            sep=delimiter,
+            decimal=decimal,
+            engine="c",
+            index_col=False,
+            quoting=csv.QUOTE_NONE,
+            skip_blank_lines=False,
+            low_memory=False,
+            na_values=["-"],
+        )
+        kinds = [dtype.kind for dtype in frame.dtypes]
+        if len(frame) != rows or not set(kinds) <= set("iuf"):
+            return None
+        # all columns at once: asking for each costs more than its numbers
+        values = frame.to_numpy(np.float64)
+    except (ValueError, OverflowError):
+        return None
+    if np.fmax.reduce(values, axis=None) > LARGEST_VALUE or np.fmin.reduce(values, axis=None) < -LARGEST_VALUE:
+        return None
+    return values, [kind == "f" for kind in kinds]
+
+
+def _read_cells(
+    text: str, shown: str, delimiter: str, wanted: Wanted | None, notes: list[Note], skipped: int
+) -> RawTable:
     """Read cell by cell, so that a fault is named by its row and column."""
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
     rows: list[list[str]] = []
@@ -252,9 +343,9 @@ def _careful(text: str, shown: str, delimiter: str, wanted: Wanted | None, notes
         for cells in reader:
             if not names:
                 names = [name.strip() for name in cells]
-                _refuse_names(names, shown, skipped + 1)
+                _check_names(names, shown, skipped + 1)
                 continue
-            if not rows and (named := with_units(names, cells)):
+            if not rows and (named := header_with_units(names, cells)):
                 names = named
                 notes.append(Note("info", shown, "the row beneath the header names units", "unit_row"))
                 continue
@@ -263,42 +354,34 @@ def _careful(text: str, shown: str, delimiter: str, wanted: Wanted | None, notes
             if len(cells) > len(names) and not any(cell.strip() for cell in cells[len(names) :]):
                 cells = cells[: len(names)]
             if len(cells) != len(names):
-                raise BadFileError(
-                    shown,
-                    row=reader.line_num + skipped,
-                    found=f"{len(cells)} cells",
-                    expected=f"{len(names)}, as the header in row {skipped + 1} has",
-                    remedy=_remedy(cells, names, delimiter),
-                )
+                expected = f"{len(names)}, as the header in row {skipped + 1} has"
+                remedy = _remedy(cells, names, delimiter)
+                raise BadFileError(shown, f"{len(cells)} cells", expected, remedy, row=reader.line_num + skipped)
             rows.append(cells)
             lines.append(reader.line_num + skipped)
     except csv.Error as error:
-        raise BadFileError(
-            shown,
-            row=reader.line_num + skipped,
-            found=f"text that is no table ({error})",
-            expected="rows of separated cells",
-            remedy="export the file again",
-        ) from error
-    cells_by_row = np.empty((len(rows), len(names)), dtype=object)
+        found, row = f"text that is no table ({error})", reader.line_num + skipped
+        raise BadFileError(shown, found, "rows of separated cells", "export the file again", row=row) from error
+    table = np.empty((len(rows), len(names)), dtype=object)
     for index, cells in enumerate(rows):
-        cells_by_row[index] = cells
+        table[index] = cells
     line = np.asarray(lines, dtype=np.int64)
-    columns: dict[str, np.ndarray] = {
-        name: cells_by_row[:, index] for index, name in enumerate(names) if name and (wanted is None or wanted(name))
+    columns: dict[str, np.ndarray[Any, Any]] = {
+        name: table[:, index] for index, name in enumerate(names) if name and (wanted is None or wanted(name))
     }
     epochs: dict[str, int] = {}
     if wanted is not None:
-        said, epochs = made_numeric(columns, shown, line)
-        notes += said
+        number_notes, epochs = to_numbers(columns, shown, line)
+        notes += number_notes
     return RawTable(columns, line, tuple(notes), epochs)
 
 
 def _remedy(cells: list[str], names: list[str], delimiter: str) -> str:
     """Return what to do about a row of another width than the header."""
-    for other, called in _NAMES.items():
+    for other, called in _DELIMITERS.items():
         if other != delimiter and sum(cell.count(other) for cell in cells) + 1 == len(names):
-            return f"the row separates its cells by {called}, those above by {_NAMES[delimiter]}: export it with one"
+            above = _DELIMITERS[delimiter]
+            return f"the row separates its cells by {called}, those above by {above}: export it with one"
     if delimiter == "," and len(cells) > len(names):
         return "export with semicolons where commas are decimal, or quote the cell; name header_row if it stands lower"
     return "complete or remove the row; the file may have been cut"

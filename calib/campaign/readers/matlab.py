@@ -1,29 +1,84 @@
-"""MATLAB files of version 5 to 7.2: numeric arrays and structures of them; objects and cells are never loaded."""
+"""MATLAB files of version 5 to 7.2: numeric arrays and structures of them; objects and cells are never loaded.
+
+The element tree is checked before it is handed to a reader in C that trusts every tag.
+"""
 
 from __future__ import annotations
 
+import struct
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
-from calib.arrays import FloatArray
 from calib.campaign.model import Note
-from calib.campaign.readers.matlab_elements import damage
-from calib.campaign.readers.recording import Recording, Stream, matrix_columns
+from calib.campaign.readers.recording import Recording, Stream
+from calib.campaign.readers.table import error_words
 from calib.errors import BadFileError
+from calib.limits import MATLAB_UNPACKED_BYTES
+from calib.types import FloatArray
 
 _NUMERIC: Final = frozenset(
     {"double", "single", "logical", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))}
 )
 
+_HEADER_BYTES: Final = 128
+_TAG_BYTES: Final = 8
+_INT32, _UINT32, _MATRIX, _COMPRESSED = 5, 6, 14, 15
+#: types of data elements (MAT-File Format, table 1-1)
+_ELEMENT_TYPES: Final = frozenset({1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 14, 15, 16, 17, 18})
+#: classes of arrays (table 1-2, with function handles and opaque objects)
+_ARRAY_CLASSES: Final = range(1, 18)
+_CHARACTERS, _SPARSE, _LAST_NUMERIC = 4, 5, 15
+#: bit of the flags: an imaginary part follows
+_COMPLEX_FLAG: Final = 0x800
+#: cells, structures and objects hold arrays, one a place
+_CONTAINER_CLASSES: Final = range(1, 4)
+#: levels of structures in structures
+_MAX_DEPTH: Final = 32
+
 
 def record(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> Recording:
     """Read a ``.mat`` file; variables of one length are one stream; see `calib.campaign.readers.read_recording`."""
+    notes: list[Note] = []
+    loaded = _load(path, shown, wanted, notes)
+    columns: dict[str, FloatArray] = {}
+    properties: dict[str, str] = {}
+
+    def flatten(name: str, value: Any) -> None:
+        """Take an array as columns, a number as a property, a structure field by field."""
+        kind = value.dtype.kind if isinstance(value, np.ndarray) else ""
+        if kind == "V" and value.size == 1:
+            for part in value.dtype.names or ():
+                flatten(f"{name}.{part}", value.flat[0][part])
+        elif kind in {"V", "O"}:
+            what = "structures" if kind == "V" else "objects"
+            notes.append(Note("info", f"{shown}, {name}", f"an array of {what} was omitted", "skipped"))
+        elif kind and kind in "iufb" and value.size == 1:
+            properties[name] = repr(float(value.flat[0]))
+        elif kind and kind in "iufb" and value.size:
+            columns.update(matrix_columns(name, value))
+
+    for name, value in loaded.items():
+        flatten(name, value)
+    by_length: dict[int, dict[str, FloatArray]] = {}
+    for name, values in columns.items():
+        if wanted is None or wanted(name):
+            by_length.setdefault(len(values), {})[name] = values
+    streams = tuple(
+        Stream("variables" if number == 0 else f"variables#{number + 1}", "variables", members, None, "none")
+        for number, (_, members) in enumerate(sorted(by_length.items(), reverse=True))
+    )
+    return Recording(streams, tuple(notes), properties)
+
+
+def _load(path: Path, shown: str, wanted: Callable[[str], bool] | None, notes: list[Note]) -> dict[str, Any]:
+    """Return the numeric variables and structures by name; `notes` takes one on each other variable."""
     import scipy.io
 
-    notes: list[Note] = []
     # the reader is machine code that takes every tag for granted
     broken = damage(path.read_bytes())
     if broken:
@@ -36,56 +91,28 @@ def record(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> Reco
             raise _objects(shown, refused)
         if refused and wanted is not None and any(wanted(name) for name, _ in refused):
             raise _objects(shown, [one for one in refused if wanted(one[0])])
-        notes += [Note("info", f"{shown}, {name}", f"a {kind} was left out", "skipped") for name, kind in refused]
+        notes += [Note("info", f"{shown}, {name}", f"a {kind} was omitted", "skipped") for name, kind in refused]
         loaded = scipy.io.loadmat(str(path), variable_names=kept, struct_as_record=True) if kept else {}
     except NotImplementedError as error:
-        raise BadFileError(
-            shown, "a MATLAB 7.3 file (HDF5)", "version 5 to 7.2", "save it in MATLAB with: save('file.mat', '-v7')"
-        ) from error
+        remedy = "save it in MATLAB with: save('file.mat', '-v7')"
+        raise BadFileError(shown, "a MATLAB 7.3 file (HDF5)", "version 5 to 7.2", remedy) from error
     except (OSError, BadFileError, MemoryError):
         raise
     except Exception as error:
         # the library answers damage with errors of many kinds (values, types, zlib, its own)
-        reason = " ".join(str(error).split())[:100] or type(error).__name__
-        raise _damaged(shown, reason) from error
-    columns: dict[str, FloatArray] = {}
-    properties: dict[str, str] = {}
-    for name in kept:
-        _flatten(name, loaded.get(name), columns, properties, notes, shown)
-    by_length: dict[int, dict[str, FloatArray]] = {}
-    for name, values in columns.items():
-        if wanted is None or wanted(name):
-            by_length.setdefault(len(values), {})[name] = values
-    streams = tuple(
-        Stream("variables" if number == 0 else f"variables#{number + 1}", "variables", members, None, "none")
-        for number, (_, members) in enumerate(sorted(by_length.items(), reverse=True))
-    )
-    return Recording(streams, tuple(notes), properties)
+        raise _damaged(shown, error_words(error)) from error
+    return {name: loaded[name] for name in kept if name in loaded}
 
 
-def _flatten(
-    name: str,
-    value: Any,
-    columns: dict[str, FloatArray],
-    properties: dict[str, str],
-    notes: list[Note],
-    shown: str,
-) -> None:
-    """Take an array as columns, a number as a property, a structure field by field."""
-    if not isinstance(value, np.ndarray):
-        return
-    if value.dtype.names:
-        if value.size == 1:
-            for part in value.dtype.names:
-                _flatten(f"{name}.{part}", value.flat[0][part], columns, properties, notes, shown)
-        else:
-            notes.append(Note("info", f"{shown}, {name}", "an array of structures was left out", "skipped"))
-    elif value.dtype.kind in "iufb" and value.size == 1:
-        properties[name] = repr(float(value.flat[0]))
-    elif value.dtype.kind in "iufb" and value.size:
-        columns.update(matrix_columns(name, value))
-    elif value.dtype.kind == "O":
-        notes.append(Note("info", f"{shown}, {name}", "an array of objects was left out", "skipped"))
+def matrix_columns(name: str, values: npt.NDArray[Any]) -> dict[str, FloatArray]:
+    """Return an array of one or two dimensions as columns, ``name`` or ``name[0]``, ``name[1]``, ..."""
+    matrix = np.asarray(values, dtype=np.float64)
+    if matrix.ndim == 1 or (matrix.ndim == 2 and 1 in matrix.shape):
+        return {name: matrix.ravel()}
+    if matrix.ndim != 2:
+        return {}
+    long = matrix.T if matrix.shape[0] < matrix.shape[1] else matrix
+    return {f"{name}[{index}]": column.copy() for index, column in enumerate(long.T)}
 
 
 def _damaged(shown: str, reason: str) -> BadFileError:
@@ -98,3 +125,88 @@ def _objects(shown: str, refused: list[tuple[str, str]]) -> BadFileError:
     names = ", ".join(f"{name} ({kind})" for name, kind in refused)
     remedy = "save the numbers themselves, as in: t = data{1}; save('file.mat', 't', '-v7')"
     return BadFileError(shown, f"arrays of objects: {names[:120]}", "numeric arrays", remedy)
+
+
+class _Broken(Exception):
+    """The tree breaks here; the text says how."""
+
+
+def damage(data: bytes) -> str:
+    """Return how the elements of a file break, empty where every tag, class and length is one that may be.
+
+    `data`: the whole file, its header of 128 bytes included. A header that is not of version 5 is left to the reader.
+    """
+    order = {b"IM": "<", b"MI": ">"}.get(data[126:_HEADER_BYTES])
+    if order is None:
+        return "no header of version 5"
+    if struct.unpack(f"{order}H", data[124:126])[0] >> 8 != 1:
+        return ""
+    try:
+        _elements(memoryview(data)[_HEADER_BYTES:], order, 0)
+    except _Broken as broken:
+        return str(broken)
+    return ""
+
+
+def _elements(data: memoryview, order: str, depth: int) -> list[tuple[int, memoryview]]:
+    """Return type and content of the elements of one level, all below them checked."""
+    if depth > _MAX_DEPTH:
+        raise _Broken(f"arrays more than {_MAX_DEPTH} deep in one another")
+    elements, position = [], 0
+    while position + _TAG_BYTES <= len(data):
+        kind, size = struct.unpack_from(f"{order}II", data, position)
+        small = kind >> 16
+        if small:
+            kind, size, start = kind & 0xFFFF, small, position + 4
+        else:
+            start = position + _TAG_BYTES
+        if kind not in _ELEMENT_TYPES or (kind == _COMPRESSED and depth) or (small and size > 4):
+            raise _Broken(f"an element of type {kind} and {size} bytes")
+        if start + size > len(data):
+            raise _Broken(f"an element of {size} bytes where {len(data) - start} are left")
+        content = data[start : start + size]
+        if kind == _MATRIX:
+            _array(content, order, depth)
+        elif kind == _COMPRESSED:
+            _elements(memoryview(_unpacked(content)), order, depth + 1)
+        elements.append((kind, content))
+        # all but compressed elements end on eight bytes
+        position = position + _TAG_BYTES if small else start + (size if kind == _COMPRESSED else (size + 7) // 8 * 8)
+    return elements
+
+
+def _array(content: memoryview, order: str, depth: int) -> None:
+    """Check an array: its flags, its dimensions, and what it holds; nothing at all is an empty one."""
+    if not len(content):
+        return
+    parts = _elements(content, order, depth + 1)
+    if len(parts) < 2 or parts[0][0] != _UINT32 or len(parts[0][1]) != 8 or parts[1][0] != _INT32:
+        raise _Broken("an array without flags and dimensions")
+    flags = struct.unpack(f"{order}I", parts[0][1][:4])[0]
+    kind, is_complex = flags & 0xFF, bool(flags & _COMPLEX_FLAG)
+    if kind not in _ARRAY_CLASSES:
+        raise _Broken(f"an array of class {kind}")
+    # flags, dimensions and name, then rows and columns of a sparse one, then real and imaginary numbers
+    wanted = 3 + (2 if kind == _SPARSE else 0) + 1 + is_complex
+    if _CHARACTERS <= kind <= _LAST_NUMERIC and len(parts) < wanted:
+        raise _Broken(f"an array of class {kind} with {len(parts)} of {wanted} elements")
+    # objects of MATLAB's own kind have a name where others have dimensions
+    sizes = struct.unpack(f"{order}{len(parts[1][1]) // 4}i", parts[1][1][: len(parts[1][1]) // 4 * 4])
+    places = 1
+    for size in sizes:
+        places *= size
+        if size < 0 or places > MATLAB_UNPACKED_BYTES:
+            raise _Broken(f"an array of {'x'.join(map(str, sizes))}")
+    if kind in _CONTAINER_CLASSES and places > len(content):
+        raise _Broken(f"{places} arrays in {len(content)} bytes")
+
+
+def _unpacked(content: memoryview) -> bytes:
+    unpacker = zlib.decompressobj()
+    try:
+        unpacked = unpacker.decompress(content, MATLAB_UNPACKED_BYTES)
+    except zlib.error as error:
+        raise _Broken(str(error)) from error
+    if unpacker.unconsumed_tail:
+        raise _Broken(f"more than {MATLAB_UNPACKED_BYTES >> 20} MiB unpacked")
+    return unpacked

@@ -7,18 +7,26 @@ from typing import Any, Final
 
 import numpy as np
 
-from calib.campaign.readers.layout import Layout
-from calib.campaign.readers.table import RawTable, Wanted, numbers, objects, refuse_duplicates
-from calib.campaign.readers.times import NS_PER_S
+from calib.campaign.readers.table import (
+    NS_PER_S,
+    Layout,
+    RawTable,
+    Wanted,
+    check_header,
+    error_words,
+    missing_reader,
+    numbers,
+    object_array,
+)
 from calib.errors import BadFileError
 
 _MAX_ROWS: Final = 200_000_000
 #: below this many rows threads cost more than they save
-_MANY_ROWS: Final = 100_000
+_THREADS_ROWS: Final = 100_000
 
 
 def _filled(column: Any, empty: float) -> np.ndarray[Any, Any]:
-    """Return a column of numbers of eight bytes, `empty` where it has none; Arrow's own way there imports pandas."""
+    """Return a column of numbers of eight bytes, `empty` where it has none; Arrow's own conversion imports pandas."""
     whole = (column.fill_null(empty) if column.null_count else column).combine_chunks()
     dtype = np.dtype(str(whole.type).replace("double", "float64"))
     if not len(whole):
@@ -41,18 +49,14 @@ def _cells(column: Any) -> tuple[np.ndarray[Any, Any], int | None]:
         epoch = int(moments[0]) if len(moments) else 0
         return (moments - epoch) / NS_PER_S, epoch
     if pa.types.is_string(column.type):
-        return objects(column.to_pylist()), None
-    texts = [
-        None if cell is None else float(cell) if isinstance(cell, bool) else str(cell) for cell in column.to_pylist()
-    ]
-    return objects(texts), None
+        return object_array(column.to_pylist()), None
+    cells = (float(cell) if isinstance(cell, bool) else cell for cell in column.to_pylist())
+    return object_array([cell if cell is None or isinstance(cell, float) else str(cell) for cell in cells]), None
 
 
 def _damaged(shown: str, error: Exception, column: str | None = None) -> BadFileError:
-    remedy = "write it again"
-    return BadFileError(
-        shown, f"a damaged parquet file ({' '.join(str(error).split())[:100]})", "a whole one", remedy, column=column
-    )
+    found = f"a damaged parquet file ({error_words(error)})"
+    return BadFileError(shown, found, "a whole one", "write it again", column=column)
 
 
 def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTable:  # noqa: ARG001 - a reader's form
@@ -61,18 +65,16 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
         import pyarrow as pa
         import pyarrow.parquet as pq
     except ImportError as error:
-        raise BadFileError(
-            shown, "a parquet file, and no reader for it", "pyarrow", "install it with: pip install 'calib[parquet]'"
-        ) from error
+        raise missing_reader(shown, "a parquet file", "pyarrow", "parquet") from error
     try:
         with pq.ParquetFile(path) as source:
             names = list(source.schema_arrow.names)
             rows = int(source.metadata.num_rows)
-            refuse_duplicates(names, shown)
+            check_header(names, shown)
             if not 0 <= rows <= _MAX_ROWS:
                 raise BadFileError(shown, f"{rows} rows promised", f"at most {_MAX_ROWS}", "split the file")
             kept = [name for name in names if wanted is None or wanted(name)]
-            table = source.read(columns=kept, use_threads=rows > _MANY_ROWS)
+            table = source.read(columns=kept, use_threads=rows > _THREADS_ROWS)
     except (pa.ArrowException, OSError, ValueError, OverflowError) as error:
         raise _damaged(shown, error) from error
     line = np.arange(1, table.num_rows + 1, dtype=np.int64)

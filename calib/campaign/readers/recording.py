@@ -1,24 +1,32 @@
-"""What a reader of recordings returns: streams with clocks of their own, in integer nanoseconds, and what they say."""
+"""Recordings: streams with clocks of their own in integer nanoseconds; the reader of TUM trajectories.
+
+A TUM trajectory (``.tum``) has lines of ``timestamp tx ty tz qx qy qz qw``, with ``#`` before remarks.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from calib.arrays import FloatArray, IntArray
 from calib.campaign.model import Note
-from calib.campaign.readers.table import RawTable
-from calib.campaign.readers.times import NS_PER_S
+from calib.campaign.readers.table import NS_PER_S, RawTable
 from calib.errors import BadFileError
+from calib.types import FloatArray, IntArray
 
 #: a step is a gap where it exceeds so many usual steps
 GAP_STEPS: Final = 5.0
-#: code of a note that lists the types of messages that nothing here reads
-UNREAD: Final = "skipped"
+#: code of a note that lists the types of messages that calib does not read
+UNREAD_TYPES: Final = "skipped"
+#: columns of a pose in space; `planar_pose` makes x, y, z and yaw of them
+POSE: Final = ("x", "y", "z", "qx", "qy", "qz", "qw")
+#: least squared length of a quaternion that stands for an orientation; a unit quaternion has 1, an unset one 0
+_LEAST_QUATERNION: Final = 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,9 +103,9 @@ class Recording:
 
     #: those that hold a wanted column
     streams: tuple[Stream, ...]
-    #: what was recognised or left out
+    #: what was recognised or omitted
     notes: tuple[Note, ...] = ()
-    #: what the file says of itself, by place (``/``, ``group``, ``group/channel``)
+    #: properties that the file names, by place (``/``, ``group``, ``group/channel``)
     properties: Mapping[str, str] = field(default_factory=dict)
 
     def stream_of(self, column: str) -> Stream | None:
@@ -146,13 +154,9 @@ def interpolated(stream: Stream, column: str, at_ns: IntArray, *, shift_ns: int 
     out: FloatArray = np.interp(wanted, since, values, left=np.nan, right=np.nan)
     steps = np.diff(since)
     if len(steps):
-        usual = float(np.median(steps))
-        after = np.searchsorted(since, wanted)
-        within = (after > 0) & (after < len(since))
-        long = np.zeros(len(out), dtype=np.bool_)
-        exact = np.isin(wanted, since)
-        long[within] = steps[after[within] - 1] > max(GAP_STEPS * usual, 1.0)
-        out = np.where(long & ~exact, np.nan, out)
+        step = steps[np.clip(np.searchsorted(since, wanted), 1, len(steps)) - 1]
+        in_gap = step > max(GAP_STEPS * float(np.median(steps)), 1.0)
+        out[in_gap & ~np.isin(wanted, since)] = np.nan
     return out
 
 
@@ -177,36 +181,76 @@ def joined_table(recording: Recording) -> RawTable:
     return RawTable(columns, np.arange(1, len(base) + 1, dtype=np.int64), recording.notes)
 
 
-def matrix_columns(name: str, values: npt.NDArray[Any]) -> dict[str, FloatArray]:
-    """Return an array of one or two dimensions as columns, ``name`` or ``name[0]``, ``name[1]``, ..."""
-    flat = np.asarray(values)
-    if flat.ndim == 1:
-        return {name: flat.astype(np.float64)}
-    if flat.ndim == 2 and 1 in flat.shape:
-        return {name: flat.ravel().astype(np.float64)}
-    if flat.ndim == 2:
-        wide = flat.T if flat.shape[0] < flat.shape[1] else flat
-        return {f"{name}[{index}]": column.astype(np.float64) for index, column in enumerate(wide.T)}
-    return {}
-
-
-def refuse_nothing(recording: Recording, shown: str) -> None:
-    """Refuse a recording without a single number that calib reads, naming what it holds instead.
+def check_not_empty(recording: Recording, shown: str) -> None:
+    """Refuse a recording without a number that calib reads, naming what it holds instead.
 
     Raises BadFileError where no stream holds a sample.
     """
     if any(len(stream) for stream in recording.streams):
         return
-    unread = next((note.text for note in recording.notes if note.code == UNREAD), "")
+    unread = next((note.text for note in recording.notes if note.code == UNREAD_TYPES), "")
     expected = "wheels (JointState, or numbers of std_msgs) and what measures the path (poses, Odometry, TF, Range)"
     remedy = "record these topics too, or leave the recording out" if unread else "record again, or leave it out"
     raise BadFileError(shown, f"nothing but {unread}" if unread else "no messages or samples at all", expected, remedy)
 
 
-def in_order(time_ns: IntArray, columns: Sequence[FloatArray]) -> tuple[IntArray, list[FloatArray], int]:
-    """Return times and columns sorted by time, and how many samples stood out of order."""
-    backward = int((np.diff(time_ns) < 0).sum()) if len(time_ns) > 1 else 0
-    if not backward:
-        return time_ns, list(columns), 0
-    order = np.argsort(time_ns, kind="stable")
-    return time_ns[order], [column[order] for column in columns], backward
+def planar_pose(columns: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    """Return columns with a quaternion (qx, qy, qz, qw) replaced by its yaw, continuous over the turn.
+
+    `columns` (shape (n_samples,)); without a quaternion they are returned as they are.
+    """
+    if "qw" not in columns:
+        return dict(columns)
+    qx, qy, qz, qw = (columns[name] for name in POSE[3:])
+    size = qx * qx + qy * qy + qz * qz + qw * qw
+    yaw = np.arctan2(2.0 * (qw * qz + qx * qy), size - 2.0 * (qy * qy + qz * qz))
+    known = size > _LEAST_QUATERNION
+    yaw = np.where(known, yaw, np.nan)
+    yaw[known] = np.unwrap(yaw[known])
+    out = {name: values for name, values in columns.items() if name not in POSE[3:]} | {"yaw": yaw}
+    # yaw follows the place; further columns of the message follow both
+    order = [*POSE[:3], "yaw", *(name for name in out if name not in (*POSE, "yaw"))]
+    return {name: out[name] for name in order if name in out}
+
+
+def record(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> Recording:
+    """Read a TUM trajectory: x, y, z, yaw, times exact to the nanosecond; see `calib.campaign.readers`."""
+    times: list[int] = []
+    poses: list[list[float]] = []
+    with path.open(encoding="utf-8", errors="replace") as lines:
+        for number, line in enumerate(lines, start=1):
+            cells = line.split("#", 1)[0].replace(",", " ").split()
+            if not cells:
+                continue
+            try:
+                if len(cells) != 1 + len(POSE):
+                    raise ValueError(f"{len(cells)} numbers")
+                times.append(decimal_ns(cells[0]))
+                pose = [float(cell) for cell in cells[1:]]
+                if not np.isfinite(pose).all():
+                    raise ValueError("a number that is not finite")
+            except ValueError as error:
+                expected = f"the {1 + len(POSE)} numbers: timestamp {' '.join(POSE)}"
+                remedy = "correct or remove the line; the file may have been cut"
+                raise BadFileError(shown, str(error)[:80], expected, remedy, row=number) from error
+            poses.append(pose)
+    if not times:
+        raise BadFileError(shown, found="no poses", expected="lines of 8 numbers", remedy="export it again")
+    columns = planar_pose(dict(zip(POSE, np.asarray(poses).T.copy(), strict=True)))
+    kept = {name: values for name, values in columns.items() if wanted is None or wanted(name)}
+    units = {"x": "m", "y": "m", "z": "m", "yaw": "rad"}
+    stream = Stream("poses", "poses", kept, np.asarray(times, dtype=np.int64), "timestamps of the lines", units)
+    return Recording((stream,) if kept else ())
+
+
+def decimal_ns(text: str) -> int:
+    """Return seconds written as a decimal number as nanoseconds, exactly; further digits are rounded off.
+
+    Raises ValueError where the text is no such number.
+    """
+    match = re.fullmatch(r"([+-]?)(\d+)(?:\.(\d*))?", text.strip(), re.ASCII)
+    if match is None:
+        return round(float(text) * NS_PER_S)
+    digits = (match[3] or "")[:10].ljust(10, "0")
+    nanoseconds = int(match[2]) * NS_PER_S + (int(digits) + 5) // 10
+    return -nanoseconds if match[1] == "-" else nanoseconds

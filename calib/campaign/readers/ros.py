@@ -2,83 +2,79 @@
 
 from __future__ import annotations
 
+import math
 from array import array
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from calib.arrays import FloatArray, IntArray
 from calib.campaign.model import Note
-from calib.campaign.readers.recording import UNREAD, Recording, Stream, WantedColumns, in_order
-from calib.campaign.readers.ros_messages import POSE, SUPPORTED, UNITS, finished, parts
+from calib.campaign.readers.recording import POSE, UNREAD_TYPES, Recording, Stream, WantedColumns, planar_pose
+from calib.campaign.readers.table import NS_PER_S, error_words, missing_reader
 from calib.errors import BadFileError
+from calib.types import IntArray
 
-#: stamps of most messages have to be set for the stamps to be the clock
-_STAMPED: Final = 0.99
+#: share of the messages whose stamps have to be set for the stamps to be the clock
+_STAMPED_SHARE: Final = 0.99
+_TWIST: Final = ("v_x", "v_y", "omega")
+
+#: a part of a message: suffix of its stream, names of its columns, its numbers, the header that carries its stamp
+Part = tuple[str, tuple[str, ...], Sequence[float], Any]
 
 
 def record(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> Recording:
     """Read the topics whose message types calib knows, message by message; see `calib.campaign.readers.read_recording`.
 
-    What is kept is eight bytes a number that is wanted; messages themselves are not kept, whatever their size.
+    What is kept is eight bytes a number that is wanted; messages themselves are not kept.
     """
     with _opened(path, shown) as reader:
-        known = [connection for connection in reader.connections if connection.msgtype in SUPPORTED]
+        known = [connection for connection in reader.connections if connection.msgtype in MESSAGE_TYPES]
         if isinstance(wanted, WantedColumns):
             known = [connection for connection in known if wanted.of_topic(connection.topic)]
-        gathered: dict[tuple[str, tuple[str, ...]], _Gathered] = {}
-        with _decoding(shown):
+        buffers: dict[tuple[str, tuple[str, ...]], _Buffer] = {}
+        with _damage_named(shown):
             for connection, arrival, data in reader.messages(connections=known) if known else ():
                 kind, topic = connection.msgtype, connection.topic
-                for suffix, names, numbers, stamp in parts(kind, reader.deserialize(data, kind)):
+                for suffix, names, numbers, header in MESSAGE_TYPES[kind](reader.deserialize(data, kind)):
                     key = (topic + suffix, names)
-                    stream = gathered.get(key)
-                    if stream is None:
-                        stream = gathered[key] = _Gathered(topic + suffix, kind, names, wanted)
-                    stream.add(numbers, arrival, stamp)
-        skipped = sorted({connection.msgtype for connection in reader.connections} - set(SUPPORTED))
+                    buffer = buffers.get(key)
+                    if buffer is None:
+                        buffer = buffers[key] = _Buffer(topic + suffix, kind, names, wanted)
+                    buffer.add(numbers, arrival, header)
+        unread = sorted({connection.msgtype for connection in reader.connections} - set(MESSAGE_TYPES))
     notes: list[Note] = []
-    if skipped and (wanted is None or not gathered):
-        notes.append(Note("info", shown, f"messages that calib does not read: {', '.join(skipped)[:200]}", UNREAD))
-    streams = _named([numbers.stream(shown, notes) for numbers in gathered.values() if len(numbers.arrival)])
-    return Recording(tuple(streams), tuple(notes))
+    if unread and (wanted is None or not buffers):
+        notes.append(Note("info", shown, f"messages that calib does not read: {', '.join(unread)[:200]}", UNREAD_TYPES))
+    return Recording(tuple(_named_apart([buffer.stream(shown, notes) for buffer in buffers.values()])), tuple(notes))
 
 
-@dataclass(slots=True)
-class _Gathered:
-    """Numbers of one stream as they come, kept as packed arrays."""
+class _Buffer:
+    """Numbers of one stream as its messages come, in packed arrays."""
 
-    name: str
-    kind: str
-    names: tuple[str, ...]
-    wanted: Callable[[str], bool] | None
-    arrival: array[int] = field(default_factory=lambda: array("q"))
-    stamp: array[int] = field(default_factory=lambda: array("q"))
-    numbers: array[float] = field(default_factory=lambda: array("d"))
-    unstamped: int = 0
-    kept: tuple[int, ...] | None = None
+    def __init__(self, name: str, kind: str, names: Sequence[str], wanted: Callable[[str], bool] | None) -> None:
+        self.name, self.kind = name, kind
+        self.arrival, self.stamp, self.numbers = array("q"), array("q"), array("d")
+        self.unstamped = 0
+        yaw = wanted is not None and wanted(f"{name}:yaw")
+        kept = [
+            index
+            for index, column in enumerate(names)
+            if wanted is None or wanted(f"{name}:{column}") or (yaw and column in POSE[3:])
+        ]
+        self.names = [names[index] for index in kept]
+        #: places of the wanted numbers; None where all are
+        self.kept = kept if len(kept) < len(names) else None
 
-    def __post_init__(self) -> None:
-        if self.wanted is not None:
-            turn = self.wanted(f"{self.name}:yaw")
-            self.kept = tuple(
-                index
-                for index, name in enumerate(self.names)
-                if self.wanted(f"{self.name}:{name}") or (turn and name in POSE[3:])
-            )
-            if len(self.kept) == len(self.names):
-                self.kept = None
-
-    def add(self, numbers: Sequence[float], arrival: int, stamp: int | None) -> None:
+    def add(self, numbers: Sequence[float], arrival: int, header: Any) -> None:
         self.arrival.append(arrival)
-        if stamp is None:
-            self.unstamped += 1
-            stamp = arrival
-        self.stamp.append(stamp)
+        stamp = header and header.stamp.sec * NS_PER_S + header.stamp.nanosec
+        self.unstamped += not stamp
+        self.stamp.append(stamp or arrival)
         if self.kept is None:
             self.numbers.extend(numbers)
         else:
@@ -86,34 +82,32 @@ class _Gathered:
                 self.numbers.append(numbers[index])
 
     def stream(self, shown: str, notes: list[Note]) -> Stream:
-        names = self.names if self.kept is None else tuple(self.names[index] for index in self.kept)
-        table = np.frombuffer(self.numbers, dtype=np.float64).reshape(len(self.arrival), len(names))
+        """Return what came, in the order of the stamps where messages carry them, else of their arrival."""
+        table = np.frombuffer(self.numbers, dtype=np.float64).reshape(len(self.arrival), len(self.names))
         arrival: IntArray = np.frombuffer(self.arrival, dtype=np.int64)
         stamp: IntArray = np.frombuffer(self.stamp, dtype=np.int64)
-        stamped = self.unstamped < (1.0 - _STAMPED) * len(arrival)
-        behind = float(np.median(arrival - stamp)) / 1e9 if stamped else None
-        time, columns, backward = in_order(stamp if stamped else arrival, list(table.T))
+        stamped = self.unstamped < (1.0 - _STAMPED_SHARE) * len(arrival)
+        time = stamp if stamped else arrival
+        backward = int((np.diff(time) < 0).sum())
         if backward:
-            notes.append(
-                Note(
-                    "info", f"{shown}, {self.name}", f"{backward} message(s) out of order were sorted by time", "order"
-                )
-            )
-        ready: dict[str, FloatArray] = finished(dict(zip(names, columns, strict=True)))
-        full = {f"{self.name}:{name}": np.ascontiguousarray(values) for name, values in ready.items()}
+            order = np.argsort(time, kind="stable")
+            time, table = time[order], table[order]
+            text = f"{backward} message(s) out of order were sorted by time"
+            notes.append(Note("info", f"{shown}, {self.name}", text, "order"))
+        columns = planar_pose(dict(zip(self.names, table.T, strict=True)))
         return Stream(
             name=self.name,
             kind=self.kind,
-            columns=full,
+            columns={f"{self.name}:{name}": np.ascontiguousarray(values) for name, values in columns.items()},
             time_ns=np.ascontiguousarray(time),
             clock="stamps of the messages" if stamped else "arrival of the messages",
-            units={f"{self.name}:{name}": UNITS[name] for name in ready if name in UNITS},
-            behind_arrival_s=behind,
+            units={f"{self.name}:{name}": COLUMN_UNITS[name] for name in columns if name in COLUMN_UNITS},
+            behind_arrival_s=float(np.median(arrival - stamp)) / NS_PER_S if stamped else None,
         )
 
 
-def _named(streams: list[Stream]) -> Iterator[Stream]:
-    """Give streams of one topic that hold different joints names of their own; the largest keeps the topic's."""
+def _named_apart(streams: Iterable[Stream]) -> Iterator[Stream]:
+    """Give streams of one topic that hold different joints different names; the largest keeps the topic's."""
     taken: dict[str, int] = {}
     for stream in sorted(streams, key=len, reverse=True):
         number = taken[stream.name] = taken.get(stream.name, 0) + 1
@@ -122,7 +116,7 @@ def _named(streams: list[Stream]) -> Iterator[Stream]:
             continue
         name = f"{stream.name}#{number}"
         columns = {name + column[len(stream.name) :]: values for column, values in stream.columns.items()}
-        yield Stream(name, stream.kind, columns, stream.time_ns, stream.clock, {}, stream.behind_arrival_s)
+        yield replace(stream, name=name, columns=columns, units={})
 
 
 @contextmanager
@@ -131,61 +125,131 @@ def _opened(path: Path, shown: str) -> Iterator[Any]:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
-        raise BadFileError(
-            shown, "a ROS recording, and no reader for it", "rosbags", "install it with: pip install 'calib[ros]'"
-        ) from error
+        raise missing_reader(shown, "a ROS recording", "rosbags", "ros") from error
     source = path.parent if path.name == "metadata.yaml" else path
     if source.is_file() and source.stat().st_size == 0:
         raise _damaged(shown, "the file is empty")
+    with _damage_named(shown):
+        try:
+            # definitions come from the file; those of the library are for a file that has none
+            reader = AnyReader([source], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+            reader.open()
+        except OSError as error:
+            remedy = "check the path and its rights"
+            raise BadFileError(shown, str(error)[:120], "a readable recording", remedy) from error
     try:
-        # definitions come from the file; those of the library stand in for a file that has none
-        reader = AnyReader([source], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
-        reader.open()
-    except OSError as error:
-        raise BadFileError(shown, str(error)[:120], "a readable recording", "check the path and its rights") from error
-    except MemoryError:
-        raise
-    except Exception as error:
-        # the library answers damage with errors of many kinds (its own, struct, assertions, sqlite, YAML)
-        if "erialization format" in str(error):
-            raise _encoding(shown, str(error)) from error
-        raise _damaged(shown, _words(error)) from error
-    try:
-        strange = {
-            str(form)
-            for connection in reader.connections
-            if (form := getattr(connection.ext, "serialization_format", "cdr")) not in {"cdr", ""}
-        }
-        if strange:
-            raise _encoding(shown, ", ".join(sorted(strange)))
+        encodings = {getattr(connection.ext, "serialization_format", "cdr") for connection in reader.connections}
+        if unknown := sorted(map(str, encodings - {"cdr", ""})):
+            raise _unknown_encoding(shown, ", ".join(unknown))
         yield reader
     finally:
         reader.close()
 
 
 @contextmanager
-def _decoding(shown: str) -> Iterator[None]:
+def _damage_named(shown: str) -> Iterator[None]:
+    """Turn what the library answers to damage into one error: its own kinds, struct, assertions, sqlite, YAML."""
     try:
         yield
-    except (MemoryError, KeyboardInterrupt):
+    except (MemoryError, BadFileError):
         raise
     except Exception as error:
-        raise _damaged(shown, _words(error)) from error
+        if "erialization format" in str(error):
+            raise _unknown_encoding(shown, str(error)) from error
+        raise _damaged(shown, error_words(error).rstrip(".")) from error
 
 
-def _words(error: Exception) -> str:
-    text = " ".join(str(error).split())
-    return (text or type(error).__name__)[:120].rstrip(".")
-
-
-def _encoding(shown: str, text: str) -> BadFileError:
+def _unknown_encoding(shown: str, text: str) -> BadFileError:
     name = text.partition("{")[2].partition("}")[0].strip("'") or text
     expected = "ROS messages in 'cdr', the encoding that ROS 2 records in"
     remedy = "convert the recording with 'ros2 bag convert' (serialization cdr), or record it again with the default"
-    return BadFileError(shown, f"messages in the encoding {name!r}, which nothing here can read", expected, remedy)
+    return BadFileError(shown, f"messages in the encoding {name!r}, which calib cannot read", expected, remedy)
 
 
 def _damaged(shown: str, reason: str) -> BadFileError:
     expected = "a whole one, closed by its recorder"
     remedy = "copy it again, or repair it with 'mcap recover', 'ros2 bag reindex' or 'rosbag reindex'"
     return BadFileError(shown, f"a recording that is cut or damaged ({reason})", expected, remedy)
+
+
+def _pose(pose: Any) -> tuple[float, ...]:
+    place, turn = pose.position, pose.orientation
+    return (place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w)
+
+
+def _twist(twist: Any) -> tuple[float, ...]:
+    return (twist.linear.x, twist.linear.y, twist.angular.z)
+
+
+@lru_cache(maxsize=256)
+def _joint_columns(names: tuple[str, ...], lengths: tuple[int, ...]) -> tuple[tuple[str, ...], tuple[bool, ...]]:
+    """Return the columns of a JointState of such names and lengths, and which of its three fields they are of."""
+    names = names or tuple(str(index) for index in range(max(lengths)))
+    given = tuple(length == len(names) for length in lengths)
+    fields = [field for field, is_given in zip(("position", "velocity", "effort"), given, strict=True) if is_given]
+    return tuple(f"{field}.{name}" for field in fields for name in names), given
+
+
+def _joint_state(message: Any) -> list[Part]:
+    values = message.position, message.velocity, message.effort
+    names, given = _joint_columns(tuple(message.name), (len(values[0]), len(values[1]), len(values[2])))
+    numbers: list[float] = values[0].tolist() if given[0] else []
+    if given[1]:
+        numbers += values[1].tolist()
+    if given[2]:
+        numbers += values[2].tolist()
+    return [("", names, numbers, message.header)]
+
+
+def _transform(message: Any) -> Part:
+    place, turn = message.transform.translation, message.transform.rotation
+    numbers = (place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w)
+    return f"[{message.header.frame_id}>{message.child_frame_id}]", POSE, numbers, message.header
+
+
+def _transforms(message: Any) -> list[Part]:
+    return [_transform(transform) for transform in message.transforms]
+
+
+def _laser_scan(message: Any) -> list[Part]:
+    """One beam is its range; of more beams the one nearest to straight ahead."""
+    beams, ahead = len(message.ranges), 0
+    if beams > 1 and message.angle_increment:
+        ahead = min(max(round(-message.angle_min / message.angle_increment), 0), beams - 1)
+    distance = _finite(message.ranges[ahead]) if beams else math.nan
+    return [("", ("range" if beams < 2 else "range_ahead",), (distance,), message.header)]
+
+
+def _finite(value: float) -> float:
+    return float(value) if math.isfinite(value) else math.nan
+
+
+#: message type -> function that returns its parts; one entry a type
+MESSAGE_TYPES: Final[Mapping[str, Callable[[Any], Sequence[Part]]]] = {
+    "sensor_msgs/msg/JointState": _joint_state,
+    "nav_msgs/msg/Odometry": lambda m: [("", POSE + _TWIST, _pose(m.pose.pose) + _twist(m.twist.twist), m.header)],
+    "geometry_msgs/msg/PoseStamped": lambda m: [("", POSE, _pose(m.pose), m.header)],
+    "geometry_msgs/msg/PoseWithCovarianceStamped": lambda m: [("", POSE, _pose(m.pose.pose), m.header)],
+    "geometry_msgs/msg/TransformStamped": lambda m: [_transform(m)],
+    "tf2_msgs/msg/TFMessage": _transforms,
+    "tf/msg/tfMessage": _transforms,
+    "geometry_msgs/msg/Twist": lambda m: [("", _TWIST, _twist(m), None)],
+    "geometry_msgs/msg/TwistStamped": lambda m: [("", _TWIST, _twist(m.twist), m.header)],
+    "sensor_msgs/msg/Range": lambda m: [("", ("range",), (_finite(m.range),), m.header)],
+    "sensor_msgs/msg/LaserScan": _laser_scan,
+    **dict.fromkeys(
+        (
+            f"std_msgs/msg/{kind}"
+            for kind in ("Float32", "Float64", *(f"{sign}Int{bits}" for sign in ("", "U") for bits in (8, 16, 32, 64)))
+        ),
+        lambda m: [("", ("data",), (float(m.data),), None)],
+    ),
+}
+
+#: units of the columns, by the last part of their name; what a JointState's position counts, only its driver knows
+COLUMN_UNITS: Final[Mapping[str, str]] = {
+    **dict.fromkeys(("x", "y", "z", "range", "range_ahead"), "m"),
+    **dict.fromkeys(("v_x", "v_y"), "mps"),
+    "yaw": "rad",
+    "omega": "rad/s",
+}

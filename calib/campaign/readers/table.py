@@ -1,4 +1,4 @@
-"""What every reader returns, and the careful reading of numbers written by people and spreadsheets."""
+"""Tables as read, and the careful reading of their header, numbers and times: nothing is guessed."""
 
 from __future__ import annotations
 
@@ -11,20 +11,50 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.campaign.model import Note
-from calib.campaign.readers.times import TIME_FORMATS, moments_ns, time_format
 from calib.errors import BadFileError
 from calib.limits import COLUMNS, refuse_beyond
+from calib.types import FloatArray, IntArray
+from calib.units import SUFFIXES
 
 Wanted = Callable[[str], bool]
 
-#: nothing measured is larger; a cell that is has been spoilt, and would overflow later
-LARGEST: Final = 1e30
+NS_PER_S: Final = 1_000_000_000
+#: largest number of a cell; no measurement is larger, and squares of it would overflow
+LARGEST_VALUE: Final = 1e30
+#: rows in which the header is looked for; preambles of loggers are shorter
+HEADER_ROWS: Final = 60
+#: share of the usual width that a header must fill, and share of its cells that must be texts
+_HEADER_SHARE: Final = 0.6
 
 _EMPTY: Final = frozenset({"", "nan", "na", "n/a", "#n/a", "null", "none", "-"})
 _POINT: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _COMMA: Final = re.compile(r"[+-]?(\d+,\d*|,\d+)([eE][+-]?\d+)?", re.ASCII)
-# one to three digits, one mark, exactly three digits: 1,234 is 1.234 in one country and 1234 in another
+_POINT_OR_COMMA: Final = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?", re.ASCII)
+#: one to three digits, one mark, exactly three digits: 1,234 is 1.234 in one country and 1234 in another
 _AMBIGUOUS: Final = re.compile(r"[+-]?[1-9]\d{0,2}[,.]\d{3}", re.ASCII)
+_UNIT_WORDS: Final = frozenset(SUFFIXES) | {"m/s", "km/h", "°", "°C", "µm", "1", "-", "rpm", "rad/s", "counts", "ticks"}
+
+_CLOCK: Final = r"(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,](\d{1,9}))?)?"
+_ZONE: Final = r"\s*(Z|UTC|[+-]\d{2}:?\d{2}|[+-]\d{2})?"
+_ISO: Final = re.compile(rf"(\d{{4}})-(\d{{2}})-(\d{{2}})[T ]{_CLOCK}{_ZONE}", re.ASCII)
+_DAY_FIRST: Final = re.compile(rf"(\d{{1,2}})\.(\d{{1,2}})\.(\d{{4}})[T ]+{_CLOCK}{_ZONE}", re.ASCII)
+_TIME_OF_DAY: Final = re.compile(_CLOCK, re.ASCII)
+_HALF_DAY_NS: Final = 43_200 * NS_PER_S
+
+#: name of a time format -> an example
+TIME_FORMATS: Final = {
+    "iso8601": "2026-05-04T10:15:30.250+02:00",
+    "day_first": "04.05.2026 10:15:30,250",
+    "time_of_day": "10:15:30.250",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Sheet and header row (counted from 1) of a table; None where they are to be found."""
+
+    sheet: str | None = None
+    header_row: int | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,7 +65,7 @@ class RawTable:
     #: object array of str, float and None, shape (n_rows,)
     columns: Mapping[str, npt.NDArray[Any]]
     #: line of each row in the file, counted from 1, header included, shape (n_rows,)
-    line: npt.NDArray[np.int64]
+    line: IntArray
     #: what was recognised (encoding, delimiter, decimal comma)
     notes: tuple[Note, ...] = ()
     #: for a column that was written as times of the clock and holds seconds since its first cell: that first time, in
@@ -43,14 +73,26 @@ class RawTable:
     epochs: Mapping[str, int] = field(default_factory=dict)
 
 
-def objects(cells: Sequence[Any]) -> npt.NDArray[Any]:
+def object_array(cells: Sequence[Any]) -> npt.NDArray[Any]:
     """Return cells of any kind as an array of objects, shape (n_rows,)."""
     out = np.empty(len(cells), dtype=object)
     out[:] = list(cells)
     return out
 
 
-def refuse_duplicates(names: Sequence[str], shown: str, row: int = 1) -> None:
+def missing_reader(shown: str, what: str, package: str, extra: str) -> BadFileError:
+    """Return the error of a format whose package is not installed, with the command that installs it."""
+    return BadFileError(
+        shown, f"{what}, and no reader for it", package, f"install it with: pip install 'calib[{extra}]'"
+    )
+
+
+def error_words(error: Exception) -> str:
+    """Return what a library says of a damaged file, on one line; its kind of error where it says nothing."""
+    return " ".join(str(error).split())[:100] or type(error).__name__
+
+
+def check_header(names: Sequence[str], shown: str, row: int = 1) -> None:
     """Refuse a header that names a column twice, too many columns, or none at all."""
     refuse_beyond(len(names), COLUMNS, shown=shown, what="columns", remedy="export those that are needed", row=row)
     seen: set[str] = set()
@@ -60,27 +102,67 @@ def refuse_duplicates(names: Sequence[str], shown: str, row: int = 1) -> None:
             remedy = "check that this is the right file and its encoding UTF-8; export it again"
             raise BadFileError(shown, f"{name[:20]!r}, no column name", expected, remedy, row=row)
         if name in seen and name:
-            raise BadFileError(
-                shown,
-                row=row,
-                column=name,
-                found="the column name twice",
-                expected="each name once",
-                remedy="rename or remove one of the two columns",
-            )
+            remedy = "rename or remove one of the two columns"
+            raise BadFileError(shown, "the column name twice", "each name once", remedy, row=row, column=name)
         seen.add(name)
     if not any(names):
         raise BadFileError(shown, "no column names", "a header line", "put the column names first", row=row)
 
 
+def filled_cells(row: Sequence[Any]) -> list[Any]:
+    """Return the cells of a row that hold something."""
+    return [cell for cell in row if cell is not None and str(cell).strip()]
+
+
+def is_number(cell: Any) -> bool:
+    """Return whether a cell is a number or a time."""
+    if isinstance(cell, int | float):
+        return True
+    text = str(cell).strip().replace("−", "-")
+    return bool(_POINT_OR_COMMA.fullmatch(text)) or time_format(text) is not None
+
+
+def find_header(rows: Sequence[Sequence[Any]]) -> int | None:
+    """Return the index of the row that names the columns, or None where no row does so better than the first.
+
+    The header is the first row of texts that is about as wide as the rows below it, with a number beneath it soon.
+
+    `rows`: the first rows of the file, cells as read.
+    """
+    filled = [filled_cells(row) for row in rows]
+    for index, cells in enumerate(filled):
+        below = sorted(len(row) for row in filled[index + 1 :] if row)
+        if len(cells) < 2 or not below:
+            continue
+        usual = below[len(below) // 2]
+        texts = sum(not is_number(cell) for cell in cells)
+        if len(cells) < _HEADER_SHARE * usual or texts < _HEADER_SHARE * len(cells):
+            continue
+        following = [row for row in filled[index + 1 : index + 4] if row]
+        if not any(is_number(cell) for row in following for cell in row):
+            continue
+        if len(following[0]) > len(rows[index]) and len(cells) < usual:
+            continue
+        return index
+    return None
+
+
+def header_with_units(header: Sequence[str], below: Sequence[Any]) -> list[str] | None:
+    """Return the header with the units of a row beneath it in brackets, or None where that row holds no units."""
+    bare = ["" if cell is None else str(cell).strip().strip("[]()") for cell in below]
+    filled = [cell for cell in bare if cell]
+    if not filled or not all(cell in _UNIT_WORDS for cell in filled) or all(is_number(cell) for cell in filled):
+        return None
+    units = [*bare, *[""] * (len(header) - len(bare))]
+    return [
+        f"{name} [{unit}]" if name and unit and "[" not in name else name
+        for name, unit in zip(header, units, strict=False)
+    ]
+
+
 def numbers(
-    cells: npt.NDArray[Any],
-    *,
-    shown: str,
-    column: str,
-    line: npt.NDArray[np.int64],
-    decimal_comma: bool | None = None,
-) -> tuple[npt.NDArray[np.float64], bool]:
+    cells: npt.NDArray[Any], *, shown: str, column: str, line: IntArray, decimal_comma: bool | None = None
+) -> tuple[FloatArray, bool]:
     """Turn cells into numbers without guessing.
 
     Parameters
@@ -108,9 +190,9 @@ def numbers(
     """
     if cells.dtype != object:
         values = cells.astype(np.float64)
-        bad = np.flatnonzero(np.abs(values) > LARGEST)
-        if len(bad):
-            raise _no_number(shown, column, int(line[bad[0]]), str(values[bad[0]]))
+        too_large = np.flatnonzero(np.abs(values) > LARGEST_VALUE)
+        if len(too_large):
+            raise _no_number(shown, column, int(line[too_large[0]]), str(values[too_large[0]]))
         return values, False
     out = np.full(len(cells), np.nan)
     used_comma = False
@@ -121,22 +203,31 @@ def numbers(
             text = cell.strip().replace("−", "-")
             if text.lower() in _EMPTY:
                 continue
-            if _COMMA.fullmatch(text):
-                if decimal_comma is not True and _AMBIGUOUS.fullmatch(text):
-                    raise _ambiguous(shown, column, int(line[index]), text)
-                used_comma = True
-                text = text.replace(",", ".")
-            elif decimal_comma is True and _AMBIGUOUS.fullmatch(text):
+            comma = _COMMA.fullmatch(text) is not None
+            if comma != (decimal_comma is True) and _AMBIGUOUS.fullmatch(text):
                 raise _ambiguous(shown, column, int(line[index]), text)
-            elif not _POINT.fullmatch(text):
+            if not comma and not _POINT.fullmatch(text):
                 raise _no_number(shown, column, int(line[index]), text)
-            value = float(text)
+            used_comma = used_comma or comma
+            value = float(text.replace(",", "."))
         else:
             value = float(cell)
-        if not abs(value) <= LARGEST and not (isinstance(cell, float) and np.isnan(cell)):
+        if not abs(value) <= LARGEST_VALUE and not (isinstance(cell, float) and np.isnan(cell)):
             raise _no_number(shown, column, int(line[index]), str(cell))
         out[index] = value
     return out, used_comma
+
+
+def _no_number(shown: str, column: str, row: int, text: str) -> BadFileError:
+    expected = "a finite number below 1e30, or an empty cell"
+    remedy = "correct the cell, or leave it empty where nothing was measured"
+    return BadFileError(shown, repr(text[:40]), expected, remedy, row=row, column=column)
+
+
+def _ambiguous(shown: str, column: str, row: int, text: str) -> BadFileError:
+    found = f"{text!r}, which may mean {text.replace(',', '.')} or {text.replace(',', '').replace('.', '')}"
+    remedy = "export the table without thousands separators and with a decimal point"
+    return BadFileError(shown, found, "a number that can be read in one way only", remedy, row=row, column=column)
 
 
 def comma_evidence(columns: Sequence[npt.NDArray[Any]]) -> bool | None:
@@ -152,26 +243,7 @@ def comma_evidence(columns: Sequence[npt.NDArray[Any]]) -> bool | None:
     return True if comma else (False if point else None)
 
 
-def _no_number(shown: str, column: str, row: int, text: str) -> BadFileError:
-    expected = "a finite number below 1e30, or an empty cell"
-    remedy = "correct the cell, or leave it empty where nothing was measured"
-    return BadFileError(shown, repr(text[:40]), expected, remedy, row=row, column=column)
-
-
-def _ambiguous(shown: str, column: str, row: int, text: str) -> BadFileError:
-    return BadFileError(
-        shown,
-        row=row,
-        column=column,
-        found=f"{text!r}, which may mean {text.replace(',', '.')} or {text.replace(',', '').replace('.', '')}",
-        expected="a number that can be read in one way only",
-        remedy="export the table without thousands separators and with a decimal point",
-    )
-
-
-def made_numeric(
-    columns: dict[str, npt.NDArray[Any]], shown: str, line: npt.NDArray[np.int64]
-) -> tuple[list[Note], dict[str, int]]:
+def to_numbers(columns: dict[str, npt.NDArray[Any]], shown: str, line: IntArray) -> tuple[list[Note], dict[str, int]]:
     """Turn columns of cells into numbers, in place; times of the clock become seconds since the first.
 
     `columns` (shape (n_rows,)): cells as read, by name; `line` (shape (n_rows,)): line of each row in the file. Returns
@@ -179,26 +251,33 @@ def made_numeric(
     a cell is no number.
     """
     evidence = comma_evidence(list(columns.values()))
-    written = dict(columns)
-    used = False
+    texts = dict(columns)
+    used_comma = False
     notes: list[Note] = []
     epochs: dict[str, int] = {}
-    for name, cells in columns.items():
-        timed = _moments(cells, name, shown, line)
-        if timed is not None:
-            columns[name], epochs[name], form = timed
-            text = f"times were read as {TIME_FORMATS[form]}"
-            notes.append(Note("info", f"{shown}, column {name}", text, "time_format"))
+    for name, cells in texts.items():
+        first = next((cell for cell in cells if cell is not None and str(cell).strip()), None)
+        form = time_format(first) if isinstance(first, str) else None
+        if form is None:
+            columns[name], comma = numbers(cells, shown=shown, column=name, line=line, decimal_comma=evidence)
+            used_comma = used_comma or comma
             continue
-        columns[name], comma = numbers(cells, shown=shown, column=name, line=line, decimal_comma=evidence)
-        used = used or comma
-    if used:
+        time_ns, bad = moments_ns(cells)
+        if bad is not None:
+            found = repr(str(cells[bad])[:40]) if cells[bad] is not None else "an empty cell"
+            expected, remedy = f"a time as {TIME_FORMATS[form]}", "correct the cell, or remove the row"
+            raise BadFileError(shown, found, expected, remedy, row=int(line[bad]), column=name)
+        epochs[name] = int(time_ns[0])
+        columns[name] = (time_ns - time_ns[0]) / NS_PER_S
+        text = f"times were read as {TIME_FORMATS[form]}"
+        notes.append(Note("info", f"{shown}, column {name}", text, "time_format"))
+    if used_comma:
         notes.append(Note("info", shown, "decimal commas were read as decimal points", "decimal_comma"))
-        notes += mixed_marks(written, shown, line)
+        notes += mixed_decimal_marks(texts, shown, line)
     return notes, epochs
 
 
-def mixed_marks(columns: Mapping[str, npt.NDArray[Any]], shown: str, line: npt.NDArray[np.int64]) -> list[Note]:
+def mixed_decimal_marks(columns: Mapping[str, npt.NDArray[Any]], shown: str, line: IntArray) -> list[Note]:
     """Return a note where a table writes decimal commas in some cells and points in others: which, and where.
 
     `columns` (shape (n_rows,)): cells as text, by name; `line` (shape (n_rows,)): line of each row in the file.
@@ -220,23 +299,60 @@ def mixed_marks(columns: Mapping[str, npt.NDArray[Any]], shown: str, line: npt.N
     return [Note("suspicious", f"{shown}, row {row}, column {name}", text, "decimal_marks")]
 
 
-def _moments(
-    cells: npt.NDArray[Any], column: str, shown: str, line: npt.NDArray[np.int64]
-) -> tuple[npt.NDArray[np.float64], int, str] | None:
-    """Return seconds since the first cell, that first time and its format; None where the first cell is no time."""
-    first = next((cell for cell in cells if cell is not None and str(cell).strip()), None)
-    form = time_format(first) if isinstance(first, str) else None
-    if form is None:
-        return None
-    time_ns, bad = moments_ns(cells)
-    if bad is not None:
-        raise BadFileError(
-            shown,
-            row=int(line[bad]),
-            column=column,
-            found=repr(str(cells[bad])[:40]) if cells[bad] is not None else "an empty cell",
-            expected=f"a time as {TIME_FORMATS[form]}",
-            remedy="correct the cell, or remove the row",
-        )
-    start = int(time_ns[0])
-    return (time_ns - start) / 1e9, start, form
+def time_format(text: str) -> str | None:
+    """Return the name of the format that a text is written in (of `TIME_FORMATS`), or None."""
+    clean = text.strip()
+    if _ISO.fullmatch(clean):
+        return "iso8601"
+    if _DAY_FIRST.fullmatch(clean):
+        return "day_first"
+    return "time_of_day" if _TIME_OF_DAY.fullmatch(clean) and clean.count(":") == 2 else None
+
+
+def moment_ns(text: str) -> int:
+    """Return one time as nanoseconds since 1970 (UTC where no zone is named), or since midnight for a time of day.
+
+    Raises ValueError where the text is none of `TIME_FORMATS`, or names no day of the calendar.
+    """
+    clean = text.strip()
+    if match := _ISO.fullmatch(clean):
+        year, month, day = int(match[1]), int(match[2]), int(match[3])
+    elif match := _DAY_FIRST.fullmatch(clean):
+        day, month, year = int(match[1]), int(match[2]), int(match[3])
+    elif match := _TIME_OF_DAY.fullmatch(clean):
+        return _since_midnight_ns(match.groups())
+    else:
+        raise ValueError(f"{clean[:40]!r} is no time")
+    days = int(np.datetime64(f"{year:04d}-{month:02d}-{day:02d}", "D").astype(np.int64))
+    zone_s = 0
+    if match[8] not in {None, "Z", "UTC"}:
+        digits = match[8][1:].replace(":", "").ljust(4, "0")
+        zone_s = (int(digits[:2]) * 3600 + int(digits[2:]) * 60) * (-1 if match[8][0] == "-" else 1)
+    return (days * 86_400 - zone_s) * NS_PER_S + _since_midnight_ns(match.groups()[3:7])
+
+
+def moments_ns(cells: Sequence[Any] | npt.NDArray[Any]) -> tuple[IntArray, int | None]:
+    """Return a column of times as nanoseconds.
+
+    `cells` (shape (n_rows,)): all in one of `TIME_FORMATS`. Returns `time_ns` (shape (n_rows,)): nanoseconds since
+    1970, or since the first midnight; `bad`: index of the first cell that is no time; None where all are.
+    """
+    out = np.zeros(len(cells), dtype=np.int64)
+    passed_ns = 0
+    for index, cell in enumerate(cells):
+        try:
+            out[index] = moment_ns(str(cell)) + passed_ns
+        except ValueError:
+            return out, index
+        if index and out[index] < out[index - 1] - _HALF_DAY_NS and _TIME_OF_DAY.fullmatch(str(cell).strip()):
+            # a time of day that falls by more than half a day has passed midnight
+            passed_ns += 2 * _HALF_DAY_NS
+            out[index] += 2 * _HALF_DAY_NS
+    return out, None
+
+
+def _since_midnight_ns(parts: Sequence[str | None]) -> int:
+    hour, minute, second = (int(part or 0) for part in parts[:3])
+    if hour > 24 or minute > 59 or second > 60:
+        raise ValueError("no time of day")
+    return (hour * 3600 + minute * 60 + second) * NS_PER_S + int((parts[3] or "").ljust(9, "0"))

@@ -10,15 +10,16 @@ from typing import Any, Final
 
 import numpy as np
 
-from calib.arrays import FloatArray, IntArray
 from calib.campaign.model import Note
 from calib.campaign.readers.recording import Recording, Stream
-from calib.campaign.readers.times import NS_PER_S
+from calib.campaign.readers.table import NS_PER_S, error_words, missing_reader
 from calib.errors import BadFileError
+from calib.types import FloatArray, IntArray
 
+#: TDMS times count from 1904-01-01, Unix times from 1970-01-01
 _FROM_1904_S: Final = 2_082_844_800
 #: samples read at a time, so that a channel is never held twice
-_CHUNK: Final = 1 << 20
+_CHUNK_SAMPLES: Final = 1 << 20
 
 
 def record(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> Recording:
@@ -26,9 +27,7 @@ def record(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> Reco
     try:
         from nptdms import TdmsFile
     except ImportError as error:
-        raise BadFileError(
-            shown, "a TDMS file, and no reader for it", "npTDMS", "install it with: pip install 'calib[tdms]'"
-        ) from error
+        raise missing_reader(shown, "a TDMS file", "npTDMS", "tdms") from error
     notes: list[Note] = []
     try:
         with _quiet(), TdmsFile.open(path, raw_timestamps=True) as source:
@@ -43,7 +42,7 @@ def record(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> Reco
                     name = f"{group.name}/{channel.name}"
                     properties |= _properties(name, channel.properties)
                     if not len(channel) or np.dtype(channel.dtype).kind not in "iufbMV":
-                        notes.append(Note("info", f"{shown}, {name}", "holds no numbers and was left out", "skipped"))
+                        notes.append(Note("info", f"{shown}, {name}", "holds no numbers and was omitted", "skipped"))
                     elif wanted is None or wanted(name):
                         channels[name] = channel
                 streams += _streams(group.name, channels)
@@ -51,23 +50,20 @@ def record(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> Reco
         raise
     except Exception as error:
         # the library answers damage with errors of many kinds (struct, keys, values, its own)
-        raise BadFileError(
-            shown,
-            found=f"a TDMS file that is cut or damaged ({' '.join(str(error).split())[:100] or type(error).__name__})",
-            expected="a whole one",
-            remedy="copy it again from the DAQ computer, or export it as CSV",
-        ) from error
+        found = f"a TDMS file that is cut or damaged ({error_words(error)})"
+        remedy = "copy it again from the DAQ computer, or export it as CSV"
+        raise BadFileError(shown, found, "a whole one", remedy) from error
     return Recording(tuple(streams), tuple(notes), properties)
 
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep the library from writing warnings of its own to standard error, past the one line of an error."""
+    """Keep the library from writing warnings to standard error beside the one line of an error."""
     logs = [logging.getLogger(name) for name in logging.root.manager.loggerDict if name.partition(".")[0] == "nptdms"]
     levels = [log.level for log in logs]
-    for log in logs:
-        log.setLevel(logging.ERROR)
     try:
+        for log in logs:
+            log.setLevel(logging.ERROR)
         yield
     finally:
         for log, level in zip(logs, levels, strict=True):
@@ -110,8 +106,8 @@ def _streams(group: str, channels: Mapping[str, Any]) -> list[Stream]:
 
 def _values(channel: Any) -> FloatArray:
     values: FloatArray = np.empty(len(channel))
-    for start in range(0, len(channel), _CHUNK):
-        values[start : start + _CHUNK] = channel[start : min(start + _CHUNK, len(channel))]
+    for start in range(0, len(channel), _CHUNK_SAMPLES):
+        values[start : start + _CHUNK_SAMPLES] = channel[start : min(start + _CHUNK_SAMPLES, len(channel))]
     return values
 
 

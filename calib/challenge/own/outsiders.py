@@ -7,9 +7,9 @@ from typing import Final
 
 import numpy as np
 
-from calib.arrays import FloatArray, IntArray
 from calib.challenge.own.replay import Replay
 from calib.plant.world import Moment, World
+from calib.types import FloatArray, IntArray
 
 #: changes a world by a size
 SizedAct = Callable[[World, float], None]

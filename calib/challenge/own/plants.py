@@ -10,20 +10,20 @@ from zlib import crc32
 
 import numpy as np
 
-from calib.arrays import FloatArray
 from calib.challenge.cases import ONE_SIGN
 from calib.challenge.own.outsiders import OUTSIDERS, SizedAct, column_act, outsiders
 from calib.challenge.own.replay import Replay
 from calib.errors import BadInputError
-from calib.gap.diagnosis import Diagnosis
+from calib.gap.decision.diagnosis import Diagnosis
 from calib.plant.effects.form import Form
 from calib.plant.effects.registry import effects as plant_effects
 from calib.plant.effects.registry import forms_of
 from calib.plant.signal import CALIBRATION, strength
+from calib.types import FloatArray
 
 #: what the counts alone cannot be made to show, or what a drive has to be planned for
 NOT_PLANTED: Final = {
-    "encoder_gross": "a gross fault is found before the search, by trial",
+    "encoder_gross": "a blunder is found before the search, by trial",
     "integration_scheme": "it is in the simulator, not in the vehicle",
     "path_weave": "it needs runs without logs",
 }
@@ -188,7 +188,7 @@ def absorbed_by_calibration(diagnosis: Diagnosis, replay: Replay) -> FloatArray:
 
     left, right = of("left"), of("right")
     if diagnosis.observations.by_front:
-        # one wheel, whose radius both that stand in for it share
+        # one wheel, whose radius both effects confounded with it share
         both = 0.5 * (left + right)
         return np.stack([both, both, np.zeros_like(both)], axis=2)
     return np.stack([left, right, of("track")], axis=2)

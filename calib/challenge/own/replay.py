@@ -1,8 +1,4 @@
-"""A campaign's own counts driven again in a world that is other than believed.
-
-The counts are what the vehicle logged; where it truly went follows from them, step by step, by the plant's functional
-forms. No code of the diagnosis has a part in it.
-"""
+"""A campaign driven again: its own route and counts with a planted effect, and its own noise drawn again."""
 
 from __future__ import annotations
 
@@ -12,12 +8,112 @@ from typing import Final
 
 import numpy as np
 
-from calib.arrays import FloatArray, IntArray
 from calib.campaign.settings import FrontModel
-from calib.challenge.own.steering import true_angles
-from calib.gap.data.observations import Observations
+from calib.gap.observations.arrays import Observations
 from calib.plant.design import Design
 from calib.plant.world import Moment, World, build_world
+from calib.types import BoolArray, FloatArray, IntArray
+
+#: with fewer units to draw from, the draws repeat one another: the next wider circle is taken
+ENOUGH: Final = 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OwnNoise:
+    """Whitened residuals of each observation after the fit of the diagnosis, and which observations are exchangeable.
+
+    A unit's channels stay together, so that tails and correlations are the real ones. What the repeats of a condition
+    have in common is no noise and is taken out; a unit that has no repeats keeps what is left of it, with either sign.
+    """
+
+    #: shape (n_units, 6): residuals of distance, along, lateral, heading, front, steering, whitened by the unit's own
+    #: covariance
+    whitened: FloatArray
+    root: FloatArray  #: shape (n_units, 6, 6): cholesky factor of each unit's covariance
+    group: IntArray  #: shape (n_units,): units of one number are exchangeable
+    repeated: BoolArray  #: shape (n_units,): units that have repeats
+
+    def draw(self, rng: np.random.Generator) -> FloatArray:
+        """Return one draw, shape (n_units, 6), in metres and radians."""
+        n_units = len(self.group)
+        chosen = np.arange(n_units)
+        for number in np.unique(self.group):
+            members = np.flatnonzero(self.group == number)
+            chosen[members] = rng.choice(members, len(members))
+        sign = np.where(self.repeated[chosen], 1.0, rng.choice([-1.0, 1.0], n_units))
+        drawn: FloatArray = np.einsum("uij,uj->ui", self.root, self.whitened[chosen] * sign[:, None])
+        return drawn
+
+
+def own_noise(observations: Observations, left: FloatArray, covariance: FloatArray) -> OwnNoise:
+    """Return the noise of a campaign, of what its fit leaves (n_units, 6) under its covariance (n_units, 6, 6).
+
+    Units of one condition are exchangeable where there are enough of them; else those of one route, else those with the
+    same channels.
+    """
+    channels = observations.usable @ (2 ** np.arange(6))
+    circles = [_numbered(by, channels) for by in (observations.condition, observations.kind, np.zeros_like(channels))]
+    group = circles[2] + circles[0].max() + circles[1].max() + 2
+    for offset, circle in ((circles[0].max() + 1, circles[1]), (0, circles[0])):
+        group = np.where(np.bincount(circle)[circle] >= ENOUGH, circle + offset, group)
+    root = np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
+    kept = np.where(observations.usable, left, 0.0)[:, :, None]
+    whitened = np.asarray(np.linalg.solve(root, kept)[:, :, 0], dtype=np.float64)
+    size = np.bincount(circles[0])[circles[0]]
+    for number in np.flatnonzero(np.bincount(circles[0]) > 1):
+        members = circles[0] == number
+        n = int(members.sum())
+        whitened[members] = (whitened[members] - whitened[members].mean(axis=0)) * np.sqrt(n / (n - 1))
+    return OwnNoise(whitened, root, group, size > 1)
+
+
+def _numbered(by: IntArray, channels: IntArray) -> IntArray:
+    """Return a number for each unit, the same where both arrays (n_units,) agree."""
+    numbers: IntArray = np.unique(by.astype(np.int64) * 64 + channels, return_inverse=True)[1]
+    return numbers
+
+
+#: the sensor has turned round once it came back by this, or by so many standard deviations of its noise
+TURNED_RAD: Final = 2e-3
+TURNED_STD: Final = 6.0
+
+
+def true_angles(read: FloatArray, time_s: FloatArray, last: IntArray, world: World) -> FloatArray:
+    """Return the wheel's true angles, shape (n_steps_most, n_units): what the world's sensor would read as logged.
+
+    Zero, scale, play and delay of the sensor are the world's. Beyond the end of a log (the unit's last step), where a
+    late sensor's last angles would be, the last one holds.
+    """
+    true = (read - world.steer_zero_rad) / world.steer_scale
+    if world.steer_backlash_rad.any():
+        true = true + 0.5 * world.steer_backlash_rad * _side(true, last)
+    if world.steer_delay_s.any():
+        late = np.broadcast_to(world.steer_delay_s, last.shape)
+        true = true.copy()
+        for unit, end in enumerate(last + 1):
+            at = time_s[:end, unit]
+            true[:end, unit] = np.interp(at + late[unit], at, true[:end, unit])
+    return np.asarray(true)
+
+
+def _side(angle: FloatArray, last: IntArray) -> FloatArray:
+    """Return to which side each angle last moved: beyond the play the wheel is ahead of its sensor there."""
+    side = np.zeros_like(angle)
+    bent = [np.abs(np.diff(angle[: end + 1, unit], 2)) for unit, end in enumerate(last)]
+    noise = 1.4826 * float(np.median(np.concatenate(bent))) / np.sqrt(6.0) if any(map(len, bent)) else 0.0
+    least = max(TURNED_RAD, TURNED_STD * noise)
+    low, high = angle[0].copy(), angle[0].copy()
+    now = np.zeros(angle.shape[1])
+    for step, here in enumerate(angle):
+        high = np.where(now >= 0, np.maximum(high, here), high)
+        low = np.where(now <= 0, np.minimum(low, here), low)
+        up = (now < 1) & (here - low > least)
+        down = (now > -1) & (high - here > least) & ~up
+        now = np.where(up, 1.0, np.where(down, -1.0, now))
+        high, low = np.where(up, here, high), np.where(down, here, low)
+        side[step] = now
+    return side
+
 
 #: the log's speed is smoothed over so long before it is differentiated: counters come in whole steps
 SMOOTH_S: Final = 0.5

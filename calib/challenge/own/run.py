@@ -10,18 +10,16 @@ from typing import Final
 
 import numpy as np
 
-from calib.arrays import FloatArray
 from calib.campaign.model import Campaign, Logs
-from calib.challenge.own.answers import Answer, answer_of
-from calib.challenge.own.noise import OwnNoise, own_noise
 from calib.challenge.own.plants import Plant, Size, parse_sizes, plants_of
-from calib.challenge.own.replay import Replay
-from calib.challenge.own.result import Found, Own, found_of
+from calib.challenge.own.replay import OwnNoise, Replay, own_noise
+from calib.challenge.own.result import Answer, Found, Own, answer_of, found_of
 from calib.challenge.seal import workers_of
 from calib.errors import RefusedError
-from calib.gap.data.observations import Observations
+from calib.gap.decision.diagnosis import Diagnosis
 from calib.gap.diagnose import diagnose_in_full
-from calib.gap.diagnosis import Diagnosis
+from calib.gap.observations.arrays import Observations
+from calib.types import FloatArray
 
 #: sizes by default: hardly seen, seen, strong
 SIZES: Final = "5s,10s,25s"
@@ -83,17 +81,17 @@ def challenge_own(campaign: Campaign, asked: Asked | None = None, tick: Tick | N
     Raises
     ------
     RefusedError
-        Where the campaign has a gross fault of the counters, or cannot be diagnosed.
+        Where the campaign has a blunder of the counters, or cannot be diagnosed.
     BadInputError
         Where an effect is unknown.
     """
     asked = asked or Asked()
     began = time.monotonic()
     diagnosis = diagnose_in_full(campaign, seed=asked.seed, plan=False)
-    # what is named and stands in no library was found before the search: a gross fault
-    if {cause.effect for cause in diagnosis.verdict.causes} - {effect.id for effect in diagnosis.effects}:
+    # what is named and stands in no library was found before the search: a blunder
+    if {cause.effect for cause in diagnosis.causes} - {effect.id for effect in diagnosis.effects}:
         raise RefusedError(
-            f"{campaign.name}: the counters have a gross fault ({diagnosis.verdict.sentence}); expected counts "
+            f"{campaign.name}: the counters have a blunder ({diagnosis.sentence}); expected counts "
             "that are right to a few per cent; put the campaign's encoder settings right first"
         )
     replay = Replay.of(diagnosis.observations)
@@ -106,7 +104,7 @@ def challenge_own(campaign: Campaign, asked: Asked | None = None, tick: Tick | N
     return Own(
         campaign=campaign.name,
         simulated=campaign.simulated,
-        own_verdict=diagnosis.verdict.kind.value,
+        own_verdict=diagnosis.kind.value,
         runs=len(campaign.included().runs),
         units=len(diagnosis.observations),
         units_with_repeats=int(bench.noise.repeated.sum()),
@@ -149,7 +147,7 @@ def _diagnosed(bench: _Bench, job: _Job) -> Answer:
     began = time.perf_counter()
     observed = with_readings(bench.observations, bench.readings + job.change, bench.noise, job.seeds)
     try:
-        verdict = diagnose_in_full(bench.campaign, seed=job.seeds[-1], plan=False, observations=observed).verdict
+        verdict = diagnose_in_full(bench.campaign, seed=job.seeds[-1], plan=False, observations=observed)
     except RefusedError:
         # a diagnosis that refuses has seen nothing
         document: dict[str, object] = {"verdict": "undecided"}

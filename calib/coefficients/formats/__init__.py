@@ -1,16 +1,99 @@
-"""Export formats, one file each; a new format is one file and one line here."""
+"""Export formats, one file each, and what they share; a new format is one file and one line here."""
 
 from __future__ import annotations
 
-from typing import Final
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
 
-__all__ = ["FORMATS"]
+if TYPE_CHECKING:
+    from calib.coefficients.file import CoefficientFile
 
-#: name of the format -> module of this package; each has ``render(file, options)``, which makes its files, and states
-#: ``AXLE_ONLY = True`` where it knows two wheels on one axle alone
-FORMATS: Final[dict[str, str]] = {
-    "json": "json_master",
+#: name of the format -> module of this package, None for the coefficient file itself; each has
+#: ``render(file, options)``, which returns its files, and states ``AXLE_ONLY = True`` where it knows two wheels on one
+#: axle alone
+FORMATS: Final[dict[str, str | None]] = {
+    "json": None,
     "ros2": "ros2",
     "c": "c_header",
     "csv": "csv_table",
 }
+#: of a name of the user in a comment
+COMMENT_LENGTH: Final = 120
+
+
+@dataclass(frozen=True, slots=True)
+class Artifact:
+    """A file made by an export: its name and content."""
+
+    name: str
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class LoadPair:
+    """A load point: wheel loads in N, and a name where it has one."""
+
+    left_N: float
+    right_N: float
+    name: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class ExportOptions:
+    """Choices of an export; a format ignores those that it has no use for."""
+
+    #: load points, for formats that hold for single loads; none: the format's own choice
+    loads: tuple[LoadPair, ...] = ()
+    #: names of ROS 2 controllers; none: those of the vehicle's drive
+    controllers: tuple[str, ...] = ()
+    #: whether the wheels' joints report positions; False: velocities
+    position_feedback: bool = True
+    #: whether the controllers integrate commands in place of the encoders
+    open_loop: bool = False
+
+    @property
+    def has_controller_choices(self) -> bool:
+        """Whether an option was chosen that only controllers have."""
+        return bool(self.controllers) or not self.position_feedback or self.open_loop
+
+
+def default_loads(file: CoefficientFile) -> tuple[LoadPair, ...]:
+    """Return the load points of the load table, or else both ends and the reference of the common valid range.
+
+    One point where the radii do not follow the load.
+    """
+    if file.load_table:
+        return tuple(LoadPair(p.load_left.value, p.load_right.value, p.name) for p in file.load_table)
+    left, right = file.wheels.left, file.wheels.right
+    if left.slope.value == 0.0 and right.slope.value == 0.0:
+        return (LoadPair(left.reference_load.value, right.reference_load.value, "any load"),)
+    low = max(left.valid_load.min.value, right.valid_load.min.value)
+    high = min(left.valid_load.max.value, right.valid_load.max.value)
+    if low > high:
+        return (LoadPair(left.reference_load.value, right.reference_load.value, "reference"),)
+    points = {low, high, left.reference_load.value}
+    return tuple(LoadPair(load, load) for load in sorted(points) if low <= load <= high)
+
+
+def ascii_line(text: str) -> str:
+    """Return `text` as one short line of printable ASCII that cannot end a comment."""
+    line = "".join(sign if " " <= sign <= "~" else "?" for sign in text)
+    return line.replace("*/", "* /").replace("/*", "/ *").replace("??", "? ?").rstrip("\\")[:COMMENT_LENGTH]
+
+
+def accepted_lines(file: CoefficientFile) -> list[str]:
+    """Return why a law beyond the bounds of its vehicle was passed on, and what is beyond them; else nothing."""
+    accepted = file.accepted_implausible
+    if accepted is None:
+        return []
+    return [
+        f"IMPLAUSIBLE, passed on with the reason: {ascii_line(accepted.reason)}",
+        *(f"found: {ascii_line(finding)}" for finding in accepted.findings),
+    ]
+
+
+def number(value: float) -> str:
+    """Return a float as text with a decimal point, which YAML readers need to take it for one."""
+    text = repr(float(value))
+    mantissa, mark, exponent = text.partition("e")
+    return (mantissa if "." in mantissa else f"{mantissa}.0") + mark + exponent

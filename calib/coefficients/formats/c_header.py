@@ -9,7 +9,7 @@ from importlib.resources import files
 from typing import Final
 
 from calib.coefficients.file import CoefficientFile
-from calib.coefficients.loads import Artifact, ExportOptions, accepted_lines, ascii_line
+from calib.coefficients.formats import Artifact, ExportOptions, accepted_lines, ascii_line
 from calib.coefficients.sections import WheelSection
 from calib.errors import RefusedError
 from calib.radius.law import JOINT
@@ -20,7 +20,7 @@ AXLE_ONLY: Final = True
 BODY_NAME: Final = "c_runtime.h"
 INT32_MAX: Final = 2**31 - 1
 #: bound of every intermediate of the integer form; half the range of int64_t, so that rounding cannot overflow it
-INT64_ROOM: Final = 2**62
+INT64_HALF: Final = 2**62
 MAX_SHIFT: Final = 40
 LAST_BITS_MN: Final = Fraction(1, 10**6)
 
@@ -64,12 +64,12 @@ def fixed_point(wheel: WheelSection, side: str) -> FixedPoint:
             "expected what 32 bits of nanometres and millinewtons hold; the integer form cannot be made"
         )
     shift = MAX_SHIFT
-    while shift > 1 and (base_nm + abs(slope_nm_per_mN) * span + 2) * 2**shift >= INT64_ROOM:
+    while shift > 1 and (base_nm + abs(slope_nm_per_mN) * span + 2) * 2**shift >= INT64_HALF:
         shift -= 1
     base, slope = round(base_nm * 2**shift), round(slope_nm_per_mN * 2**shift)
-    # rounding to whole nanometres, plus what the rounded base and slope miss at the ends (linear: worst at an end)
-    missed = [abs(base + slope * at - (base_nm + slope_nm_per_mN * at) * 2**shift) / 2**shift for at in (0, span)]
-    return FixedPoint(base, slope, shift, low, high, Fraction(1, 2) + max(missed))
+    # rounding to whole nanometres, plus the error of the rounded base and slope at the ends (linear: worst at an end)
+    rounding = [abs(base + slope * at - (base_nm + slope_nm_per_mN * at) * 2**shift) / 2**shift for at in (0, span)]
+    return FixedPoint(base, slope, shift, low, high, Fraction(1, 2) + max(rounding))
 
 
 def render(file: CoefficientFile, options: ExportOptions) -> tuple[Artifact, ...]:
@@ -174,7 +174,7 @@ def _wheel(wheel: WheelSection, side: str) -> list[str]:
     name, integer = f"CALIB_{side.upper()}", fixed_point(wheel, side)
     radius, slope, load = (_c(part.value) for part in (wheel.radius_ref, wheel.slope, wheel.reference_load))
     return [
-        # from the same text as the values, so that comment and code cannot part
+        # from the same text as the values, so that comment and code agree
         f"/* {side} wheel: {radius} m at the reference load of {load} N, plus {slope} m for each N above it;",
         " * radius = radius_ref + slope (load - reference_load) */",
         f"#define {name}_RADIUS_REF_M {radius}",

@@ -7,9 +7,9 @@ from typing import Final
 import numpy as np
 
 from calib.coefficients.file import CoefficientFile
-from calib.coefficients.loads import Artifact, ExportOptions
+from calib.coefficients.formats import Artifact, ExportOptions
+from calib.documents import csv_text
 from calib.errors import RefusedError
-from calib.files import csv_text
 from calib.radius.law import WheelLaw
 
 #: see `calib.coefficients.formats`
@@ -37,7 +37,7 @@ def render(file: CoefficientFile, options: ExportOptions) -> tuple[Artifact, ...
     if not pairs:
         low = min(law.load_min_N for law in sides.values())
         high = max(law.load_max_N for law in sides.values())
-        # the ends as they are valid, the loads between them as people write them
+        # the ends as they are valid, rounded between them
         between = np.round(np.linspace(low, high, ROWS)[1:-1], LOAD_DECIMALS)
         pairs = [(float(load), float(load)) for load in np.unique([low, *between, high])]
     columns = {f"load_{side}_N": [pair[at] for pair in pairs] for at, side in enumerate(sides)}

@@ -9,20 +9,20 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from calib.arrays import FloatArray
 from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
-from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Centre, Form
-from calib.gap.effects.encoder_gross import GrossFault, corrected
+from calib.gap.effects.encoder import Blunder, corrected
 from calib.gap.effects.library import every_effect
-from calib.gap.predict.path import Path, predict
-from calib.gap.predict.push import Push
+from calib.gap.observations.arrays import Observations
+from calib.gap.predict import Path, predict
+from calib.gap.steps import Perturbation
+from calib.types import FloatArray
 
 if TYPE_CHECKING:
     from calib.coefficients.sections import EffectSection
 
-#: settings that say where a covariate's effect is nought, added to a form's own
+#: settings that say where a covariate's effect is zero, added to a form's own
 CENTRE: Final = "centre"
 SPREAD: Final = "spread"
 
@@ -32,8 +32,7 @@ def model_of(path: FilePath | str, campaign: Campaign) -> tuple[OdometryModel, t
 
     The law is centred on the reference load of the model of `campaign`, which the file shall be held against.
     """
-    from calib.coefficients.believed import believed_model
-    from calib.coefficients.file import load_coefficients
+    from calib.coefficients.file import believed_model, load_coefficients
 
     file = load_coefficients(path)
     return believed_model(file, campaign.model.reference_load_N), tuple(file.effects)
@@ -51,27 +50,27 @@ def with_effects(
     notes: list[str] = []
     rest: list[EffectSection] = []
     for section in sections:
-        if section.effect != GrossFault.effect.id:
+        if section.effect != Blunder.effect.id:
             rest.append(section)
             continue
         factors = {name: quantity.value for name, quantity in section.parameters.items()}
-        fault = GrossFault.from_factors(section.form, factors)
+        fault = Blunder.from_factors(section.form, factors)
         if fault is None:
-            notes.append("the model's encoder fault lacks its factors and was left out")
+            notes.append("the model's encoder fault lacks its factors and was omitted")
         else:
             observations = corrected(observations, fault)
     if not rest:
         return observations, tuple(notes)
-    pushes, left_out = applied_pushes(observations, rest, declared=declared)
+    perturbations, left_out = applied_perturbations(observations, rest, declared=declared)
     notes += left_out
-    path = predict(observations, pushes)
+    path = predict(observations, perturbations)
     own = observations.usable & ~np.isfinite(observations.simulated)
     return replace(observations, simulated=np.where(own, path.reading, observations.simulated)), tuple(notes)
 
 
-def applied_pushes(
+def applied_perturbations(
     observations: Observations, sections: Sequence[EffectSection], path: Path | None = None, declared: object = ()
-) -> tuple[list[Push], list[str]]:
+) -> tuple[list[Perturbation], list[str]]:
     """Return what written-down effects do, times their sizes, and notes on what could not be applied.
 
     Each effect is looked up in the library by id, form and settings, its parameters by their names. Effects that act on
@@ -87,33 +86,32 @@ def applied_pushes(
         if form is None:
             notes.append(
                 f"the model's effect {section.effect} ({section.form or 'its only form'}) has nothing to act on in "
-                "these runs and was left out"
+                "these runs and was omitted"
             )
             continue
         chosen.append((section, form.centred_at(_centre_of(section))))
     if path is not None:
-        return _pushes(chosen, path), notes
+        return _perturbations(chosen, path), notes
     # what an effect does depends a little on the path that it itself bends
     about = predict(observations)
     for _ in range(2):
-        about = predict(observations, _pushes(chosen, about))
-    return _pushes(chosen, about), notes
+        about = predict(observations, _perturbations(chosen, about))
+    return _perturbations(chosen, about), notes
 
 
-def _pushes(chosen: Sequence[tuple[EffectSection, Form]], path: Path) -> list[Push]:
+def _perturbations(chosen: Sequence[tuple[EffectSection, Form]], path: Path) -> list[Perturbation]:
     scaled = []
     for section, form in chosen:
-        for parameter, push in zip(form.parameters, form.pushes(path), strict=True):
+        for parameter, perturbation in zip(form.parameters, form.perturbations(path), strict=True):
             size = section.parameters.get(parameter.name)
             if size is not None and size.value != 0.0:
-                scaled.append(push.scaled(size.value))
+                scaled.append(perturbation.scaled(size.value))
     return scaled
 
 
 def section_of(form: Form, theta: FloatArray) -> EffectSection:
-    """Return a fitted form as a coefficient file holds it: id, label, settings, where it is nought, and its sizes."""
-    from calib.coefficients.quantities import Quantity
-    from calib.coefficients.sections import EffectSection
+    """Return a fitted form as a coefficient file holds it: id, label, settings, where it is zero, and its sizes."""
+    from calib.coefficients.sections import EffectSection, Quantity
 
     settings = {name: float(value) for name, value in form.settings.items()}
     if form.centre is not None:

@@ -1,4 +1,4 @@
-"""The three effects that a plain recalibration absorbs, as directions in the space of its parameters."""
+"""Radii and track: the three effects that a plain recalibration absorbs."""
 
 from __future__ import annotations
 
@@ -6,9 +6,70 @@ from typing import Final
 
 import numpy as np
 
-from calib.gap.effects.radius_scale import RadiusScale
-from calib.gap.effects.track_width import TrackWidth
-from calib.gap.effects.unequal_radii import UnequalRadii
+from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Perturbation
+
+
+class RadiusScale(Effect):
+    """e_s = -eps S, no heading error apart from the turn's own scale (calibration, absorbed by both radii)."""
+
+    id = "radius_scale"
+    title = "both effective radii off by the same share"
+    implausible = "the encoder's counts per revolution, or a gear ratio"
+    family = Family.CALIBRATION
+    needs = "distances or end positions"
+    separates = "a distance taped on the floor, against the counts and the instrument"
+    hides_in = "the wheel radii"
+    calibration_direction = (1.0, 1.0, 0.0, 0.0)
+    typical = 3e-3
+
+    def forms(self, observations: Observations) -> list[Form]:
+        """Return the single form; it applies to any campaign."""
+        ones = np.ones(len(observations))
+        parameter = Parameter("relative", "1", typical=self.typical, largest=3e-2)
+        return [Form(self.id, "", (parameter,), lambda _: [Perturbation(left=ones, right=ones)])]
+
+
+class UnequalRadii(Effect):
+    """e_theta = eps S / b and e_n = eps S^2 / 2b, with eps = (r_R - r_L) / r (Borenstein and Feng's E_d, Eq. 15)."""
+
+    id = "unequal_radii"
+    title = "rear wheels of unequal radius"
+    implausible = "swapped or different encoders"
+    family = Family.CALIBRATION
+    of_rear_wheels = True
+    needs = "headings or lateral positions at the end of straight runs"
+    separates = "unladen runs, and squares both ways round"
+    hides_in = "the ratio of the wheel radii"
+    calibration_direction = (-0.5, 0.5, 0.0, 0.0)
+    typical = 2e-3
+
+    def forms(self, observations: Observations) -> list[Form]:
+        """Return the single form; it applies to any campaign."""
+        half = np.full(len(observations), 0.5)
+        parameter = Parameter("relative", "1", typical=self.typical, largest=2e-2)
+        return [Form(self.id, "", (parameter,), lambda _: [Perturbation(left=-half, right=half)])]
+
+
+class TrackWidth(Effect):
+    """e_theta = -(db / b) theta (Eq. 16, E_b)."""
+
+    id = "track_width"
+    title = "a wrong track width"
+    implausible = "the reference's scale, or scrubbing in tight turns"
+    family = Family.CALIBRATION
+    of_rear_wheels = True
+    needs = "headings after turns"
+    separates = "turns of several curvatures at several speeds"
+    hides_in = "the track width"
+    calibration_direction = (0.0, 0.0, 1.0, 0.0)
+    typical = 1e-2
+
+    def forms(self, observations: Observations) -> list[Form]:
+        """Return the single form; it applies to any campaign."""
+        ones = np.ones(len(observations))
+        parameter = Parameter("relative", "1", typical=self.typical, largest=1e-1)
+        return [Form(self.id, "", (parameter,), lambda _: [Perturbation(track=ones)])]
+
 
 _OWN: Final = (RadiusScale, UnequalRadii, TrackWidth)
 NAMES: Final = tuple(effect.id for effect in _OWN)

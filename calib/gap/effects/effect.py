@@ -1,6 +1,6 @@
 """What an effect is: a named cause, its parameters, and what it does to wheels, track, path or readings.
 
-The file of an effect finds here all that it is written with.
+The file of a family of effects finds here all that it is written with.
 """
 
 from __future__ import annotations
@@ -8,17 +8,65 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import ClassVar
 
 import numpy as np
 
-from calib.arrays import FloatArray
-from calib.gap.data.observations import Observations
-from calib.gap.effects.family import Family
-from calib.gap.predict.path import Path
-from calib.gap.predict.push import Push
+from calib.gap.observations.arrays import Observations
+from calib.gap.predict import Path
+from calib.gap.steps import Perturbation
+from calib.types import FloatArray
 
-__all__ = ["Centre", "Effect", "Family", "Form", "Observations", "Parameter", "Path", "Push", "varies"]
+
+class Family(StrEnum):
+    """Effects that act through the same thing, so that one represents another where the runs vary too little.
+
+    Grouped by the physics, not by the shape of the residuals: unequal radii and a reference's yaw look alike on
+    straight runs, and are families apart, because what is to be done about them differs.
+    """
+
+    CALIBRATION = "calibration"
+    LOAD = "load"
+    TURNING = "turning"
+    SPEED = "speed"
+    # temperature belongs here: it rises with the day as wear and sessions do, and is told from them by the same runs
+    DRIFT = "drift"
+    DIRECTION = "direction"
+    COUNTS = "counts"
+    STEERING = "steering"
+    INSTRUMENT = "instrument"
+    REFERENCE = "reference"
+    FLOOR = "floor"
+    PATH = "path"
+    COVARIATE = "covariate"
+    OWN = "own"
+
+    @property
+    def words(self) -> str:
+        """What is sure where only the family is, as a clause."""
+        return _FAMILY_WORDS[self]
+
+
+_FAMILY_WORDS = {
+    Family.CALIBRATION: "radii or track are other than believed",
+    Family.LOAD: "the radii follow the load",
+    Family.TURNING: "turns come out other than the wheels say",
+    Family.SPEED: "the way correlates with the speed or with stopping",
+    Family.DRIFT: "the radii drift over the campaign",
+    Family.DIRECTION: "one direction of travel differs from the other",
+    Family.COUNTS: "the encoders count wrongly",
+    Family.STEERING: "the front wheel disagrees with the rear wheels",
+    Family.INSTRUMENT: "the distance instrument reads wrongly",
+    Family.REFERENCE: "the pose reference reads another place or time",
+    Family.FLOOR: "the gap opens at places of the floor",
+    Family.PATH: "the path between the ends is other than computed",
+    Family.COVARIATE: "the gap correlates with a further column of the run table",
+    Family.OWN: "an effect of the user's own is at work",
+}
+
+
+__all__ = ["Centre", "Effect", "Family", "Form", "Observations", "Parameter", "Path", "Perturbation", "varies"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,14 +83,14 @@ class Parameter:
 
 @dataclass(frozen=True, slots=True)
 class Centre:
-    """Where a covariate's effect is nought, and by what its deviation from there is divided."""
+    """Where a covariate's effect is zero, and by what its deviation from there is divided."""
 
     mean: float  #: in the covariate's unit
     spread: float = 1.0  #: what counts as one unit of the deviation: 1, or a standard deviation
 
     @classmethod
     def of(cls, values: FloatArray) -> Centre:
-        """Return the centre at the mean of the known values (n_units,), 0 where none is known."""
+        """Return the centre at the mean of the known values (n_obs,), 0 where none is known."""
         return cls(float(np.nanmean(values)) if np.isfinite(values).any() else 0.0)
 
     def deviations(self, values: FloatArray) -> FloatArray:
@@ -52,26 +100,28 @@ class Centre:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Form:
-    """One form of an effect on one campaign: its parameters and how each of them pushes."""
+    """One form of an effect on one campaign: its parameters and what each of them perturbs."""
 
     effect: str  #: id of the effect
     label: str  #: which form, for example ``exponent 0.7``; empty where there is one only
     parameters: tuple[Parameter, ...]  #: the parameters that the data choose
-    pushes: Callable[[Path], Sequence[Push]]  #: path -> one `Push` a parameter, per unit of the parameter
+    perturbations: Callable[
+        [Path], Sequence[Perturbation]
+    ]  #: path -> one `Perturbation` a parameter, per unit of the parameter
     #: quantities of the form that are not fitted linearly (an exponent, a time constant, a place)
     settings: dict[str, float] = field(default_factory=dict)
     tries: int = 1  #: how many forms were searched over; the evidence pays for the search
-    #: where the effect is nought, for a form that takes the deviation of a covariate from its mean on the campaign
+    #: where the effect is zero, for a form that takes the deviation of a covariate from its mean on the campaign
     centre: Centre | None = None
-    #: centre -> the same form with the effect nought there; each form with a centre has it
+    #: centre -> the same form with the effect zero there; each form with a centre has it
     about: Callable[[Centre], Form] | None = None
-    #: Whether `pushes` takes all it needs of the steps from the path that it is given, which may then be that of some
-    #: units alone (`Observations.here` has what is known of all). Else it is given the whole path, and pushes with a
-    #: value for each step are held for all units at once: too much for a large campaign.
+    #: Whether `perturbations` takes everything per step from the path that it is given, which may then be that of some
+    #: observations alone (`Observations.here` selects from arrays of all). Else it is given the whole path, and arrays
+    #: per step are held for all observations at once: too much for a large campaign.
     by_parts: bool = False
 
     def centred_at(self, centre: Centre | None) -> Form:
-        """Return the form with the effect nought at a centre, itself where it has none or none is given."""
+        """Return the form with the effect zero at a centre, itself where it has none or none is given."""
         return self if self.about is None or centre is None or centre == self.centre else self.about(centre)
 
     @property
@@ -105,8 +155,8 @@ class Effect(ABC):
     #: whether its parameters ``slope_left`` and ``slope_right`` are the slopes of the radius law
     carries_law_slope: ClassVar[bool] = False
     #: why its correction is none for journeys to come, as the end of a sentence; empty where it is one
-    stays: ClassVar[str] = ""
-    #: whether it has parameters for each session, so that it says nothing of a session left out
+    not_transferable: ClassVar[str] = ""
+    #: whether it has parameters for each session, so that it says nothing of a session omitted
     per_session: ClassVar[bool] = False
     #: whether it is about two wheels on one axle, so that it does not apply where a front wheel alone drives the
     #: odometry

@@ -1,13 +1,17 @@
-"""Where on the floor the vehicle is: runs are told in the frame of their own start."""
+"""Places on the floor: zones and uneven lanes."""
 
 from __future__ import annotations
 
+from typing import Final
+from weakref import WeakKeyDictionary
+
 import numpy as np
 
-from calib.arrays import FloatArray, IntArray
-from calib.gap.data.driven_alike import LENGTH_SHARE, lane_names
-from calib.gap.data.observations import Observations
-from calib.gap.predict.path import LED_STRAIGHT_RAD, Path
+from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Path, Perturbation, varies
+from calib.gap.observations.arrays import STRAIGHT_RAD
+from calib.gap.observations.routes import ROUTE_LENGTH_SHARE, lane_names
+from calib.gap.predict import GUIDED_TURN_RAD, predict
+from calib.types import BoolArray, FloatArray, IntArray
 
 
 def common_frame(observations: Observations) -> bool:
@@ -19,12 +23,12 @@ def common_frame(observations: Observations) -> bool:
 
 
 def is_back(observations: Observations) -> FloatArray:
-    """Return 1 for units driven back along the floor, 0 for others, shape (n_units,)."""
+    """Return 1 for observations driven back along the floor, 0 for others, shape (n_obs,)."""
     return np.where(observations.heading_sign < 0.0, 1.0, 0.0)
 
 
 def far_end_m(observations: Observations) -> FloatArray:
-    """Return where on x each unit starts: 0, or for straight runs back the corridor's length, shape (n_units,).
+    """Return where on x each observation starts: 0, or for straight runs back the corridor's length, shape (n_obs,).
 
     The length is the median measured one of the runs out of about the same length (else of those back).
     """
@@ -32,20 +36,20 @@ def far_end_m(observations: Observations) -> FloatArray:
         np.isfinite(observations.measured[:, 0]), observations.measured[:, 0], np.abs(observations.measured[:, 1])
     )
     length = np.where(np.isfinite(length), length, observations.length_m)
-    straight = np.abs(observations.total(observations.turn_rad)) < LED_STRAIGHT_RAD
+    straight = np.abs(observations.total(observations.turn_rad)) < GUIDED_TURN_RAD
     back, out = straight & (observations.heading_sign < 0), straight & (observations.labels["direction"] == "out")
     start = np.zeros(len(observations))
     for route in np.unique(observations.kind[back]):
         mine = back & (observations.kind == route)
         with np.errstate(divide="ignore", invalid="ignore"):
             # a turn on the spot has no length, and is like none
-            alike = np.abs(np.log(length / np.median(length[mine]))) < LENGTH_SHARE
+            alike = np.abs(np.log(length / np.median(length[mine]))) < ROUTE_LENGTH_SHARE
         start[mine] = np.median(length[out & alike if (out & alike).any() else mine])
     return start
 
 
 def lanes(observations: Observations) -> IntArray:
-    """Return the lane of each unit: 0, or a number for each ending of the kind of route such as ``_b`` or ``_2``."""
+    """Return the lane of each observation: 0, or a number for each ending of the kind of route (``_b``, ``_2``)."""
     names = lane_names(observations.labels["kind"])
     others = [name for name in np.unique(names) if name]
     number = np.zeros(len(observations), dtype=np.int64)
@@ -64,8 +68,8 @@ def map_heading_rad(path: Path) -> FloatArray:
 def floor_place(path: Path, far_end_m: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the place on the floor at the middle of each step in m, each shape (n_steps,).
 
-    In a map units start where they were seen to. Else runs out start at the origin heading along x; runs back head the
-    other way, in a corridor from its far end (`far_end_m` of the units of the path).
+    In a map observations start where they were seen. Else runs out start at the origin
+    heading along x; runs back head the other way, in a corridor from its far end (`far_end_m`).
     """
     observations = path.s
     known = np.isfinite(observations.start_pose).all(axis=1)
@@ -77,3 +81,180 @@ def floor_place(path: Path, far_end_m: FloatArray) -> tuple[FloatArray, FloatArr
     unit, steps = observations.unit, path.steps
     c, sn = np.cos(heading)[unit], np.sin(heading)[unit]
     return x[unit] + c * steps.x_m - sn * steps.y_m, y[unit] + sn * steps.x_m + c * steps.y_m
+
+
+CELL_M: Final = 2.0
+#: strips at most, and half as many cells
+MAX_STRIPS: Final = 40
+MIN_RUNS_IN_CELL: Final = 3
+#: cells are numbered (lane, column, row) in one integer; a floor is smaller than this many cells either way
+_GRID_WIDTH: Final = 2**16
+#: lane number of a strip across all lanes
+_STRIP_LANE: Final = -1
+
+
+class FloorZone(Effect):
+    """Within a cell of the floor: a relative change of the way, a turn per metre, the same or by the heading driven."""
+
+    id = "floor_zone"
+    title = "a zone of the floor that shortens the way or turns the vehicle"
+    implausible = "a step or joint that the vehicle should not be driven over"
+    family = Family.FLOOR
+    needs = "logs, the poses in one frame"
+    separates = "runs that cross the place beside runs that do not"
+    not_transferable = (
+        "what lies at a place of the floor is mended there; a vehicle's correction correlates with it everywhere"
+    )
+
+    def forms(self, observations: Observations) -> list[Form]:
+        """Return a form for each strip and cell of about 2 m that some runs cross and others not, or cross otherwise.
+
+        A strip lies across the whole floor, as a joint does. Only runs with a log have a place; what fewer than three
+        runs cross is omitted, and what tells runs apart best is kept.
+        """
+        if not common_frame(observations) or np.count_nonzero(observations.from_log) < MIN_RUNS_IN_CELL:
+            return []
+        lane, far_end = lanes(observations), far_end_m(observations)
+        places: WeakKeyDictionary[Path, tuple[FloatArray, FloatArray, FloatArray]] = WeakKeyDictionary()
+
+        def place(path: Path) -> tuple[FloatArray, FloatArray, FloatArray]:
+            """Return x (nowhere without a log), y and the cosine of the heading on the floor, as every cell asks."""
+            if path not in places:
+                x, y = floor_place(path, path.s.here(far_end))
+                x[~path.s.from_log[path.s.unit]] = np.inf
+                places[path] = x, y, np.cos(map_heading_rad(path))
+            return places[path]
+
+        nominal = predict(observations)
+        cosine = np.cos(map_heading_rad(nominal))
+        cells = _cells(observations, lane[observations.unit], *floor_place(nominal, far_end), cosine)
+        along = Parameter("along", "1", typical=1e-3, largest=2e-2)
+        turn = Parameter("turn", "rad/m", typical=1e-3, largest=2e-2)
+        turn_by_heading = Parameter("turn_by_heading", "rad/m", typical=1e-3, largest=2e-2)
+
+        def form(number: int, x: float, y: float, both_ways: bool) -> Form:
+            strip = number < 0
+
+            def perturbations(path: Path) -> list[Perturbation]:
+                at_x, at_y, cosine = place(path)
+                observations = path.s
+                inside = np.flatnonzero(np.abs(at_x - x) < 0.5 * CELL_M)
+                if not strip:
+                    inside = inside[np.abs(at_y[inside] - y) < 0.5 * CELL_M]
+                    inside = inside[observations.here(lane)[observations.unit[inside]] == number]
+                share, way, *by_heading = np.zeros((3 if both_ways else 2, len(at_x)))
+                share[inside], way[inside] = 1.0, np.abs(observations.path_m[inside])
+                for way_by_heading in by_heading:
+                    way_by_heading[inside] = way[inside] * cosine[inside]
+                return [
+                    Perturbation(left=share, right=share),
+                    *(Perturbation(heading_rad=part) for part in (way, *by_heading)),
+                ]
+
+            where = ", whole width" if strip else f", y {y:g} m" + (f", lane {number + 1}" if lane.max() > 0 else "")
+            label = f"x {x:g} m{where}"
+            parameters = (along, turn, turn_by_heading) if both_ways else (along, turn)
+            settings = {"x_m": x, "y_m": y, "lane": float(number), "size_m": CELL_M}
+            return Form(self.id, label, parameters, perturbations, settings=settings, tries=len(cells), by_parts=True)
+
+        return [form(*cell) for cell in cells]
+
+
+def _cells(
+    observations: Observations, lane: IntArray, x: FloatArray, y: FloatArray, cosine: FloatArray
+) -> list[tuple[int, float, float, bool]]:
+    """Return (lane, x, y, driven both ways) of the strips and cells worth asking about, by place."""
+    flat, one_lane = np.zeros_like(y), np.full_like(lane, _STRIP_LANE)
+    aside = bool((lane != lane[0]).any()) or bool((np.abs(y) > 0.5 * CELL_M).any())
+    # where all runs keep to one line, its cells are strips
+    grids = [(one_lane, flat), (lane, y)] if aside else [(one_lane, flat)]
+    kept: list[tuple[int, float, float, bool]] = []
+    for of_lane, across in grids:
+        most = MAX_STRIPS if across is flat else MAX_STRIPS // 2
+        zones = _grid(observations, of_lane, x, across, cosine, 0.5)
+        if 2 * len(zones) <= most:
+            # a zone that lies across the edge of two cells fills one of the second grid
+            zones += _grid(observations, of_lane, x, across, cosine, 1.0)
+        zones.sort(key=lambda zone: -zone[0])
+        kept += sorted(cell for _, cell in zones[:most])
+    return kept
+
+
+def _grid(
+    observations: Observations, lane: IntArray, x: FloatArray, y: FloatArray, cosine: FloatArray, shift: float
+) -> list[tuple[float, tuple[int, float, float, bool]]]:
+    """Return (how much the cell tells runs apart, cell) on the grid whose columns are shifted by `shift` cells."""
+    way = np.where(observations.from_log[observations.unit], np.abs(observations.path_m), 0.0)
+    column = np.floor(x / CELL_M + 0.5 - shift).astype(np.int64)
+    row = np.floor(y / CELL_M + 0.5).astype(np.int64)
+    code = (
+        (lane + 1) * _GRID_WIDTH + np.clip(column, -_GRID_WIDTH // 4, _GRID_WIDTH // 4) + _GRID_WIDTH // 2
+    ) * _GRID_WIDTH
+    code += np.clip(row, -_GRID_WIDTH // 4, _GRID_WIDTH // 4) + _GRID_WIDTH // 2
+    codes, cell = np.unique(code, return_inverse=True)
+    n_units, n_cells = len(observations), len(codes)
+    flat = observations.unit * n_cells + cell
+    in_cell = np.bincount(flat, way, n_units * n_cells).reshape(n_units, n_cells)
+    heading = np.bincount(flat, way * cosine, n_units * n_cells).reshape(n_units, n_cells)
+    logged = observations.from_log
+    visits = in_cell > 0.25 * CELL_M
+    lateral = bool(observations.usable[:, 2].any())
+    zones = []
+    for number in np.flatnonzero(visits.sum(axis=0) >= MIN_RUNS_IN_CELL):
+        seen = visits[:, number]
+        cosines = heading[seen, number] / in_cell[seen, number]
+        both_ways = bool(np.ptp(cosines) > 1.0)
+        spread = float(np.std(in_cell[logged, number]))
+        alike = spread < 0.05 * float(np.mean(in_cell[logged, number]))
+        if alike and not (both_ways and lateral):
+            continue
+        first = int(np.flatnonzero(cell == number)[0])
+        centre = (float(column[first] + shift) * CELL_M, float(row[first]) * CELL_M)
+        worth = spread + (float(np.mean(in_cell[logged, number])) if both_ways else 0.0)
+        zones.append((worth, (int(lane[first]), *centre, both_ways)))
+    return zones
+
+
+MAX_LANES: Final = 8
+#: a run that turns by more than this in all, to and fro, is no lane
+MAX_LANE_TURN_RAD: Final = 2.5
+
+
+class FloorUndulation(Effect):
+    """On one lane the way is shorter than what the wheels roll by <z'^2> / 2, never longer."""
+
+    id = "floor_undulation"
+    title = "an uneven floor on one lane"
+    implausible = "both effective radii on that lane, or a path that weaves"
+    family = Family.FLOOR
+    needs = "two lanes"
+    separates = "the same runs on another lane"
+    shifts = ("radius_scale",)
+
+    def forms(self, observations: Observations) -> list[Form]:
+        """Return a form for each lane: the values of a column ``lane`` where there is one, else the kinds of route."""
+        lane = observations.number("lane")
+        groups: list[tuple[str, BoolArray]]
+        if varies(lane):
+            values = np.unique(lane)
+            groups = [(f"lane {value:g}", lane == value) for value in values]
+        elif common_frame(observations):
+            # only routes that run straight along the hall are lanes
+            kind = observations.labels["kind"]
+            bent = (observations.total(np.abs(observations.turn_rad)) > MAX_LANE_TURN_RAD) | (
+                np.abs(observations.total(observations.turn_rad)) > STRAIGHT_RAD
+            )
+            names = [name for name in np.unique(kind) if not bent[kind == name].any()]
+            groups = [(f"route {name}", kind == name) for name in names]
+        else:
+            groups = []
+        if not 1 < len(groups) <= MAX_LANES:
+            return []
+        parameter = Parameter("excess", "1", typical=2.5e-4, largest=2e-3, sign=1)
+
+        def form(label: str, mine: BoolArray) -> Form:
+            shorter = np.where(mine, -1.0, 0.0)
+            perturbation = Perturbation(left=shorter, right=shorter)
+            return Form(self.id, label, (parameter,), lambda _: [perturbation], tries=len(groups))
+
+        return [form(*group) for group in groups]

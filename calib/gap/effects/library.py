@@ -1,109 +1,139 @@
-"""The registry of effects: adding one means a file of its own and one line here."""
+"""The library of effects: the list of classes, the effects of a campaign, and the signature of each."""
 
 from __future__ import annotations
 
-import importlib
-from collections.abc import Collection
-from typing import Final
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
 
 from calib.errors import BadInputError
-from calib.gap.data.observations import Observations
-from calib.gap.effects.covariate import Covariate, column_of, covariate_effects
-from calib.gap.effects.effect import Effect
-from calib.gap.effects.encoder_gross import GrossFault, find_gross
-from calib.gap.effects.turned_reference import TurnedReference, find_turned
-from calib.gap.effects.user import declared_effects, entry_point_effects
-from calib.gap.predict.path import Path
+from calib.gap.effects.calibration import RadiusScale, TrackWidth, UnequalRadii
+from calib.gap.effects.columns import (
+    Covariate,
+    Declared,
+    column_of,
+    covariate_effects,
+    declared_effects,
+    entry_point_effects,
+    entry_point_origins,
+)
+from calib.gap.effects.direction import FloorSlope, RearDrag, TravelDirection
+from calib.gap.effects.drift import SessionStep, SpeedRadius, TemperatureRadius, Wear
+from calib.gap.effects.effect import Effect, Form
+from calib.gap.effects.encoder import Blunder, EncoderBlunder, LostCounts, WheelEccentricity, find_blunder
+from calib.gap.effects.floor import FloorUndulation, FloorZone
+from calib.gap.effects.load import LoadCreep, LoadRadius, LoadRadiusNonlinear, PayloadMass, PayloadPosition
+from calib.gap.effects.path import IntegrationScheme, PathWeave
+from calib.gap.effects.reference import (
+    BeamMisalignment,
+    RangefinderOffset,
+    RangefinderScale,
+    ReferenceLatency,
+    ReferenceLeverArm,
+    ReferenceYaw,
+    TurnedReference,
+    find_turned,
+)
+from calib.gap.effects.steering import DriveSlip, SteeringBacklash, SteeringDelay, SteeringScale, SteeringZero
+from calib.gap.effects.turning import BrakingSkid, CurveLoadTransfer, CurveScrub, LoadDependentTrack, SideSlip
+from calib.gap.observations.arrays import Channel, Observations
+from calib.gap.predict import Path, predict, signature
 from calib.limits import COVARIATES, refuse_beyond
+from calib.result import plain
+from calib.types import FloatArray
 
-#: id -> class; the order is the order of listings
-REGISTRY: Final[dict[str, str]] = {
-    "radius_scale": "calib.gap.effects.radius_scale.RadiusScale",
-    "unequal_radii": "calib.gap.effects.unequal_radii.UnequalRadii",
-    "track_width": "calib.gap.effects.track_width.TrackWidth",
-    "load_radius": "calib.gap.effects.load_radius.LoadRadius",
-    "load_radius_nonlinear": "calib.gap.effects.load_radius_nonlinear.LoadRadiusNonlinear",
-    "load_creep": "calib.gap.effects.load_creep.LoadCreep",
-    "wheel_eccentricity": "calib.gap.effects.wheel_eccentricity.WheelEccentricity",
-    "curve_load_transfer": "calib.gap.effects.curve_load_transfer.CurveLoadTransfer",
-    "load_dependent_track": "calib.gap.effects.load_dependent_track.LoadDependentTrack",
-    "braking_skid": "calib.gap.effects.braking_skid.BrakingSkid",
-    "speed_radius": "calib.gap.effects.speed_radius.SpeedRadius",
-    "temperature_radius": "calib.gap.effects.temperature_radius.TemperatureRadius",
-    "wear": "calib.gap.effects.wear.Wear",
-    "session_step": "calib.gap.effects.session_step.SessionStep",
-    "lost_counts": "calib.gap.effects.lost_counts.LostCounts",
-    "encoder_gross": "calib.gap.effects.encoder_gross.EncoderGross",
-    "rangefinder_scale": "calib.gap.effects.rangefinder_scale.RangefinderScale",
-    "rangefinder_offset": "calib.gap.effects.rangefinder_offset.RangefinderOffset",
-    "beam_misalignment": "calib.gap.effects.beam_misalignment.BeamMisalignment",
-    "reference_lever_arm": "calib.gap.effects.reference_lever_arm.ReferenceLeverArm",
-    "reference_yaw": "calib.gap.effects.reference_yaw.ReferenceYaw",
-    "reference_latency": "calib.gap.effects.reference_latency.ReferenceLatency",
-    "rear_drag": "calib.gap.effects.rear_drag.RearDrag",
-    "travel_direction": "calib.gap.effects.travel_direction.TravelDirection",
-    "side_slip": "calib.gap.effects.side_slip.SideSlip",
-    "curve_scrub": "calib.gap.effects.curve_scrub.CurveScrub",
-    "steering_zero": "calib.gap.effects.steering_zero.SteeringZero",
-    "steering_scale": "calib.gap.effects.steering_scale.SteeringScale",
-    "steering_backlash": "calib.gap.effects.steering_backlash.SteeringBacklash",
-    "steering_delay": "calib.gap.effects.steering_delay.SteeringDelay",
-    "drive_slip": "calib.gap.effects.drive_slip.DriveSlip",
-    "payload_mass": "calib.gap.effects.payload_mass.PayloadMass",
-    "payload_position": "calib.gap.effects.payload_position.PayloadPosition",
-    "floor_slope": "calib.gap.effects.floor_slope.FloorSlope",
-    "floor_zone": "calib.gap.effects.floor_zone.FloorZone",
-    "floor_undulation": "calib.gap.effects.floor_undulation.FloorUndulation",
-    "path_weave": "calib.gap.effects.path_weave.PathWeave",
-    "integration_scheme": "calib.gap.effects.integration_scheme.IntegrationScheme",
-}
+#: the effects of the library, in the order of listings; a new one is a class and a line here
+EFFECTS: Final[tuple[type[Effect], ...]] = (
+    RadiusScale,
+    UnequalRadii,
+    TrackWidth,
+    LoadRadius,
+    LoadRadiusNonlinear,
+    LoadCreep,
+    WheelEccentricity,
+    CurveLoadTransfer,
+    LoadDependentTrack,
+    BrakingSkid,
+    SpeedRadius,
+    TemperatureRadius,
+    Wear,
+    SessionStep,
+    LostCounts,
+    EncoderBlunder,
+    RangefinderScale,
+    RangefinderOffset,
+    BeamMisalignment,
+    ReferenceLeverArm,
+    ReferenceYaw,
+    ReferenceLatency,
+    RearDrag,
+    TravelDirection,
+    SideSlip,
+    CurveScrub,
+    SteeringZero,
+    SteeringScale,
+    SteeringBacklash,
+    SteeringDelay,
+    DriveSlip,
+    PayloadMass,
+    PayloadPosition,
+    FloorSlope,
+    FloorZone,
+    FloorUndulation,
+    PathWeave,
+    IntegrationScheme,
+)
+#: id -> class
+REGISTRY: Final = {effect.id: effect for effect in EFFECTS}
+#: origin of the registered effects
+LIBRARY: Final = "the library"
+#: a path on a floor plan is drawn apart by about this share of its extent
+DRAWN_SHARE: Final = 0.12
+#: largest factor by which an effect is enlarged for a floor plan
+MAX_ENLARGEMENT: Final = 200.0
 
 
 def effect_class(name: str) -> type[Effect] | None:
     """Return the class of a registered effect, None for any other id."""
-    if name not in REGISTRY:
-        return None
-    module, kind = REGISTRY[name].rsplit(".", 1)
-    effect_type: type[Effect] = getattr(importlib.import_module(module), kind)
-    return effect_type
+    return REGISTRY.get(name)
 
 
 def title_of(name: str) -> str:
-    """Return what an effect is, for people, by its id; the id in plain words where the effect is the user's own."""
-    registered = effect_class(name)
-    if registered is not None:
-        return registered.title
+    """Return the title of an effect by its id; the id in plain words where the effect is the user's own."""
+    if name in REGISTRY:
+        return REGISTRY[name].title
     column = column_of(name)
     return name.replace("_", " ") if column is None else Covariate(column).title
 
 
-def why_it_stays(name: str) -> str:
-    """Return why the correction of an effect is none for journeys to come, empty where it is one."""
-    registered = effect_class(name)
-    return "" if registered is None else registered.stays
+def why_not_transferable(name: str) -> str:
+    """Return why the correction of an effect does not hold for future journeys, empty where it does."""
+    return REGISTRY[name].not_transferable if name in REGISTRY else ""
 
 
 def library(observations: Observations, *, exclude: Collection[str] = (), declared: object = ()) -> list[Effect]:
-    """Return the effects that a campaign is judged by: of the registry, of its further columns, and the user's own.
+    """Return the candidate effects of a campaign: of the library, of its further columns, and the user's own.
 
-    Effects that are found before the search (`fault_before_search`) are no part of it. A column that an effect acts
-    through is no candidate of its own beside it. `declared` are the ``[[effects]]`` tables of ``campaign.toml``.
+    Effects that are found before the search (`blunder_before_search`) are not candidates, nor is a column that an
+    effect acts through. `declared` are the ``[[effects]]`` tables of ``campaign.toml``.
     """
     registered, covariates, own = _all(observations, declared)
-    spoken_for = {column for effect in own if effect.id not in exclude for column in effect.columns}
-    covariates = [effect for effect in covariates if effect.column not in spoken_for]
+    taken = {column for effect in own if effect.id not in exclude for column in effect.columns}
     searched = [e for e in registered if not (e.found_before_search or (observations.by_front and e.of_rear_wheels))]
-    return [effect for effect in (*searched, *covariates, *own) if effect.id not in exclude]
+    candidates = [*searched, *(effect for effect in covariates if effect.column not in taken), *own]
+    return [effect for effect in candidates if effect.id not in exclude]
 
 
 def every_effect(observations: Observations, *, declared: object = ()) -> dict[str, Effect]:
-    """Return all effects that can be named on a campaign, by id: what a file of effects, or an exclusion, may name."""
+    """Return all effects that a file of effects, or an exclusion, may name on a campaign, by id."""
     registered, covariates, own = _all(observations, declared)
     return {effect.id: effect for effect in (*registered, *covariates, *own)}
 
 
 def check_excluded(exclude: Collection[str], observations: Observations, declared: object = ()) -> None:
-    """Refuse to leave out what is no effect of the campaign's library; the error names ids that begin alike."""
+    """Refuse to exclude an unknown effect; the error names ids that begin alike."""
     known = every_effect(observations, declared=declared)
     for name in exclude:
         if name not in known:
@@ -111,21 +141,21 @@ def check_excluded(exclude: Collection[str], observations: Observations, declare
             raise BadInputError(f"exclude: found {name!r}; expected an effect of the library; choose of: {near}")
 
 
-def fault_before_search(observations: Observations, nominal: Path, exclude: Collection[str] = ()) -> GrossFault | None:
-    """Return the fault so gross that it is found, and put right, before the search; None where there is none."""
-    return None if GrossFault.effect.id in exclude else find_gross(observations, nominal)
+def blunder_before_search(observations: Observations, nominal: Path, exclude: Collection[str] = ()) -> Blunder | None:
+    """Return the encoder blunder to be corrected before the search; None where there is none."""
+    return None if Blunder.effect.id in exclude else find_blunder(observations, nominal)
 
 
 def turned_before_search(nominal: Path, exclude: Collection[str] = ()) -> TurnedReference | None:
-    """Return by how much the reference's sensor is turned where that is far from small; None else."""
+    """Return the large yaw of the reference's sensor to be corrected before the search; None where there is none."""
     return None if TurnedReference.effect.id in exclude else find_turned(nominal)
 
 
 def _all(observations: Observations, declared: object) -> tuple[list[Effect], list[Covariate], list[Effect]]:
     """Return the registered effects, the columns' and the user's own."""
-    registered = [kind() for kind in map(effect_class, REGISTRY) if kind is not None]
-    spoken_for = {column for effect in registered for column in effect.columns}
-    covariates = [effect for effect in covariate_effects(observations) if effect.column not in spoken_for]
+    registered = [kind() for kind in EFFECTS]
+    taken_columns = {column for effect in registered for column in effect.columns}
+    covariates = [effect for effect in covariate_effects(observations) if effect.column not in taken_columns]
     taken = [effect.id for effect in (*registered, *covariates)]
     own = declared_effects(declared, observations, taken)
     own += entry_point_effects([*taken, *(effect.id for effect in own)])
@@ -137,3 +167,114 @@ def _all(observations: Observations, declared: object) -> tuple[list[Effect], li
         remedy="keep the columns that could matter",
     )
     return registered, covariates, own
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EffectSignature:
+    """What an effect does to the readings of given runs, to first order."""
+
+    effect: Effect
+    form: Form  #: of its forms the one with the largest signature
+    #: shape (n_obs, n_channels): change of each reading at the typical sizes of the form's parameters, NaN where an
+    #: observation lacks the channel
+    change: FloatArray
+    enlarged: Path  #: the paths with the effect enlarged until it is visible on a floor plan
+    factor: float  #: enlargement over the typical size
+
+    def rms_by_kind(self) -> dict[str, FloatArray]:
+        """Return the root mean square change of each channel, shape (n_channels,), by kind of run."""
+        kinds = self.enlarged.s.labels["kind"]
+        changes = {}
+        for kind in np.unique(kinds):
+            square = self.change[kinds == kind] ** 2
+            known = np.isfinite(square)
+            mean = np.where(known, square, 0.0).sum(axis=0) / np.where(known.any(axis=0), known.sum(axis=0), np.nan)
+            changes[str(kind)] = np.sqrt(mean)
+        return changes
+
+
+def signature_of(effect: Effect, nominal: Path) -> EffectSignature | None:
+    """Return the signature of an effect on the runs of a path; None where it has no form there."""
+    observations = nominal.s
+    best: tuple[float, Form, FloatArray] | None = None
+    for form in effect.forms(observations):
+        perturbations = form.perturbations(nominal)
+        changes = [signature(nominal, part) * size for part, size in zip(perturbations, form.typical, strict=True)]
+        change = np.where(observations.usable, np.sum(changes, axis=0), np.nan)
+        size = float(np.sqrt(np.nansum(change**2)))
+        if best is None or size > best[0]:
+            best = size, form, change
+    if best is None:
+        return None
+    _, form, change = best
+    away = float(np.nanmax(np.abs(change[:, 1:3]), initial=0.0))
+    extent = float(np.max(np.hypot(nominal.x_m, nominal.y_m), initial=1.0))
+    factor = float(np.clip(DRAWN_SHARE * extent / away, 1.0, MAX_ENLARGEMENT)) if away > 0 else 1.0
+    enlarged = [
+        part.scaled(factor * size) for part, size in zip(form.perturbations(nominal), form.typical, strict=True)
+    ]
+    return EffectSignature(effect, form, change, predict(observations, enlarged), factor)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Entry:
+    """An effect of the catalogue."""
+
+    effect: Effect
+    #: where it comes from: the library, a column of the run table, ``campaign.toml``, or an installed package
+    origin: str
+    signature: (
+        EffectSignature | None
+    )  #: its signature on the runs at its typical size; None where they do not excite it
+    #: shape (n_channels,): root mean square change of each channel by kind of run, NaN where a kind lacks the channel
+    changes: Mapping[str, FloatArray]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the entry as plain JSON values; sizes in SI units."""
+        form = None if self.signature is None else self.signature.form
+        return {
+            "id": self.effect.id,
+            "title": self.effect.title,
+            "origin": self.origin,
+            "family": str(self.effect.family),
+            "needs": self.effect.needs,
+            "separates": self.effect.separates,
+            "implausible": self.effect.implausible,
+            "shows": form is not None,
+            "form": "" if form is None else form.label,
+            "parameters": [] if form is None else plain(form.parameters),
+            "signature": {
+                kind: {channel.label: float(rms[channel]) for channel in Channel if np.isfinite(rms[channel])}
+                for kind, rms in self.changes.items()
+            },
+        }
+
+
+def catalogue(nominal: Path, declared: object = (), only: Collection[str] = ()) -> list[Entry]:
+    """Return the effects that runs can be judged by, those of the ids `only` or all.
+
+    The library's own come first, then columns of the run table, then declared effects, then those of installed
+    packages.
+    """
+    every = every_effect(nominal.s, declared=declared)
+    for name in only:
+        if name not in every:
+            raise BadInputError(f"found the effect {name!r}; expected one of: {', '.join(every)}")
+    offered = entry_point_origins()
+    entries = []
+    for name, effect in every.items():
+        if not only or name in only:
+            shown = signature_of(effect, nominal)
+            changes = {} if shown is None else shown.rms_by_kind()
+            entries.append(Entry(effect, _origin(effect, offered), shown, changes))
+    return entries
+
+
+def _origin(effect: Effect, offered: Mapping[str, str]) -> str:
+    if effect.id in REGISTRY:
+        return LIBRARY
+    if isinstance(effect, Covariate):
+        return f"the column {effect.column} of runs.csv"
+    if isinstance(effect, Declared):
+        return "[[effects]] of campaign.toml"
+    return offered.get(effect.id, "an installed package")

@@ -1,17 +1,19 @@
-"""What the four errors of the steering angle share."""
+"""The front wheel: errors of its steering angle, and slip of its drive."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
-from calib.arrays import BoolArray, FloatArray
-from calib.gap.effects.effect import Form, Observations, Parameter, Push
+from calib.gap.effects.effect import Centre, Effect, Family, Form, Observations, Parameter, Path, Perturbation
+from calib.types import BoolArray, FloatArray
 
 
 def has_front(observations: Observations) -> BoolArray:
-    """Return which units have the front wheel's counts and steering angle, shape (n_units,)."""
+    """Return which observations have the front wheel's counts and steering angle, shape (n_obs,)."""
     if observations.by_front:
         return np.asarray(
             np.isfinite(observations.total(observations.front_roll_rad))
@@ -33,15 +35,17 @@ def steer_rad(observations: Observations) -> FloatArray:
     return np.nan_to_num(observations.steer_rad)
 
 
-def excess(observations: Observations, ahead_m: FloatArray, turn_rad: FloatArray) -> Push:
+def excess(observations: Observations, ahead_m: FloatArray, turn_rad: FloatArray) -> Perturbation:
     """Return what it does that the front wheel says more than is true, by these excesses of way and turn in each step.
 
     Where rear wheels drive the odometry, the front channels are what these say less what the front wheel says, and grow
     by the excess. Where the front wheel alone drives it, the vehicle moves less than it says.
     """
     if observations.by_front:
-        return Push(along_m=-ahead_m, heading_rad=-turn_rad)
-    return Push.on_readings(observations, front=observations.total(ahead_m), steering=observations.total(turn_rad))
+        return Perturbation(along_m=-ahead_m, heading_rad=-turn_rad)
+    return Perturbation.on_readings(
+        observations, front=observations.total(ahead_m), steering=observations.total(turn_rad)
+    )
 
 
 def error_form(
@@ -63,7 +67,7 @@ def error_form(
     Parameters
     ----------
     observations : Observations
-        Units and steps.
+        Observations and steps.
     effect, label : str
         Id of the effect, and which of its forms this is.
     parameter : Parameter
@@ -80,5 +84,301 @@ def error_form(
         -front * observations.steer_sin * error_rad,
         front * observations.steer_cos * error_rad / observations.vehicle.wheelbase_m,
     )
-    pushes: Sequence[Push] = [excess(observations, ahead, turn)]
-    return Form(effect, label, (parameter,), lambda _: pushes, tries=tries, settings=settings or {})
+    perturbations: Sequence[Perturbation] = [excess(observations, ahead, turn)]
+    return Form(effect, label, (parameter,), lambda _: perturbations, tries=tries, settings=settings or {})
+
+
+class SteeringZero(Effect):
+    """The logged angle is too large by delta_0: e_delta = S delta_0 / L on a straight."""
+
+    id = "steering_zero"
+    title = "a steering angle whose zero is off"
+    implausible = "backlash, or rear wheels of unequal radius"
+    family = Family.STEERING
+    needs = "the front wheel in the log"
+    separates = "forward and back"
+
+    def forms(self, observations: Observations) -> list[Form]:
+        """Return the single form; none without a front wheel in the log."""
+        if not has_front(observations).any():
+            return []
+        parameter = Parameter("zero", "rad", typical=8e-3, largest=3.5e-2)
+        return [error_form(observations, self.id, "", parameter, np.ones(len(observations.unit)))]
+
+
+class SteeringScale(Effect):
+    """The logged angle is (1 + k) times the true one, or the wheelbase is (1 + k) times the believed one."""
+
+    id = "steering_scale"
+    title = "a steering angle of wrong scale, or a wrong wheelbase"
+    implausible = "slip of the front wheel"
+    family = Family.STEERING
+    needs = "the front wheel in the log, turned"
+    separates = "several steering angles"
+
+    def forms(self, observations: Observations) -> list[Form]:
+        """Return a form for the angle and one for the wheelbase; none where the front wheel is never turned."""
+        angle = steer_rad(observations)
+        if not has_front(observations).any() or not (np.abs(angle) > 0.02).any():
+            return []
+        parameter = Parameter("relative", "1", typical=1e-2, largest=1e-1)
+        # the distance by the front wheel knows nothing of the wheelbase
+        turn = front_travel_m(observations) * observations.steer_sin / observations.vehicle.wheelbase_m
+        perturbations = [excess(observations, np.zeros_like(turn), turn)]
+
+        def longer(_: Path) -> list[Perturbation]:
+            return perturbations
+
+        return [
+            error_form(observations, self.id, "scale of the angle", parameter, angle, tries=2),
+            Form(self.id, "wheelbase", (parameter,), longer, tries=2),
+        ]
+
+
+#: logged angle from which on a step belongs to a turn
+TURN_ANGLE_RAD: Final = 0.02
+#: logged angle below which nothing moves, however fine the sensor
+STILL_ANGLE_RAD: Final = 2e-3
+#: plays that are tried; the least stands for the side of the last move
+PLAYS_RAD: Final = (2e-3, 8e-3, 2e-2)
+#: way to either side over which the rear wheels' turn is taken: over less the counters are too coarse to tell it
+SMOOTHING_M: Final = 0.2
+
+
+class SteeringBacklash(Effect):
+    """Play lies between the wheel and the sensor of its angle.
+
+    Where the sensor sits at the motor, the logged angle is ahead of the wheel by half the play on the side of the last
+    moves. Where it sits beyond the play, it follows what the wheel does, which the rear wheels tell, and lags.
+    """
+
+    id = "steering_backlash"
+    title = "backlash in the steering"
+    implausible = "a steering angle whose zero is off"
+    family = Family.STEERING
+    needs = "the front wheel in the log, turned both ways"
+    separates = "one angle approached from the left and from the right"
+
+    def forms(self, observations: Observations) -> list[Form]:
+        """Return forms that follow the moves through plays of several widths, and one by the side of the turn."""
+        angle = steer_rad(observations)
+        if not has_front(observations).any() or not (np.abs(angle) > TURN_ANGLE_RAD).any():
+            return []
+        parameter = Parameter("play", "rad", typical=8e-3, largest=4e-2, sign=1)
+        # only a clear turn has a side: the sign of an angle near zero is the sign of its sensor's noise
+        by_side = np.where(np.abs(angle) > TURN_ANGLE_RAD, np.sign(angle), 0.0)
+        noise = _noise_rad(observations, angle)
+        # a coarse sensor does not tell noise, zero and small corrections apart: there a turn alone is a move
+        band = STILL_ANGLE_RAD if 6.0 * noise < STILL_ANGLE_RAD else max(TURN_ANGLE_RAD, 6.0 * noise)
+        moved = np.where(np.abs(angle) > band, angle, 0.0)
+        wheel = _wheel_rad(observations, angle)
+        rough = _noise_rad(observations, wheel)
+        tries = 1 + 2 * len(PLAYS_RAD)
+        forms = []
+        for play in PLAYS_RAD:
+            settings = {"play_rad": play}
+            ahead = _lost_in_play(observations, moved, play, 6.0 * noise) / play
+            forms.append((f"by the moves of the motor, through {1e3 * play:g} mrad", ahead, settings))
+            behind = -_lost_in_play(observations, wheel, play, 3.0 * rough) / play
+            forms.append((f"by the moves of the wheel, through {1e3 * play:g} mrad", behind, settings))
+        forms.append(("by the side of the turn", 0.5 * by_side, {}))
+        return [
+            error_form(observations, self.id, label, parameter, error, tries=tries, settings=settings)
+            for label, error, settings in forms
+        ]
+
+
+def _noise_rad(observations: Observations, angle: FloatArray) -> float:
+    """Return the standard deviation of one reading of an angle, from its second differences within runs."""
+    inside = np.flatnonzero(observations.unit[2:] == observations.unit[:-2])
+    bent = np.abs(angle[inside + 2] - 2.0 * angle[inside + 1] + angle[inside])
+    bent = bent[np.isfinite(bent)]
+    return float(1.4826 * np.median(bent) / np.sqrt(6.0)) if len(bent) else 0.0
+
+
+def _wheel_rad(observations: Observations, angle: FloatArray) -> FloatArray:
+    """Return the steering angle that the rear wheels' turn tells, shape (n_steps,); NaN where the vehicle hardly moves.
+
+    The bend is the slope of a straight line through the headings over some way to either side: coarse counts then add
+    little noise. Its middle value on the straight is taken off: unequal radii are no steering.
+    """
+    turn, path, way = (
+        np.cumsum(observations.turn_rad),
+        np.cumsum(observations.path_m),
+        np.cumsum(np.abs(observations.path_m)),
+    )
+    index = np.arange(len(angle))
+    first = np.minimum(np.searchsorted(way, way - SMOOTHING_M), index - 1)
+    last = np.maximum(np.searchsorted(way, way + SMOOTHING_M, side="right") - 1, index + 1)
+    first = np.maximum(first, observations.starts[observations.unit])
+    last = np.minimum(last, observations.starts[observations.unit + 1] - 1)
+    long_enough = np.abs(path[last] - path[first]) > 0.5 * SMOOTHING_M
+
+    def summed(values: FloatArray) -> FloatArray:
+        running = np.concatenate(([0.0], np.cumsum(values)))
+        return np.asarray(running[last + 1] - running[first])
+
+    count = last - first + 1.0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        variance = summed(path**2) - summed(path) ** 2 / count
+        slope = (summed(path * turn) - summed(path) * summed(turn) / count) / variance
+    steered = np.arctan(observations.vehicle.wheelbase_m * np.where(long_enough & np.isfinite(slope), slope, np.nan))
+    straight = (np.abs(angle) < TURN_ANGLE_RAD) & np.isfinite(steered)
+    return np.asarray(steered - (np.median(steered[straight]) if straight.any() else 0.0))
+
+
+def _lost_in_play(observations: Observations, angle: FloatArray, play: float, least: float) -> FloatArray:
+    """Return angle less what comes through the play, which starts in its middle, shape (n_steps,).
+
+    The output keeps still until the input has crossed the play: a recursion, taken step by step over all units. A play
+    below `least` is taken up by the last move that stands out of the noise.
+    """
+    wide = max(play, least)
+    longest = int(observations.lengths.max())
+    index = np.minimum(observations.starts[:-1] + np.arange(longest)[:, None], observations.starts[1:] - 1)
+    through = angle[index]
+    now = np.zeros(through.shape[1])
+    for row in through:
+        # a NaN moves nothing
+        now = np.fmin(np.fmax(now, row - 0.5 * wide), row + 0.5 * wide)
+        row[:] = now
+    step = np.arange(len(angle)) - observations.starts[observations.unit]
+    return np.asarray(np.nan_to_num((angle - through[step, observations.unit]) * (play / wide)))
+
+
+class SteeringDelay(Effect):
+    """The logged angle is tau old, so short of the true one by tau d(delta)/dt.
+
+    On a run at one speed e_delta = -v tau (delta_end - delta_start) / L.
+    """
+
+    id = "steering_delay"
+    title = "a steering angle that is logged late"
+    implausible = "a steering angle of wrong scale"
+    family = Family.STEERING
+    needs = "the front wheel in a log with times"
+    separates = "runs that end in a turn"
+
+    def forms(self, observations: Observations) -> list[Form]:
+        """Return the single form; none where the steering does not move or the log has no times."""
+        rate = _rate_per_s(observations, steer_rad(observations), 1)
+        if not has_front(observations).any() or not (np.abs(rate) > 1e-3).any():
+            return []
+        parameter = Parameter("delay", "s", typical=1e-1, largest=5e-1)
+        return [error_form(observations, self.id, "", parameter, -rate)]
+
+
+class DriveSlip(Effect):
+    """The front wheel counts a share s = F_x / C more than it travels; only the front channels see it.
+
+    A constant share looks the same as a front radius that is off, and is named so.
+
+    The driving force is mass times acceleration (when it speeds up, or also, reversed, when the front wheel brakes) and
+    rolling resistance, in proportion to the weight; the stiffness C is constant or in proportion to the front load.
+    """
+
+    id = "drive_slip"
+    title = "slip of the driven front wheel"
+    implausible = "the front wheel's radius"
+    family = Family.STEERING
+    needs = "the front wheel in the log"
+    separates = "several accelerations"
+
+    def forms(self, observations: Observations) -> list[Form]:
+        """Return forms by the force that slips; none without a front wheel in the log."""
+        if not has_front(observations).any():
+            return []
+        # in the sense of rolling
+        acceleration = _rate_per_s(observations, np.abs(observations.speed_mps), 2)
+        speeding = np.maximum(acceleration, 0.0)
+        front = front_travel_m(observations)
+        # a driven wheel turns too much, never too little; a share common to all runs may be the radius, off either way
+        weight_varies = float(np.ptp(_over_mean(observations.weight_N))) > 1e-9
+        per_acceleration = Parameter("slip_per_mps2", "s2/m", typical=1e-2, largest=1e-1, sign=1)
+        common = Parameter("slip_rolling", "1", typical=3e-3, largest=5e-2)
+        rolling = replace(common, sign=1) if weight_varies else common
+        # a run from rest to rest gains and loses the same by acceleration and braking
+        gains = bool((np.abs(observations.total(front * speeding)) > 1e-4).any())
+        forces = _forces_N(observations)
+        # label, the force (None where the load does nothing), the parts that correlate with it, their parameters
+        slips: list[tuple[str, FloatArray | None, list[Perturbation], tuple[Parameter, ...]]] = []
+
+        # of the steps only this is kept by the forms
+        with_speeding, with_acceleration, with_way = (
+            _front_excess(observations, travel) for travel in (front * speeding, front * acceleration, front)
+        )
+        both = (per_acceleration, rolling)
+        for name, force in forces.items():
+            if gains:
+                slips.append((f"{name}, speeding up", force, [with_speeding], (per_acceleration,)))
+                slips.append((f"{name}, speeding up and rolling", force, [with_speeding, with_way], both))
+            wide = Centre(0.0, float(np.mean(force))).deviations(force)[observations.unit]
+            if (np.abs(observations.total(front * acceleration * wide)) > 1e-2).any():
+                slips.append((f"{name}, speeding up, braking and rolling", force, [with_acceleration, with_way], both))
+            slips.append((f"{name}, rolling", force, [with_way], (rolling,)))
+        if weight_varies:
+            slips.append(("a constant share, or the front wheel's radius", None, [with_way], (common,)))
+
+        def form(
+            label: str,
+            force: FloatArray | None,
+            parts: list[Perturbation],
+            parameters: tuple[Parameter, ...],
+            centre: Centre | None = None,
+        ) -> Form:
+            perturbations = parts
+            if force is not None:
+                centre = centre or Centre(0.0, float(np.mean(force)))
+                perturbations = [_shared(observations, part, centre.deviations(force)) for part in parts]
+            return Form(
+                self.id,
+                label,
+                parameters,
+                lambda _: perturbations,
+                tries=len(slips),
+                centre=centre,
+                about=None if centre is None else lambda elsewhere: form(label, force, parts, parameters, elsewhere),
+            )
+
+        return [form(*slip) for slip in slips]
+
+
+def _front_excess(observations: Observations, travel_m: FloatArray) -> Perturbation:
+    """Return the perturbation by excess travel of the front wheel, shape (n_steps,), along its steered direction."""
+    turn = travel_m * observations.steer_sin / observations.vehicle.wheelbase_m
+    return excess(observations, travel_m * observations.steer_cos, turn)
+
+
+def _forces_N(observations: Observations) -> dict[str, FloatArray]:
+    """Return what the slip may depend on, each (n_obs,): the weight and, where it differs, that over the front load."""
+    forces = {"by the force": observations.weight_N}
+    front_N = observations.weight_N - observations.number("load_left_N") - observations.number("load_right_N")
+    over_front = observations.weight_N / np.maximum(front_N, 0.05 * observations.weight_N)
+    if np.isfinite(over_front).all() and np.ptp(_over_mean(over_front) / _over_mean(observations.weight_N)) > 0.02:
+        forces["by the force over the front load"] = over_front
+    return forces
+
+
+def _shared(observations: Observations, perturbation: Perturbation, share: FloatArray) -> Perturbation:
+    """Return a perturbation times a share of each observation, shape (n_obs,)."""
+    if perturbation.reading is not None:
+        return Perturbation(reading=perturbation.reading * share[:, None])
+    assert perturbation.along_m is not None
+    assert perturbation.heading_rad is not None
+    wide = share[observations.unit]
+    return Perturbation(along_m=perturbation.along_m * wide, heading_rad=perturbation.heading_rad * wide)
+
+
+def _over_mean(values: FloatArray) -> FloatArray:
+    return values / np.mean(values)
+
+
+def _rate_per_s(observations: Observations, values: FloatArray, reach: int) -> FloatArray:
+    """Return the rate of a step quantity over `reach` steps to either side within each run, shape (n_steps,)."""
+    index = np.arange(len(values))
+    before = np.maximum(index - reach, observations.starts[observations.unit])
+    after = np.minimum(index + reach, observations.starts[observations.unit + 1] - 1)
+    middle = observations.time_s - 0.5 * observations.duration_s
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rate = (values[after] - values[before]) / (middle[after] - middle[before])
+    return np.where(np.isfinite(rate), rate, 0.0)

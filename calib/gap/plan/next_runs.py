@@ -1,31 +1,47 @@
-"""Which runs to drive next, best first."""
+"""Which runs to drive next, best first: those that separate confounded effects."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
-from calib.arrays import FloatArray
 from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
-from calib.gap.data.from_campaign import observations_of
-from calib.gap.data.observations import Observations
 from calib.gap.effects.applied import matching_form
 from calib.gap.effects.calibration import DIRECTIONS, NAMES
 from calib.gap.effects.effect import Effect, Form
-from calib.gap.evidence.fit import Fitted
-from calib.gap.evidence.noise import Noise
-from calib.gap.plan.planned_runs import DEFAULT_CORRIDOR_M, Measured, PlannedRun, default_candidates, drive, joined
-from calib.gap.plan.separability import Signatures, noise_at
-from calib.gap.predict.path import predict
-from calib.gap.verdict.alternatives import NEAR
-from calib.gap.verdict.outcome import PlannedRunAdvice
+from calib.gap.inference.fit import Fitted
+from calib.gap.inference.noise import Noise
+from calib.gap.observations.arrays import Observations
+from calib.gap.observations.from_campaign import observations_of
+from calib.gap.plan.identifiability import SEPARATION_SD, Signatures, noise_at
+from calib.gap.plan.planned_runs import (
+    DEFAULT_CORRIDOR_M,
+    Measured,
+    PlannedRun,
+    default_candidates,
+    drive,
+    joined,
+    usual_temperature_C,
+)
+from calib.gap.predict import predict
+from calib.types import FloatArray
 
+#: runs to recommend: about an hour of driving
 MOST_RUNS: Final = 5
-#: pairs named in one line
-NAMED: Final = 3
+#: effects or pairs named for one run: what fits on a line
+MOST_NAMED: Final = 3
+#: twice the separation that is needed leaves a margin for sizes other than assumed
+ENOUGH_SD: Final = 2.0 * SEPARATION_SD
+#: separation beyond this is worth no further run
+CAP_SD: Final = 4.0 * SEPARATION_SD
+#: a gain below this many standard deviations is not worth naming
+NOTEWORTHY_SD: Final = 0.05
+#: a recorded distance outside this is no corridor
+CORRIDOR_RANGE_M: Final = (2.0, 500.0)
 
 
 def next_runs(
@@ -38,12 +54,12 @@ def next_runs(
     model: OdometryModel | None = None,
     candidates: Sequence[PlannedRun] | None = None,
     most: int = MOST_RUNS,
-) -> list[PlannedRunAdvice]:
-    """Return the runs to drive next, best first, with what each would tell apart.
+) -> list[PlannedRun]:
+    """Return the runs to drive next, best first, each with what it would tell.
 
-    The next runs are taken to be driven in one session that begins with a repeat of an unladen corridor run. Each step
-    takes the run after which the nearest two effects of the tie lie furthest apart; without a tie, the run after which
-    most effects of the library are seen and stand apart.
+    The runs are driven in one session that begins with a repeat of an unladen corridor run. Each greedy step takes the
+    run after which the two nearest confounded effects are furthest apart; where none are confounded, the run after
+    which most effects of the library are detected and separated.
 
     Parameters
     ----------
@@ -52,113 +68,94 @@ def next_runs(
     effects : sequence of Effect
         The library.
     noise : Noise
-        Of the campaign; its scales are taken for the next runs too.
+        Of the campaign; the next runs have the same scales.
     ties : sequence of sequence of str
-        Groups of effects that the campaign cannot tell apart, the named one first.
+        Groups of effects that are confounded in the campaign, the named one first.
     fitted : Fitted, optional
-        Gives the sizes of the effects that were fitted; others are taken at their typical size.
+        Gives the sizes of the fitted effects; the others have typical size.
     model : OdometryModel, optional
-        What the simulator believes; the campaign's own by default.
+        The simulator's model; the campaign's own by default.
     candidates : sequence of PlannedRun, optional
-        Runs to choose from; `default_candidates` without.
+        Runs to choose from; `default_candidates` by default.
     most : int
-        How many runs to name.
+        How many runs to recommend.
 
     Returns
     -------
-    list of PlannedRunAdvice
-        Empty where no candidate helps.
+    list of PlannedRun
+        With `why` and `distance`; empty where no candidate helps.
     """
-    from dataclasses import replace
-
     driven = campaign.included()
     if model is not None:
         driven = replace(driven, model=model)
-    offered = list(candidates) if candidates is not None else default_candidates(driven)
-    if not offered:
+    candidates = default_candidates(driven) if candidates is None else candidates
+    if not candidates:
         return []
-    corridor_m = _corridor_m(driven)
-    measured = _measured(driven)
-    reference = PlannedRun("corridor", "out", temperature_C=_usual(driven))
-    planned = drive(driven, [reference, *offered], measured, corridor_m)
-    whole = joined(driven, planned)
-    observations = observations_of(whole)
+    reference = PlannedRun("corridor", "out", temperature_C=usual_temperature_C(driven))
+    planned = drive(driven, [reference, *candidates], _measured(driven), _corridor_m(driven))
+    observations = observations_of(joined(driven, planned))
     path = predict(observations)
-    future = np.array([str(name).startswith("next") for name in observations.labels["run_id"]])
-    number_of = {str(name): unit for unit, name in enumerate(observations.labels["run_id"])}
-    of_run = [number_of.get(f"next{number:03d}") for number in range(len(offered) + 1)]
     sizes = _sizes(observations, effects, fitted)
     signatures = Signatures(path, noise_at(path, noise.scales), effects, sizes)
-    base = signatures.gram(~future) + (_one(signatures, of_run[0]) if of_run[0] is not None else 0.0)
-    grams = {number: _one(signatures, unit) for number, unit in enumerate(of_run[1:]) if unit is not None}
+    run_id = observations.labels["run_id"].astype(str)
+    # the reference run is the first of the planned ones; a run that no channel can be compared on has no observation
+    names = [f"next{number:03d}" for number in range(len(candidates) + 1)]
+    base = signatures.gram(~np.char.startswith(run_id, "next")) + signatures.gram(run_id == names[0])
+    grams = {number: signatures.gram(run_id == name) for number, name in enumerate(names[1:]) if (run_id == name).any()}
     task = _Task(signatures, ties)
-    chosen: list[PlannedRunAdvice] = []
-    for _ in range(most):
-        before = task.distances(base)
-        if task.done(before) or not grams:
-            break
-        scored = {number: task.score(task.distances(base + gram)) for number, gram in grams.items()}
-        best = max(scored, key=lambda number: (scored[number], -number))
-        after = task.distances(base + grams[best])
-        if not task.score(after) > task.score(before):
+    chosen: list[PlannedRun] = []
+    while len(chosen) < most and grams and not task.done(before := task.distances(base)):
+        after = {number: task.distances(base + gram) for number, gram in grams.items()}
+        best = max(after, key=lambda number: (task.score(after[number]), -number))
+        if not task.score(after[best]) > task.score(before):
             break
         base = base + grams.pop(best)
-        distance = float(after.min()) if task.pairs else None
-        chosen.append(offered[best].advice(task.why(before, after), distance))
+        nearest = float(after[best].min()) if task.pairs else None
+        chosen.append(replace(candidates[best], why=task.why(before, after[best]), distance=nearest))
     return chosen
 
 
-def _one(signatures: Signatures, unit: int | None) -> FloatArray:
-    columns = signatures.columns[signatures.unit == unit]
-    return np.asarray(columns.T @ columns)
-
-
 class _Task:
-    """What the next runs are to tell apart."""
+    """What the next runs have to separate: pairs of confounded effects, else every effect from all others."""
 
     def __init__(self, signatures: Signatures, ties: Sequence[Sequence[str]]) -> None:
         self.signatures = signatures
         number = {name: index for index, name in enumerate(signatures.names)}
-        self.pairs = [
-            (number[group[0]], number[other])
-            for group in ties
-            for other in group[1:]
-            if group[0] in number and other in number
-        ]
+        pairs = [(group[0], other) for group in ties for other in group[1:]]
+        self.pairs = [(number[a], number[b]) for a, b in pairs if a in number and b in number]
         self.truths = sorted({a for a, _ in self.pairs}) if self.pairs else list(range(len(signatures.names)))
 
     def distances(self, gram: FloatArray) -> FloatArray:
-        """Return the distance of each tied pair, or how well each effect stands apart where there is no tie."""
+        """Return the distance of each confounded pair, else of each effect from zero and from its nearest neighbour."""
         signal, distance = self.signatures.distances(gram, self.truths)
         if self.pairs:
             row = {truth: index for index, truth in enumerate(self.truths)}
             return np.array([distance[row[a], b] for a, b in self.pairs])
         return np.asarray(np.minimum(signal, distance.min(axis=1, initial=np.inf)))
 
-    def done(self, gain: FloatArray) -> bool:
-        """Return whether all is told apart with something to spare."""
-        return bool((gain >= 2 * NEAR).all())
+    def done(self, distances: FloatArray) -> bool:
+        """Return whether everything is separated with a margin."""
+        return bool((distances >= ENOUGH_SD).all())
 
-    def score(self, gain: FloatArray) -> tuple[float, float]:
-        """Return what is to be made large: the smallest distance, then all of them; numbers told apart first."""
-        if self.pairs:
-            return (round(float(np.min(np.minimum(gain, 4 * NEAR))), 6), float(np.minimum(gain, 4 * NEAR).sum()))
-        return (float(np.minimum(gain / NEAR, 1.0).sum()), float(np.minimum(gain, 4 * NEAR).sum()))
+    def score(self, distances: FloatArray) -> tuple[float, float]:
+        """Return what to maximise: the smallest distance (of pairs) or the number separated, then the sum."""
+        capped = np.minimum(distances, CAP_SD)
+        separated = float(np.minimum(distances / SEPARATION_SD, 1.0).sum())
+        return round(float(capped.min()), 6) if self.pairs else separated, float(capped.sum())
 
     def why(self, before: FloatArray, after: FloatArray) -> str:
-        """Say what a run tells apart, most gained first."""
+        """Return in words what a run separates, the largest gain first."""
         names = self.signatures.names
-        order = np.argsort(-(np.minimum(after, 4 * NEAR) - np.minimum(before, 4 * NEAR)))[:NAMED]
-        order = np.array([k for k in order if after[k] > before[k] + 0.05], dtype=np.int64)
+        order = np.argsort(-(np.minimum(after, CAP_SD) - np.minimum(before, CAP_SD)))[:MOST_NAMED]
+        gains = [int(k) for k in order if after[k] > before[k] + NOTEWORTHY_SD]
         if self.pairs:
-            sentences = []
-            for k in order:
-                a, b = self.pairs[int(k)]
-                word = "tells" if after[k] >= NEAR else "begins to tell"
-                sentences.append(f"{word} {names[a]} from {names[b]}")
-            return ", ".join(sentences) or "repeats what is least sure"
-        clear = [names[self.truths[int(k)]] for k in order if after[k] >= NEAR]
-        return f"shows {', '.join(clear or [names[self.truths[int(k)]] for k in order])}" + ("" if clear else " better")
+            verbs = {k: "tells" if after[k] >= SEPARATION_SD else "begins to tell" for k in gains}
+            parts = [f"{verbs[k]} {names[self.pairs[k][0]]} from {names[self.pairs[k][1]]}" for k in gains]
+            return ", ".join(parts) or "repeats the least certain run"
+        clear = [names[self.truths[k]] for k in gains if after[k] >= SEPARATION_SD]
+        return (
+            f"shows {', '.join(clear)}" if clear else f"shows {', '.join(names[self.truths[k]] for k in gains)} better"
+        )
 
 
 def _sizes(
@@ -168,20 +165,17 @@ def _sizes(
     sizes: dict[str, tuple[Form, FloatArray]] = {}
     if fitted is None:
         return sizes
-    by_id = {effect.id: effect for effect in effects}
+    wanted = {*NAMES, *(form.effect for form in fitted.forms)}
+    forms = {effect.id: effect.forms(observations) for effect in effects if effect.id in wanted}
     for form, theta in zip(fitted.forms, fitted.theta, strict=True):
-        if form.effect not in by_id:
-            continue
-        here = matching_form(by_id[form.effect].forms(observations), form.label, form.settings)
-        if here is None:
-            continue
-        known = {parameter.name: float(value) for parameter, value in zip(form.parameters, theta, strict=True)}
-        sizes[form.effect] = (here, np.array([known.get(parameter.name, 0.0) for parameter in here.parameters]))
+        here = matching_form(forms.get(form.effect, []), form.label, form.settings)
+        if here is not None:
+            known = {parameter.name: float(value) for parameter, value in zip(form.parameters, theta, strict=True)}
+            sizes[form.effect] = (here, np.array([known.get(parameter.name, 0.0) for parameter in here.parameters]))
     calibration = np.linalg.solve(DIRECTIONS[:, :3].T, fitted.calibration[:3])
     for name, size in zip(NAMES, calibration, strict=True):
-        forms = by_id[name].forms(observations) if name in by_id else []
-        if forms and abs(size) > 1e-12:
-            sizes[name] = (forms[0], np.full(len(forms[0].parameters), float(size)))
+        if forms.get(name) and abs(size) > 1e-12:
+            sizes[name] = (forms[name][0], np.full(len(forms[name][0].parameters), float(size)))
     return sizes
 
 
@@ -200,9 +194,5 @@ def _corridor_m(campaign: Campaign) -> float:
     distance = campaign.runs.number("distance_m")
     corridor = (campaign.runs.label("kind") == "corridor") & np.isfinite(distance)
     length = float(np.median(distance[corridor])) if corridor.any() else DEFAULT_CORRIDOR_M
-    return length if 2.0 <= length <= 500.0 else DEFAULT_CORRIDOR_M
-
-
-def _usual(campaign: Campaign) -> float:
-    warm = campaign.runs.number("temperature_C")
-    return float(np.nanmedian(warm)) if np.isfinite(warm).any() else float("nan")
+    low, high = CORRIDOR_RANGE_M
+    return length if low <= length <= high else DEFAULT_CORRIDOR_M

@@ -1,46 +1,68 @@
-"""Runs that have not been driven: how they would be logged and measured by a vehicle that is as the model says."""
+"""Planned runs: routes, candidates, and the campaign that a vehicle would record on them if its model were exact."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
+from itertools import pairwise, product
 from typing import Any, Final
 
 import numpy as np
 
-from calib.arrays import FloatArray
 from calib.campaign.model import LABEL_COLUMNS, Campaign, Logs, RunTable
-from calib.campaign.wheels import WHEEL_COLUMNS
+from calib.campaign.settings import FrontModel
+from calib.campaign.wheels import WHEEL_COLUMNS, mecanum_model, odometry_source, without_rear_wheels
 from calib.errors import BadInputError
-from calib.gap.plan.planned_logs import stop_and_go, wheel_counts
-from calib.gap.verdict.outcome import PlannedRunAdvice
-from calib.motion.routes import NAMED, Route, arc, straight
+from calib.limits import PLANNED_SAMPLES
+from calib.odometry.routes import NAMED, Route, arc, straight
+from calib.result import plain_fields
+from calib.types import FloatArray
 from calib.vehicle import wheel_loads_N
 
-SPACING_M: Final = 0.05
-SHORT: Final = 0.6
+#: a route is sampled this finely: below the 0.1 s of a log at walking pace
+ROUTE_SPACING_M: Final = 0.05
+#: the short corridor over the long one: distances far enough apart to tell an offset from a scale
+SHORT_CORRIDOR: Final = 0.6
 DEFAULT_CORRIDOR_M: Final = 20.0
+#: ramps of a laden vehicle
+ACCELERATION_MPS2: Final = 0.5
+#: what vehicles log at
+LOG_PERIOD_S: Final = 0.1
+#: conditions of a run, as the run table names them
+CONDITIONS: Final = (
+    "payload_kg",
+    "payload_x_m",
+    "payload_y_m",
+    "speed_mps",
+    "temperature_C",
+    "minutes_under_load",
+)
+#: numbers that say something at zero too; no stop and a place over the axle's middle need no word
+SHOWN_AT_ZERO: Final = frozenset({"payload_kg", "speed_mps", "temperature_C", "minutes_under_load", "distance"})
+#: routes beside those of `calib simulate`, each with a mirror image to the right
+LEFT_ROUTES: Final = {
+    "route_left": (straight(5.0), arc(3.0, 0.5 * np.pi), straight(5.0), arc(1.5, 0.5 * np.pi), straight(3.0)),
+    "circle_left": (arc(1.2, 4 * np.pi),),
+}
 
 
 @dataclass(frozen=True, slots=True)
 class Measured:
     """What is measured on a run."""
 
-    #: distance, poses, front, log: laser distance on corridor runs, reference end pose, front wheel and steering in the
-    #: log, a log at all
-    distance: bool = True
-    poses: bool = True
-    front: bool = False
-    log: bool = True
+    distance: bool = True  #: laser distance on corridor runs
+    poses: bool = True  #: reference pose at the end
+    front: bool = False  #: counts and steering angle of the front wheel, in the log
+    log: bool = True  #: a log at all
 
 
 @dataclass(frozen=True, slots=True)
 class PlannedRun:
-    """A run to drive; fields as in the run table, NaN where nothing is said."""
+    """A run to drive; fields as in the run table, NaN where any value will do."""
 
     kind: str  #: a route; see `route_of`
-    direction: str = ""
-    session: str = "next"
+    direction: str = ""  #: ``out``, ``back`` or empty
+    session: str = field(default="next", metadata={"json": False})
     payload_kg: float = 0.0
     payload_x_m: float = 0.0
     payload_y_m: float = 0.0
@@ -48,46 +70,18 @@ class PlannedRun:
     temperature_C: float = float("nan")
     minutes_under_load: float = float("nan")
     read_rolling: bool = False  #: the end is measured while the vehicle still rolls
-    stops: int = 0  #: stops on the way
+    stops: int = 0  #: stops between start and end
     columns: Mapping[str, float] = field(default_factory=dict)  #: further numeric columns
+    why: str = ""  #: what the run would tell, where it is recommended
+    #: then: standard deviations between the nearest confounded effects; None where no effects are confounded
+    distance: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what there is to say of it as plain JSON values."""
-        document: dict[str, Any] = {"kind": self.kind}
-        if self.direction:
-            document["direction"] = self.direction
-        numbers = asdict(self)
-        for name in ("payload_kg", "payload_x_m", "payload_y_m", "speed_mps", "temperature_C", "minutes_under_load"):
-            value = float(numbers[name])
-            if np.isfinite(value) and not (name.startswith("payload_") and name != "payload_kg" and value == 0.0):
-                document[name] = value
-        if self.stops:
-            document["stops"] = self.stops
-        if self.read_rolling:
-            document["read_rolling"] = True
-        return document | dict(self.columns)
-
-    def advice(self, why: str, distance: float | None = None) -> PlannedRunAdvice:
-        """Return the run as advice to drive it, with what it tells."""
-
-        def known(value: float) -> float | None:
-            return float(value) if np.isfinite(value) else None
-
-        return PlannedRunAdvice(
-            kind=self.kind,
-            why=why,
-            direction=self.direction,
-            payload_kg=known(self.payload_kg),
-            payload_x_m=known(self.payload_x_m) or None,
-            payload_y_m=known(self.payload_y_m) or None,
-            speed_mps=known(self.speed_mps),
-            temperature_C=known(self.temperature_C),
-            minutes_under_load=known(self.minutes_under_load),
-            stops=self.stops,
-            read_rolling=self.read_rolling,
-            columns=dict(self.columns),
-            distance=distance,
-        )
+        """Return the fields that are set as plain JSON values."""
+        document = plain_fields(self)
+        columns: dict[str, Any] = document.pop("columns")
+        kept = {key: value for key, value in document.items() if value or (value is not None and key in SHOWN_AT_ZERO)}
+        return kept | columns
 
 
 def route_of(kind: str, corridor_m: float = DEFAULT_CORRIDOR_M) -> Route:
@@ -106,19 +100,12 @@ def route_of(kind: str, corridor_m: float = DEFAULT_CORRIDOR_M) -> Route:
     BadInputError
         Where there is no such route.
     """
-    quarter = 0.5 * np.pi
-    if kind == "corridor_short":
-        return Route.from_segments(kind, straight(SHORT * corridor_m))
     if kind == "corridor" or kind.startswith("corridor_"):
-        return Route.from_segments(kind, straight(corridor_m))
-    if kind in {"route_left", "route_right"}:
-        left = Route.from_segments(
-            kind, straight(5.0), arc(3.0, quarter), straight(5.0), arc(1.5, quarter), straight(3.0)
-        )
-        return left if kind == "route_left" else left.mirrored()
-    if kind in {"circle_left", "circle_right"}:
-        left = Route.from_segments(kind, arc(1.2, 4 * np.pi))
-        return left if kind == "circle_left" else left.mirrored()
+        return Route.from_segments(kind, straight(corridor_m * (SHORT_CORRIDOR if kind == "corridor_short" else 1.0)))
+    if kind in LEFT_ROUTES:
+        return Route.from_segments(kind, *LEFT_ROUTES[kind])
+    if kind.replace("_right", "_left") in LEFT_ROUTES:
+        return Route.from_segments(kind, *LEFT_ROUTES[kind.replace("_right", "_left")]).mirrored()
     if kind in NAMED:
         return Route.from_segments(kind, *NAMED[kind])
     known = "corridor, corridor_short, route_left, route_right, circle_left, circle_right, " + ", ".join(
@@ -127,60 +114,66 @@ def route_of(kind: str, corridor_m: float = DEFAULT_CORRIDOR_M) -> Route:
     raise BadInputError(f"route: found {kind!r}; expected one of {known}; name one of these")
 
 
-def default_candidates(campaign: Campaign) -> list[PlannedRun]:
-    """Return runs worth considering: routes, payloads and their place, speeds, directions, temperatures, dwell.
+def usual_temperature_C(campaign: Campaign) -> float:
+    """Return the median temperature of a campaign, NaN where none is recorded."""
+    temperature = campaign.runs.number("temperature_C")
+    return float(np.nanmedian(temperature)) if np.isfinite(temperature).any() else float("nan")
 
-    Payloads stay within what the campaign carried (twice the vehicle's own mass where it carried none), temperatures
-    are varied by 10 K where the campaign notes them.
+
+def default_candidates(campaign: Campaign) -> list[PlannedRun]:
+    """Return candidate runs over routes, directions, payloads and their place, speeds, temperatures and dwell.
+
+    The largest payload is the campaign's own (twice the vehicle's mass where it carried none); temperatures vary by
+    10 K where the campaign records them.
     """
-    runs = campaign.runs
-    carried = runs.number("payload_kg")
-    heaviest = float(np.nanmax(carried)) if np.isfinite(carried).any() else 0.0
-    most = heaviest if heaviest > 0.0 else 2.0 * campaign.vehicle.mass_kg
-    warm = runs.number("temperature_C")
-    usual = float(np.nanmedian(warm)) if np.isfinite(warm).any() else float("nan")
-    # on the vehicle, whose wheelbase is the longest that a payload is moved on
+    carried_kg = float(np.nan_to_num(campaign.runs.number("payload_kg")).max(initial=0.0))
+    most_kg = carried_kg if carried_kg > 0.0 else 2.0 * campaign.vehicle.mass_kg
+    usual_C = usual_temperature_C(campaign)
+    # a payload stands on the vehicle: within a fraction of the wheelbase
     ahead, aside = 0.3 * min(1.0, campaign.vehicle.wheelbase_m), 0.15 * min(1.0, campaign.vehicle.wheelbase_m)
-    payloads = [(0.0, 0.0, 0.0), (0.5 * most, ahead, 0.0), (most, ahead, 0.0), (0.5 * most, ahead, aside)]
-    payloads.append((0.5 * most, ahead, -aside))
+    payloads = [(0.0, 0.0, 0.0), (0.5 * most_kg, ahead, 0.0), (most_kg, ahead, 0.0), (0.5 * most_kg, ahead, aside)]
+    payloads.append((0.5 * most_kg, ahead, -aside))
     routes = [("corridor", "out"), ("corridor", "back"), ("square_cw", ""), ("square_ccw", ""), ("figure8", "")]
     routes += [("route_left", ""), ("route_right", "")]
-    base = PlannedRun("corridor", temperature_C=usual)
-    candidates = []
-    for kind, direction in routes:
-        for payload, x, y in payloads:
-            for speed in (0.3, 0.7):
-                run = replace(base, kind=kind, direction=direction, speed_mps=speed)
-                dwell = 10.0 if payload else 0.0
-                candidates.append(
-                    replace(run, payload_kg=payload, payload_x_m=x, payload_y_m=y, minutes_under_load=dwell)
-                )
-    loaded = replace(base, direction="out", payload_kg=most, payload_x_m=ahead, speed_mps=0.5)
+    base = PlannedRun("corridor", temperature_C=usual_C)
+    candidates = [
+        replace(
+            base,
+            kind=kind,
+            direction=direction,
+            speed_mps=speed,
+            payload_kg=payload,
+            payload_x_m=x,
+            payload_y_m=y,
+            minutes_under_load=10.0 if payload else 0.0,
+        )
+        for (kind, direction), (payload, x, y), speed in product(routes, payloads, (0.3, 0.7))
+    ]
+    loaded = replace(base, direction="out", payload_kg=most_kg, payload_x_m=ahead, speed_mps=0.5)
     candidates += [replace(loaded, minutes_under_load=minutes) for minutes in (1.0, 60.0)]
     candidates.append(replace(base, direction="out", stops=4))
     candidates.append(replace(base, direction="out", speed_mps=0.7, read_rolling=True))
     candidates.append(replace(base, kind="corridor_short", direction="out"))
     candidates.append(replace(base, kind="corridor_b", direction="out"))
-    if np.isfinite(usual):
-        candidates += [replace(base, direction="out", temperature_C=usual + step) for step in (-10.0, 10.0)]
+    if np.isfinite(usual_C):
+        candidates += [replace(base, direction="out", temperature_C=usual_C + step) for step in (-10.0, 10.0)]
     return candidates
 
 
 def drive(
     campaign: Campaign, runs: Sequence[PlannedRun], measured: Measured, corridor_m: float = DEFAULT_CORRIDOR_M
 ) -> Campaign:
-    """Return the campaign that the runs would make if the vehicle were as the model says, without any noise.
+    """Return the noise-free campaign that the runs would give if the vehicle were exactly as its model.
 
-    The campaign given has vehicle, encoders, model and instruments; its own runs are not part of the result.
+    `campaign` gives vehicle, encoders, model and instruments; its own runs are not part of the result.
     """
     logs = [_log(campaign, run, measured, corridor_m) for run in runs]
     ends = np.array([[log["_x"][-1], log["_y"][-1], log["_theta"][-1]] for log in logs])
     corridor = np.array([run.kind.startswith("corridor") for run in runs])
     numbers: dict[str, FloatArray] = {
-        name: np.array([float(getattr(run, name)) for run in runs])
-        for name in ("payload_kg", "payload_x_m", "payload_y_m", "speed_mps", "temperature_C", "minutes_under_load")
+        name: np.array([float(getattr(run, name)) for run in runs]) for name in CONDITIONS
     }
-    # a payload of nothing stands nowhere
+    # without a payload its place means nothing
     for name in ("payload_x_m", "payload_y_m"):
         numbers[name] = np.where(numbers["payload_kg"] > 0, numbers[name], 0.0)
     numbers |= {name: np.array([log[name][-1] for log in logs]) for name in WHEEL_COLUMNS["rear"] if name in logs[0]}
@@ -198,10 +191,10 @@ def drive(
         "direction": np.array([run.direction for run in runs]),
     }
     table = RunTable(labels, numbers, np.zeros(len(runs), dtype=bool), np.arange(2, len(runs) + 2))
-    return replace(campaign, runs=table, logs=_laid_out(logs, measured))
+    return replace(campaign, runs=table, logs=_logs_of(logs, measured))
 
 
-def _laid_out(logs: Sequence[Mapping[str, FloatArray]], measured: Measured) -> Logs:
+def _logs_of(logs: Sequence[Mapping[str, FloatArray]], measured: Measured) -> Logs:
     if not measured.log:
         return Logs.empty(len(logs))
     names = [name for name in logs[0] if not name.startswith("_")]
@@ -211,19 +204,19 @@ def _laid_out(logs: Sequence[Mapping[str, FloatArray]], measured: Measured) -> L
 
 
 def _log(campaign: Campaign, run: PlannedRun, measured: Measured, corridor_m: float) -> dict[str, FloatArray]:
-    """Return a run's log at a fixed period, with the pose in columns that begin with an underscore."""
+    """Return a run's log; columns that begin with an underscore hold the pose."""
     vehicle = campaign.vehicle
-    route = route_of(run.kind, corridor_m).divided(SPACING_M)
-    way = route.distance_m()
-    stopped = np.linspace(0.0, way[-1], run.stops + 2)
-    time, driven = stop_and_go(stopped, run.speed_mps, read_rolling=run.read_rolling)
+    route = route_of(run.kind, corridor_m).divided(ROUTE_SPACING_M)
+    along_m = route.distance_m()
+    time, driven_m = stop_and_go(
+        np.linspace(0.0, along_m[-1], run.stops + 2), run.speed_mps, read_rolling=run.read_rolling
+    )
     poses = route.poses()
-    # the route's own segments as functions of the way driven
-    length = np.interp(driven, way, np.concatenate(([0.0], np.cumsum(route.length_m))))
-    heading = np.interp(driven, way, poses.theta_rad)
-    x, y = np.interp(driven, way, poses.x_m), np.interp(driven, way, poses.y_m)
+    length_m = np.interp(driven_m, along_m, np.concatenate(([0.0], np.cumsum(route.length_m))))
+    heading = np.interp(driven_m, along_m, poses.theta_rad)
+    x, y = np.interp(driven_m, along_m, poses.x_m), np.interp(driven_m, along_m, poses.y_m)
     loads = wheel_loads_N(vehicle, run.payload_kg, run.payload_x_m, run.payload_y_m)
-    counts = wheel_counts(campaign, length, heading, (float(loads[1]), float(loads[2])), front=measured.front)
+    counts = wheel_counts(campaign, length_m, heading, (float(loads[1]), float(loads[2])), front=measured.front)
     return {"t_s": time, **counts, "_x": x, "_y": y, "_theta": heading}
 
 
@@ -248,5 +241,103 @@ def joined(first: Campaign, second: Campaign) -> Campaign:
         columns[name] = np.concatenate(parts)
     offsets = np.concatenate([a.offsets, a.offsets[-1] + b.offsets[1:]])
     if len(offsets) != n + m + 1:
-        raise BadInputError("campaigns whose logs and runs do not agree in number cannot be joined")
+        raise BadInputError("campaigns whose numbers of logs and runs differ cannot be joined")
     return replace(first, runs=table, logs=Logs(offsets, columns))
+
+
+def wheel_counts(
+    campaign: Campaign, distance_m: FloatArray, heading_rad: FloatArray, loads_N: tuple[float, float], *, front: bool
+) -> dict[str, FloatArray]:
+    """Return the log columns, each shape (n,), of the wheels that the vehicle counts.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        Its model gives radii and lengths; its odometry, which wheels are counted.
+    distance_m, heading_rad : array of float, shape (n,)
+        Travelled distance of the axle's middle, and heading, at the samples.
+    loads_N : tuple of float
+        Of the left and the right wheel.
+    front : bool
+        The front wheel is counted too.
+    """
+    if not without_rear_wheels(campaign):
+        counts = _rear(campaign, distance_m, heading_rad, loads_N)
+        return counts | _front(campaign, distance_m, heading_rad, FrontModel.of(campaign.vehicle)) if front else counts
+    if odometry_source(campaign) == "front":
+        model = campaign.model.front or FrontModel.of(campaign.vehicle)
+        return _front(campaign, distance_m, heading_rad, model)
+    return _mecanum(campaign, distance_m, heading_rad)
+
+
+def _rear(
+    campaign: Campaign, distance_m: FloatArray, heading_rad: FloatArray, loads_N: tuple[float, float]
+) -> dict[str, FloatArray]:
+    model, encoder = campaign.model, campaign.encoder
+    radius_left = model.radius_left_m + model.slope_left_m_per_N * (loads_N[0] - model.reference_load_N)
+    radius_right = model.radius_right_m + model.slope_right_m_per_N * (loads_N[1] - model.reference_load_N)
+    half = 0.5 * model.track_m * heading_rad
+    return {
+        "counts_left": (distance_m - half) / radius_left * encoder.counts_per_rev_left / (2 * np.pi),
+        "counts_right": (distance_m + half) / radius_right * encoder.counts_per_rev_right / (2 * np.pi),
+    }
+
+
+def _front(
+    campaign: Campaign, distance_m: FloatArray, heading_rad: FloatArray, model: FrontModel
+) -> dict[str, FloatArray]:
+    ahead, turn = np.diff(distance_m), np.diff(heading_rad)
+    roll = np.hypot(ahead, model.wheelbase_m * turn) / model.radius_m
+    counts = np.concatenate(([0.0], np.cumsum(roll))) * campaign.encoder.front / (2 * np.pi)
+    # abs: the sign of a rounded zero must not reverse the wheel
+    angle = np.where(roll > 0.0, np.arctan2(model.wheelbase_m * turn, np.abs(ahead)), 0.0)
+    steer = (np.concatenate((angle[:1], angle)) - model.zero_rad) / model.scale
+    return {"counts_front": counts, "steer_rad": steer}
+
+
+def _mecanum(campaign: Campaign, distance_m: FloatArray, heading_rad: FloatArray) -> dict[str, FloatArray]:
+    model, encoder = mecanum_model(campaign), campaign.encoder
+    difference_m = model.arm_m * heading_rad
+    rolled = {
+        "left": (distance_m - difference_m) / model.radius_m,
+        "right": (distance_m + difference_m) / model.radius_m,
+    }
+    per_rad = {"left": encoder.counts_per_rev_left / (2 * np.pi), "right": encoder.counts_per_rev_right / (2 * np.pi)}
+    sides = {name: name.rsplit("_", 1)[1] for name in WHEEL_COLUMNS["wheels"]}
+    return {name: rolled[side] * per_rad[side] for name, side in sides.items()}
+
+
+def stop_and_go(stops_m: FloatArray, speed: float, *, read_rolling: bool) -> tuple[FloatArray, FloatArray]:
+    """Return times (s) and travelled distances (m) from stop to stop (n_stops,), start and end included.
+
+    Ramps have `ACCELERATION_MPS2`, stops last half a second; with `read_rolling` the log ends while the vehicle rolls.
+    The period is `LOG_PERIOD_S`, longer where that would exceed `calib.limits.PLANNED_SAMPLES`.
+    """
+    if not speed > 0.0:
+        raise BadInputError(f"speed_mps: found {speed!r}; expected a speed above 0; correct the planned run")
+    total = float(np.ptp(stops_m)) / speed + len(stops_m) * speed / ACCELERATION_MPS2
+    period = max(LOG_PERIOD_S, total / PLANNED_SAMPLES)
+    time: list[FloatArray] = [np.zeros(1)]
+    distance: list[FloatArray] = [np.zeros(1)]
+    start = 0.0
+    for number, (begin, end) in enumerate(pairwise(stops_m)):
+        length = float(end - begin)
+        top = min(speed, float(np.sqrt(ACCELERATION_MPS2 * length)))
+        ramp = top / ACCELERATION_MPS2
+        rolling_end = read_rolling and number == len(stops_m) - 2
+        cruise = (length - (0.5 if rolling_end else 1.0) * top * ramp) / top
+        last = ramp + cruise + (0.0 if rolling_end else ramp)
+        t = np.append(np.arange(period, last, period), last)
+        u = np.minimum(t, ramp)
+        d = 0.5 * ACCELERATION_MPS2 * u**2 + top * np.clip(t - ramp, 0.0, cruise)
+        slowing = np.clip(t - ramp - cruise, 0.0, None)
+        d = d + top * slowing - 0.5 * ACCELERATION_MPS2 * slowing**2
+        time.append(np.asarray(start + t, dtype=np.float64))
+        distance.append(np.asarray(begin + d, dtype=np.float64))
+        start += last
+        if not rolling_end:
+            pause: FloatArray = LOG_PERIOD_S * np.arange(1.0, 6.0)
+            time.append(np.asarray(start + pause, dtype=np.float64))
+            distance.append(np.full(5, float(end)))
+            start += float(pause[-1])
+    return np.concatenate(time), np.concatenate(distance)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.arrays import FloatArray
 from calib.plant.design import Design
 from calib.plant.effects.form import Form, Knobs, while_driving
 from calib.plant.world import Moment, World
+from calib.types import FloatArray
 
 
 def map_x_m(world: World, now: Moment) -> FloatArray:

@@ -8,9 +8,9 @@ from typing import Final
 
 import numpy as np
 
-from calib.arrays import FloatArray
 from calib.plant.design import Design
 from calib.plant.world import Moment, World
+from calib.types import FloatArray
 
 Knobs = Mapping[str, float]
 

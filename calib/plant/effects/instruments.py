@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.arrays import FloatArray
 from calib.plant.effects.form import Act, Form, Knobs, added, drawn, either_side, scaled, while_driving
 from calib.plant.world import Moment, World
+from calib.types import FloatArray
 
 
 def _beam(world: World, size: FloatArray, _knobs: Knobs) -> None:

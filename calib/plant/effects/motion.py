@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.arrays import FloatArray
 from calib.plant.effects.form import Form, Knobs, either_side, while_driving
 from calib.plant.world import REFERENCE_LOAD_N, Moment, World
+from calib.types import FloatArray
 
 
 @while_driving

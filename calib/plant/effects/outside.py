@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.arrays import FloatArray
 from calib.plant.design import Design, conditions
 from calib.plant.effects.floor import map_x_m, map_y_m
 from calib.plant.effects.form import Form, Knobs, while_driving
 from calib.plant.world import Moment, World
+from calib.types import FloatArray
 
 
 def _standard(values: FloatArray) -> FloatArray:

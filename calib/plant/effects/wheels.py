@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.arrays import FloatArray
 from calib.plant.design import Design
 from calib.plant.effects.form import Draw, Form, Knobs, drawn, scaled, while_driving
 from calib.plant.world import REFERENCE_LOAD_N, Moment, World
+from calib.types import FloatArray
 
 
 def _unequal(world: World, size: FloatArray, _knobs: Knobs) -> None:

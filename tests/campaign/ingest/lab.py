@@ -16,7 +16,7 @@ from calib.campaign.model import Campaign
 from tests.campaign.making import campaign
 
 N_RUNS = 24
-#: numbers of runs: its log is missing; its row stands twice; its log has left and right exchanged
+#: numbers of runs: its log is missing; its row is there twice; its log has left and right exchanged
 MISSING, TWICE, SWAPPED = 7, 15, 12
 PREAMBLE = """Datenlogger DL-8, Firmware 2.1
 Seriennummer: 12-345
@@ -29,30 +29,30 @@ Bediener: M. Weber
 
 @dataclass(frozen=True)
 class Lab:
-    """The files of an export, and the campaign that they were made of."""
+    """The files of an export, and the campaign behind them."""
 
     table: Path
     logs: Path
-    made: Campaign
+    truth: Campaign
 
 
-def _made(seed: int) -> Campaign:
-    made = campaign(runs_per_load=5, rate_hz=20.0, seed=seed)
-    return made.select(np.arange(N_RUNS))
+def _truth(seed: int) -> Campaign:
+    truth = campaign(runs_per_load=5, rate_hz=20.0, seed=seed)
+    return truth.select(np.arange(N_RUNS))
 
 
 def _comma(value: float, digits: int) -> str:
     return f"{value:.{digits}f}".replace(".", ",")
 
 
-def _counter(made: Campaign, run: int, side: str, bits: int | None) -> np.ndarray:
-    """A counter that stood somewhere when the run began, and overflows."""
-    counts = made.logs.of(run)[f"counts_{side}"] + 1000 * (run + 3)
+def _counter(truth: Campaign, run: int, side: str, bits: int | None) -> np.ndarray:
+    """A counter that starts at any count and overflows."""
+    counts = truth.logs.of(run)[f"counts_{side}"] + 1000 * (run + 3)
     return counts if bits is None else np.mod(counts, 2**bits)
 
 
-def _rows(made: Campaign) -> list[list[object]]:
-    runs = made.runs
+def _rows(truth: Campaign) -> list[list[object]]:
+    runs = truth.runs
     out: list[list[object]] = []
     for run in range(N_RUNS):
         out.append(
@@ -92,7 +92,7 @@ def german(folder: Path, *, seed: int = 11) -> Lab:
     """Write the workbook and the loggers' files."""
     import openpyxl
 
-    made = _made(seed)
+    truth = _truth(seed)
     logs = folder / "logger"
     logs.mkdir(parents=True)
     book = openpyxl.Workbook()
@@ -100,7 +100,7 @@ def german(folder: Path, *, seed: int = 11) -> Lab:
     book.active.append(["Messkampagne FTF 3, Halle 3, Mai 2026"])
     book.active.append([])
     book.active.append(list(HEADER))
-    for row in _rows(made):
+    for row in _rows(truth):
         book.active.append(row)
     book.create_sheet("Notizen").append(["Laser am 3. Mai geprüft"])
     table = folder / "Messkampagne.xlsx"
@@ -109,26 +109,26 @@ def german(folder: Path, *, seed: int = 11) -> Lab:
         if run + 1 == MISSING:
             continue
         sides = ("right", "left") if run + 1 == SWAPPED else ("left", "right")
-        left, right = (_counter(made, run, side, 16) for side in sides)
+        left, right = (_counter(truth, run, side, 16) for side in sides)
         start = np.datetime64("2026-05-04T08:00:00") + np.timedelta64(600 * run, "s")
-        times = start.astype("datetime64[ms]") + np.rint(made.logs.of(run)["t_s"] * 1e3).astype("timedelta64[ms]")
-        way = made.logs.of(run)["counts_left"] / made.logs.of(run)["counts_left"][-1]
-        path = 1e3 * way * made.runs.number("distance_m")[run]
+        times = start.astype("datetime64[ms]") + np.rint(truth.logs.of(run)["t_s"] * 1e3).astype("timedelta64[ms]")
+        way = truth.logs.of(run)["counts_left"] / truth.logs.of(run)["counts_left"][-1]
+        path = 1e3 * way * truth.runs.number("distance_m")[run]
         lines = [
             f"{time}+02:00;{a:.0f};{b:.0f};{_comma(mm, 1)}"
             for time, a, b, mm in zip(times, left, right, path, strict=True)
         ]
         text = PREAMBLE + "Zeitstempel;Impulse links;Impulse rechts;Laser [mm]\n" + "\n".join(lines) + "\n"
         (logs / f"Lauf_{run + 1:02}.csv").write_bytes(text.encode("cp1252"))
-    return Lab(table, logs, made)
+    return Lab(table, logs, truth)
 
 
 def plain(folder: Path, *, seed: int = 11) -> Lab:
     """Write a run table as plain CSV, and a CSV file a run under the run's name."""
-    made = _made(seed)
+    truth = _truth(seed)
     logs = folder / "runs"
     logs.mkdir(parents=True)
-    runs = made.runs
+    runs = truth.runs
     table = folder / "runs.csv"
     header = "run,day,way,load kg,load x mm,load y mm,speed (m/s),distance mm"
     lines = [
@@ -151,13 +151,13 @@ def plain(folder: Path, *, seed: int = 11) -> Lab:
         if run + 1 == MISSING:
             continue
         sides = ("right", "left") if run + 1 == SWAPPED else ("left", "right")
-        left, right = (_counter(made, run, side, 16) for side in sides)
+        left, right = (_counter(truth, run, side, 16) for side in sides)
         log = "\n".join(
-            f"{1e3 * t:.0f},{a:.0f},{b:.0f}" for t, a, b in zip(made.logs.of(run)["t_s"], left, right, strict=True)
+            f"{1e3 * t:.0f},{a:.0f},{b:.0f}" for t, a, b in zip(truth.logs.of(run)["t_s"], left, right, strict=True)
         )
         (logs / f"run{run + 1:02}.csv").write_text("time_ms,enc_left,enc_right\n" + log + "\n")
     table.write_text("\n".join(lines) + "\n")
-    return Lab(table, logs, made)
+    return Lab(table, logs, truth)
 
 
 if __name__ == "__main__":

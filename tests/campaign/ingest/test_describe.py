@@ -1,4 +1,4 @@
-"""What a description proposes is what stands in the files: no mapping for nothing, no counter out of a letter."""
+"""A description proposes what the files hold: no mapping without a number, no counter out of a letter."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def test_the_vehicle_is_asked_for_what_its_wheels_need(
         assert f"\n{key}" in text, text
 
 
-def test_rates_stand_in_for_positions(tmp_path: Path) -> None:
+def test_rates_are_proposed_where_there_are_no_positions(tmp_path: Path) -> None:
     """A JointState of velocities alone gives wheels by their rates."""
     bag = _write_bag(tmp_path / "bag", _joint_states(np.full((50, 2), 3.0) + np.arange(50)[:, None] / 7))
     text = describe([bag]).to_toml()

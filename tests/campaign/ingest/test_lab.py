@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from calib.campaign.check import check_campaign
-from calib.campaign.ingest import Description, Ingested, describe, gathered, ingest
+from calib.campaign.ingest import Description, Ingested, describe, ingest, merged_notes
 from calib.campaign.read import read_campaign
 from calib.errors import BadInputError
 from tests.campaign.ingest.lab import MISSING, N_RUNS, SWAPPED, TWICE, Lab, german, plain
 
-#: lines that a mapping may have, remarks left out
+#: lines that a mapping may have, remarks omitted
 MOST_LINES = 30
 #: distances are written to 0.1 mm
 WRITTEN_M = 5.1e-5
@@ -42,7 +42,7 @@ def edited(description: Description) -> str:
 
 
 @pytest.fixture(scope="module", params=VARIANTS)
-def brought_in(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Lab, str, Ingested]:
+def ingested_lab(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Lab, str, Ingested]:
     folder = tmp_path_factory.mktemp(request.param)
     lab = VARIANTS[request.param](folder)
     mapping = folder / "mapping.toml"
@@ -50,15 +50,15 @@ def brought_in(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPath
     return lab, mapping.read_text(encoding="utf-8"), ingest([lab.table, lab.logs], folder / "c", mapping=mapping)
 
 
-def test_the_mapping_is_short(brought_in: tuple[Lab, str, Ingested]) -> None:
-    lines = [line for line in brought_in[1].splitlines() if line.strip() and not line.startswith("#")]
+def test_the_mapping_is_short(ingested_lab: tuple[Lab, str, Ingested]) -> None:
+    lines = [line for line in ingested_lab[1].splitlines() if line.strip() and not line.startswith("#")]
     assert len(lines) <= MOST_LINES, lines
 
 
-def test_every_run_is_there_as_it_was_driven(brought_in: tuple[Lab, str, Ingested]) -> None:
-    """Distances, loads, ways and sessions of all runs; counts of all but the run without a log and the swapped one."""
-    lab, _, made = brought_in
-    runs, true = read_campaign(made.folder).runs, lab.made.runs
+def test_every_run_is_there_as_it_was_driven(ingested_lab: tuple[Lab, str, Ingested]) -> None:
+    """Distances, loads, directions and sessions of all runs; counts but of those without a log or swapped."""
+    lab, _, ingested = ingested_lab
+    runs, true = read_campaign(ingested.folder).runs, lab.truth.runs
     assert len(runs) == N_RUNS
     np.testing.assert_allclose(runs.number("distance_m"), true.number("distance_m"), atol=WRITTEN_M)
     np.testing.assert_array_equal(runs.number("payload_kg"), true.number("payload_kg"))
@@ -71,13 +71,13 @@ def test_every_run_is_there_as_it_was_driven(brought_in: tuple[Lab, str, Ingeste
         np.testing.assert_array_equal(runs.number(name)[others], true.number(name)[others])
 
 
-def test_what_is_wrong_with_it_is_said(brought_in: tuple[Lab, str, Ingested]) -> None:
+def test_faults_of_the_export_are_noted(ingested_lab: tuple[Lab, str, Ingested]) -> None:
     """The missing log flags its run, the row pasted twice is dropped, the swapped wheels are suspected by name."""
-    _, _, made = brought_in
-    codes = [note.code for note in made.notes]
+    _, _, ingested = ingested_lab
+    codes = [note.code for note in ingested.notes]
     assert codes.count("repeated_row") == 1
     assert codes.count("no_log") == 1
-    campaign = read_campaign(made.folder)
+    campaign = read_campaign(ingested.folder)
     assert np.flatnonzero(campaign.runs.excluded).tolist() == [MISSING - 1]
     assert "was found" in campaign.runs.label("exclusion_reason")[MISSING - 1]
     swapped = [note for note in check_campaign(campaign).suspicious if note.code == "swapped_wheels"]
@@ -85,15 +85,15 @@ def test_what_is_wrong_with_it_is_said(brought_in: tuple[Lab, str, Ingested]) ->
     assert TWICE not in (MISSING, SWAPPED)
 
 
-def test_the_width_of_the_counters_is_kept(brought_in: tuple[Lab, str, Ingested]) -> None:
-    _, mapping, made = brought_in
+def test_the_width_of_the_counters_is_kept(ingested_lab: tuple[Lab, str, Ingested]) -> None:
+    _, mapping, ingested = ingested_lab
     assert "wrap_bits = 16" in mapping
-    assert read_campaign(made.folder).encoder.wrap_bits == 16
+    assert read_campaign(ingested.folder).encoder.wrap_bits == 16
 
 
-def test_what_nobody_stated_is_marked(brought_in: tuple[Lab, str, Ingested]) -> None:
-    _, _, made = brought_in
-    campaign = read_campaign(made.folder)
+def test_what_is_not_stated_is_marked(ingested_lab: tuple[Lab, str, Ingested]) -> None:
+    _, _, ingested = ingested_lab
+    campaign = read_campaign(ingested.folder)
     assert "rangefinder.sigma_m" in campaign.assumed
     assert not {key for key in campaign.assumed if key.startswith(("vehicle.", "encoder."))}
     assert any(
@@ -101,34 +101,34 @@ def test_what_nobody_stated_is_marked(brought_in: tuple[Lab, str, Ingested]) -> 
     )
 
 
-def test_notes_fill_a_screen_at_most(brought_in: tuple[Lab, str, Ingested]) -> None:
-    """24 runs and their logs: what is said of many of them alike is said once."""
-    _, _, made = brought_in
-    shown = gathered(made.notes)
+def test_notes_fill_a_screen_at_most(ingested_lab: tuple[Lab, str, Ingested]) -> None:
+    """24 runs and their logs: notes that differ in numbers alone are merged."""
+    _, _, ingested = ingested_lab
+    shown = merged_notes(ingested.notes)
     assert len(shown) < SCREEN_LINES, [note.text for note in shown]
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
-def test_a_description_says_what_is_in_the_files(variant: str, tmp_path: Path) -> None:
+def test_a_description_lists_the_contents_of_the_files(variant: str, tmp_path: Path) -> None:
     lab = VARIANTS[variant](tmp_path)
     text = describe([lab.table, lab.logs]).to_toml()
     assert "23 files alike" in text
     assert "overflows at 16 bits" in text
     assert all(len(line) <= 100 for line in text.splitlines() if line.startswith("#")), text
     if variant == "german":
-        for said in ("'Messungen' was read", "header was found in row 3", "row 7", "semicolons", "decimal commas"):
-            assert said in text
+        for words in ("'Messungen' was read", "header was found in row 3", "row 7", "semicolons", "decimal commas"):
+            assert words in text
         assert '{hin = "out", zurueck = "back"}' in text
         assert 'file = "Lauf_{n:02}.csv"' in text
 
 
 def test_the_width_need_not_be_stated(tmp_path: Path) -> None:
-    """Without wrap_bits in the mapping it is found in the jumps, said, and written."""
+    """Without wrap_bits in the mapping it is found in the jumps, noted, and written."""
     lab = german(tmp_path)
     mapping = tmp_path / "m.toml"
     mapping.write_text(edited(describe([lab.table, lab.logs])).replace("wrap_bits = 16", "#"), encoding="utf-8")
-    made = ingest([lab.table, lab.logs], tmp_path / "c", mapping=mapping)
-    assert "wrap_bits" in {note.code for note in made.notes}
+    ingested = ingest([lab.table, lab.logs], tmp_path / "c", mapping=mapping)
+    assert "wrap_bits" in {note.code for note in ingested.notes}
     assert "wrap_bits = 16" in (tmp_path / "c" / "campaign.toml").read_text()
 
 
@@ -136,20 +136,20 @@ def test_a_dry_run_writes_nothing(tmp_path: Path) -> None:
     lab = plain(tmp_path)
     mapping = tmp_path / "m.toml"
     mapping.write_text(edited(describe([lab.table, lab.logs])))
-    made = ingest([lab.table, lab.logs], tmp_path / "c", mapping=mapping, dry_run=True)
-    assert (made.n_runs, made.n_logs) == (N_RUNS, N_RUNS - 1)
+    ingested = ingest([lab.table, lab.logs], tmp_path / "c", mapping=mapping, dry_run=True)
+    assert (ingested.n_runs, ingested.n_logs) == (N_RUNS, N_RUNS - 1)
     assert not (tmp_path / "c").exists()
 
 
-def test_exchanged_wheels_are_put_right_where_the_mapping_says_so(tmp_path: Path) -> None:
-    """Named in the mapping, the run's counts are those driven, and nothing is suspected any more."""
+def test_exchanged_wheels_are_corrected_where_the_mapping_says_so(tmp_path: Path) -> None:
+    """Named in the mapping, the run's counts are the true ones, and nothing is suspected any more."""
     lab = german(tmp_path)
     mapping = tmp_path / "m.toml"
     text = edited(describe([lab.table, lab.logs])).replace("[log]", f'[log]\nswapped = ["Lauf {SWAPPED}"] #')
     mapping.write_text(text, encoding="utf-8")
     ingest([lab.table, lab.logs], tmp_path / "c", mapping=mapping)
     campaign = read_campaign(tmp_path / "c")
-    true = lab.made.runs.number("counts_left")[SWAPPED - 1]
+    true = lab.truth.runs.number("counts_left")[SWAPPED - 1]
     assert campaign.runs.number("counts_left")[SWAPPED - 1] == true
     assert "swapped_wheels" not in {note.code for note in check_campaign(campaign).suspicious}
     mapping.write_text(text.replace(f"Lauf {SWAPPED}", "Lauf 99"), encoding="utf-8")

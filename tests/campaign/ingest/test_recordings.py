@@ -1,4 +1,4 @@
-"""A continuous recording becomes the campaign that was driven, whichever format holds it."""
+"""A continuous recording becomes the campaign that was driven, in every format."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from calib.campaign.ingest import ingest
 from calib.campaign.opening import read_or_ingest
 from calib.campaign.read import read_campaign
 from calib.errors import BadInputError
-from tests.campaign.ingest.driven import LOGS, Recorded, mapping_text, recorded, write
+from tests.campaign.ingest.continuous import LOGS, Recorded, mapping_text, recorded, write
 
 #: ROS keeps a range as float32, 4e-6 m at 45 m; other formats keep it exactly
 RANGE_M = 8e-6
@@ -44,12 +44,12 @@ def folders(driven: Recorded, tmp_path_factory: pytest.TempPathFactory) -> dict[
 @pytest.mark.parametrize("kind", LOGS)
 def test_runs_counts_and_distances_are_those_driven(kind: str, driven: Recorded, folders: dict[str, Path]) -> None:
     campaign = read_campaign(folders[kind])
-    assert campaign.runs.run_id.tolist() == driven.made.runs.run_id.tolist()
+    assert campaign.runs.run_id.tolist() == driven.truth.runs.run_id.tolist()
     for side in ("left", "right"):
         np.testing.assert_allclose(
-            campaign.runs.number(f"counts_{side}"), driven.made.runs.number(f"counts_{side}"), atol=SAME_COUNTS
+            campaign.runs.number(f"counts_{side}"), driven.truth.runs.number(f"counts_{side}"), atol=SAME_COUNTS
         )
-    np.testing.assert_allclose(campaign.runs.number("distance_m"), driven.made.runs.number("distance_m"), atol=RANGE_M)
+    np.testing.assert_allclose(campaign.runs.number("distance_m"), driven.truth.runs.number("distance_m"), atol=RANGE_M)
 
 
 @pytest.mark.parametrize("kind", [kind for kind in LOGS if kind != "csv"])
@@ -66,7 +66,7 @@ def test_the_whole_recording_is_kept_with_what_was_cut(driven: Recorded, folders
     whole = (folders["mcap"] / "recordings" / "drive_mcap.csv").read_text().splitlines()
     assert len(whole) == 1 + len(driven.drive.wheels[0])
     record = json.loads((folders["mcap"] / "ingest.json").read_text())
-    assert [one["run_id"] for one in record["cuts"]] == driven.made.runs.run_id.tolist()
+    assert [one["run_id"] for one in record["cuts"]] == driven.truth.runs.run_id.tolist()
     first = record["cuts"][0]
     assert first["start_ns"] == int(driven.drive.wheels[0][0]) + round(first["start_s"] * 1e9)
 
@@ -75,24 +75,24 @@ def test_without_a_table_runs_are_numbered(driven: Recorded, tmp_path: Path) -> 
     (tmp_path / "m.toml").write_text(
         mapping_text("csv") + '[table]\nkind = {value = "corridor"}\npayload_kg = {value = 100}\n'
     )
-    made = ingest([write(driven.drive, tmp_path, "csv")], tmp_path / "c", mapping=tmp_path / "m.toml")
-    assert made.campaign.runs.run_id.tolist() == [f"r{n:03}" for n in range(1, 11)]
-    assert set(made.campaign.runs.label("session").tolist()) == {"drive"}
-    assert set(made.campaign.runs.number("payload_kg").tolist()) == {100.0}
+    ingested = ingest([write(driven.drive, tmp_path, "csv")], tmp_path / "c", mapping=tmp_path / "m.toml")
+    assert ingested.campaign.runs.run_id.tolist() == [f"r{n:03}" for n in range(1, 11)]
+    assert set(ingested.campaign.runs.label("session").tolist()) == {"drive"}
+    assert set(ingested.campaign.runs.number("payload_kg").tolist()) == {100.0}
 
 
-def test_a_file_read_on_the_way_is_the_campaign_it_would_become(driven: Recorded, tmp_path: Path) -> None:
+def test_a_file_read_directly_is_the_campaign_it_would_become(driven: Recorded, tmp_path: Path) -> None:
     source = write(driven.drive, tmp_path, "mcap")
     (tmp_path / "m.toml").write_text(mapping_text("mcap"))
-    on_the_way = read_or_ingest(source, mapping=tmp_path / "m.toml")
+    direct = read_or_ingest(source, mapping=tmp_path / "m.toml")
     ingest([source], tmp_path / "c", mapping=tmp_path / "m.toml")
     written = read_campaign(tmp_path / "c")
-    assert on_the_way.root is None
+    assert direct.root is None
     for name in written.runs.numbers:
-        np.testing.assert_array_equal(on_the_way.runs.number(name), written.runs.number(name))
+        np.testing.assert_array_equal(direct.runs.number(name), written.runs.number(name))
     for name in written.logs.columns:
-        np.testing.assert_array_equal(on_the_way.logs.columns[name], written.logs.columns[name])
-    assert replace(on_the_way.encoder) == written.encoder
+        np.testing.assert_array_equal(direct.logs.columns[name], written.logs.columns[name])
+    assert replace(direct.encoder) == written.encoder
 
 
 def test_a_campaign_takes_no_mapping(folders: dict[str, Path], tmp_path: Path) -> None:
@@ -100,7 +100,7 @@ def test_a_campaign_takes_no_mapping(folders: dict[str, Path], tmp_path: Path) -
         read_or_ingest(folders["csv"], mapping=tmp_path / "m.toml")
 
 
-def test_rows_and_pieces_that_do_not_agree_are_said(driven: Recorded, tmp_path: Path) -> None:
+def test_other_numbers_of_rows_and_runs_are_refused(driven: Recorded, tmp_path: Path) -> None:
     table = tmp_path / "runs.csv"
     table.write_text("\n".join(driven.table.read_text().splitlines()[:-1]) + "\n")
     (tmp_path / "m.toml").write_text(mapping_text("csv"))
@@ -108,7 +108,7 @@ def test_rows_and_pieces_that_do_not_agree_are_said(driven: Recorded, tmp_path: 
         ingest([table, write(driven.drive, tmp_path, "csv")], tmp_path / "c", mapping=tmp_path / "m.toml")
 
 
-def test_a_column_that_is_not_there_is_named_with_those_that_are(driven: Recorded, tmp_path: Path) -> None:
+def test_a_missing_column_is_named_with_those_of_the_file(driven: Recorded, tmp_path: Path) -> None:
     (tmp_path / "m.toml").write_text(mapping_text("mcap").replace("position.left", "position.links"))
     with pytest.raises(BadInputError, match=r"no column '/joint_states:position.links', only .*position.left"):
         ingest([write(driven.drive, tmp_path, "mcap")], tmp_path / "c", mapping=tmp_path / "m.toml")
@@ -122,11 +122,11 @@ def test_overflows_of_a_recording_are_undone_and_their_width_written(
     offset = 2**bits - 20_000
     wrapped = replace(driven.drive, wheels=(time, np.mod(left + offset, 2**bits), np.mod(right + offset, 2**bits)))
     (tmp_path / "m.toml").write_text(mapping_text("csv"))
-    made = ingest([driven.table, write(wrapped, tmp_path, "csv")], tmp_path / "c", mapping=tmp_path / "m.toml")
-    assert made.campaign.encoder.wrap_bits == bits
+    ingested = ingest([driven.table, write(wrapped, tmp_path, "csv")], tmp_path / "c", mapping=tmp_path / "m.toml")
+    assert ingested.campaign.encoder.wrap_bits == bits
     assert f"wrap_bits = {bits}" in (tmp_path / "c" / "campaign.toml").read_text()
     campaign = read_campaign(tmp_path / "c")
-    np.testing.assert_array_equal(campaign.runs.number("counts_left"), driven.made.runs.number("counts_left"))
+    np.testing.assert_array_equal(campaign.runs.number("counts_left"), driven.truth.runs.number("counts_left"))
 
 
 def test_a_table_named_in_the_mapping_goes_with_the_recording(driven: Recorded, tmp_path: Path) -> None:
@@ -134,14 +134,14 @@ def test_a_table_named_in_the_mapping_goes_with_the_recording(driven: Recorded, 
     (tmp_path / "runs.csv").write_text(driven.table.read_text())
     (tmp_path / "m.toml").write_text(mapping_text("csv") + '[table]\nfile = "runs.csv"\n')
     campaign = read_or_ingest(write(driven.drive, tmp_path, "csv"), mapping=tmp_path / "m.toml")
-    np.testing.assert_array_equal(campaign.runs.number("payload_kg"), driven.made.runs.number("payload_kg"))
+    np.testing.assert_array_equal(campaign.runs.number("payload_kg"), driven.truth.runs.number("payload_kg"))
     (tmp_path / "m.toml").write_text(mapping_text("csv") + '[table]\nfile = "../runs.csv"\n')
     with pytest.raises(BadInputError, match=r"table.file"):
         read_or_ingest(write(driven.drive, tmp_path, "csv"), mapping=tmp_path / "m.toml")
 
 
 def test_one_value_a_run(driven: Recorded, tmp_path: Path) -> None:
-    loads = [float(value) for value in driven.made.runs.number("payload_kg")]
+    loads = [float(value) for value in driven.truth.runs.number("payload_kg")]
     text = mapping_text("csv") + f"[table]\npayload_kg = {{value = {loads}}}\n"
     (tmp_path / "m.toml").write_text(text)
     campaign = read_or_ingest(write(driven.drive, tmp_path, "csv"), mapping=tmp_path / "m.toml")

@@ -96,7 +96,7 @@ def test_damaged_files_end_in_words_and_never_in_the_reader(tmp_path: Path) -> N
             assert "cut or damaged" in str(error) or "arrays of objects" in str(error)
 
 
-def test_an_imaginary_part_that_is_not_there_is_said(tmp_path: Path) -> None:
+def test_a_missing_imaginary_part_is_named(tmp_path: Path) -> None:
     """The flag of complex numbers set on real ones: the reader would go past the end."""
     path = tmp_path / "run.mat"
     scipy.io.savemat(path, {"t": np.arange(5.0)})

@@ -1,4 +1,4 @@
-"""ROS recordings give back what was recorded, whichever container holds them."""
+"""ROS recordings give back what was recorded, each container holds them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 from calib.campaign.readers import read_recording, read_table
 from calib.campaign.readers.recording import Recording, WantedColumns
 from calib.errors import BadFileError
-from tests.campaign.readers.making import Drive, weave, write_rosbag1, write_rosbag2
+from tests.campaign.readers.recordings import Drive, weave, write_rosbag1, write_rosbag2
 
 #: ROS stores a rangefinder's distance as float32
 SINGLE = 2e-6
@@ -70,7 +70,7 @@ def test_stamps_are_kept_to_the_nanosecond(recording: Recording, drive: Drive) -
         np.testing.assert_array_equal(found.time_ns, times)
 
 
-def test_span_rate_gaps_and_delay_of_arrival_are_said(recording: Recording, drive: Drive) -> None:
+def test_span_rate_gaps_and_delay_of_arrival_are_reported(recording: Recording, drive: Drive) -> None:
     wheels = next(one for one in recording.streams if one.name == "/joint_states")
     report = wheels.report()
     assert report is not None
@@ -110,7 +110,7 @@ def test_real_containers_are_read(shared_data: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["mcap_wrong_rmw_test", "mcap_wrong_rmw_test/wrong_rmw_test_0.mcap"])
-def test_an_unsupported_encoding_is_refused_in_plain_words(name: str, shared_data: Path) -> None:
+def test_an_unsupported_encoding_is_refused_in_one_line(name: str, shared_data: Path) -> None:
     with pytest.raises(BadFileError, match=r"encoding 'wrong_format'.*'cdr'.*ros2 bag convert"):
         read_recording(shared_data / "rosbag2_samples" / name, name)
 

@@ -10,7 +10,7 @@ import pytest
 
 from calib.campaign.readers import read_recording
 from calib.errors import BadFileError
-from tests.campaign.readers.making import EPOCH_NS, Drive, weave, write_tdms
+from tests.campaign.readers.recordings import EPOCH_NS, Drive, weave, write_tdms
 
 #: the format's start times are written to the microsecond here
 MICROSECOND_NS = 1000

@@ -8,19 +8,17 @@ import numpy as np
 import pytest
 
 from calib.campaign.model import Campaign
-from calib.challenge.own.answers import answer_of
-from calib.challenge.own.noise import own_noise
 from calib.challenge.own.plants import parse_sizes, plants_of
-from calib.challenge.own.replay import Replay
+from calib.challenge.own.replay import Replay, own_noise, true_angles
+from calib.challenge.own.result import answer_of
 from calib.challenge.own.run import Asked, challenge_own
-from calib.challenge.own.steering import true_angles
 from calib.errors import BadInputError
+from calib.gap.decision.diagnosis import Diagnosis
 from calib.gap.diagnose import diagnose_in_full
-from calib.gap.diagnosis import Diagnosis
 from calib.plant.make import make_campaign
 from calib.plant.plans import good_design
 from calib.plant.world import World
-from tests.geometry.campaigns import tricycle
+from tests.kinematics.campaigns import tricycle
 
 #: two integrators of the same counts, exact arcs each, differ by how the curvature changes within a step
 ARCS_M, ARCS_RAD = 2e-3, 1e-9
@@ -54,7 +52,7 @@ def test_the_replay_goes_where_the_diagnosis_predicts(diagnosis: Diagnosis) -> N
 
 
 def test_a_wider_track_turns_less(diagnosis: Diagnosis) -> None:
-    """One per cent of track is one per cent of every turn, whatever the route."""
+    """One per cent of track is one per cent of every turn, for any route."""
 
     def wider(world: World) -> None:
         world.track = world.track * 1.01
@@ -111,7 +109,7 @@ def test_true_angles_are_those_that_a_late_sensor_with_play_would_read(steered: 
 
 
 def test_a_slipping_front_wheel_counts_more_than_the_way(steered: Diagnosis) -> None:
-    """A share of one in a hundred beyond the way: the vehicle ends a hundredth short, whatever its path."""
+    """A share of one in a hundred beyond the way: the vehicle ends a hundredth short, for any path."""
     replay = Replay.of(steered.observations)
 
     def slips(world: World) -> None:
@@ -137,7 +135,7 @@ def test_the_noise_is_the_campaigns_own(diagnosis: Diagnosis) -> None:
 
 
 def test_a_planted_size_has_its_signal(diagnosis: Diagnosis) -> None:
-    """A size asked for by its signal shows by that much; one that cannot be shown is left out with the reason."""
+    """A size asked for by its signal shows by that much; one that cannot be shown is omitted with the reason."""
     replay = Replay.of(diagnosis.observations)
     names = ("track_width", "load_radius", "steering_zero")
     plants, left_out = plants_of(diagnosis, replay, names, parse_sizes("10s,2x,0.01"), np.random.default_rng(0))

@@ -9,10 +9,10 @@ import numpy as np
 
 from calib.campaign.model import Campaign, Logs, RunTable
 from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
-from calib.gap.data.from_campaign import observations_of
-from calib.gap.data.observations import Observations
-from calib.gap.predict.path import predict
-from calib.gap.predict.push import Push
+from calib.gap.observations.arrays import Observations
+from calib.gap.observations.from_campaign import observations_of
+from calib.gap.predict import predict
+from calib.gap.steps import Perturbation
 from calib.vehicle import Vehicle
 
 TRACK_M, RADIUS_M, WHEELBASE_M = 0.7, 0.1, 1.0
@@ -218,9 +218,9 @@ def situation(runs: list[Run], **settings: object) -> Observations:
     return observations_of(campaign(runs, **settings))  # type: ignore[arg-type]
 
 
-def gap(s: Observations, pushes: list[Push] | None = None) -> np.ndarray:
-    """Measured less predicted under a hypothesis, shape (n_units, 6); 0 where a channel was not measured."""
-    return np.where(s.usable, s.measured - predict(s, pushes).reading, 0.0)
+def gap(s: Observations, perturbations: list[Perturbation] | None = None) -> np.ndarray:
+    """Measured less predicted under a hypothesis, shape (n_obs, 6); 0 where a channel was not measured."""
+    return np.where(s.usable, s.measured - predict(s, perturbations).reading, 0.0)
 
 
 def rich_runs() -> list[Run]:

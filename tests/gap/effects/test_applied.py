@@ -1,4 +1,4 @@
-"""An effect written down on one campaign acts on another as the same law, nought at the same value of its covariate."""
+"""An effect written down on one campaign acts on another as the same law, zero at the same value of its covariate."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calib.coefficients.quantities import Quantity
-from calib.gap.data.observations import Observations
-from calib.gap.effects.applied import applied_pushes, section_of, with_effects
+from calib.coefficients.sections import Quantity
+from calib.gap.effects.applied import applied_perturbations, section_of, with_effects
 from calib.gap.effects.effect import Form
-from calib.gap.effects.encoder_gross import GrossFault
+from calib.gap.effects.encoder import Blunder
 from calib.gap.effects.library import every_effect
-from calib.gap.predict.path import predict, signature
+from calib.gap.observations.arrays import Observations
+from calib.gap.predict import predict, signature
 from tests.gap.effects.making import STRAIGHT, Run, situation
 
 #: rounding of a few sums and products
@@ -56,24 +56,24 @@ def forms(s: Observations, effect: str, declared: object = ()) -> list[Form]:
 def radii(s: Observations, form: Form, declared: object = ()) -> tuple[np.ndarray, np.ndarray]:
     """What a form written down on other runs makes of the radii on these, at a size of 1 for each parameter."""
     section = section_of(form, np.ones(len(form.parameters)))
-    pushes, notes = applied_pushes(s, [section], predict(s), declared=declared)
+    perturbations, notes = applied_perturbations(s, [section], predict(s), declared=declared)
     assert notes == []
     sides = []
     for side in ("left", "right"):
-        parts = [part for part in (getattr(push, side) for push in pushes) if part is not None]
+        parts = [part for part in (getattr(perturbation, side) for perturbation in perturbations) if part is not None]
         sides.append(np.sum(parts, axis=0) if parts else np.zeros(len(s)))
     return sides[0], sides[1]
 
 
 def test_a_declared_effect_of_a_hundredth_is_a_hundredth_one_unit_higher() -> None:
-    """The radii were fitted with the effect nought at the first campaign's mean; a unit above it they are off by it."""
+    """The radii were fitted with the effect zero at the first campaign's mean; a unit above it they are off by it."""
     here, there = situation(runs(0.0)), situation(runs(1.0))
     (form,) = forms(here, "tyre", [DECLARED])
     section = section_of(form, np.array([0.01]))
-    (push,), _ = applied_pushes(there, [section], declared=[DECLARED])
-    assert push.left is not None
-    np.testing.assert_allclose(push.left, 0.01 * (BAR + 1.0 - BAR.mean()), rtol=0, atol=ROUNDING)
-    assert push.left.mean() == pytest.approx(0.01, abs=ROUNDING)
+    (perturbation,), _ = applied_perturbations(there, [section], declared=[DECLARED])
+    assert perturbation.left is not None
+    np.testing.assert_allclose(perturbation.left, 0.01 * (BAR + 1.0 - BAR.mean()), rtol=0, atol=ROUNDING)
+    assert perturbation.left.mean() == pytest.approx(0.01, abs=ROUNDING)
 
 
 @pytest.mark.parametrize("acts_on", ["left", "track", "yaw", "distance"])
@@ -84,7 +84,7 @@ def test_whatever_a_declared_effect_acts_on_it_is_nought_at_the_same_value(acts_
     (form,) = forms(here, "tyre", declared)
     section = section_of(form, np.array([0.01]))
     path = predict(there)
-    (moved,), _ = applied_pushes(there, [section], path, declared=declared)
+    (moved,), _ = applied_perturbations(there, [section], path, declared=declared)
     exact = {
         "left": lambda: moved.left,
         "track": lambda: moved.track,
@@ -129,7 +129,7 @@ def test_a_columns_effect_in_a_file_acts_where_the_column_is_declared_now() -> N
 
 
 def test_a_curved_law_keeps_the_load_at_which_it_is_nought() -> None:
-    """The model has no reference load: the law is nought at the mean load it was fitted about."""
+    """The model has no reference load: the law is zero at the mean load it was fitted about."""
     here, there = situation(runs(0.0)), situation(runs(200.0))
     form = next(form for form in forms(here, "load_radius_nonlinear") if form.label == "quadratic")
     assert form.centre is not None
@@ -141,7 +141,7 @@ def test_a_curved_law_keeps_the_load_at_which_it_is_nought() -> None:
 
 
 def test_on_the_same_campaign_a_form_written_down_is_the_form() -> None:
-    """Every form of the library with a centre, looked up again, pushes as before."""
+    """Every form of the library with a centre, looked up again, perturbations as before."""
     s = situation(runs(0.0))
     path = predict(s)
     for effect in every_effect(s, declared=[DECLARED]).values():
@@ -149,16 +149,20 @@ def test_on_the_same_campaign_a_form_written_down_is_the_form() -> None:
             if form.centre is None:
                 continue
             sizes = form.typical
-            again, _ = applied_pushes(s, [section_of(form, sizes)], path, declared=[DECLARED])
-            for push, size, now in zip(form.pushes(path), sizes, again, strict=True):
+            again, _ = applied_perturbations(s, [section_of(form, sizes)], path, declared=[DECLARED])
+            for perturbation, size, now in zip(form.perturbations(path), sizes, again, strict=True):
                 np.testing.assert_allclose(
-                    signature(path, now), size * signature(path, push), rtol=1e-9, atol=ROUNDING, err_msg=form.label
+                    signature(path, now),
+                    size * signature(path, perturbation),
+                    rtol=1e-9,
+                    atol=ROUNDING,
+                    err_msg=form.label,
                 )
 
 
 def test_a_gross_fault_without_its_factors_is_said() -> None:
     s = situation(runs(0.0))
-    fault = GrossFault("the left wheel counts backwards", -1.0, 1.0)
+    fault = Blunder("the left wheel counts backwards", -1.0, 1.0)
     factors = {name: Quantity(value=value, unit="1") for name, value in fault.factors.items()}
     form = Form(fault.effect.id, fault.label, (), lambda _: [])
     whole = section_of(form, np.empty(0)).model_copy(update={"parameters": factors})

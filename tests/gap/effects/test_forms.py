@@ -7,17 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.gap.data.channels import Channel
-from calib.gap.data.from_campaign import observations_of
-from calib.gap.data.observations import Observations
-from calib.gap.effects.braking_skid import stops
-from calib.gap.effects.encoder_gross import find_gross
-from calib.gap.effects.floor_zone import CELL_M, MOST_FORMS
+from calib.gap.effects.encoder import find_blunder
+from calib.gap.effects.floor import CELL_M, MAX_STRIPS
 from calib.gap.effects.library import library
-from calib.gap.effects.path_weave import sine_excess
-from calib.gap.effects.shapes import driven_speed_mps, end_motion
-from calib.gap.predict.path import predict, signature
-from calib.gap.predict.residuals import residuals
+from calib.gap.effects.path import sine_excess
+from calib.gap.effects.quantities import driven_speed_mps, end_motion
+from calib.gap.effects.turning import stops
+from calib.gap.observations.arrays import Channel, Observations
+from calib.gap.observations.from_campaign import observations_of
+from calib.gap.predict import predict, residuals, signature
 from calib.vehicle import Vehicle
 from tests.gap.effects.making import (
     MODEL,
@@ -89,7 +87,7 @@ def test_ordinary_errors_are_no_gross_fault(share: float) -> None:
 
     runs = [Run([(40.0, 0.0)]) for _ in range(6)] + [Run(SQUARE, kind="square") for _ in range(6)]
     s = situation(runs, truth=truth)
-    assert find_gross(s, predict(s)) is None
+    assert find_blunder(s, predict(s)) is None
 
 
 def test_floor_zones_stay_within_their_number_on_a_large_floor() -> None:
@@ -97,8 +95,8 @@ def test_floor_zones_stay_within_their_number_on_a_large_floor() -> None:
     s = situation(runs)
     found = next(e for e in library(s) if e.id == "floor_zone").forms(s)
     strips = [form for form in found if form.settings["lane"] < 0]
-    assert 0 < len(strips) <= MOST_FORMS
-    assert len(found) - len(strips) == MOST_FORMS // 2
+    assert 0 < len(strips) <= MAX_STRIPS
+    assert len(found) - len(strips) == MAX_STRIPS // 2
     assert all(form.tries == len(found) for form in found)
 
 
@@ -111,7 +109,7 @@ def test_a_zone_on_the_way_back_lies_where_it_lay_on_the_way_out() -> None:
     s = situation(runs)
     forms = next(e for e in library(s) if e.id == "floor_zone").forms(s)
     form = next(f for f in forms if f.settings["x_m"] == 2.0)
-    part = form.pushes(predict(s))[0].left
+    part = form.perturbations(predict(s))[0].left
     assert part is not None
     for number, run in enumerate(runs):
         x = motion_of(run).x_m
@@ -140,7 +138,7 @@ def test_lanes_by_column_come_before_kinds() -> None:
     [(0.05, 40.0, 0.001542), (0.50, 40.0, 0.154035), (0.10, 5.0, 0.393623), (1.00, 5.0, 32.065823)],
 )
 def test_the_surplus_of_a_sine_is_that_of_fig_9(amplitude_m: float, wavelength_m: float, percent: float) -> None:
-    # half a unit in the last printed digit
+    # half an observation in the last printed digit
     excess = sine_excess(np.array([amplitude_m]), np.array([wavelength_m]))
     assert 100 * float(excess[0]) == pytest.approx(percent, abs=5e-7)
 
@@ -156,11 +154,11 @@ def test_runs_that_all_end_elsewhere_in_their_wave_turn_alike() -> None:
     made = campaign([Run(STRAIGHT, log=False, numbers=weave) for weave in weaves], truth=quarter)
     nowhere = {name: np.full(12, np.nan) for name in ("ref_x_m", "ref_y_m", "ref_theta_rad")}
     s = observations_of(replace(made, runs=replace(made.runs, numbers=made.runs.numbers | nowhere)))
-    assert s.led_straight.all()
+    assert s.guided.all()
     forms = {form.label: form for e in library(s) if e.id == "path_weave" for form in e.forms(s)}
     form, path = forms["by the noted amplitude, turned at the end"], predict(s)
     assert [p.name for p in form.parameters] == ["share", "end_heading"]
-    end_heading = form.pushes(path)[1]
+    end_heading = form.perturbations(path)[1]
     # taken to end as they began, they end by one swing to the other side of what their wheels say
     np.testing.assert_allclose(
         residuals(path, path)[:, Channel.HEADING], -signature(path, end_heading)[:, Channel.HEADING], rtol=1e-9
@@ -233,10 +231,10 @@ def test_a_window_of_a_late_reference_is_late_at_both_ends(pieces: list[tuple[fl
     windows = replace(s, windowed=True)
     path = predict(windows)
     (form,) = next(e for e in library(windows) if e.id == "reference_latency").forms(windows)[:1]
-    (push,) = form.pushes(path)
-    found = latency_s * push.reading[0]  # type: ignore[index]
+    (perturbation,) = form.perturbations(path)
+    found = latency_s * perturbation.reading[0]  # type: ignore[index]
     ends = [(np.sign(length), kappa) for length, kappa in (pieces[0], pieces[-1])]
-    # the pieces' curvature is turn per way without sign
+    # the pieces' curvature is turn per distance without sign
     first, last = (back(sign * speed, sign * kappa, latency_s) for sign, kappa in ends)
     late = np.linalg.inv(first) @ moved(*path.end[0]) @ last
     change = late[:2, 2] - path.end[0, :2]

@@ -14,19 +14,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.gap.data.from_campaign import observations_of
-from calib.gap.data.observations import Observations
 from calib.gap.effects.effect import Form
 from calib.gap.effects.library import REGISTRY, library
-from calib.gap.predict.path import predict
-from calib.gap.predict.push import Push
+from calib.gap.observations.arrays import Observations
+from calib.gap.observations.from_campaign import observations_of
+from calib.gap.predict import predict
+from calib.gap.steps import Perturbation
 from tests.gap.effects.making import RADIUS_M, ROUTE, SQUARE, STRAIGHT, campaign, gap, motion_of, situation
 from tests.gap.effects.truths.cases import CASES, ROLLING, RUNS, SLOPED, Case
 
 for _family in sorted(Path(__file__).with_name("truths").glob("*.py")):
     importlib.import_module(f"tests.gap.effects.truths.{_family.stem}")
 
-#: what is tried elsewhere: below, and in `test_encoder_gross`
+#: what is tried elsewhere: below, and in `test_encoder`
 ELSEWHERE = {"integration_scheme", "encoder_gross"}
 
 
@@ -52,9 +52,11 @@ def test_an_effect_closes_the_gap_of_the_campaign_in_which_it_is_true(one: Case)
     path = predict(s)
     for _ in range(3):
         # about the fitted model, as the diagnosis does
-        pushes = [push.scaled(size) for push, size in zip(form.pushes(path), one.sizes, strict=True)]
-        path = predict(s, pushes)
-    after = gap(s, pushes) - plain
+        perturbations = [
+            perturbation.scaled(size) for perturbation, size in zip(form.perturbations(path), one.sizes, strict=True)
+        ]
+        path = predict(s, perturbations)
+    after = gap(s, perturbations) - plain
     for channel in range(6):
         largest = np.abs(before[:, channel]).max()
         if largest < 1e-3 * np.abs(before).max():
@@ -80,9 +82,9 @@ def test_integration_scheme_is_the_difference_of_the_coarse_simulation(label: st
         numbers[name] = np.array([pose[j] for pose in poses])
     s = observations_of(replace(made, runs=replace(made.runs, numbers=numbers)))
     path = predict(s)
-    (push,) = form_of(s, "integration_scheme", label).pushes(path)
+    (perturbation,) = form_of(s, "integration_scheme", label).perturbations(path)
     true_gap = s.measured[:, 1:3] - s.simulated[:, 1:3]
-    said = predict(s, [push]).reading[:, 1:3] - path.reading[:, 1:3]
+    said = predict(s, [perturbation]).reading[:, 1:3] - path.reading[:, 1:3]
     # calib's own path rounds the plan's jumps of curvature off within a step: 0.06 rad / 24 of 0.03 m at each
     np.testing.assert_allclose(said, true_gap, rtol=0, atol=1e-2 * np.abs(true_gap).max())
     assert np.abs(true_gap).max() > 5e-3
@@ -91,10 +93,13 @@ def test_integration_scheme_is_the_difference_of_the_coarse_simulation(label: st
 def test_payload_effects_take_the_slope_of_a_load_law_that_the_hypothesis_brings() -> None:
     """With a load law fitted beside it, a share means the same as where the model has that law."""
     of_model, bare = situation(RUNS, model=SLOPED), situation(RUNS)
-    law = [Push(**{side: 1.2e-6 * (bare.number(f"load_{side}_N") - 300.0) / RADIUS_M}) for side in ("left", "right")]
+    law = [
+        Perturbation(**{side: 1.2e-6 * (bare.number(f"load_{side}_N") - 300.0) / RADIUS_M})
+        for side in ("left", "right")
+    ]
     for effect, label in (("payload_mass", "payload of 150"), ("payload_position", "sideways")):
-        (known,) = form_of(of_model, effect, label).pushes(predict(of_model))
-        (found,) = form_of(bare, effect, label).pushes(predict(bare, law))
+        (known,) = form_of(of_model, effect, label).perturbations(predict(of_model))
+        (found,) = form_of(bare, effect, label).perturbations(predict(bare, law))
         # the radius under it differs by 1e-2 at most
         np.testing.assert_allclose(found.left, known.left, rtol=2e-2)
         np.testing.assert_allclose(found.right, known.right, rtol=2e-2)
@@ -103,8 +108,8 @@ def test_payload_effects_take_the_slope_of_a_load_law_that_the_hypothesis_brings
 def test_a_wrong_truth_is_not_closed() -> None:
     """The check above can fail: a right wheel's slope on the left wheel leaves the gap open."""
     s = situation(RUNS, truth=lambda run, now: setattr(now, "left", 1.3e-5 * (run.load_left_N - 300.0)))
-    push = form_of(s, "load_radius").pushes(predict(s))[1]
-    assert np.abs(gap(s, [push.scaled(1.3e-6)])).max() > 0.5 * np.abs(gap(s)).max()
+    perturbation = form_of(s, "load_radius").perturbations(predict(s))[1]
+    assert np.abs(gap(s, [perturbation.scaled(1.3e-6)])).max() > 0.5 * np.abs(gap(s)).max()
 
 
 def test_routes_are_there() -> None:

@@ -1,4 +1,4 @@
-"""Planned runs: they tell apart what they say, and a plan that varies nothing is told so."""
+"""Planned runs separate the effects that they name, and a plan that varies nothing has no detection limits."""
 
 from __future__ import annotations
 
@@ -11,22 +11,20 @@ import pytest
 
 from calib.campaign.model import Campaign
 from calib.errors import BadFileError
-from calib.gap.data.from_campaign import observations_of
-from calib.gap.data.observations import Observations
 from calib.gap.effects.library import library
-from calib.gap.evidence.fit import fit
-from calib.gap.evidence.noise import Noise
-from calib.gap.evidence.whitened import WhitenedSystem
+from calib.gap.inference.fit import fit
+from calib.gap.inference.linear_model import WhitenedSystem
+from calib.gap.inference.noise import Noise
+from calib.gap.observations.arrays import Observations
+from calib.gap.observations.from_campaign import observations_of
+from calib.gap.plan.identifiability import noise_at, outlook_of, undetectable
 from calib.gap.plan.next_runs import next_runs
-from calib.gap.plan.outlook import outlook_of, undetectable
 from calib.gap.plan.plan_file import read_plan
 from calib.gap.plan.planned_runs import Measured, PlannedRun, default_candidates, drive, joined
-from calib.gap.plan.separability import noise_at
-from calib.gap.predict.path import predict
-from calib.gap.predict.residuals import residuals
+from calib.gap.predict import predict, residuals
 from calib.plant.make import make_campaign
 from calib.plant.plans import poor_design
-from tests.geometry.campaigns import mecanum, tricycle
+from tests.kinematics.campaigns import mecanum, tricycle
 
 
 def base(seed: int = 1, name: str = "load_a_session") -> Campaign:
@@ -74,7 +72,7 @@ def test_planned_speeds_and_stops_are_driven() -> None:
     assert campaign.logs.of(0)["t_s"][-1] == pytest.approx(20 / 0.5 + 0.5 / 0.5 + 0.5, rel=1e-9)
 
 
-def test_load_and_session_are_split_by_a_laden_run_beside_an_unladen_one() -> None:
+def test_a_laden_run_beside_an_unladen_one_separates_load_and_session() -> None:
     """One load a session cannot tell them; two loads in one session do, which the first run must bring."""
     campaign = base()
     _, noise = noise_of(campaign)
@@ -85,7 +83,7 @@ def test_load_and_session_are_split_by_a_laden_run_beside_an_unladen_one() -> No
     assert "load_radius from session_step" in runs[0].why
 
 
-def test_track_and_scrub_are_split_by_another_curvature() -> None:
+def test_another_curvature_separates_track_and_scrub() -> None:
     """Squares of one corner radius cannot tell a wrong track from scrub; no straight run can either."""
     campaign = base(2, "squares_one_load")
     s, noise = noise_of(campaign)
@@ -93,7 +91,7 @@ def test_track_and_scrub_are_split_by_another_curvature() -> None:
     runs = next_runs(campaign, library(s), noise, tie)
     assert runs
     assert runs[0].kind not in {"corridor", "corridor_short", "corridor_b"}
-    straight = [PlannedRun("corridor", way, speed_mps=v) for way in ("out", "back") for v in (0.3, 0.7)]
+    straight = [PlannedRun("corridor", direction, speed_mps=v) for direction in ("out", "back") for v in (0.3, 0.7)]
     assert next_runs(campaign, library(s), noise, tie, candidates=straight) == []
 
 
@@ -103,7 +101,7 @@ def test_without_candidates_nothing_is_named() -> None:
     assert next_runs(campaign, library(s), noise, [("load_radius", "session_step")], candidates=[]) == []
 
 
-def test_the_smallest_size_is_that_of_a_signal_of_five() -> None:
+def test_the_detection_limit_has_a_signal_of_five() -> None:
     """Independent: the whitened norm of the effect, its best-fitting recalibration subtracted by least squares."""
     campaign = base(3, "corridor_only")
     s = observations_of(campaign)
@@ -114,18 +112,18 @@ def test_the_smallest_size_is_that_of_a_signal_of_five() -> None:
     columns, calibration = bench.columns(form), bench.calibration
     left = columns - calibration @ np.linalg.lstsq(calibration, columns, rcond=1e-9)[0]
     expected = 5.0 / np.linalg.norm(left) * form.parameters[0].typical
-    said = outlook_of(campaign).smallest["travel_direction"]
+    limit = outlook_of(campaign).smallest["travel_direction"]
     # two digits are printed; the prior of the recalibration is wide
-    assert float(said.smallest.split()[0]) == pytest.approx(expected, rel=0.06)
+    assert float(limit.smallest.split()[0]) == pytest.approx(expected, rel=0.06)
 
 
-def test_what_a_recalibration_hides_is_said_to_be_never_seen() -> None:
+def test_an_effect_that_a_recalibration_absorbs_has_no_detection_limit() -> None:
     """Squares at one speed and one load: nothing varies that speed, load or session could act through."""
     campaign = base(2, "squares_one_load")
     s = observations_of(campaign)
     path = predict(s)
-    found = undetectable(WhitenedSystem(path, path, noise_at(path, {})), library(s))
-    never = {limit.effect for limit in found if limit.never}
+    limits = undetectable(WhitenedSystem(path, path, noise_at(path, {})), library(s))
+    never = {limit.effect for limit in limits if limit.never}
     assert {"load_radius", "speed_radius"} <= never
 
 
@@ -144,24 +142,24 @@ def isolable(runs: list[PlannedRun]) -> set[str]:
     return {name for name, yes in zip(outlook.effects, outlook.told_apart, strict=True) if yes}
 
 
-def test_mixed_runs_tell_more_apart_than_straight_ones_and_these_more_than_squares_at_one_load() -> None:
-    """The order that trials found: squares at one load hide most, straight runs less, mixtures least."""
+def test_mixed_runs_separate_more_than_straight_ones_and_these_more_than_squares_at_one_load() -> None:
+    """The order in trials: squares at one load hide most, straight runs less, mixtures least."""
     loads = [0.0, 100.0, 200.0]
     squares = [PlannedRun(kind, payload_kg=100, payload_x_m=0.3) for kind in ("square_cw", "square_ccw")] * 10
     straight = [
-        PlannedRun("corridor", way, payload_kg=m, payload_x_m=0.3, payload_y_m=y)
-        for way in ("out", "back")
+        PlannedRun("corridor", direction, payload_kg=m, payload_x_m=0.3, payload_y_m=y)
+        for direction in ("out", "back")
         for m in loads
         for y in (-0.15, 0.15)
     ] * 2
     mixed = [
-        PlannedRun(kind, way, payload_kg=m, payload_x_m=0.3, speed_mps=v, temperature_C=t)
-        for kind, way in (("corridor", "out"), ("corridor", "back"), ("square_cw", ""), ("figure8", ""))
+        PlannedRun(kind, direction, payload_kg=m, payload_x_m=0.3, speed_mps=v, temperature_C=t)
+        for kind, direction in (("corridor", "out"), ("corridor", "back"), ("square_cw", ""), ("figure8", ""))
         for m, v, t in ((0.0, 0.3, 10.0), (100.0, 0.8, 20.0), (200.0, 0.5, 30.0))
     ] * 2
-    found = [len(isolable(runs)) for runs in (squares, straight, mixed)]
-    assert found == sorted(found)
-    assert found[2] >= found[0] + 5
+    counts = [len(isolable(runs)) for runs in (squares, straight, mixed)]
+    assert counts == sorted(counts)
+    assert counts[2] >= counts[0] + 5
 
 
 @pytest.mark.parametrize(
@@ -171,6 +169,12 @@ def test_mixed_runs_tell_more_apart_than_straight_ones_and_these_more_than_squar
         ("[[runs]]\ndirection = 'out'", "kind"),
         ("[[runs]]\nkind = 'moon'", "kind"),
         ("[[runs]]\nkind = 'corridor'\ncount = 0", "count"),
+        ("[[runs]]\nkind = 'corridor'\ncount = true", "count"),
+        ("[[runs]]\nkind = 'corridor'\nhumidity = 'wet'", "humidity"),
+        ("[[runs]]\nkind = 'corridor'\nhumidity = inf", "humidity"),
+        ("[[runs]]\nkind = 'corridor'\nstops = 101", "stops"),
+        ("runs = [3]", "runs"),
+        ("[measured]\nheight = true\n[[runs]]\nkind = 'corridor'", "measured.height"),
         ("[[runs]]\nkind = 'corridor'\nspeed_mps = -1", "speed_mps"),
         ("[[runs]]\nkind = 'corridor'\ndirection = 'up'", "direction"),
         ("[measured]\nposes = 3\n[[runs]]\nkind = 'corridor'", "measured.poses"),
@@ -178,14 +182,14 @@ def test_mixed_runs_tell_more_apart_than_straight_ones_and_these_more_than_squar
         ("format = 'calib-campaign/1'\n[[runs]]\nkind = 'corridor'", "format"),
     ],
 )
-def test_a_plan_that_cannot_be_used_names_the_place(tmp_path: Path, text: str, column: str) -> None:
+def test_an_error_in_a_plan_names_its_place(tmp_path: Path, text: str, column: str) -> None:
     path = tmp_path / "PLAN.toml"
     path.write_text(text)
     with pytest.raises(BadFileError, match=column):
         read_plan(path)
 
 
-def test_three_chosen_runs_tell_more_apart_than_four_at_random() -> None:
+def test_three_chosen_runs_separate_more_than_four_at_random() -> None:
     """From 20 straight runs under varied load; in earlier trials 7 effects of 20 became 17 with 3 runs, 13 with 4."""
     campaign = base()
     loads = [(0.0, 0.0), (50.0, 0.15), (100.0, -0.15), (150.0, 0.0), (200.0, 0.1)]
@@ -201,7 +205,7 @@ def test_three_chosen_runs_tell_more_apart_than_four_at_random() -> None:
     s = observations_of(driven)
     chosen = next_runs(driven, library(s), noise_at(predict(s), {}), candidates=offered, most=3)
     by_content = {repr(run.to_dict()): run for run in offered}
-    said = [{key: value for key, value in run.to_dict().items() if key not in {"why", "distance"}} for run in chosen]
+    planned = [{key: value for key, value in run.to_dict().items() if key not in {"why", "distance"}} for run in chosen]
     first = PlannedRun("corridor", "out", temperature_C=20.0)
 
     def count(extra: list[PlannedRun]) -> int:
@@ -210,7 +214,7 @@ def test_three_chosen_runs_tell_more_apart_than_four_at_random() -> None:
 
     rng = np.random.default_rng(0)
     at_random = [count([offered[k] for k in rng.choice(len(offered), 4, replace=False)]) for _ in range(5)]
-    before, after = count([]), count([by_content[repr(run)] for run in said])
+    before, after = count([]), count([by_content[repr(run)] for run in planned])
     assert after > np.median(at_random)
     assert after >= 2 * before
 

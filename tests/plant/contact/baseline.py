@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import FloatArray
 from calib.campaign.settings import OdometryModel
+from calib.types import FloatArray
 from tests.plant.contact.driver import Belief
 from tests.plant.contact.machine import Machine, Payload
 from tests.plant.contact.ride import Ride, Track, drive

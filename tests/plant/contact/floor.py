@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.arrays import FloatArray
+from calib.types import FloatArray
 from tests.plant.contact.baseline import (
     Baseline,
     baseline,

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.campaign.write import write_campaign
-from calib.files import write_json
+from calib.io import write_json
 from tests.plant.contact.baseline import baseline
 from tests.plant.contact.campaign import Lengths, make_contact_campaign
 from tests.plant.contact.variants import VARIANTS, sound_machine

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from calib.arrays import FloatArray
 from calib.errors import CalibError
+from calib.types import FloatArray
 from tests.plant.contact.driver import Belief, Driver
 from tests.plant.contact.engine import engine
 from tests.plant.contact.machine import Machine, Payload, Zone, mjcf

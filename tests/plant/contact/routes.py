@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import FloatArray
 from calib.errors import BadInputError
+from calib.types import FloatArray
 
 __all__ = ["KINDS", "Route", "route", "speed_profile"]
 

@@ -1,4 +1,4 @@
-"""Laws of statics and of rolling that the built vehicle has to obey, whatever the engine does inside."""
+"""Laws of statics and of rolling that the built vehicle has to obey, for any engine."""
 
 from __future__ import annotations
 

@@ -1,0 +1,393 @@
+"""Campaign folders: built of raw laboratory files, or empty with a remark beside every key, to be filled in by hand."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from collections.abc import Mapping as MappingType
+from dataclasses import dataclass, field, replace
+from pathlib import Path, PurePath
+from typing import Any, Final
+
+import numpy as np
+
+from calib.campaign.counters import LogStack, detect_wrap_bits
+from calib.campaign.ingest.logs import MappedLog, read_mapped
+from calib.campaign.ingest.mapping import Mapping, bad_line, read_mapping
+from calib.campaign.ingest.runs import listed_files, mapped_runs, match_logs, names_runs
+from calib.campaign.ingest.segmentation import Segment, end_values, from_start, segment_recordings
+from calib.campaign.model import Border, Campaign, Note, RunTable
+from calib.campaign.readers import RawTable, holds_recording, read_table
+from calib.campaign.readers.table import object_array
+from calib.campaign.settings import Encoder
+from calib.campaign.settings_file import FORMAT, Settings, parse_settings
+from calib.campaign.write import to_toml, write_campaign
+from calib.documents import to_json
+from calib.errors import BadInputError, would_overwrite
+from calib.io import refuse_existing, sha256_file, write_text
+from calib.result import plain
+from calib.types import FloatArray, Progress, silent, stepped
+
+RECORD: Final = "ingest.json"
+RECORDINGS: Final = "recordings"
+#: rows of a table that a merged note lists
+_LISTED_ROWS: Final = 8
+#: run names that an error lists
+_LISTED_RUNS: Final = 8
+_NUMBER: Final = re.compile(r"(?<![\w.])[+-]?\d+(?:\.\d+)?(?![\w.:-])")
+
+#: columns of an empty run table; those that do not apply may be taken out
+RUNS_HEADER: Final = (
+    "run_id,session,kind,direction,payload_kg,payload_x_m,payload_y_m,speed_mps,distance_m,"
+    "counts_left,counts_right,log,excluded,exclusion_reason"
+)
+
+#: settings of an empty campaign: every key with an example and a remark
+BLANK_SETTINGS: Final = """simulated = false          # true: a program made the data; every report then says so
+
+# Take out the '#' before a key and give your own value. What stays out is assumed, and 'calib check' and every report
+# say so. A unit may differ if the key names it: track_mm = 700.
+
+[vehicle]
+#drive = "tricycle"        # or "differential", "mecanum"
+#track_m = 0.700           # between the contact points of the rear wheels
+#wheelbase_m = 1.000       # rear axle to front wheel
+#wheel_radius_m = 0.100    # nominal free radius
+#mass_kg = 100.0           # without payload
+#cog_x_m = 0.388           # centre of mass ahead of the rear axle
+#cog_y_m = 0.0             # left positive
+
+[encoder]
+#counts_per_rev = 4096     # counts a wheel revolution, gear and quadrature included
+#wrap_bits = 16            # width of the counter, where it overflows
+
+[rangefinder]
+#sigma_m = 0.0015          # standard uncertainty of one distance
+
+#[reference]               # end poses or trajectories, where there are any
+#sigma_xy_m = 0.002
+#sigma_theta_rad = 0.0008
+#frame = "start"           # poses in each run's own start frame, or "map": one frame for all runs
+
+#[model]                   # what the simulator believes; without it the nominal vehicle above
+#radius_left_m = 0.100
+#radius_right_m = 0.100
+#track_m = 0.700
+#reference_load_N = 300.0
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Ingested:
+    """A campaign built of laboratory files."""
+
+    folder: Path
+    campaign: Campaign
+    #: SHA-256 of every file read, by its path as given
+    sources: MappingType[str, str]
+    #: what was recognised, converted and omitted
+    notes: tuple[Note, ...]
+    #: the part of its recording that each run is, where recordings were cut
+    cuts: tuple[Segment, ...] = ()
+
+    @property
+    def n_runs(self) -> int:
+        """Runs of the campaign."""
+        return len(self.campaign.runs)
+
+    @property
+    def n_logs(self) -> int:
+        """Runs that have a log."""
+        return int(self.campaign.logs.present.sum())
+
+
+@dataclass(slots=True)
+class _Ingestion:
+    """What an ingestion reads and collects."""
+
+    mapping: Mapping
+    settings: Settings
+    border: Border
+    progress: Progress
+    #: path of each file read -> its SHA-256
+    hashes: dict[str, str] = field(default_factory=dict)
+    #: whole recordings by name, and the part that each run is
+    recordings: dict[str, MappedLog] = field(default_factory=dict)
+    segments: list[Segment] = field(default_factory=list)
+
+    def read_log(self, path: Path) -> MappedLog:
+        log = read_mapped(path, self.mapping, self.settings.encoder, self.border)
+        files = sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]
+        self.hashes |= {str(file): sha256_file(file) for file in files}
+        return log
+
+    def read_logs(self, files: Iterable[tuple[int, Path]]) -> dict[int, MappedLog]:
+        """Read logs of one run each; range and poses are turned into its start frame where the mapping says so."""
+        columns = self.mapping.log.columns
+        distance = "range_m" in columns and columns["range_m"].from_start is True
+        stated = any(name.startswith("ref_") and line.from_start is True for name, line in columns.items())
+        poses = stated and self.settings.reference.frame != "map"
+        logs = {}
+        for index, path in stepped(list(files), self.progress, "logs"):
+            log = self.read_log(path)
+            turned = from_start(log.columns, poses=poses, distance=distance)
+            logs[index] = replace(log, columns=turned, from_start=distance or poses)
+        return logs
+
+
+def ingest(
+    sources: Sequence[Path],
+    into: Path,
+    *,
+    mapping: Path | None = None,
+    force: bool = False,
+    dry_run: bool = False,
+    progress: Progress = silent,
+) -> Ingested:
+    """Make a campaign folder; the sources are only read, and their hashes recorded in ``ingest.json``.
+
+    Parameters
+    ----------
+    sources : sequence of Path
+        The run table first, where there is one, then logs or recordings, or folders of them.
+    into : Path
+        The campaign to make.
+    mapping : Path, optional
+        TOML file as the text of `calib.campaign.ingest.mapping` shows.
+    force : bool
+        Replace an existing campaign.
+    dry_run : bool
+        Do everything but write.
+    progress : callable
+        See `calib.types.Progress`.
+
+    Returns
+    -------
+    Ingested
+        Summary.
+
+    Raises
+    ------
+    BadInputError
+        Where a source cannot be used, the mapping names a column that is not there, or the target exists.
+    """
+    if not sources:
+        raise BadInputError("sources: found none; expected the run table first, then logs; name the files")
+    paths = [Path(source) for source in sources]
+    for path in [*paths, *([mapping] if mapping else [])]:
+        if path.resolve().is_relative_to(into.resolve()):
+            raise BadInputError(
+                f"{path}: found a source inside the campaign to be made; expected sources elsewhere, since they are "
+                "left untouched; give another folder to make"
+            )
+    if not dry_run:
+        refuse_existing([into / "campaign.toml"], force=force)
+    read = read_mapping(mapping)
+    settings = parse_settings(read.settings, read.shown, into.name or "campaign")
+    work = _Ingestion(read, settings, Border(lenient=False), progress)
+    # a mapping is no campaign.toml: it names no format, and what it leaves out is written as assumed
+    work.border.notes.extend(note for note in settings.notes if note.code not in {"format", "default_vehicle"})
+    if mapping:
+        work.hashes[read.shown] = sha256_file(mapping)
+    campaign = _campaign(paths, work)
+    if not dry_run:
+        beside = {f"{RECORDINGS}/{name}.csv": _csv(log.columns) for name, log in work.recordings.items()}
+        beside[RECORD] = to_json(_record(work)).encode("utf-8")
+        write_campaign(campaign, into, force=force, beside=beside)
+    return Ingested(into, campaign, work.hashes, tuple(work.border.notes), tuple(work.segments))
+
+
+def _campaign(paths: Sequence[Path], work: _Ingestion) -> Campaign:
+    """Read the run table and the logs, and put them together."""
+    first, table = paths[0], _run_table(paths[0], work)
+    files = listed_files(paths if table is None else paths[1:])
+    if table is None and work.mapping.table_file is not None:
+        first = work.mapping.table_file
+        table = _run_table(first, work)
+    files = [path for path in files if table is None or path.resolve() != first.resolve()]
+    runs = None if table is None else mapped_runs(table, work.mapping, str(first), work.border)
+    if work.mapping.cut is not None:
+        if not files:
+            raise BadInputError("sources: found no recording to cut; expected one beside the run table; name it")
+        read = {path: work.read_log(path) for path in stepped(files, work.progress, "recordings")}
+        runs, logs, work.recordings, work.segments = segment_recordings(
+            runs, table, read, work.mapping, work.settings, work.border
+        )
+    elif runs is None:
+        # each file is a run of its own, called by the file's name
+        names = object_array([path.stem for path in files])
+        raw = RawTable({"run_id": names}, np.arange(1, len(files) + 1, dtype=np.int64))
+        runs = mapped_runs(raw, work.mapping, "the files given", work.border)
+        logs = work.read_logs(enumerate(files))
+    else:
+        matched, missing = match_logs(runs, files, work.mapping.log, str(first), work.border)
+        logs = work.read_logs(matched.items())
+        runs = _without_logs(runs, missing, str(first), work.border)
+    _exchange_wheels(runs, logs, work)
+    runs = _with_ends(runs, logs)
+    encoder = _with_wrap_bits(logs, work)
+    stack = LogStack(len(runs))
+    for index in sorted(logs):
+        stack.add(index, {name: values for name, values in logs[index].columns.items() if name != "cut"})
+    shown = {index: (str(runs.run_id[index]), log.shown) for index, log in logs.items()}
+    finished = stack.finished(encoder, shown, work.border)
+    return replace(work.settings, encoder=encoder).campaign(runs, finished, notes=tuple(work.border.notes))
+
+
+def _run_table(path: Path, work: _Ingestion) -> RawTable | None:
+    """Return a source as run table; None where it is a log or recording."""
+    if not path.exists():
+        raise BadInputError(f"{path}: found no such file; expected a run table or a recording; correct the path")
+    if path.is_dir() or holds_recording(path):
+        return None
+    raw = read_table(path, str(path), None, work.mapping.table.layout)
+    mapped = any(line.column for line in work.mapping.table.columns.values())
+    if not mapped and not names_runs(raw, work.mapping):
+        log_columns = {line.column for line in work.mapping.log.columns.values() if line.column} or {"t_s"}
+        if log_columns & set(raw.columns):
+            return None
+    work.hashes[str(path)] = sha256_file(path)
+    work.border.notes.extend(raw.notes)
+    return raw
+
+
+def _without_logs(runs: RunTable, missing: MappingType[int, str], shown: str, border: Border) -> RunTable:
+    """Note the runs whose log is missing; one without counts in the table is excluded."""
+    counted = ~np.isnan(runs.number("counts_left")) & ~np.isnan(runs.number("counts_right"))
+    excluded = runs.excluded.copy()
+    reasons = runs.label("exclusion_reason").astype(object)
+    for index, name in missing.items():
+        text = f"no log {name} was found for this run"
+        if not counted[index] and not excluded[index]:
+            excluded[index] = True
+            reasons[index] = f"no log {name} was found"
+            text += "; it stays in the table, excluded"
+        where = f"{shown}, row {int(runs.line[index])}"
+        border.say(where, text, "no_log", level="suspicious", run_id=str(runs.run_id[index]))
+    labels = dict(runs.labels)
+    if missing and excluded.any():
+        labels["exclusion_reason"] = reasons.astype(np.str_)
+    return replace(runs, labels=labels, excluded=excluded)
+
+
+def _exchange_wheels(runs: RunTable, logs: dict[int, MappedLog], work: _Ingestion) -> None:
+    """Exchange left and right in the logs of the runs that the mapping names, in place."""
+    names = {str(run_id): index for index, run_id in enumerate(runs.run_id)}
+    for run_id in work.mapping.log.swapped:
+        log = logs.get(names.get(run_id, -1))
+        if log is None or not {"counts_left", "counts_right"} <= set(log.columns):
+            known = f"one of {', '.join(list(names)[:_LISTED_RUNS])}, ... that has a log"
+            raise bad_line(work.mapping.shown, "log", "swapped", run_id, known)
+        exchanged = {"counts_left": log.columns["counts_right"], "counts_right": log.columns["counts_left"]}
+        logs[names[run_id]] = replace(log, columns=log.columns | exchanged)
+        work.border.say(log.shown, "left and right were exchanged, as the mapping says", "exchanged", run_id=run_id)
+
+
+def _with_ends(runs: RunTable, logs: MappingType[int, MappedLog]) -> RunTable:
+    """Fill distances and end poses that the table lacks from logs whose range and poses count from their start."""
+    numbers = dict(runs.numbers)
+    filled: set[str] = set()
+    for index, log in logs.items():
+        for name, value in end_values(log.columns).items() if log.from_start else ():
+            if name not in filled:
+                numbers[name] = numbers[name].copy() if name in numbers else np.full(len(runs), np.nan)
+                filled.add(name)
+            if np.isnan(numbers[name][index]):
+                numbers[name][index] = round(value, 9)
+    return replace(runs, numbers=numbers)
+
+
+def _with_wrap_bits(logs: MappingType[int, MappedLog], work: _Ingestion) -> Encoder:
+    """Return the encoder with the counter's width where overflows show it, so that the vehicle's runtime has it too."""
+    encoder = work.settings.encoder
+    if encoder.wrap_bits is not None:
+        return encoder
+    widths = {log.wrap_bits for log in logs.values()}
+    for name in {name for log in logs.values() for name in log.columns if name.startswith("counts_")}:
+        counts = [log.columns[name] for log in logs.values() if name in log.columns]
+        offsets = np.cumsum([0, *map(len, counts)])
+        widths.add(detect_wrap_bits(np.concatenate(counts), offsets))
+    bits = max((width for width in widths if width is not None), default=None)
+    if bits is None:
+        return encoder
+    text = f"counters overflow at {bits} bits, by their jumps; wrap_bits = {bits} is written into campaign.toml"
+    work.border.say(f"{work.mapping.shown}, encoder.wrap_bits", text, "wrap_bits")
+    return replace(encoder, wrap_bits=bits)
+
+
+def _csv(columns: MappingType[str, FloatArray]) -> bytes:
+    import pandas as pd
+
+    frame = {name: np.round(values, 9) if name == "t_s" else values for name, values in columns.items()}
+    text: str = pd.DataFrame(frame).to_csv(index=False, lineterminator="\n")
+    return text.encode("utf-8")
+
+
+def _record(work: _Ingestion) -> dict[str, Any]:
+    record: dict[str, Any] = {
+        "sources": [{"path": name, "sha256": digest} for name, digest in sorted(work.hashes.items())],
+        "notes": [{"where": note.where, "text": note.text} for note in work.border.notes],
+    }
+    if work.segments:
+        record["cuts"] = plain(work.segments)
+        record["recordings"] = {
+            name: {"start_ns": log.start_ns, "lags": plain(log.lags)} for name, log in work.recordings.items()
+        }
+    return record
+
+
+def merged_notes(notes: Sequence[Note]) -> tuple[Note, ...]:
+    """Return notes with those merged that differ in their file, row, run and numbers alone.
+
+    In the order of the first of each kind; numbers that differ are given from the least to the largest.
+    """
+    groups: dict[tuple[str, str, str, str], list[Note]] = {}
+    for note in notes:
+        file, column = _file_and_column(note.where)
+        key = (note.level, note.code, PurePath(file).suffix + column, _NUMBER.sub("#", note.text))
+        groups.setdefault(key, []).append(note)
+    return tuple(group[0] if len(group) == 1 else _merged(group) for group in groups.values())
+
+
+def _file_and_column(where: str) -> tuple[str, str]:
+    """Return file and column of a place, without its row."""
+    file, _, place = where.partition(", ")
+    column = re.search(r"column .*", place)
+    return file, column[0] if column else "" if place.startswith("row") else place
+
+
+def _merged(group: Sequence[Note]) -> Note:
+    first = group[0]
+    files = list(dict.fromkeys(_file_and_column(note.where)[0] for note in group))
+    column = _file_and_column(first.where)[1]
+    if len(files) > 1:
+        where = f"{len(files)} files, {PurePath(files[0]).name} .. {PurePath(files[-1]).name}"
+    else:
+        rows = [match[1] for note in group if (match := re.search(r"row (\d+)", note.where))]
+        more = " ..." if len(rows) > _LISTED_ROWS else ""
+        where = files[0] + (f", rows {', '.join(rows[:_LISTED_ROWS])}{more}" if rows else "")
+    spans = iter(zip(*(_NUMBER.findall(note.text) for note in group), strict=True))
+
+    def span(match: re.Match[str]) -> str:
+        texts = sorted(dict.fromkeys(next(spans)), key=float)
+        return match[0] if len(texts) == 1 else f"{texts[0]} to {texts[-1]}"
+
+    text = _NUMBER.sub(span, first.text)
+    return Note(first.level, where + (f", {column}" if column else ""), text, first.code)
+
+
+def write_blank(folder: Path, *, force: bool = False) -> tuple[Path, ...]:
+    """Write an empty campaign: ``campaign.toml`` with remarks, ``runs.csv`` with its header, and ``logs``.
+
+    `folder`: the campaign to make; its name becomes the campaign's. Raises BadInputError where a campaign exists there
+    and `force` is False.
+    """
+    settings, runs = folder / "campaign.toml", folder / "runs.csv"
+    for path in (settings, runs):
+        if path.exists() and not force:
+            raise would_overwrite(path)
+    head = to_toml({"format": FORMAT, "name": folder.resolve().name})
+    write_text(settings, head + BLANK_SETTINGS, force=force)
+    write_text(runs, RUNS_HEADER + "\n", force=force)
+    (folder / "logs").mkdir(exist_ok=True)
+    return settings, runs, folder / "logs"

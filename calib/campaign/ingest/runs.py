@@ -1,0 +1,230 @@
+"""The run table under calib's names, and which file is the log of which run."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from calib.campaign.columns import converted, recognise
+from calib.campaign.ingest.mapping import TABLE_COLUMNS, LogSection, MappedColumn, Mapping, bad_line
+from calib.campaign.model import Border, RunTable
+from calib.campaign.readers import READERS, RawTable, is_bag_folder
+from calib.campaign.readers.table import object_array
+from calib.campaign.runs_file import run_table
+from calib.errors import BadFileError, BadInputError
+from calib.io import sha256_file
+
+
+def names_runs(raw: RawTable, mapping: Mapping) -> bool:
+    """Return whether a table names runs, by the mapping or by calib's own name."""
+    line = mapping.table.columns.get("run_id")
+    if line is not None and line.column in raw.columns:
+        return True
+    return any(recognise(name, TABLE_COLUMNS).name == "run_id" for name in raw.columns)
+
+
+def mapped_runs(raw: RawTable, mapping: Mapping, shown: str, border: Border) -> RunTable:
+    """Return the run table that a laboratory's table and a mapping give.
+
+    `mapping`: its lines for the table. Raises BadFileError where the mapping names a column or a text that is not
+    there, or the table cannot be used.
+    """
+    raw = without_repeats(raw, shown, border)
+    lines = mapping.table.columns
+    factors: dict[str, float] = {}
+    columns: dict[str, npt.NDArray[Any]] = {}
+    for name, line in lines.items():
+        if line.column:
+            columns[line.target(name)] = _cells(raw, name, line, mapping, shown)
+            factors[recognise(line.target(name), TABLE_COLUMNS).name] = line.factor
+    used = {line.column for line in lines.values()}
+    for name, cells in raw.columns.items():
+        # a column that the mapping uses is not taken a second time under its own name
+        if name not in used and recognise(name, TABLE_COLUMNS).name not in lines:
+            columns.setdefault(name, cells)
+    for name, line in lines.items():
+        if line.value is not None and name not in columns:
+            columns[name] = _constant(name, line, len(raw.line), mapping)
+    runs = run_table(RawTable(columns, raw.line, raw.notes), shown, border)
+    scaled = {name: converted(column, factors.get(name, 1.0)) for name, column in runs.numbers.items()}
+    return replace(runs, numbers=scaled)
+
+
+def _cells(raw: RawTable, name: str, line: MappedColumn, mapping: Mapping, shown: str) -> npt.NDArray[Any]:
+    """Return the source's cells, its texts translated where the mapping does so."""
+    if line.column not in raw.columns:
+        raise BadFileError(
+            shown,
+            row=1 if not len(raw.line) else max(1, int(raw.line[0]) - 1),
+            column=line.column,
+            found=f"only {', '.join(raw.columns)[:200]}",
+            expected="the column that the mapping names",
+            remedy=f"correct table.{name} in {mapping.shown}",
+        )
+    cells = raw.columns[line.column]
+    if not line.values:
+        return cells
+    meanings = {found.strip().lower(): str(meaning) for found, meaning in line.values.items()}
+    texts: list[str | None] = []
+    for index, cell in enumerate(cells):
+        whole = isinstance(cell, float) and cell.is_integer()
+        text = "" if cell is None else str(int(cell)) if whole else str(cell).strip()
+        if text and text.lower() not in meanings and text not in meanings.values():
+            place = f"{shown}, row {int(raw.line[index])}"
+            expected = f"a line for {text!r:.40} too, found in {place}"
+            raise bad_line(mapping.shown, "table", f"{name}.values", list(line.values), expected)
+        texts.append(meanings.get(text.lower(), text) or None)
+    return object_array(texts)
+
+
+def _constant(name: str, line: MappedColumn, n_runs: int, mapping: Mapping) -> npt.NDArray[Any]:
+    """Return a column of one value for all runs, or of one value a run."""
+    value = str(line.value).lower() if isinstance(line.value, bool) else line.value
+    values = value if isinstance(value, list) else [value] * n_runs
+    if len(values) != n_runs:
+        expected = f"one value for each of {n_runs} runs"
+        raise bad_line(mapping.shown, "table", name, f"{len(values)} values", expected)
+    return object_array(values)
+
+
+def without_repeats(raw: RawTable, shown: str, border: Border) -> RawTable:
+    """Return the table without rows that repeat an earlier one cell by cell.
+
+    `border`: takes a note on each row dropped.
+    """
+    first: dict[tuple[str, ...], int] = {}
+    keep = np.ones(len(raw.line), dtype=np.bool_)
+    for index, row in enumerate(zip(*raw.columns.values(), strict=True)):
+        key = tuple("" if cell is None else str(cell).strip() for cell in row)
+        if key in first:
+            keep[index] = False
+            text = f"repeats row {first[key]} in every cell and was dropped"
+            border.say(f"{shown}, row {int(raw.line[index])}", text, "repeated_row")
+        first.setdefault(key, int(raw.line[index]))
+    if keep.all():
+        return raw
+    return replace(raw, columns={name: cells[keep] for name, cells in raw.columns.items()}, line=raw.line[keep])
+
+
+def listed_files(sources: Sequence[Path]) -> list[Path]:
+    """Return the files of sources: themselves, rosbag2 folders, and the files in other folders.
+
+    Raises BadInputError where a source is not there.
+    """
+    files: list[Path] = []
+    for source in sources:
+        if is_bag_folder(source) or source.is_file():
+            files.append(source)
+        elif source.is_dir():
+            inside = sorted(source.iterdir())
+            files += [path for path in inside if is_bag_folder(path) or _is_readable_file(path)]
+        else:
+            raise BadInputError(f"{source}: found no such file; expected a log or a folder of logs; correct the path")
+    return files
+
+
+def _is_readable_file(path: Path) -> bool:
+    return path.is_file() and path.suffix.lower() in READERS
+
+
+def run_number(run_id: str, pattern: str | None) -> int | None:
+    """Return the number in a run's name, as a pattern (``Run {n}``) reads it, or the last number in it.
+
+    `pattern`: text with ``{n}`` where the number stands.
+    """
+    if pattern is None:
+        numbers = re.findall(r"\d+", run_id)
+        return int(numbers[-1]) if numbers else None
+    before, _, after = pattern.partition("{n}")
+    match = re.fullmatch(re.escape(before) + r"\s*0*(\d+)\s*" + re.escape(after), run_id.strip(), re.IGNORECASE)
+    return int(match[1]) if match else None
+
+
+def expected_name(log: LogSection, run_id: str) -> str | None:
+    """Return the name of a run's log by the pattern; None where there is no pattern, or no number in the run's name."""
+    if log.file is None:
+        return None
+    name = log.file.replace("{run_id}", run_id)
+    if "{n" not in name:
+        return name
+    number = run_number(run_id, log.run)
+    if number is None:
+        return None
+    return re.sub(r"\{n(?::0?(\d+))?\}", lambda match: str(number).zfill(int(match[1] or 0)), name)
+
+
+def match_logs(
+    runs: RunTable, files: Sequence[Path], log: LogSection, shown: str, border: Border
+) -> tuple[dict[int, Path], dict[int, str]]:
+    """Find the log of each run.
+
+    Parameters
+    ----------
+    runs : RunTable
+        The runs.
+    files : sequence of Path
+        The log files.
+    log : LogSection
+        How they are named.
+    shown : str
+        The table's name in messages.
+    border : Border
+        Takes notes.
+
+    Returns
+    -------
+    matched : dict of int to Path
+        Number of a run -> its log.
+    missing : dict of int to str
+        Number of a run whose log was expected and is not there -> the name that was looked for.
+
+    Raises
+    ------
+    BadFileError
+        Where no run finds its log although there are files, or a run finds two.
+    """
+
+    def unmatched(index: int, found: str) -> BadFileError:
+        remedy = "name the file or its folder among the sources, or correct log.file of the mapping"
+        return BadFileError(shown, found, "one log for the run", remedy, row=int(runs.line[index]), column="log")
+
+    named = runs.labels.get("log")
+    matched: dict[int, Path] = {}
+    missing: dict[int, str] = {}
+    for index, run_id in enumerate(map(str, runs.run_id)):
+        wanted = expected_name(log, run_id) if named is None else str(named[index])
+        if wanted == "" and named is not None:
+            continue
+        if wanted:
+            name = wanted.replace("\\", "/").rpartition("/")[2].lower()
+            fitting = [path for path in files if path.name.lower() == name]
+        else:
+            fitting = [path for path in files if path.stem == run_id]
+        if len(fitting) > 1:
+            raise unmatched(index, f"{len(fitting)} source files named {wanted or run_id!r}")
+        if fitting:
+            matched[index] = fitting[0]
+        elif wanted or files:
+            missing[index] = wanted or f"{run_id}.*"
+    if files and missing and not matched:
+        index, name = next(iter(missing.items()))
+        raise unmatched(index, f"no source file named {name!r}, nor any of the other runs'")
+    _note_unused(set(matched.values()), files, border)
+    return matched, missing
+
+
+def _note_unused(used: set[Path], files: Sequence[Path], border: Border) -> None:
+    unused = [path for path in files if path not in used]
+    digests = {sha256_file(path): path for path in used if path.is_file()} if unused else {}
+    for path in unused:
+        twin = digests.get(sha256_file(path)) if path.is_file() else None
+        if twin is not None:
+            border.say(str(path), f"holds the same bytes as {twin.name} and was omitted", "repeated_log")
+        else:
+            border.say(str(path), "belongs to no run of the table and was omitted", "unused_source")

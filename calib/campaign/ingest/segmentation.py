@@ -1,0 +1,313 @@
+"""Segmentation of recordings into runs: at stops, by length, by a column, by times; each run in its start frame."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping as MappingType
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from calib.campaign.ingest.logs import CUT_COLUMN, MappedLog, continuous_counts
+from calib.campaign.ingest.mapping import Mapping, Segmentation
+from calib.campaign.ingest.runs import mapped_runs
+from calib.campaign.model import Border, RunTable
+from calib.campaign.readers import RawTable
+from calib.campaign.readers.table import NS_PER_S, moment_ns, object_array
+from calib.campaign.settings_file import Settings
+from calib.errors import BadFileError
+from calib.types import BoolArray, FloatArray
+
+#: counts by which a standing wheel may toggle
+_TOGGLE_COUNTS: Final = 3.0
+#: counts by which a wheel may differ from its last one while it stands at the end
+_STANDING_COUNTS: Final = 1.5
+#: window in which a driving wheel moves by more
+_WINDOW_S: Final = 0.5
+#: most of a standstill that is kept with the run beside it, so that both ends of the run stand
+_STANDSTILL_S: Final = 0.5
+#: runs whose times an error lists
+_LISTED_RUNS: Final = 12
+_POSE: Final = ("ref_x_m", "ref_y_m", "ref_theta_rad")
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """The part of a recording that is a run."""
+
+    run_id: str
+    source: str
+    #: from the recording's first sample
+    start_s: float
+    end_s: float
+    #: of the recording's clock
+    start_ns: int
+    end_ns: int
+
+
+def segment_recordings(
+    runs: RunTable | None,
+    table: RawTable | None,
+    recordings: MappingType[Path, MappedLog],
+    mapping: Mapping,
+    settings: Settings,
+    border: Border,
+) -> tuple[RunTable, dict[int, MappedLog], dict[str, MappedLog], list[Segment]]:
+    """Cut recordings into runs.
+
+    Parameters
+    ----------
+    runs : RunTable or None
+        Rows that name the runs in the order driven; without it they are numbered.
+    table : RawTable or None
+        The same table as read, for columns of times.
+    recordings : mapping of Path to MappedLog
+        In the order driven.
+    mapping : Mapping
+        Its section on cutting.
+    settings : Settings
+        Vehicle and encoder, for lengths.
+    border : Border
+        Takes notes.
+
+    Returns
+    -------
+    runs : RunTable
+        The rows.
+    logs : dict of int to MappedLog
+        Number of a run -> its log.
+    recordings : dict of str to MappedLog
+        The whole recordings by name, their counters unwrapped.
+    segments : list of Segment
+        The part of a recording that each run is.
+
+    Raises
+    ------
+    BadFileError
+        Where there are not as many segments as rows.
+    """
+    cut = mapping.cut or Segmentation()
+    if cut.by == "times" and cut.start and table is not None:
+        cut = cut.model_copy(update={"times": _table_times(table, cut, mapping.shown)})
+    m_per_count = 2.0 * np.pi * settings.vehicle.wheel_radius_m / settings.encoder.counts_per_rev_left
+    poses = settings.reference.frame != "map"
+    range_column = mapping.log.columns.get("range_m")
+    distance = range_column is None or range_column.from_start is not False
+    logs: dict[int, MappedLog] = {}
+    whole: dict[str, MappedLog] = {}
+    segments: list[Segment] = []
+    names: list[str] = []
+    for path, recording in recordings.items():
+        log = _unwrapped(recording, settings.encoder.wrap_bits)
+        name = path.stem if path.stem not in whole else f"{path.stem}_{len(whole) + 1}"
+        whole[name] = log
+        for part in find_runs(cut, log.columns, m_per_count=m_per_count, start_ns=log.start_ns, shown=str(path)):
+            columns = from_start(_columns_of(log.columns, part), poses=poses, distance=distance)
+            logs[len(logs)] = replace(log, columns=columns, from_start=True)
+            names.append(name)
+            start, end = (float(log.columns["t_s"][index]) for index in (part.start, part.stop - 1))
+            start_ns, end_ns = (log.start_ns + round(seconds * NS_PER_S) for seconds in (start, end))
+            segments.append(Segment("", str(path), start, end, start_ns, end_ns))
+    shown = ", ".join(map(str, recordings))
+    if not logs:
+        expected = f"drives of at least {cut.min_length_m:g} m"
+        remedy = "see what moves with 'calib ingest --describe', or cut by times"
+        raise BadFileError(shown, f"no run, cut by {cut.by}", expected, remedy)
+    if runs is None:
+        runs = _numbered(cut, names, mapping, border)
+    elif len(runs) != len(logs):
+        spans = ", ".join(f"{segment.start_s:.4g}-{segment.end_s:.4g}" for segment in segments[:_LISTED_RUNS])
+        found = f"{len(logs)} runs, cut by {cut.by} ({spans} s), and {len(runs)} rows of the table"
+        raise BadFileError(shown, found, "as many", "correct min_stop_s or min_length_m of [cut], or cut by times")
+    segments = [replace(part, run_id=str(run_id)) for part, run_id in zip(segments, runs.run_id, strict=True)]
+    return runs, logs, whole, segments
+
+
+def _unwrapped(log: MappedLog, bits: int | None) -> MappedLog:
+    """Undo overflows over the whole recording, before a cut hides them."""
+    columns = dict(log.columns)
+    found = log.wrap_bits if bits is None else bits
+    for name in [name for name in columns if name.startswith("counts_")]:
+        columns[name], width = continuous_counts(columns[name], bits)
+        found = width or found
+    return replace(log, columns=columns, wrap_bits=found)
+
+
+def _columns_of(columns: MappingType[str, FloatArray], part: slice) -> dict[str, FloatArray]:
+    """Return the columns of one run; time and counts start where the run does."""
+    out = {name: values[part] for name, values in columns.items() if name != CUT_COLUMN}
+    out["t_s"] = np.round(out["t_s"] - out["t_s"][0], 9)
+    return {name: values - values[0] if name.startswith("counts_") else values for name, values in out.items()}
+
+
+def _numbered(cut: Segmentation, names: list[str], mapping: Mapping, border: Border) -> RunTable:
+    """Return a table of numbered runs, a session a recording unless the mapping says otherwise."""
+    run_ids = [
+        cut.run_id.replace("{n:03}", f"{number:03}").replace("{n:02}", f"{number:02}").replace("{n}", str(number))
+        for number in range(1, len(names) + 1)
+    ]
+    columns: dict[str, Any] = {"run_id": object_array(run_ids)}
+    if "session" not in mapping.table.columns:
+        columns["session"] = object_array(names)
+    raw = RawTable(columns, np.arange(2, len(names) + 2, dtype=np.int64))
+    return mapped_runs(raw, mapping, "the runs cut", border)
+
+
+def _table_times(table: RawTable, cut: Segmentation, shown: str) -> list[list[Any]]:
+    for name in (cut.start, cut.end):
+        if name not in table.columns:
+            found = f"the table's columns {', '.join(table.columns)[:200]}"
+            raise BadFileError(shown, found, f"a column {name!r}", "correct the mapping", column="cut.start")
+    return [list(pair) for pair in zip(table.columns[cut.start], table.columns[cut.end], strict=True)]
+
+
+def find_runs(
+    cut: Segmentation, log: MappingType[str, FloatArray], *, m_per_count: float, start_ns: int, shown: str
+) -> list[slice]:
+    """Return the runs of a recording.
+
+    Parameters
+    ----------
+    cut : Segmentation
+        The rule.
+    log : mapping of str to array of float, shape (n_samples,)
+        ``t_s`` from the recording's start, the wheels' counts, and ``cut`` where a column tells the runs.
+    m_per_count : float
+        Nominal travelled distance of a wheel a count.
+    start_ns : int
+        The recording's first time.
+    shown : str
+        The recording, for messages.
+
+    Returns
+    -------
+    list of slice
+        The samples of each run, in order of time.
+    """
+    time = log["t_s"]
+    if cut.by == "times":
+        return [_between(pair, time, start_ns, shown) for pair in cut.times]
+    wheels = [column for name, column in log.items() if name.startswith("counts_")]
+    steps = [np.abs(np.nan_to_num(np.diff(counts, prepend=counts[:1]))) for counts in wheels]
+    counted: FloatArray = np.cumsum(np.mean(steps, axis=0)) if wheels else np.arange(len(time), dtype=np.float64)
+    travelled = counted * m_per_count
+    if cut.by == "stops":
+        parts = _between_stops(time, wheels, cut.min_stop_s)
+    elif cut.by == "length":
+        along = travelled / cut.length_m if cut.length_m > 0 else (time - time[0]) / cut.length_s
+        parts = _by_change(np.floor(along + 1e-9), np.ones(len(time), dtype=np.bool_))
+    else:
+        values = log[CUT_COLUMN]
+        parts = _by_change(values, ~np.isnan(values) & (values != 0))
+    ends = [(part, part.start, part.stop - 1) for part in parts]
+    return [part for part, a, b in ends if b > a and travelled[b] - travelled[a] >= cut.min_length_m]
+
+
+def moving(time: FloatArray, wheels: Sequence[FloatArray]) -> BoolArray:
+    """Return where any wheel turns by more than it toggles within half a second, shape (n_samples,)."""
+    out: BoolArray = np.zeros(len(time), dtype=np.bool_)
+    later = np.minimum(np.searchsorted(time, time + _WINDOW_S), len(time) - 1)
+    for counts in wheels:
+        out |= np.abs(counts[later] - counts) > _TOGGLE_COUNTS
+    return out
+
+
+def _between_stops(time: FloatArray, wheels: Sequence[FloatArray], min_stop_s: float) -> list[slice]:
+    driving = moving(time, wheels)
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], driving.astype(np.int8), [0]))))
+    starts, ends = edges[::2], edges[1::2] - 1
+    # the window looks ahead: a drive ends half a second after its last flag at most
+    ends = np.minimum(np.searchsorted(time, time[ends] + _WINDOW_S), len(time) - 1)
+    # a standstill shorter than the least ends no run
+    apart = time[starts[1:]] - time[ends[:-1]] >= min_stop_s
+    starts, ends = starts[np.concatenate(([True], apart))[: len(starts)]], ends[np.append(apart, True)[: len(ends)]]
+    beside = min(_STANDSTILL_S, 0.5 * min_stop_s)
+    first = np.searchsorted(time, time[starts] - beside)
+    after = np.searchsorted(time, time[ends] + beside, side="right")
+    return [slice(int(start), int(stop)) for start, stop in zip(first, after, strict=True)]
+
+
+def _by_change(values: FloatArray, within: BoolArray) -> list[slice]:
+    change = np.flatnonzero((values[1:] != values[:-1]) | (within[1:] != within[:-1])) + 1
+    bounds = [0, *change.tolist(), len(values)]
+    return [slice(start, stop) for start, stop in itertools.pairwise(bounds) if within[start]]
+
+
+def _between(pair: Sequence[Any], time: FloatArray, start_ns: int, shown: str) -> slice:
+    low, high = (_seconds(end, start_ns, shown) for end in pair)
+    first = int(np.searchsorted(time, low - 1e-9))
+    after = int(np.searchsorted(time, high + 1e-9, side="right"))
+    if not first < after - 1:
+        found = f"no samples from {pair[0]} to {pair[1]}; it spans {time[0]:.6g} to {time[-1]:.6g} s"
+        remedy = "correct cut.times, in seconds from its start or as times of the clock with their zone"
+        raise BadFileError(shown, found, "times within the recording", remedy)
+    return slice(first, after)
+
+
+def _seconds(value: Any, start_ns: int, shown: str) -> float:
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return float(value)
+    try:
+        text = value.isoformat() if hasattr(value, "isoformat") else str(value)
+        return (moment_ns(text) - start_ns) / NS_PER_S
+    except ValueError as error:
+        expected = "seconds from the recording's start, or a time of the clock"
+        remedy = "write it as 41.5 or as 2026-05-04T10:15:30+02:00"
+        raise BadFileError(shown, f"{value!r:.40}", expected, remedy) from error
+
+
+def from_start(columns: MappingType[str, FloatArray], *, poses: bool, distance: bool) -> dict[str, FloatArray]:
+    """Return a run's columns with poses in its start frame and the range as distance from the start.
+
+    The start is the median over the samples before the wheels turn, so that one noisy sample does not turn the path.
+
+    `columns` (shape (n_samples,)): of one run; `poses`, `distance`: which of the two to change.
+    """
+    out = dict(columns)
+    time, wheels = _time_and_wheels(columns)
+    driving = np.flatnonzero(moving(time, wheels))
+    before = slice(0, max(1, int(driving[0]))) if len(driving) else slice(0, 1)
+
+    def start(values: FloatArray) -> float:
+        """Return the median before the start, or the first known value where the sensor starts after the wheels."""
+        known = values[np.isfinite(values)]
+        value = _median(values[before])
+        return float(known[0]) if np.isnan(value) and len(known) else value
+
+    if poses and all(name in out for name in _POSE):
+        x, y, theta = (out[name] for name in _POSE)
+        x0, y0, theta0 = start(x), start(y), start(theta)
+        cos, sin = np.cos(theta0), np.sin(theta0)
+        out["ref_x_m"] = cos * (x - x0) + sin * (y - y0)
+        out["ref_y_m"] = -sin * (x - x0) + cos * (y - y0)
+        out["ref_theta_rad"] = theta - theta0
+    if distance and "range_m" in out:
+        out["range_m"] = np.abs(out["range_m"] - start(out["range_m"]))
+    return out
+
+
+def end_values(columns: MappingType[str, FloatArray]) -> dict[str, float]:
+    """Return distance and end pose of a run: medians over the samples after the wheels have stopped.
+
+    `columns` (shape (n_samples,)): of one run, its poses and range from the start.
+    """
+    time, wheels = _time_and_wheels(columns)
+    first = len(time) - 1
+    if moving(time, wheels).any():
+        turning = [np.flatnonzero(np.abs(values - values[-1]) > _STANDING_COUNTS) for values in wheels]
+        first = min(max((int(places[-1]) + 1 for places in turning if len(places)), default=0), first)
+    sources = {"distance_m": "range_m", **{name: name for name in _POSE}}
+    ends = {name: _median(columns[source][first:]) for name, source in sources.items() if source in columns}
+    return {name: value for name, value in ends.items() if np.isfinite(value)}
+
+
+def _time_and_wheels(columns: MappingType[str, FloatArray]) -> tuple[FloatArray, list[FloatArray]]:
+    return columns["t_s"], [values for name, values in columns.items() if name.startswith("counts_")]
+
+
+def _median(values: FloatArray) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else float("nan")

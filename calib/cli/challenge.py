@@ -1,0 +1,148 @@
+"""``calib challenge``: a blind check of the diagnosis, on sealed cases and on the own data of a laboratory."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from calib.cli.options import Force, JsonTarget
+from calib.cli.terminal import emit_json, keep, note, progress, say, show, wrote
+from calib.io import refuse_existing
+
+Folder = Annotated[Path, typer.Argument(metavar="DIR", help="A set made by 'calib challenge make'.")]
+Cases = Annotated[int | None, typer.Option("--cases", metavar="N", min=1, help="Only so many cases.")]
+Workers = Annotated[int, typer.Option("--workers", metavar="N", min=1, help="Processes.")]
+Truth = Annotated[
+    Path | None, typer.Option("--truth", metavar="FILE", help="The sealed truth; DIR.truth.json where not given.")
+]
+
+
+def make(
+    seeds: Annotated[Path, typer.Option(metavar="FILE", help="Seeds file; see calib/challenge/seeds.")],
+    into: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the set.")],
+    cases: Cases = None,
+    truth: Truth = None,
+    workers: Workers = 2,
+    json: JsonTarget = None,
+    force: Force = False,
+) -> None:
+    """Make sealed cases: first the truth, in one file apart whose hash is stored, then the campaigns.
+
+    Example: calib challenge make --seeds calib/challenge/seeds/development.toml --into blind --cases 40
+    """
+    from calib.challenge.seal import make
+
+    with progress("making") as tick:
+        sealed_set = make(
+            seeds,
+            into,
+            limit=cases,
+            truth_file=truth,
+            workers=workers,
+            force=force,
+            tick=lambda stage, done, total: tick(done, total, stage),
+            sealed=lambda digest: say(f"truth sealed, SHA-256 {digest}", target=json),
+        )
+    say(f"{sealed_set.cases} cases in {sealed_set.folder}, truth apart in {sealed_set.truth}", target=json)
+    document = {
+        "folder": str(sealed_set.folder),
+        "truth": str(sealed_set.truth),
+        "sha256": sealed_set.sha256,
+        "cases": sealed_set.cases,
+    }
+    emit_json(document, json, force=force)
+
+
+def run(
+    folder: Folder,
+    cases: Cases = None,
+    workers: Workers = 2,
+    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Seed of the diagnosis.")] = 0,
+    json: JsonTarget = None,
+    force: Force = False,
+) -> None:
+    """Diagnose every case that has no verdict yet; the truth is not opened.
+
+    Example: calib challenge run blind
+    """
+    from calib.challenge.run import run as run_set
+
+    keep(f"the verdicts so far, in {folder}; the same command goes on")
+    with progress("diagnosing") as tick:
+        ran = run_set(
+            folder, workers=workers, seed=seed, limit=cases, tick=lambda done, total: tick(done, total, "cases")
+        )
+    say(f"{ran.done} cases diagnosed, {ran.skipped} had a verdict already, {ran.failed} ended in an error", target=json)
+    emit_json({"done": ran.done, "skipped": ran.skipped, "failed": ran.failed}, json, force=force)
+
+
+def score(
+    folder: Folder,
+    truth: Truth = None,
+    plot: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="PNG, SVG or PDF; the confusion matrix goes beside it.")
+    ] = None,
+    json: JsonTarget = None,
+    force: Force = False,
+) -> int:
+    """Open the truth once, check its hash, and score the verdicts. Exit status 1 where a target is missed.
+
+    Example: calib challenge score blind --plot blind.png --json blind-score.json
+    """
+    from calib.challenge.score import score as score_set
+    from calib.reporting.topics.challenge import score_content
+
+    beside = None if plot is None else plot.with_name(f"{plot.stem}-confusion{plot.suffix}")
+    refuse_existing([plot, beside], force=force)
+    scored = score_set(folder, truth_file=truth)
+    show(score_content(scored), target=json)
+    if plot is not None and beside is not None:
+        from calib.reporting.figures.challenge import board_figure, confusion_figure, save
+
+        save(board_figure(scored), plot, force=force)
+        save(confusion_figure(scored), beside, force=force)
+        wrote([plot, beside], target=json)
+    emit_json(scored.to_dict(), json, force=force)
+    return 1 if any(scored.meets(line) is False for line in scored.board) else 0
+
+
+def own(
+    folder: Annotated[Path, typer.Argument(metavar="CAMPAIGN", help="Folder with campaign.toml, runs.csv, logs.")],
+    effects: Annotated[
+        str | None, typer.Option(metavar="A,B", help="Effects to plant; all that the runs can show by default.")
+    ] = None,
+    sizes: Annotated[
+        str, typer.Option(metavar="LIST", help="10s: a signal of 10; 2x: twice the typical size; 0.01: in its unit.")
+    ] = "5s,10s,25s",
+    planted: Annotated[int, typer.Option(metavar="N", min=1, help="How often each.")] = 5,
+    workers: Workers = 2,
+    seconds: Annotated[float, typer.Option(metavar="S", min=1.0, help="Begin no diagnosis after so long.")] = 900.0,
+    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Seed of everything that is drawn.")] = 0,
+    json: JsonTarget = None,
+    force: Force = False,
+) -> int:
+    """Plant known effects on this campaign's own noise and route, and say what its data would find.
+
+    Exit status 1 where false alarms, or wrong names, are surely more than one in twenty.
+
+    Example: calib challenge own sample_runs/yard --effects track_width,temperature_radius --planted 3
+    """
+    from calib.campaign.read import read_campaign
+    from calib.challenge.own.plants import parse_sizes
+    from calib.challenge.own.run import Asked, challenge_own
+    from calib.reporting.topics.challenge import own_content
+
+    names = tuple(name.strip() for name in (effects or "").split(",") if name.strip())
+    asked = Asked(names, parse_sizes(sizes), planted, workers, seconds, seed)
+    campaign = read_campaign(folder)
+    with progress("planting") as tick:
+        own_score = challenge_own(campaign, asked, tick=lambda done, total: tick(done, total, "diagnoses"))
+    if own_score.done < own_score.asked:
+        note(
+            f"{seconds:g} s were enough for {own_score.done} of {own_score.asked} diagnoses; for more, raise --seconds"
+        )
+    show(own_content(own_score), target=json)
+    emit_json(own_score.to_dict(), json, force=force)
+    return 0 if own_score.trusted else 1

@@ -1,1 +1,0 @@
-"""``calib challenge``: a blind check of the diagnosis on cases whose truth is sealed."""

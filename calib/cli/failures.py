@@ -1,0 +1,166 @@
+"""What a user reads when a command fails: one line that says what is wrong, and the exit status."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import sys
+import warnings
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, Final
+
+import typer
+
+from calib.cli.options import nearest
+from calib.cli.registry import COMMANDS, command_called, options_of, with_default
+from calib.cli.terminal import visible
+from calib.errors import CalibError, ImplausibleError
+
+EXIT_FINE: Final = 0
+EXIT_FAILED: Final = 1
+EXIT_BAD_INPUT: Final = 2
+EXIT_BUG: Final = 3
+EXIT_INTERRUPTED: Final = 128 + signal.SIGINT
+EXIT_PIPE_CLOSED: Final = 141
+#: characters of the one line about an error; a message that quotes data may hold much of it
+LONGEST_LINE: Final = 2000
+
+
+def interrupted(kept: list[str]) -> int:
+    """Print what an interrupted command has kept, and return the exit status for it."""
+    held = f"kept: {'; '.join(kept)}" if kept else "nothing was written"
+    return _complain(f"interrupted; {held}, and nothing half-written is left", EXIT_INTERRUPTED)
+
+
+def failed(error: Exception, given: list[str]) -> int:
+    """Print in one line what went wrong, and return the exit status for it."""
+    if isinstance(error, ImplausibleError):
+        return _complain(f"{error} ('calib export' and 'calib report' take --accept-implausible REASON)", EXIT_FAILED)
+    if isinstance(error, CalibError):
+        return _complain(as_typed(str(error), _options_given(given)) + _nearest_path(str(error), given))
+    if isinstance(error, typer.TyperException):
+        if type(error).__name__ == "NoArgsIsHelpError":
+            sys.stderr.write(_message(error) + "\n")
+            return EXIT_BAD_INPUT
+        return _complain(_usage(error))
+    if isinstance(error, BrokenPipeError):
+        return pipe_closed()
+    return _machine_failed(error)
+
+
+def _nearest_path(message: str, given: list[str]) -> str:
+    """Return ``; did you mean 'x'?`` where the message speaks of a path that is not there and one beside it is near."""
+    for word in given:
+        path = Path(word)
+        with suppress(OSError, ValueError):
+            if path.name and message.startswith(f"{path}: found no") and path.parent.is_dir() and not path.exists():
+                if path.is_symlink():
+                    return "; this is a symbolic link that leads nowhere"
+                return nearest(path.name, (beside.name for beside in path.parent.iterdir()))
+    return ""
+
+
+def _machine_failed(error: Exception) -> int:
+    """Report what the machine or the size of a number refused; anything else is a bug."""
+    if os.environ.get("CALIB_TRACEBACK"):
+        raise error
+    if isinstance(error, UnicodeEncodeError):
+        lacking = f"found characters that the encoding {error.encoding} lacks"
+        return _complain(f"output: {lacking}; expected UTF-8; set PYTHONUTF8=1")
+    if isinstance(error, OverflowError | RecursionError):
+        beyond = f"found a number or a nesting beyond all bounds ({error})"
+        return _complain(f"{beyond}; expected numbers of ordinary size; correct the input")
+    if type(error).__name__ == "LinAlgError":
+        beyond = f"found numbers that differ too much in size to compute with ({error})"
+        return _complain(f"{beyond}; expected numbers of ordinary size; hold the campaign against 'calib check'")
+    if isinstance(error, OSError):
+        where = os.fsdecode(error.filename) if isinstance(error.filename, str | bytes) else "output"
+        return _complain(f"{where}: found {error.strerror or error}; expected a place that works; choose another")
+    if isinstance(error, MemoryError):
+        return _complain("out of memory; expected a campaign that fits; give fewer runs or shorter logs")
+    message = f"bug in calib, please report: {type(error).__name__}: {error} (CALIB_TRACEBACK=1 shows where)"
+    return _complain(message, EXIT_BUG)
+
+
+def _options_given(arguments: Sequence[str]) -> set[str]:
+    """Return the options of the command that was called."""
+    name = command_called(with_default(arguments))
+    return set() if name is None else options_of(name)
+
+
+def _usage(error: Exception) -> str:
+    """Return what is wrong with the words typed, and which command of the same group would take them."""
+    message, context = _message(error), getattr(error, "ctx", None)
+    if context is None:
+        return message
+    words = context.command_path.split()
+    option = getattr(error, "option_name", "")
+    others = [
+        name for name in COMMANDS if len(words) == 3 and name.split()[0] == words[1] and name.split()[1] != words[2]
+    ]
+    takers = [f"'calib {name}'" for name in others if option and option in options_of(name)]
+    message += f"; {' and '.join(takers)} {'has' if len(takers) == 1 else 'have'} it" if takers else ""
+    return f"{message} (see '{context.command_path} --help')"
+
+
+def pipe_closed() -> int:
+    """Drop what is still buffered, since nobody reads it, and return the exit status for it."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return EXIT_PIPE_CLOSED
+
+
+def _message(error: Exception) -> str:
+    formatted = getattr(error, "format_message", None)
+    return str(formatted()) if formatted else str(error)
+
+
+def _complain(message: str, status: int = EXIT_BAD_INPUT) -> int:
+    text = visible("calib: " + " ".join(message.split()))
+    if len(text) > LONGEST_LINE:
+        text = f"{text[: LONGEST_LINE - 4]} ..."
+    with suppress(OSError, AttributeError):
+        # a closed or full standard error has nobody to tell
+        encoding = sys.stderr.encoding or "utf-8"
+        sys.stderr.write(text.encode(encoding, "backslashreplace").decode(encoding) + "\n")
+    return status
+
+
+_LEADING = re.compile(r"^([a-z][a-z_]*)(?=: )")
+_FLAG = re.compile(r"\bforce=True\b")
+
+
+def as_typed(message: str, options: Collection[str]) -> str:
+    """Return a message whose argument names are the options that were typed.
+
+    `message`: of the library: ``draws: found 0; expected 100 or more``; `options`: options of the command, ``--draws``
+    and so on; other names stay as they are.
+    """
+    named = _LEADING.match(message)
+    if named and f"--{named[1].replace('_', '-')}" in options:
+        message = f"--{named[1].replace('_', '-')}{message[named.end() :]}"
+    return _FLAG.sub("--force", message)
+
+
+@contextmanager
+def overflow_noted() -> Iterator[None]:
+    """Print one note on numeric overflow, in place of the warnings of a library about its code."""
+    overflows: list[str] = []
+    with warnings.catch_warnings():
+        before = warnings.showwarning
+
+        def kept(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+            if issubclass(category, RuntimeWarning):
+                overflows.append(str(message))
+            else:
+                before(message, category, *where, **more)
+
+        warnings.showwarning = kept
+        yield
+    if overflows:
+        what = ", ".join(dict.fromkeys(text.partition(" encountered")[0] for text in overflows))
+        sys.stderr.write(
+            f"calib: note: some numbers are too large, too small or missing to compute with ({what:.100})\n"
+        )

@@ -1,0 +1,108 @@
+"""``calib fleet``: a task for every vehicle and the view of the fleet, and a fleet with known truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from calib.cli.options import Date, Force, JsonTarget, Seed
+from calib.cli.terminal import answer, emit_json, keep, progress, waiting, wrote
+from calib.io import refuse_existing
+from calib.limits import refuse_workers
+
+
+def run(
+    folder: Annotated[Path, typer.Argument(help="One campaign folder a vehicle, or a dataset partitioned by vehicle.")],
+    into: Annotated[Path, typer.Option(metavar="FOLDER", help="Result folder; a later run goes on there.")],
+    what: Annotated[str, typer.Option(help="fit, check, geometry or diagnose.")] = "fit",
+    workers: Annotated[int, typer.Option(min=1, help="Processes of this machine.")] = 1,
+    scheduler: Annotated[str, typer.Option(metavar="TCP", help="Dask scheduler, tcp://host:port.")] = "",
+    date: Date = None,
+    json: JsonTarget = None,
+    force: Force = False,
+) -> int:
+    """Do a task for every vehicle of a fleet: fit, check, geometry or diagnosis; then say what the fleet shows.
+
+    The result folder holds what was read, the result as JSON, PDF and HTML page, and, for a fit, vehicles.csv and
+    figures. Only files that are new or have changed are read again; an interrupted run goes on where it was. Exit
+    status 1: a vehicle failed.
+
+    Example: calib fleet run vehicles --into fleet --workers 2
+    """
+    refuse_workers(workers)
+    from calib.fleet.members import any_simulated
+    from calib.reporting.files import Heads, write_fleet, write_survey
+    from calib.reporting.source import issue_date
+    from calib.reporting.topics.fleet import fleet_content, survey_content
+
+    issued = issue_date(date)
+    keep(f"what was read so far, in {into}; the same command goes on")
+    with progress("fleet") as tick:
+        if what == "fit":
+            from calib.fleet.run import fit_fleet
+
+            fleet = fit_fleet(
+                folder, into, workers=workers, scheduler=scheduler, progress=lambda done, n: tick(done, n, "files")
+            )
+            heads = Heads(folder.resolve().name, issued, any_simulated(folder))
+            document, blocks, written = fleet.to_dict(), fleet_content(fleet), write_fleet(fleet, into, heads)
+        else:
+            from calib.fleet.survey import survey_fleet
+
+            survey = survey_fleet(
+                folder, into, what, workers=workers, scheduler=scheduler, progress=lambda k, n: tick(k, n, "vehicles")
+            )
+            heads = Heads(folder.resolve().name, issued, any_simulated(folder))
+            document, blocks, written = survey.to_dict(), survey_content(survey), write_survey(survey, into, heads)
+    answer(document, blocks, json=json, force=force)
+    wrote(written, target=json)
+    return int(any(vehicle["status"] == "failed" for vehicle in document["vehicles"]))
+
+
+def simulate(
+    into: Annotated[Path, typer.Option(metavar="FOLDER", help="New folder for the dataset.")],
+    vehicles: Annotated[int, typer.Option(min=1, help="How many vehicles.")] = 400,
+    runs: Annotated[int, typer.Option(min=6, help="Runs a vehicle.")] = 60,
+    months: Annotated[int, typer.Option(min=1, help="Months that they are spread over.")] = 6,
+    outliers: Annotated[int, typer.Option(min=0, help="Vehicles with a wheel of their own.")] = 20,
+    drifting: Annotated[int, typer.Option(min=0, help="Vehicles whose radius drifts.")] = 5,
+    common: Annotated[int, typer.Option(min=0, help="Vehicles in hall B, whose floor shows.")] = 40,
+    poses: Annotated[
+        bool,
+        typer.Option(
+            "--poses", help="A campaign folder a vehicle, with logs and end poses, for geometry and diagnose."
+        ),
+    ] = False,
+    seed: Seed = 0,
+    json: JsonTarget = None,
+    force: Force = False,
+) -> None:
+    """Write a simulated fleet as Parquet, partitioned by vehicle and month, and what was planted as truth.json.
+
+    With --poses each vehicle has a folder with logs and end poses instead: outliers have a track of their own, and the
+    floor of hall B has a zone that turns what crosses it; --months and --drifting do nothing there.
+
+    With --force the files of the same vehicles and months are replaced in a folder that exists.
+
+    Example: calib fleet simulate --into vehicles --vehicles 400 --seed 1
+    """
+    from dataclasses import asdict
+
+    from numpy.random import default_rng
+
+    from calib.plant.fleet import FleetSize, FleetTruth, PosedTruth, make_fleet, make_posed_fleet
+
+    # a folder that is there may be added to
+    refuse_existing([None if force and into.is_dir() else into], force=force)
+    odd, in_hall = min(outliers, vehicles), min(common, vehicles)
+    truth: FleetTruth | PosedTruth
+    with waiting("driving"):
+        if poses:
+            truth = make_posed_fleet(into, default_rng(seed), vehicles, runs, odd, in_hall)
+        else:
+            size = FleetSize(vehicles, runs, months, odd, min(drifting, vehicles - odd), in_hall)
+            truth = make_fleet(into, default_rng(seed), size)
+    wrote([into], target=json)
+    emit_json(asdict(truth), json, force=force)

@@ -1,1 +1,0 @@
-"""`calib fleet`: many vehicles at once, and a fleet with known truth."""

@@ -1,0 +1,299 @@
+"""``calib simulate``: routes, journeys under a law, the studies of the paper, and replays of logged runs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final
+
+import typer
+
+from calib.cli.options import Force, JsonTarget, Seed, nearest, numbers, pairs
+from calib.cli.terminal import emit_json, show, waiting, wants_stdout, wrote
+from calib.errors import BadInputError
+from calib.io import refuse_existing
+
+if TYPE_CHECKING:
+    from calib.odometry.simulation import Simulation
+
+SPEED_MPS: Final = 0.5
+DRAWS: Final = 20_000
+
+Routes = Annotated[
+    list[str] | None,
+    typer.Argument(
+        metavar="[ROUTE]...",
+        help="corridor, straight15, paper_route (the default), square_cw, square_ccw, figure8, or a .toml or .tum "
+        "file.",
+    ),
+]
+Law = Annotated[
+    Path | None,
+    typer.Option("--law", "--model", metavar="PATH", help="A campaign, a result of calib fit, or a coefficient file."),
+]
+Track = Annotated[
+    float | None, typer.Option("--track", metavar="M", help="Track that the odometry believes (0.7, or the law's).")
+]
+Draws = Annotated[int, typer.Option("--draws", help="Draws of the Monte Carlo.")]
+Output = Annotated[Path | None, typer.Option("--output", metavar="FOLDER", help="Write figures and tables there.")]
+Tum = Annotated[Path | None, typer.Option("--tum", metavar="FOLDER", help="Write trajectories there, TUM format.")]
+Speed = Annotated[float, typer.Option("--speed", metavar="M/S", help="Speed that times the trajectories.")]
+
+
+@dataclass(frozen=True, slots=True)
+class Targets:
+    """Where a simulation goes: folders of figures and of trajectories, the speed that times these, and the JSON."""
+
+    output: Path | None
+    tum: Path | None
+    speed_mps: float
+    json: str | None
+    force: bool
+
+    def __post_init__(self) -> None:
+        if not self.speed_mps > 0.0:
+            raise BadInputError(f"--speed: found {self.speed_mps!r}; expected a speed above 0 m/s")
+
+
+def finish(simulation: Simulation, targets: Targets, *, seed: int, notes: Sequence[str] = ()) -> None:
+    """Write what was asked for, and show the simulation."""
+    from calib.reporting.blocks import items
+    from calib.reporting.files import simulation_trajectories, write_simulation
+    from calib.reporting.topics.simulation import simulation_content
+
+    written: list[Path] = []
+    if targets.output is not None:
+        written += write_simulation(simulation, targets.output, force=targets.force)
+    if targets.tum is not None:
+        written += simulation_trajectories(simulation, targets.tum, speed_mps=targets.speed_mps, force=targets.force)
+    every_note = [*notes, *(simulation.law.notes if simulation.law else ())]
+    files = [str(path) for path in written]
+    document = simulation.to_dict() | {"seed": seed, "notes": every_note, "files": files}
+    emit_json(document, targets.json, force=targets.force)
+    if not wants_stdout(targets.json):
+        show([*simulation_content(simulation), *items(every_note)])
+        wrote(written)
+
+
+def route(
+    route: Routes = None,
+    real: Annotated[str | None, typer.Option(metavar="L,R", help="Real radii, m.")] = None,
+    believed: Annotated[
+        str | None, typer.Option(metavar="L,R", help="Radii the odometry believes, m (0.1,0.1).")
+    ] = None,
+    ratio: Annotated[str | None, typer.Option(metavar="E,E..", help="Ratios of radii, E_r = r_R / r_L.")] = None,
+    which: Annotated[
+        str, typer.Option("--wheel", help="Which wheel --ratio sets off: right, left, both, equal.")
+    ] = "right",
+    track: Track = None,
+    real_track: Annotated[float | None, typer.Option(metavar="M", help="Real track, if another.")] = None,
+    output: Output = None,
+    tum: Tum = None,
+    speed: Speed = SPEED_MPS,
+    json: JsonTarget = None,
+    force: Force = False,
+) -> None:
+    """Drive a route on an odometry that believes other radii than the real ones.
+
+    The vehicle follows the route by its own odometry; what is shown is where it really ends.
+
+    Example: calib simulate route square_cw square_ccw --real 0.099,0.1 --output squares
+    """
+    import numpy as np
+
+    from calib.odometry.paper import Case
+    from calib.odometry.simulation import CUSTOM, simulate
+    from calib.vehicle import Vehicle
+
+    targets = Targets(output, tum, speed, json, force)
+    vehicle = Vehicle()
+    cases = [Case.off(which, value) for value in (numbers(ratio, None, "--ratio") if ratio else ())]
+    if real is not None:
+        left, right = numbers(real, 2, "--real")
+        base = numbers(believed, 2, "--believed") if believed else (vehicle.wheel_radius_m,) * 2
+        if min(left, right, *base) <= 0.0:
+            raise BadInputError("--believed, --real: found a radius of 0 or below; expected metres above 0")
+        cases.append(Case.given(left / base[0], right / base[1]))
+    elif believed is not None:
+        raise BadInputError("--believed: found no --real beside it; expected both; give the real radii, too")
+    if not cases:
+        raise BadInputError(
+            "found no radii; expected --real or --ratio; under a fitted law it is 'calib simulate journey --law PATH'"
+        )
+    simulation = simulate(
+        CUSTOM,
+        routes=route or (),
+        cases=cases,
+        track_m=vehicle.track_m if track is None else track,
+        real_track_m=real_track,
+        rng=np.random.default_rng(0),
+    )
+    finish(simulation, targets, seed=0)
+
+
+def journey(
+    law: Annotated[
+        Path,
+        typer.Option(
+            "--law",
+            "--model",
+            metavar="PATH",
+            help="Campaign, result folder of calib fit, or coefficient file, also one of calib diagnose --apply.",
+        ),
+    ],
+    route: Routes = None,
+    load: Annotated[
+        list[str] | None, typer.Option(metavar="L,R", help="Wheel loads, N; again for more journeys.")
+    ] = None,
+    payload: Annotated[
+        list[str] | None, typer.Option(metavar="KG,X,Y", help="The same from a payload and its place; again for more.")
+    ] = None,
+    payload_at: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="S,KG,X,Y",
+            help="Payload from S m along the route on, 0 kg to unload; again for more. Unladen before the first one.",
+        ),
+    ] = None,
+    reference: Annotated[
+        str,
+        typer.Option("--reference-load", metavar="L,R", help="Loads whose radii the uncorrected odometry uses, N."),
+    ] = "300,300",
+    track: Track = None,
+    draws: Draws = DRAWS,
+    seed: Seed = 0,
+    output: Output = None,
+    tum: Tum = None,
+    speed: Speed = SPEED_MPS,
+    json: JsonTarget = None,
+    force: Force = False,
+) -> None:
+    """Drive a route under a fitted law, without and with radii that follow the load.
+
+    The 95 % band of the law is carried to the end pose by linear propagation and by Monte Carlo.
+
+    Example: calib simulate journey figure8 --law sample_runs/corridor --payload-at 5,100,0.5,0.1
+    """
+    import numpy as np
+
+    from calib.odometry.law_path import carried_loads_N, law_source, loading_on_the_way
+    from calib.odometry.simulation import CUSTOM, LawJourneys, simulate
+
+    targets = Targets(output, tum, speed, json, force)
+    base = numbers(reference, 2, "--reference-load")
+    loads_N = pairs(load, "--load")
+    carried = [numbers(text, 3, "--payload") for text in payload or ()]
+    changes = [numbers(text, 4, "--payload-at") for text in payload_at or ()]
+    if min([*base, *(value for pair in loads_N for value in pair)]) <= 0.0:
+        raise BadInputError("--load, --reference-load: found 0 N or below; expected loads above 0 N; correct it")
+    source = law_source(law)
+    loads_N += [carried_loads_N(source.vehicle, mass, x, y) for mass, x, y in carried]
+    with waiting("driving"):
+        loading = loading_on_the_way(source.vehicle, changes) if changes else None
+        under = LawJourneys(source.axle(track), loads_N, (base[0], base[1]), loading, draws)
+        rng = np.random.default_rng(seed)
+        simulation = simulate(CUSTOM, routes=route or (), track_m=under.axle.track_m, under=under, rng=rng)
+    finish(simulation, targets, seed=seed, notes=source.notes)
+
+
+def study(
+    name: Annotated[str, typer.Argument(metavar="STUDY", help="symmetric, asymmetric or corrected.")],
+    law: Law = None,
+    load: Annotated[
+        list[str] | None, typer.Option(metavar="L,R", help="With --law: wheel loads in place of the study's, N.")
+    ] = None,
+    route: Annotated[list[str] | None, typer.Option(help="Another route than the study's; again for more.")] = None,
+    track: Track = None,
+    draws: Draws = DRAWS,
+    seed: Seed = 0,
+    output: Output = None,
+    tum: Tum = None,
+    speed: Speed = SPEED_MPS,
+    json: JsonTarget = None,
+    force: Force = False,
+) -> None:
+    """Run a study of the paper's Section 7: what wrong radii do to a vehicle that follows its own odometry.
+
+    symmetric: both wheels alike. asymmetric: the radii differ. corrected: the radii follow the load, and what is left
+    is the 95 % band of the regression. With --law, Table 1 and journeys under that law are added.
+
+    Example: calib simulate study corrected --law sample_runs/corridor --output section7
+    """
+    import numpy as np
+
+    from calib.odometry.law_path import law_source
+    from calib.odometry.paper import STUDIES
+    from calib.odometry.simulation import LawJourneys, simulate
+    from calib.vehicle import Vehicle
+
+    targets = Targets(output, tum, speed, json, force)
+    if name not in STUDIES:
+        raise BadInputError(f"study: found {name!r}; expected one of {', '.join(STUDIES)}" + nearest(name, STUDIES))
+    loads_N = pairs(load, "--load")
+    if loads_N and law is None:
+        raise BadInputError("--load: found no law; expected --law PATH beside it; loads mean nothing without one")
+    if min((value for pair in loads_N for value in pair), default=1.0) <= 0.0:
+        raise BadInputError("--load: found 0 N or below; expected loads above 0 N; correct it")
+    source = None if law is None else law_source(law)
+    vehicle = Vehicle() if source is None else source.vehicle
+    with waiting("simulating"):
+        simulation = simulate(
+            name,
+            routes=route or (),
+            track_m=vehicle.track_m if track is None else track,
+            under=None if source is None else LawJourneys(source.axle(track), loads_N, draws=draws),
+            rng=np.random.default_rng(seed),
+        )
+    finish(simulation, targets, seed=seed, notes=() if source is None else source.notes)
+
+
+def replay(
+    campaign: Annotated[Path, typer.Argument(metavar="CAMPAIGN", help="Campaign with logs and end poses.")],
+    law: Law = None,
+    scheme: Annotated[str, typer.Option(help="exact, mid_point, euler or end_point.")] = "exact",
+    seed: Seed = 0,
+    output: Output = None,
+    tum: Tum = None,
+    json: JsonTarget = None,
+    force: Force = False,
+) -> None:
+    """Replay the logged runs of a campaign: end errors with constant radii and with radii that follow the load.
+
+    The vehicle's own code runs on the same logs, and has to agree.
+
+    Example: calib simulate replay sample_runs/corridor_crossed --law coefficients.json --output replay
+    """
+    import numpy as np
+
+    from calib.campaign.read import read_campaign
+    from calib.coefficients.export import coefficients_of, effects_left_out
+    from calib.odometry.replay import replay as replay_runs
+    from calib.reporting.blocks import items
+    from calib.reporting.files import replay_trajectories, write_replay
+    from calib.reporting.topics.simulation import replay_content
+
+    refuse_existing((output / "replay.json", output / "replay.csv") if output else (), force=force)
+    with waiting("replaying"):
+        read = read_campaign(campaign)
+        source = coefficients_of(law if law is not None else campaign)
+        replayed = replay_runs(read, source.file, rng=np.random.default_rng(seed), scheme=scheme)
+    notes = [*source.notes, *effects_left_out(source.file, "not simulated"), *replayed.notes]
+    if law is None:
+        notes.append(
+            "the law was fitted to this same campaign: give --law for a judgement on runs that it has not seen"
+        )
+    document = {
+        "campaign": read.name,
+        "simulated": read.simulated,
+        "scheme": scheme,
+        **replayed.to_dict(),
+        "notes": notes,
+    }
+    written = [] if output is None else write_replay(replayed, output, document, force=force)
+    if tum is not None:
+        written += replay_trajectories(read, source.file, tum, force=force)
+    emit_json(document | {"files": [str(path) for path in written]}, json, force=force)
+    if not wants_stdout(json):
+        show([*replay_content(replayed), *items(notes)])
+        wrote(written)

@@ -1,1 +1,0 @@
-"""``calib simulate``: routes, journeys under a law, the paper's studies, and replays of logged runs."""

@@ -1,1 +1,0 @@
-"""What was driven and measured, as arrays over runs and samples."""

@@ -1,0 +1,1 @@
+"""The decision: named causes, confounded effects, the unexplained residual, and whether the fix is recommended."""

@@ -1,0 +1,291 @@
+"""Confounded effects, how far their corrections differ, and the probability of each effect."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from calib.gap.decision.evidence import Evidence
+from calib.gap.effects.applied import applied_perturbations, section_of
+from calib.gap.effects.calibration import DIRECTIONS, NAMES
+from calib.gap.effects.effect import Form
+from calib.gap.inference.fit import CALIBRATION_SD, calibration_pushes, hypothesis_path
+from calib.gap.inference.least_squares import Weighting, prior_precision
+from calib.gap.inference.linear_model import LinearSystem
+from calib.gap.inference.marginal_likelihood import Nuisance
+from calib.gap.inference.recalibration import PRIOR_SHIFT_ODDS
+from calib.gap.plan.identifiability import SEPARATION_SD, aliases_of
+from calib.gap.predict import predict
+from calib.types import FloatArray
+
+#: hypotheses within this log-evidence window (a factor of ten) are not separated
+LOG_EVIDENCE_WINDOW: Final = 2.3
+#: prior standard deviation, in typical sizes, of the other named effects while the aliases of one are sought
+OTHER_EFFECTS_SD: Final = 3.0
+#: the most probable sets hold so much together
+CREDIBLE: Final = 0.95
+#: a radius or track is wrong so many times as often as any one effect that looks like it is at work
+CALIBRATION_ODDS: Final = 5.0
+#: an effect that the search gives more than this was weighed together with the calibration there
+WEIGHED_PROBABILITY: Final = 0.01
+#: smallest probability that is listed
+LISTED_PROBABILITY: Final = 1e-4
+#: probability by the model, and the share of such statements that held. One monotone map, learnt by
+#: `tests/challenge/learn_map.py` on the named causes of 152 development cases: the first 120 of the development seeds
+#: (empty, calibration, single, natural, pairs, outside, aliases, deleted) and 32 crowded ones (three to six effects
+#: beside an outside one). No scored case took part
+TABLE: Final = (
+    (0.0, 0.50, 0.65, 0.75, 0.85, 0.95, 0.99, 0.995, 1.0),
+    (0.0, 0.37, 0.40, 0.58, 0.65, 0.83, 0.93, 0.95, 0.96),
+)
+
+
+def calibrated(probability: float) -> float:
+    """Return how often a cause that the model gives this probability has been at work."""
+    return float(np.interp(probability, *TABLE))
+
+
+def groups_of(evidence: Evidence) -> list[list[str]]:
+    """Return, for each named effect, the group that it is confounded with (itself first, then the nearest)."""
+    groups = _groups_of_effects(evidence)
+    fitted, system, calibration = evidence.fitted, evidence.system, evidence.calibration
+    forms = evidence.search.forms
+    free = [system.calibration[:, 3:], *(OTHER_EFFECTS_SD * system.columns(form) for form in fitted.forms)]
+    if len(calibration) > 1:
+        # one cause may look like two calibration parameters off at once (counts lost on one wheel)
+        nuisance = Nuisance.of(np.concatenate(free, axis=1))
+        near = aliases_of(system, nuisance, evidence.calibration_contribution(calibration), forms, evidence.named)
+        if near:
+            return [*groups, [*calibration, *sorted(near, key=lambda name: near[name])]]
+    own = {name: effect.forms(evidence.observations) for name, effect in evidence.effects.items() if effect.calibration}
+    for name in calibration:
+        others = []
+        for other, direction in zip(NAMES, DIRECTIONS, strict=True):
+            if other != name:
+                column = (evidence.per_unit @ direction)[:, None]
+                # one that is not off may be off by what these runs do not separate from zero
+                undetected = SEPARATION_SD / max(float(np.linalg.norm(column)), 1e-12)
+                others.append(column * (CALIBRATION_SD[0] if other in calibration else undetected))
+        nuisance = Nuisance.of(np.concatenate([*free, *others], axis=1))
+        near = aliases_of(system, nuisance, evidence.calibration_contribution([name]), forms | own, evidence.named)
+        instead = [alias for alias in evidence.recalibration.instead.get(name, ()) if alias not in near]
+        groups.append([name, *sorted(near, key=lambda alias: near[alias]), *instead])
+    return groups
+
+
+def _groups_of_effects(evidence: Evidence) -> list[list[str]]:
+    """Return the group of each effect of the most probable hypothesis."""
+    fitted, system = evidence.fitted, evidence.system
+    groups = []
+    for form, theta in zip(fitted.forms, fitted.theta, strict=True):
+        others = [OTHER_EFFECTS_SD * system.columns(other) for other in fitted.forms if other is not form]
+        nuisance = Nuisance.of(np.concatenate([system.calibration, *others], axis=1))
+        contribution = np.asarray(system.columns(form) @ (theta / form.typical))
+        near = aliases_of(system, nuisance, contribution, evidence.search.forms, evidence.named)
+        for name in _as_likely(evidence, form.effect):
+            if name not in evidence.named:
+                near.setdefault(name, SEPARATION_SD)
+        groups.append([form.effect, *sorted(near, key=lambda name: near[name])])
+    return groups
+
+
+def _as_likely(evidence: Evidence, effect: str) -> list[str]:
+    """Return what is nearly as probable in place of one effect of the most probable hypothesis.
+
+    These are other effects and, where the others do without it, calibration parameters that it would look like.
+    """
+    best, search = evidence.search.effects, evidence.search
+    probability = dict(zip(search.models, search.probabilities, strict=True))
+    others = {name for name in best if name != effect}
+    least = probability.get(best, 0.0) * np.exp(-LOG_EVIDENCE_WINDOW)
+    alternatives: list[str] = []
+    for model, p in probability.items():
+        instead = set(model) - others
+        # two effects that are as probable together are no alternatives to one another
+        together = probability.get(tuple(sorted({*best, *instead})), 0.0)
+        if p > max(least, together) and len(model) == len(best) and others <= set(model) and effect not in model:
+            alternatives += instead
+    if probability.get(tuple(sorted(others)), 0.0) > least:
+        shifts = [name for name in evidence.effects[effect].shifts if name in evidence.effects]
+        alternatives += [name for name in shifts if evidence.recalibration.probability(name) > least]
+    return alternatives
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Correction:
+    """A recalibration, shape (4,), and forms with their sizes."""
+
+    calibration: FloatArray
+    forms: Sequence[Form]
+    theta: Sequence[FloatArray]
+
+    def ends(self, evidence: Evidence) -> FloatArray:
+        """Return the end positions (n, 2) of the journeys to come, else of the runs driven."""
+        journeys = evidence.journeys
+        if journeys is None:
+            about = evidence.fitted.path
+            return hypothesis_path(about.s, self.calibration, self.forms, self.theta, about).end[:, :2]
+        sections = [section_of(form, sizes) for form, sizes in zip(self.forms, self.theta, strict=True)]
+        # an effect that the journeys do not excite does nothing there
+        declared = evidence.situation.campaign.extra.get("effects", ())
+        perturbations, _ = applied_perturbations(journeys, sections, declared=declared)
+        path = predict(journeys, [*calibration_pushes(journeys, self.calibration, None), *perturbations])
+        # driven runs are there so that covariates vary as they did in the fit
+        to_come = ~np.isin(journeys.labels["run_id"], evidence.observations.labels["run_id"])
+        return path.end[to_come, :2]
+
+
+def agreement_m(evidence: Evidence, groups: Sequence[Sequence[str]]) -> float | None:
+    """Return the root mean square distance of end positions under confounded effects, the largest.
+
+    The ends are those of the journeys to come where these are given, else of the runs driven. An instrument's error
+    moves no vehicle: its correction and that of a radius are as far apart as the radius moves the ends.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        What was measured.
+    groups : sequence of sequence of str
+        Confounded effects, the named one first.
+
+    Returns
+    -------
+    float or None
+        None where nothing is confounded.
+    """
+    fitted, distances = evidence.fitted, []
+    best = _Correction(fitted.calibration, fitted.forms, fitted.theta)
+    for group in groups:
+        named = [name for name in group if name in evidence.named]
+        exchanged = [_exchanged(evidence, named, other) for other in group if other not in named]
+        for alternative in filter(None, exchanged):
+            ends_m = fitted.path.end[:, :2] if evidence.journeys is None else best.ends(evidence)
+            apart = alternative.ends(evidence) - ends_m
+            distances.append(float(np.sqrt(np.mean((apart**2).sum(axis=1)))))
+    return max(distances, default=None)
+
+
+def _exchanged(evidence: Evidence, named: Sequence[str], other: str) -> _Correction | None:
+    """Return the correction with some named causes exchanged for another, refitted; None where it has no form."""
+    kept = [form for form in evidence.fitted.forms if form.effect not in named]
+    offered = evidence.search.forms.get(other, ())
+    candidates = [kept] if other in NAMES else [[*kept, form] for form in offered]
+    fixed = [NAMES.index(name) for name in named if name in NAMES]
+    refitted = [_refitted(evidence, forms, fixed) for forms in candidates]
+    return min(refitted, key=lambda tried: tried[0])[1] if refitted else None
+
+
+def _refitted(evidence: Evidence, forms: Sequence[Form], fixed: Sequence[int]) -> tuple[float, _Correction]:
+    """Return the whitened squares that forms leave, some calibration parameters fixed at zero, and their correction."""
+    fitted = evidence.fitted
+    every = [*fitted.forms, *(form for form in forms if all(form is not own for own in fitted.forms))]
+    system = LinearSystem(fitted, evidence.nominal, evidence.noise, every)
+    numbers = [next(k for k, offered in enumerate(every) if offered is form) for form in forms]
+    free = [k for k in range(len(NAMES)) if k not in fixed]
+    directions = DIRECTIONS[free].T
+    calibration = (system.calibration / CALIBRATION_SD) @ directions * CALIBRATION_SD[0]
+    columns = np.concatenate([calibration, *(system.of(k) for k in numbers)], axis=1)
+    weighting = Weighting.from_component(system, -1, 0.0, np.zeros((len(system.gap), 0)))
+    precision = np.concatenate([np.ones(len(free)), prior_precision(4 + columns.shape[1] - len(free))[4:]])
+    sizes, _ = weighting.solve(columns, precision)
+    residual = system.gap - columns @ sizes
+    change = directions @ sizes[: len(free)] * CALIBRATION_SD[0]
+    parts = np.split(sizes, np.cumsum([len(free), *(len(form.parameters) for form in forms)])[:-1])[1:]
+    theta = [part * form.typical for part, form in zip(parts, forms, strict=True)]
+    return float(residual @ residual), _Correction(change, forms, theta)
+
+
+def gap_probability(evidence: Evidence) -> float:
+    """Return the probability of a gap at all: an effect, a calibration parameter, or an unexplained residual."""
+    recalibration = evidence.recalibration
+    correct = sum(q for subset, q in zip(recalibration.subsets, recalibration.probabilities, strict=True) if not subset)
+    return 1.0 - evidence.search.nothing * float(correct)
+
+
+def effect_probabilities(evidence: Evidence, groups: Sequence[Sequence[str]]) -> dict[str, float]:
+    """Return the probability of each effect and of an ``unknown`` residual, largest first.
+
+    The probability of a calibration parameter is divided between it and its aliases by their prior odds, once the
+    model's probability of both together is `calibrated`.
+    """
+    listed = {name: calibrated(p) for name, p in evidence.search.inclusion().items()}
+    shared = _shared_with_aliases(evidence, groups)
+    for name in (name for name in NAMES if name in evidence.effects):
+        probability = calibrated(evidence.recalibration.probability(name))
+        shares = shared.get(name, {})
+        listed[name] = probability * (1.0 - sum(shares.values()))
+        for alias, share in shares.items():
+            # what supports the parameter supports its alias, beside what the search found for that
+            listed[alias] = max(listed.get(alias, 0.0), probability * share)
+    listed |= {fault.effect.id: 1.0 for fault in evidence.situation.faults}
+    listed["unknown"] = evidence.search.rest
+    ordered = sorted(listed.items(), key=lambda item: -item[1])
+    return {name: value for name, value in ordered if value > LISTED_PROBABILITY or name == "unknown"}
+
+
+def any_probability(evidence: Evidence, names: Collection[str]) -> float:
+    """Return the probability that at least one of some causes is at work, calibration parameters among them."""
+    search, recalibration = evidence.search, evidence.recalibration
+    weighed = [(search.models, search.probabilities), (recalibration.subsets, recalibration.probabilities)]
+    sums = [sum(p for s, p in zip(*sets, strict=True) if not set(names).isdisjoint(s)) for sets in weighed]
+    return min(1.0, sum(calibrated(float(probability)) for probability in sums))
+
+
+def nothing_else_probability(evidence: Evidence, groups: Sequence[Sequence[str]]) -> float:
+    """Return the probability that no further effect is at work beside the named ones and their aliases."""
+    named = set(evidence.named).union(*groups)
+    search = evidence.search
+    return float(
+        sum(p for model, p in zip(search.models, search.probabilities, strict=True) if named.issuperset(model))
+    )
+
+
+def _shared_with_aliases(evidence: Evidence, groups: Sequence[Sequence[str]]) -> dict[str, dict[str, float]]:
+    """Return the share of each calibration parameter's probability that goes to its aliases.
+
+    Aliases that the search did not weigh together with the calibration have their prior odds alone.
+    """
+    prior = PRIOR_SHIFT_ODDS / len(NAMES)
+    weighed = {name for name, probability in evidence.search.inclusion().items() if probability > WEIGHED_PROBABILITY}
+    shared: dict[str, dict[str, float]] = {}
+    for group in groups:
+        own = [name for name in group if name in NAMES and name in evidence.calibration]
+        if own and group[0] in own:
+            forms = {name: evidence.search.forms.get(name, ()) for name in group if name not in {*own, *weighed}}
+            # of an effect's prior, the form that has most of it
+            odds = {
+                name: prior / CALIBRATION_ODDS * max((1.0 / form.tries for form in offered), default=1.0)
+                for name, offered in forms.items()
+            }
+            total = prior + sum(odds.values())
+            shared |= {name: {alias: each / total for alias, each in odds.items()} for name in own}
+    return shared
+
+
+def credible_sets(evidence: Evidence, groups: Sequence[Sequence[str]]) -> tuple[tuple[str, ...], ...]:
+    """Return the most probable sets of causes that together hold 95 %, and the alternatives to the first."""
+    weights: dict[tuple[str, ...], float] = {}
+    faults = tuple(fault.effect.id for fault in evidence.situation.faults)
+    recalibration, search = evidence.recalibration, evidence.search
+    for effects, p in zip(search.models, search.probabilities, strict=True):
+        for subset, q in zip(recalibration.subsets, recalibration.probabilities, strict=True):
+            known = tuple(name for name in subset if name in evidence.effects)
+            unknown = ("unknown",) if len(known) < len(subset) else ()
+            key = (*faults, *effects, *known, *unknown)
+            weights[key] = weights.get(key, 0.0) + float(p * q)
+    sets, total = [], 0.0
+    for key, weight in sorted(weights.items(), key=lambda item: -item[1]):
+        sets.append(key)
+        total += weight
+        if total >= CREDIBLE:
+            break
+    for group in groups:
+        replaced = [name for name in group if name in sets[0]]
+        for other in group:
+            instead = tuple(sorted({other, *(name for name in sets[0] if name not in replaced)}))
+            if other not in sets[0] and instead not in sets:
+                sets.append(instead)
+    return tuple(sets)

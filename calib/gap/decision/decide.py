@@ -1,0 +1,169 @@
+"""From evidence to diagnosis: what is named, which verdict that gives, and what the fix is worth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from calib.gap.decision import confounding
+from calib.gap.decision.adequacy import (
+    CERTAIN_PROBABILITY,
+    LARGEST_GROUP,
+    NAMED_PROBABILITY,
+    SMALL_SHARE,
+    hides_causes,
+    kind_of,
+    recommended,
+)
+from calib.gap.decision.causes import blunder_cause, causes_of, limited_beside, unexplained_of
+from calib.gap.decision.diagnosis import (
+    DRIVEN,
+    JOURNEYS,
+    Cause,
+    Diagnosis,
+    Fix,
+    Group,
+    NoiseSummary,
+    Unexplained,
+    VerdictKind,
+)
+from calib.gap.decision.evidence import Evidence
+from calib.gap.decision.sentences import blunder_sentence, sentence
+from calib.gap.effects.encoder import BLUNDER_MISFIT, misfit
+
+#: verdicts that name no cause
+NOTHING_NAMED: Final = frozenset({VerdictKind.NO_GAP, VerdictKind.UNKNOWN, VerdictKind.UNDECIDED})
+
+
+def decide(evidence: Evidence) -> Diagnosis:
+    """Return the diagnosis, its sentence included; detection limits and runs to drive next are added by the caller."""
+    confounded = confounding.groups_of(evidence)
+    groups, forms_open = _by_family(evidence, confounded)
+    unexplained = unexplained_of(evidence)
+    stated = confounding.effect_probabilities(evidence, confounded)
+    # that it or an effect that it is confounded with is at work
+    alternatives = {name: {name}.union(*(group for group in confounded if name in group)) for name in evidence.named}
+    certain = {name: confounding.any_probability(evidence, names) for name, names in alternatives.items()}
+    causes = limited_beside(unexplained, causes_of(evidence, stated, certain, forms_open))
+    causes = [cause for cause in causes if certain[cause.effect] >= NAMED_PROBABILITY]
+    stated |= {cause.effect: cause.probability for cause in causes if cause.effect in stated}
+    closure, situation = evidence.held_out.closure, evidence.situation
+    gap_probability = confounding.gap_probability(evidence)
+    # a calibration parameter that is off and excluded from the library is a cause that nothing explains
+    share = 1.0 if evidence.denied else None if unexplained is None else unexplained.share
+    off = float(np.mean(misfit(evidence.fitted.path)))
+    large = {cause.effect for cause in causes if cause.share > SMALL_SHARE}
+    kind = kind_of(
+        gap_probability,
+        causes,
+        closure,
+        trials=evidence.trials,
+        unexplained_share=share,
+        tied=any(len(group) > 1 and large.intersection(group) for group in groups),
+        supported=evidence.noise.supported,
+        misfit=off,
+    )
+    if kind in NOTHING_NAMED:
+        causes = []
+    elif hides_causes(closure, share):
+        causes = [cause for cause in causes if cause.probability >= CERTAIN_PROBABILITY]
+    names = {cause.effect for cause in causes}
+    tied = [group for group in groups if len(group) > 1 and names.intersection(group)]
+    diagnosis = Diagnosis(
+        kind=_beside_blunder(kind) if situation.faults else kind,
+        sentence="",
+        causes=(*map(blunder_cause, situation.faults), *causes),
+        credible_sets=confounding.credible_sets(evidence, () if kind in NOTHING_NAMED else confounded),
+        groups=tuple(Group(tuple(group)) for group in tied),
+        where=evidence.where,
+        closure=closure,
+        unexplained=None if kind is VerdictKind.NO_GAP and not situation.faults else unexplained,
+        fix=_fix(evidence, confounded, tied, causes, certain, unexplained),
+        notes=(*evidence.observations.notes, *situation.notes),
+        noise_level=NoiseSummary.about(evidence.noise),
+        probabilities=dict(sorted(stated.items(), key=lambda item: -item[1])),
+        judged_against=evidence.judged_against,
+        campaign=situation.campaign.name,
+        simulated=situation.campaign.simulated,
+        gap_probability=1.0 if situation.faults else gap_probability,
+        evidence=evidence,
+    )
+    blunder = diagnosis.kind is VerdictKind.UNKNOWN and off >= BLUNDER_MISFIT
+    return replace(diagnosis, sentence=blunder_sentence(diagnosis, off) if blunder else sentence(diagnosis))
+
+
+def _beside_blunder(kind: VerdictKind) -> VerdictKind:
+    """Return the verdict beside a blunder, which is named even where nothing else is."""
+    if kind is VerdictKind.NO_GAP:
+        return VerdictKind.EXPLAINED
+    return VerdictKind.PARTLY_EXPLAINED if kind in NOTHING_NAMED else kind
+
+
+def _fix(
+    evidence: Evidence,
+    confounded: Sequence[Sequence[str]],
+    tied: Sequence[Sequence[str]],
+    causes: Sequence[Cause],
+    certain: Mapping[str, float],
+    unexplained: Unexplained | None,
+) -> Fix:
+    """Return what the correction is worth.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        What was measured.
+    confounded, tied : sequence of sequence of str
+        Confounded effects: of everything fitted, and of the named causes without their own families.
+    causes : sequence of Cause
+        What is named.
+    certain : mapping of str to float
+        Of each effect, the probability that it or an effect that it is confounded with is at work.
+    unexplained : Unexplained or None
+        The unexplained residual.
+    """
+    apart_m = confounding.agreement_m(evidence, tied)
+    nothing_else = confounding.nothing_else_probability(evidence, confounded)
+    concerned = {*evidence.named, *(name for group in tied for name in group)}
+    explained, explained_sd = evidence.explained_share
+    # where the causes certainly explain all but a small share, and are confounded with nothing, a further effect
+    # carries no more than that share
+    complete = not tied and explained - 2.0 * explained_sd >= 1.0 - SMALL_SHARE
+    adequate = recommended(
+        causes,
+        [certain[cause.effect] for cause in causes],
+        evidence.held_out.closure,
+        trials=evidence.trials,
+        agreement_m=apart_m,
+        unexplained=unexplained,
+        nothing_else=1.0 if complete else nothing_else,
+    )
+    # the correction holds all that was fitted, some of which may not be transferable
+    transferable = not any(evidence.effects[name].not_transferable for name in concerned)
+    all_named = {cause.effect for cause in causes}.issuperset(evidence.named)
+    identified = all(len(group) <= LARGEST_GROUP for group in tied)
+    return Fix(
+        recommended=adequate and transferable and all_named and identified,
+        agreement_m=apart_m,
+        agreement_on=DRIVEN if evidence.journeys is None else JOURNEYS,
+        nothing_else=nothing_else,
+        transfer=evidence.trials if causes else (),
+    )
+
+
+def _by_family(
+    evidence: Evidence, confounded: Sequence[Sequence[str]]
+) -> tuple[list[list[str]], dict[str, tuple[str, ...]]]:
+    """Return the groups without effects of the named one's own family, and these by named effect."""
+    groups: list[list[str]] = []
+    forms_open: dict[str, tuple[str, ...]] = {}
+    for group in confounded:
+        named = [name for name in group if name in evidence.named]
+        families = {evidence.effects[name].family for name in named}
+        own = tuple(n for n in group if n not in named and evidence.effects[n].family in families)
+        groups.append([name for name in group if name not in own])
+        forms_open |= dict.fromkeys(named, own)
+    return groups, forms_open

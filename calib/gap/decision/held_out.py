@@ -1,0 +1,333 @@
+"""Held-out validation: how far the gap shrinks on runs that the fit has not seen, and where the correction helps."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+
+from calib.gap.inference.fit import Fitted, whitened_rows
+from calib.gap.inference.least_squares import HeldOutFit
+from calib.gap.inference.noise import Noise
+from calib.gap.observations.arrays import N_CHANNELS, POSE, Channel, Observations
+from calib.gap.predict import Path, residuals
+from calib.result import plain_fields
+from calib.types import BoolArray, FloatArray, IntArray, StrArray
+
+#: resamples of the conditions: the ends of the 95 % interval then vary by a few per cent of its width
+BOOTSTRAPS: Final = 400
+#: folds of conditions or runs: five sixths of the runs stay in each fit
+MOST_FOLDS: Final = 6
+#: sessions that are folds of their own; more are joined
+MOST_SESSION_FOLDS: Final = 8
+#: sessions are held out whole where there are so many: with two, one half would have to predict the other
+FEWEST_SESSIONS: Final = 3
+#: fewer conditions cannot predict one another
+FEWEST_CONDITIONS: Final = 4
+#: a gap below this share of the noise level has no closure: it would be a share of noise
+LEAST_GAP: Final = 0.5
+#: the least gap of a bootstrap sample, as a share of its noise level: keeps its closure finite
+LEAST_RESAMPLED_GAP: Final = 0.05
+#: values of a quantity that are held out one by one; more are joined into so many groups
+MOST_VALUES: Final = 8
+#: a single observation of a value shows nothing
+FEWEST_UNITS: Final = 2
+#: the other observations cannot replace a larger share than this
+MOST_HELD_OUT: Final = 0.6
+#: speeds and loads within this share of the largest are one value
+SAME_VALUE: Final = 0.1
+#: probability that noise alone, its own uncertainty included, exceeds its limit in any of a campaign's trials
+FALSE_ALARM: Final = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelClosure:
+    """How far the gap shrinks in one channel on held-out runs; root mean squares in the channel's unit."""
+
+    channel: Channel = field(metadata={"json": False})
+    before_rms: float  #: gap of the model alone
+    after_rms: float  #: gap with the causes
+    floor_rms: float  #: noise level
+    #: share of the squares above the noise level that is closed; None where the gap is below half the noise level
+    fraction: float | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain JSON values."""
+        return plain_fields(self, unit=self.channel.unit)
+
+
+@dataclass(frozen=True, slots=True)
+class Closure:
+    """How far the gap shrinks on held-out runs; root mean squares of the end positions, else of the distances."""
+
+    before_rms_m: float | None = None  #: gap of the model alone
+    after_rms_m: float | None = None  #: gap with the causes
+    floor_rms_m: float | None = None  #: noise level
+    #: share of error variance above the noise level that is removed, every run and channel weighed by its noise; None
+    #: where the gap is below half the noise level
+    fraction: float | None = None
+    ci95: tuple[float, float] | None = None  #: its bootstrap interval over conditions
+    held_out: str = "condition"  #: what is held out in turn: ``session``, ``condition`` or ``run``
+    channels: tuple[ChannelClosure, ...] = ()  #: the same by channel
+
+    @property
+    def moved(self) -> tuple[ChannelClosure, ...]:
+        """Channels whose gap is above the noise level, the largest ratio first."""
+        above = [line for line in self.channels if line.fraction is not None]
+        return tuple(sorted(above, key=lambda line: -line.before_rms / line.floor_rms))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain JSON values."""
+        return plain_fields(
+            self,
+            by_channel={line.channel.label: line.fraction for line in self.channels},
+            channels={line.channel.label: line for line in self.channels},
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldOut:
+    """Residuals on held-out runs, each shape (n_units, n_channels)."""
+
+    before: FloatArray  #: of the model alone
+    after: FloatArray  #: of the model with the causes fitted on the other runs
+    floor: FloatArray  #: noise level: standard deviation that replicates give each channel
+    closure: Closure
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """The correction on one value that was held out: a route, speed, load, direction or session."""
+
+    left_out: str  #: what was held out
+    value: str  #: which of its values
+    before_rms_m: float | None  #: root mean square of the end positions (else distances) without the correction
+    after_rms_m: float | None  #: and with it
+    #: whitened squares of the model alone, with the correction fitted on the others, and as noise alone leaves
+    before_square: float = field(default=0.0, metadata={"json": False})
+    after_square: float = field(default=0.0, metadata={"json": False})
+    noise_square: float = field(default=0.0, metadata={"json": False})
+    #: whitened squares that noise alone does not exceed
+    noise_limit: float = field(default=np.inf, metadata={"json": False})
+    #: growth of the gap in standard deviations of noise and unexplained residual; negative where it shrank
+    growth_sd: float = field(default=0.0, metadata={"json": False})
+
+
+def folds(observations: Observations, *, sessions: bool = True) -> tuple[IntArray, str]:
+    """Return the fold that each observation is held out in, shape (n_units,), and what the folds are."""
+    number = np.arange(len(observations))
+    labels, session = np.unique(observations.labels["session"], return_inverse=True)
+    if sessions and len(labels) >= FEWEST_SESSIONS:
+        return np.asarray(session % MOST_SESSION_FOLDS), "session"
+    if sessions:
+        # in the order driven: neighbours in time are held out together, as sessions are
+        return number * MOST_FOLDS // len(observations), "run"
+    names, condition = np.unique(observations.condition, return_inverse=True)
+    if len(names) >= FEWEST_CONDITIONS:
+        return np.asarray(condition % min(MOST_FOLDS, len(names))), "condition"
+    return number % MOST_FOLDS, "run"
+
+
+def measure_closure(
+    nominal: Path,
+    noise: Noise,
+    fitted: Fitted,
+    rng: np.random.Generator,
+    *,
+    sessions: bool = True,
+    floor_factor: float = 1.0,
+    left_out: HeldOutFit | None = None,
+    as_counted: FloatArray | None = None,
+) -> HeldOut:
+    """Fit on the other folds, predict the held-out one, and compare with the model alone.
+
+    Parameters
+    ----------
+    nominal : Path
+        The model alone.
+    noise : Noise
+        Covariance of each observation.
+    fitted : Fitted
+        The hypothesis, fitted on all runs.
+    rng : numpy.random.Generator
+        For the bootstrap.
+    sessions : bool
+        Hold sessions out where there are three or more; else conditions.
+    floor_factor : float
+        Variance of the noise level over that of `noise`, where the residual of the fit counts as noise.
+    left_out : LeftOut, optional
+        Predicts held-out runs; by default without an unexplained residual.
+    as_counted : array of float, shape (n_units, n_channels), optional
+        The gap to state in place of that of the model alone: before a blunder was corrected.
+
+    Returns
+    -------
+    HeldOut
+    """
+    observations = nominal.s
+    fold, by = folds(observations, sessions=sessions)
+    left_out = left_out or HeldOutFit(fitted, nominal, noise)
+    if by == "session" and not all(left_out.is_predictive(fold == number) for number in np.unique(fold)):
+        # no other session predicts one that alone drove its route
+        fold, by = np.arange(len(observations)) % MOST_FOLDS, "run"
+    before = residuals(nominal, nominal)
+    after = np.zeros_like(before)
+    for number in np.unique(fold):
+        out = fold == number
+        after[out] = left_out.after(out)[out]
+    usable = observations.usable
+    white = whitened_rows(nominal, noise, np.stack([before, after], axis=2))
+    unit = np.repeat(np.arange(len(observations))[:, None], N_CHANNELS, axis=1)[usable]
+    squares: FloatArray = np.stack(
+        [np.bincount(unit, white[:, k] ** 2, len(observations)).astype(np.float64) for k in range(2)], axis=1
+    )
+    expected = floor_factor * usable.sum(axis=1).astype(np.float64)
+    fraction = _fraction(squares, expected)
+    floor = np.where(usable, np.sqrt(floor_factor) * noise.floor, 0.0)
+    stated = before if as_counted is None else as_counted
+    channels = []
+    for channel in (channel for channel in Channel if usable[:, channel].any()):
+        on = usable[:, channel]
+        scaled = np.stack([before[on, channel], after[on, channel]], axis=1) / floor[on, channel, None]
+        rms = [float(np.sqrt(np.mean(values[on, channel] ** 2))) for values in (stated, after, floor)]
+        channels.append(ChannelClosure(channel, rms[0], rms[1], rms[2], _fraction(scaled**2, np.ones(len(scaled)))))
+    closure = Closure(
+        before_rms_m=end_rms_m(stated, observations),
+        after_rms_m=end_rms_m(after, observations),
+        floor_rms_m=end_rms_m(floor, observations),
+        fraction=fraction,
+        ci95=None if fraction is None else _interval(squares, expected, observations.condition, rng),
+        held_out=by,
+        channels=tuple(channels),
+    )
+    return HeldOut(stated, after, floor, closure)
+
+
+def _fraction(squares: FloatArray, expected: FloatArray) -> float | None:
+    """Return the closure of whitened squares (n, 2), of which noise explains `expected`; None without a gap."""
+    before, after = squares.sum(axis=0) - expected.sum()
+    if before < LEAST_GAP * expected.sum():
+        return None
+    return float(np.clip(1.0 - max(after, 0.0) / before, -1.0, 1.0))
+
+
+def _interval(
+    squares: FloatArray, expected: FloatArray, condition: IntArray, rng: np.random.Generator
+) -> tuple[float, float]:
+    """Return the 95 % bootstrap interval of the closure over conditions."""
+    _, number = np.unique(condition, return_inverse=True)
+    n = int(number.max()) + 1
+    by_condition = np.stack([np.bincount(number, values, n) for values in (*squares.T, expected)], axis=1)
+    before, after, noise = by_condition[rng.integers(0, n, (BOOTSTRAPS, n))].sum(axis=1).T
+    gap = np.maximum(before - noise, LEAST_RESAMPLED_GAP * np.maximum(noise, 1.0))
+    low, high = np.quantile(np.clip(1.0 - (after - noise) / gap, -1.0, 1.0), (0.025, 0.975))
+    return float(low), float(high)
+
+
+def end_rms_m(values: FloatArray, observations: Observations, units: BoolArray | None = None) -> float | None:
+    """Return the root mean square of end positions, else of distances; None where neither was measured.
+
+    Parameters
+    ----------
+    values : array of float, shape (n_units, n_channels)
+        Residuals, or a noise level.
+    observations : Observations
+        The same observations.
+    units : array of bool, shape (n_units,), optional
+        Some of them.
+    """
+    on = observations.usable if units is None else observations.usable & units[:, None]
+    pose = on[:, POSE].all(axis=1)
+    if pose.any():
+        return float(np.sqrt(np.mean((values[pose][:, POSE] ** 2).sum(axis=1))))
+    if on[:, Channel.DISTANCE].any():
+        return float(np.sqrt(np.mean(values[on[:, Channel.DISTANCE], Channel.DISTANCE] ** 2)))
+    return None
+
+
+def trials(left_out: HeldOutFit, before: FloatArray, dof: float) -> tuple[Trial, ...]:
+    """Hold out each value of what varies, and try the correction of the others there.
+
+    Parameters
+    ----------
+    left_out : LeftOut
+        Predicts held-out runs.
+    before : array of float, shape (n_units, n_channels)
+        Residuals of the model alone.
+    dof : float
+        Degrees of freedom of the noise level.
+    """
+    from scipy.special import fdtri
+
+    observations = left_out.observations
+    tried = [(name, value, units) for name, value, units in _values(observations) if left_out.is_predictive(units)]
+    squares_before = left_out.squares(before)
+    results = []
+    for name, value, units in tried:
+        after = left_out.after(units)
+        square, corrected = squares_before[units].sum(), left_out.squares(after)[units].sum()
+        expected = float(observations.usable[units].sum())
+        # squares over an estimated noise level follow F; Bonferroni over the trials
+        limit = expected * float(fdtri(expected, max(dof, 3.0), 1.0 - FALSE_ALARM / len(tried)))
+        scatter = max(2.0 * left_out.spread(after - before, units), 1e-9)
+        results.append(
+            Trial(
+                left_out=name,
+                value=value,
+                before_rms_m=end_rms_m(before, observations, units),
+                after_rms_m=end_rms_m(after, observations, units),
+                before_square=float(square),
+                after_square=float(corrected),
+                noise_square=expected,
+                noise_limit=limit,
+                growth_sd=float((corrected - square) / scatter),
+            )
+        )
+    return tuple(results)
+
+
+def _values(observations: Observations) -> Iterator[tuple[str, str, BoolArray]]:
+    """Yield what varies, each of its values, and the observations that have it, shape (n_units,)."""
+    rolled = 0.5 * (np.abs(observations.travel_left_m) + np.abs(observations.travel_right_m))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # of the wheels, so that a turn on the spot has one too; weighed by distance, as effects act
+        speed = np.nan_to_num(observations.total(rolled**2 / observations.duration_s) / observations.total(rolled))
+    load = np.nan_to_num(observations.number("load_left_N") + observations.number("load_right_N"))
+    kinds = observations.labels["kind"]
+    if not np.all(kinds != ""):
+        kinds = np.array([f"route {number + 1}" for number in observations.kind])
+    quantities = {
+        "kind": kinds,
+        "speed": _binned(speed, SAME_VALUE * max(float(speed.max()), 1e-3), "{:.2f} m/s"),
+        "load": _binned(load, SAME_VALUE * max(float(load.max()), 1.0), "{:.0f} N"),
+        "direction": observations.labels["direction"],
+        "session": observations.labels["session"],
+    }
+    for name, values in quantities.items():
+        joined = _joined(values)
+        for value in np.unique(joined) if len(np.unique(values)) > 1 else ():
+            units = joined == value
+            if FEWEST_UNITS <= units.sum() <= MOST_HELD_OUT * len(units):
+                yield name, str(value), units
+
+
+def _binned(values: FloatArray, width: float, words: str) -> StrArray:
+    """Name values by the mean of their neighbours: in sorted order, a step above `width` begins another bin."""
+    order = np.argsort(values)
+    group = np.zeros(len(values), dtype=np.int64)
+    group[order] = np.cumsum(np.concatenate(([0], np.diff(values[order]) > width)))
+    means = np.bincount(group, values) / np.bincount(group)
+    return np.array([words.format(mean) for mean in means])[group]
+
+
+def _joined(values: StrArray) -> StrArray:
+    """Join values into `MOST_VALUES` groups where there are more, neighbours in time together."""
+    names, first, index = np.unique(values, return_index=True, return_inverse=True)
+    if len(names) <= MOST_VALUES:
+        return values
+    rank = np.argsort(np.argsort(first))[index]
+    group = rank * MOST_VALUES // len(names)
+    ends = [values[group == k] for k in range(MOST_VALUES)]
+    return np.array([part[0] if part[0] == part[-1] else f"{part[0]} to {part[-1]}" for part in ends])[group]

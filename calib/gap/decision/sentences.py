@@ -1,0 +1,269 @@
+"""The diagnosis in sentences: the verdict, whether to apply the fix, and the paper's figures beside the campaign's."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from math import isinf, prod
+from typing import TYPE_CHECKING, Final
+
+from calib.gap.decision.adequacy import LARGEST_GROUP, RECOMMENDED_PROBABILITY, corrections_agree
+from calib.gap.decision.diagnosis import Cause, Diagnosis, VerdictKind
+from calib.gap.decision.held_out import ChannelClosure
+from calib.gap.effects.calibration import HIDES_IN
+from calib.gap.effects.library import effect_class, title_of, why_not_transferable
+from calib.gap.inference.local_search import EVEN_PROBABILITY
+from calib.gap.localise.result import GapLocation, PlaceResult
+
+if TYPE_CHECKING:
+    from calib.odometry.paper import Improvement
+
+#: channels and covariates that a sentence names; the tables have them all
+MOST_CHANNELS: Final = 3
+MOST_COVARIATES: Final = 2
+#: further effects that the advice names
+MOST_FURTHER: Final = 3
+#: metres or radians from which on a gap is not given in thousandths
+LARGE_GAP: Final = 1.0
+
+
+def sentence(diagnosis: Diagnosis) -> str:
+    """Return the verdict in words; a noise level far above the stated sigmas comes first.
+
+    The channels above the noise level lead, with what they are judged against; then the cause, or that it cannot be
+    identified, the effects that it is confounded with, and whether a plain recalibration closes or hides the gap.
+    """
+    return f"{diagnosis.noise_level.finding} {_verdict(diagnosis)}".lstrip()
+
+
+def blunder_sentence(diagnosis: Diagnosis, off: float) -> str:
+    """Return the verdict where runs end off by a share of their length that no effect of a vehicle explains."""
+    return (
+        f"Against {diagnosis.against}, runs end off by {100 * off:.0f} % of their length on average, with any effect "
+        "of the library: wheels and floor cannot do that. Check units (metres, radians, newtons), axes of the "
+        "reference (x ahead, y to the left, angles counter-clockwise), swapped columns, counts per revolution, and "
+        "wheels that this drive does not have."
+    )
+
+
+def _verdict(diagnosis: Diagnosis) -> str:
+    kind, lead = diagnosis.kind, _channels(diagnosis)
+    if kind is VerdictKind.NO_GAP:
+        return f"No gap: measured motion differs from {diagnosis.against} by no more than the noise level."
+    if kind is VerdictKind.UNDECIDED:
+        return (
+            "These runs cannot show whether there is a gap: their noise level rests on "
+            f"{diagnosis.noise_level.support}. Drive one route several times under the same conditions."
+        )
+    gap = diagnosis.gap_probability
+    if gap is not None and gap < EVEN_PROBABILITY:
+        lead += f"The probability of a gap is {gap:.2f} only; if there is one: "
+    if kind is VerdictKind.UNKNOWN:
+        cause = f"There is a gap, but no effect of the library explains it{_located(diagnosis.where)}."
+        return f"{lead}{cause}{_nearest(diagnosis)} Add columns of suspected quantities to runs.csv."
+    if kind is VerdictKind.PARTLY_EXPLAINED:
+        causes = f"{_listed(diagnosis.causes)}{_alternatives(diagnosis)}"
+        return f"{lead}The gap is partly explained by {causes}; {_unexplained(diagnosis)}."
+    explained = f"The gap is explained by {_listed(diagnosis.causes)}"
+    words = _ambiguous(diagnosis) if kind is VerdictKind.AMBIGUOUS else explained
+    return f"{lead}{words}.{_recalibration(diagnosis)}{_implausible(diagnosis)}"
+
+
+def _nearest(diagnosis: Diagnosis) -> str:
+    """Return the effects that would be named if they did not leave more of the gap than they explain."""
+    probable = [name for name, p in diagnosis.probabilities.items() if p >= EVEN_PROBABILITY and name != "unknown"]
+    names = _joined((_named(name, diagnosis) for name in probable), "and")
+    return f" Closest: {names}; more than half of the gap remains." if probable else ""
+
+
+def _unexplained(diagnosis: Diagnosis) -> str:
+    if diagnosis.unexplained is None:
+        return "the correction does not carry over to all held-out runs"
+    return f"an unexplained residual remains{_located(diagnosis.where.rest)}"
+
+
+def advice(diagnosis: Diagnosis) -> str:
+    """Return whether the fix is recommended, and if not why; empty without a cause."""
+    if not diagnosis.causes:
+        return ""
+    if diagnosis.recommended and diagnosis.groups:
+        groups = _joined((_joined(group.effects, "or") for group in diagnosis.groups), "and")
+        return f"Recommended: the corrections for {groups} agree; apply the fix in either case."
+    if diagnosis.recommended:
+        return "Recommended: the fix holds on held-out runs."
+    return f"Not recommended: {_reason_against(diagnosis)}."
+
+
+def _reason_against(diagnosis: Diagnosis) -> str:
+    agree = corrections_agree(diagnosis.fix.agreement_m, diagnosis.closure)
+    if diagnosis.groups and (not agree or _confounded(diagnosis) > LARGEST_GROUP):
+        return "other effects explain these runs equally well; drive the runs that 'calib plan' names"
+    if diagnosis.kind is VerdictKind.PARTLY_EXPLAINED:
+        return "part of the gap is unexplained, and the named cause may imitate its cause"
+    doubtful = _joined((f"{cause.effect} ({cause.probability:.2f})" for cause in _doubtful(diagnosis.causes)), "and")
+    if doubtful:
+        return f"the probability is too low: {doubtful}"
+    concerned = {cause.effect for cause in diagnosis.causes}.union(*(group.effects for group in diagnosis.groups))
+    if diagnosis.fix.nothing_else < RECOMMENDED_PROBABILITY:
+        others = [item for item in diagnosis.probabilities.items() if item[0] not in {*concerned, "unknown"}]
+        if others:
+            names = _joined([f"{name} ({probability:.2f})" for name, probability in others[:MOST_FURTHER]], "or")
+            return f"{names} may be at work too"
+    reasons = sorted({why_not_transferable(effect) for effect in concerned} - {""})
+    return "; ".join(reasons) or "held-out runs do not show that the fix holds"
+
+
+def _doubtful(causes: Sequence[Cause]) -> list[Cause]:
+    """Return the least probable causes, without which the others together would be probable enough."""
+    rising = sorted(causes, key=lambda cause: cause.probability)
+    for n in range(len(rising)):
+        # not "at least": a cause without a probability (NaN) is not doubted for it
+        if not prod(cause.probability for cause in rising[n:]) < RECOMMENDED_PROBABILITY:
+            return rising[:n]
+    return rising
+
+
+def _confounded(diagnosis: Diagnosis) -> int:
+    """Return the number of effects in the largest confounded group."""
+    return max((len(group.effects) for group in diagnosis.groups), default=0)
+
+
+def _listed(causes: Sequence[Cause]) -> str:
+    # the label of a blunder says what to do
+    labels = (f"{cause.effect}: {cause.form}" if isinf(cause.signal) else cause.effect for cause in causes)
+    return _joined((f"{cause.title} ({label})" for cause, label in zip(causes, labels, strict=True)), "and")
+
+
+def _joined(parts: Iterable[str], word: str) -> str:
+    *most, last = list(parts) or [""]
+    return f"{', '.join(most)} {word} {last}" if most else last
+
+
+def _named(effect: str, diagnosis: Diagnosis) -> str:
+    titles = {cause.effect: cause.title for cause in diagnosis.causes}
+    return f"{titles.get(effect) or title_of(effect)} ({effect})"
+
+
+def _ambiguous(diagnosis: Diagnosis) -> str:
+    """Return the causes where some are confounded with effects of other families."""
+    most = _confounded(diagnosis)
+    if most > LARGEST_GROUP:
+        return f"There is a gap, but these runs do not identify its cause: {most} effects explain it equally well"
+    confounded = {effect for group in diagnosis.groups for effect in group.effects}
+    sure = [cause for cause in diagnosis.causes if cause.effect not in confounded]
+    groups = [_joined((_named(effect, diagnosis) for effect in group.effects), "or") for group in diagnosis.groups]
+    several = bool(sure) or len(groups) > 1
+    parts = ([_listed(sure)] if sure else []) + [f"either {group}" if several else group for group in groups]
+    which = "which" if len(groups) == 1 else "which of each"
+    return f"The gap is explained by {_joined(parts, 'and by')}: these runs cannot tell {which}"
+
+
+def _alternatives(diagnosis: Diagnosis) -> str:
+    """Return the effects that the named causes are confounded with."""
+    most = _confounded(diagnosis)
+    if most > LARGEST_GROUP:
+        return f", whose cause these runs do not identify (up to {most} effects explain it equally well)"
+    named = {cause.effect for cause in diagnosis.causes}
+    others = [
+        _joined((_named(effect, diagnosis) for effect in group.effects if effect not in named), "or")
+        for group in diagnosis.groups
+    ]
+    return f", which these runs cannot tell from {_joined(filter(None, others), 'and')}" if any(others) else ""
+
+
+def _located(where: GapLocation | None) -> str:
+    """Return what a gap correlates with and where it arises, as the end of a sentence."""
+    if where is None:
+        return ""
+    lines, parts = where.significant, []
+    if lines:
+        names = _joined((line.name.replace("_", " ") for line in lines[:MOST_COVARIATES]), "and")
+        most = "" if lines[0].channel is None else f", most in {lines[0].channel.label}"
+        parts.append(f"it correlates with {names}{most}")
+    if where.places:
+        parts.append(f"it arises {_place(where.places[0])}")
+    return "; " + ", and ".join(parts) if parts else ""
+
+
+def _place(line: PlaceResult) -> str:
+    if line.place is None:
+        return {"turns": "in turns", "stops": "at stops"}.get(line.where, "along the route")
+    low, high = line.place
+    return f"between {low:.1f} and {high:.1f} m ({line.coordinate}, {line.route})"
+
+
+def _channels(diagnosis: Diagnosis) -> str:
+    """Return the gap of the channels above the noise level, without and with the causes; else of the nearest to it."""
+    closure, named = diagnosis.closure, bool(diagnosis.causes)
+
+    def ratio(line: ChannelClosure) -> float:
+        return line.before_rms / line.floor_rms if line.floor_rms > 0.0 else 0.0
+
+    lines = closure.moved or sorted(closure.channels, key=ratio)[-1:]
+    parts = [_channel(line, both=named) for line in lines[:MOST_CHANNELS]]
+    where = ", on held-out runs" if named else ""
+    return f"Against {diagnosis.against}{where}: {'; '.join(parts)}. " if parts else ""
+
+
+def _channel(line: ChannelClosure, *, both: bool) -> str:
+    """Return ``distance 6.1 -> 1.9 mm (noise level 2.3)``."""
+    unit = line.channel.unit
+    factor, unit = (1.0, unit) if line.before_rms >= LARGE_GAP else (1e3, f"m{unit}")
+    before, after, floor = (f"{factor * value:.3g}" for value in (line.before_rms, line.after_rms, line.floor_rms))
+    return f"{line.channel.label} {before}{f' -> {after}' if both else ''} {unit} (noise level {floor})"
+
+
+def _recalibration(diagnosis: Diagnosis) -> str:
+    """Return that a plain recalibration closes the gap, or what of the calibration the cause is confounded with."""
+    own = [cause.effect for cause in diagnosis.causes if cause.effect in HIDES_IN]
+    others = [cause for cause in diagnosis.causes if cause.effect not in HIDES_IN]
+    if own and not others and diagnosis.kind is VerdictKind.EXPLAINED:
+        return f" A plain recalibration of {_joined((HIDES_IN[name] for name in own), 'and')} closes it."
+    confounded = {effect for group in diagnosis.groups for effect in group.effects} & HIDES_IN.keys()
+    hidden = sorted(confounded - set(own)) if others else []
+    names = _joined((HIDES_IN[name] for name in hidden), "and")
+    return f" These runs cannot tell it from an error of {names}." if hidden else ""
+
+
+def _implausible(diagnosis: Diagnosis) -> str:
+    doubtful = [cause for cause in diagnosis.causes if not cause.plausible and cause.remark]
+    return "".join(f" The size of {cause.effect} is doubtful: {cause.remark}." for cause in doubtful)
+
+
+@dataclass(frozen=True, slots=True)
+class PaperHeadline:
+    """What the load correction achieves, here and in the paper."""
+
+    effect: str  #: the cause
+    sole_candidate: bool  #: whether these runs separate it from other causes
+    paper: Improvement
+    campaign: Improvement  #: root mean squares over held-out runs
+    sentence: str
+
+
+def headline(diagnosis: Diagnosis) -> PaperHeadline | None:
+    """Return the paper's headline beside that of a diagnosis; None where load is not the cause."""
+    laws = (cause.effect for cause in diagnosis.causes if getattr(effect_class(cause.effect), "is_load_law", False))
+    effect = next(laws, None)
+    before, after = diagnosis.closure.before_rms_m, diagnosis.closure.after_rms_m
+    if effect is None or before is None or after is None:
+        return None
+    from calib.odometry.paper import Improvement, paper_headline
+
+    sole = not any(effect in group.effects for group in diagnosis.groups)
+    campaign = Improvement(float(before), float(after), before / after if after > 0.0 else None)
+    here = f"this campaign: {_metres(before)} m to {_metres(after)} m"
+    here += "" if campaign.ratio is None else f", {campaign.ratio:.3g} times smaller"
+    here += "" if sole else ", if the load is the cause"
+    printed = paper_headline()
+    text = (
+        f"Correction for the load; the paper: {printed.before_m:g} m to {printed.after_m:g} m as printed, about "
+        f"{printed.ratio:.0f} times smaller before rounding; {here}. The figures are end errors, each on its own "
+        "route and loads."
+    )
+    return PaperHeadline(effect, sole, printed, campaign, text)
+
+
+def _metres(value: float) -> str:
+    """Return a length with two significant digits or more, without an exponent."""
+    return f"{value:.2f}" if value >= 0.995 else f"{value:.2g}"

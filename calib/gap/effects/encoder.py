@@ -1,0 +1,254 @@
+"""Encoders: eccentric wheels, lost counts, and blunders (wrong factor, side or sign)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Final
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Path, Perturbation, varies
+from calib.gap.effects.quantities import driven_speed_mps, wheel_size
+from calib.gap.predict import predict, residuals
+from calib.types import BoolArray, FloatArray
+
+
+class WheelEccentricity(Effect):
+    """The travel of a wheel gains e [sin(phi + phi_0) - sin(phi_0)], never more than 2 e.
+
+    Linear in e cos(phi_0) and e sin(phi_0). The wheel angle phi is the counter's, so phi_0 is common to runs only
+    where the counter keeps its place between them.
+    """
+
+    id = "wheel_eccentricity"
+    title = "an eccentric wheel"
+    implausible = "a slipping encoder coupling"
+    family = Family.COUNTS
+    of_rear_wheels = True
+    needs = "logs"
+    separates = "the log within a run"
+
+    def forms(self, observations: Observations) -> list[Form]:
+        """Return forms for the left wheel, the right wheel and both; none without logs."""
+        if not observations.from_log.any():
+            return []
+
+        def relative(
+            observations: Observations, angle: FloatArray, roll: FloatArray, radius: FloatArray
+        ) -> tuple[FloatArray, FloatArray]:
+            """Return the relative change of each step's travel per metre of e cos(phi_0) and of e sin(phi_0)."""
+            middle, half = angle - 0.5 * roll, 0.5 * roll
+            # sin(a) - sin(b) = 2 cos(middle) sin(half), so the quotient by the roll stays finite at rest
+            share = (
+                np.where(observations.from_log[observations.unit], np.sinc(half / np.pi), 0.0)
+                / radius[observations.unit]
+            )
+            return np.cos(middle) * share, -np.sin(middle) * share
+
+        kept: WeakKeyDictionary[Path, tuple[list[Perturbation], list[Perturbation]]] = WeakKeyDictionary()
+
+        def sides(path: Path) -> tuple[list[Perturbation], list[Perturbation]]:
+            """Return the perturbations of the left and of the right wheel; kept, as two forms ask for each."""
+            if path not in kept:
+                s = path.s
+                lefts = relative(s, s.phase_left_rad, s.roll_left_rad, s.radius_left_m)
+                rights = relative(s, s.phase_right_rad, s.roll_right_rad, s.radius_right_m)
+                kept[path] = [Perturbation(left=part) for part in lefts], [Perturbation(right=part) for part in rights]
+            return kept[path]
+
+        scale = wheel_size(observations)
+
+        def parameters(side: str) -> tuple[Parameter, ...]:
+            names = (f"{side}_cos", f"{side}_sin")
+            return tuple(Parameter(name, "m", typical=2e-4 * scale, largest=2e-3 * scale) for name in names)
+
+        return [
+            Form(self.id, "left wheel", parameters("left"), lambda path: sides(path)[0], tries=3, by_parts=True),
+            Form(self.id, "right wheel", parameters("right"), lambda path: sides(path)[1], tries=3, by_parts=True),
+            Form(
+                self.id,
+                "both wheels",
+                parameters("left") + parameters("right"),
+                lambda path: [perturbation for side in sides(path) for perturbation in side],
+                tries=3,
+                by_parts=True,
+            ),
+        ]
+
+
+class LostCounts(Effect):
+    """One wheel travels a share p more than its counts say: p constant, or growing with the speed above v_0.
+
+    A constant share is an exact alias of that wheel's radius.
+    """
+
+    id = "lost_counts"
+    title = "counts lost by one encoder"
+    implausible = "the radius of that wheel, or a wrong count per revolution"
+    family = Family.COUNTS
+    of_rear_wheels = True
+    needs = "headings or distances; two speeds for a share that grows"
+    separates = "the front wheel as a second counter, at several speeds"
+    shifts = ("radius_scale", "unequal_radii")
+
+    def forms(self, observations: Observations) -> list[Form]:
+        """Return, for each wheel, a constant share and, where speeds differ, two shares that grow with speed."""
+        ones = np.ones(len(observations))
+        constant = Parameter("share", "1", typical=2e-3, largest=2e-2, sign=1)
+        shapes: list[tuple[str, FloatArray, Parameter, dict[str, float]]] = [("constant share", ones, constant, {})]
+        speed = driven_speed_mps(observations)
+        if varies(speed, 0.02):
+            growing = Parameter("share_per_mps", "s/m", typical=5e-3, largest=5e-2, sign=1)
+            for v_0 in (float(speed.min()), float(np.median(speed))):
+                over = np.maximum(speed - v_0, 0.0)
+                if varies(over, 0.02):
+                    label = f"share growing above {v_0:.2f} m/s"
+                    shapes.append((label, over, growing, {"speed_mps": v_0}))
+
+        def form(side: str, label: str, part: FloatArray, parameter: Parameter, settings: dict[str, float]) -> Form:
+            perturbation = Perturbation(left=part) if side == "left" else Perturbation(right=part)
+            return Form(
+                self.id,
+                f"{side} wheel, {label}",
+                (parameter,),
+                lambda _: [perturbation],
+                settings=settings,
+                tries=2 * len(shapes),
+            )
+
+        return [form(side, *shape) for shape in shapes for side in ("left", "right")]
+
+
+FACTORS: Final = {"2": 2.0, "4": 4.0, "pi": np.pi, "1/2": 0.5, "1/4": 0.25, "1/pi": 1 / np.pi, "10": 10.0, "1/10": 0.1}
+_SWAPPED: Final = "swapped wheels"
+#: an error is a blunder where runs are off by more than this share of their length (or of a radian) on average
+BLUNDER_MISFIT: Final = 0.08
+#: and a correction is believed where it leaves less than this share of that
+BLUNDER_RESIDUAL_SHARE: Final = 0.2
+#: rise over run, and radians, within which a run is straight: no route turns by so little
+_STRAIGHT_ANGLE_RAD: Final = 0.2
+
+
+class EncoderBlunder(Effect):
+    """Factors of 2, 4, 10, pi on one wheel or both, swapped wheels, a sign.
+
+    Such gaps are far from linear: `find_blunder` tries each blunder in full before the search; there are no forms.
+    """
+
+    id = "encoder_gross"
+    title = "a blunder of the encoders"
+    implausible = "a reference that was read in other units or axes"
+    family = Family.COUNTS
+    needs = "distances or end poses"
+    separates = "any run: nothing else is so large"
+    found_before_search = True
+
+    def forms(self, observations: Observations) -> list[Form]:  # noqa: ARG002
+        """Return none: the fault is found before the search."""
+        return []
+
+
+@dataclass(frozen=True, slots=True)
+class Blunder:
+    """What the counts have to be multiplied by to be right; sides swapped first where `swapped`."""
+
+    effect = EncoderBlunder
+
+    label: str
+    left: float
+    right: float
+    swapped: bool = False
+
+    @property
+    def remark(self) -> str:
+        """What to do about it."""
+        axes = "or the reference's axes (y to the left, angles counter-clockwise), " if self.swapped else ""
+        return f"put the counts right, {axes}then diagnose again"
+
+    @property
+    def sizes(self) -> Mapping[str, tuple[float, tuple[float, float], str]]:
+        """Value, 95 % interval and unit of each factor: plain numbers that are sure."""
+        return {name: (factor, (factor, factor), "1") for name, factor in self.factors.items()}
+
+    @property
+    def factors(self) -> dict[str, float]:
+        """What the counts are multiplied by, as the parameters that a verdict and a coefficient file show."""
+        return {"factor_left": self.left, "factor_right": self.right}
+
+    @classmethod
+    def from_factors(cls, label: str, factors: Mapping[str, float]) -> Blunder | None:
+        """Return the fault of a label and its `factors`, None where one is missing or 0."""
+        left, right = factors.get("factor_left"), factors.get("factor_right")
+        return cls(label, left, right, swapped=label.startswith(_SWAPPED)) if left and right else None
+
+
+def _candidates() -> list[Blunder]:
+    faults = [Blunder(_SWAPPED, 1.0, 1.0, swapped=True)]
+    for label, factor in FACTORS.items():
+        faults.append(Blunder(f"both wheels' counts are to be multiplied by {label}", factor, factor))
+        faults.append(Blunder(f"the left wheel's counts are to be multiplied by {label}", factor, 1.0))
+        faults.append(Blunder(f"the right wheel's counts are to be multiplied by {label}", 1.0, factor))
+    faults.append(Blunder("the left wheel counts backwards", -1.0, 1.0))
+    faults.append(Blunder("the right wheel counts backwards", 1.0, -1.0))
+    faults.append(Blunder("both wheels count backwards", -1.0, -1.0))
+    faults.append(Blunder(f"{_SWAPPED}, both counting backwards", -1.0, -1.0, swapped=True))
+    return faults
+
+
+def corrected(observations: Observations, fault: Blunder) -> Observations:
+    """Return the situation with the counts corrected."""
+    roll = [observations.roll_left_rad, observations.roll_right_rad]
+    phase = [observations.phase_left_rad, observations.phase_right_rad]
+    left, right = (1, 0) if fault.swapped else (0, 1)
+    return replace(
+        observations,
+        roll_left_rad=roll[left] * fault.left,
+        roll_right_rad=roll[right] * fault.right,
+        phase_left_rad=phase[left] * fault.left,
+        phase_right_rad=phase[right] * fault.right,
+    )
+
+
+def misfit(path: Path) -> FloatArray:
+    """Return how far each observation is off, as a share of its length and per radian, 1 at most, shape (n_obs,).
+
+    A straight run is judged by its length and by how far its wheels differ: over a long one a radius that is half a
+    per cent off, as one under load is, turns the vehicle by a quarter radian and leads it far aside.
+    """
+    observations = path.s
+    gap = np.where(observations.usable, np.abs(residuals(path, path)), 0.0)
+    length = np.maximum(
+        np.hypot(observations.measured[:, 1], observations.measured[:, 2]), np.nan_to_num(observations.measured[:, 0])
+    )
+    length = np.where(np.isfinite(length) & (length > 0.5), length, np.maximum(observations.length_m, 0.5))
+    straight = _straight(observations)
+    ways = np.where(straight, gap[:, :2].max(axis=1), gap[:, :3].max(axis=1)) / length
+    per_turn = np.where(straight, observations.model.track_m / length, 1.0)
+    return np.asarray(np.minimum(np.maximum(ways, per_turn * gap[:, 3]), 1.0))
+
+
+def _straight(observations: Observations) -> BoolArray:
+    """Return which observations were measured to end ahead, headed as at their beginning, shape (n_obs,)."""
+    measured, usable = observations.measured, observations.usable
+    aside = usable[:, 2] & ~(np.abs(measured[:, 2]) < _STRAIGHT_ANGLE_RAD * np.abs(measured[:, 1]))
+    turned = usable[:, 3] & ~(np.abs(measured[:, 3]) < _STRAIGHT_ANGLE_RAD)
+    return np.asarray(~aside & ~turned)
+
+
+def find_blunder(observations: Observations, nominal: Path) -> Blunder | None:
+    """Return the blunder that puts the counts right, None where the counts are roughly right or nothing helps."""
+    if np.isfinite(observations.simulated).any():
+        return None
+    now = float(np.mean(misfit(nominal)))
+    if now < BLUNDER_MISFIT:
+        return None
+    # a front wheel that drives the odometry has no other side
+    candidates = [c for c in _candidates() if not observations.by_front or (c.left == c.right and not c.swapped)]
+    tried = [
+        (float(np.mean(misfit(predict(corrected(observations, fault))))), number)
+        for number, fault in enumerate(candidates)
+    ]
+    best, number = min(tried)
+    return candidates[number] if best < BLUNDER_RESIDUAL_SHARE * now and best < BLUNDER_MISFIT else None

@@ -1,0 +1,136 @@
+"""The path between the ends: a weave, and the integration of an outside simulator."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Path, Perturbation
+from calib.gap.effects.quantities import distance_m, start_to_end_frame
+from calib.gap.predict import predict
+from calib.types import FloatArray
+
+
+class PathWeave(Effect):
+    """Wheels roll (pi A / lambda)^2 further than the distance shows; the parameter is the share of the known weave.
+
+    A run with a log needs no such thing, its path is integrated; a run without one is taken as one arc, and an outside
+    simulator may have driven the straight line.
+    """
+
+    id = "path_weave"
+    title = "a path that weaves about its line"
+    implausible = "both effective radii, or a weave other than noted"
+    family = Family.PATH
+    needs = "amplitude_m and wavelength_m, or logs beside an outside simulation"
+    separates = "the log within a run"
+
+    def forms(self, observations: Observations) -> list[Form]:
+        """Return forms by the noted amplitude and wavelength and one by the logs of outside simulations."""
+        amplitude, wavelength = observations.number("amplitude_m"), observations.number("wavelength_m")
+        noted = np.zeros(len(observations))
+        weaves = ~observations.from_log & (amplitude > 0.0) & (wavelength > 0.0)
+        if weaves.any():
+            noted[weaves] = sine_excess(amplitude[weaves], wavelength[weaves])
+        has_noted = bool((noted > 1e-7).any())
+        outside = observations.from_log & np.isfinite(observations.simulated[:, :2]).any(axis=1)
+        logged = np.where(outside, _weave_of_logs(observations), 0.0)
+        has_logged = bool((logged > 1e-7).any())
+        share = Parameter("share", "1", typical=1.0, largest=2.0, sign=1)
+        # nobody measured the heading, and every run ends at one place of its wave, but not that where it began
+        guided = weaves & observations.guided
+        swing = np.zeros(len(observations))
+        swing[guided] = 2.0 * np.pi * amplitude[guided] / wavelength[guided]
+        turned = Parameter("end_heading", "1", typical=1.0, largest=2.0)
+        tries = int(has_noted) * (1 + int(guided.any())) + int(has_logged)
+
+        def form(label: str, excess: FloatArray, *further: Perturbation) -> Form:
+            shorter = -excess / (1.0 + excess)
+
+            def perturbations(path: Path) -> list[Perturbation]:
+                along, lateral = start_to_end_frame(path, shorter * path.end[:, 0], shorter * path.end[:, 1])
+                distance = shorter * distance_m(path)
+                return [
+                    Perturbation.on_readings(observations, distance=distance, along=along, lateral=lateral),
+                    *further,
+                ]
+
+            return Form(self.id, label, (share, turned)[: 1 + len(further)], perturbations, tries=tries)
+
+        forms = []
+        if has_noted:
+            forms.append(form("by the noted amplitude", noted))
+        if has_noted and guided.any():
+            swung = Perturbation.on_readings(observations, heading=swing)
+            forms.append(form("by the noted amplitude, turned at the end", noted, swung))
+        if has_logged:
+            forms.append(form("by the logs", logged))
+        return forms
+
+
+def sine_excess(amplitude_m: FloatArray, wavelength_m: FloatArray) -> FloatArray:
+    """Return by which share a sine is longer than its line over whole periods, same shape as the arguments.
+
+    (2 / pi) sqrt(1 + u) E(u / (1 + u)) - 1 with u = (2 pi A / lambda)^2 and E the complete elliptic integral of the
+    second kind; (pi A / lambda)^2 for small amplitudes.
+    """
+    from scipy.special import ellipe
+
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u = (2.0 * np.pi * amplitude_m / wavelength_m) ** 2
+    return np.asarray(2.0 / np.pi * np.sqrt(1.0 + u) * ellipe(u / (1.0 + u)) - 1.0, dtype=np.float64)
+
+
+def _weave_of_logs(observations: Observations) -> FloatArray:
+    """Return by which share the logged path is longer than its line, 0 on routes that turn, shape (n_obs,)."""
+    path = predict(observations)
+    way = observations.total(np.abs(path.ds_m))
+    line = np.abs(path.line_m)
+    straight = np.abs(path.end[:, 2]) < 0.35
+    with np.errstate(divide="ignore", invalid="ignore"):
+        excess = way / line - 1.0
+    return np.where(straight & np.isfinite(excess), excess, 0.0)
+
+
+class IntegrationScheme(Effect):
+    """Exact arcs less steps along the heading at their end (Eq. 7 as printed) or start (Euler): e_n ~ v dt theta / 2.
+
+    Calib's own odometry integrates exact arcs, so only an outside simulator's poses can have it. The difference is
+    computed on the log's steps and grows with them: a share of 1 means that the simulator takes the log's steps.
+    """
+
+    id = "integration_scheme"
+    title = "a simulator that integrates the heading coarsely"
+    implausible = "latency, or a start heading that differs"
+    family = Family.PATH
+    needs = "poses of an outside simulator on runs that turn"
+    separates = "none: it is computed from the logs"
+
+    def forms(self, observations: Observations) -> list[Form]:
+        """Return the end-point and the Euler form; none without an outside simulator's poses on turning runs."""
+        outside = (
+            observations.from_log & np.isfinite(observations.simulated[:, 1:3]).all(axis=1) & observations.usable[:, 1]
+        )
+        if not outside.any():
+            return []
+        parameter = Parameter("share", "1", typical=1.0, largest=2.0, sign=1)
+
+        def form(label: str, back: float) -> Form:
+            def perturbations(path: Path) -> list[Perturbation]:
+                heading = observations.cumulative(path.turn_rad) - back * path.turn_rad
+                x = path.end[:, 0] - observations.total(path.ds_m * np.cos(heading))
+                y = path.end[:, 1] - observations.total(path.ds_m * np.sin(heading))
+                x, y = np.where(outside, x, 0.0), np.where(outside, y, 0.0)
+                along, lateral = start_to_end_frame(path, x, y)
+                # a laser's simulated distance was taken from the same pose
+                far = np.maximum(np.hypot(path.end[:, 0], path.end[:, 1]), 1e-9)
+                chord = (path.end[:, 0] * x + path.end[:, 1] * y) / far
+                laser = np.where(observations.axis == 1, x, np.where(observations.axis == 2, chord, 0.0))
+                distance = np.where(np.isfinite(observations.simulated[:, 0]), laser, 0.0)
+                return [Perturbation.on_readings(observations, distance=distance, along=along, lateral=lateral)]
+
+            return Form(self.id, label, (parameter,), perturbations, tries=2)
+
+        forms = [form("end-point heading", 0.0), form("start heading (Euler)", 1.0)]
+        nominal = predict(observations)
+        reading = forms[0].perturbations(nominal)[0].reading
+        return forms if reading is not None and float(np.abs(reading).max()) > 1e-5 else []

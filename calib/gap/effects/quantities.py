@@ -1,0 +1,169 @@
+"""Quantities that effects share: plausible sizes on a vehicle, speed, curvature, sessions, motion at the ends."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from calib.gap.effects.effect import Form, Observations, Parameter, Path, Perturbation
+from calib.types import BoolArray, FloatArray, IntArray, StrArray
+
+PAPER_LOAD_N: Final = 300.0
+PAPER_LENGTH_M: Final = 1.0
+PAPER_RADIUS_M: Final = 0.1
+
+
+def softness(observations: Observations) -> float:
+    """Return by how much softer the wheels may be per newton, 1 or more: alike under the vehicle's own weight."""
+    own_N = observations.vehicle.unladen_load_N
+    return max(1.0, PAPER_LOAD_N / own_N) if own_N > 0.0 else 1.0
+
+
+def reach(observations: Observations) -> float:
+    """Return how far things can be off on the vehicle, 1 or less: in proportion to its longer side."""
+    return min(1.0, max(observations.vehicle.wheelbase_m, observations.model.track_m) / PAPER_LENGTH_M)
+
+
+def wheel_size(observations: Observations) -> float:
+    """Return how far things can be off on a wheel, 1 or less: in proportion to its radius."""
+    return min(1.0, 0.5 * (observations.model.radius_left_m + observations.model.radius_right_m) / PAPER_RADIUS_M)
+
+
+#: slower than this counts as standing still
+MOVING_MPS = 0.05
+#: loads that differ by less are one load
+SAME_LOAD_N = 5.0
+#: fewer runs under one load are no stretch of their own
+MIN_RUNS_PER_LOAD = 3
+#: the motion at the end is judged over twice this time
+END_STRETCH_S = 0.3
+#: an end speed below this is a halt, seen through the counter's steps
+STANDSTILL_MPS = 0.05
+#: or below this share of the driven speed, for vehicles that creep
+STANDSTILL_SHARE = 0.2
+
+
+def sessions(observations: Observations) -> StrArray:
+    """Return the session of each observation, shape (n_obs,).
+
+    Where nobody wrote sessions down, a stretch of runs under one load is taken for one: what changed with the load may
+    have been anything else that changed just then. Loads that change more often than that leave a single session.
+    """
+    session = observations.labels["session"]
+    if np.any(session != session[:1]):
+        return session
+    loads = np.stack([observations.number("load_left_N"), observations.number("load_right_N")], axis=1)
+    changes = np.flatnonzero(np.abs(np.diff(loads, axis=0)).max(axis=1, initial=0.0) > SAME_LOAD_N) + 1
+    lengths = np.diff(np.concatenate(([0], changes, [len(observations)])))
+    if not len(changes) or lengths.min() < MIN_RUNS_PER_LOAD:
+        return session
+    number = np.repeat(np.arange(1, len(lengths) + 1), lengths)
+    return np.array([f"stretch_{k}" for k in number])
+
+
+def driven_speed_mps(observations: Observations) -> FloatArray:
+    """Return the speed of each observation as a mean over its path, shape (n_obs,); NaN where it is not known.
+
+    A mean over the path, not over time: it is what an effect on the radii that is linear in speed sums up to.
+    """
+    way = np.abs(observations.path_m)
+    total = observations.total(way)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        logged = observations.total(way * np.abs(observations.speed_mps)) / total
+    logged = np.where(logged > 0.0, logged, np.nan)
+    return np.where(observations.from_log & np.isfinite(logged), logged, np.abs(observations.number("speed_mps")))
+
+
+def curvature_per_m(observations: Observations) -> FloatArray:
+    """Return the curvature of each step, no tighter than a turn about one rear wheel, shape (n_steps,)."""
+    tightest = 2.0 / observations.model.track_m
+    return np.clip(observations.curvature_per_m, -tightest, tightest)
+
+
+def shows_curves(observations: Observations) -> bool:
+    """Return whether any observation turns by more than a tenth of a radian in all."""
+    return bool((observations.total(np.abs(curvature_per_m(observations) * observations.path_m)) > 0.1).any())
+
+
+def distance_m(path: Path) -> FloatArray:
+    """Return what a perfect laser would read, without any perturbation on the readings, shape (n_obs,)."""
+    observations = path.s
+    x, y = path.end[:, 0], path.end[:, 1]
+    return np.where(observations.axis == 1, x, np.where(observations.axis == 2, np.hypot(x, y), np.abs(path.line_m)))
+
+
+def start_to_end_frame(path: Path, x_m: FloatArray, y_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Turn changes of x and y, each shape (n_obs,), into along and lateral in the end frame."""
+    c, sn = np.cos(path.frame), np.sin(path.frame)
+    return c * x_m + sn * y_m, c * y_m - sn * x_m
+
+
+def end_motion(observations: Observations) -> tuple[FloatArray, FloatArray]:
+    """Return signed speed (m/s) and turn rate (rad/s) at the end of each observation, each shape (n_obs,).
+
+    By the log's last two stretches of three tenths of a second, carried on to the very end: a vehicle that brakes to a
+    halt stands there. A observation without a log is taken as read at its set speed, 0 where that is not known.
+    """
+    last = observations.starts[1:] - 1
+    to_end = observations.time_s[last][observations.unit] - (
+        observations.time_s - 0.5 * np.nan_to_num(observations.duration_s)
+    )
+    return _motion_at(observations, to_end, last)
+
+
+def start_motion(observations: Observations) -> tuple[FloatArray, FloatArray]:
+    """Return signed speed (m/s) and turn rate (rad/s) at the start of each unit, as `end_motion` at its end."""
+    first = observations.starts[:-1]
+    duration = np.nan_to_num(observations.duration_s)
+    from_start = (observations.time_s - 0.5 * duration) - (observations.time_s - duration)[first][observations.unit]
+    return _motion_at(observations, from_start, first)
+
+
+def _motion_at(observations: Observations, age: FloatArray, edge: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Return speed and turn rate at the edge of each observation; `age` is the time from it to each step, in s."""
+    with np.errstate(invalid="ignore"):
+        late, early = age < END_STRETCH_S, (age >= END_STRETCH_S) & (age < 2 * END_STRETCH_S)
+    late[edge] = True
+    early[edge] = False
+    way, turn = (
+        _carried_on(observations, part, age, late, early) for part in (observations.path_m, observations.turn_rad)
+    )
+    stands = np.abs(way) < standstill_mps(observations)
+    known = observations.from_log & np.isfinite(way)
+    set_speed = np.nan_to_num(observations.number("speed_mps")) * np.sign(observations.total(observations.path_m))
+    speed = np.where(known, np.where(stands, 0.0, way), set_speed)
+    return speed, np.where(known, np.where(stands, 0.0, turn), np.abs(set_speed) * curvature_per_m(observations)[edge])
+
+
+def standstill_mps(observations: Observations) -> FloatArray:
+    """Return the speed below which an observation stands at its edge, shape (n_obs,): less where all of it is slow."""
+    driven = driven_speed_mps(observations)
+    return np.minimum(STANDSTILL_MPS, np.where(np.isfinite(driven), STANDSTILL_SHARE * driven, STANDSTILL_MPS))
+
+
+def _carried_on(
+    observations: Observations, steps: FloatArray, back: FloatArray, late: BoolArray, early: BoolArray
+) -> FloatArray:
+    """Return the rate of a step quantity carried on to the end; never past zero, shape (n_obs,)."""
+    rate, age = [], []
+    for part in (late, early):
+        time = np.where(part, np.nan_to_num(observations.duration_s), 0.0)
+        seconds = observations.total(time)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            rate.append(observations.total(np.where(part, steps, 0.0)) / seconds)
+            age.append(observations.total(np.where(part, np.nan_to_num(back) * time, 0.0)) / seconds)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        carried = rate[0] + (rate[0] - rate[1]) * age[0] / (age[1] - age[0])
+    last = np.where(np.isfinite(rate[0]), rate[0], np.nan)
+    carried = np.where(np.isfinite(carried), carried, last)
+    return np.where(np.isnan(last) | (np.sign(carried) == np.sign(last)), carried, 0.0)
+
+
+def laser_share(observations: Observations, effect: str, parameter: Parameter) -> list[Form]:
+    """Return the form by which the laser's distances are too large by a share; empty where no observation has one."""
+    if not observations.usable[:, 0].any():
+        return []
+    return [
+        Form(effect, "", (parameter,), lambda path: [Perturbation.on_readings(observations, distance=distance_m(path))])
+    ]

@@ -1,0 +1,250 @@
+"""Instruments: errors of the rangefinder and of the pose reference."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from calib.campaign.model import Campaign
+from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Path, Perturbation
+from calib.gap.effects.quantities import (
+    end_motion,
+    laser_share,
+    reach,
+    standstill_mps,
+    start_motion,
+    start_to_end_frame,
+)
+from calib.gap.observations.arrays import POSE, Channel
+from calib.gap.predict import predict, residuals
+from calib.types import FloatArray
+
+
+class RangefinderScale(Effect):
+    """The laser reads (1 + k) times the distance; end poses do not change."""
+
+    id = "rangefinder_scale"
+    title = "a rangefinder of wrong scale"
+    implausible = "both effective radii, or a target that moved"
+    family = Family.INSTRUMENT
+    needs = "distances by the instrument"
+    separates = "a length measured by other means"
+
+    def forms(self, observations: Observations) -> list[Form]:
+        """Return the single form; none without a laser distance."""
+        return laser_share(observations, self.id, Parameter("relative", "1", typical=1e-3, largest=1e-2))
+
+
+class RangefinderOffset(Effect):
+    """The laser reads a constant too much, for any distance; end poses do not change."""
+
+    id = "rangefinder_offset"
+    title = "a constant offset of the rangefinder"
+    implausible = "a start mark or target that moved"
+    family = Family.INSTRUMENT
+    needs = "distances by the instrument"
+    separates = "several distances, read at rest"
+
+    def forms(self, observations: Observations) -> list[Form]:
+        """Return the single form; none without a laser distance."""
+        if not observations.usable[:, 0].any():
+            return []
+        perturbation = Perturbation.on_readings(observations, distance=1.0)
+        parameter = Parameter("offset", "m", typical=5e-3, largest=3e-2)
+        return [Form(self.id, "", (parameter,), lambda _: [perturbation])]
+
+
+class BeamMisalignment(Effect):
+    """The laser reads the distance over cos(alpha); the parameter is 1 / cos(alpha) - 1, never negative."""
+
+    id = "beam_misalignment"
+    title = "a laser beam at an angle to the way"
+    implausible = "the rangefinder's scale (a beam 5 degrees off reads only 0.4 % too much)"
+    family = Family.INSTRUMENT
+    needs = "distances by the instrument"
+    separates = "the beam aimed anew; a scale of the instrument looks exactly alike"
+
+    def forms(self, observations: Observations) -> list[Form]:
+        """Return the single form; none without a laser distance."""
+        # 1.5e-4 at 1 degree, 1.4e-3 at 3 degrees, 3.8e-3 at 5 degrees
+        return laser_share(observations, self.id, Parameter("excess", "1", typical=5e-4, largest=3.8e-3, sign=1))
+
+
+class ReferenceLeverArm(Effect):
+    """A point l = (l_x, l_y) of the vehicle is read instead of its origin: the position moves by R(theta) l - l."""
+
+    id = "reference_lever_arm"
+    title = "a sensor offset (lever arm) of the reference"
+    implausible = "heading errors in turns"
+    family = Family.REFERENCE
+    needs = "end positions of runs that turn"
+    separates = "turns on the spot"
+
+    def forms(self, observations: Observations) -> list[Form]:
+        """Return the single form; none without end positions or where no run ends turned against its start."""
+        heading = predict(observations).frame
+        if not (observations.usable[:, 1] & (np.abs(np.exp(1j * heading) - 1.0) > 0.02)).any():
+            return []
+
+        def perturbation(path: Path, x: FloatArray, y: FloatArray) -> Perturbation:
+            along, lateral = start_to_end_frame(path, x, y)
+            return Perturbation.on_readings(observations, along=along, lateral=lateral)
+
+        def perturbations(path: Path) -> list[Perturbation]:
+            c, sn = np.cos(path.frame), np.sin(path.frame)
+            return [perturbation(path, c - 1.0, sn), perturbation(path, -sn, c - 1.0)]
+
+        scale = reach(observations)
+        names = ("lever_x", "lever_y")
+        parameters = tuple(Parameter(name, "m", typical=1e-2 * scale, largest=2e-1 * scale) for name in names)
+        return [Form(self.id, "", parameters, perturbations)]
+
+
+class ReferenceYaw(Effect):
+    """e_n = alpha_0 S on straight runs: the end pose is read in axes turned by alpha_0."""
+
+    id = "reference_yaw"
+    title = "reference axes turned against the start heading"
+    implausible = "unequal radii, or a badly placed start"
+    family = Family.REFERENCE
+    needs = "end positions"
+    separates = "straight runs of several lengths"
+
+    def forms(self, observations: Observations) -> list[Form]:
+        """Return two forms: the position alone is turned, or position and heading; none without end poses."""
+        if not observations.usable[:, 2].any():
+            return []
+        parameter = Parameter("yaw", "rad", typical=5e-3, largest=5e-2)
+
+        def form(with_heading: float) -> Form:
+            def perturbations(path: Path) -> list[Perturbation]:
+                # turning (x, y) by alpha moves it by alpha (-y, x)
+                along, lateral = start_to_end_frame(path, -path.end[:, 1], path.end[:, 0])
+                return [Perturbation.on_readings(observations, along=along, lateral=lateral, heading=with_heading)]
+
+            label = "position and heading" if with_heading else "position alone"
+            return Form(self.id, label, (parameter,), perturbations, tries=2)
+
+        return [form(0.0), form(1.0)]
+
+
+class ReferenceLatency(Effect):
+    """The reading is tau old (or, below 0, ahead of the counts): e_s = -tau v_end and e_theta = -tau omega_end.
+
+    A window of a recording begins in motion too, and its start, from which all is counted, is as late as its end.
+    """
+
+    id = "reference_latency"
+    title = "a reference that reads late"
+    implausible = "an offset, or radii that follow the speed"
+    family = Family.REFERENCE
+    needs = "readings taken while it rolls"
+    separates = "readings after the stop beside readings on the move"
+
+    def forms(self, observations: Observations) -> list[Form]:
+        """Return forms by instrument (end pose, laser, both); none where every run stands still when it is read."""
+        speed, rate = end_motion(observations)
+        nothing = np.zeros(len(observations))
+        first_speed, first_rate = start_motion(observations) if observations.windowed else (nothing, nothing)
+        least = np.minimum(0.01, 0.2 * standstill_mps(observations))
+        rolls = (np.abs(speed) > least) | (np.abs(first_speed) > least)
+        has_pose = bool((observations.usable[:, 1:4].any(axis=1) & rolls).any())
+        has_laser = bool((observations.usable[:, 0] & rolls).any())
+        wanted = [("end pose", has_pose, True, False), ("laser", has_laser, False, True)]
+        wanted.append(("end pose and laser", has_pose and has_laser, True, True))
+        parameter = Parameter("latency", "s", typical=5e-2, largest=5e-1)
+        tries = sum(pair[1] for pair in wanted)
+
+        def form(label: str, pose: bool, laser: bool) -> Form:
+            def perturbations(path: Path) -> list[Perturbation]:
+                read: dict[str, FloatArray] = {}
+                if pose:
+                    # the start lay back by v_0 tau and was turned by omega_0 tau: all is seen from there
+                    x, y = first_speed - first_rate * path.end[:, 1], first_rate * path.end[:, 0]
+                    along, lateral = start_to_end_frame(path, x, y)
+                    read |= {"along": along - speed, "lateral": lateral, "heading": first_rate - rate}
+                if laser:
+                    # the laser reads a length, which grows in either rolling direction
+                    read["distance"] = np.abs(first_speed) - np.abs(speed)
+                return [Perturbation.on_readings(observations, **read)]
+
+            return Form(self.id, label, (parameter,), perturbations, tries=tries)
+
+        return [form(label, pose, laser) for label, offered, pose, laser in wanted if offered]
+
+
+#: a smaller angle is left to `ReferenceYaw`, whose form is linear in it: at 0.1 rad it errs by a two-hundredth
+MIN_TURN_RAD: Final = 0.1
+#: a turned reference keeps lengths; one that stretches them by more is another fault
+MAX_STRETCH: Final = 0.2
+#: a turn and a place are two unknowns of each run's two: with fewer runs they explain anything
+MIN_TURNED_RUNS: Final = 4
+#: what the angle leaves is less than this share of what it explains, and what bends the heading less than this of it
+TURN_RESIDUAL_SHARE: Final = 0.2
+#: by how much the end's heading may be off where none is measured: radii unequal by a hundredth, over ten tracks
+HEADING_ERROR_RAD: Final = 0.1
+#: of an angle, two standard uncertainties are 95 %
+COVERAGE_FACTOR: Final = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class TurnedReference:
+    """The angle by which the sensor's axes are turned against the vehicle's, beyond what the campaign states."""
+
+    effect = ReferenceYaw
+    label = "the sensor is mounted turned"
+    #: yaw_rad, sd_rad: the angle and its standard uncertainty
+    yaw_rad: float
+    sd_rad: float
+
+    @property
+    def remark(self) -> str:
+        """What to do about it."""
+        return f"state sensor_yaw_rad = {self.yaw_rad:.4f} in [reference] of campaign.toml, then diagnose again"
+
+    @property
+    def sizes(self) -> Mapping[str, tuple[float, tuple[float, float], str]]:
+        """Value, 95 % interval and unit of its parameter."""
+        half = COVERAGE_FACTOR * self.sd_rad
+        return {"yaw": (self.yaw_rad, (self.yaw_rad - half, self.yaw_rad + half), "rad")}
+
+    def correct(self, campaign: Campaign) -> Campaign:
+        """Return the campaign with the sensor's yaw stated."""
+        reference = campaign.reference
+        yaw_rad = float(np.angle(np.exp(1j * (reference.sensor_yaw_rad + self.yaw_rad))))
+        return replace(campaign, reference=replace(reference, sensor_yaw_rad=yaw_rad))
+
+
+def find_turned(nominal: Path) -> TurnedReference | None:
+    """Return the large angle by which the reference is turned; None where there is none, or it explains too little.
+
+    A sensor at the place l on the vehicle and turned by psi sees the end z of a run that turned by theta as
+    ``exp(-i psi) (z + (exp(i theta) - 1) l)``: least squares in two complex unknowns.
+    """
+    observations = nominal.s
+    on = observations.usable[:, POSE].all(axis=1)
+    if on.sum() < MIN_TURNED_RUNS or np.isfinite(observations.simulated).any():
+        return None
+    end = nominal.end[on, 0] + 1j * nominal.end[on, 1]
+    seen = observations.measured[on, Channel.ALONG] + 1j * observations.measured[on, Channel.LATERAL]
+    turned = np.exp(1j * nominal.end[on, 2]) - 1.0
+    # a place within a metre, ends good to some centimetres; without turns there is nothing to see of it
+    columns, prior = np.stack([end, turned], axis=1), np.diag([0.0, 1e-3])
+    turn, place = np.linalg.solve(columns.conj().T @ columns + prior, columns.conj().T @ seen)
+    yaw_rad = -float(np.angle(turn))
+    if abs(abs(turn) - 1.0) > MAX_STRETCH:
+        return None
+    left_m2 = float(np.sum(np.abs(seen - turn * end - place * turned) ** 2))
+    by_place = turned.conj() @ (seen - end) / (turned.conj() @ turned + 1e-3)
+    before_m2 = float(np.sum(np.abs(seen - end - by_place * turned) ** 2))
+    headed = observations.usable[:, Channel.HEADING]
+    # radii that bend the path turn its end, and the heading there by twice as much: a mounting leaves that alone
+    heading = residuals(nominal, nominal)[headed, Channel.HEADING]
+    bent_rad = float(np.sqrt(np.mean(heading**2))) if headed.any() else HEADING_ERROR_RAD
+    if abs(yaw_rad) < max(MIN_TURN_RAD, bent_rad / TURN_RESIDUAL_SHARE) or left_m2 > TURN_RESIDUAL_SHARE**2 * before_m2:
+        return None
+    sd_rad = float(np.sqrt(left_m2 / (2 * (len(seen) - 2)) / np.sum(np.abs(end) ** 2)))
+    return TurnedReference(yaw_rad, sd_rad)

@@ -1,0 +1,198 @@
+"""Scrub, slip and load transfer in turns, and skidding at stops."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Path, Perturbation, varies
+from calib.gap.effects.quantities import (
+    curvature_per_m,
+    driven_speed_mps,
+    reach,
+    shows_curves,
+    softness,
+    standstill_mps,
+)
+from calib.types import BoolArray, FloatArray
+from calib.units import GRAVITY_MPS2
+
+
+class CurveLoadTransfer(Effect):
+    """dF = W v^2 kappa h / (g b) from the inner to the outer rear wheel, dr = c dF: e_theta ~ W v^2 theta.
+
+    The front wheel stands on the centre line and takes no part of the roll moment.
+    """
+
+    id = "curve_load_transfer"
+    title = "load that moves to the outer wheel in fast turns"
+    implausible = "a wrong track width, or side slip"
+    family = Family.TURNING
+    of_rear_wheels = True
+    needs = "turns at known speeds"
+    separates = "the same turn at two speeds and two loads"
+
+    def forms(self, observations: Observations) -> list[Form]:
+        """Return the single form; none where nothing turns or no speed is known."""
+        if not shows_curves(observations):
+            return []
+        if not (observations.speed_mps != 0.0).any():
+            return []
+
+        def perturbations(path: Path) -> list[Perturbation]:
+            observations = path.s
+            # the curvature counts turn per distance, unsigned: rolling backward, the same turn pulls to the other side
+            pull_mps2 = observations.speed_mps * np.abs(observations.speed_mps) * curvature_per_m(observations)
+            moved_N = (
+                observations.weight_N[observations.unit]
+                * pull_mps2
+                * observations.vehicle.cog_z_m
+                / (GRAVITY_MPS2 * observations.model.track_m)
+            )
+            return [
+                Perturbation(
+                    left=-moved_N / observations.radius_left_m[observations.unit],
+                    right=moved_N / observations.radius_right_m[observations.unit],
+                )
+            ]
+
+        radius = 0.5 * (observations.model.radius_left_m + observations.model.radius_right_m) * softness(observations)
+        parameter = Parameter("slope", "m/N", typical=1e-5 * radius, largest=6e-5 * radius)
+        return [Form(self.id, "", (parameter,), perturbations, by_parts=True)]
+
+
+class LoadDependentTrack(Effect):
+    """b (1 + k (F - F_0)), F the load of both rear wheels, F_0 twice the reference load of a wheel."""
+
+    id = "load_dependent_track"
+    title = "a track that follows the load"
+    implausible = "load transfer in turns, or misreported payloads"
+    family = Family.TURNING
+    of_rear_wheels = True
+    needs = "turns under two loads"
+    separates = "the same slow turn under two loads"
+    shifts = ("track_width",)
+
+    def forms(self, observations: Observations) -> list[Form]:
+        """Return the single form; none where the loads do not vary or nothing turns."""
+        axle = observations.number("load_left_N") + observations.number("load_right_N")
+        if not varies(axle, 10.0) or not shows_curves(observations):
+            return []
+        over = axle - 2.0 * observations.model.reference_load_N
+        # up to 1 % for 1000 N
+        parameter = Parameter(
+            "per_N", "1/N", typical=5e-6 * softness(observations), largest=5e-5 * softness(observations)
+        )
+        return [Form(self.id, "", (parameter,), lambda _: [Perturbation(track=over)])]
+
+
+class SideSlip(Effect):
+    """A slip angle -K v^2 kappa: a step of ds moves -K v^2 kappa ds to the left, e_n ~ v^2 theta."""
+
+    id = "side_slip"
+    title = "side slip of the rear axle in fast turns"
+    implausible = "load transfer, or a reference point off the rear axle"
+    family = Family.TURNING
+    needs = "turns at known speeds, with end positions"
+    separates = "turns at two speeds, the lateral position measured"
+
+    def forms(self, observations: Observations) -> list[Form]:
+        """Return the single form; none where nothing turns, no speed is known or no position was measured."""
+        if not shows_curves(observations) or not observations.usable[:, 1:3].any():
+            return []
+        if not (observations.speed_mps != 0.0).any():
+            return []
+
+        def perturbations(path: Path) -> list[Perturbation]:
+            observations = path.s
+            # v^2 kappa ds is v |v| times the turn: it changes sides when the vehicle rolls backward
+            return [
+                Perturbation(
+                    lateral_m=-(observations.speed_mps**2) * curvature_per_m(observations) * observations.path_m
+                )
+            ]
+
+        parameter = Parameter("slip_per_acceleration", "s2/m", typical=2e-3, largest=5e-2, sign=1)
+        return [Form(self.id, "", (parameter,), perturbations, by_parts=True)]
+
+
+class CurveScrub(Effect):
+    """b (1 + k |kappa|), so e_theta = -k |kappa| theta."""
+
+    id = "curve_scrub"
+    title = "scrubbing in turns that widens the track"
+    implausible = "a wrong track width, or load transfer in fast turns"
+    family = Family.TURNING
+    of_rear_wheels = True
+    needs = "turns of several curvatures"
+    separates = "turns of several radii at one speed"
+    shifts = ("track_width",)
+
+    def forms(self, observations: Observations) -> list[Form]:
+        """Return the single form; none where nothing turns."""
+        if not shows_curves(observations):
+            return []
+
+        def perturbations(path: Path) -> list[Perturbation]:
+            return [Perturbation(track=np.abs(curvature_per_m(path.s)))]
+
+        # up to 3 % in a turn of the vehicle's own length; of either sign: tracks of real robots narrow in turns, too
+        parameter = Parameter(
+            "widening", "m", typical=1.5e-2 * reach(observations), largest=1.5e-1 * reach(observations)
+        )
+        return [Form(self.id, "", (parameter,), perturbations, by_parts=True)]
+
+
+class BrakingSkid(Effect):
+    """A slide at each stop, the same at every stop or growing with the square of the speed before it.
+
+    The vehicle slides on along its path, so in a turn it turns on too.
+    """
+
+    id = "braking_skid"
+    title = "skidding when it stops"
+    implausible = "latency, or an offset of the reference"
+    family = Family.SPEED
+    needs = "stops"
+    separates = "runs of one length with more and fewer stops"
+    shifts = ("radius_scale",)
+
+    def forms(self, observations: Observations) -> list[Form]:
+        """Return a form with equal slides and, where speeds differ, one ~ v^2; none where no run stops."""
+        if not stops(observations).any():
+            return []
+        speed = driven_speed_mps(observations)
+        per_stop = Parameter("per_stop", "m", typical=5e-4, largest=1e-2, sign=1)
+        slips = [("the same at each stop", np.ones_like(speed), per_stop)]
+        if varies(speed, 0.02):
+            squared = Parameter("per_speed_squared", "s2/m", typical=2e-3, largest=4e-2, sign=1)
+            slips.append(("~ v^2", speed**2, squared))
+
+        def form(label: str, size: FloatArray, parameter: Parameter) -> Form:
+            def perturbations(path: Path) -> list[Perturbation]:
+                observations = path.s
+                along = np.where(
+                    stops(observations),
+                    np.where(observations.path_m < 0.0, -1.0, 1.0) * observations.here(size)[observations.unit],
+                    0.0,
+                )
+                return [Perturbation(along_m=along, heading_rad=np.abs(along) * curvature_per_m(observations))]
+
+            return Form(self.id, label, (parameter,), perturbations, tries=len(slips), by_parts=True)
+
+        return [form(*slip) for slip in slips]
+
+
+def stops(observations: Observations) -> BoolArray:
+    """Return the last moving step before each stop, shape (n_steps,).
+
+    A log that ends at less than half the driven speed ends in a stop. A run without a log stops once, at its end.
+    """
+    speed = np.abs(observations.speed_mps)
+    last = np.zeros(len(observations.unit), dtype=bool)
+    last[observations.starts[1:] - 1] = True
+    moving = speed > standstill_mps(observations)[observations.unit]
+    follows = np.concatenate((moving[1:], [False]))
+    driven = np.nan_to_num(driven_speed_mps(observations))[observations.unit]
+    within = moving & ~last & ~follows
+    at_end = last & moving & (speed < 0.5 * driven)
+    return np.where(observations.from_log[observations.unit], within | at_end, last)

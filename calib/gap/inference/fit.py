@@ -1,0 +1,304 @@
+"""Gauss-Newton fit of a recalibration and effects on the re-simulated path, and a start for fits from far away."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from calib.gap.effects.effect import Form, Parameter, Perturbation
+from calib.gap.inference.noise import Noise
+from calib.gap.observations.arrays import Observations
+from calib.gap.predict import Path, predict, residuals, signature
+from calib.types import BoolArray, FloatArray
+
+#: prior standard deviation of each size in typical sizes; wide, it only keeps the solution finite
+SIZE_SD = 30.0
+#: prior standard deviation of a plain recalibration: left, right radius, track, front radius (relative); the front
+#: radius is held, because a front wheel that disagrees with the rear ones is a gap to be named
+CALIBRATION_SD: Final = np.array([0.03, 0.03, 0.1, 1e-6])
+#: the residual on average, in noise levels, beyond which the search is not begun there: of the scales of lack of fit,
+#: the largest but one, which leaves a margin for the error of the linear model
+_FAR_RMS: Final = 30.0
+#: Gauss-Newton steps of each trial; an effect that explains the gap is near its size by then
+_TRIAL_STEPS: Final = 4
+#: an effect that leaves more than this share of the squares is not what makes them so many
+_MAX_RESIDUAL_SHARE: Final = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fitted:
+    """A fitted hypothesis.
+
+    Parameters
+    ----------
+    forms : tuple of Form
+        Its effects.
+    theta : tuple of array, each shape (n_parameters,)
+        Their parameters, in the parameters' units.
+    calibration : array of float, shape (4,)
+        Relative change of left radius, right radius, track, front radius.
+    covariance : array of float, shape (4 + n_parameters, 4 + n_parameters)
+        Of (calibration, all theta), given the noise.
+    path : Path
+        The path at the fit.
+    chi_square : float
+        Whitened sum of squares of the residual.
+    left : array of float, shape (n_units, 6)
+        Residuals, not whitened.
+    """
+
+    forms: tuple[Form, ...]
+    theta: tuple[FloatArray, ...]
+    calibration: FloatArray
+    covariance: FloatArray
+    path: Path
+    chi_square: float
+    left: FloatArray
+
+    @property
+    def parameters(self) -> FloatArray:
+        """All theta end to end in units of their typical size, shape (n_parameters,)."""
+        parts = [theta / form.typical for form, theta in zip(self.forms, self.theta, strict=True)]
+        return np.concatenate(parts) if parts else np.zeros(0)
+
+
+def calibration_pushes(s: Observations, calibration: FloatArray, path: Path | None) -> list[Perturbation]:
+    """Return the perturbations of a recalibration (left, right, track, front), relative, shape (4,)."""
+    ones = np.ones(len(s))
+    perturbations = [Perturbation(left=ones * calibration[0], right=ones * calibration[1], track=ones * calibration[2])]
+    if calibration[3] != 0 and path is not None:
+        perturbations.append(Perturbation(reading=path.calibration[:, :, 3] * calibration[3]))
+    return perturbations
+
+
+def hypothesis_path(
+    s: Observations, calibration: FloatArray, forms: Sequence[Form], theta: Sequence[FloatArray], about: Path
+) -> Path:
+    """Re-simulate under a hypothesis whose perturbations are taken about a path.
+
+    Parameters
+    ----------
+    s : Observations
+        Units and steps.
+    calibration : array of float, shape (4,)
+        Relative change of left radius, right radius, track, front radius.
+    forms : sequence of Form
+        The hypothesis.
+    theta : sequence of array of float, each shape (n_parameters,)
+        Sizes of each form's parameters, in the parameters' units.
+    about : Path
+        Where the perturbations are taken.
+    """
+    perturbations = calibration_pushes(s, calibration, about)
+    for form, sizes in zip(forms, theta, strict=True):
+        if np.any(sizes != 0):
+            perturbations += [
+                push.scaled(float(size)) for push, size in zip(form.perturbations(about), sizes, strict=True)
+            ]
+    return predict(s, perturbations)
+
+
+def fit(
+    nominal: Path,
+    noise: Noise,
+    forms: Sequence[Form] = (),
+    *,
+    free: npt.ArrayLike = (True, True, True, True),
+    use: BoolArray | None = None,
+    start: Fitted | None = None,
+    steps: int = 10,
+    theta_sd: float = SIZE_SD,
+) -> Fitted:
+    """Fit a recalibration and effects by Gauss-Newton on the re-simulated path.
+
+    Parameters
+    ----------
+    nominal : Path
+        The model alone.
+    noise : Noise
+        Covariance of each unit.
+    forms : sequence of Form
+        Effects to fit.
+    free : array of bool, shape (4,)
+        Which of left radius, right radius, track, front radius may change.
+    use : array of bool, shape (n_units,), optional
+        Units to fit on; all by default.
+    start : Fitted, optional
+        Where to begin (its calibration; its parameters where the forms are the same).
+    steps : int
+        Most Gauss-Newton steps; it ends when a step is below a hundredth of the standard uncertainty.
+    theta_sd : float
+        Prior standard deviation of each parameter in typical sizes; wide, it only keeps the solution finite.
+
+    Returns
+    -------
+    Fitted
+    """
+    s = nominal.s
+    freedom = np.asarray(free, dtype=bool).copy()
+    if not s.usable[:, 4:].any():
+        freedom[3] = False
+    calibration = np.zeros(4) if start is None else np.where(freedom, start.calibration, 0.0)
+    typical = [form.typical for form in forms]
+    known = {} if start is None else {id(f): t for f, t in zip(start.forms, start.theta, strict=True)}
+    theta = [known.get(id(form), np.zeros(len(t))).copy() for form, t in zip(forms, typical, strict=True)]
+    path = nominal if start is None else hypothesis_path(s, calibration, forms, theta, nominal)
+    n_theta = sum(len(t) for t in typical)
+    precision = np.concatenate([np.where(freedom, 1.0, 1e12), np.full(n_theta, 1.0 / theta_sd**2)])
+    mask = np.ones(len(s), dtype=bool) if use is None else use
+    row_mask = np.repeat(mask[:, None], 6, axis=1)[s.usable]
+    normal = np.diag(precision)
+    for _ in range(steps):
+        gap = residuals(path, nominal)
+        columns = [path.calibration * CALIBRATION_SD, *signature_columns(path, forms)]
+        whole = whitened_rows(path, noise, np.concatenate([*columns, gap[:, :, None]], axis=2))[row_mask]
+        a, r = whole[:, :-1], whole[:, -1]
+        now = np.concatenate([calibration / CALIBRATION_SD, *(t / u for t, u in zip(theta, typical, strict=True))])
+        normal = a.T @ a + np.diag(precision)
+        # a small ridge keeps columns exactly alike solvable
+        normal += 1e-11 * np.diag(np.diag(normal))
+        step = np.linalg.solve(normal, a.T @ r - precision * now)
+        scale = np.abs(step) * np.sqrt(np.diag(normal))
+        now = now + step
+        calibration = np.where(freedom, now[:4] * CALIBRATION_SD, 0.0)
+        cuts = np.cumsum([4, *(len(t) for t in typical)])
+        theta = [now[a0:b0] * u for a0, b0, u in zip(cuts[:-1], cuts[1:], typical, strict=True)]
+        path = hypothesis_path(s, calibration, forms, theta, path)
+        if scale.max() < 1e-2:
+            break
+    left = residuals(path, nominal)
+    white = whitened_rows(path, noise, left[:, :, None])[:, 0]
+    units = np.concatenate([CALIBRATION_SD, *typical]) if typical else CALIBRATION_SD
+    covariance = np.linalg.inv(normal) * np.outer(units, units)
+    return Fitted(
+        forms=tuple(forms),
+        theta=tuple(theta),
+        calibration=calibration,
+        covariance=covariance,
+        path=path,
+        chi_square=float((white[row_mask] ** 2).sum()),
+        left=left,
+    )
+
+
+def whitened_rows(path: Path, noise: Noise, columns: FloatArray) -> FloatArray:
+    """Whiten columns (n_units, 6, k) and lay the usable rows end to end, shape (n_rows, k)."""
+    masked = np.where(path.s.usable[:, :, None], columns, 0.0)
+    whitened: FloatArray = (noise.whitener @ masked)[path.s.usable]
+    return whitened
+
+
+def signature_columns(path: Path, forms: Sequence[Form]) -> list[FloatArray]:
+    """Return the signatures of each form's parameters times their typical sizes, each (n_units, 6, n_parameters).
+
+    Every part of the path is gone through once for all forms.
+    """
+    if not forms:
+        return []
+    perturbations = [None if form.by_parts else form.perturbations(path) for form in forms]
+    columns = [np.zeros((len(path.s), path.s.usable.shape[1], len(form.parameters))) for form in forms]
+    for units, part in path.parts():
+        for form, whole, column in zip(forms, perturbations, columns, strict=True):
+            some = form.perturbations(part) if whole is None else [push.part(units, path.s) for push in whole]
+            for number, (push, parameter) in enumerate(zip(some, form.parameters, strict=True)):
+                column[units, :, number] = signature(part, push) * parameter.typical
+    return columns
+
+
+def is_far(fitted: Fitted) -> bool:
+    """Return whether too much is left for the linear model about this path."""
+    n_rows = int(fitted.path.s.usable.sum())
+    return fitted.chi_square > n_rows * _FAR_RMS**2
+
+
+def continuation_start(nominal: Path, noise: Noise, base: Fitted, forms: Sequence[Form], most_effects: int) -> Fitted:
+    """Return a hypothesis near which the gap is linear: from the calibration, effects added one by one as they fit.
+
+    Parameters
+    ----------
+    nominal : Path
+        The model alone.
+    noise : Noise
+        Covariance of each unit.
+    base : Fitted
+        The recalibration alone.
+    forms : sequence of Form
+        On offer.
+    most_effects : int
+        Effects added, at most.
+
+    Returns
+    -------
+    Fitted
+        Where it is not far off already, or no effect takes half of it away, what was given.
+    """
+    fitted = base
+    while is_far(fitted) and len(fitted.forms) < most_effects:
+        held = {form.effect for form in fitted.forms}
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            trials = [
+                fit(nominal, noise, (*fitted.forms, form), start=fitted, steps=_TRIAL_STEPS)
+                for form in forms
+                if form.effect not in held
+            ]
+        trials = [trial for trial in trials if trial.chi_square <= _MAX_RESIDUAL_SHARE * fitted.chi_square]
+        if not trials:
+            break
+        fitted = min(trials, key=lambda trial: trial.chi_square)
+    return fitted
+
+
+def undetermined(parameters: Sequence[Parameter], sizes: FloatArray, half_width: FloatArray) -> tuple[str, ...]:
+    """Return the names of the parameters that the runs do not determine.
+
+    Their interval holds zero and reaches beyond what is physically plausible on both sides: it says nothing.
+
+    Parameters
+    ----------
+    parameters : sequence of Parameter
+        Of one effect.
+    sizes, half_width : array of float, shape (n_parameters,)
+        Their values and half the width of their intervals.
+    """
+    return tuple(
+        parameter.name
+        for parameter, size, half in zip(parameters, sizes, half_width, strict=True)
+        if half - abs(size) > parameter.largest
+    )
+
+
+def identifiability_message(
+    parameters: Sequence[Parameter], sizes: FloatArray, covariance: FloatArray, coverage: float
+) -> str:
+    """Return in words what the runs do not determine, and what they determine together; empty where all are.
+
+    Parameters
+    ----------
+    parameters : sequence of Parameter
+        Of one effect.
+    sizes : array of float, shape (n_parameters,)
+        Their values.
+    covariance : array of float, shape (n_parameters, n_parameters)
+        Of the values.
+    coverage : float
+        Half an interval's width in standard uncertainties.
+    """
+    spread = np.sqrt(np.diag(covariance))
+    open_ones = undetermined(parameters, sizes, coverage * spread)
+    if not open_ones:
+        return ""
+    together = []
+    for (a, p), (b, q) in combinations(enumerate(parameters), 2):
+        if {p.name, q.name} <= set(open_ones) and p.unit == q.unit:
+            mean = 0.5 * (sizes[a] + sizes[b])
+            half = coverage * 0.5 * float(np.sqrt(max(covariance[np.ix_([a, b], [a, b])].sum(), 0.0)))
+            if half < min(p.largest, q.largest):
+                unit = "" if p.unit == "1" else f" {p.unit}"
+                together.append(f"only the mean of {p.name} and {q.name}, {mean:.4g} +- {half:.2g}{unit}")
+    alone = f"these runs do not determine {' and '.join(open_ones)}"
+    return f"{alone}, {'; '.join(together)}" if together else alone

@@ -1,0 +1,192 @@
+"""Lack of fit: random effects that no effect of the library explains, beside every hypothesis.
+
+y = C beta + sum_k S_k theta_k + R + noise. R is an offset of each channel, or of the calibration, that each condition
+(or each cell of it) has of its own, or a trend on the surroundings that no effect describes; its scale is averaged over
+a grid that includes zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from calib.gap.inference.fit import CALIBRATION_SD, whitened_rows
+from calib.gap.inference.noise import Noise
+from calib.gap.inference.noise_components import ambient_interactions, ambient_trends
+from calib.gap.observations.arrays import Observations
+from calib.gap.predict import Path
+from calib.types import BoolArray, FloatArray, IntArray
+
+INTERACTION: Final = "interaction"
+#: offsets of fewer conditions than this are no sample of a lack of fit: a recalibration and an effect make them as well
+MIN_CELLS: Final = 8
+#: standard deviation of the lack of fit, in noise levels of one run
+LACK_OF_FIT_SCALES: Final = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BlockColumns:
+    """Columns that some blocks of one length have of their own, of one number."""
+
+    group: int  #: number of the length in `Blocks.alike`
+    same: IntArray | slice  #: which of the blocks of that length
+    part: FloatArray  #: shape (n, length, q)
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """The rows of the whitened system, ordered so that a condition's rows stand together.
+
+    Parameters
+    ----------
+    order : array of int, shape (n_rows,)
+        Place of each ordered row among the usable (unit, channel) rows.
+    starts : array of int, shape (n_blocks + 1,)
+        Rows of block b stand at ``starts[b]:starts[b + 1]``.
+    unit, channel : array of int, shape (n_rows,)
+        Of each ordered row.
+    """
+
+    order: IntArray
+    starts: IntArray
+    unit: IntArray
+    channel: IntArray
+
+    def __len__(self) -> int:
+        return len(self.starts) - 1
+
+    @cached_property
+    def alike(self) -> list[tuple[IntArray, IntArray]]:
+        """Blocks of one length together: their numbers (n,), and the rows of each (n, length)."""
+        lengths = np.diff(self.starts)
+        groups = []
+        for length in np.unique(lengths):
+            numbers = np.flatnonzero(lengths == length)
+            groups.append((numbers, self.starts[numbers][:, None] + np.arange(length)))
+        return groups
+
+    def stacked(self, parts: Sequence[FloatArray]) -> list[BlockColumns]:
+        """Put columns that each block has of its own, (n_rows of the block, q), end to end where they are of one shape.
+
+        There are hundreds of small blocks; those without a column are omitted.
+        """
+        stacks = []
+        for group, (numbers, _) in enumerate(self.alike):
+            widths = np.array([parts[number].shape[1] for number in numbers])
+            for width in np.unique(widths[widths > 0]):
+                same = np.flatnonzero(widths == width)
+                part = np.stack([parts[number] for number in numbers[same]])
+                stacks.append(BlockColumns(group, slice(None) if len(same) == len(numbers) else same, part))
+        return stacks
+
+    def slices(self) -> list[slice]:
+        """Return the rows of each block."""
+        return [slice(int(a), int(b)) for a, b in zip(self.starts[:-1], self.starts[1:], strict=True)]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LackOfFit:
+    """One component of lack of fit.
+
+    Parameters
+    ----------
+    name : str
+        What varies, and from where to where.
+    by_block : tuple of array, each shape (n_rows of the block, q_b), or None
+        Whitened columns that each block has of its own, scaled to about the noise level of one run.
+    common : array of float, shape (n_rows, q), or None
+        Whitened columns common to all blocks.
+    """
+
+    name: str
+    by_block: tuple[FloatArray, ...] | None = None
+    common: FloatArray | None = None
+
+    @property
+    def is_interaction(self) -> bool:
+        """Whether it is a trend under other loads, speeds or turns, which is looked for last."""
+        return self.name == INTERACTION
+
+
+def row_blocks(s: Observations) -> Blocks:
+    """Return the rows of a campaign by condition."""
+    usable = s.usable
+    unit = np.repeat(np.arange(len(s))[:, None], usable.shape[1], axis=1)[usable]
+    channel = np.repeat(np.arange(usable.shape[1])[None, :], len(s), axis=0)[usable]
+    condition = s.condition[unit]
+    order = np.argsort(condition, kind="stable")
+    _, first = np.unique(condition[order], return_index=True)
+    return Blocks(order, np.append(first, len(order)), unit[order], channel[order])
+
+
+def lack_of_fit_components(path: Path, noise: Noise, blocks: Blocks) -> list[LackOfFit]:
+    """Return the components of lack of fit that these runs could show.
+
+    What was driven once has no offset of its own: that would be noise by another name.
+
+    Parameters
+    ----------
+    path : Path
+        Where to linearise.
+    noise : Noise
+        Covariance of each unit.
+    blocks : Blocks
+        Order of the rows.
+    """
+    s = path.s
+    n_channels = s.usable.shape[1]
+    calibration = whitened_rows(path, noise, path.calibration * CALIBRATION_SD)[:, :3]
+    norm = np.sqrt((calibration**2).sum(axis=0) / max(len(s), 1))
+    present = np.flatnonzero(s.usable.any(axis=0))
+    wide = np.zeros((len(s), n_channels, len(present)))
+    wide[:, present, np.arange(len(present))] = noise.floor[:, present]
+    own = (calibration / np.maximum(norm, 1e-12))[blocks.order]
+    white = whitened_rows(path, noise, wide)[blocks.order]
+    offsets = {
+        "calibration": own,
+        "radii": own[:, :2],
+        "track": own[:, 2:],
+        "channels": white,
+        "heading": white[:, present == 3],
+        "position": white[:, present < 3],
+    }
+    kinds = []
+    for grouping, cells in (("condition", s.condition), ("cell", s.cell)):
+        repeated = np.bincount(cells)[cells] > 1
+        if len(np.unique(cells[repeated])) < MIN_CELLS or (
+            grouping == "cell" and np.array_equal(_ranks(s.cell), _ranks(s.condition))
+        ):
+            continue
+        for name, columns in offsets.items():
+            if not columns.any() or (grouping == "cell" and name not in ("calibration", "channels")):
+                continue
+            parts = tuple(
+                _spread(columns[rows_b], cells[blocks.unit[rows_b]], repeated[blocks.unit[rows_b]])
+                if grouping == "cell"
+                # a block is a condition
+                else columns[rows_b, : columns.shape[1] if repeated[blocks.unit[rows_b.start]] else 0].copy()
+                for rows_b in blocks.slices()
+            )
+            kinds.append(LackOfFit(f"{name} by {grouping}", by_block=parts))
+    for number, trend in enumerate((ambient_trends(path), *ambient_interactions(path))):
+        if trend.shape[2]:
+            white = whitened_rows(path, noise, trend)[blocks.order]
+            scaled = white / np.maximum(np.sqrt((white**2).mean(axis=0)), 1e-12)
+            kinds.append(LackOfFit("surroundings" if number == 0 else INTERACTION, common=scaled))
+    return kinds
+
+
+def _ranks(labels: IntArray) -> IntArray:
+    return np.unique(labels, return_inverse=True)[1]
+
+
+def _spread(columns: FloatArray, cells: IntArray, repeated: BoolArray) -> FloatArray:
+    """Give each repeated cell columns of its own, shape (n_rows, n_cells * k)."""
+    labels, index = np.unique(cells[repeated], return_inverse=True)
+    columns_by_cell = np.zeros((len(columns), len(labels), columns.shape[1]))
+    columns_by_cell[np.flatnonzero(repeated), index] = columns[repeated]
+    return columns_by_cell.reshape(len(columns), -1)

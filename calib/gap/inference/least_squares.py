@@ -1,0 +1,269 @@
+"""Generalised least squares beside lack of fit: estimates, one controlled step, and residuals of held-out runs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+
+from calib.gap.inference.fit import CALIBRATION_SD, SIZE_SD, Fitted, hypothesis_path, signature_columns, whitened_rows
+from calib.gap.inference.linear_model import LinearSystem
+from calib.gap.inference.noise import Noise
+from calib.gap.observations.arrays import Observations
+from calib.gap.predict import Path, residuals
+from calib.types import BoolArray, FloatArray
+
+#: keeps a covariance positive definite, relative to its diagonal
+_ROUNDING: Final = 1e-11
+#: of a step that runs away: to a sixty-fourth, which is next to none
+_STEP_HALVINGS: Final = 6
+#: what a step may leave over what was left before or is to be left, each is more
+_MAX_MISFIT_RATIO: Final = 2.0
+#: variance of a predicted correction, at most, as a share of its square
+MAX_PREDICTION_VARIANCE: Final = 0.1
+
+
+def prior_precision(n_columns: int) -> FloatArray:
+    """Return the prior precision of a recalibration and sizes after it, shape (n_columns,)."""
+    return np.concatenate([np.ones(4), np.full(n_columns - 4, 1.0 / SIZE_SD**2)])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Weighting:
+    """The covariance of the whitened gap beside one scale of the lack of fit.
+
+    Parameters
+    ----------
+    system : LinearSystem
+        Rows and their order.
+    name : str
+        Component of lack of fit; empty where there is none.
+    scale : float
+        Its standard deviation in noise levels of one run; 0 where there is none.
+    covariance : tuple of array, each shape (n_b, n_b)
+        Of each block's rows.
+    common : array of float, shape (n_rows, q)
+        Columns of a lack of fit common to all blocks, scaled to unit prior variance.
+    """
+
+    system: LinearSystem
+    name: str
+    scale: float
+    covariance: tuple[FloatArray, ...]
+    common: FloatArray
+
+    @staticmethod
+    def from_component(system: LinearSystem, kind: int, scale: float, deviations: FloatArray) -> Weighting:
+        """Build from a component of lack of fit (-1: none), its scale and deviations of each block, (n_rows, k)."""
+        rest = system.kinds[kind] if kind >= 0 else None
+        blocks = []
+        for number, rows_b in enumerate(system.blocks.slices()):
+            own = deviations[rows_b]
+            covariance = np.eye(len(own)) + own @ own.T
+            if rest is not None and rest.by_block is not None:
+                part = rest.by_block[number]
+                covariance += scale**2 * part @ part.T
+            # what a form far beyond its size may deviate by leaves the noise below rounding
+            blocks.append(covariance + _ROUNDING * np.diag(np.diag(covariance)))
+        common = np.zeros((len(system.gap), 0))
+        if rest is not None and rest.common is not None:
+            common = scale * rest.common
+        return Weighting(system, "" if rest is None else rest.name, scale, tuple(blocks), common)
+
+    def solve(
+        self, columns: FloatArray, precision: FloatArray, use: BoolArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return estimates (p,) and covariance (p, p) of columns (n_rows, p) on the gap.
+
+        Parameters
+        ----------
+        columns : array of float, shape (n_rows, p)
+            Whitened columns.
+        precision : array of float, shape (p,)
+            Prior precision of each.
+        use : array of bool, shape (n_units,), optional
+            Units to learn from; all by default.
+        """
+        system = self.system
+        whole = np.concatenate([columns, self.common, system.gap[:, None]], axis=1)
+        n = whole.shape[1] - 1
+        normal = np.diag(np.concatenate([precision, np.ones(self.common.shape[1])]))
+        right = np.zeros(n)
+        for numbers, places in system.blocks.alike:
+            part = whole[places]
+            covariance = np.stack([self.covariance[number] for number in numbers])
+            if use is not None:
+                on = use[system.blocks.unit[places]]
+                some = on.any(axis=1)
+                part, covariance, on = part[some], covariance[some], on[some]
+                # a row that is omitted stands alone, and says nothing
+                part = part * on[:, :, None]
+                covariance = covariance * (on[:, :, None] & on[:, None, :]) + np.eye(on.shape[1]) * ~on[:, :, None]
+            solved = np.linalg.solve(covariance, part).reshape(-1, n + 1)
+            weighed = part.reshape(-1, n + 1)[:, :n].T @ solved
+            normal += weighed[:, :n]
+            right += weighed[:, n]
+        # scaled to a unit diagonal, a little added: columns exactly alike stay solvable
+        root = np.sqrt(np.diag(normal))
+        inverse = np.linalg.inv(normal / np.outer(root, root) + 1e-11 * np.eye(n)) / np.outer(root, root)
+        p = columns.shape[1]
+        return (inverse @ right)[:p], inverse[:p, :p]
+
+    def square(self, gap: FloatArray) -> float:
+        """Return y^T V^-1 y of a gap y, shape (n_rows,)."""
+        inside = np.zeros((1 + self.common.shape[1],) * 2)
+        whole = np.concatenate([gap[:, None], self.common], axis=1)
+        for numbers, places in self.system.blocks.alike:
+            part = whole[places]
+            solved = np.linalg.solve(np.stack([self.covariance[number] for number in numbers]), part)
+            inside += part.reshape(-1, part.shape[2]).T @ solved.reshape(-1, part.shape[2])
+        common = inside[0, 1:] @ np.linalg.solve(np.eye(len(inside) - 1) + inside[1:, 1:], inside[1:, 0])
+        return float(inside[0, 0] - common)
+
+    def spread(self, change: FloatArray, units: BoolArray) -> float:
+        """Return the standard deviation of the gap along a change (n_rows,) of some units: sqrt(change^T V change)."""
+        system, total = self.system, 0.0
+        for rows_b, covariance in zip(system.blocks.slices(), self.covariance, strict=True):
+            on = units[system.blocks.unit[rows_b]]
+            part = change[rows_b] * on
+            total += float(part @ covariance @ part)
+        along = (self.common * (change * units[system.blocks.unit])[:, None]).sum(axis=0)
+        return float(np.sqrt(total + along @ along))
+
+
+def controlled_step(system: LinearSystem, model: Sequence[int], weighting: Weighting) -> Fitted:
+    """Return a hypothesis fitted in the linear model about a path, and re-simulated.
+
+    From the sizes at that path it goes as far as the picture holds: a step that leaves more than twice what was left
+    before, and than what it was to leave, is halved.
+
+    Parameters
+    ----------
+    system : LinearSystem
+        About the path.
+    model : sequence of int
+        Forms of the hypothesis, by their numbers in the system.
+    weighting : Weighting
+        The lack of fit, and what effects may deviate by.
+    """
+    columns = np.concatenate([system.calibration, *(system.of(k) for k in model)], axis=1)
+    units = np.concatenate([CALIBRATION_SD, *(system.forms[k].typical for k in model)])
+    sizes, covariance = weighting.solve(columns, prior_precision(columns.shape[1]))
+    if not system.path.s.usable[:, 4:].any():
+        sizes[3] = 0.0
+    present, before = _current_values(system, model) / units, weighting.square(system.left)
+    for halvings in range(_STEP_HALVINGS + 1):
+        values = present + (sizes - present) / 2**halvings
+        fitted, left = _simulated_at(system, model, values * units, covariance * np.outer(units, units))
+        if weighting.square(left) <= _MAX_MISFIT_RATIO * max(before, weighting.square(system.gap - columns @ values)):
+            break
+    return fitted
+
+
+def _current_values(system: LinearSystem, model: Sequence[int]) -> FloatArray:
+    """Return the calibration and the sizes of a model's forms at the path, shape (4 + n_parameters,)."""
+    held = {id(form): theta for form, theta in zip(system.fitted.forms, system.fitted.theta, strict=True)}
+    forms = [system.forms[k] for k in model]
+    sizes = [held.get(id(form), np.zeros(len(form.parameters))) for form in forms]
+    return np.concatenate([system.fitted.calibration, *sizes])
+
+
+def _simulated_at(
+    system: LinearSystem, model: Sequence[int], values: FloatArray, covariance: FloatArray
+) -> tuple[Fitted, FloatArray]:
+    """Return a hypothesis re-simulated at (4 + n_parameters,) values, and the residual, whitened, shape (n_rows,)."""
+    forms, calibration = tuple(system.forms[k] for k in model), values[:4]
+    cuts = np.cumsum([4, *(len(form.parameters) for form in forms)])
+    theta = tuple(values[first:last] for first, last in pairwise(cuts))
+    path = hypothesis_path(system.path.s, calibration, forms, theta, system.path)
+    left = residuals(path, system.nominal)
+    white = whitened_rows(path, system.noise, left[:, :, None])[system.blocks.order, 0]
+    return Fitted(forms, theta, calibration, covariance, path, float(white @ white), left), white
+
+
+class HeldOutFit:
+    """Holds runs out of a fit in turn.
+
+    Parameters
+    ----------
+    fitted : Fitted
+        The hypothesis, fitted on all runs.
+    nominal : Path
+        The model alone.
+    noise : Noise
+        Covariance of each unit.
+    weighting : Weighting, optional
+        Of the lack of fit beside it; none by default.
+    """
+
+    def __init__(self, fitted: Fitted, nominal: Path, noise: Noise, weighting: Weighting | None = None) -> None:
+        self.fitted, self.noise = fitted, noise
+        if weighting is None:
+            system = LinearSystem(fitted, nominal, noise, fitted.forms)
+            weighting = Weighting.from_component(system, -1, 0.0, np.zeros((len(system.gap), 0)))
+        self.weighting = weighting
+        system = weighting.system
+        numbers = [next(k for k, form in enumerate(system.forms) if form is own) for own in fitted.forms]
+        self.columns = np.concatenate([system.calibration, *(system.of(k) for k in numbers)], axis=1)
+        self.precision = prior_precision(self.columns.shape[1])
+        self._solved: dict[bytes, tuple[FloatArray, FloatArray]] = {}
+
+    @property
+    def observations(self) -> Observations:
+        """Units and steps."""
+        return self.fitted.path.s
+
+    @cached_property
+    def all_estimates(self) -> FloatArray:
+        """Estimates on all runs, shape (p,)."""
+        return self.weighting.solve(self.columns, self.precision)[0]
+
+    @cached_property
+    def derivative(self) -> FloatArray:
+        """What each estimate does to the readings, shape (n_units, n_channels, p)."""
+        path = self.fitted.path
+        parts = [path.calibration * CALIBRATION_SD, *signature_columns(path, self.fitted.forms)]
+        return np.where(path.s.usable[:, :, None], np.concatenate(parts, axis=2), 0.0)
+
+    def after(self, out: BoolArray) -> FloatArray:
+        """Return the residuals, (n_units, n_channels), of the fit without the units `out`."""
+        if out.all():
+            return self.fitted.left
+        estimates = self._without(out)[0]
+        left: FloatArray = self.fitted.left - self.derivative @ (estimates - self.all_estimates)
+        return left
+
+    def _without(self, out: BoolArray) -> tuple[FloatArray, FloatArray]:
+        """Return estimates (p,) and covariance (p, p) without the units `out`; kept, as both are asked for in turn."""
+        key = out.tobytes()
+        if key not in self._solved:
+            self._solved[key] = self.weighting.solve(self.columns, self.precision, use=~out)
+        return self._solved[key]
+
+    def is_predictive(self, out: BoolArray) -> bool:
+        """Return whether the other units determine what the correction does on the units `out`.
+
+        Where they do not (a turn's effect without any turn), leaving out says nothing for the correction or against it.
+        """
+        covariance = self._without(out)[1]
+        on = out[self.weighting.system.blocks.unit]
+        correction = self.columns[on] @ self.all_estimates
+        uncertain = np.einsum("np,pq,nq->", self.columns[on], covariance, self.columns[on])
+        return bool(uncertain < MAX_PREDICTION_VARIANCE * float(correction @ correction) + on.sum())
+
+    def squares(self, residuals: FloatArray) -> FloatArray:
+        """Return the whitened squares of each unit, shape (n_units,)."""
+        path = self.fitted.path
+        white = whitened_rows(path, self.noise, residuals[:, :, None])[:, 0]
+        unit = np.repeat(np.arange(len(path.s))[:, None], path.s.usable.shape[1], axis=1)[path.s.usable]
+        return np.bincount(unit, white**2, len(path.s)).astype(np.float64)
+
+    def spread(self, change: FloatArray, units: BoolArray) -> float:
+        """Return the standard deviation, lack of fit included, of the gap along a change of some units' readings."""
+        path, order = self.fitted.path, self.weighting.system.blocks.order
+        white = whitened_rows(path, self.noise, change[:, :, None])[order, 0]
+        return self.weighting.spread(white, units)

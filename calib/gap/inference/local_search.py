@@ -1,0 +1,347 @@
+"""Stepwise search about one linearisation, from set to set of effects by scalar products alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+
+from calib.gap.effects.effect import Form
+from calib.gap.inference.fit import Fitted
+from calib.gap.inference.least_squares import Weighting, controlled_step
+from calib.gap.inference.linear_model import LinearSystem, Sums
+from calib.gap.inference.marginal_likelihood import FormPriors, log_weights, model_sizes
+from calib.types import FloatArray
+
+#: forms of an effect that are kept beside the best
+_FORMS_PER_EFFECT: Final = 2
+#: steps of one pass
+_MAX_STEPS: Final = 24
+#: scales of the lack of fit that are weighed while stepping: those within this log-evidence window of the best
+_ACTIVE_WINDOW: Final = 9.0
+#: a lack of fit this small is omitted while stepping
+_SMALLEST_SCALE: Final = 0.3
+#: scales of the lack of fit beside which the forms of each effect are ranked
+_RANKING_SCALES: Final = (3.0, 10.0)
+#: models whose neighbours are weighed at the end
+_EXPANDED_MODELS: Final = 4
+#: other models that the recalibration is judged beside, and how probable they are at least, over the best
+_MAX_ALTERNATIVES: Final = 4
+_MIN_ALTERNATIVE_ODDS: Final = 0.05
+#: shares of what effects may deviate by, the most probable of which they are fitted beside: all, a tenth, nothing
+_DEVIATION_SHARES: Final = (1.0, 0.1, 0.0)
+Model = tuple[int, ...]
+#: what is less probable than this is likelier not to be
+EVEN_PROBABILITY: Final = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class SearchSettings:
+    """Assumptions of the search; fixed on development cases, never on scored ones.
+
+    Parameters
+    ----------
+    further : float
+        Prior odds of one effect more being at work than so many.
+    prior_rest : float
+        Prior odds of a lack of fit that no effect of the library explains. The noise model is itself estimated: at
+        three times these odds a lack of fit was two thirds of the false alarms, at these a third, and outside effects
+        at a signal of 10 still show.
+    tolerance : float
+        Share by which an effect may deviate from its assumed form, a condition.
+    most_effects : int
+        Effects named at once, at most.
+    paired : int
+        Effects of which all pairs are tried, since one may hide the other; of a larger library those most probable
+        alone.
+    """
+
+    further: float = 0.5
+    prior_rest: float = 0.05
+    tolerance: float = 0.15
+    most_effects: int = 6
+    paired: int = 60
+
+
+class LocalSearch:
+    """One linearisation: the forms kept, the current hypothesis, and the sums under deviations of its effects."""
+
+    def __init__(self, whole: LinearSystem, settings: SearchSettings) -> None:
+        self.settings, self.largest_scale = settings, np.inf
+        fitted, every = whole.fitted, whole.forms
+        held = [next(k for k, form in enumerate(every) if form is own) for own in fitted.forms]
+        sizes = [theta / form.typical for form, theta in zip(fitted.forms, fitted.theta, strict=True)]
+        kept = self._forms_to_offer(whole, held, sizes)
+        self.system = whole.only(kept)
+        self.columns = FormPriors.from_forms(self.system.forms, settings.further)
+        self.current: Model = tuple(range(len(held)))
+        self.sizes = dict(enumerate(sizes))
+        self.sums = self._sums_beside()
+        self.offered = list(range(len(kept)))
+
+    def _forms_to_offer(self, whole: LinearSystem, held: list[int], sizes: list[FloatArray]) -> list[int]:
+        """Return the current forms, then of each effect the best few beside them."""
+        columns = FormPriors.from_forms(whole.forms, self.settings.further)
+        deviations = self._deviations(whole, dict(zip(held, sizes, strict=True)))
+        sums = whole.sums(
+            whole.columns,
+            whole.calibration,
+            deviations,
+            prior_rest=self.settings.prior_rest,
+            scales=_RANKING_SCALES,
+            interactions=False,
+        )
+        models = []
+        for number, form in enumerate(whole.forms):
+            others = tuple(k for k in held if whole.forms[k].effect != form.effect)
+            models.append((*others, number))
+        value = _total(log_weights(sums, columns, models))
+        kept, count = list(held), dict[str, int]()
+        for number in np.argsort(-value, kind="stable"):
+            name = whole.forms[int(number)].effect
+            if int(number) not in held and count.get(name, 0) < _FORMS_PER_EFFECT:
+                count[name] = count.get(name, 0) + 1
+                kept.append(int(number))
+        return kept
+
+    def _deviations(self, system: LinearSystem, sizes: Mapping[int, FloatArray]) -> FloatArray:
+        """Return by what each condition may deviate from the current forms, shape (n_rows, n_forms)."""
+        deviations = [self.settings.tolerance * (system.of(k) @ size) for k, size in sizes.items()]
+        return np.stack(deviations, axis=1) if deviations else np.zeros((len(system.gap), 0))
+
+    def _sums_beside(self, share: float = 1.0) -> Sums:
+        """Return the sums beside the current hypothesis, its effects deviating by a share of what they may."""
+        current_sizes = {k: self.sizes[k] for k in self.current}
+        return self.system.sums(
+            self.system.columns,
+            self.system.calibration,
+            share * self._deviations(self.system, current_sizes),
+            prior_rest=self.settings.prior_rest,
+        )
+
+    def forms_of(self, model: Model) -> tuple[Form, ...]:
+        """Return the forms of a model."""
+        return tuple(self.columns.forms[k] for k in model)
+
+    def weigh(self, models: Sequence[Model], sums: Sums | None = None) -> FloatArray:
+        """Return the log weights of models, shape (n_scales, n_models)."""
+        return log_weights(sums or self.sums, self.columns, models)
+
+    def active(self) -> Sums:
+        """Return the sums at the scales that matter for the current hypothesis."""
+        weight = self.weigh([self.current])[:, 0]
+        common = np.array([kind.is_interaction for kind in self.system.kinds] + [False])[self.sums.kind]
+        matters = (~common & (self.sums.scale != _SMALLEST_SCALE)) | (weight > weight.max() - _ACTIVE_WINDOW)
+        return self.sums.pick(matters & (self.sums.scale <= self.largest_scale))
+
+    def evidence(self) -> float:
+        """Return the log weight of the current hypothesis, all scales of the lack of fit together."""
+        return float(_total(self.weigh([self.current]))[0])
+
+    def weighting(self) -> Weighting:
+        """Return the most probable lack of fit beside the current hypothesis, and deviations of its effects.
+
+        Deviations that may be large but are not would leave a strong effect's size to chance.
+        """
+        full_deviations = self._deviations(self.system, {k: self.sizes[k] for k in self.current})
+        weightings = []
+        for share in _DEVIATION_SHARES if self.current else (1.0,):
+            sums = self.sums if share == 1.0 else self._sums_beside(share)
+            weight = self.weigh([self.current], sums)[:, 0]
+            best = int(np.argmax(weight))
+            weightings.append((float(weight[best]), int(sums.kind[best]), float(sums.scale[best]), share))
+        _, kind, scale, share = max(weightings, key=lambda each: each[0])
+        return Weighting.from_component(self.system, kind, scale, share * full_deviations)
+
+    def fitted(self) -> Fitted:
+        """Return the current hypothesis, fitted beside the most probable scale of the lack of fit, re-simulated."""
+        return controlled_step(self.system, self.current, self.weighting())
+
+    def neighbours(self, model: Model) -> list[Model]:
+        """Return the models one effect more, one less or one exchanged away, this one first."""
+        name = {k: self.columns.forms[k].effect for k in (*self.offered, *model)}
+        held = {name[k] for k in model}
+        models = [model]
+        models += [tuple(j for j in model if j != k) for k in model]
+        fresh = [k for k in self.offered if name[k] not in held]
+        if len(model) < self.settings.most_effects:
+            models += [(*model, k) for k in fresh]
+        for own in model:
+            rest = tuple(j for j in model if j != own)
+            models += [(*rest, k) for k in self.offered if k != own and (name[k] not in held or name[k] == name[own])]
+        return models
+
+    def _pairs(self) -> list[Model]:
+        """Return pairs of effects by their best forms, which neither shows alone."""
+        best: dict[str, int] = {}
+        for k in self.offered:
+            best.setdefault(self.columns.forms[k].effect, k)
+        numbers = [k for k in best.values() if len(self.columns.forms[k].parameters) <= 4]
+        if len(numbers) > self.settings.paired:
+            # their pairs would grow with the square of what is on offer
+            alone = _total(self.weigh([(k,) for k in numbers]))
+            numbers = [numbers[place] for place in np.sort(np.argsort(-alone, kind="stable")[: self.settings.paired])]
+        return [(a, b) for i, a in enumerate(numbers) for b in numbers[i + 1 :]]
+
+    def best_single_effects(self, count: int) -> Sequence[Model]:
+        """Return so many effects on offer, the most probable, each alone in its best form."""
+        weight = _total(self.weigh([(number,) for number in self.offered]))
+        forms: dict[str, int] = {}
+        for place in np.argsort(-weight, kind="stable"):
+            number = self.offered[int(place)]
+            forms.setdefault(self.columns.forms[number].effect, number)
+        return [(number,) for number in forms.values()][:count]
+
+    def by_effects(self, models: Sequence[Model], probability: FloatArray) -> dict[tuple[str, ...], float]:
+        """Return the probability of each set of effects, forms together, from that of each model, shape (n_models,)."""
+        by_set: dict[tuple[str, ...], float] = {}
+        for model, p in zip(models, probability, strict=True):
+            key = tuple(sorted(self.columns.forms[f].effect for f in model))
+            by_set[key] = by_set.get(key, 0.0) + float(p)
+        return by_set
+
+    @property
+    def current_effects(self) -> tuple[str, ...]:
+        """Effects of the current model, sorted."""
+        return tuple(sorted(self.columns.forms[k].effect for k in self.current))
+
+    def best_form(self, effects: tuple[str, ...], models: Sequence[Model], probability: FloatArray) -> Model:
+        """Return the most probable model of a set of effects."""
+        total = probability.sum(axis=0)
+        alike = [n for n, m in enumerate(models) if effects == tuple(sorted(self.columns.forms[k].effect for k in m))]
+        return models[max(alike, key=lambda n: float(total[n]))]
+
+    def with_current(self, model: Model) -> LocalSearch:
+        """Return this linearisation with another current model."""
+        other = copy(self)
+        other.sizes = dict(self.sizes)
+        other.make_current(model)
+        return other
+
+    def greedy_search(self) -> Model:
+        """Move to the best neighbour until none is better; return the model reached.
+
+        A move has to pay beside what the effects before it may deviate by, and beside what those after it may: else two
+        hypotheses would alternate.
+        """
+        refused: set[frozenset[int]] = set()
+        for _ in range(_MAX_STEPS):
+            models = self.neighbours(self.current)
+            if not self.current:
+                models += self._pairs()
+            models = [self.current, *(m for m in models[1:] if frozenset(m) not in refused)]
+            value = _total(self.weigh(models, self.active()))
+            best = int(np.argmax(value))
+            if best == 0 or value[best] < value[0] + 1e-6:
+                break
+            before = self.current, dict(self.sizes), self.sums
+            self.make_current(models[best])
+            value = _total(self.weigh([self.current, before[0]], self.active()))
+            if value[0] <= value[1]:
+                refused.add(frozenset(self.current))
+                self.current, self.sizes, self.sums = before
+        return self.current
+
+    def make_current(self, model: Model) -> None:
+        """Take a model as the current one, new effects at the sizes that suit it."""
+        active = self.active()
+        weight = self.weigh([model], active)[:, 0]
+        share = np.exp(weight - weight.max())
+        sizes = model_sizes(active, self.columns, model, share / share.sum())
+        cuts = np.cumsum([0, *(len(self.columns.forms[k].parameters) for k in model)])
+        fresh = {k: sizes[first:last] for k, (first, last) in zip(model, pairwise(cuts), strict=True)}
+        self.sizes = {**fresh, **{k: self.sizes[k] for k in self.current}}
+        self.current = model
+        self.sums = self._sums_beside()
+
+    def posterior(self) -> tuple[list[Model], FloatArray]:
+        """Return the models about the best ones, and their log weights (n_scales, n_models)."""
+        models = dict.fromkeys(tuple(sorted(m)) for m in self.neighbours(self.current))
+        self.current = tuple(sorted(self.current))
+        listed = list(models)
+        value = _total(self.weigh(listed, self.active()))
+        for place in np.argsort(-value)[1:_EXPANDED_MODELS]:
+            models.update(dict.fromkeys(tuple(sorted(m)) for m in self.neighbours(listed[int(place)])))
+        if () not in models:
+            models[()] = None
+        listed = list(models)
+        return listed, self.weigh(listed)
+
+    def alternatives(self, models: Sequence[Model], probability: FloatArray) -> tuple[tuple[Model, float], ...]:
+        """Return the best models beside the current one, each with its probability over that one's."""
+        own = float(probability[models.index(self.current)])
+        held = {self.columns.forms[k].effect for k in self.current}
+        others = [
+            (models[int(n)], float(probability[n]) / max(own, 1e-12))
+            for n in np.argsort(-probability)
+            if {self.columns.forms[k].effect for k in models[int(n)]} != held
+        ]
+        return tuple(one for one in others[:_MAX_ALTERNATIVES] if one[1] > _MIN_ALTERNATIVE_ODDS)
+
+
+def _total(weight: FloatArray) -> FloatArray:
+    """Return the log of the weights summed over the scales of the lack of fit, shape (n_models,)."""
+    top = weight.max(axis=0)
+    top = np.where(np.isfinite(top), top, 0.0)
+    with np.errstate(divide="ignore"):
+        return np.asarray(top + np.log(np.exp(weight - top).sum(axis=0)))
+
+
+@dataclass(frozen=True, eq=False)
+class SearchResult:
+    """What was found.
+
+    Parameters
+    ----------
+    fitted : Fitted
+        The best hypothesis, a recalibration free beside it.
+    base : Fitted
+        The recalibration alone.
+    alone : LinearSystem
+        About its path, with every form.
+    system : LinearSystem
+        About the best hypothesis' path, with every effect's best forms.
+    forms : mapping of str to list of Form
+        Forms of each effect on this campaign.
+    models : tuple of tuple of str
+        Sets of effects weighed, best first.
+    probabilities : array of float, shape (n_models,)
+        Of each set.
+    rivals : tuple of (tuple of int, float)
+        The best other models, by their forms' numbers in `system`, each with its probability over the best one's.
+    rest : float
+        Probability of a lack of fit beside anything else that acts.
+    weighting : Weighting
+        The most probable lack of fit beside the best hypothesis, and deviations of its effects.
+    nothing : float
+        Probability that neither an effect nor a lack of fit is there, a recalibration left free.
+    """
+
+    fitted: Fitted
+    base: Fitted
+    alone: LinearSystem
+    system: LinearSystem
+    forms: dict[str, list[Form]]
+    models: tuple[tuple[str, ...], ...]
+    probabilities: FloatArray
+    alternatives: tuple[tuple[Model, float], ...]
+    rest: float
+    weighting: Weighting
+    nothing: float
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Effects of the best hypothesis, sorted."""
+        return tuple(sorted(form.effect for form in self.fitted.forms))
+
+    def inclusion(self) -> dict[str, float]:
+        """Return the probability of each effect being at work."""
+        by_effect: dict[str, float] = {}
+        for model, p in zip(self.models, self.probabilities, strict=True):
+            for name in model:
+                by_effect[name] = by_effect.get(name, 0.0) + float(p)
+        return by_effect

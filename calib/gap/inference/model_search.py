@@ -1,0 +1,238 @@
+"""Search over sets of effects, linearised again about each better one until converged."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from calib.gap.effects.effect import Effect, Form
+from calib.gap.inference.fit import Fitted, continuation_start
+from calib.gap.inference.linear_model import LinearSystem
+from calib.gap.inference.local_search import LocalSearch, Model, SearchResult, SearchSettings
+from calib.gap.inference.noise import Noise
+from calib.gap.inference.recalibration import SUBSETS, free_estimates, weigh_subsets
+from calib.gap.predict import Path
+from calib.types import FloatArray
+
+#: passes: linearise, search, fit
+_MAX_PASSES: Final = 7
+#: a step below this share of the standard uncertainty ends the passes
+_CONVERGED_STEP: Final = 0.2
+#: causes fitted alone, the most probable about the path of the recalibration, of which the best is begun with
+_SINGLE_STARTS: Final = 3
+#: models weighed together with the calibration: so many at most, those within this log-evidence window of the best
+_MAX_LIKELY_MODELS: Final = 12
+_LIKELY_WINDOW: Final = 7.0
+#: a gap less probable than this is not reported: looking at runs once more costs less than a gap not seen
+REPORTED_GAP_PROBABILITY: Final = 0.4
+#: sets that are taken as current, one after the other
+_MAX_SET_CHANGES: Final = 5
+#: beside a larger lack of fit, the search begins again from elsewhere
+_SMALL_LACK_OF_FIT: Final = 1.0
+
+
+def search(
+    nominal: Path,
+    noise: Noise,
+    base: Fitted,
+    effects: Sequence[Effect],
+    settings: SearchSettings | None = None,
+    start: SearchResult | None = None,
+    passed: Callable[[], None] | None = None,
+) -> SearchResult:
+    """Search the library.
+
+    Parameters
+    ----------
+    nominal : Path
+        The model alone.
+    noise : Noise
+        Covariance of each unit.
+    base : Fitted
+        The recalibration alone.
+    effects : sequence of Effect
+        The library; the calibration's own three are left to the recalibration.
+    settings : SearchSettings, optional
+        What is assumed.
+    start : SearchResult, optional
+        Where to begin, beside another noise level; the recalibration alone by default.
+    passed : callable, optional
+        Called before each pass.
+    """
+    settings = settings or SearchSettings()
+    shifts = {effect.id: effect.shifts for effect in effects}
+    forms = _forms_on_offer(nominal, effects) if start is None else start.forms
+    all_forms = [form for offered in forms.values() for form in offered]
+    alone = LinearSystem(base, nominal, noise, all_forms)
+    initial = LocalSearch(alone, settings)
+    start_fit = _begin_at(start, nominal, noise, initial)
+    first = (
+        copy(initial)
+        if start_fit is base
+        else LocalSearch(LinearSystem(start_fit, nominal, noise, all_forms), settings)
+    )
+    local, fitted = _converge(first, noise, all_forms, settings, passed)
+    if local.weighting().scale > _SMALL_LACK_OF_FIT and initial.offered:
+        # several causes together may leave little where each alone leaves a large lack of fit, and about a path far off
+        # the true one cause looks like several: begin once without a lack of fit, and once with the best cause fitted
+        # alone
+        starts = [initial.with_current(model) for model in initial.best_single_effects(_SINGLE_STARTS)]
+        starts = [_converge(start, noise, all_forms, settings, passed, greedy=False)[0] for start in starts]
+        # one that grows beyond bounds when fitted alone has no evidence
+        best = max(starts, key=lambda start: np.nan_to_num(start.evidence(), nan=-np.inf))
+        for other, largest_scale in ((copy(initial), _SMALL_LACK_OF_FIT), (best, np.inf)):
+            settled, settled_fitted = _converge(other, noise, all_forms, settings, passed, largest_scale=largest_scale)
+            if settled.evidence() > local.evidence():
+                local, fitted = settled, settled_fitted
+    at_base = _weighed(initial, settings, shifts)
+    local, fitted, weighed = _most_probable(
+        local,
+        fitted,
+        at_base.nothing * at_base.as_believed < 1.0 - REPORTED_GAP_PROBABILITY,
+        lambda other: _converge(other, noise, all_forms, settings, passed, greedy=False),
+        lambda other: _weighed(other, settings, shifts),
+    )
+    by_model = weighed.probability.sum(axis=0)
+    by_set = local.by_effects(weighed.models, by_model)
+    order = sorted(by_set, key=lambda key: -by_set[key])
+    return SearchResult(
+        fitted=fitted,
+        base=base,
+        alone=alone,
+        system=local.system,
+        forms=forms,
+        models=tuple(order),
+        probabilities=np.array([by_set[key] for key in order]),
+        alternatives=local.alternatives(weighed.models, by_model),
+        rest=float(weighed.probability[1:].sum()),
+        weighting=local.weighting(),
+        nothing=at_base.nothing,
+    )
+
+
+def _forms_on_offer(nominal: Path, effects: Sequence[Effect]) -> dict[str, list[Form]]:
+    """Return the forms of each effect that the runs could show, by id; the calibration's own are not among them."""
+    forms = {effect.id: effect.forms(nominal.s) for effect in effects if not effect.calibration}
+    return {name: offered for name, offered in forms.items() if offered}
+
+
+def _begin_at(start: SearchResult | None, nominal: Path, noise: Noise, initial: LocalSearch) -> Fitted:
+    """Return the hypothesis about whose path the search begins."""
+    if start is not None:
+        return start.fitted
+    on_offer = initial.forms_of(tuple(initial.offered))
+    return continuation_start(nominal, noise, initial.system.fitted, on_offer, initial.settings.most_effects)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _WeighedModels:
+    """The models about the best ones of one linearisation, and how probable they are."""
+
+    models: list[Model]
+    probability: FloatArray  #: shape (n_scales, n_models)
+    #: probability that the calibration is what it is believed to be, if no effect is at work; 1 where that is unlikely
+    as_believed: float
+    #: log weight of the current model, all scales of the lack of fit and all of the calibration together
+    current_weight: float
+
+    @property
+    def nothing(self) -> float:
+        """Probability that neither an effect nor a lack of fit is there, a recalibration left free."""
+        return float(self.probability[0, self.models.index(())])
+
+
+def _weighed(local: LocalSearch, settings: SearchSettings, shifts: Mapping[str, tuple[str, ...]]) -> _WeighedModels:
+    """Weigh the models about the best ones.
+
+    The steps leave the calibration free beside every model. What is likely at the end is weighed together with which of
+    the calibration's parameters it needs to be off: an effect that explains their shift too needs none.
+    """
+    models, weight = local.posterior()
+    total = np.logaddexp.reduce(weight, axis=0)
+    likely = [int(n) for n in np.argsort(-total)[:_MAX_LIKELY_MODELS] if total[n] > total.max() - _LIKELY_WINDOW]
+    weighting, over_free, as_believed = local.weighting(), dict[int, float](), 1.0
+    for n in {*likely, models.index(local.current)}:
+        sizes, values = free_estimates(local.system, models[n], weighting)
+        subsets = weigh_subsets(local.system, models[n], sizes, values, settings, shifts)
+        over_free[n] = subsets.over_free
+        if not models[n]:
+            as_believed = float(subsets.probabilities[SUBSETS.index(())])
+    # what is hardly likely is taken to need the calibration off as much as the neediest of the likely
+    weight = weight + np.array([over_free.get(n, min(over_free.values())) for n in range(len(models))])
+    probability = np.exp(weight - weight.max())
+    current_weight = float(np.logaddexp.reduce(weight[:, models.index(local.current)]))
+    return _WeighedModels(models, probability / probability.sum(), as_believed, current_weight)
+
+
+def _most_probable(
+    local: LocalSearch,
+    fitted: Fitted,
+    gap_certain: bool,
+    settle: Callable[[LocalSearch], tuple[LocalSearch, Fitted]],
+    weigh: Callable[[LocalSearch], _WeighedModels],
+) -> tuple[LocalSearch, Fitted, _WeighedModels]:
+    """Move to the most probable set of effects until the current set is the most probable about its own path, too.
+
+    Where sets take turns, each the most probable about the other's path, that of the fewest effects; of as many, that
+    which is the most probable about its own.
+    """
+    visited: dict[tuple[str, ...], tuple[LocalSearch, Fitted, _WeighedModels]] = {}
+    for _ in range(_MAX_SET_CHANGES):
+        weighed = weigh(local)
+        by_set, own = local.by_effects(weighed.models, weighed.probability.sum(axis=0)), local.current_effects
+        if gap_certain:
+            # no effect then counts by a lack of fit and by the calibration alone
+            by_set[()] -= weighed.nothing * weighed.as_believed
+        visited[own] = local, fitted, weighed
+        most_probable = max(by_set, key=lambda key: by_set[key])
+        if most_probable in visited:
+            turns = list(visited)
+            fewest_first = sorted(
+                turns[turns.index(most_probable) :], key=lambda name: (len(name), -visited[name][2].current_weight)
+            )
+            return visited[fewest_first[0]]
+        local, fitted = settle(local.with_current(local.best_form(most_probable, weighed.models, weighed.probability)))
+    return list(visited.values())[-1]
+
+
+def _converge(
+    local: LocalSearch,
+    noise: Noise,
+    all_forms: Sequence[Form],
+    settings: SearchSettings,
+    passed: Callable[[], None] | None,
+    largest_scale: float = np.inf,
+    greedy: bool = True,
+) -> tuple[LocalSearch, Fitted]:
+    """Search (where `greedy`), fit and linearise until converged; `largest_scale` limits the lack of fit meanwhile."""
+    for number in range(_MAX_PASSES):
+        if passed is not None:
+            passed()
+        # two equally probable hypotheses must not alternate forever: the last passes keep the set
+        if greedy and number < _MAX_PASSES - 2:
+            local.largest_scale = largest_scale
+            local.greedy_search()
+            local.largest_scale = np.inf
+        before, fitted = local.system.fitted, local.fitted()
+        if _step(before, fitted) < _CONVERGED_STEP:
+            break
+        if number < _MAX_PASSES - 1:
+            local = LocalSearch(LinearSystem(fitted, local.system.nominal, noise, all_forms), settings)
+    return local, fitted
+
+
+def _step(before: Fitted, after: Fitted) -> float:
+    """Return the largest change in standard uncertainties; infinite where the forms differ."""
+    if [id(form) for form in before.forms] != [id(form) for form in after.forms]:
+        return np.inf
+    change = np.concatenate(
+        [
+            after.calibration - before.calibration,
+            *(new - old for new, old in zip(after.theta, before.theta, strict=True)),
+        ]
+    )
+    return float(np.abs(change / np.sqrt(np.diag(after.covariance))).max())

@@ -1,0 +1,302 @@
+"""The noise of each run: its covariance over the channels, and what supports it.
+
+Heading noise along a path becomes lateral error at its end, so the channels of a run are correlated, each run in its
+own way. The covariance is a sum of components; their scales are estimated from replicates, after a mean in each channel
+and a calibration of each replicate group are removed. The noise of windows is checked by its growth with their length.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+
+from calib.gap.inference.noise_components import COMPONENTS, PRIOR_MEDIANS, NoiseComponents
+from calib.gap.inference.repeatability import (
+    MAX_NOISE_EXCESS,
+    MIN_DOF,
+    Basis,
+    NoiseSupport,
+    Replicates,
+    ScaleLikelihood,
+    most_likely_scales,
+    noise_supports,
+    thinned_replicates,
+)
+from calib.gap.observations.arrays import Channel
+from calib.gap.predict import Path
+from calib.types import FloatArray
+
+#: fewest units for which stated sigmas alone are a noise level
+MIN_RUNS: Final = 4
+#: a noise level so many times the stated one is said first
+REPORTED_EXCESS: Final = 4.0
+#: the noise level of windows about as large as the stated one needs no more support
+STATED_EXCESS: Final = 2.0
+#: a larger one may exceed what grows as noise does by this factor
+MAX_GROWTH_RATIO: Final = 2.0
+#: windows joined to a longer one
+JOINED_WINDOWS: Final = (1, 2, 4, 8)
+#: fewest windows of a length
+MIN_WINDOWS: Final = 4
+#: channels of a pose
+POSE_CHANNELS: Final = slice(1, 4)
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """Covariance of every unit, and what it rests on.
+
+    Parameters
+    ----------
+    covariance : array of float, shape (n_units, 6, 6)
+        Over (distance, along, lateral, heading, front, steering); unit variance where a channel is missing.
+    scales : mapping of str to float
+        Scale of each component.
+    dof : float
+        Degrees of freedom that replicates give it; 0 where the stated instruments carry it.
+    weight : array of float, shape (n_units,)
+        1 for ordinary units, less for those far from their repeats.
+    supported : bool
+        Whether these runs support a noise level at all.
+    support : str
+        What supports it, in words; where nothing does, why.
+    excess : array of float, shape (6,)
+        Noise level over that by the stated sigmas and typical walks, the median over the units; NaN where no unit has
+        the channel.
+    """
+
+    covariance: FloatArray
+    scales: dict[str, float]
+    dof: float
+    weight: FloatArray
+    supported: bool = True
+    support: str = ""
+    excess: FloatArray = field(default_factory=lambda: np.full(6, np.nan))
+
+    @property
+    def finding(self) -> str:
+        """What to say first where the noise level is far above the stated sigmas, a sentence; else an empty text."""
+        most = int(np.nanargmax(self.excess)) if np.isfinite(self.excess).any() else 0
+        if not (self.supported and self.excess[most] > REPORTED_EXCESS):
+            return ""
+        return (
+            f"Replicate runs scatter in the {Channel(most).label} channel {self.excess[most]:.0f} times as much as "
+            "the stated sigmas and typical wheels would: the noise level itself is a finding."
+        )
+
+    @cached_property
+    def whitener(self) -> FloatArray:
+        """Inverse Cholesky factor of each unit's covariance, shape (n_units, 6, 6)."""
+        return np.linalg.inv(np.linalg.cholesky(self.covariance))
+
+    @property
+    def floor(self) -> FloatArray:
+        """Standard deviation of each channel in each unit, shape (n_units, 6)."""
+        deviation: FloatArray = np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
+        return deviation
+
+
+def estimate_noise(path: Path, gap: FloatArray, *, start: Noise | None = None) -> Noise:
+    """Estimate the noise from replicates.
+
+    These are units of one cell where there are enough of them; else of one condition, with a trend on temperature,
+    dwell, session and further columns removed; else neighbours in the order driven; else runs of one route with their
+    loads and speeds as trends; at last the stated sigmas stand alone. Where the first of these supports no floor,
+    repeats with fewer degrees of freedom do, if there are any.
+
+    Parameters
+    ----------
+    path : Path
+        Where the gap was taken.
+    gap : array of float, shape (n_units, 6)
+        Measured minus predicted.
+    start : Noise, optional
+        An estimate about another path, to begin at.
+
+    Returns
+    -------
+    Noise
+        Covariances and the scales behind them. Scales that repeats do not determine keep their prior, which is
+        the instruments' stated uncertainty for the first three.
+    """
+    shapes = NoiseComponents.about(path)
+    begin = np.log(PRIOR_MEDIANS)
+    if start is not None:
+        known = [start.scales.get(name, median) for name, median, _ in COMPONENTS]
+        begin = np.log(np.maximum(known, 1e-300))
+    first = None
+    for support in noise_supports(path):
+        grouped = Replicates.by(support.labels)
+        if len(grouped.units) == 0:
+            continue
+        whole = ScaleLikelihood(path, gap, shapes, grouped, support.trend)
+        if whole.dof < support.dof:
+            continue
+        log_scale, weight = _scales(path, gap, shapes, grouped, support, whole, begin)
+        noise = _noise(path, shapes, log_scale, weight, support.basis, whole.dof)
+        if noise.supported and (first is None or support.basis is Basis.REPEATS):
+            return noise
+        # many units are worth nothing where what they differ by cannot be told from a gap: then repeats alone count
+        first = first or noise
+    return first or _noise(path, shapes, np.log(PRIOR_MEDIANS), np.ones(len(gap)), Basis.STATED, 0.0)
+
+
+def _noise(
+    path: Path, shapes: NoiseComponents, log_scale: FloatArray, weight: FloatArray, basis: Basis, dof: float
+) -> Noise:
+    """Return the noise of these scales, shape (n_components,), and weights (n_units,), and whether it is supported."""
+    covariance = shapes.covariance(log_scale, weight)
+    scales = {
+        name: float(np.exp(v)) for (name, _, _), v, on in zip(COMPONENTS, log_scale, shapes.active, strict=True) if on
+    }
+    excess = _excess(shapes, covariance)
+    supported, words = _support(path, covariance, basis, dof, excess)
+    return Noise(covariance, scales, dof, weight, supported, words, excess)
+
+
+def _scales(
+    path: Path,
+    gap: FloatArray,
+    shapes: NoiseComponents,
+    grouped: Replicates,
+    support: NoiseSupport,
+    whole: ScaleLikelihood,
+    begin: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Return the logarithms of the most likely scales and the weights (n_units,), less far from their repeats."""
+    some = thinned_replicates(grouped)
+    part = whole if some is grouped else ScaleLikelihood(path, gap, shapes, some, support.trend)
+    if part.dof < MIN_DOF:
+        part = whole
+    best = most_likely_scales(part, begin)
+    weight = np.ones(len(gap))
+    weight[grouped.units] = whole.weights(best)
+    return best, weight
+
+
+def _excess(shapes: NoiseComponents, covariance: FloatArray) -> FloatArray:
+    """Return the noise level over that of the stated sigmas, the median over the units, shape (6,)."""
+    usable = shapes.usable
+    stated = shapes.covariance(np.log(PRIOR_MEDIANS), np.ones(len(usable)))
+    ratio = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2) / np.diagonal(stated, axis1=1, axis2=2))
+    return np.array([float(np.median(ratio[on, k])) if (on := usable[:, k]).any() else np.nan for k in range(6)])
+
+
+def _support(path: Path, covariance: FloatArray, basis: Basis, dof: float, excess: FloatArray) -> tuple[bool, str]:
+    """Return whether a noise level is supported, and by what or why not."""
+    if basis is Basis.STATED:
+        if path.s.sigmas_assumed:
+            return False, str(Basis.NOTHING)
+        if len(path.s) < MIN_RUNS:
+            return False, f"nothing: {len(path.s)} runs, none driven twice"
+        return True, str(basis)
+    counted = f"{basis} ({dof:.0f} degrees of freedom)"
+    if basis is Basis.REPEATS:
+        return True, counted
+    most = float(np.nanmax(excess))
+    if most > MAX_NOISE_EXCESS:
+        return (
+            False,
+            f"nothing: {counted} scatter {most:.3g} times as much as the stated sigmas, and no repeats say why",
+        )
+    if most <= STATED_EXCESS or basis is not Basis.WINDOWS:
+        return True, counted
+    return _by_growth(path, covariance, counted, window_growth(path))
+
+
+def _by_growth(path: Path, covariance: FloatArray, counted: str, growth: WindowGrowth | None) -> tuple[bool, str]:
+    """Return whether the noise level of windows, above the stated one, grows with their length as noise does."""
+    if growth is None:
+        return False, f"nothing: {counted} scatter more than stated, and there are too few to see how that grows"
+    # a walk of the heading leads the place astray by the length to the power of three halves: the heading alone tells
+    heading = Channel.HEADING
+    floor = float(np.sqrt(covariance[path.s.usable[:, heading], heading, heading].mean()))
+    if floor > MAX_GROWTH_RATIO * growth.noise_rms[2]:
+        return False, f"nothing: what differs between {counted} grows in proportion to their length, as no noise does"
+    return True, f"{counted}, of {growth.length_m[0]:.2g} to {growth.length_m[-1]:.2g} m"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WindowGrowth:
+    """What the mean squares of the residual in windows of several lengths are made of.
+
+    Parameters
+    ----------
+    length_m : array of float, shape (n_lengths,)
+        Mean length of the windows.
+    parts : array of float, shape (3, 3)
+        For the residual along, lateral and in the heading, mean squares at the shortest length that are constant, grow
+        with the length, and grow with its square.
+    """
+
+    length_m: FloatArray
+    parts: FloatArray
+
+    @property
+    def noise_rms(self) -> FloatArray:
+        """Root mean square that is noise in the shortest windows, along, lateral, heading, shape (3,)."""
+        rms: FloatArray = np.sqrt(self.parts[:, 0] + self.parts[:, 1])
+        return rms
+
+
+def window_growth(path: Path) -> WindowGrowth | None:
+    """Return how what a path leaves grows with the length of the windows; None where there are too few of them.
+
+    Parameters
+    ----------
+    path : Path
+        Of observations that were cut into windows.
+    """
+    from scipy.optimize import nnls
+
+    chains = _chains(path)
+    lengths, squares = [], []
+    for joined in JOINED_WINDOWS:
+        left = [
+            _residual_of(path, first, first + joined) for a, b in chains for first in range(a, b - joined + 1, joined)
+        ]
+        if len(left) < MIN_WINDOWS:
+            break
+        rows = np.array(left)
+        lengths.append(float(rows[:, 0].mean()))
+        squares.append((rows[:, 1:] ** 2).mean(axis=0))
+    if len(lengths) < len(JOINED_WINDOWS) - 1:
+        return None
+    length, square = np.array(lengths), np.array(squares)
+    times = length / length[0]
+    laws = np.stack([np.ones(len(times)), times, times**2], axis=1)
+    # each length weighs as its relative uncertainty: half as many windows, a root of two more uncertain
+    weight = 1.0 / (np.maximum(square, 1e-300) * np.sqrt(times)[:, None])
+    parts = np.stack([nnls(laws * weight[:, [k]], square[:, k] * weight[:, k])[0] for k in range(3)])
+    return WindowGrowth(length, parts)
+
+
+def _chains(path: Path) -> list[tuple[int, int]]:
+    """Return stretches (first, behind the last) of windows that follow each other and all have a measured pose."""
+    observations = path.s
+    posed = np.asarray(observations.usable[:, POSE_CHANNELS].all(axis=1))
+    follows = (np.diff(observations.run) == 0) & (np.diff(observations.window) == 1)
+    breaks = np.flatnonzero(~(follows & posed[1:] & posed[:-1])) + 1
+    edges = [0, *breaks.tolist(), len(posed)]
+    return [(a, b) for a, b in pairwise(edges) if posed[a]]
+
+
+def _residual_of(path: Path, first: int, behind: int) -> FloatArray:
+    """Return the length of joined windows and the residual along, lateral and in the heading at their end."""
+    measured, predicted = path.s.measured[first:behind, POSE_CHANNELS], path.end[first:behind]
+    real, model = _chained_pose(measured), _chained_pose(predicted)
+    dx, dy = real[:2] - model[:2]
+    c, s = np.cos(real[2]), np.sin(real[2])
+    length = path.s.length_m[first:behind].sum()
+    return np.array([length, c * dx + s * dy, c * dy - s * dx, real[2] - model[2]])
+
+
+def _chained_pose(motions: FloatArray) -> FloatArray:
+    """Return the pose after several motions (n, 3), each in the frame of its own start."""
+    heading = np.concatenate(([0.0], np.cumsum(motions[:, 2])))
+    place = ((motions[:, 0] + 1j * motions[:, 1]) * np.exp(1j * heading[:-1])).sum()
+    return np.array([place.real, place.imag, heading[-1]])

@@ -1,0 +1,252 @@
+"""Noise components: their covariance in the channels of a run, and the trends that are no noise."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from calib.campaign.model import NUMERIC_COLUMNS
+from calib.gap.predict import Path
+from calib.types import BoolArray, FloatArray, IntArray
+
+#: components: (name, prior median of the standard deviation's scale, prior spread of its natural logarithm)
+COMPONENTS: Final[tuple[tuple[str, float, float], ...]] = (
+    ("distance", 1.0, 0.4),  # times the rangefinder's stated sigma
+    ("position", 1.0, 0.4),  # times the reference's stated sigma
+    ("heading", 1.0, 0.4),  # times the reference's stated sigma
+    ("heading_walk", 2e-4, 1.0),  # rad per sqrt(m)
+    ("along_walk", 2e-4, 1.0),  # m per sqrt(m)
+    ("radius_scatter", 2e-5, 1.0),  # relative, both wheels, from run to run
+    ("yaw_scatter", 2e-5, 1.0),  # relative, right against left, from run to run
+    ("start_heading", 3e-4, 1.0),  # rad, from run to run
+    ("front_walk", 5e-4, 1.0),  # m per sqrt(m)
+    ("steering_walk", 1e-3, 1.0),  # rad per sqrt(m)
+    ("front_scatter", 3e-4, 1.0),  # relative, front radius, from run to run
+    ("steer_scatter", 1e-3, 1.0),  # rad, zero of the steering angle, from run to run
+)
+#: prior medians, shape (n_components,)
+PRIOR_MEDIANS: Final = np.array([median for _, median, _ in COMPONENTS])
+_N_CHANNELS: Final = 6
+Column = tuple[FloatArray, tuple[int, ...]]
+
+
+def kernels(path: Path) -> FloatArray:
+    """Return the covariance of each component at scale 1, shape (n_components, n_units, 6, 6)."""
+    observations = path.s
+    n = len(observations)
+    shapes = np.zeros((len(COMPONENTS), n, _N_CHANNELS, _N_CHANNELS))
+    shapes[0, :, 0, 0] = observations.sigma_distance_m**2
+    shapes[1, :, 1, 1] = shapes[1, :, 2, 2] = observations.sigma_xy_m**2
+    shapes[2, :, 3, 3] = observations.sigma_theta_rad**2
+    for units, part in path.parts():
+        length = np.abs(part.ds_m)
+        for number, vector in zip((3, 4), _step_vectors(part), strict=True):
+            shapes[number, units] = _summed_products(vector, length, part.s.starts)
+    calibration = path.calibration
+    both = calibration[:, :, 0] + calibration[:, :, 1]
+    differ = 0.5 * (calibration[:, :, 1] - calibration[:, :, 0])
+    zero = np.zeros((n, _N_CHANNELS))
+    zero[:, 4] = -observations.vehicle.wheelbase_m * path.end[:, 2]
+    zero[:, 5] = path.way_m / observations.vehicle.wheelbase_m
+    start = _start_turn(path)
+    for number, rows in ((5, both), (6, differ), (7, start), (10, calibration[:, :, 3]), (11, zero)):
+        shapes[number] = rows[:, :, None] * rows[:, None, :]
+    shapes[8, :, 4, 4] = observations.length_m
+    shapes[9, :, 5, 5] = observations.length_m
+    return shapes
+
+
+def _step_vectors(path: Path) -> tuple[dict[int, FloatArray], dict[int, FloatArray]]:
+    """Return what a turn and a way of 1 at each step do to each channel at the end, each (n_steps,)."""
+    observations, steps = path.s, path.steps
+    unit = observations.unit
+    c, s = np.cos(path.frame)[unit], np.sin(path.frame)[unit]
+    by_x, by_line = (observations.axis == 1)[unit], (observations.axis == 0)[unit]
+    chord = np.maximum(np.hypot(path.end[:, 0], path.end[:, 1]), 1e-9)
+    ux, uy = (path.end[:, 0] / chord)[unit], (path.end[:, 1] / chord)[unit]
+    ones = np.ones(len(unit))
+    turned = np.where(by_x, steps.lever_x, ux * steps.lever_x + uy * steps.lever_y)
+    kick = {
+        0: np.where(by_line, 0.0, turned),
+        1: c * steps.lever_x + s * steps.lever_y,
+        2: c * steps.lever_y - s * steps.lever_x,
+        3: ones,
+        5: ones,
+    }
+    moved = np.where(by_x, steps.cos, ux * steps.cos + uy * steps.sin)
+    push = {
+        0: np.where(by_line, 1.0, moved),
+        1: c * steps.cos + s * steps.sin,
+        2: c * steps.sin - s * steps.cos,
+        4: ones,
+    }
+    return kick, push
+
+
+def _summed_products(vector: Mapping[int, FloatArray], weight: FloatArray, starts: IntArray) -> FloatArray:
+    """Sum the weighted outer products of a step vector over each unit, shape (n_units, 6, 6)."""
+    summed = np.zeros((len(starts) - 1, _N_CHANNELS, _N_CHANNELS))
+    channels = sorted(vector)
+    for a in channels:
+        weighted = vector[a] * weight
+        for b in channels:
+            if b >= a:
+                summed[:, a, b] = summed[:, b, a] = np.add.reduceat(weighted * vector[b], starts[:-1])
+    return summed
+
+
+def _start_turn(path: Path) -> FloatArray:
+    """Return what a turn of the start frame by 1 does to the readings, shape (n_units, 6)."""
+    start = np.zeros((len(path.s), _N_CHANNELS))
+    start[:, 1] = np.sin(path.frame) * path.end[:, 0] - np.cos(path.frame) * path.end[:, 1]
+    start[:, 2] = np.cos(path.frame) * path.end[:, 0] + np.sin(path.frame) * path.end[:, 1]
+    start[:, 3] = 1.0
+    return start
+
+
+def quantisation(path: Path) -> FloatArray:
+    """Return the covariance that counting in whole counts gives, shape (n_units, 6, 6)."""
+    observations = path.s
+    covariance = np.zeros((len(observations), _N_CHANNELS, _N_CHANNELS))
+    radius = observations.vehicle.wheel_radius_m
+    for wheel, sign in ((0, -1.0), (1, 1.0)):
+        # the first and the last count are each off by a uniform share of a count
+        sigma = observations.count_rad[wheel] * radius / np.sqrt(6.0)
+        rows = np.zeros(_N_CHANNELS)
+        rows[[0, 1, 4]] = 0.5 * sigma
+        rows[[3, 5]] = sign * sigma / observations.model.track_m
+        covariance += np.outer(rows, rows)
+    return covariance
+
+
+def fixed_noise(path: Path) -> FloatArray:
+    """Return the covariance that has no scale of its own, shape (n_units, 6, 6): counting, and a start frame read."""
+    start = _start_turn(path) * path.s.sigma_start_rad[:, None]
+    return quantisation(path) + start[:, :, None] * start[:, None, :]
+
+
+def masked(covariance: FloatArray, usable: BoolArray) -> FloatArray:
+    """Give missing channels unit variance and no correlation."""
+    both = usable[:, :, None] & usable[:, None, :]
+    kept = np.where(both, covariance, 0.0)
+    index = np.arange(_N_CHANNELS)
+    kept[:, index, index] = np.where(usable, np.maximum(kept[:, index, index], 1e-18), 1.0)
+    # a small independent variance, so that exactly aliased channels can be factored
+    kept[:, index, index] *= 1.0 + 1e-9
+    return kept
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NoiseComponents:
+    """What the noise of some units is made of.
+
+    Parameters
+    ----------
+    kernels : array of float, shape (n_components, n_units, 6, 6)
+        Covariance of each component at scale 1.
+    fixed : array of float, shape (n_units, 6, 6)
+        Covariance without a scale.
+    usable : array of bool, shape (n_units, 6)
+        Channels that a unit has.
+    active : array of bool, shape (n_components,)
+        Components that show in any channel used.
+    """
+
+    kernels: FloatArray
+    fixed: FloatArray
+    usable: BoolArray
+    active: BoolArray
+
+    @staticmethod
+    def about(path: Path) -> NoiseComponents:
+        """Return the shapes of all units of a path."""
+        usable, shapes = path.s.usable, kernels(path)
+        both = (usable[:, :, None] & usable[:, None, :]).astype(np.float64)
+        active = np.array([bool((np.abs(shape) * both).sum() > 0) for shape in shapes])
+        return NoiseComponents(shapes, fixed_noise(path), usable, active)
+
+    def covariance(self, log_scale: FloatArray, weight: FloatArray) -> FloatArray:
+        """Return the covariance of each unit, shape (n_units, 6, 6)."""
+        variance = np.exp(2 * np.where(self.active, log_scale, np.log(PRIOR_MEDIANS))) * self.active
+        whole = np.tensordot(variance, self.kernels, axes=1) + self.fixed
+        return masked(whole / weight[:, None, None], self.usable)
+
+    def select(self, units: IntArray) -> NoiseComponents:
+        """Return the shapes of some units."""
+        return NoiseComponents(self.kernels[:, units], self.fixed[units], self.usable[units], self.active)
+
+
+def ambient_trends(path: Path) -> FloatArray:
+    """Return what both radii may do with the surroundings, shape (n_units, 6, k)."""
+    observations = path.s
+    waited = observations.number("minutes_under_load")
+    load = observations.number("load_left_N") + observations.number("load_right_N")
+    values = [
+        observations.number("temperature_C"),
+        waited,
+        np.log1p(np.maximum(np.nan_to_num(waited), 0.0) / 5.0) * load,
+    ]
+    values += [column for name, column in observations.numbers.items() if name not in NUMERIC_COLUMNS]
+    columns = [(column, (0, 1)) for value in values for column in _standardised(value)]
+    return np.concatenate([_on_radii(path, columns), session_steps(path)], axis=2)
+
+
+def session_steps(path: Path) -> FloatArray:
+    """Return what each radius may step by from session to session, shape (n_units, 6, k)."""
+    sessions = path.s.labels["session"]
+    steps = [(sessions == name).astype(np.float64) for name in np.unique(sessions)[1:]]
+    return _on_radii(path, [(column, (0, 1)) for step in steps for column in _standardised(step)])
+
+
+def ambient_interactions(path: Path) -> list[FloatArray]:
+    """Return what the surroundings may do differently under another load or at another speed.
+
+    One array (n_units, 6, 2) for each of temperature and dwell with each of total load, own load, speed and turning,
+    where they vary.
+    """
+    observations = path.s
+    left, right = observations.number("load_left_N"), observations.number("load_right_N")
+    speed, turned = observations.number("speed_mps"), observations.total(np.abs(observations.turn_rad))
+    total = left + right
+    others = ((total, total), (left, right), (speed, speed), (turned, turned))
+    trends = []
+    for value in (observations.number("temperature_C"), observations.number("minutes_under_load")):
+        for first in _standardised(value):
+            for pair in others:
+                columns = [(first * second, (k,)) for k in (0, 1) for second in _standardised(pair[k])]
+                if columns:
+                    trends.append(_on_radii(path, columns))
+    return trends
+
+
+def load_speed_trends(path: Path) -> FloatArray:
+    """Return what each radius may do with its own load (straight and curved) and with the speed, shape (n_units, 6, k).
+
+    For runs of one route of which none was driven twice.
+    """
+    observations = path.s
+    columns: list[Column] = []
+    for wheel, side in enumerate(("left", "right")):
+        for load in _standardised(observations.number(f"load_{side}_N")):
+            columns += [(load, (wheel,)), *((curved, (wheel,)) for curved in _standardised(load**2))]
+    columns += [(speed, (0, 1)) for speed in _standardised(observations.number("speed_mps"))]
+    return _on_radii(path, columns)
+
+
+def _on_radii(path: Path, columns: Sequence[Column]) -> FloatArray:
+    """Return a hundredth of each column acting on the radius of the wheels named, shape (n_units, 6, k)."""
+    pushed = [path.calibration[:, :, k] * column[:, None] * 1e-2 for column, wheels in columns for k in wheels]
+    stacked = np.stack(pushed, axis=2) if pushed else np.zeros((len(path.s), 6, 0))
+    return np.where(path.s.usable[:, :, None], stacked, 0.0)
+
+
+def _standardised(values: FloatArray) -> list[FloatArray]:
+    """Return the values less their mean over their spread; nothing where they do not vary."""
+    if not np.isfinite(values).any():
+        return []
+    filled = np.nan_to_num(values - np.nanmean(values))
+    spread = float(filled.std())
+    return [filled / spread] if spread > 1e-9 else []

@@ -1,0 +1,308 @@
+"""Which calibration parameters are off beside some effects: posterior probability of each subset of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import combinations, pairwise
+from typing import Final
+
+import numpy as np
+
+from calib.gap.effects.calibration import DIRECTIONS, NAMES, TYPICAL
+from calib.gap.inference.fit import CALIBRATION_SD, Fitted
+from calib.gap.inference.least_squares import Weighting, prior_precision
+from calib.gap.inference.linear_model import LinearSystem
+from calib.gap.inference.local_search import EVEN_PROBABILITY, SearchResult, SearchSettings
+from calib.gap.inference.marginal_likelihood import SCALE_CHOICE_COST, effect_scale, log_evidence_parts, log_marginal
+from calib.gap.inference.noise import Noise
+from calib.gap.predict import Path
+from calib.types import FloatArray
+
+#: prior odds of one being off by itself, each it is
+PRIOR_SHIFT_ODDS: Final = 0.3
+#: share of an effect's whitened size that a calibration shift may have and still belong to it
+ATTRIBUTED_SHIFT_SHARE: Final = 0.5
+#: prior standard deviation of a found effect's size, at least, in typical sizes
+MIN_EFFECT_SD: Final = 3.0
+#: all subsets of the relative calibration, by their numbers: both radii (0), their ratio (1), the track (2)
+SUBSETS: Final = tuple(subset for count in range(4) for subset in combinations(range(3), count))
+#: the radius of one wheel, left (3) or right (4), is as likely off by itself: the radii are then off both in scale and
+#: in ratio; alone, or beside the track (2)
+_ONE_WHEEL: Final = ((3,), (4,), (2, 3), (2, 4))
+#: a alternative set is as likely as the best where it has more than this share of its probability
+ALTERNATIVE_ODDS: Final = 0.1
+#: a calibration parameter less probable than this beside a alternative set is needless there
+NEEDLESS_PROBABILITY: Final = 0.2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SubsetWeights:
+    """Log weights beside some forms, of each of `SUBSETS`, shape (n_subsets,), and of a calibration left free."""
+
+    each: FloatArray
+    free: float
+
+    @property
+    def probabilities(self) -> FloatArray:
+        """Of each subset, shape (n_subsets,)."""
+        weight = np.exp(self.each - self.each.max())
+        return np.asarray(weight / weight.sum())
+
+    @property
+    def over_free(self) -> float:
+        """Log weight of all subsets together over that of a calibration left free.
+
+        A set of causes that explains the gap with the calibration as it is says more than one that needs it off.
+        """
+        return float(np.logaddexp.reduce(self.each)) - self.free
+
+
+def log_prior_of(count: int, settings: SearchSettings) -> float:
+    """Return the log prior odds of one subset of so many parameters, over none being off.
+
+    Of a vehicle that was never calibrated more than one is off: as with effects, every number is less likely than one
+    fewer by the same odds, and of so many all subsets are as likely.
+    """
+    if not count:
+        return 0.0
+    alike = sum(len(subset) == count for subset in SUBSETS + _ONE_WHEEL)
+    return float(np.log(PRIOR_SHIFT_ODDS) + (count - 1) * np.log(settings.further) - np.log(alike))
+
+
+def without_unidentified(
+    subset: tuple[int, ...], probabilities: FloatArray, settings: SearchSettings
+) -> tuple[int, ...]:
+    """Return a subset without what the runs say nothing of: parameters that are no likelier for what was measured.
+
+    Of what does not show, the prior alone is left, and by that three may well be off together.
+
+    Parameters
+    ----------
+    subset : tuple of int
+        One of `SUBSETS`.
+    probabilities : array of float, shape (n_subsets,)
+        Of each of `SUBSETS`.
+    settings : SearchSettings
+        Assumptions of the search.
+    """
+    prior = {own: np.exp(log_prior_of(len(own), settings)) for own in SUBSETS}
+    for way in _ONE_WHEEL:
+        prior[_both_radii(way)] += np.exp(log_prior_of(len(way), settings))
+    spoken = {own: float(p) / prior[own] for own, p in zip(SUBSETS, probabilities, strict=True)}
+    while len(subset) > 1:
+        best = max((tuple(k for k in subset if k != own) for own in subset), key=lambda fewer: spoken[fewer])
+        if spoken[best] < spoken[subset]:
+            break
+        subset = best
+    return subset
+
+
+def _both_radii(way: tuple[int, ...]) -> tuple[int, ...]:
+    """Return the subset that one wheel's radius, alone or beside the track, belongs to."""
+    return (0, 1, *way[:-1])
+
+
+def free_estimates(
+    system: LinearSystem, model: Sequence[int], weighting: Weighting
+) -> tuple[list[FloatArray], FloatArray]:
+    """Return the size of each form of a model in typical sizes, and the relative calibration (3,), all free."""
+    columns = np.concatenate([system.calibration, *(system.of(k) for k in model)], axis=1)
+    estimates, _ = weighting.solve(columns, prior_precision(columns.shape[1]))
+    cuts = np.cumsum([4, *(len(system.forms[k].parameters) for k in model)])
+    sizes = [estimates[first:last] for first, last in pairwise(cuts)]
+    return sizes, np.linalg.solve(DIRECTIONS[:, :3].T, estimates[:3] * CALIBRATION_SD[:3])
+
+
+def weigh_subsets(
+    system: LinearSystem,
+    model: Sequence[int],
+    sizes: Sequence[FloatArray],
+    values: FloatArray,
+    settings: SearchSettings,
+    shifts: Mapping[str, tuple[str, ...]],
+) -> SubsetWeights:
+    """Weigh the subsets of the calibration's parameters beside some forms.
+
+    An effect may be centred elsewhere than assumed, or deviate from its form; a shift of the calibration up to
+    `ATTRIBUTED_SHIFT_SHARE` times the effect's own size counts as part of the effect.
+
+    Parameters
+    ----------
+    system : LinearSystem
+        The linear model.
+    model : sequence of int
+        Forms, by their numbers in the system.
+    sizes : sequence of array of float
+        Size of each, in typical sizes.
+    values : array of float, shape (3,)
+        Relative size of each calibration parameter beside them, all free.
+    settings : SearchSettings
+        Assumptions of the search.
+    shifts : mapping of str to tuple of str
+        For each effect, the calibration parameters that another zero point of it would look like.
+    """
+    directions = (system.calibration / CALIBRATION_SD) @ DIRECTIONS.T
+    norm = np.maximum(np.sqrt((directions**2).sum(axis=0)), 1e-12)
+    fixed = [system.calibration[:, 3:]]
+    deviations = np.zeros((len(system.gap), len(model)))
+    for place, (number, size) in enumerate(zip(model, sizes, strict=True)):
+        form = system.forms[number]
+        contribution = system.of(number) @ size
+        fixed.append(system.of(number) * max(effect_scale(size, form), MIN_EFFECT_SD))
+        deviations[:, place] = settings.tolerance * contribution
+        looks_like = [NAMES.index(name) for name in shifts.get(form.effect, ())]
+        fixed.append((directions / norm)[:, looks_like] * (ATTRIBUTED_SHIFT_SHARE * np.sqrt((contribution**2).sum())))
+    ways = np.concatenate([DIRECTIONS, np.eye(4)[:2]])
+    typical = np.concatenate([TYPICAL, TYPICAL[:1], TYPICAL[:1]])
+    times = np.concatenate([values, (values @ DIRECTIONS)[:2]]) / typical
+    columns = np.concatenate(
+        [(system.calibration / CALIBRATION_SD) @ ways.T * typical, system.calibration[:, :3]], axis=1
+    )
+    sums = system.sums(columns, np.concatenate(fixed, axis=1), deviations, prior_rest=settings.prior_rest)
+
+    def weight(picked: Sequence[int], scale: float) -> float:
+        gram, right = sums.gram[:, picked][:, :, picked], sums.right[:, picked]
+        log_det, gain = log_evidence_parts(gram, right, np.full(len(picked), scale**2))
+        value = log_marginal(sums.square - gain, sums.log_det + log_det, sums.n_rows)
+        return float(np.logaddexp.reduce(value + sums.log_prior))
+
+    def of_subset(subset: tuple[int, ...]) -> float:
+        picked = list(subset)
+        if not picked:
+            return weight(picked, 1.0)
+        # as with the parameters of a form: one scale for all that is off, chosen by its size and paid for once
+        scale = float(np.clip(np.sqrt(np.mean(times[picked] ** 2)), 0.1, 10.0))
+        return weight(picked, scale) + log_prior_of(len(picked), settings) - SCALE_CHOICE_COST
+
+    weights = {subset: of_subset(subset) for subset in SUBSETS + _ONE_WHEEL}
+    for subset in _ONE_WHEEL:
+        both = _both_radii(subset)
+        weights[both] = float(np.logaddexp(weights[both], weights[subset]))
+    return SubsetWeights(np.array([weights[subset] for subset in SUBSETS]), weight([5, 6, 7], 1.0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recalibration:
+    """Which calibration parameters are off.
+
+    Parameters
+    ----------
+    subsets : tuple of tuple of str
+        All subsets of `NAMES`, best first.
+    probabilities : array of float, shape (n_subsets,)
+        Their posterior probabilities.
+    values, sd : array of float, shape (3,)
+        Relative size of each, all three free, and its standard uncertainty.
+    signal : array of float, shape (3,)
+        Whitened norm of each at its fitted size.
+    instead : mapping of str to tuple of str
+        For each, effects of other likely sets beside which it is hardly off.
+    likeliest : tuple of str
+        The most probable subset, or where that is empty all that is likelier off than not, without what the runs say
+        nothing of.
+    needed : tuple of str
+        The same where something of it has to be off, because no effect is named: where none is the most probable, what
+        is beside the best hypothesis alone or, where one is likelier off than not, the next.
+    """
+
+    subsets: tuple[tuple[str, ...], ...]
+    probabilities: FloatArray
+    values: FloatArray
+    sd: FloatArray
+    signal: FloatArray
+    instead: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    likeliest: tuple[str, ...] = ()
+    needed: tuple[str, ...] = ()
+
+    def probability(self, name: str) -> float:
+        """Return the probability that one of the three is off."""
+        return float(sum(p for s, p in zip(self.subsets, self.probabilities, strict=True) if name in s))
+
+
+def judge_recalibration(
+    fitted: Fitted,
+    nominal: Path,
+    noise: Noise,
+    settings: SearchSettings,
+    shifts: Mapping[str, tuple[str, ...]] | None = None,
+    search: SearchResult | None = None,
+) -> Recalibration:
+    """Weigh the subsets of the calibration's parameters against each other.
+
+    Where other sets of effects are likely too, the calibration is judged beside each of them.
+
+    Parameters
+    ----------
+    fitted : Fitted
+        Fit of the effects found, the recalibration free.
+    nominal : Path
+        The model alone.
+    noise : Noise
+        Covariance of each unit.
+    settings : SearchSettings
+        Assumptions of the search.
+    shifts : mapping of str to tuple of str, optional
+        For each effect, the calibration parameters that another zero point of it would look like.
+    search : Search, optional
+        Has the other sets of effects.
+
+    Returns
+    -------
+    Recalibration
+    """
+    system = LinearSystem(fitted, nominal, noise, fitted.forms)
+    own = [theta / form.typical for form, theta in zip(fitted.forms, fitted.theta, strict=True)]
+    matrix = DIRECTIONS[:, :3].T
+    values = np.linalg.solve(matrix, fitted.calibration[:3])
+    inverse = np.linalg.inv(matrix)
+    sd = np.sqrt(np.diag(inverse @ fitted.covariance[:3, :3] @ inverse.T))
+    shifts = shifts or {}
+    weighed = [(1.0, weigh_subsets(system, range(len(own)), own, values, settings, shifts).probabilities)]
+    for model, weight in search.alternatives if search is not None else ():
+        assert search is not None
+        whole = search.system
+        sizes, theirs = free_estimates(whole, model, search.weighting)
+        weighed.append((weight, weigh_subsets(whole, model, sizes, theirs, settings, shifts).probabilities))
+    instead = {name: _instead(k, fitted, search, weighed) for k, name in enumerate(NAMES)}
+    total = sum(weight for weight, _ in weighed)
+    probability = np.asarray(sum(weight * beside for weight, beside in weighed)) / total
+    order = np.argsort(-probability, kind="stable")
+    likeliest = needed = SUBSETS[int(order[0])]
+    if not likeliest:
+        # what is likelier off than not may be divided among sets with parameters that the runs say nothing of
+        off = [float(sum(p for s, p in zip(SUBSETS, probability, strict=True) if k in s)) for k in range(3)]
+        likeliest = needed = tuple(k for k in range(3) if off[k] > EVEN_PROBABILITY)
+    if not likeliest:
+        beside_own = int(np.argmax(weighed[0][1]))
+        # needless beside another cause, which is not the current one
+        needed = SUBSETS[beside_own] if probability[beside_own] > ALTERNATIVE_ODDS else ()
+        if not needed and probability[order[0]] < EVEN_PROBABILITY:
+            needed = SUBSETS[int(order[1])]
+    norm = np.sqrt((((system.calibration / CALIBRATION_SD) @ DIRECTIONS.T) ** 2).sum(axis=0))
+    return Recalibration(
+        subsets=tuple(tuple(NAMES[k] for k in SUBSETS[int(number)]) for number in order),
+        probabilities=probability[order],
+        values=values,
+        sd=sd,
+        signal=np.maximum(norm, 1e-12) * np.abs(values),
+        instead=instead,
+        likeliest=tuple(NAMES[k] for k in without_unidentified(likeliest, probability, settings)),
+        needed=tuple(NAMES[k] for k in without_unidentified(needed, probability, settings)),
+    )
+
+
+def _instead(
+    parameter: int, fitted: Fitted, search: SearchResult | None, weighed: Sequence[tuple[float, FloatArray]]
+) -> tuple[str, ...]:
+    """Return single effects of likely alternatives that make a calibration parameter needless."""
+    if search is None:
+        return ()
+    holds = np.array([parameter in subset for subset in SUBSETS])
+    own = {form.effect for form in fitted.forms}
+    effects: list[str] = []
+    for (model, weight), (_, probability) in zip(search.alternatives, weighed[1:], strict=True):
+        extra = {search.system.forms[k].effect for k in model} - own
+        if weight > ALTERNATIVE_ODDS and len(extra) == 1 and probability[holds].sum() < NEEDLESS_PROBABILITY:
+            effects += extra
+    return tuple(dict.fromkeys(effects))

@@ -1,0 +1,362 @@
+"""Repeatability: replicate groups, and the noise scales by restricted maximum likelihood (REML) within them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from calib.gap.inference.noise_components import (
+    COMPONENTS,
+    PRIOR_MEDIANS,
+    NoiseComponents,
+    ambient_interactions,
+    ambient_trends,
+    load_speed_trends,
+    session_steps,
+)
+from calib.gap.predict import Path
+from calib.types import BoolArray, FloatArray, IntArray
+
+#: repeats with fewer degrees of freedom for each channel are joined with coarser ones
+ENOUGH_DOF_PER_CHANNEL: Final = 15.0
+#: and in all
+ENOUGH_DOF: Final = 30.0
+#: with fewer than this nothing was learnt
+MIN_DOF: Final = 8.0
+#: units of a neighbourhood, driven one after the other
+NEIGHBOURS_TOGETHER: Final = 3
+#: windows of a neighbourhood: enough to be compared where each has a shape of its own
+WINDOWS_TOGETHER: Final = 5
+#: a noise level that no repeats give is believed up to so many times the stated one
+MAX_NOISE_EXCESS: Final = 5.0
+PRIOR_SPREADS: Final = np.array([spread for _, _, spread in COMPONENTS])
+#: units further from their repeats than normal noise takes one in so many of weigh less. Weights that already fall
+#: within its reach let what repeats have in common scatter beyond its stated floor, by a seventh to a quarter in the
+#: square and two to three times as often beyond its 99 % quantile, even where noise is normal
+OUTLIER_PROBABILITY: Final = 0.05
+#: scales are found from at most so many units: their uncertainty is then a few per cent, and the cost is bounded
+MAX_REPLICATES: Final = 480
+_WEIGHT_ROUNDS: Final = 3
+_N_GROUP_COLUMNS: Final = 9
+
+
+class Basis(StrEnum):
+    """What a noise level rests on."""
+
+    REPEATS = "repeats"
+    ROUTE = "runs of one route, with loads and speeds taken out as trends"
+    NEIGHBOURS = "differences of neighbouring runs"
+    WINDOWS = "windows of recordings, each against its neighbours"
+    STATED = "the stated sigmas alone, for nothing was driven twice"
+    NOTHING = "nothing: nothing was driven twice, and the sigmas were assumed"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NoiseSupport:
+    """One way to find a noise level.
+
+    Parameters
+    ----------
+    basis : Basis
+        What it rests on.
+    labels : array of int, shape (n_units,)
+        Units that are compared with each other share a number.
+    trend : array of float, shape (n_units, 6, k), optional
+        What may differ between them and is no noise.
+    dof : float
+        Degrees of freedom from which on it is taken.
+    """
+
+    basis: Basis
+    labels: IntArray
+    trend: FloatArray | None
+    dof: float
+
+
+def noise_supports(path: Path) -> Iterator[NoiseSupport]:
+    """Yield the ways to find a noise level, the best first, each with the degrees of freedom that make it good enough.
+
+    Pooling all units is none of them: it would turn motion that no wheel sees into noise.
+
+    Parameters
+    ----------
+    path : Path
+        Where the gap is taken.
+    """
+    observations = path.s
+    enough = max(ENOUGH_DOF, ENOUGH_DOF_PER_CHANNEL * float(observations.usable.any(axis=0).sum()))
+    alike = Basis.WINDOWS if observations.windowed else Basis.REPEATS
+    trend = np.concatenate([ambient_trends(path), *ambient_interactions(path)], axis=2)
+    yield NoiseSupport(alike, observations.cell, None, enough)
+    yield NoiseSupport(alike, observations.condition, trend, enough)
+    near = Basis.WINDOWS if observations.windowed else Basis.NEIGHBOURS
+    beside = neighbours(observations.condition, NEIGHBOURS_TOGETHER)
+    # neighbours are alike in all but this: a session may end between them
+    yield NoiseSupport(near, beside, session_steps(path), enough)
+    yield NoiseSupport(near, beside, None, enough)
+    yield NoiseSupport(alike, observations.condition, trend, MIN_DOF)
+    yield NoiseSupport(alike, observations.cell, None, MIN_DOF)
+    yield NoiseSupport(near, beside, None, MIN_DOF)
+    if observations.windowed:
+        yield NoiseSupport(near, neighbours(observations.run, WINDOWS_TOGETHER), None, MIN_DOF)
+    else:
+        with_loads = np.concatenate([load_speed_trends(path), trend], axis=2)
+        yield NoiseSupport(Basis.ROUTE, observations.kind, with_loads, MIN_DOF)
+        yield NoiseSupport(Basis.ROUTE, observations.kind, load_speed_trends(path), MIN_DOF)
+
+
+def neighbours(labels: IntArray, together: int) -> IntArray:
+    """Return a number for each neighbourhood of units of one label, in the order driven, shape (n_units,).
+
+    Parameters
+    ----------
+    labels : array of int, shape (n_units,)
+        Only units of one label are neighbours.
+    together : int
+        Units of a neighbourhood; the residual over joins the last.
+    """
+    number = np.zeros(len(labels), dtype=np.int64)
+    used = 0
+    for label in np.unique(labels):
+        units = np.flatnonzero(labels == label)
+        place = np.minimum(np.arange(len(units)) // together, max(len(units) // together - 1, 0))
+        number[units] = used + place
+        used += int(place[-1]) + 1
+    return number
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Replicates:
+    """Replicates, group by group; units that stand alone are omitted.
+
+    Parameters
+    ----------
+    units : array of int, shape (n,)
+        Their numbers, those of a group side by side.
+    group : array of int, shape (n,)
+        Number of the group of each.
+    first : array of int, shape (n_groups,)
+        Where each group begins.
+    """
+
+    units: IntArray
+    group: IntArray
+    first: IntArray
+
+    @staticmethod
+    def by(labels: IntArray) -> Replicates:
+        """Group the units by a label, shape (n_units,)."""
+        _, code = np.unique(labels, return_inverse=True)
+        units = np.argsort(code, kind="stable")
+        return Replicates._numbered(units[np.bincount(code)[code[units]] >= 2], code)
+
+    @staticmethod
+    def _numbered(units: IntArray, code: IntArray) -> Replicates:
+        _, first, group = np.unique(code[units], return_index=True, return_inverse=True)
+        return Replicates(units, group, first)
+
+    def select(self, keep: BoolArray) -> Replicates:
+        """Return the groups with some of their units only, shape (n,)."""
+        units = self.units[keep]
+        _, first, group = np.unique(self.group[keep], return_index=True, return_inverse=True)
+        return Replicates(units, group, first)
+
+    def summed(self, values: FloatArray) -> FloatArray:
+        """Sum values (n, ...) over each group."""
+        total: FloatArray = np.add.reduceat(values, self.first, axis=0)
+        return total
+
+
+def thinned_replicates(grouped: Replicates, most: int = MAX_REPLICATES) -> Replicates:
+    """Return at most about `most` units: the same share of every group, two at least, of evenly chosen groups.
+
+    Parameters
+    ----------
+    grouped : Grouped
+        All replicates.
+    most : int
+        How many are wanted.
+    """
+    n = len(grouped.units)
+    if n <= most:
+        return grouped
+    sizes = np.diff(np.append(grouped.first, n))
+    wanted = np.maximum(2, np.ceil(sizes * most / n))
+    # each unit's place within its group, and which of the wanted places it is the first for
+    place = np.arange(n) - grouped.first[grouped.group]
+    slot = np.floor(place * wanted[grouped.group] / sizes[grouped.group])
+    chosen = np.concatenate(([True], (np.diff(slot) > 0) | (np.diff(grouped.group) > 0)))
+    stride = max(1, int(np.ceil(2 * len(sizes) / most)))
+    return grouped.select(chosen & (grouped.group % stride == 0))
+
+
+class ScaleLikelihood:
+    """Restricted likelihood of the noise's scales, for one way of grouping units.
+
+    Parameters
+    ----------
+    path : Path
+        Where the gap was taken.
+    gap : array of float, shape (n_units, 6)
+        Measured minus predicted.
+    shapes : NoiseComponents
+        What the noise of all units is made of.
+    grouped : Grouped
+        Which units are replicates.
+    trend : array of float, shape (n_units, 6, k)
+        What may differ between replicates and is no noise.
+    """
+
+    def __init__(
+        self, path: Path, gap: FloatArray, shapes: NoiseComponents, grouped: Replicates, trend: FloatArray | None = None
+    ) -> None:
+        units = grouped.units
+        self.grouped, self.shapes = grouped, shapes.select(units)
+        self.active = shapes.active
+        self.usable = self.shapes.usable
+        design, self.prior = _group_design(path, gap)
+        trends = np.zeros((len(path.s), 6, 0)) if trend is None else trend
+        self.k = trends.shape[2]
+        self.columns = np.concatenate([design, trends, gap[:, :, None]], axis=2)[units]
+
+    @cached_property
+    def dof(self) -> float:
+        """Degrees of freedom that are left for the noise."""
+        used = _rank(self.columns[:, :, :_N_GROUP_COLUMNS], self.grouped, self.usable)
+        return float(max(self.usable.sum() - used - self.k, 0))
+
+    def _whitened(self, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the inverse Cholesky factors (n, 6, 6) and the whitened columns."""
+        inverse = np.linalg.inv(np.linalg.cholesky(covariance))
+        return inverse, inverse @ self.columns
+
+    def _solved(self, columns: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+        """Return residual (n, 6) and kept (n, 6, 6) of each whitened unit, and the restricted cost's middle term.
+
+        `columns` (n, 6, 9 + k + 1) holds the whitened own design of each group, the trend and the gap.
+        """
+        k, group = self.k, self.grouped.group
+        x, rest = columns[:, :, :_N_GROUP_COLUMNS], columns[:, :, _N_GROUP_COLUMNS:]
+        turned = x.transpose(0, 2, 1)
+        gram = self.grouped.summed(turned @ x) + np.diag(self.prior)
+        cross = self.grouped.summed(turned @ rest)
+        # scaled and solved: where a group's own columns are nearly alike, the rounding of an inverse exceeds a trend
+        root = np.sqrt(np.diagonal(gram, axis1=1, axis2=2))
+        both = root[:, :, None] * root[:, None, :]
+        inverse = np.linalg.inv(gram / both) / both
+        scaled = x @ inverse[group]
+        own = np.linalg.solve(gram / both, cross / root[:, :, None]) / root[:, :, None]
+        residual = rest - x @ own[group]
+        flat = rest.reshape(-1, k + 1)
+        solved = own.reshape(-1, k + 1)
+        dense = flat.T @ flat - cross.reshape(-1, k + 1).T @ solved
+        middle = float(np.linalg.slogdet(gram)[1].sum())
+        kept = np.eye(6) - scaled @ turned
+        g, square = residual[:, :, -1], float(dense[k, k])
+        if k:
+            inner = dense[:k, :k] + np.eye(k)
+            beta = np.linalg.solve(inner, dense[:k, k])
+            square -= float(dense[:k, k] @ beta)
+            t = residual[:, :, :k]
+            g = g - t @ beta
+            # one product of large matrices, not one a unit
+            half = (t.reshape(-1, k) @ np.linalg.inv(np.linalg.cholesky(inner)).T).reshape(t.shape)
+            kept = kept - half @ half.transpose(0, 2, 1)
+            middle += float(np.linalg.slogdet(inner)[1])
+        return g, kept, middle + square
+
+    def cost(self, log_scale: FloatArray, weight: FloatArray) -> tuple[float, FloatArray]:
+        """Return minus the restricted log likelihood, the prior of the scales included, and its gradient."""
+        factor, columns = self._whitened(self.shapes.covariance(log_scale, weight))
+        log_det = -2 * float(np.log(np.diagonal(factor, axis1=1, axis2=2)).sum())
+        residual, kept, middle = self._solved(columns)
+        away = (log_scale - np.log(PRIOR_MEDIANS)) / PRIOR_SPREADS
+        turned = factor.transpose(0, 2, 1)
+        alpha = (turned @ residual[:, :, None])[:, :, 0]
+        inner = turned @ kept @ factor - alpha[:, :, None] * alpha[:, None, :]
+        both = self.usable[:, :, None] & self.usable[:, None, :]
+        inner = np.where(both, inner, 0.0) / weight[:, None, None]
+        slope = np.tensordot(self.shapes.kernels, inner, axes=([1, 2, 3], [0, 1, 2])) * self.active
+        gradient = slope * np.exp(2 * log_scale) + away / PRIOR_SPREADS
+        return 0.5 * (log_det + middle + float(away @ away)), gradient
+
+    def weights(self, log_scale: FloatArray) -> FloatArray:
+        """Return weights of units by how far they stand from their repeats, 1 within normal reach, shape (n,)."""
+        from scipy.special import chdtri
+
+        _, columns = self._whitened(self.shapes.covariance(log_scale, np.ones(len(self.usable))))
+        residual, own, _ = self._solved(columns)
+        lever = 6.0 - np.trace(own, axis1=1, axis2=2)
+        dim = np.maximum(self.usable.sum(axis=1), 1)
+        # what a unit keeps of its own after its group's means are removed
+        kept = np.maximum(dim - lever, 0.25 * dim)
+        square = (residual**2).sum(axis=1) / kept * dim
+        reach = chdtri(dim, OUTLIER_PROBABILITY)
+        weight: FloatArray = reach / np.maximum(square, reach)
+        return weight
+
+
+def most_likely_scales(likelihood: ScaleLikelihood, start: FloatArray) -> FloatArray:
+    """Return the logarithms of the most likely scales, units far from their repeats weighing less.
+
+    Parameters
+    ----------
+    likelihood : ScaleLikelihood
+        Of the replicates.
+    start : array of float, shape (n_components,)
+        Where to begin.
+
+    Returns
+    -------
+    array of float, shape (n_components,)
+    """
+    from scipy.optimize import minimize
+
+    best, weight = start, np.ones(len(likelihood.usable))
+    bounds = [(m - 4 * w, m + 5 * w) for m, w in zip(np.log(PRIOR_MEDIANS), PRIOR_SPREADS, strict=True)]
+    for _ in range(_WEIGHT_ROUNDS):
+        best = minimize(
+            likelihood.cost,
+            best,
+            args=(weight,),
+            jac=True,
+            method="L-BFGS-B",
+            bounds=bounds,
+            options={"maxiter": 30, "ftol": 1e-6},
+        ).x
+        fresh = likelihood.weights(best)
+        if np.abs(fresh - weight).max() < 0.05:
+            break
+        weight = fresh
+    return np.asarray(best)
+
+
+def _group_design(path: Path, gap: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return what each group may have of its own, shape (n_units, 6, 9), and its prior precision, shape (9,)."""
+    observations = path.s
+    design = np.zeros((len(observations), 6, _N_GROUP_COLUMNS))
+    design[:, :, :3] = path.calibration[:, :, :3]
+    # on a straight the turn by the wheels is the noise itself
+    design[path.guided, :, 2] = 0.0
+    design[:, np.arange(6), 3 + np.arange(6)] = 1.0
+    design = np.where(observations.usable[:, :, None], design, 0.0)
+    size = np.maximum(np.sqrt((gap**2).mean(axis=0)), 1e-6)
+    prior = 1.0 / np.concatenate(([0.03, 0.03, 0.1], 30 * size)) ** 2
+    return design, prior
+
+
+def _rank(design: FloatArray, grouped: Replicates, usable: BoolArray) -> int:
+    """Return how many degrees of freedom the groups' own means and calibrations use up."""
+    total = 0
+    ends = np.append(grouped.first[1:], len(grouped.units))
+    for first, end in zip(grouped.first, ends, strict=True):
+        rows = design[first:end][usable[first:end]]
+        if len(rows):
+            norm = np.maximum(np.abs(rows).max(axis=0), 1e-12)
+            total += int(np.linalg.matrix_rank(rows / norm, tol=1e-3))
+    return total

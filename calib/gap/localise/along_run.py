@@ -1,0 +1,307 @@
+"""The gap along each run, and the stretch of a route over which it grows: a zone of the ground, a joint."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from calib.campaign.model import Campaign
+from calib.campaign.wheels import on_one_axle
+from calib.gap.effects.quantities import MOVING_MPS
+from calib.gap.localise.covariates import BOOTSTRAP_DRAWS
+from calib.gap.localise.result import PlaceResult
+from calib.gap.observations.arrays import Channel, Observations
+from calib.types import FloatArray, IntArray
+
+MIN_SAMPLES: Final = 10
+COUNT_COLUMNS: Final = ("t_s", "counts_left", "counts_right")
+POSE_COLUMNS: Final = ("ref_x_m", "ref_y_m", "ref_theta_rad")
+RANGE_COLUMNS: Final = ("range_m",)
+#: channels whose gap is traced along the way
+TRACED_CHANNELS: Final = (Channel.ALONG, Channel.HEADING)
+GRID_SPACING_M: Final = 0.25
+MAX_GRID_POINTS: Final = 120
+#: a longer zone looks like a scale of the whole run
+MAX_STRETCH_SHARE: Final = 0.4
+MIN_TRACED_RUNS: Final = 4
+MIN_TURN_RAD: Final = 0.3
+#: runs shorter than this share of the usual length are omitted, and the last part of the route with them
+WHOLE_RUN_SHARE: Final = 0.95
+#: what a stretch keeps of itself beside the trend, at least, as a share of the grid
+MIN_STRETCH_NORM: Final = 1e-3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trace:
+    """Gap along one run: reference minus odometry, accumulated piece by piece in the vehicle's own frame."""
+
+    #: run_id, kind: of the run
+    run_id: str
+    kind: str
+    back: bool  #: whether it was driven back along a corridor
+    #: way_m, turn_rad: shape (n,): travelled distance and heading, by odometry
+    way_m: FloatArray
+    turn_rad: FloatArray
+    #: x_m, y_m: shape (n,): place, by odometry, in the run's own frame
+    x_m: FloatArray
+    y_m: FloatArray
+    #: along_m, heading_rad: shape (n,): the accumulated gap; the second is NaN where only a rangefinder was logged
+    along_m: FloatArray
+    heading_rad: FloatArray
+    stops: FloatArray  #: shape (n,): stops on the way so far
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _OdometryPath:
+    """A run by odometry: way of each step and its chord (n_steps,), heading and place at each sample (n_steps + 1,)."""
+
+    step_m: FloatArray
+    chord_m: FloatArray
+    heading_rad: FloatArray
+    x_m: FloatArray
+    y_m: FloatArray
+
+
+def traces_of(campaign: Campaign, observations: Observations) -> list[Trace]:
+    """Return the gap along every run that has a continuous reference or a logged range."""
+    if observations.aside_m is not None:
+        # two wheels on one axle cannot follow a vehicle that goes sideways
+        return []
+    campaign = on_one_axle(campaign, observations.model)
+    first = {str(name): unit for unit, name in reversed(list(enumerate(observations.labels["run_id"])))}
+    encoder, runs = campaign.encoder, campaign.runs
+    kinds, directions = runs.label("kind"), runs.label("direction")
+    traces = []
+    for run, name in enumerate(runs.run_id):
+        unit = first.get(str(name))
+        log = _complete(campaign.logs.of(run))
+        if unit is None or log is None:
+            continue
+        left = log["counts_left"] * (2 * np.pi / encoder.counts_per_rev_left) * observations.radius_left_m[unit]
+        right = log["counts_right"] * (2 * np.pi / encoder.counts_per_rev_right) * observations.radius_right_m[unit]
+        driven = _odometry_path(left, right, observations.model.track_m)
+        along, heading = _gap_by_pose(log, driven) if POSE_COLUMNS[0] in log else _gap_by_range(log, driven)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            speed = np.abs(driven.step_m) / np.diff(log["t_s"])
+        traces.append(
+            Trace(
+                run_id=str(name),
+                kind=str(kinds[run]),
+                back=str(kinds[run]).startswith("corridor") and str(directions[run]) == "back",
+                way_m=np.concatenate(([0.0], np.cumsum(np.abs(driven.step_m)))),
+                turn_rad=driven.heading_rad,
+                x_m=driven.x_m,
+                y_m=driven.y_m,
+                along_m=np.concatenate(([0.0], along)),
+                heading_rad=heading,
+                stops=_stops(np.nan_to_num(speed)),
+            )
+        )
+    return traces
+
+
+def _complete(log: Mapping[str, FloatArray]) -> dict[str, FloatArray] | None:
+    """Return counts and reference (poses before ranges) where all of them are known; None where that is too little."""
+    reference = POSE_COLUMNS if set(POSE_COLUMNS) <= log.keys() else RANGE_COLUMNS
+    needed = (*COUNT_COLUMNS, *reference)
+    if not set(needed) <= log.keys():
+        return None
+    known = np.all([np.isfinite(log[column]) for column in needed], axis=0)
+    return {column: log[column][known] for column in needed} if known.sum() >= MIN_SAMPLES else None
+
+
+def _odometry_path(left_m: FloatArray, right_m: FloatArray, track_m: float) -> _OdometryPath:
+    """Return a run by odometry from the travel of its wheels, each shape (n_steps + 1,)."""
+    step = 0.5 * (np.diff(left_m) + np.diff(right_m))
+    turn = (np.diff(right_m) - np.diff(left_m)) / track_m
+    heading = np.concatenate(([0.0], np.cumsum(turn)))
+    middle = heading[:-1] + 0.5 * turn
+    chord = step * np.sinc(0.5 * turn / np.pi)
+    x = np.concatenate(([0.0], np.cumsum(chord * np.cos(middle))))
+    y = np.concatenate(([0.0], np.cumsum(chord * np.sin(middle))))
+    return _OdometryPath(step, chord, heading, x, y)
+
+
+def _gap_by_pose(log: Mapping[str, FloatArray], driven: _OdometryPath) -> tuple[FloatArray, FloatArray]:
+    """Return the gap along (n_steps,) and in heading (n_steps + 1,) against logged poses."""
+    heading = np.unwrap(log["ref_theta_rad"])
+    middle = 0.5 * (heading[1:] + heading[:-1])
+    step = np.diff(log["ref_x_m"]) * np.cos(middle) + np.diff(log["ref_y_m"]) * np.sin(middle)
+    return np.cumsum(step - driven.chord_m), (heading - heading[0]) - driven.heading_rad
+
+
+def _gap_by_range(log: Mapping[str, FloatArray], driven: _OdometryPath) -> tuple[FloatArray, FloatArray]:
+    """Return the gap along (n_steps,) against a logged range, and none in heading: NaN, shape (n_steps + 1,)."""
+    ranges = log["range_m"]
+    return np.abs(ranges - ranges[0])[1:] - np.abs(driven.x_m[1:]), np.full(len(driven.x_m), np.nan)
+
+
+def _stops(speed_mps: FloatArray) -> FloatArray:
+    """Return how many stops there were on the way at each sample, shape (n_steps + 1,); the ends do not count."""
+    moving = speed_mps > MOVING_MPS
+    if not moving.any():
+        return np.zeros(len(speed_mps) + 1)
+    first, last = int(np.argmax(moving)), len(moving) - int(np.argmax(moving[::-1]))
+    begins = np.zeros(len(speed_mps) + 1)
+    stopped = ~moving
+    stopped[:first] = stopped[last:] = False
+    begins[1:] = stopped & np.concatenate(([False], ~stopped[:-1]))
+    return np.cumsum(begins)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Route:
+    """Runs of one route on a common grid."""
+
+    traces: list[Trace]  #: those long enough
+    grid: FloatArray  #: shape (n_grid,): distance from the start; of corridors driven both ways the place on the ground
+    #: spacing_m, length_m: of the grid, and of the route
+    spacing_m: float
+    length_m: float
+    on_floor: bool  #: whether the grid is a place on the ground
+
+    def read(self, trace: Trace, values: FloatArray) -> FloatArray:
+        """Return what a run accumulated on the grid, shape (n_grid,); of a run back, accumulated from its far end."""
+        if self.on_floor and trace.back:
+            # gained between two places on the ground, each way they are passed
+            return -np.interp(self.length_m - self.grid, trace.way_m, values)
+        return np.interp(self.grid, trace.way_m, values)
+
+    def on_the_floor(self, place_m: float) -> tuple[float, float]:
+        """Return x and y of a place of the grid on the ground, by the first run."""
+        trace = self.traces[0]
+        way = self.length_m - place_m if self.on_floor and trace.back else place_m
+        x, y = float(np.interp(way, trace.way_m, trace.x_m)), float(np.interp(way, trace.way_m, trace.y_m))
+        return (self.length_m - x, -y) if trace.back else (x, y)
+
+
+def scan_route(
+    kind: str, traces: list[Trace], channel: Channel, rng: np.random.Generator, *, signed: bool
+) -> tuple[PlaceResult, int] | None:
+    """Search a route for the stretch over which a channel's gap grows, and count the stretches searched.
+
+    Parameters
+    ----------
+    kind : str
+        The route.
+    traces : list of Trace
+        Its runs.
+    channel : Channel
+        Along or heading.
+    rng : numpy.random.Generator
+        For the bootstrap.
+    signed : bool
+        Look for a gap that has the other sign on the way back.
+
+    Returns
+    -------
+    tuple of PlaceLine and int, or None
+        The p value is that of the best stretch alone. None where there are too few whole runs.
+    """
+    from scipy.special import stdtr
+
+    traces = [trace for trace in traces if np.isfinite(_gap(trace, channel)).all()]
+    route = _route(traces)
+    if route is None:
+        return None
+    gaps = np.stack([route.read(trace, _gap(trace, channel)) for trace in route.traces])
+    if signed:
+        gaps *= np.where([trace.back for trace in route.traces], -1.0, 1.0)[:, None]
+    sizes, norm, starts, ends = _sizes(route, gaps)
+    n = len(route.traces)
+    best = int(np.argmax(sizes.mean(axis=0) ** 2 * norm))
+    own = sizes[:, best]
+    t = abs(float(own.mean())) / max(float(np.std(own, ddof=1) / np.sqrt(n)), 1e-12)
+    draws = rng.multinomial(n, np.full(n, 1.0 / n), BOOTSTRAP_DRAWS) / n
+    picked = np.argmax((draws @ sizes) ** 2 * norm, axis=1)
+    half = 0.5 * route.spacing_m
+    first, last = (
+        (
+            float(np.quantile(route.grid[index[picked]], 0.025) - half),
+            float(np.quantile(route.grid[index[picked]], 0.975) + half),
+        )
+        for index in (starts, ends)
+    )
+    spread = float(np.quantile((draws @ own), 0.975) - np.quantile((draws @ own), 0.025)) / 2
+    place = (float(route.grid[starts[best]]), float(route.grid[ends[best]]))
+    line = PlaceResult(
+        where="joint" if place[1] - place[0] <= 2 * route.spacing_m else "zone",
+        channel=channel,
+        route=kind,
+        coordinate="x on the floor" if route.on_floor else "way from the start",
+        place=place,
+        place_ci95=(first, last),
+        by_direction=signed,
+        floor=(route.on_the_floor(place[0]), route.on_the_floor(place[1])),
+        size=float(own.mean()),
+        ci95=(float(own.mean()) - spread, float(own.mean()) + spread),
+        unit=channel.unit,
+        p_value=float(2.0 * stdtr(n - 1.0, -t)),
+        n_runs=n,
+    )
+    return line, len(starts)
+
+
+def _gap(trace: Trace, channel: Channel) -> FloatArray:
+    return trace.along_m if channel is Channel.ALONG else trace.heading_rad
+
+
+def _route(traces: list[Trace]) -> _Route | None:
+    """Return the runs that are about as long as usual, with their grid; None where they are too few or too short."""
+    if len(traces) < MIN_TRACED_RUNS:
+        return None
+    length = float(np.median([float(trace.way_m[-1]) for trace in traces]))
+    traces = [trace for trace in traces if float(trace.way_m[-1]) > WHOLE_RUN_SHARE * length]
+    if len(traces) < MIN_TRACED_RUNS or length < 8 * GRID_SPACING_M:
+        return None
+    spacing = max(GRID_SPACING_M, length / MAX_GRID_POINTS)
+    grid = np.arange(0.0, WHOLE_RUN_SHARE * length + 1e-9, spacing)
+    on_floor = any(trace.back for trace in traces)
+    if on_floor:
+        grid = grid[grid >= 0.05 * length]
+    return _Route(traces, grid, spacing, length, on_floor)
+
+
+def _sizes(route: _Route, gaps: FloatArray) -> tuple[FloatArray, FloatArray, IntArray, IntArray]:
+    """Return by how much each run's gap (n_runs, n_grid) grows over each stretch, what a run's calibration does aside.
+
+    Returns
+    -------
+    sizes : array of float, shape (n_runs, n_stretches)
+    norm : array of float, shape (n_stretches,)
+        Squares of the stretch beside the calibration.
+    starts, ends : array of int, shape (n_stretches,)
+        On the grid.
+    """
+    grid = route.grid
+    starts, ends = _stretches(len(grid))
+    ramp = np.clip((grid[None, :] - grid[starts][:, None]) / (grid[ends] - grid[starts])[:, None], 0.0, 1.0)
+    # what correlates with the turns is no matter of a place: it is asked of the turns
+    turned = np.stack([route.read(trace, trace.turn_rad) for trace in route.traces]).mean(axis=0)
+    trend = [np.ones_like(grid), grid - grid.mean()]
+    if np.ptp(turned) > MIN_TURN_RAD:
+        trend.append(turned)
+        bend = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(turned)))))
+        if not np.allclose(bend, np.abs(turned - turned[0]), atol=0.1):
+            trend.append(bend)
+    basis, _ = np.linalg.qr(np.stack(trend, axis=1))
+    ramp = ramp - (ramp @ basis) @ basis.T
+    gaps = gaps - (gaps @ basis) @ basis.T
+    norm = (ramp**2).sum(axis=1)
+    ok = norm > MIN_STRETCH_NORM * len(grid)
+    return gaps @ ramp[ok].T / norm[ok], norm[ok], starts[ok], ends[ok]
+
+
+def _stretches(n: int) -> tuple[IntArray, IntArray]:
+    """Return start and end (grid indices) of every stretch that is searched."""
+    longest = max(2, int(MAX_STRETCH_SHARE * n))
+    lengths = np.unique(
+        np.concatenate([np.arange(1, min(9, longest)), np.geomspace(8, max(longest, 9), 8).astype(int)])
+    )
+    starts, ends = np.meshgrid(np.arange(n), lengths, indexing="ij")
+    ends = starts + ends
+    ok = (ends < n - 1) & (starts > 0)
+    return starts[ok], ends[ok]

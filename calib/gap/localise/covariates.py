@@ -1,0 +1,251 @@
+"""What the gap correlates with: F tests on the covariates of each run and on the travel of each wheel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from calib.gap.effects.columns import covariate_columns
+from calib.gap.effects.quantities import driven_speed_mps
+from calib.gap.inference.fit import CALIBRATION_SD, whitened_rows
+from calib.gap.inference.noise import Noise
+from calib.gap.localise.result import CovariateResult
+from calib.gap.observations.arrays import N_CHANNELS, Channel, Observations
+from calib.gap.predict import Path
+from calib.types import BoolArray, FloatArray, IntArray, StrArray
+
+#: with fewer known values nothing is asked of a covariate
+MIN_RUNS: Final = 6
+#: turns and lengths that differ by less are noise of the wheels themselves, which the gap shares
+MIN_TURN_RAD: Final = 0.3
+MIN_LENGTH_VARIATION: Final = 0.05
+BOOTSTRAP_DRAWS: Final = 300
+#: wheels whose travel is correlated by more cannot be asked beside each other
+MAX_WHEEL_CORRELATION: Final = 0.9999
+
+
+def covariate_values(observations: Observations) -> dict[str, FloatArray | StrArray]:
+    """Return what the gap may depend on, by name, each shape (n_units,): numbers, or labels as text.
+
+    Missing numbers are NaN, missing labels empty. Only what varies is listed.
+    """
+    load_left, load_right = observations.number("load_left_N"), observations.number("load_right_N")
+    by_wheels = observations.total(observations.turn_rad)
+    # by the reference where there is one: the wheels' own turn shares the gap's errors
+    turn = np.where(observations.usable[:, Channel.HEADING], observations.measured[:, Channel.HEADING], by_wheels)
+    speed = observations.number("speed_mps")
+    values: dict[str, FloatArray | StrArray] = {
+        "route": observations.labels["kind"],
+        "session": observations.labels["session"],
+        "direction": observations.labels["direction"],
+        "payload_kg": observations.number("payload_kg"),
+        "load_left_N": load_left,
+        "load_right_N": load_right,
+        "load_sum_N": load_left + load_right,
+        "load_difference_N": load_right - load_left,
+        "speed_mps": speed if np.isfinite(speed).any() else driven_speed_mps(observations),
+        "temperature_C": observations.number("temperature_C"),
+        "minutes_under_load": observations.number("minutes_under_load"),
+        "travelled_km": observations.number("travelled_km"),
+    }
+    if np.ptp(turn) > MIN_TURN_RAD:
+        values["turn"] = turn
+        values["turn_absolute"] = np.maximum(
+            observations.total(np.abs(observations.turn_rad)) - np.abs(by_wheels - turn), 0.0
+        )
+    if np.ptp(observations.length_m) > MIN_LENGTH_VARIATION * float(np.max(observations.length_m)):
+        values["length_m"] = observations.length_m
+    for name in ("amplitude_m", "wavelength_m", *covariate_columns(observations)):
+        values[name] = observations.number(name)
+    return {name: column for name, column in values.items() if _varied(column)}
+
+
+def _varied(values: FloatArray | StrArray) -> bool:
+    if values.dtype.kind == "f":
+        known = values[np.isfinite(values)]
+        return len(known) >= MIN_RUNS and float(np.ptp(known)) > 1e-9 * max(float(np.abs(known).max()), 1e-9)
+    return len(np.unique(values[values != ""])) > 1
+
+
+def covariate_test(
+    name: str, values: FloatArray | StrArray, scaled: FloatArray, weights: FloatArray, most_dof: float
+) -> CovariateResult | None:
+    """Test a covariate in every channel by an F test of the gap over its noise level; None where no channel allows it.
+
+    Parameters
+    ----------
+    name : str
+        Of the covariate.
+    values : array of float or str, shape (n_units,)
+        Its values.
+    scaled : array of float, shape (n_units, n_channels)
+        Gap over noise level; NaN where a unit lacks the channel.
+    weights : array of float, shape (n_draws, n_units)
+        How often the bootstrap draws each unit.
+    most_dof : float
+        How well the noise level is known.
+
+    Returns
+    -------
+    CovariateLine or None
+        The channel with the smallest p, multiplied by the number of channels; not yet held to the table's error.
+    """
+    best: tuple[float, Channel, _Dependence] | None = None
+    tried = 0
+    for channel in Channel:
+        dependence = _Dependence.of(values, scaled[:, channel])
+        if dependence is None:
+            continue
+        tried += 1
+        p = dependence.p_value(most_dof)
+        if best is None or p < best[0]:
+            best = (p, channel, dependence)
+    if best is None:
+        return None
+    p, channel, dependence = best
+    shares = dependence.shares(weights[:, dependence.on])
+    return CovariateResult(
+        name=name,
+        channel=channel,
+        share=dependence.share(),
+        ci95=interval(shares),
+        p_value=float(min(1.0, p * tried)),
+        significant=False,
+        n_units=int(dependence.on.sum()),
+    )
+
+
+def interval(shares: FloatArray) -> tuple[float, float] | None:
+    """Return the middle 95 % of bootstrapped shares (n_draws,); None where most of them are unknown."""
+    known = shares[np.isfinite(shares)]
+    if len(known) < 0.5 * len(shares):
+        return None
+    return float(np.quantile(known, 0.025)), float(np.quantile(known, 0.975))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Dependence:
+    """One channel's gap over its noise level, y, against one covariate."""
+
+    on: BoolArray
+    y: FloatArray
+    x: FloatArray | None
+    group: IntArray | None
+
+    @staticmethod
+    def of(values: FloatArray | StrArray, y: FloatArray) -> _Dependence | None:
+        if values.dtype.kind == "f":
+            on = np.isfinite(y) & np.isfinite(values)
+            x = np.asarray(values[on], dtype=np.float64)
+            if on.sum() < MIN_RUNS or np.ptp(x) <= 1e-9 * max(float(np.abs(x).max()), 1e-9):
+                return None
+            return _Dependence(on, y[on], (x - x.mean()) / np.std(x), None)
+        on = np.isfinite(y) & (values != "")
+        names, group = np.unique(values[on], return_inverse=True)
+        if len(names) < 2 or on.sum() < max(MIN_RUNS, 2 * len(names)):
+            return None
+        return _Dependence(on, y[on], None, np.asarray(group, dtype=np.int64))
+
+    @property
+    def df(self) -> int:
+        """Degrees of freedom of the covariate."""
+        return 1 if self.group is None else int(self.group.max())
+
+    def squares(self, weight: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return (about the mean, explained, units) for weights (n_draws, n), each shape (n_draws,)."""
+        n = weight.sum(axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            mean = weight @ self.y / n
+            total = weight @ self.y**2 - n * mean**2
+            if self.group is None:
+                assert self.x is not None
+                mean_x = weight @ self.x / n
+                cross = weight @ (self.x * self.y) - n * mean * mean_x
+                explained = cross**2 / (weight @ self.x**2 - n * mean_x**2)
+            else:
+                member = (self.group[:, None] == np.arange(self.df + 1)).astype(np.float64)
+                size, summed = weight @ member, weight @ (member * self.y[:, None])
+                explained = np.where(size > 0, summed**2 / size, 0.0).sum(axis=1) - n * mean**2
+        return total, explained, n
+
+    def p_value(self, most_dof: float) -> float:
+        """Return the p of an F test, the residual no smaller than the noise level and known no better."""
+        from scipy.special import fdtrc
+
+        total, explained, n = (float(part[0]) for part in self.squares(np.ones((1, len(self.y)))))
+        dof = n - self.df - 1.0
+        residual = max((total - explained) / dof, 1.0)
+        return float(fdtrc(self.df, min(dof, most_dof), max(explained, 0.0) / self.df / residual))
+
+    def shares(self, weight: FloatArray) -> FloatArray:
+        """Return the share of variance above the noise level that the covariate explains, for weights (n_draws, n)."""
+        total, explained, n = self.squares(weight)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            residual = np.maximum((total - explained) / np.maximum(n - self.df - 1.0, 1.0), 1.0)
+            beyond = total - (n - 1.0)
+            share = np.where(beyond > 0, (explained - self.df * residual) / beyond, 0.0)
+        return np.asarray(np.clip(share, 0.0, 1.0))
+
+    def share(self) -> float:
+        """Return the share itself."""
+        return float(self.shares(np.ones((1, len(self.y))))[0])
+
+
+def wheel_tests(nominal: Path, noise: Noise, gap: FloatArray, rng: np.random.Generator) -> list[CovariateResult]:
+    """Return what left and right wheel's travel explain of the gap (n_units, n_channels), one beside the other.
+
+    Of all channels together; empty where the wheels cannot be told apart.
+    """
+    from scipy.special import fdtrc
+
+    products, sizes = _products(nominal, noise, gap)
+    whole = products.sum(axis=0)
+    norm = np.sqrt(np.diag(whole)[:2])
+    if sizes.sum() < MIN_RUNS or not (norm > 0).all() or abs(whole[0, 1]) > MAX_WHEEL_CORRELATION * norm[0] * norm[1]:
+        return []
+    n_units, n = len(sizes), float(sizes.sum())
+    draws = rng.multinomial(n_units, np.full(n_units, 1.0 / n_units), BOOTSTRAP_DRAWS).astype(np.float64)
+    lines = []
+    for wheel, name in enumerate(("left wheel", "right wheel")):
+        explained, rest = _partial_squares(whole[None], wheel)
+        residual = max(float(rest[0]) / max(n - 2.0, 1.0), 1.0)
+        # without an intercept the test leans on the noise level's own scale, known no better than repeats know it
+        p = float(fdtrc(1.0, float(np.clip(noise.dof, 3.0, max(n - 2.0, 3.0))), float(explained[0]) / residual))
+        share = float(_shares(whole[None], np.array([n]), wheel)[0])
+        ci95 = interval(_shares(np.tensordot(draws, products, axes=1), draws @ sizes, wheel))
+        lines.append(CovariateResult(name, None, share, ci95, p, significant=False, n_units=n_units))
+    return lines
+
+
+def _products(nominal: Path, noise: Noise, gap: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return whitened products of left travel, right travel and gap (n_units, 3, 3), and the rows of each unit."""
+    usable = nominal.s.usable
+    columns = np.concatenate([nominal.calibration[:, :, :2] * CALIBRATION_SD[:2], gap[:, :, None]], axis=2)
+    white = whitened_rows(nominal, noise, columns)
+    unit = np.repeat(np.arange(len(usable))[:, None], N_CHANNELS, axis=1)[usable]
+    products = np.zeros((len(usable), 3, 3))
+    np.add.at(products, unit, white[:, :, None] * white[:, None, :])
+    return products, usable.sum(axis=1).astype(np.float64)
+
+
+def _shares(moments: FloatArray, count: FloatArray, wheel: int) -> FloatArray:
+    """Return the share above the noise level that a wheel explains, of moments (n, 3, 3) of `count` rows (n,)."""
+    explained, rest = _partial_squares(moments, wheel)
+    variance = np.maximum(rest / np.maximum(count - 2.0, 1.0), 1.0)
+    beyond = moments[:, 2, 2] - count
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.clip(np.where(beyond > 0, (explained - variance) / beyond, 0.0), 0.0, 1.0)
+
+
+def _partial_squares(moments: FloatArray, wheel: int) -> tuple[FloatArray, FloatArray]:
+    """Return what a wheel explains beside the other, and what both leave, of moments (n, 3, 3), each shape (n,)."""
+    other = 1 - wheel
+    with np.errstate(all="ignore"):
+        ratio = moments[:, wheel, other] / moments[:, other, other]
+        own = moments[:, wheel, wheel] - ratio * moments[:, other, wheel]
+        right = moments[:, wheel, 2] - ratio * moments[:, other, 2]
+        by_other = moments[:, other, 2] ** 2 / moments[:, other, other]
+        explained = np.nan_to_num(right**2 / own)
+    return explained, np.maximum(moments[:, 2, 2] - by_other - explained, 0.0)

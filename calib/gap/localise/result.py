@@ -1,0 +1,131 @@
+"""Where the gap lies: results by channel, covariate, run, and place inside the runs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from calib.gap.observations.arrays import Channel
+from calib.result import plain_fields
+
+#: what a line is called that stands for all channels together
+ALL_CHANNELS = "all"
+
+
+#: fields of a place that only a stretch of a route has
+STRETCH_FIELDS: Final = ("route", "coordinate", "place", "place_ci95", "by_direction", "floor")
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelGap:
+    """The gap in one channel."""
+
+    channel: Channel = field(metadata={"json": False})  #: which
+    #: rms, floor: root mean square of the gap, and of its noise level, over the units that have the channel; in the
+    #: channel's unit
+    rms: float
+    floor: float
+    mean: float = 0.0  #: mean of the gap
+    n_units: int = 0  #: how many units have the channel
+
+    @property
+    def ratio(self) -> float | None:
+        """Gap over noise level; None without a noise level."""
+        return self.rms / self.floor if self.floor else None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the gap as plain JSON values."""
+        return plain_fields(self, unit=self.channel.unit)
+
+
+@dataclass(frozen=True, slots=True)
+class CovariateResult:
+    """What the gap correlates with."""
+
+    name: str  #: covariate, with its unit suffix; ``left wheel`` and ``right wheel`` for the wheels' travel
+    channel: Channel | None  #: where it shows most; None where it was asked of all channels together
+    share: float  #: of the variance above the noise level, 0 to 1
+    ci95: tuple[float, float] | None  #: bootstrap interval of the share
+    p_value: float  #: of no dependence, times the number of channels looked at
+    significant: bool  #: whether it stands with a chance of 5 % of any false line in the table
+    n_units: int = 0  #: how many units were looked at
+
+    @property
+    def channel_label(self) -> str:
+        """Name of the channel, ``all`` for all together."""
+        return ALL_CHANNELS if self.channel is None else self.channel.label
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the line as plain JSON values."""
+        return plain_fields(self, channel=self.channel_label)
+
+
+@dataclass(frozen=True, slots=True)
+class RunDeviation:
+    """A run that deviates much: its channel, gap and floor in the channel's unit, and their ratio `z`."""
+
+    run_id: str
+    channel: Channel
+    value: float
+    floor: float
+    z: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the line as plain JSON values."""
+        return plain_fields(self, channel=self.channel.label)
+
+
+@dataclass(frozen=True, slots=True)
+class PlaceResult:
+    """A place inside the runs where the gap opens."""
+
+    where: str  #: ``zone`` or ``joint`` for a stretch of a route; ``turns`` or ``stops``
+    channel: Channel  #: what opens there
+    size: float  #: by how much, in `unit`
+    ci95: tuple[float, float]  #: interval of the size
+    unit: str  #: ``m``, ``rad``, or one of them per radian of turn
+    p_value: float  #: times the number of places looked at
+    n_runs: int  #: runs that were looked at
+    what: str = ""  #: what the size counts, for turns and stops: ``per stop``
+    #: route, coordinate: of a stretch: kind of the runs, and what its place is counted in
+    route: str = ""
+    coordinate: str = ""
+    place: tuple[float, float] | None = None  #: of a stretch: its ends in m
+    place_ci95: tuple[tuple[float, float], tuple[float, float]] | None = None  #: interval of either end in m
+    by_direction: bool = False  #: of a stretch: whether the gap has the other sign on the way back
+    #: of a stretch: x and y of its ends on the ground in m
+    floor: tuple[tuple[float, float], tuple[float, float]] | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the line as plain JSON values, without what a stretch or what turns and stops do not have."""
+        absent = STRETCH_FIELDS if self.place is None else ("what",)
+        document = plain_fields(self, channel=self.channel.label)
+        return {key: value for key, value in document.items() if key not in absent}
+
+
+@dataclass(frozen=True, slots=True)
+class GapLocation:
+    """Where a gap lies."""
+
+    channels: tuple[ChannelGap, ...] = ()  #: those that were measured
+    covariates: tuple[CovariateResult, ...] = ()  #: what it correlates with, smallest p first
+    runs: tuple[RunDeviation, ...] = ()  #: those that deviate most
+    places: tuple[PlaceResult, ...] = ()  #: inside the runs, smallest p first
+    notes: tuple[str, ...] = ()  #: what cannot be asked of these runs
+    rest: GapLocation | None = None  #: the same for what the named causes leave
+
+    @property
+    def significant(self) -> tuple[CovariateResult, ...]:
+        """The covariates that stand."""
+        return tuple(line for line in self.covariates if line.significant)
+
+    def channel(self, channel: Channel) -> ChannelGap | None:
+        """Return the gap in a channel, None where it was not measured."""
+        return next((gap for gap in self.channels if gap.channel is channel), None)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the location as plain JSON values; ``rest`` only where there is one."""
+        document = plain_fields(self, channels={gap.channel.label: gap.to_dict() for gap in self.channels})
+        if self.rest is None:
+            del document["rest"]
+        return document

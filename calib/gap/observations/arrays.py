@@ -1,0 +1,314 @@
+"""Observations (runs, or windows of recordings) and their steps, as arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, replace
+from enum import IntEnum
+from functools import cached_property
+from itertools import pairwise
+from typing import Any, Final, Generic, TypeVar, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from calib.campaign.settings import OdometryModel
+from calib.types import BoolArray, FloatArray, IntArray, StrArray
+from calib.units import GRAVITY_MPS2
+from calib.vehicle import Vehicle
+
+
+class Channel(IntEnum):
+    """A channel; its value is its column in arrays of shape (n_obs, n_channels).
+
+    Distance by rangefinder; along, left of and heading of the end pose; front wheel against rear wheels, in way and in
+    turn.
+    """
+
+    DISTANCE = 0
+    ALONG = 1
+    LATERAL = 2
+    HEADING = 3
+    FRONT = 4
+    STEERING = 5
+
+    @property
+    def label(self) -> str:
+        """Name as files and people have it."""
+        return self.name.lower()
+
+    @property
+    def unit(self) -> str:
+        """``m`` or ``rad``."""
+        return "rad" if self in {Channel.HEADING, Channel.STEERING} else "m"
+
+
+N_CHANNELS: Final = len(Channel)
+#: channels of an end pose's position
+POSE: Final = (Channel.ALONG, Channel.LATERAL)
+
+
+#: so many steps are worked on at a time: their arrays, some forty of half a megabyte, stay in the processor's cache
+#: for the most part, and a campaign of any size needs no more memory for them
+STEPS_AT_ONCE: Final = 2**16
+#: what follows from the counts alone is kept up to so many steps: some ten values a step, of all and of parts
+KEPT_STEPS: Final = 2**20
+
+#: a run without a log whose heading changes by less than this is taken as one arc
+STRAIGHT_RAD: Final = 0.35
+
+
+#: fields of `Observations` with a value for each step
+_OF_STEPS: Final = frozenset(
+    {"roll_left_rad", "roll_right_rad", "phase_left_rad", "phase_right_rad", "time_s", "duration_s"}
+    | {"front_roll_rad", "steer_rad", "steer_change_rad", "aside_m"}
+)
+Value = TypeVar("Value")
+
+
+class _KeptIfFew(Generic[Value]):
+    """A property of steps that is kept once worked out, unless the steps are too many."""
+
+    def __init__(self, make: Callable[[Observations], Value]) -> None:
+        self.make, self.__doc__ = make, make.__doc__
+
+    def __get__(self, observations: Observations, _: type) -> Value:
+        name = self.make.__name__
+        known = vars(observations)
+        if name in known:
+            return cast("Value", known[name])
+        value = self.make(observations)
+        if len(observations.unit) <= KEPT_STEPS:
+            known[name] = value
+        return value
+
+
+@dataclass(frozen=True, eq=False)
+class Observations:
+    """Observations and steps of a campaign."""
+
+    vehicle: Vehicle  #: geometry and mass
+    model: OdometryModel  #: what the simulator believes
+    #: shape (n_units + 1,): steps of observation u are ``starts[u]:starts[u + 1]``; each has one or more
+    starts: IntArray
+    #: roll_left_rad, roll_right_rad: shape (n_steps,): wheel rotation of each step
+    roll_left_rad: FloatArray
+    roll_right_rad: FloatArray
+    #: phase_left_rad, phase_right_rad: shape (n_steps,): wheel angle at the end of each step, by the counter
+    phase_left_rad: FloatArray
+    phase_right_rad: FloatArray
+    #: time_s, duration_s: shape (n_steps,): time since the run's start at the end of each step, and how long the step
+    #: took
+    time_s: FloatArray
+    duration_s: FloatArray
+    #: front_roll_rad, steer_rad, steer_change_rad: shape (n_steps,): front wheel's rotation of each step, its mean
+    #: steering angle and by how much that changed; NaN where not logged
+    front_roll_rad: FloatArray
+    steer_rad: FloatArray
+    steer_change_rad: FloatArray
+    from_log: BoolArray  #: shape (n_obs,): false where an observation's steps were made up from its totals
+    #: shape (n_units, 6): measured distance, x, y and heading in its own frame; NaN where not measured. The last
+    #: two columns, of the front wheel, are filled by the prediction itself (they compare two of the vehicle's own
+    #: measurements).
+    measured: FloatArray
+    simulated: FloatArray  #: shape (n_obs, 6): an outside simulator's prediction of the same; NaN where there is none
+    usable: BoolArray  #: shape (n_obs, 6): channels that an observation has
+    numbers: Mapping[str, FloatArray]  #: shape (n_obs,): covariates of each observation
+    labels: Mapping[str, StrArray]  #: shape (n_obs,): ``run_id``, ``session``, ``kind``, ``direction``
+    #: shape (n_units,): replicates (same route, direction, loads, speed) share a number; by what was driven,
+    #: not by labels
+    condition: IntArray
+    #: shape (n_units,): replicates that were also driven in the same session, warmth, dwell and further
+    #: columns
+    cell: IntArray
+    kind: IntArray  #: shape (n_obs,): units of the same route and direction
+    #: shape (n_obs,): 1 where the laser's distance is the projection on the start heading, 0 where it is the length
+    #: of the line
+    axis: FloatArray
+    #: sigma_distance_m, sigma_xy_m, sigma_theta_rad: shape (n_obs,): stated standard uncertainty of what was measured
+    sigma_distance_m: FloatArray
+    sigma_xy_m: FloatArray
+    sigma_theta_rad: FloatArray
+    #: shape (n_obs,): the same of the heading of the observation's start frame, where that was read too; else 0
+    sigma_start_rad: FloatArray
+    count_rad: tuple[float, float]  #: rotation of the left and right wheel between two counts
+    windowed: bool  #: whether recordings were cut into windows
+    #: run, window: shape (n_obs,): row of the run table among those included, and number of the window within it
+    run: IntArray
+    window: IntArray
+    #: shape (n_obs, 3): where each observation starts in the frame common to all; NaN where that is not known
+    start_pose: FloatArray
+    common_frame: bool  #: whether places on the floor mean the same in all observations
+    guided: BoolArray  #: shape (n_obs,): observations whose heading is that of a guided run, not a measured one
+    sigmas_assumed: bool = False  #: whether a program filled in an instrument's uncertainty because nobody stated it
+    notes: tuple[str, ...] = ()  #: what had to be omitted or assumed, in sentences
+    by_front: bool = False  #: whether the front wheel alone drives the odometry: the two wheels represent it
+    aside_m: FloatArray | None = None  #: shape (n_steps,): what mecanum wheels roll to the left in each step
+    first_unit: int = 0  #: number of the first observation among those of the whole campaign, for a `part` of it
+
+    def __len__(self) -> int:
+        return len(self.starts) - 1
+
+    @cached_property
+    def unit(self) -> IntArray:
+        """Observation of each step, shape (n_steps,)."""
+        return np.repeat(np.arange(len(self)), np.diff(self.starts))
+
+    @cached_property
+    def lengths(self) -> IntArray:
+        """Steps of each observation, shape (n_obs,)."""
+        return np.diff(self.starts)
+
+    @cached_property
+    def spans(self) -> tuple[slice, ...]:
+        """Observations to be worked on at a time, `STEPS_AT_ONCE` steps or one unit."""
+        edges = [0]
+        while edges[-1] < len(self):
+            most = self.starts[edges[-1]] + STEPS_AT_ONCE
+            edges.append(max(int(np.searchsorted(self.starts, most, side="right")) - 1, edges[-1] + 1))
+        return tuple(slice(first, behind) for first, behind in pairwise(edges))
+
+    def part(self, units: slice) -> Observations:
+        """Return some observations alone; arrays are views of these. Parts are kept with what is derived from them."""
+        known = self._parts.get((units.start, units.stop))
+        if known is None:
+            known = self._part(units)
+            if len(self.unit) <= KEPT_STEPS:
+                self._parts[units.start, units.stop] = known
+        return known
+
+    @cached_property
+    def _parts(self) -> dict[tuple[int, int], Observations]:
+        return {}
+
+    def _part(self, units: slice) -> Observations:
+        first, behind = int(self.starts[units.start]), int(self.starts[units.stop])
+        changes: dict[str, Any] = {
+            "starts": self.starts[units.start : units.stop + 1] - first,
+            "first_unit": self.first_unit + units.start,
+        }
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.name in _OF_STEPS:
+                changes[field.name] = None if value is None else value[first:behind]
+            elif isinstance(value, np.ndarray) and field.name != "starts":
+                changes[field.name] = value[units]
+            elif isinstance(value, Mapping):
+                changes[field.name] = {name: column[units] for name, column in value.items()}
+        return replace(self, **changes)
+
+    def here(self, values: FloatArray | IntArray | BoolArray) -> Any:
+        """Return what an array (n, ...) over all observations of the campaign says of these, shape (n_obs, ...)."""
+        return values[self.first_unit : self.first_unit + len(self)]
+
+    def total(self, steps: npt.ArrayLike) -> FloatArray:
+        """Sum a step array (n_steps,) over each observation, shape (n_obs,)."""
+        summed: FloatArray = np.add.reduceat(np.asarray(steps, dtype=np.float64), self.starts[:-1])
+        return summed
+
+    def cumulative(self, steps: FloatArray) -> FloatArray:
+        """Return the running sum of a step array (n_steps,) of an observation, the step included, shape (n_steps,)."""
+        running = np.cumsum(steps)
+        before = np.zeros(len(self))
+        before[1:] = running[self.starts[1:-1] - 1]
+        running -= np.repeat(before, self.lengths)
+        return running
+
+    def number(self, name: str) -> FloatArray:
+        """Return a covariate, shape (n_obs,); NaN where the campaign has none."""
+        found = self.numbers.get(name)
+        return found if found is not None else np.full(len(self), np.nan)
+
+    @cached_property
+    def radius_left_m(self) -> FloatArray:
+        """Radius that the model believes of the left wheel in each observation, shape (n_obs,)."""
+        model = self.model
+        load = self.number("load_left_N") - model.reference_load_N
+        return model.radius_left_m + model.slope_left_m_per_N * np.nan_to_num(load)
+
+    @cached_property
+    def radius_right_m(self) -> FloatArray:
+        """Radius that the model believes of the right wheel in each observation, shape (n_obs,)."""
+        model = self.model
+        load = self.number("load_right_N") - model.reference_load_N
+        return model.radius_right_m + model.slope_right_m_per_N * np.nan_to_num(load)
+
+    @_KeptIfFew
+    def travel_left_m(self) -> FloatArray:
+        """Left wheel's travel of each step by the model, shape (n_steps,)."""
+        return self.roll_left_rad * self.radius_left_m[self.unit]
+
+    @_KeptIfFew
+    def travel_right_m(self) -> FloatArray:
+        """Right wheel's travel of each step by the model, shape (n_steps,)."""
+        return self.roll_right_rad * self.radius_right_m[self.unit]
+
+    @_KeptIfFew
+    def path_m(self) -> FloatArray:
+        """Signed path of each step by the model, shape (n_steps,)."""
+        return 0.5 * (self.travel_left_m + self.travel_right_m)
+
+    @_KeptIfFew
+    def turn_rad(self) -> FloatArray:
+        """Signed turn of each step by the model, shape (n_steps,)."""
+        return (self.travel_right_m - self.travel_left_m) / self.model.track_m
+
+    @_KeptIfFew
+    def steer_cos(self) -> FloatArray:
+        """Return what of the front wheel's way the rear wheels go, 1 where no angle is logged, shape (n_steps,).
+
+        One over the mean of 1 / cos at the ends of the step: over a whole turn the errors of this mean cancel, wherever
+        between two samples the angle begins and ends to change (Euler and Maclaurin).
+        """
+        begin, end = self._steer_ends
+        return 1.0 / (0.5 * (1.0 / np.cos(begin) + 1.0 / np.cos(end)))
+
+    @_KeptIfFew
+    def steer_sin(self) -> FloatArray:
+        """Return what of the front wheel's way over the wheelbase is turn, 0 where none is logged, shape (n_steps,)."""
+        begin, end = self._steer_ends
+        return self.steer_cos * (0.5 * (np.tan(begin) + np.tan(end)))
+
+    @property
+    def _steer_ends(self) -> tuple[FloatArray, FloatArray]:
+        """Steering angle at the beginning and at the end of each step, each shape (n_steps,)."""
+        angle, half = np.nan_to_num(self.steer_rad), 0.5 * np.nan_to_num(self.steer_change_rad)
+        return angle - half, angle + half
+
+    @_KeptIfFew
+    def speed_mps(self) -> FloatArray:
+        """Speed of each step by the log, else the set speed, shape (n_steps,); 0 where neither is known."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            logged = self.path_m / self.duration_s
+        known = self.number("speed_mps")[self.unit]
+        return np.nan_to_num(np.where(self.from_log[self.unit] & np.isfinite(logged), logged, known))
+
+    @_KeptIfFew
+    def curvature_per_m(self) -> FloatArray:
+        """Curvature of each step, smoothed over about half a metre, shape (n_steps,)."""
+        turn, path = self._smooth(self.turn_rad), self._smooth(np.abs(self.path_m))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(path > 1e-6, turn / path, 0.0)
+
+    def _smooth(self, steps: FloatArray, half: int = 2) -> FloatArray:
+        """Return a running mean within each observation, shape (n_steps,)."""
+        running = np.concatenate(([0.0], np.cumsum(steps)))
+        index = np.arange(len(steps))
+        first = np.maximum(index - half, self.starts[self.unit])
+        last = np.minimum(index + half + 1, self.starts[self.unit + 1])
+        return np.asarray((running[last] - running[first]) / (last - first))
+
+    @cached_property
+    def length_m(self) -> FloatArray:
+        """Unsigned path of each observation, shape (n_obs,)."""
+        return self.total(np.abs(self.path_m))
+
+    @cached_property
+    def heading_sign(self) -> FloatArray:
+        """+1 out (or no label), -1 back along the same floor, shape (n_obs,)."""
+        return np.where(self.labels["direction"] == "back", -1.0, 1.0)
+
+    @cached_property
+    def weight_N(self) -> FloatArray:
+        """Weight of vehicle and payload, shape (n_obs,)."""
+        return GRAVITY_MPS2 * (self.vehicle.mass_kg + np.nan_to_num(self.number("payload_kg")))

@@ -1,0 +1,282 @@
+"""Observations laid end to end as arrays, and the channels that each has."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from calib.campaign.model import Campaign
+from calib.campaign.settings import OdometryModel
+from calib.gap.observations.arrays import STRAIGHT_RAD, Channel, Observations
+from calib.gap.observations.observation import Observation, Setup
+from calib.gap.observations.routes import (
+    WheelTravel,
+    heading_by_straightness,
+    replicates,
+    steered_by_counts,
+    weave_of_log,
+    were_guided,
+)
+from calib.types import BoolArray, FloatArray, IntArray
+from calib.vehicle import wheel_loads_N
+
+
+def filled_loads(campaign: Campaign) -> tuple[FloatArray, FloatArray, bool]:
+    """Return the wheel loads of all runs, each shape (n_runs,), and whether any of them is known."""
+    runs, vehicle = campaign.runs, campaign.vehicle
+    left, right = runs.number("load_left_N"), runs.number("load_right_N")
+    payload = runs.number("payload_kg")
+    known = bool(np.isfinite(left).any() and np.isfinite(right).any()) or bool(np.isfinite(payload).any())
+    x, y = runs.number("payload_x_m"), runs.number("payload_y_m")
+    _, by_left, by_right = wheel_loads_N(
+        vehicle,
+        np.nan_to_num(payload),
+        np.where(np.isnan(x), vehicle.cog_x_m, x),
+        np.nan_to_num(y),
+    )
+    return np.where(np.isnan(left), by_left, left), np.where(np.isnan(right), by_right, right), known
+
+
+_LABELS = ("run_id", "session", "kind", "direction")
+
+
+def assemble(setup: Setup, units: Sequence[Observation], notes: Sequence[str]) -> Observations:
+    """Lay observations in the order driven end to end; determine the channels of each, and the replicates."""
+    campaign, model, stands_in = setup.campaign, setup.model, setup.stands_in
+    remarks = list(notes)
+    rolls = (
+        np.concatenate([np.diff(u.left_rad) for u in units]),
+        np.concatenate([np.diff(u.right_rad) for u in units]),
+    )
+    steps = _wheel_travel(units, rolls, model)
+    front, steer, turned = _front(units)
+    path, turn = steps.total(steps.path_m), steps.total(steps.turn_rad)
+    index = np.array([u.run for u in units])
+    measured, usable = _measured(units, path, turn, steps.logged, remarks)
+    guided, sigma_led = _guided(setup, steps, measured, index, remarks, one_sensor=np.array_equal(*rolls))
+    measured[guided, 3], usable[guided, 3] = 0.0, True
+    _front_channels(measured, usable, steps.total(front + steer), stands_in)
+    simulated = _simulated(units, usable, remarks)
+    numbers = _numbers(campaign, index, path, remarks)
+    labels = {name: campaign.runs.label(name)[index] for name in _LABELS}
+    route, condition, cell = replicates(campaign, steps, measured[:, Channel.HEADING], numbers, labels)
+    return Observations(
+        vehicle=campaign.vehicle,
+        model=model,
+        starts=steps.starts,
+        roll_left_rad=rolls[0],
+        roll_right_rad=rolls[1],
+        **_at_step_ends(units),
+        duration_s=steps.duration_s,
+        front_roll_rad=front,
+        steer_rad=steer,
+        steer_change_rad=turned,
+        from_log=steps.logged,
+        measured=measured,
+        simulated=simulated,
+        usable=usable,
+        numbers=numbers,
+        labels=labels,
+        condition=condition,
+        cell=cell,
+        kind=route,
+        axis=_laser_axis(measured, usable),
+        sigma_distance_m=np.full(len(units), campaign.rangefinder.sigma_m),
+        sigma_xy_m=_stated(units, "sigma_xy_m", campaign),
+        sigma_theta_rad=np.where(guided, sigma_led, _stated(units, "sigma_theta_rad", campaign)),
+        sigma_start_rad=np.array([u.sigma_start_rad for u in units]),
+        count_rad=(1 / setup.per_rad.left, 1 / setup.per_rad.right),
+        windowed=any(u.window > 0 for u in units),
+        run=index,
+        window=np.array([u.window for u in units]),
+        start_pose=np.array([u.start_pose for u in units]),
+        common_frame=_common_frame(campaign, setup.in_map),
+        guided=guided,
+        sigmas_assumed=_sigmas_assumed(campaign, usable),
+        notes=tuple(remarks),
+        by_front=stands_in and bool(np.isfinite(front).any()),
+        aside_m=_aside(units),
+    )
+
+
+def _wheel_travel(
+    units: Sequence[Observation], rolls: tuple[FloatArray, FloatArray], model: OdometryModel
+) -> WheelTravel:
+    starts = np.concatenate(([0], np.cumsum([u.n_steps for u in units]))).astype(np.int64)
+    travel = (rolls[0] * model.radius_left_m, rolls[1] * model.radius_right_m)
+    duration = np.concatenate([np.diff(u.time_s) for u in units])
+    return WheelTravel(starts, *travel, model.track_m, duration, np.array([u.from_log for u in units]))
+
+
+def _front(units: Sequence[Observation]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the front wheel's roll, mean steering angle and its change in each step, NaN where not logged."""
+    roll, steer, change = [], [], []
+    for u in units:
+        nothing = np.full(u.n_steps, np.nan)
+        roll.append(nothing if u.front_rad is None else np.diff(u.front_rad))
+        steer.append(nothing if u.steer_rad is None else 0.5 * (u.steer_rad[1:] + u.steer_rad[:-1]))
+        change.append(nothing if u.steer_rad is None else np.diff(u.steer_rad))
+    return np.concatenate(roll), np.concatenate(steer), np.concatenate(change)
+
+
+def _front_channels(measured: FloatArray, usable: BoolArray, known: FloatArray, stands_in: bool) -> None:
+    """Set the channels of the front wheel; one that drives the odometry itself cannot be compared with it."""
+    usable[:, 4:] = (np.isfinite(known) & (not stands_in))[:, None]
+    measured[usable[:, 4], 4:] = 0.0
+
+
+def _at_step_ends(units: Sequence[Observation]) -> dict[str, Any]:
+    """Return the wheels' angles and the time at the end of each step, each (n_steps,)."""
+    return {
+        "phase_left_rad": np.concatenate([u.left_rad[1:] for u in units]),
+        "phase_right_rad": np.concatenate([u.right_rad[1:] for u in units]),
+        "time_s": np.concatenate([u.time_s[1:] for u in units]),
+    }
+
+
+def _aside(units: Sequence[Observation]) -> FloatArray | None:
+    """Return what the wheels roll to the left in each step; None for wheels that cannot."""
+    parts = [u.aside_m for u in units if u.aside_m is not None]
+    return np.concatenate([np.diff(part) for part in parts]) if parts and len(parts) == len(units) else None
+
+
+def _stated(units: Sequence[Observation], name: str, campaign: Campaign) -> FloatArray:
+    """Return an uncertainty of the reference in each observation: the observation's own, else the settings'."""
+    values = np.array([getattr(u, name) for u in units], dtype=np.float64)
+    return np.where(np.isnan(values), getattr(campaign.reference, name), values)
+
+
+def _unwrapped(heading: FloatArray, turn: FloatArray) -> FloatArray:
+    """Bring a reference heading that may come wrapped next to the wheels' turn: all then lie within half a turn."""
+    known = np.isfinite(heading)
+    if not known.any() or np.abs(heading[known]).max() > np.pi + 0.05:
+        return heading
+    wraps = 2 * np.pi * np.round((turn - heading) / (2 * np.pi))
+    # but only where the two then agree: with swapped or halved counts it is the wheels that are wrong
+    with np.errstate(invalid="ignore"):
+        return heading + np.where(np.abs(turn - heading - wraps) < 1.0, wraps, 0.0)
+
+
+def _measured(
+    units: Sequence[Observation], path: FloatArray, turn: FloatArray, logged: BoolArray, remarks: list[str]
+) -> tuple[FloatArray, BoolArray]:
+    """Return what was measured and which channels each observation has, each (n_obs, 6), the front wheel's omitted."""
+    measured = np.full((len(units), 6), np.nan)
+    measured[:, :4] = [u.measured for u in units]
+    measured[:, 3] = _unwrapped(measured[:, 3], turn)
+    with np.errstate(invalid="ignore"):
+        chord = np.hypot(measured[:, 1], measured[:, 2])
+        straight = (np.abs(turn) < STRAIGHT_RAD) & ~(chord < 0.9 * np.abs(path))
+        # without a log the distance says itself whether the run was guided along a line: wheels of unequal radii that
+        # roll a straight line seem to turn
+        guided = np.abs(np.abs(measured[:, 0]) - np.abs(path)) < 0.05 * np.abs(path)
+    pose_ok = logged | straight
+    usable = np.isfinite(measured)
+    # along and lateral are read in the frame of the measured heading; without one, of the wheels' heading
+    usable[:, 1:3] &= pose_ok[:, None] & usable[:, 1:2] & usable[:, 2:3]
+    usable[:, 0] &= logged | guided | (np.abs(turn) < STRAIGHT_RAD)
+    left_out = int((~pose_ok & np.isfinite(measured[:, 1])).sum())
+    if left_out:
+        remarks.append(f"{left_out} runs have an end pose but no log of a curved path: only their heading counts")
+    return measured, usable
+
+
+def _guided(
+    setup: Setup,
+    steps: WheelTravel,
+    measured: FloatArray,
+    index: IntArray,
+    remarks: list[str],
+    *,
+    one_sensor: bool,
+) -> tuple[BoolArray, FloatArray]:
+    """Return which observations have the heading of a guided run, and its standard uncertainty, each (n_obs,)."""
+    campaign = setup.campaign
+    path, turn = steps.total(steps.path_m), steps.total(steps.turn_rad)
+    posed = np.asarray(np.isfinite(measured[:, 1:4]).any(axis=1))
+    if one_sensor:
+        # one sensor stands for both wheels: nothing can tell them apart
+        posed[:] = True
+    guided = were_guided(measured[:, 0], path, turn, steps.track_m, posed)
+    apart_m = turn[guided] * steps.track_m
+    radius = campaign.vehicle.wheel_radius_m
+    if steered_by_counts(apart_m, path[guided], (radius / setup.per_rad.left, radius / setup.per_rad.right)):
+        milli = 1e3 * float(np.sqrt(np.mean(apart_m**2)))
+        remarks.append(
+            f"{int(guided.sum())} runs have a distance and no end pose, and their wheels rolled alike to within "
+            f"{milli:.2g} mm, as no floor lets them: the vehicle steered by its own counts, and these runs say nothing "
+            "of one wheel against the other"
+        )
+        guided = np.zeros_like(guided)
+    sigma, assumed = heading_by_straightness(
+        campaign.runs.number("amplitude_m")[index],
+        campaign.runs.number("wavelength_m")[index],
+        weave_of_log(steps),
+        np.abs(path),
+    )
+    if guided.any():
+        milli = 1e3 * float(np.median(sigma[guided]))
+        how = "assumed" if assumed[guided].all() else "by their weave"
+        remarks.append(
+            f"{int(guided.sum())} runs have a distance and no end pose: guided, they are taken to end at the "
+            f"heading they began with, to within {milli:.2g} mrad ({how}), so that each wheel has a radius of its own"
+        )
+    return guided, sigma
+
+
+def _simulated(units: Sequence[Observation], usable: BoolArray, remarks: list[str]) -> FloatArray:
+    """Return what an outside simulator predicted of the channels used, (n_obs, 6), and say where it did not."""
+    simulated = np.full((len(units), 6), np.nan)
+    simulated[:, :4] = [u.simulated for u in units]
+    outside = np.isfinite(simulated) & usable
+    for channel in range(4):
+        if outside[:, channel].any() and not outside[:, channel][usable[:, channel]].all():
+            missing = int((usable[:, channel] & ~outside[:, channel]).sum())
+            remarks.append(
+                f"{missing} runs have no sim_ value for {Channel(channel).label}: judged against calib's own odometry"
+            )
+    return np.where(outside, simulated, np.nan)
+
+
+def _numbers(campaign: Campaign, index: IntArray, path: FloatArray, remarks: list[str]) -> dict[str, FloatArray]:
+    """Return the covariates of each observation."""
+    left, right, known = filled_loads(campaign)
+    if not known:
+        remarks.append("no payload or wheel load is given: every run is taken as unladen")
+    numbers = {name: campaign.runs.number(name)[index] for name in campaign.runs.numbers}
+    numbers |= {"load_left_N": left[index], "load_right_N": right[index]}
+    numbers["travelled_km"] = np.concatenate(([0.0], np.cumsum(np.abs(path))[:-1])) / 1000.0
+    return numbers
+
+
+def _common_frame(campaign: Campaign, in_map: bool) -> bool:
+    """Return whether places on the floor are the same for all runs: a map, or a corridor driven out and back."""
+    if in_map:
+        return True
+    directions = campaign.runs.label("direction")
+    return campaign.reference.frame is None and bool(np.isin(directions, ("out", "back")).any())
+
+
+def _sigmas_assumed(campaign: Campaign, usable: BoolArray) -> bool:
+    """Return whether the uncertainty of an instrument that is used was filled in by a program."""
+    assumed = {str(key) for key in campaign.extra.get("assumed", ())}
+    laser, pose = bool(usable[:, 0].any()), bool(usable[:, 1:4].any())
+    of_pose = {"reference.sigma_xy_m", "reference.sigma_theta_rad"}
+    return (laser and "rangefinder.sigma_m" in assumed) or (pose and bool(of_pose & assumed))
+
+
+def _laser_axis(measured: FloatArray, usable: BoolArray) -> FloatArray:
+    """Say for each observation what the laser's distance is the length of.
+
+    Where an end pose was measured too, it tells whether the laser looks along the start heading (1) or at the end
+    point (2); without one, the length of the line that the run was guided along is all that can be said (0).
+    """
+    both = usable[:, 0] & usable[:, 1] & usable[:, 2]
+    axis = np.zeros(len(measured))
+    if both.any():
+        gap_x = np.median(np.abs(measured[both, 0] - measured[both, 1]))
+        gap_chord = np.median(np.abs(measured[both, 0] - np.hypot(measured[both, 1], measured[both, 2])))
+        axis[both] = 1.0 if gap_x <= gap_chord else 2.0
+    return axis

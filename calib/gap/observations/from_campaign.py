@@ -1,0 +1,242 @@
+"""From a campaign to observations: a run each, or windows of long recordings, each in the frame of its own start."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+
+from calib.campaign.model import Campaign
+from calib.campaign.settings import OdometryModel, Reference
+from calib.campaign.wheels import on_one_axle, without_rear_wheels
+from calib.errors import RefusedError
+from calib.gap.observations.arrays import Observations
+from calib.gap.observations.assemble import assemble
+from calib.gap.observations.observation import (
+    CountsPerRadian,
+    Observation,
+    Setup,
+    log_rows,
+    observation_from_log,
+    observation_from_row,
+)
+from calib.gap.observations.reference_poses import (
+    ReferencePoses,
+    end_pose_of_vehicle,
+    poses_are_in_a_map,
+    reference_poses,
+    relative_pose,
+)
+from calib.types import FloatArray, IntArray
+
+#: with fewer runs than this, recordings are cut into windows
+MIN_WHOLE_RUNS: Final = 12
+#: longest window
+WINDOW_M: Final = 4.0
+#: windows wanted of all recordings together
+WINDOWS_WANTED: Final = 48
+#: shortest window, in tracks
+MIN_WINDOW_TRACKS: Final = 1.5
+#: fewest samples of a window
+MIN_WINDOW_SAMPLES: Final = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recorded:
+    """A run with its log and the reference's poses in it."""
+
+    unit: Observation
+    log: Mapping[str, FloatArray]
+    reference: ReferencePoses | None
+
+
+def window_length_m(travelled_m: float, track_m: float) -> float:
+    """Return the length of a window: short enough for many, long enough that wheels matter, shape ()."""
+    return float(np.clip(travelled_m / WINDOWS_WANTED, min(MIN_WINDOW_TRACKS * track_m, WINDOW_M), WINDOW_M))
+
+
+def edges_along(way_m: FloatArray, count: float) -> IntArray:
+    """Return the samples that border windows of equal way, at most one a sample however far the way seems to go.
+
+    Parameters
+    ----------
+    way_m : array of float, shape (n_samples,)
+        Way from the start on, rising.
+    count : float
+        Windows wanted.
+    """
+    windows = max(int(count), 1) if count < len(way_m) else len(way_m)
+    edges = np.unique(np.searchsorted(way_m, np.linspace(0.0, way_m[-1], windows + 1)))
+    return np.asarray(np.minimum(edges, len(way_m) - 1), dtype=np.int64)
+
+
+def whole(unit: Observation, reference: ReferencePoses, settings: Reference) -> Observation:
+    """Return a run's unit with its end pose by the log's own reference."""
+    if reference.from_first:
+        return _between(unit, reference, 0, len(reference.rows) - 1, settings)
+    measured = unit.measured.copy()
+    measured[1:] = reference.poses[-1]
+    return replace(unit, measured=measured)
+
+
+def cut(recorded: Recorded, setup: Setup, length_m: float) -> list[Observation]:
+    """Cut a recording into windows of about a length, by what the wheels roll; empty where there is but one.
+
+    A front wheel is kept where it drives the odometry; else it is compared over whole runs only.
+    """
+    reference, log = recorded.reference, recorded.log
+    if reference is None:
+        return []
+    travelled = reference.travelled_m
+    edges = edges_along(travelled, float(np.rint(travelled[-1] / length_m)))
+    rows = log_rows(log)
+    windows: list[Observation] = []
+    for first, last in pairwise(edges):
+        inside = rows[(rows >= reference.rows[first]) & (rows <= reference.rows[last])]
+        if len(inside) < MIN_WINDOW_SAMPLES:
+            continue
+        unit = replace(observation_from_log(recorded.unit.run, log, inside, setup.per_rad), window=len(windows))
+        unit = unit if setup.stands_in else replace(unit, front_rad=None, steer_rad=None)
+        windows.append(_between(unit, reference, int(first), int(last), setup.campaign.reference))
+    return windows if len(windows) > 1 else []
+
+
+def _between(unit: Observation, reference: ReferencePoses, first: int, last: int, settings: Reference) -> Observation:
+    """Return an observation with the motion between two poses of the reference: both of them read, both uncertain."""
+    (start, start_sd), (end, end_sd) = reference.pose(first), reference.pose(last)
+    start_sd = settings.sigma_theta_rad if np.isnan(start_sd) else start_sd
+    end_sd = settings.sigma_theta_rad if np.isnan(end_sd) else end_sd
+    measured = unit.measured.copy()
+    measured[1:] = relative_pose(start, end)
+    if reference.course is not None:
+        # a course is known up to whole turns
+        turned = reference.course.by_wheels[last, 2] - reference.course.by_wheels[first, 2]
+        measured[3] = turned + (measured[3] - turned + np.pi) % (2 * np.pi) - np.pi
+    return replace(
+        unit,
+        measured=measured,
+        sigma_xy_m=float(np.sqrt(2.0)) * settings.sigma_xy_m,
+        sigma_theta_rad=end_sd,
+        sigma_start_rad=start_sd,
+        start_pose=start if reference.in_map else unit.start_pose,
+    )
+
+
+#: what the wheels may still roll after the last pose of the reference, so that it counts as the end pose
+END_TOLERANCE_M = 1e-3
+#: with fewer runs than this driven like another one, recordings are cut into windows
+MIN_REPLICATED = 8
+
+
+def observations_of(campaign: Campaign, model: OdometryModel | None = None) -> Observations:
+    """Arrange a campaign for the diagnosis; `model` is what the simulator believes, by default the campaign's own.
+
+    Excluded rows are omitted. Recordings with a continuous pose reference are cut into windows where there are fewer
+    than a dozen runs, or where hardly any was driven twice. A run without a log counts with what its row says. Refused
+    where no run has both counts and something measured.
+    """
+    campaign = campaign.included()
+    model = model or campaign.model
+    stands_in = without_rear_wheels(campaign)
+    if stands_in:
+        # wheels that represent others do not carry a load of their own
+        model = replace(model, slope_left_m_per_N=0.0, slope_right_m_per_N=0.0)
+        campaign = on_one_axle(campaign, model)
+    per_rad = CountsPerRadian.from_encoder(campaign.encoder)
+    setup = Setup(campaign, model, per_rad, poses_are_in_a_map(campaign), stands_in)
+    recorded = [_recorded(run, setup) for run in range(len(campaign.runs))]
+    with_counts = [run for run in recorded if run is not None]
+    few = len(recorded) < MIN_WHOLE_RUNS
+    observations = _arranged(with_counts, setup, into_windows=few)
+    if not few and any(run.reference is not None for run in with_counts) and _n_repeated(observations) < MIN_REPLICATED:
+        observations = _arranged(with_counts, setup, into_windows=True)
+    return observations
+
+
+def _n_repeated(observations: Observations) -> int:
+    """Return how many observations were driven like another one."""
+    return int((np.bincount(observations.condition)[observations.condition] > 1).sum())
+
+
+def _arranged(recorded: list[Recorded], setup: Setup, *, into_windows: bool) -> Observations:
+    """Return the observations of all runs, whole or cut into windows."""
+    campaign = setup.campaign
+    units, notes = _units(recorded, setup, into_windows=into_windows)
+    without_counts = len(campaign.runs) - len(recorded)
+    if without_counts:
+        notes.insert(0, f"{without_counts} runs have no encoder counts and were omitted")
+    units = [unit for unit in units if np.isfinite(unit.measured).any() or unit.front_rad is not None]
+    if not units:
+        raise RefusedError(
+            f"{campaign.name}: no run has both encoder counts and a measured distance or end pose; "
+            "nothing can be said of a gap; measure distance_m or ref_x_m, ref_y_m, ref_theta_rad"
+        )
+    return assemble(setup, units, notes)
+
+
+def _recorded(run: int, setup: Setup) -> Recorded | None:
+    """Return a run with what its row and log measured at its end; None where it has no counts."""
+    campaign, per_rad = setup.campaign, setup.per_rad
+    log = campaign.logs.of(run)
+    rows = log_rows(log)
+    runs = campaign.runs
+    logged = len(rows) >= 2
+    unit = observation_from_log(run, log, rows, per_rad) if logged else observation_from_row(run, runs, per_rad)
+    if unit is None:
+        return None
+    distance = runs.number("distance_m")[run]
+    if np.isnan(distance) and "range_m" in log and np.isfinite(log["range_m"][-1]):
+        distance = log["range_m"][-1]
+    pose = np.array([runs.number(name)[run] for name in ("ref_x_m", "ref_y_m", "ref_theta_rad")])
+    # an end pose in a map says nothing without the pose at the start
+    pose = np.full(3, np.nan) if setup.in_map else end_pose_of_vehicle(pose[None, :], campaign.reference)[0]
+    simulated = [runs.number(f"sim_{name}")[run] for name in ("distance_m", "x_m", "y_m", "theta_rad")]
+    unit = replace(unit, measured=np.array([distance, *pose]), simulated=np.array(simulated))
+    return Recorded(unit, log, reference_poses(log, setup) if logged else None)
+
+
+def _units(recorded: list[Recorded], setup: Setup, *, into_windows: bool) -> tuple[list[Observation], list[str]]:
+    """Return the observations of all runs, long recordings cut into windows, and what has to be said of it."""
+    rolled = sum(float(run.reference.travelled_m[-1]) for run in recorded if run.reference is not None)
+    length_m = window_length_m(rolled, setup.model.track_m)
+    units: list[Observation] = []
+    n_cut = 0
+    for run in recorded:
+        windows = cut(run, setup, length_m) if into_windows else []
+        n_cut += bool(windows)
+        units.extend(windows or [_with_log_pose(run, setup)])
+    notes = []
+    if n_cut:
+        notes.append(f"{n_cut} recordings with a continuous reference were cut into windows of about {length_m:.2g} m")
+    if any(run.reference is not None and run.reference.course is not None for run in recorded):
+        notes.append(
+            "the reference measures positions without a heading: headings are taken from the course over ground"
+        )
+    return units, notes
+
+
+def _with_log_pose(run: Recorded, setup: Setup) -> Observation:
+    """Return a run's unit with the end pose by its log's own reference, where its row has none."""
+    unit, reference = run.unit, run.reference
+    if reference is None or not np.isnan(unit.measured[1:]).all():
+        return unit
+    rows = log_rows(run.log)
+    inside = rows[(rows >= (reference.rows[0] if reference.from_first else 0)) & (rows <= reference.rows[-1])]
+    left_out = np.setdiff1d(rows, inside, assume_unique=True)
+    if len(left_out) and _rolled_outside_m(run.log, rows, inside, setup) > END_TOLERANCE_M:
+        # the reference saw a part of the run only: that part is what can be compared
+        part = observation_from_log(unit.run, run.log, inside, setup.per_rad)
+        unit = replace(part, measured=np.full(4, np.nan))
+    return whole(unit, reference, setup.campaign.reference)
+
+
+def _rolled_outside_m(log: Mapping[str, FloatArray], rows: IntArray, inside: IntArray, setup: Setup) -> float:
+    """Return what the wheels rolled before the first and after the last of some samples, at most."""
+    rolled = 0.0
+    for name, scale in (("counts_left", setup.per_rad.left), ("counts_right", setup.per_rad.right)):
+        angle = log[name] / scale
+        rolled = max(rolled, abs(angle[inside[0]] - angle[rows[0]]), abs(angle[rows[-1]] - angle[inside[-1]]))
+    return float(rolled * setup.campaign.vehicle.wheel_radius_m)

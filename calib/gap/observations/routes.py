@@ -1,0 +1,323 @@
+"""Replicates and guided runs, told by what was driven: length, turn, curvature, speed and loads."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from calib.campaign.model import Campaign
+from calib.types import BoolArray, FloatArray, IntArray, StrArray
+from calib.vehicle import Vehicle
+
+#: places along a route at which two are compared
+ROUTE_KNOTS: Final = 10
+#: two routes are one within this share of their length, at every place
+ROUTE_LENGTH_SHARE: Final = 0.15
+#: and within these turns: absolute, and as a share of all the turning
+ROUTE_TURN_RAD, ROUTE_TURN_SHARE = 0.25, 0.05
+#: where no heading was measured, wheels that differ by this share pass for the same route
+ROUTE_WHEELS_SHARE: Final = 0.02
+#: a kind of route that ends so is driven on another lane of the same floor
+_LANE: Final = re.compile(r"_([b-z]|\d+)$")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WheelTravel:
+    """Steps of all observations, end to end, as the wheels report them by the model."""
+
+    starts: IntArray  #: shape (n_obs + 1,): steps of observation u are ``starts[u]:starts[u + 1]``
+    #: left_m, right_m: shape (n_steps,): travel of the wheels in each step
+    left_m: FloatArray
+    right_m: FloatArray
+    track_m: float
+    duration_s: FloatArray  #: shape (n_steps,): duration of each step
+    logged: BoolArray  #: shape (n_obs,): which observations have a log
+
+    def total(self, steps: FloatArray) -> FloatArray:
+        """Sum a step quantity (n_steps,) over each observation, shape (n_obs,)."""
+        summed: FloatArray = np.add.reduceat(steps, self.starts[:-1])
+        return summed
+
+    @property
+    def path_m(self) -> FloatArray:
+        """Signed path of each step, shape (n_steps,)."""
+        return 0.5 * (self.left_m + self.right_m)
+
+    @property
+    def turn_rad(self) -> FloatArray:
+        """Signed turn of each step, shape (n_steps,)."""
+        return (self.right_m - self.left_m) / self.track_m
+
+    @property
+    def rolled_m(self) -> FloatArray:
+        """Mean unsigned travel of both wheels in each step, turns on the spot included, shape (n_steps,)."""
+        rolled: FloatArray = 0.5 * (np.abs(self.left_m) + np.abs(self.right_m))
+        return rolled
+
+
+def levels(values: FloatArray, width: float) -> IntArray:
+    """Return a number for each of the levels that set values stand at, shape (n,).
+
+    Values that differ by no more than `width` from their neighbour in size are one level, wherever that lies. What
+    varies without steps is cut into bins of twice the width. NaN is a level of its own.
+    """
+    number = np.full(len(values), -1, dtype=np.int64)
+    known = np.flatnonzero(np.isfinite(values))
+    if not len(known):
+        return number
+    order = known[np.argsort(values[known], kind="stable")]
+    sorted_values = values[order]
+    level = np.concatenate(([0], np.cumsum(np.diff(sorted_values) > width)))
+    first = np.searchsorted(level, np.arange(level[-1] + 1))
+    spans = np.diff(np.append(first, len(level)))
+    lowest = np.repeat(sorted_values[first], spans)
+    highest = np.repeat(sorted_values[np.append(first[1:], len(level)) - 1], spans)
+    # a chain of small differences is no level: cut into equal bins as wide as a level may be
+    n_bins = np.ceil(np.maximum((highest - lowest) / (2.0 * width), 1.0))
+    place = np.clip((sorted_values - lowest) / np.maximum(highest - lowest, 1e-300) * n_bins, 0.0, n_bins - 1.0)
+    chained = n_bins > 1
+    bins = np.where(chained, np.floor(place), 0.0)
+    number[order] = row_numbers([level, bins])
+    return number
+
+
+def row_numbers(columns: Sequence[IntArray | FloatArray | StrArray]) -> IntArray:
+    """Return a number for each distinct row of several columns, in the order of first appearance, shape (n,)."""
+    code = np.zeros(len(columns[0]), dtype=np.int64)
+    for column in columns:
+        _, part = np.unique(column, return_inverse=True)
+        _, code = np.unique(code * (int(part.max(initial=0)) + 1) + part, return_inverse=True)
+    _, first, inverse = np.unique(code, return_index=True, return_inverse=True)
+    rank = np.empty(len(first), dtype=np.int64)
+    rank[np.argsort(first, kind="stable")] = np.arange(len(first))
+    return rank[inverse]
+
+
+def routes(driven: WheelTravel, heading_rad: FloatArray) -> IntArray:
+    """Return a number for each of the routes driven, shape (n_obs,), in the order of first appearance.
+
+    Observations have one route where length, heading and distance agree at every tenth of the wheels'
+    rolling. The heading is the wheels', drawn linearly to the measured one at the end where there is one, so that
+    wheels of unequal radii make no other route.
+    """
+    shapes, rolled, tolerance = _shapes(driven, heading_rad)
+    route = np.full(len(rolled), -1, dtype=np.int64)
+    leaders: list[int] = []
+    for unit in range(len(rolled)):
+        if leaders:
+            lead = np.array(leaders)
+            ratio = np.abs(np.log(rolled[unit] / rolled[lead])) / ROUTE_LENGTH_SHARE
+            apart = np.abs(shapes[lead] - shapes[unit]) / np.maximum(tolerance[lead], tolerance[unit])[:, :, None]
+            distance = np.maximum(ratio, apart.max(axis=(1, 2)))
+            nearest = int(np.argmin(distance))
+            if distance[nearest] <= 1.0:
+                route[unit] = nearest
+                continue
+        route[unit] = len(leaders)
+        leaders.append(unit)
+    return route
+
+
+def _shapes(driven: WheelTravel, heading_rad: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return heading and distance at the knots (n_obs, 2, n_knots), length (n_obs,) and tolerances (n_obs, 2)."""
+    starts, n = driven.starts, len(driven.starts) - 1
+    rolled = driven.rolled_m
+    sums = [np.concatenate(([0.0], np.cumsum(x))) for x in (rolled, driven.turn_rad, driven.path_m)]
+    length = np.maximum(sums[0][starts[1:]] - sums[0][starts[:-1]], 1e-9)
+    share = np.arange(1, ROUTE_KNOTS + 1) / ROUTE_KNOTS
+    at = sums[0][starts[:-1], None] + share * length[:, None]
+    heading, way = (
+        np.interp(at.ravel(), sums[0], column).reshape(n, ROUTE_KNOTS) - column[starts[:-1], None]
+        for column in sums[1:]
+    )
+    off = heading_rad - heading[:, -1]
+    heading = heading + np.nan_to_num(off)[:, None] * share
+    turning = driven.total(np.abs(driven.turn_rad))
+    unseen = np.where(np.isfinite(heading_rad), 0.0, ROUTE_WHEELS_SHARE * length / driven.track_m)
+    tolerance = np.stack([ROUTE_TURN_RAD + ROUTE_TURN_SHARE * turning + unseen, ROUTE_LENGTH_SHARE * length], axis=1)
+    return np.stack([heading, way], axis=1), length, tolerance
+
+
+def load_width_N(vehicle: Vehicle) -> float:
+    """Return the difference of wheel loads from which on two runs were loaded differently."""
+    return 0.017 * vehicle.unladen_load_N
+
+
+def speed_width_mps(speed_mps: FloatArray) -> float:
+    """Return the difference of speeds from which on two runs were driven differently: a tenth, 0.05 m/s at most."""
+    known = speed_mps[np.isfinite(speed_mps) & (speed_mps > 0)]
+    return float(min(0.05, 0.1 * np.median(known))) if len(known) else 0.05
+
+
+def lane_names(kind: StrArray) -> StrArray:
+    """Return the lane that a label of the kind of route ends with (``_b``, ``_2``), else an empty text, shape (n,)."""
+    ending = [_LANE.search(str(name)) for name in kind]
+    return np.array([match.group(1) if match else "" for match in ending], dtype=np.str_)
+
+
+def measured_speed(driven: WheelTravel) -> FloatArray:
+    """Return the mean speed of each observation over its way, by its log, shape (n_obs,); NaN without a log.
+
+    A mean over the distance, so that standing still at the ends weighs nothing.
+    """
+    way_m = driven.rolled_m
+    with np.errstate(divide="ignore", invalid="ignore"):
+        pace = np.where(driven.duration_s > 0, way_m**2 / driven.duration_s, 0.0)
+        speed = driven.total(np.nan_to_num(pace)) / driven.total(way_m)
+    return np.where(driven.logged & np.isfinite(speed) & (speed > 0), speed, np.nan)
+
+
+def replicates(
+    campaign: Campaign,
+    driven: WheelTravel,
+    heading_rad: FloatArray,
+    numbers: Mapping[str, FloatArray],
+    labels: Mapping[str, StrArray],
+) -> tuple[IntArray, IntArray, IntArray]:
+    """Return the route, the condition and the cell of each observation, each shape (n_obs,).
+
+    Replicates share a condition; those of one session, temperature, dwell and further columns share a cell.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        Its vehicle scales the loads that are told apart; its further columns tell cells apart.
+    driven : WheelTravel
+        Steps of all observations.
+    heading_rad : array of float, shape (n_obs,)
+        Measured turn, NaN where not measured.
+    numbers : mapping of str to array of float, shape (n_obs,)
+        Covariates.
+    labels : mapping of str to array of str, shape (n_obs,)
+        ``session``, ``kind`` and ``direction``.
+
+    Returns
+    -------
+    tuple of array of int, shape (n_obs,)
+        Numbers of route, condition and cell.
+    """
+    route = row_numbers([routes(driven, heading_rad), labels["direction"], lane_names(labels["kind"])])
+    nothing = np.zeros(len(route))
+    speed = measured_speed(driven)
+    speed = np.where(np.isfinite(speed), speed, numbers.get("speed_mps", nothing + np.nan))
+    loads = [levels(numbers[name], load_width_N(campaign.vehicle)) for name in ("load_left_N", "load_right_N")]
+    condition = row_numbers([route, *loads, levels(speed, speed_width_mps(speed))])
+    warmth, dwell = (numbers.get(name, nothing) for name in ("temperature_C", "minutes_under_load"))
+    further = [levels(numbers[name], _column_width(numbers[name])) for name in campaign.runs.covariates]
+    cell = row_numbers([condition, labels["session"], levels(warmth, 2.0), levels(dwell, 5.0), *further])
+    return route, condition, cell
+
+
+def _column_width(values: FloatArray) -> float:
+    """Width that tells set values of a further column apart: a tenth of its spread."""
+    spread = float(np.nanmax(values) - np.nanmin(values)) if np.isfinite(values).any() else 0.0
+    return spread / 10.0 if spread > 0 else 1.0
+
+
+#: how far a run guided along a corridor is taken to stray from its line, where unspecified
+ASSUMED_LATERAL_M: Final = 0.05
+#: wheels that differ by no more than this share may have rolled a straight line
+MAX_WHEEL_DIFFERENCE: Final = 0.02
+#: the distance measured and that rolled agree to this share, on a straight line
+DISTANCE_AGREEMENT: Final = 0.05
+#: wheels on a smooth floor part by so much over a square root of a metre at least; of the real robots present the
+#: smoothest parts by 9e-4
+MIN_WALK_PER_SQRT_M: Final = 1e-4
+#: fewer runs may roll equal wheels by chance
+MIN_GUIDED_RUNS: Final = 5
+
+
+def were_guided(
+    distance_m: FloatArray, path_m: FloatArray, turn_rad: FloatArray, track_m: float, posed: BoolArray
+) -> BoolArray:
+    """Return which observations were guided along a line, by what was measured alone, shape (n_obs,).
+
+    Parameters
+    ----------
+    distance_m : array of float, shape (n_obs,)
+        Measured length of the line, NaN where not measured.
+    path_m, turn_rad : array of float, shape (n_obs,)
+        What the wheels rolled, and turned.
+    track_m : float
+        Track.
+    posed : array of bool, shape (n_obs,)
+        Observations with a measured end pose or heading.
+    """
+    way = np.abs(path_m)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = np.abs(distance_m) / way
+        # a radius that is off makes all ways too short or too long, alike
+        known = ratio[np.isfinite(ratio) & ~posed]
+        along = np.abs(ratio / (np.median(known) if len(known) else 1.0) - 1.0) < DISTANCE_AGREEMENT
+    straight = np.abs(turn_rad) * track_m < MAX_WHEEL_DIFFERENCE * way
+    guided: BoolArray = along & straight & ~posed
+    return guided
+
+
+def steered_by_counts(apart_m: FloatArray, way_m: FloatArray, count_m: tuple[float, float]) -> bool:
+    """Return whether wheels rolled so alike, run by run, that the vehicle kept them alike itself.
+
+    A vehicle that steers by its own counts ends each run with the wheels alike to within a count, wherever it went:
+    nothing then says that the way was straight. Led along a line, the wheels part by what floor and rubber make of it.
+    Where counting is coarser than that, the runs cannot say which it was, and are taken as guided.
+
+    Parameters
+    ----------
+    apart_m, way_m : array of float, shape (n_obs,)
+        What the right wheel rolled beyond the left, and the length of the way.
+    count_m : tuple of float
+        Way of one count, left and right.
+    """
+    if len(apart_m) < MIN_GUIDED_RUNS:
+        return False
+    # the first and the last count are each off by a uniform share of a count
+    counting = (count_m[0] ** 2 + count_m[1] ** 2) / 6.0
+    walk = MIN_WALK_PER_SQRT_M**2 * float(np.mean(np.abs(way_m)))
+    return counting < walk and float(np.mean(apart_m**2)) < counting + 0.25 * walk
+
+
+def heading_by_straightness(
+    amplitude_m: FloatArray, wavelength_m: FloatArray, weave_rad: FloatArray, way_m: FloatArray
+) -> tuple[FloatArray, BoolArray]:
+    """Return how uncertain the heading at the end of a straight run is, and where it was assumed, each (n_obs,).
+
+    A stated weave of amplitude A and wavelength l (NaN where not stated) turns the vehicle by up to 2 pi A / l; else
+    the log says by how much it wove (root mean square of the heading about its trend, NaN without a log); else it is
+    taken to stray by `ASSUMED_LATERAL_M` in one wave over its length.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        stated = 2 * np.pi * np.abs(amplitude_m) / wavelength_m
+        assumed = 2 * np.pi * ASSUMED_LATERAL_M / np.maximum(way_m, ASSUMED_LATERAL_M)
+    # both ends lie somewhere on the wave, whose root mean square each of them adds
+    seen = np.sqrt(2.0) * weave_rad
+    has_stated, has_seen = np.isfinite(stated) & (stated > 0), np.isfinite(weave_rad)
+    sigma = np.where(has_stated, stated, np.where(has_seen, np.maximum(seen, 0.1 * assumed), assumed))
+    return sigma, ~(has_stated | has_seen)
+
+
+def weave_of_log(driven: WheelTravel) -> FloatArray:
+    """Return the root mean square of the heading about its linear trend along the path, (n_obs,); NaN without a log.
+
+    Wheels of unequal radii turn the vehicle evenly along the path: the trend is theirs.
+    """
+    starts = driven.starts
+    unit = np.repeat(np.arange(len(driven.logged)), np.diff(starts))
+
+    def within(steps: FloatArray) -> FloatArray:
+        running = np.cumsum(steps)
+        before = np.concatenate(([0.0], running))[starts[:-1]]
+        middle: FloatArray = running - 0.5 * steps - before[unit]
+        return middle
+
+    total, weight = driven.total, np.abs(driven.path_m)
+    along, heading = within(weight), within(driven.turn_rad)
+    whole = np.maximum(total(weight), 1e-12)
+    along = along - (total(weight * along) / whole)[unit]
+    heading = heading - (total(weight * heading) / whole)[unit]
+    slope = total(weight * along * heading) / np.maximum(total(weight * along * along), 1e-12)
+    residual = heading - slope[unit] * along
+    return np.where(driven.logged, np.sqrt(total(weight * residual * residual) / whole), np.nan)

@@ -1,0 +1,304 @@
+"""Identifiability: which effects some runs would detect, at which size, and from which others they separate them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from calib.campaign.model import Campaign
+from calib.gap.effects.effect import Effect, Form
+from calib.gap.effects.library import library
+from calib.gap.inference.fit import CALIBRATION_SD, signature_columns, whitened_rows
+from calib.gap.inference.linear_model import WhitenedSystem
+from calib.gap.inference.marginal_likelihood import Nuisance, project
+from calib.gap.inference.noise import Noise
+from calib.gap.inference.noise_components import COMPONENTS, kernels, masked, quantisation
+from calib.gap.observations.from_campaign import observations_of
+from calib.gap.predict import Path, predict
+from calib.result import plain_fields
+from calib.types import BoolArray, FloatArray, Progress, silent, stepped
+
+#: signatures closer than this (in standard deviations) are confounded: no test at 1 % separates them
+SEPARATION_SD: Final = 3.0
+#: an alternative may be this many times its largest plausible size, which is a judgement and no limit
+PLAUSIBLE_FACTOR: Final = 2.0
+#: whitened norm at which an effect is detected among the whole library
+DETECTION_SIGNAL: Final = 5.0
+#: an effect of which a recalibration leaves less than this share is indistinguishable from it: rounding is near
+ABSORBED_SHARE: Final = 1e-3
+#: proportions between the parameters of an effect whose proportions nothing states: no two alike
+_PROPORTIONS: Final = (1.0, 0.7, -0.8, 0.9, -0.6, 0.5, -0.7, 0.8)
+
+
+def distance(system: WhitenedSystem, nuisance: Nuisance, contribution: FloatArray, form: Form) -> float:
+    """Return the distance of a contribution (n_rows,) from all that a form can do, in standard deviations.
+
+    The form's parameters are free within what is plausible, their allowed signs included.
+    """
+    target = project(nuisance, contribution[:, None])[:, 0]
+    columns = project(nuisance, system.columns(form))
+    bound = np.array([p.largest / p.typical for p in form.parameters]) * PLAUSIBLE_FACTOR
+    gram = columns.T @ columns
+    sizes = np.linalg.solve(gram + np.diag(1e-9 + 1.0 / (10 * bound) ** 2), columns.T @ target)
+    sign = np.array([p.sign for p in form.parameters])
+    # a form of one sign (counts are lost, never won) is no alternative to the other sign
+    sizes = np.clip(sizes, np.where(sign > 0, 0.0, -bound), np.where(sign < 0, 0.0, bound))
+    return float(np.linalg.norm(target - columns @ sizes))
+
+
+def aliases_of(
+    system: WhitenedSystem,
+    nuisance: Nuisance,
+    contribution: FloatArray,
+    forms: Mapping[str, Sequence[Form]],
+    named: Sequence[str],
+) -> dict[str, float]:
+    """Return the effects that are confounded with a contribution, with their distance in standard deviations.
+
+    Parameters
+    ----------
+    system : WhitenedSystem
+        The whitened system.
+    nuisance : Nuisance
+        What is free beside the effect.
+    contribution : array of float, shape (n_rows,)
+        What the fitted effect does, whitened.
+    forms : mapping of str to sequence of Form
+        The library on this campaign.
+    named : sequence of str
+        Effects of the hypothesis itself, which are no alternatives.
+    """
+    nearest = {
+        name: min((distance(system, nuisance, contribution, form) for form in offered), default=np.inf)
+        for name, offered in forms.items()
+        if name not in named
+    }
+    return {name: value for name, value in nearest.items() if value < SEPARATION_SD}
+
+
+def noise_at(path: Path, scales: Mapping[str, float]) -> Noise:
+    """Return the noise of observations that need not be driven yet; a missing scale takes its prior median."""
+    scale = np.array([scales.get(name, median) for name, median, _ in COMPONENTS])
+    covariance = np.tensordot(scale**2, kernels(path), axes=1) + quantisation(path)
+    return Noise(masked(covariance, path.s.usable), dict(scales), float("inf"), np.ones(len(path.s)))
+
+
+class Signatures:
+    """Whitened signatures of a library on some observations; distances between them on any subset of these.
+
+    Parameters
+    ----------
+    path : Path
+        The observations, about the path to linearise.
+    noise : Noise
+        Their noise.
+    effects : sequence of Effect
+        The library.
+    sizes : mapping of str to (form, sizes), optional
+        Form and size of effects that were fitted; the others have typical size, in the form of the strongest signal.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        noise: Noise,
+        effects: Sequence[Effect],
+        sizes: Mapping[str, tuple[Form, FloatArray]] | None = None,
+    ) -> None:
+        fitted = sizes or {}
+        self.offered = {effect.id: effect.forms(path.s) for effect in effects}
+        present = [effect for effect in effects if self.offered[effect.id]]
+        self.names = [effect.id for effect in present]
+        self.own_calibration = np.array([effect.calibration for effect in present], dtype=bool)
+        every = [form for forms in self.offered.values() for form in forms] + [form for form, _ in fitted.values()]
+        known = {id(form): columns for form, columns in zip(every, signature_columns(path, every), strict=True)}
+        blocks, truths = [path.calibration * CALIBRATION_SD], []
+        calibration = whitened_rows(path, noise, blocks[0])
+        #: number of the effect, first and last column of each form
+        self.forms: list[tuple[int, int, int]] = []
+        self._places: dict[int, tuple[int, FloatArray]] = {}
+        position = 4
+        for number, effect in enumerate(present):
+            trials: list[FloatArray] = []
+            for form in self.offered[effect.id]:
+                columns = known[id(form)]
+                largest = np.array([p.largest / p.typical for p in form.parameters]) * PLAUSIBLE_FACTOR
+                blocks.append(columns * largest)
+                self._places[id(form)] = position, largest
+                self.forms.append((number, position, position + columns.shape[2]))
+                position += columns.shape[2]
+                trials.append(columns @ np.resize(np.array(_PROPORTIONS), columns.shape[2]))
+            if effect.id in fitted:
+                form, theta = fitted[effect.id]
+                trials = [known[id(form)] @ (theta / form.typical)]
+            free = calibration[:, 3:] if effect.calibration else calibration
+            residual = project(Nuisance.of(free), whitened_rows(path, noise, np.stack(trials, axis=2)))
+            truths.append(trials[int(np.argmax((residual**2).sum(axis=0)))])
+        self.first_truth = position
+        blocks.append(np.stack(truths, axis=2) if truths else np.zeros((len(path.s), 6, 0)))
+        self.columns = whitened_rows(path, noise, np.concatenate(blocks, axis=2))
+        self.unit = np.repeat(np.arange(len(path.s))[:, None], 6, axis=1)[path.s.usable]
+
+    def of_form(self, form: Form) -> FloatArray:
+        """Return the whitened signatures of one of the `offered` forms in typical sizes, (n_rows, n_parameters)."""
+        first, largest = self._places[id(form)]
+        return np.asarray(self.columns[:, first : first + len(largest)] / largest)
+
+    def gram(self, units: BoolArray) -> FloatArray:
+        """Return the scalar products of all columns over some observations (n_units,)."""
+        kept = self.columns[units[self.unit]]
+        return np.asarray(kept.T @ kept)
+
+    def distances(self, gram: FloatArray, truths: Sequence[int] | None = None) -> tuple[FloatArray, FloatArray]:
+        """Return the signal of each effect (n_truths,) and its distance from each other one (n_truths, n_effects).
+
+        The signal is the whitened norm beside a free recalibration (of the calibration's own three: without it). The
+        distance is the norm of the residual after the other effect is fitted within what is plausible; infinite from
+        itself. `truths` are the numbers of the effects in question, by default all.
+        """
+        numbers = np.arange(len(self.names)) if truths is None else np.asarray(truths, dtype=np.int64)
+        target = self.first_truth + numbers
+        square = gram[target, target]
+        signal = np.zeros(len(numbers))
+        distances = np.full((len(numbers), len(self.names)), np.inf)
+        for calibration in (False, True):
+            same = self.own_calibration[numbers] == calibration
+            if not same.any():
+                continue
+            free = np.arange(4)[3:] if calibration else np.arange(4)
+            signal[same] = np.sqrt(_residual_square(gram, free, target[same], square[same]))
+            for number, first, last in self.forms:
+                if self.own_calibration[number] and not calibration:
+                    near = signal[same]
+                else:
+                    index = np.concatenate([free, np.arange(first, last)])
+                    near = np.sqrt(_residual_square(gram, index, target[same], square[same]))
+                distances[same, number] = np.minimum(distances[same, number], near)
+        distances[np.arange(len(numbers)), numbers] = np.inf
+        return signal, distances
+
+
+def _residual_square(gram: FloatArray, index: np.ndarray, target: np.ndarray, square: FloatArray) -> FloatArray:
+    """Return the squares of the columns `target` that remain after those of `index`, of unit prior, are fitted."""
+    inner = gram[np.ix_(index, index)] + np.eye(len(index))
+    cross = gram[np.ix_(index, target)]
+    return np.asarray(np.maximum(square - (cross * np.linalg.solve(inner, cross)).sum(axis=0), 0.0))
+
+
+@dataclass(frozen=True, slots=True)
+class DetectionLimit:
+    """The smallest size of an effect that some runs would show."""
+
+    effect: str  #: id of the effect
+    smallest: str  #: that size with its unit; where `never`, the reason
+    never: bool = False  #: whether no size would show
+
+    @property
+    def sentence(self) -> str:
+        """The size, or ``never`` and the reason."""
+        return f"never: {self.smallest}" if self.never else self.smallest
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outlook:
+    """What a set of runs can show."""
+
+    effects: tuple[str, ...]  #: effects that the runs excite, shape (n,)
+    absent: tuple[str, ...]  #: effects that act through nothing in these runs
+    signal: FloatArray  #: shape (n,): whitened norm of each at its typical size, beside a free recalibration
+    #: shape (n, n): the row's effect at its typical size from all that the column's can do, in standard deviations;
+    #: infinite on the diagonal
+    distance: FloatArray
+    smallest: dict[str, DetectionLimit]  #: detection limit of each effect
+
+    @property
+    def told_apart(self) -> BoolArray:
+        """Which effects, at typical size, are detected and separated from every other, shape (n,)."""
+        return np.asarray((self.signal >= SEPARATION_SD) & (self.distance.min(axis=1) >= SEPARATION_SD))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain JSON values; the diagonal is null."""
+        apart = self.told_apart
+        return plain_fields(
+            self,
+            smallest={name: limit.sentence for name, limit in self.smallest.items()},
+            not_seen=[name for name, value in zip(self.effects, self.signal, strict=True) if value < SEPARATION_SD],
+            told_apart=[name for name, yes in zip(self.effects, apart, strict=True) if yes],
+            confused={
+                name: [self.effects[k] for k in np.flatnonzero(self.distance[number] < SEPARATION_SD)]
+                for number, name in enumerate(self.effects)
+                if self.signal[number] >= SEPARATION_SD and not apart[number]
+            },
+        )
+
+
+def outlook_of(campaign: Campaign, progress: Progress = silent) -> Outlook:
+    """Return what the runs of a campaign, driven or not, can show of the whole library."""
+    observations = observations_of(campaign)
+    path = predict(observations)
+    noise = noise_at(path, {})
+    effects = library(observations, declared=campaign.extra.get("effects", ()))
+    signatures = Signatures(path, noise, effects)
+    signal, distances = signatures.distances(signatures.gram(np.ones(len(observations), dtype=bool)))
+    limits = _Limits(whitened_rows(path, noise, path.calibration * CALIBRATION_SD), signatures.of_form)
+    return Outlook(
+        effects=tuple(signatures.names),
+        absent=tuple(name for name, forms in signatures.offered.items() if not forms),
+        signal=signal,
+        distance=distances,
+        smallest={
+            effect.id: limits.of(effect, signatures.offered[effect.id])[1]
+            for effect in stepped(effects, progress, "effects")
+        },
+    )
+
+
+def undetectable(
+    system: WhitenedSystem, effects: Sequence[Effect], forms: Mapping[str, Sequence[Form]] | None = None
+) -> tuple[DetectionLimit, ...]:
+    """Return the detection limits of the effects that these runs would not show at typical size.
+
+    A limit is `never` where the runs excite nothing of the effect, or a recalibration absorbs all of it. `forms` that
+    are known already are not built again.
+    """
+    known = forms or {}
+    limits = _Limits(system.calibration, system.columns)
+    each = [limits.of(effect, known.get(effect.id) or effect.forms(system.path.s)) for effect in effects]
+    return tuple(limit for times, limit in each if times > 1.0)
+
+
+class _Limits:
+    """Detection limits from whitened columns: of a recalibration (n_rows, 4), and of a form (n_rows, n_parameters)."""
+
+    def __init__(self, calibration: FloatArray, of_form: Callable[[Form], FloatArray]) -> None:
+        self.recalibration, self.front_radius = Nuisance.of(calibration), Nuisance.of(calibration[:, 3:])
+        self.of_form = of_form
+
+    def of(self, effect: Effect, forms: Sequence[Form]) -> tuple[float, DetectionLimit]:
+        """Return the detection limit of an effect in typical sizes (infinite for `never`), and in words."""
+        if not forms:
+            why = "nothing that it acts through is measured, or varies, in these runs"
+            return np.inf, DetectionLimit(effect.id, why, never=True)
+        nuisance = self.front_radius if effect.calibration else self.recalibration
+        limit, best, moves = np.inf, None, False
+        for form in forms:
+            columns = self.of_form(form)
+            # one parameter at a time, the recalibration free
+            signals = np.sqrt((project(nuisance, columns) ** 2).sum(axis=0))
+            norms = np.sqrt((columns**2).sum(axis=0))
+            moves = moves or bool(norms.any())
+            for parameter, signal, norm in zip(form.parameters, signals, norms, strict=True):
+                # of two that differ by rounding alone, the first
+                if signal > ABSORBED_SHARE * max(norm, 1e-12) and DETECTION_SIGNAL / signal < limit * (1.0 - 1e-9):
+                    limit, best = DETECTION_SIGNAL / float(signal), parameter
+        if best is None:
+            why = "indistinguishable from a radius or track error" if moves else "it moves nothing measured here"
+            return np.inf, DetectionLimit(effect.id, why, never=True)
+        words = [best.name.replace("_", " ")] if best.name else []
+        words += ["more than is plausible"] if limit * best.typical > best.largest else []
+        unit = "" if best.unit == "1" else f" {best.unit}"
+        size = f"{limit * best.typical:.2g}{unit}" + (f" ({', '.join(words)})" if words else "")
+        return limit, DetectionLimit(effect.id, size)

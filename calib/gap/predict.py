@@ -1,0 +1,294 @@
+"""The path that the counts and a hypothesis predict, its residuals, and the signatures of small perturbations.
+
+Campaigns of many samples are worked through in parts: what is kept is per observation, not per step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from calib.gap.observations.arrays import N_CHANNELS, POSE, Channel, Observations
+from calib.gap.steps import LINE, TURN, WAY, Perturbation, Steps, X, Y, steps_of, total_perturbation
+from calib.types import BoolArray, FloatArray
+
+#: a run whose wheels turn by less than this in all, to and fro, was guided
+GUIDED_TURN_RAD: Final = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """Path of every observation under a hypothesis, each in the frame of its own start."""
+
+    s: Observations  #: what was driven
+    perturbation: Perturbation  #: the hypothesis
+    end: FloatArray  #: shape (n_obs, 3): end pose
+    #: shape (n_obs, n_channels): predicted reading of each channel: distance, x, y, heading, front, steering
+    reading: FloatArray
+    line_m: FloatArray  #: shape (n_obs,): length of the line that the observation was guided along, signed
+    kept: Steps | None = None  #: the steps, where they are few enough to be kept
+
+    @property
+    def steps(self) -> Steps:
+        """The steps of all observations; integrated anew each time where they are too many to be kept: see `parts`."""
+        return steps_of(self.s, self.perturbation) if self.kept is None else self.kept
+
+    def parts(self) -> Iterator[tuple[slice, Path]]:
+        """Yield observations some at a time, each time with the path of these alone; itself where steps are few."""
+        for units, part in self._integrated():
+            if part is not self:
+                # whether the track can be asked for is a matter of all observations
+                vars(part)["calibration"] = self.calibration[units]
+            yield units, part
+
+    def _integrated(self) -> Iterator[tuple[slice, Path]]:
+        if self.kept is not None:
+            yield slice(0, len(self.s)), self
+            return
+        for units in self.s.spans:
+            part, perturbation = self.s.part(units), self.perturbation.part(units, self.s)
+            yield (
+                units,
+                Path(
+                    part,
+                    perturbation,
+                    self.end[units],
+                    self.reading[units],
+                    self.line_m[units],
+                    steps_of(part, perturbation),
+                ),
+            )
+
+    @property
+    def mid_rad(self) -> FloatArray:
+        """Heading at the middle of each step, shape (n_steps,)."""
+        return self.steps.mid_rad
+
+    @property
+    def x_m(self) -> FloatArray:
+        """Position at the middle of each step, shape (n_steps,)."""
+        return self.steps.x_m
+
+    @property
+    def y_m(self) -> FloatArray:
+        """Position at the middle of each step, shape (n_steps,)."""
+        return self.steps.y_m
+
+    @property
+    def ds_m(self) -> FloatArray:
+        """Motion of the axle's middle along, shape (n_steps,)."""
+        return self.steps.ds_m
+
+    @property
+    def turn_rad(self) -> FloatArray:
+        """Turn of each step, shape (n_steps,)."""
+        return self.steps.turn_rad
+
+    @cached_property
+    def way_m(self) -> FloatArray:
+        """Way along of each observation, signed, shape (n_obs,)."""
+        return self.of_parts(lambda part: part.s.total(part.ds_m))
+
+    @cached_property
+    def rolling_radii_m(self) -> FloatArray:
+        """Travel of the left and right wheel over their rotation, shape (n_obs, 2); NaN where a wheel stood."""
+
+        def radii(part: Path) -> FloatArray:
+            s, steps = part.s, part.steps
+            wheels = ((steps.ds_left_m, s.roll_left_rad), (steps.ds_right_m, s.roll_right_rad))
+            with np.errstate(divide="ignore", invalid="ignore"):
+                ratios = [s.total(travel * np.sign(roll)) / s.total(np.abs(roll)) for travel, roll in wheels]
+            return np.stack(ratios, axis=1)
+
+        return self.of_parts(radii)
+
+    def of_parts(self, what: Callable[[Path], FloatArray]) -> FloatArray:
+        """Return a quantity of each observation (n_obs, ...) that is worked out from steps, part by part."""
+        return np.concatenate([what(part) for _, part in self._integrated()])
+
+    @cached_property
+    def frame(self) -> FloatArray:
+        """Heading in which along and lateral are read: the measured one, else the wheels', shape (n_obs,)."""
+        measured = self.s.measured[:, Channel.HEADING]
+        return np.where(np.isfinite(measured), measured, self.end[:, 2])
+
+    @cached_property
+    def frame_turned(self) -> tuple[FloatArray, FloatArray]:
+        """Cosine and sine of `frame`, each shape (n_obs,)."""
+        return np.cos(self.frame), np.sin(self.frame)
+
+    @cached_property
+    def way_sign(self) -> FloatArray:
+        """Sign of the way along: -1 for an observation driven backwards, shape (n_obs,)."""
+        return np.asarray(np.sign(self.way_m))
+
+    @cached_property
+    def calibration(self) -> FloatArray:
+        """Derivative of the readings by (left, right radius, track, front radius), shape (n_obs, n_channels, 4).
+
+        The first three are relative changes, as is the fourth, which only the front channels feel.
+        """
+        return self.beside_straights(self.of_parts(_calibration))
+
+    def beside_straights(self, calibration: FloatArray) -> FloatArray:
+        """Return the derivative (n_obs, n_channels, 4) without the track, where all observations were guided."""
+        if self.guided.all():
+            calibration[:, :, 2] = 0.0
+        return calibration
+
+    @cached_property
+    def guided(self) -> BoolArray:
+        """Which observations were guided, shape (n_obs,).
+
+        There the turn by the wheels is their noise, which is the gap itself: taken as a turn, it would pass for a track
+        that is off. Where all runs are straight the track cannot be asked for.
+        """
+        s = self.s
+        with np.errstate(invalid="ignore"):
+            bent = np.abs(s.measured[:, Channel.HEADING]) > GUIDED_TURN_RAD
+        straight: BoolArray = (s.total(np.abs(s.turn_rad)) < GUIDED_TURN_RAD) & ~bent
+        return straight | s.guided
+
+
+def _calibration(path: Path) -> FloatArray:
+    """Return the derivative by (left, right radius, track, front radius), shape (n_obs, n_channels, 4)."""
+    s = path.s
+    ones = np.ones(len(s))
+    if s.by_front:
+        # one wheel: it has a radius, which both that represent it share; wheelbase and zero are the steering's
+        both = 0.5 * _along_path(path, Perturbation(left=ones, right=ones))
+        return np.stack([both, both, np.zeros_like(both), np.zeros_like(both)], axis=2)
+    by_front = np.zeros((len(s), N_CHANNELS))
+    front = np.nan_to_num(s.front_roll_rad) * s.vehicle.front_radius_m
+    by_front[:, Channel.FRONT] = -s.total(front * s.steer_cos)
+    by_front[:, Channel.STEERING] = -s.total(front * s.steer_sin) / s.vehicle.wheelbase_m
+    wheels = (
+        _along_path(path, perturbation)
+        for perturbation in (Perturbation(left=ones), Perturbation(right=ones), Perturbation(track=ones))
+    )
+    return np.stack([*wheels, by_front], axis=2)
+
+
+def predict(s: Observations, perturbations: list[Perturbation] | None = None) -> Path:
+    """Integrate the counts (exact arcs) under a hypothesis: perturbations already scaled; none is the model alone."""
+    perturbation = total_perturbation(s, perturbations or [])
+    if len(s.spans) == 1:
+        return _predicted(s, perturbation)
+    path = Path(s, perturbation, np.zeros((len(s), 3)), np.zeros((len(s), N_CHANNELS)), np.zeros(len(s)))
+    derivatives, ways, radii = [], [], []
+    for units in s.spans:
+        part = _predicted(s.part(units), perturbation.part(units, s))
+        path.end[units], path.reading[units], path.line_m[units] = part.end, part.reading, part.line_m
+        # asked of every path, and the steps are present
+        derivatives.append(_calibration(part))
+        ways.append(part.way_m)
+        radii.append(part.rolling_radii_m)
+    vars(path).update(way_m=np.concatenate(ways), rolling_radii_m=np.concatenate(radii))
+    vars(path)["calibration"] = path.beside_straights(np.concatenate(derivatives))
+    return path
+
+
+def _predicted(s: Observations, perturbation: Perturbation) -> Path:
+    """Return the path with all its steps."""
+    steps = steps_of(s, perturbation)
+    end = steps.end
+    line_m = s.total(steps.ds_m * steps.weave_cos)
+    reading = np.zeros((len(s), N_CHANNELS))
+    path = Path(s, perturbation, end, reading, line_m, steps)
+    reading[:, [*POSE, Channel.HEADING]] = end
+    reading[:, Channel.DISTANCE] = np.where(
+        s.axis == 1, end[:, 0], np.where(s.axis == 2, np.hypot(end[:, 0], end[:, 1]), np.abs(line_m))
+    )
+    if s.usable[:, Channel.FRONT :].any():
+        wheelbase = s.vehicle.wheelbase_m
+        front = np.nan_to_num(s.front_roll_rad) * s.vehicle.front_radius_m
+        # what the rear wheels say, less what the front wheel and its steering say of the same (Eqs 12 to 14)
+        reading[:, Channel.FRONT] = s.total(steps.ds_m - front * s.steer_cos)
+        reading[:, Channel.STEERING] = s.total(steps.turn_rad - front * s.steer_sin / wheelbase)
+    if perturbation.reading is not None:
+        reading += _in_start_frame(path, perturbation.reading)
+    return path
+
+
+def _in_start_frame(path: Path, reading: FloatArray) -> FloatArray:
+    """Turn the along and lateral columns (n_obs, n_channels) from the end frame into the start frame."""
+    turned = reading.copy()
+    c, s = np.cos(path.frame), np.sin(path.frame)
+    turned[:, Channel.ALONG] = c * reading[:, Channel.ALONG] - s * reading[:, Channel.LATERAL]
+    turned[:, Channel.LATERAL] = s * reading[:, Channel.ALONG] + c * reading[:, Channel.LATERAL]
+    return turned
+
+
+def signature(path: Path, perturbation: Perturbation) -> FloatArray:
+    """Return what a perturbation does to the readings, to first order about a path, shape (n_obs, n_channels).
+
+    The change of (distance, along, lateral, heading, front, steering) per unit of the parameter; along and lateral in
+    the frame of the end heading.
+    """
+    s = path.s
+    n_units, n_steps = len(s), len(s.unit)
+    change = np.zeros((n_units, N_CHANNELS))
+    wheels: dict[str, FloatArray] = {}
+    for number, (name, part) in enumerate(
+        (("left", perturbation.left), ("right", perturbation.right), ("track", perturbation.track))
+    ):
+        if part is None:
+            continue
+        if len(part) == n_units and n_units != n_steps:
+            change += path.calibration[:, :, number] * part[:, None]
+        else:
+            wheels[name] = part
+    if wheels or not perturbation.of_units_only:
+        stepwise = Perturbation(
+            **wheels,
+            heading_rad=perturbation.heading_rad,
+            along_m=perturbation.along_m,
+            lateral_m=perturbation.lateral_m,
+        )
+        for units, of_units in path.parts():
+            change[units] += _along_path(of_units, stepwise if path.kept is not None else stepwise.part(units, s))
+    if perturbation.reading is not None:
+        change += perturbation.reading
+    return change
+
+
+def _along_path(path: Path, perturbation: Perturbation) -> FloatArray:
+    """Integrate what varies along the path: shape (n_obs, n_channels)."""
+    s = path.s
+    sums = path.steps.sums(perturbation)
+    x, y = sums[X], sums[Y]
+    change = np.zeros((len(s), N_CHANNELS))
+    c, sn = path.frame_turned
+    change[:, Channel.ALONG], change[:, Channel.LATERAL] = c * x + sn * y, c * y - sn * x
+    change[:, Channel.HEADING] = sums[TURN]
+    change[:, Channel.DISTANCE] = np.where(s.axis == 1, x, sums[LINE] * path.way_sign)
+    chords = np.flatnonzero(s.axis == 2)
+    if len(chords):
+        end_x, end_y = path.end[chords, 0], path.end[chords, 1]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            chord = (end_x * x[chords] + end_y * y[chords]) / np.hypot(end_x, end_y)
+        change[chords, Channel.DISTANCE] = np.nan_to_num(chord)
+    if s.usable[:, Channel.FRONT :].any():
+        change[:, Channel.FRONT] = sums[WAY]
+        change[:, Channel.STEERING] = sums[TURN]
+    return change
+
+
+def residuals(path: Path, nominal: Path) -> FloatArray:
+    """Return measured minus predicted, shape (n_obs, n_channels), 0 where an observation lacks the channel.
+
+    Along and lateral are read in the frame of the end heading: along the path, and left of it. Where an outside
+    simulator predicted one, its prediction takes the place of `nominal`, the model alone, and only the hypothesis'
+    change is added to it.
+    """
+    s = path.s
+    predicted = np.where(np.isfinite(s.simulated), s.simulated + path.reading - nominal.reading, path.reading)
+    gap = s.measured - predicted
+    c, sn = np.cos(path.frame), np.sin(path.frame)
+    x, y = gap[:, Channel.ALONG].copy(), gap[:, Channel.LATERAL].copy()
+    gap[:, Channel.ALONG], gap[:, Channel.LATERAL] = c * x + sn * y, c * y - sn * x
+    return np.where(s.usable, np.nan_to_num(gap), 0.0)

@@ -1,0 +1,301 @@
+"""Motion step by step under a hypothesis, and what a perturbation changes at the end of each observation."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from calib.gap.observations.arrays import N_CHANNELS, Channel, Observations
+from calib.types import FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Perturbation:
+    """What one parameter of an effect does, per unit of the parameter, to first order."""
+
+    #: left, right: shape (n_obs,) or (n_steps,): relative change of what the left and right wheel really travel for
+    #: their counts
+    left: FloatArray | None = None
+    right: FloatArray | None = None
+    track: FloatArray | None = None  #: shape (n_obs,) or (n_steps,): relative change of the track
+    #: heading_rad, along_m, lateral_m: shape (n_steps,): what the vehicle turns, and moves along and to its left, in
+    #: each step beyond what its wheels say
+    heading_rad: FloatArray | None = None
+    along_m: FloatArray | None = None
+    lateral_m: FloatArray | None = None
+    #: shape (n_obs, 6): what is added to the reading of each channel (distance, along, lateral, heading, front,
+    #: steering)
+    reading: FloatArray | None = None
+
+    @classmethod
+    def on_readings(cls, observations: Observations, **by_channel: FloatArray | float) -> Perturbation:
+        """Return a perturbation of the readings of named channels (``distance=``), each shape (n_obs,) or a number."""
+        reading = np.zeros((len(observations), N_CHANNELS))
+        for label, values in by_channel.items():
+            reading[:, Channel[label.upper()]] = values
+        return cls(reading=reading)
+
+    def scaled(self, factor: float) -> Perturbation:
+        """Return the perturbation times `factor`."""
+        return Perturbation(*(None if part is None else part * factor for part in self.parts()))
+
+    def parts(self) -> tuple[FloatArray | None, ...]:
+        """Return the seven fields in order."""
+        return (self.left, self.right, self.track, self.heading_rad, self.along_m, self.lateral_m, self.reading)
+
+    def part(self, units: slice, s: Observations) -> Perturbation:
+        """Return the perturbation of some observations alone, from one of all observations of `s`."""
+        n_steps = len(s.unit)
+        steps = slice(int(s.starts[units.start]), int(s.starts[units.stop]))
+
+        def of(part: FloatArray | None) -> FloatArray | None:
+            return None if part is None else part[steps if len(part) == n_steps else units]
+
+        parts = [of(part) for part in self.parts()]
+        if self.right is self.left:
+            parts[1] = parts[0]
+        return Perturbation(*parts)
+
+    @property
+    def of_units_only(self) -> bool:
+        """Whether no field varies within an observation; decided by the caller's shapes in `signature`."""
+        return self.heading_rad is None and self.along_m is None and self.lateral_m is None
+
+
+def total_perturbation(s: Observations, perturbations: list[Perturbation]) -> Perturbation:
+    """Add perturbations up; arrays per observation are spread over the steps where another varies with the step."""
+    summed: list[FloatArray | None] = [None] * 7
+    n_steps = len(s.unit)
+    for perturbation in perturbations:
+        for number, part in enumerate(perturbation.parts()):
+            if part is None:
+                continue
+            have = summed[number]
+            if have is None:
+                summed[number] = part
+            elif len(have) == len(part):
+                summed[number] = have + part
+            else:
+                wide_have = have if len(have) == n_steps else have[s.unit]
+                wide_part = part if len(part) == n_steps else part[s.unit]
+                summed[number] = wide_have + wide_part
+    return Perturbation(*summed)
+
+
+#: what is summed over an observation: displacement of the end point, turn, distance along the guide line, distance
+X, Y, TURN, LINE, WAY = range(5)
+N_SUMS: Final = 5
+#: where not even one step in so many has a part, the others are passed over
+SPARSE_SHARE: Final = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lever:
+    """What a change of 1 at each step adds to the sums of its unit."""
+
+    sums: tuple[int, ...]  #: which of X, Y, TURN, LINE and WAY change
+    by_step: FloatArray  #: shape (n_sums, n_steps): by how much, for each of these
+
+    def __add__(self, other: Lever) -> Lever:
+        """Return what both changes do together; the same sums change."""
+        return Lever(self.sums, self.by_step + other.by_step)
+
+
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """Steps of every observation under a hypothesis, each observation in the frame of its own start."""
+
+    s: Observations  #: what was driven
+    #: ds_left_m, ds_right_m: shape (n_steps,): travel of the wheels
+    ds_left_m: FloatArray
+    ds_right_m: FloatArray
+    #: ds_m, turn_rad: shape (n_steps,): motion of the axle's middle along, and its turn
+    ds_m: FloatArray
+    turn_rad: FloatArray
+    track_m: FloatArray  #: shape (n_steps,) or (1,): track
+    #: mid_rad, x_m, y_m: shape (n_steps,): heading at the middle of each step, position at its middle
+    mid_rad: FloatArray
+    x_m: FloatArray
+    y_m: FloatArray
+    end: FloatArray  #: shape (n_obs, 3): end pose
+
+    @cached_property
+    def cos(self) -> FloatArray:
+        """Cosine of the heading at the middle of each step, shape (n_steps,)."""
+        return np.asarray(np.cos(self.mid_rad))
+
+    @cached_property
+    def sin(self) -> FloatArray:
+        """Sine of the heading at the middle of each step, shape (n_steps,)."""
+        return np.asarray(np.sin(self.mid_rad))
+
+    @cached_property
+    def lever_x(self) -> FloatArray:
+        """What a turn at a step moves the end point in x, per radian, shape (n_steps,)."""
+        return np.asarray(self.y_m - self.end[self.s.unit, 1])
+
+    @cached_property
+    def lever_y(self) -> FloatArray:
+        """What a turn at a step moves the end point in y, per radian, shape (n_steps,)."""
+        return np.asarray(self.end[self.s.unit, 0] - self.x_m)
+
+    @cached_property
+    def weave_cos(self) -> FloatArray:
+        """Cosine of the heading about its own straight trend in each observation, shape (n_steps,)."""
+        s = self.s
+        weight = np.abs(self.ds_m)
+        along = s.cumulative(weight) - 0.5 * weight
+        total = np.maximum(s.total(weight), 1e-9)
+        mean_a = s.total(weight * along) / total
+        mean_h = s.total(weight * self.mid_rad) / total
+        da, dh = along - mean_a[s.unit], self.mid_rad - mean_h[s.unit]
+        slope = s.total(weight * da * dh) / np.maximum(s.total(weight * da * da), 1e-12)
+        return np.asarray(np.cos(dh - slope[s.unit] * da))
+
+    @cached_property
+    def by_left(self) -> Lever:
+        """Of the left wheel's travel, relative."""
+        return self._by_wheel(self.ds_left_m, -1.0)
+
+    @cached_property
+    def by_right(self) -> Lever:
+        """Of the right wheel's travel, relative."""
+        return self._by_wheel(self.ds_right_m, 1.0)
+
+    @cached_property
+    def by_both(self) -> Lever:
+        """Of both wheels' travel, relative."""
+        return self.by_left + self.by_right
+
+    def _by_wheel(self, travel_m: FloatArray, sense: float) -> Lever:
+        by_step = np.empty((N_SUMS, len(travel_m)))
+        x, y, turn, line, ds = by_step
+        np.multiply(0.5, travel_m, out=ds)
+        np.divide(sense * travel_m, self.track_m, out=turn)
+        np.add(ds * self.cos, turn * self.lever_x, out=x)
+        np.add(ds * self.sin, turn * self.lever_y, out=y)
+        np.multiply(ds, self.weave_cos, out=line)
+        if self.s.aside_m is not None:
+            x -= 0.5 * self.s.aside_m * self.sin
+            y += 0.5 * self.s.aside_m * self.cos
+        return Lever((X, Y, TURN, LINE, WAY), by_step)
+
+    @cached_property
+    def by_track(self) -> Lever:
+        """Of the track, relative."""
+        turn = -(self.ds_right_m - self.ds_left_m) / self.track_m
+        return Lever((X, Y, TURN), np.stack([turn * self.lever_x, turn * self.lever_y, turn]))
+
+    @cached_property
+    def by_turn(self) -> Lever:
+        """Of the heading, rad."""
+        return Lever((X, Y, TURN), np.stack([self.lever_x, self.lever_y, np.ones_like(self.lever_x)]))
+
+    @cached_property
+    def by_way(self) -> Lever:
+        """Of the way along, m."""
+        return Lever((X, Y, LINE, WAY), np.stack([self.cos, self.sin, self.weave_cos, np.ones_like(self.cos)]))
+
+    @cached_property
+    def by_slip(self) -> Lever:
+        """Of the way to the left, m."""
+        return Lever((X, Y), np.stack([-self.sin, self.cos]))
+
+    def sums(self, perturbation: Perturbation) -> FloatArray:
+        """Return what a perturbation adds to the sums of each observation, to first order, shape (5, n_obs)."""
+        s, summed = self.s, np.zeros((N_SUMS, len(self.s)))
+        for part, lever in self._levers(perturbation):
+            wide = part if len(part) == len(s.unit) and len(s) != len(s.unit) else part[s.unit]
+            takes_part = wide != 0.0
+            if np.count_nonzero(takes_part) * SPARSE_SHARE < len(wide):
+                # a place on the floor, a stop: most steps have no part in it
+                there = np.flatnonzero(takes_part)
+                some, unit = lever.by_step.take(there, axis=1) * wide[there], s.unit[there]
+                for number, values in zip(lever.sums, some, strict=True):
+                    summed[number] += np.bincount(unit, values, len(s))
+            else:
+                summed[list(lever.sums)] += np.add.reduceat(lever.by_step * wide, s.starts[:-1], axis=1)
+        return summed
+
+    def _levers(self, perturbation: Perturbation) -> Iterator[tuple[FloatArray, Lever]]:
+        """Yield each part of a perturbation with its lever; levers that no perturbation asks for are never made."""
+        if perturbation.left is not None and perturbation.left is perturbation.right:
+            yield perturbation.left, self.by_both
+        else:
+            if perturbation.left is not None:
+                yield perturbation.left, self.by_left
+            if perturbation.right is not None:
+                yield perturbation.right, self.by_right
+        if perturbation.track is not None:
+            yield perturbation.track, self.by_track
+        if perturbation.heading_rad is not None:
+            yield perturbation.heading_rad, self.by_turn
+        if perturbation.along_m is not None:
+            yield perturbation.along_m, self.by_way
+        if perturbation.lateral_m is not None:
+            yield perturbation.lateral_m, self.by_slip
+
+
+def steps_of(s: Observations, perturbation: Perturbation) -> Steps:
+    """Integrate the counts (exact arcs) under a hypothesis that is already scaled by its parameters."""
+    unit = s.unit
+
+    def wide(part: FloatArray) -> FloatArray:
+        return part if len(part) == len(unit) else part[unit]
+
+    # most hypotheses leave most of this alone, and every product goes through all steps
+    left = s.travel_left_m if perturbation.left is None else s.travel_left_m * (1.0 + wide(perturbation.left))
+    right = s.travel_right_m if perturbation.right is None else s.travel_right_m * (1.0 + wide(perturbation.right))
+    track = s.model.track_m * (np.ones(1) if perturbation.track is None else 1.0 + wide(perturbation.track))
+    ds, turn = 0.5 * (left + right), (right - left) / track
+    if perturbation.along_m is not None:
+        ds += wide(perturbation.along_m)
+    if perturbation.heading_rad is not None:
+        turn += wide(perturbation.heading_rad)
+    slip = None if perturbation.lateral_m is None else wide(perturbation.lateral_m)
+    if s.aside_m is not None:
+        by_left, by_right = (0.0 if part is None else wide(part) for part in (perturbation.left, perturbation.right))
+        aside = s.aside_m * (1.0 + 0.5 * (by_left + by_right))
+        slip = aside if slip is None else slip + aside
+    heading = s.cumulative(turn)
+    mid = heading - 0.5 * turn + _bend(s, turn)
+    half = 0.5 * turn
+    chord = ds * (1.0 - half * half / 6.0)
+    c, sn = np.cos(mid), np.sin(mid)
+    dx, dy = chord * c, chord * sn
+    if slip is not None:
+        dx -= slip * sn
+        dy += slip * c
+    x, y = s.cumulative(dx), s.cumulative(dy)
+    last = s.starts[1:] - 1
+    steps = Steps(
+        s=s,
+        ds_left_m=left,
+        ds_right_m=right,
+        ds_m=ds,
+        turn_rad=turn,
+        track_m=track,
+        mid_rad=mid,
+        x_m=x - 0.5 * dx,
+        y_m=y - 0.5 * dy,
+        end=np.stack([x[last], y[last], heading[last]], axis=1),
+    )
+    vars(steps).update(cos=c, sin=sn)
+    return steps
+
+
+def _bend(s: Observations, turn: FloatArray) -> FloatArray:
+    """Return by how much the mean heading of each step differs from the mean of its ends, shape (n_steps,).
+
+    The arc of a step is bent further where the curvature changes on the way: with the heading as a parabola the mean
+    differs by a twelfth of its second difference. Matters for logs of a few hertz on winding routes.
+    """
+    bend = np.zeros(len(turn))
+    bend[1:-1] = (turn[:-2] - turn[2:]) / 24.0
+    bend[s.starts[:-1]] = 0.0
+    bend[s.starts[1:] - 1] = 0.0
+    return bend

@@ -1,1 +1,0 @@
-"""From evidence to what is said, recommended and left open."""

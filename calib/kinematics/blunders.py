@@ -1,0 +1,279 @@
+"""Blunders that a calibration would otherwise absorb: swapped columns, signs, units, half a track, mirrors."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Final
+
+import numpy as np
+
+from calib.errors import RefusedError
+from calib.kinematics.drives import Drive, Steps
+from calib.kinematics.model import Model
+from calib.kinematics.recording import Recording, Segments
+from calib.types import FloatArray
+
+#: how far a ratio may be from a factor and still be taken for it, relative
+NEAR: Final = 0.08
+#: factors that faults of settings leave, and what they mean
+TRACK_FACTORS: Final = {0.5: "half the track", 2.0: "twice the track"}
+RADIUS_FACTORS: Final = {
+    0.5: "half the radius: twice the counts per revolution, or the radius for the diameter",
+    2.0: "twice the radius: half the counts per revolution, or the diameter for the radius",
+    4.0: "four times the radius: a quarter of the counts per revolution (quadrature)",
+    0.25: "a quarter of the radius: four times the counts per revolution (quadrature)",
+    float(np.pi): "pi times the radius",
+    1e-3: "a thousandth: positions in m taken for mm, or lengths of the settings in mm taken for m",
+    1e3: "a thousand times: positions in mm taken for m",
+    1e-2: "a hundredth: positions in m taken for cm, or lengths of the settings in cm taken for m",
+    1e2: "a hundred times: positions in cm taken for m",
+    float(np.pi / 180.0): "pi / 180 times: angles of the wheels in degrees taken for rad",
+    float(180.0 / np.pi): "180 / pi times: angles of the wheels in rad taken for degrees",
+}
+#: a radius off by more than this factor is no radius, no matter what made it
+FARTHEST: Final = 5.0
+#: turns of the wheels by less, root mean square over the stretches, say nothing of the heading's unit
+TURNS_RAD: Final = 0.1
+#: standard deviations by which a sign must stand out
+CLEAR: Final = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """A blunder: its stable name, and a sentence that says what is wrong and what to do."""
+
+    code: str
+    text: str
+
+
+def rear_faults(recording: Recording, segments: Segments) -> Fault | None:
+    """Return the fault of two wheels' signs or sides, from how the heading follows their turning.
+
+    The heading turns with the right wheel and against the left one. Where the regression says otherwise beyond doubt,
+    columns are swapped or a counter runs backwards.
+    """
+    turned = _between(recording.steps.turned_rad, segments)
+    good = segments.seen[:, 2]
+    if good.sum() < 4:
+        return None
+    left, right, reliable = _regression(turned[:, good], segments.measured[good, 2])
+    if not reliable:
+        return None
+    if left < 0.0 < right:
+        return None
+    if left > 0.0 and right > 0.0:
+        return Fault("reversed_left", "the left counter runs backwards; correct its sign or its wiring")
+    if left < 0.0 and right < 0.0:
+        return Fault("reversed_right", "the right counter runs backwards; correct its sign or its wiring")
+    seen = segments.seen[:, 0]
+    forward = float(np.sum(turned.sum(axis=0)[seen] * segments.measured[seen, 0]))
+    if forward < 0.0:
+        return Fault("reversed_both", "both counters run backwards; correct their signs")
+    return Fault(
+        "swapped_wheels", "left and right wheel are swapped; exchange the columns counts_left and counts_right"
+    )
+
+
+def _between(turned: FloatArray, segments: Segments) -> FloatArray:
+    total = np.cumsum(turned, axis=1)
+    return np.asarray(total[:, segments.last] - total[:, segments.first])
+
+
+def _regression(turned: FloatArray, heading: FloatArray) -> tuple[float, float, bool]:
+    """Return how the heading follows each wheel, and whether both signs stand out."""
+    normal = turned @ turned.T
+    if np.linalg.cond(normal) > 1e10:
+        return 0.0, 0.0, False
+    weights = np.ones(len(heading))
+    for _ in range(10):
+        slope = np.linalg.solve((turned * weights) @ turned.T, (turned * weights) @ heading)
+        rest = heading - slope @ turned
+        spread = 1.483 * float(np.median(np.abs(rest))) + 1e-9
+        weights = 1.0 / (1.0 + np.square(rest / (3.0 * spread)))
+    std = spread * np.sqrt(np.diag(np.linalg.inv(normal)))
+    return float(slope[0]), float(slope[1]), bool(np.all(np.abs(slope) > CLEAR * std))
+
+
+def repaired(recording: Recording, fault: Fault) -> Recording:
+    """Return the recording with the fault of two wheels corrected."""
+    left, right = recording.steps.turned_rad
+    turned = {
+        "swapped_wheels": (right, left),
+        "reversed_left": (-left, right),
+        "reversed_right": (left, -right),
+        "reversed_both": (-left, -right),
+    }[fault.code]
+    return recording.with_turned(np.stack(turned))
+
+
+def front_faults(recording: Recording, segments: Segments) -> tuple[Recording, tuple[Fault, ...]]:
+    """Return the recording with mirrored signs of front counts and steering corrected, and what was wrong.
+
+    A wheel that counts backwards and a steering sensor of the other sign give mirrored solutions of the same residual:
+    a negative radius, a negative wheelbase. The one with positive lengths is the vehicle's.
+    """
+    faults: list[Fault] = []
+    steps = recording.steps
+    steer = steps.steer_rad
+    if steer is None:
+        return recording, ()
+    phi = steps.turned_rad[0]
+    ahead = _between((phi * np.cos(steer))[None], segments)[0]
+    seen = segments.seen.all(axis=1)
+    if float(np.sum(ahead[seen] * _chord_sense(segments.measured[seen]))) < 0.0:
+        faults.append(Fault("reversed_front", "the front counter runs backwards; correct its sign"))
+        steps = Steps(-steps.turned_rad, steer, steps.load_offset_N)
+    aside = _between((steps.turned_rad[0] * np.sin(steer))[None], segments)[0]
+    if float(np.sum(aside[seen] * segments.measured[seen, 2])) < 0.0:
+        faults.append(Fault("reversed_steering", "the steering angle has the other sign; left turns are positive"))
+        steps = Steps(steps.turned_rad, -steer, steps.load_offset_N)
+    return (replace(recording, steps=steps) if faults else recording), tuple(faults)
+
+
+def _chord_sense(measured: FloatArray) -> FloatArray:
+    """Return forward distance where the heading hardly turned, else nothing: only there its sign is that of the way."""
+    return np.where(np.abs(measured[:, 2]) < 1.5, measured[:, 0], 0.0)
+
+
+def factor_faults(nominal: Mapping[str, float], estimated: Mapping[str, float]) -> tuple[Fault, ...]:
+    """Return faults of the settings that leave a factor between nominal and found lengths."""
+    faults = []
+    for name, factors in (("track_m", TRACK_FACTORS), ("half_length_plus_half_width_m", TRACK_FACTORS)):
+        if name in estimated:
+            faults += _factor(name, estimated[name] / nominal[name], factors)
+    for name in ("radius_left_m", "radius_right_m", "front_radius_m", "wheel_radius_m"):
+        if name in estimated:
+            ratio = estimated[name] / nominal[name]
+            explained = _factor(name, ratio, RADIUS_FACTORS)
+            if not explained and not 1.0 / FARTHEST < ratio < FARTHEST:
+                text = f"{name} is {ratio:.3g} times the nominal value; check counts per revolution and units"
+                explained = [Fault("radius_factor", text)]
+            faults += explained
+    return tuple(faults)
+
+
+def refuse_heading_unit(told_rad: FloatArray, measured_rad: FloatArray) -> None:
+    """Refuse a reference whose heading is in another unit than radians.
+
+    `told_rad`, `measured_rad` (shape (n,)): turns of stretches by the wheels of the nominal vehicle, and by the
+    reference. Raises RefusedError where the reference turns by pi / 180, or 180 / pi, of what the wheels say.
+    """
+    square = float(told_rad @ told_rad)
+    if not len(told_rad) or square < len(told_rad) * TURNS_RAD**2:
+        return
+    # of either sign: counters may run backwards
+    ratio = abs(float(told_rad @ measured_rad)) / square
+    words = {np.pi / 180.0: "radians taken for degrees", 180.0 / np.pi: "degrees taken for radians"}
+    for factor, what in words.items():
+        if abs(ratio / factor - 1.0) < 2.0 * NEAR:
+            raise RefusedError(
+                f"ref_theta_rad: found turns that are {ratio:.3g} times those of the wheels; expected about as much; "
+                f"the heading's unit is wrong ({what}): correct it in the mapping or the log"
+            )
+
+
+def _factor(name: str, ratio: float, factors: dict[float, str]) -> list[Fault]:
+    return [
+        Fault(
+            "half_track" if meaning.endswith("the track") else "radius_factor",
+            f"{name} is {ratio:.3g} times the nominal value, {meaning}; correct the settings or the mapping",
+        )
+        for factor, meaning in factors.items()
+        if abs(ratio / factor - 1.0) < NEAR
+    ]
+
+
+WHEELS: Final = ("front_left", "front_right", "rear_left", "rear_right")
+#: the columns as they stand count as wrong where others leave less than this part of what they leave
+CLEARLY_LESS: Final = 0.25
+#: and where they leave more than this part of the way and of the turns
+POOR: Final = 0.1
+#: readings that leave no more than this much of the least are as good
+ALIKE: Final = 1.1
+#: turns of less are noise
+LEAST_TURN_RAD: Final = 0.05
+
+
+def put_right(
+    recording: Recording, segments: Segments, source: str, drive: Drive
+) -> tuple[Recording, tuple[Fault, ...]]:
+    """Return the recording with blunders corrected, and these faults.
+
+    `recording`: wheels and reference; `source` ({"rear", "front", "wheels"}); `drive`: with its nominal values. Raises
+    RefusedError where the reference's heading is in another unit than radians.
+    """
+    # first: with a heading of another unit any reading of the wheels that hardly turns would look best
+    seen = segments.seen[:, 2]
+    measured = segments.measured[seen, 2]
+    nominal = np.array([item.nominal for item in drive.parameters])
+    rest = Model(drive, recording, segments).predict(np.concatenate([nominal, np.zeros(4)])).residuals[seen, 2]
+    refuse_heading_unit(measured - rest, measured)
+    if source == "front":
+        return front_faults(recording, segments)
+    if source == "wheels":
+        return wheels_faults(recording, segments, drive)
+    fault = rear_faults(recording, segments)
+    return (recording, ()) if fault is None else (repaired(recording, fault), (fault,))
+
+
+def wheels_faults(recording: Recording, segments: Segments, drive: Drive) -> tuple[Recording, tuple[Fault, ...]]:
+    """Return the recording with the wheels' signs and sides corrected, and what was wrong.
+
+    `recording`: of four wheels; `drive`: its nominal values tell which of the ways to read the four columns meets the
+    reference.
+    """
+    nominal = np.array([item.nominal for item in drive.parameters])
+    # neither sensor nor delay is known yet
+    values = np.concatenate([nominal, np.zeros(4)])
+
+    def left_by(turned: FloatArray) -> tuple[float, float]:
+        return _left(Model(drive, recording.with_turned(turned), segments), values)
+
+    turned = recording.steps.turned_rad
+    as_it_stands = left_by(turned)[0]
+    if as_it_stands < POOR:
+        return recording, ()
+    tried = [(left_by(turned[order] * signs[:, None]), fault, order, signs) for fault, order, signs in _readings()]
+    least = min(left for (left, _), *_ in tried)
+    if least > CLEARLY_LESS * as_it_stands:
+        return recording, ()
+    # two readings can differ by half a turn of the sensor alone: the one that turns it less is the likelier
+    alike = [one for one in tried if one[0][0] <= ALIKE * least + 1e-9]
+    _, fault, order, signs = min(alike, key=lambda one: one[0][1])
+    return recording.with_turned(turned[order] * signs[:, None]), (fault,)
+
+
+def _readings() -> Iterator[tuple[Fault, list[int], FloatArray]]:
+    """Yield faults, with the order and the signs of the four columns that put them right."""
+    same, plain = list(range(4)), np.ones(4)
+    for at, wheel in enumerate(WHEELS):
+        signs = plain.copy()
+        signs[at] = -1.0
+        text = f"the {wheel.replace('_', ' ')} counter runs backwards; correct its sign or its wiring"
+        yield Fault(f"reversed_{wheel}", text), same, signs
+    yield Fault("reversed_both", "all four counters run backwards; correct their signs"), same, -plain
+    exchanged = [[pair] for pair in combinations(range(4), 2)] + [[(0, 1), (2, 3)], [(0, 2), (1, 3)], [(0, 3), (1, 2)]]
+    for pairs in exchanged:
+        order = list(same)
+        for one, other in pairs:
+            order[one], order[other] = other, one
+        names = ", ".join(f"counts_{WHEELS[one]} and counts_{WHEELS[other]}" for one, other in pairs)
+        yield Fault("swapped_wheels", f"wheels are exchanged; exchange {names}"), order, plain
+
+
+def _left(model: Model, values: FloatArray) -> tuple[float, float]:
+    """Return which part of the way and of the turns a reading leaves, and by how much it turns the sensor."""
+    segments = model.segments
+    seen = segments.seen.all(axis=1)
+    measured = segments.measured[seen]
+    moved = measured - model.predict(values).residuals[seen]
+    if not len(measured):
+        return 0.0, 0.0
+    way, told = measured[:, 0] + 1j * measured[:, 1], moved[:, 0] + 1j * moved[:, 1]
+    turned = float(np.angle(np.vdot(told, way)))
+    rest_of_way = np.abs(way - told * np.exp(1j * turned))
+    short = float(np.mean(np.square(rest_of_way)) / max(float(np.mean(np.square(np.abs(way)))), 1e-12))
+    rest, turn = measured[:, 2] - moved[:, 2], float(np.mean(np.square(measured[:, 2])))
+    return short + float(np.mean(np.square(rest))) / (turn + LEAST_TURN_RAD**2), abs(turned)

@@ -1,0 +1,338 @@
+"""Drives: how turning wheels move the body, the derivatives by each parameter, and the integrated path."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, Protocol
+
+import numpy as np
+
+from calib.types import FloatArray, IntArray
+
+#: pose of the reference's sensor on the vehicle, and the time by which its stamps lag behind the encoders'
+SENSOR: Final = ("sensor_x_m", "sensor_y_m", "sensor_yaw_rad", "delay_s")
+
+#: how far a lever arm, an angle and a delay may be from what the settings say
+SENSOR_STD: Final = {"sensor_x_m": 0.2, "sensor_y_m": 0.2, "sensor_yaw_rad": 0.5, "delay_s": 0.2}
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One parameter: its name, which ends in its unit, its nominal value, and the spread of what is possible."""
+
+    #: for example ``track_m``
+    name: str
+    #: value before the calibration
+    nominal: float
+    #: standard deviation of the true value about the nominal one, before any data; it scales the parameter, and data
+    #: that do not do clearly better leave the parameter undetermined
+    prior_std: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Parameters:
+    """Parameters in a fixed order, with those that are to be estimated."""
+
+    #: all parameters of drive and sensor
+    items: tuple[Parameter, ...]
+    #: which are estimated; the others stay at their nominal value, shape (n_parameters,)
+    free: np.ndarray[tuple[int], np.dtype[np.bool_]]
+
+    @staticmethod
+    def of(items: Sequence[Parameter], free: Iterable[str]) -> Parameters:
+        """Return parameters of which those named in `free` are estimated."""
+        names = set(free)
+        return Parameters(tuple(items), np.array([item.name in names for item in items], dtype=np.bool_))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all parameters."""
+        return tuple(item.name for item in self.items)
+
+    @property
+    def free_names(self) -> tuple[str, ...]:
+        """Names of the parameters that are estimated."""
+        return tuple(name for name, free in zip(self.names, self.free, strict=True) if free)
+
+    @property
+    def nominal(self) -> FloatArray:
+        """Nominal values, shape (n_parameters,)."""
+        return np.array([item.nominal for item in self.items])
+
+    @property
+    def prior_std(self) -> FloatArray:
+        """Spread of what is possible, shape (n_parameters,)."""
+        return np.array([item.prior_std for item in self.items])
+
+    def without(self, names: Iterable[str]) -> Parameters:
+        """Return the parameters with those in `names` held at their nominal value."""
+        held = set(names)
+        return Parameters.of(self.items, (name for name in self.free_names if name not in held))
+
+    def mapping(self, values: FloatArray) -> Mapping[str, float]:
+        """Return values by name."""
+        return {name: float(value) for name, value in zip(self.names, values, strict=True)}
+
+
+def sensor_parameters(x_m: float, y_m: float, yaw_rad: float) -> tuple[Parameter, ...]:
+    """Return the parameters of the reference's sensor, centred on what the settings say of it."""
+    nominal = dict(zip(SENSOR, (x_m, y_m, yaw_rad, 0.0), strict=True))
+    return tuple(Parameter(name, nominal[name], SENSOR_STD[name]) for name in SENSOR)
+
+
+#: spread of a length about its nominal value, relative
+LENGTH_STD: Final = 0.10
+#: spread of the radius' change with load, relative to the radius, per newton: 1 % per kN
+SLOPE_STD_PER_N: Final = 1e-5
+#: factor on the steering angle that the sensor says
+STEERING_SCALE: Final = "steering_scale"
+STEERING_ZERO_STD_RAD: Final = 0.1
+STEERING_SCALE_STD: Final = 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Steps:
+    """What the wheels did from sample to sample, all runs laid end to end."""
+
+    #: angle that each wheel turned since the sample before; 0 at the first sample of a run, shape (n_wheels, n_samples)
+    turned_rad: FloatArray
+    #: steering angle in the middle of the step, as the sensor says it, shape (n_samples,)
+    steer_rad: FloatArray | None = None
+    #: load of the left and right wheel less the reference load, shape (2, n_samples)
+    load_offset_N: FloatArray | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """Motion of the body in each step, in its own frame, and its derivatives."""
+
+    #: forward and to the left in m, and turn in rad, shape (3, n_samples)
+    body: FloatArray
+    #: derivatives of `body`, shape (n_parameters, 3, n_samples)
+    by_parameter: FloatArray
+
+
+class Drive(Protocol):
+    """What the estimate asks of a drive."""
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Parameters of the drive with their nominal values."""
+
+    def motion(self, values: FloatArray, steps: Steps) -> Motion:
+        """Return the motion of the body at parameter `values`, shape (n_parameters,)."""
+
+
+def _length(name: str, nominal_m: float) -> Parameter:
+    return Parameter(name, nominal_m, LENGTH_STD * nominal_m)
+
+
+@dataclass(frozen=True, slots=True)
+class Differential:
+    """Two wheels with encoders on one axle, driven or free: the rear wheels of a tricycle, or a differential drive.
+
+    With loads, the radius of each wheel is radius + slope (load - reference load).
+    """
+
+    radius_left_m: float
+    radius_right_m: float
+    track_m: float
+    slopes: bool = False
+    slope_left_m_per_N: float = 0.0
+    slope_right_m_per_N: float = 0.0
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Radii, track and, with loads, the slopes of the radii."""
+        base = (
+            _length("radius_left_m", self.radius_left_m),
+            _length("radius_right_m", self.radius_right_m),
+            _length("track_m", self.track_m),
+        )
+        if not self.slopes:
+            return base
+        return (
+            *base,
+            Parameter("slope_left_m_per_N", self.slope_left_m_per_N, SLOPE_STD_PER_N * self.radius_left_m),
+            Parameter("slope_right_m_per_N", self.slope_right_m_per_N, SLOPE_STD_PER_N * self.radius_right_m),
+        )
+
+    def motion(self, values: FloatArray, steps: Steps) -> Motion:
+        """Return the motion of the axle's middle (Eqs 8 and 9)."""
+        phi_left, phi_right = steps.turned_rad
+        radius_left, radius_right, track = values[0], values[1], values[2]
+        by_left, by_right = [phi_left], [phi_right]
+        if self.slopes:
+            if steps.load_offset_N is None:
+                raise ValueError("slopes need the wheel loads of every step")
+            by_left.append(phi_left * steps.load_offset_N[0])
+            by_right.append(phi_right * steps.load_offset_N[1])
+        left = radius_left * phi_left + (values[3] * by_left[1] if self.slopes else 0.0)
+        right = radius_right * phi_right + (values[4] * by_right[1] if self.slopes else 0.0)
+        turn = (right - left) / track
+        body = np.stack([0.5 * (left + right), np.zeros_like(turn), turn])
+        derivative = np.zeros((len(values), 3, len(turn)))
+        for order, (one, other) in enumerate(zip(by_left, by_right, strict=True)):
+            at_left, at_right = (0, 1) if order == 0 else (3, 4)
+            derivative[at_left, 0], derivative[at_left, 2] = 0.5 * one, -one / track
+            derivative[at_right, 0], derivative[at_right, 2] = 0.5 * other, other / track
+        derivative[2, 2] = -turn / track
+        return Motion(body, derivative)
+
+
+@dataclass(frozen=True, slots=True)
+class MeanHeld:
+    """Two wheels on one axle whose mean radius is held at its nominal value: what closed paths can determine.
+
+    A closed path closes at any scale: radii and track can all be larger alike. The left radius and the track remain;
+    the right radius is what the mean leaves.
+    """
+
+    wheels: Differential
+
+    @property
+    def mean_m(self) -> float:
+        """The mean radius."""
+        return 0.5 * (self.wheels.radius_left_m + self.wheels.radius_right_m)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Left radius and track."""
+        left, _, track = self.wheels.parameters
+        return left, track
+
+    def motion(self, values: FloatArray, steps: Steps) -> Motion:
+        """Return the motion of the axle's middle."""
+        left, track = values
+        full = self.wheels.motion(np.array([left, 2.0 * self.mean_m - left, track]), steps)
+        by_left = full.by_parameter[0] - full.by_parameter[1]
+        return Motion(full.body, np.stack([by_left, full.by_parameter[2]]))
+
+
+@dataclass(frozen=True, slots=True)
+class FrontWheel:
+    """A steered front wheel with encoder; the true steering angle is scale times the sensor's, plus zero."""
+
+    front_radius_m: float
+    wheelbase_m: float
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Front radius, wheelbase, zero and scale of the steering angle."""
+        return (
+            _length("front_radius_m", self.front_radius_m),
+            _length("wheelbase_m", self.wheelbase_m),
+            Parameter("steering_zero_rad", 0.0, STEERING_ZERO_STD_RAD),
+            Parameter(STEERING_SCALE, 1.0, STEERING_SCALE_STD),
+        )
+
+    def motion(self, values: FloatArray, steps: Steps) -> Motion:
+        """Return the motion of the rear axle's middle (Eqs 12 to 14)."""
+        if steps.steer_rad is None:
+            raise ValueError("a front wheel needs its steering angle in every step")
+        radius, wheelbase, zero, scale = values
+        phi = steps.turned_rad[0]
+        angle = scale * steps.steer_rad + zero
+        cosine, sine = np.cos(angle), np.sin(angle)
+        travel = radius * phi
+        body = np.stack([travel * cosine, np.zeros_like(travel), travel * sine / wheelbase])
+        derivative = np.zeros((4, 3, len(travel)))
+        derivative[0, 0], derivative[0, 2] = phi * cosine, phi * sine / wheelbase
+        derivative[1, 2] = -travel * sine / wheelbase**2
+        derivative[2, 0], derivative[2, 2] = -travel * sine, travel * cosine / wheelbase
+        derivative[3] = derivative[2] * steps.steer_rad
+        return Motion(body, derivative)
+
+
+@dataclass(frozen=True, slots=True)
+class Mecanum:
+    """Four wheels with rollers at 45 degrees: front left, front right, rear left, rear right; one radius for all."""
+
+    wheel_radius_m: float
+    half_length_plus_half_width_m: float
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Radius, and half the wheelbase plus half the track."""
+        return (
+            _length("wheel_radius_m", self.wheel_radius_m),
+            _length("half_length_plus_half_width_m", self.half_length_plus_half_width_m),
+        )
+
+    def motion(self, values: FloatArray, steps: Steps) -> Motion:
+        """Return the motion of the middle between the four wheels."""
+        radius, arm = values
+        front_left, front_right, rear_left, rear_right = steps.turned_rad
+        forward = 0.25 * (front_left + front_right + rear_left + rear_right)
+        left = 0.25 * (-front_left + front_right + rear_left - rear_right)
+        turn = 0.25 * (-front_left + front_right - rear_left + rear_right)
+        body = radius * np.stack([forward, left, turn / arm])
+        derivative = np.zeros((2, 3, len(turn)))
+        derivative[0] = np.stack([forward, left, turn / arm])
+        derivative[1, 2] = -radius * turn / arm**2
+        return Motion(body, derivative)
+
+
+#: turn of half a step below which the derivative of sin(h)/h is its series
+SMALL_RAD: Final = 1e-4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Path:
+    """Poses at the samples; runs continue one another, since only displacements within a run are used."""
+
+    #: x and y in m, heading in rad, shape (3, n_samples)
+    pose: FloatArray
+    #: derivatives of `pose`, shape (n_parameters, 3, n_samples)
+    by_parameter: FloatArray
+
+
+def integrate_motion(motion: Motion) -> Path:
+    """Integrate steps of constant twist: each is the chord of its arc, at the heading in its middle.
+
+    `motion`: motion of the body in each step.
+    """
+    forward, left, turn = motion.body
+    d_forward, d_left, d_turn = (motion.by_parameter[:, axis] for axis in range(3))
+    half = 0.5 * turn
+    ratio = np.sinc(half / np.pi)
+    near = np.abs(half) < SMALL_RAD
+    slope = np.where(near, -half / 3.0, (np.cos(half) - ratio) / np.where(near, 1.0, half))
+    theta = np.cumsum(turn)
+    cosine, sine = np.cos(theta - half), np.sin(theta - half)
+    along_x, along_y = forward * cosine - left * sine, forward * sine + left * cosine
+    pose = np.stack([np.cumsum(ratio * along_x), np.cumsum(ratio * along_y), theta])
+    d_theta = np.cumsum(d_turn, axis=1)
+    d_middle = d_theta - 0.5 * d_turn
+    d_ratio = slope * 0.5 * d_turn
+    d_x = d_ratio * along_x + ratio * (d_forward * cosine - d_left * sine - along_y * d_middle)
+    d_y = d_ratio * along_y + ratio * (d_forward * sine + d_left * cosine + along_x * d_middle)
+    return Path(pose, np.stack([np.cumsum(d_x, axis=1), np.cumsum(d_y, axis=1), d_theta], axis=1))
+
+
+def moved_between(pose: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
+    """Return displacements from poses `first` to poses `last` in the frames of the former, shape (n, 3)."""
+    delta = pose[:, last] - pose[:, first]
+    cosine, sine = np.cos(pose[2, first]), np.sin(pose[2, first])
+    return np.stack([cosine * delta[0] + sine * delta[1], cosine * delta[1] - sine * delta[0], delta[2]], axis=1)
+
+
+def displacement(
+    pose: FloatArray, by_parameter: FloatArray, first: IntArray, last: IntArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the displacement from pose `first` to pose `last` in the frame of the former, and its derivatives.
+
+    `pose` (shape (3, n)); `by_parameter` (shape (n_parameters, 3, n)): their derivatives; `first`, `last` (shape
+    (n_segments,)): which poses. Returns `moved` (shape (n_segments, 3)): forward, left, turn; `derivative` (shape
+    (n_segments, 3, n_parameters)): derivatives of `moved`.
+    """
+    delta = pose[:, last] - pose[:, first]
+    cosine, sine = np.cos(pose[2, first]), np.sin(pose[2, first])
+    forward, left = cosine * delta[0] + sine * delta[1], cosine * delta[1] - sine * delta[0]
+    d_delta = by_parameter[:, :, last] - by_parameter[:, :, first]
+    d_start = by_parameter[:, 2][:, first]
+    d_forward = cosine * d_delta[:, 0] + sine * d_delta[:, 1] + left * d_start
+    d_left = cosine * d_delta[:, 1] - sine * d_delta[:, 0] - forward * d_start
+    moved = np.stack([forward, left, delta[2]], axis=1)
+    return moved, np.stack([d_forward, d_left, d_delta[:, 2]], axis=0).transpose(2, 0, 1)

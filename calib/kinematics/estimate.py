@@ -1,0 +1,198 @@
+"""From a campaign to its geometry."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final, Literal, cast
+
+import numpy as np
+
+from calib.campaign.wheels import odometry_source
+from calib.kinematics.assemble import geometry_of, of_kinds
+from calib.kinematics.blunders import Fault, put_right
+from calib.kinematics.delays import Delay, own_delays, sought_delays
+from calib.kinematics.drives import Drive, integrate_motion, moved_between
+from calib.kinematics.joint_fit import Fitted, drive_of, fit_parameters
+from calib.kinematics.model import Model
+from calib.kinematics.recording import Recording, Segments, end_pose_segments, recording_of, window_segments
+from calib.kinematics.result import Geometry, RunPath, Transfer
+from calib.kinematics.uncertainty import ENOUGH_RUNS
+from calib.types import FloatArray, Progress, silent, stepped
+
+if TYPE_CHECKING:
+    from calib.campaign.model import Campaign
+
+Using = Literal["end_poses", "windows"]
+
+#: blocks that windows of a few long recordings are laid in, coarse to fine; many runs are blocks themselves
+BLOCKS: Final = (40, 160, 640)
+#: a finer division is taken where its intervals are at most this much wider: a failed measurement then spoils less, and
+#: a standard deviation from some dozens of blocks is itself known to 15 %
+AS_GOOD: Final = 1.25
+#: fits in which each recording's own delay is found, where one for all will not do
+DELAY_ROUNDS: Final = 3
+
+
+def estimate_geometry(
+    campaign: Campaign,
+    *,
+    using: Using | None = None,
+    kinds: Sequence[str] = (),
+    sensor: bool | None = None,
+    leave_out: Literal["session", "kind", "run_id"] | None = None,
+    progress: Progress = silent,
+) -> Geometry:
+    """Estimate radii and track, or what the drive has in their place, together with the reference's sensor.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        Runs with logs of the wheels, and end poses or poses along the way.
+    using : {"end_poses", "windows"}, optional
+        Whole runs, or windows of several lengths. None: end poses where eight runs or more have one, since they ask
+        nothing of clocks; else windows where the reference follows the vehicle along the way.
+    kinds : sequence of str
+        Kinds of routes to use; none: all.
+    sensor : bool, optional
+        Estimate the sensor's pose on the vehicle and its delay; None: with windows.
+    leave_out : {"session", "kind", "run_id"}, optional
+        Leave each of these out in turn and say the end position error of the held-out runs, before and after.
+    progress : callable
+        See `calib.types.Progress`.
+
+    Returns
+    -------
+    Geometry
+        Values with intervals, what stayed undetermined, residuals by route.
+
+    Raises
+    ------
+    RefusedError
+        Where no run has wheels and a reference, or nothing can be determined.
+    """
+    campaign = of_kinds(campaign, kinds)
+    source = odometry_source(campaign)
+    recording = recording_of(campaign, source)
+    recording = recording.unwrapped(_turns(drive_of(campaign, source, recording), recording))
+    way = using or _way(recording)
+    divisions = _divisions(recording, way)
+    coarse = next(divisions)
+    recording, faults = put_right(recording, coarse, source, drive_of(campaign, source, recording))
+    drive = drive_of(campaign, source, recording)
+    estimated = (way == "windows") if sensor is None else sensor
+    progress(0, 0, "fits")
+    chosen = fit_parameters(campaign, drive, recording, coarse, estimated)
+    for number, segments in enumerate(divisions, start=1):
+        progress(number, 0, "fits")
+        # from where the coarser one ended: over short windows a delay of many steps is not found from zero
+        other = fit_parameters(campaign, drive, recording, segments, estimated, start=chosen)
+        if other.spread > chosen.spread + np.log(AS_GOOD):
+            break
+        chosen = other
+    chosen, delays = _with_own_delays(campaign, chosen, estimated) if way == "windows" else (chosen, ())
+    geometry = replace(geometry_of(campaign, chosen, source, way, faults), delays=delays)
+    if leave_out is not None:
+        transfer = _transfer(campaign, geometry, estimated, leave_out, progress)
+        geometry = replace(geometry, transfer=transfer)
+    return geometry
+
+
+def _with_own_delays(campaign: Campaign, common: Fitted, sensor: bool) -> tuple[Fitted, tuple[Delay, ...]]:
+    """Return the estimate with a delay for each recording, where one for all will not do, and these delays."""
+    fitted = common
+    delays: tuple[Delay, ...] = ()
+    added = sought_delays(common.model, common.solution, common.parameters)
+    for number in range(DELAY_ROUNDS):
+        if number or not added.any():
+            delays, added = own_delays(fitted.model, fitted.solution, fitted.parameters)
+            if not delays:
+                return common, ()
+        recording = replace(fitted.model.recording, own_delay_s=added)
+        fitted = fit_parameters(campaign, fitted.model.drive, recording, fitted.model.segments, sensor, start=fitted)
+    return fitted, delays
+
+
+def _way(recording: Recording) -> Using:
+    ends = int(np.isfinite(recording.end_pose[:, :2]).all(axis=1).sum())
+    return "windows" if recording.continuous and ends < ENOUGH_RUNS else "end_poses"
+
+
+def _turns(drive: Drive, recording: Recording) -> FloatArray:
+    """Return the turn of each run by the nominal vehicle."""
+    nominal = np.array([item.nominal for item in drive.parameters])
+    turn = drive.motion(nominal, recording.steps).body[2]
+    return np.add.reduceat(turn, recording.offsets[:-1])
+
+
+def _divisions(recording: Recording, using: Using) -> Iterator[Segments]:
+    """Yield stretches: whole runs, or windows in ever finer divisions."""
+    if using == "end_poses":
+        yield end_pose_segments(recording)
+        return
+    if len(recording) >= ENOUGH_RUNS:
+        yield window_segments(recording, len(recording))
+        return
+    before = 0
+    for blocks in BLOCKS:
+        segments = window_segments(recording, blocks)
+        count = len(np.unique(segments.block))
+        if count > before:
+            yield segments
+        before = count
+
+
+def recordings_put_right(campaign: Campaign, source: str) -> tuple[Recording, tuple[Fault, ...]]:
+    """Return wheels and reference with blunders corrected, and these faults."""
+    recording = recording_of(campaign, source)
+    divisions = _divisions(recording, _way(recording))
+    return put_right(recording, next(divisions), source, drive_of(campaign, source, recording))
+
+
+def _transfer(
+    campaign: Campaign, whole: Geometry, sensor: bool, leave_out: str, progress: Progress
+) -> tuple[Transfer, ...]:
+    """Return the end position errors of held-out runs in turn."""
+    source = whole.source
+    campaign = campaign.included()
+    labels = campaign.runs.label(leave_out)
+    rows = []
+    for label in stepped(dict.fromkeys(labels), progress, "held out in turn"):
+        away = labels == label
+        rest, tried = recording_of(campaign.select(~away), source), recording_of(campaign.select(away), source)
+        drive = drive_of(campaign, source, rest)
+        fitted = fit_parameters(campaign, drive, rest, next(_divisions(rest, cast(Using, whole.using))), sensor)
+        model = Model(fitted.model.drive, tried, end_pose_segments(tried))
+        errors = [
+            float(np.sqrt(np.mean(np.square(model.predict(values).residuals[:, :2]).sum(axis=1))))
+            for values in (fitted.parameters.nominal, fitted.solution.values)
+        ]
+        rows.append(Transfer(str(label), len(tried), errors[0], errors[1]))
+    return tuple(rows)
+
+
+def paths_of(campaign: Campaign, geometry: Geometry) -> tuple[RunPath, ...]:
+    """Return the paths of the runs of a campaign.
+
+    `campaign`: the one that was calibrated.
+    """
+    recording, _ = recordings_put_right(campaign, geometry.source)
+    drive = drive_of(campaign, geometry.source, recording)
+    values = geometry.values
+    nominal = np.array([item.nominal for item in drive.parameters])
+    fitted = np.array([values.get(item.name, item.nominal) for item in drive.parameters])
+    poses = [integrate_motion(drive.motion(at, recording.steps)).pose for at in (nominal, fitted)]
+    paths = []
+    for run in range(len(recording)):
+        part = slice(int(recording.offsets[run]), int(recording.offsets[run + 1]))
+        before, after = (_from_start(pose[:, part]) for pose in poses)
+        seen = recording.reference[:, part]
+        seen = seen[:, np.isfinite(seen).all(axis=0)]
+        reference = _from_start(seen) if seen.shape[1] > 1 else recording.end_pose[run : run + 1, :2]
+        paths.append(RunPath(str(recording.run_id[run]), str(recording.kind[run]), before, after, reference))
+    return tuple(paths)
+
+
+def _from_start(pose: FloatArray) -> FloatArray:
+    samples = np.arange(pose.shape[1])
+    return np.asarray(moved_between(pose, np.zeros_like(samples), samples)[:, :2])

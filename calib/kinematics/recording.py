@@ -1,0 +1,363 @@
+"""From a campaign to arrays: wheel travel, reference poses, and the segments of runs that are compared."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from calib.campaign.wheels import WHEEL_COLUMNS
+from calib.errors import RefusedError
+from calib.kinematics.drives import Steps, moved_between
+from calib.types import BoolArray, FloatArray, IntArray, StrArray
+
+if TYPE_CHECKING:
+    from calib.campaign.model import Campaign
+
+REFERENCE: Final = ("ref_x_m", "ref_y_m", "ref_theta_rad")
+#: kinds of runs that were led along a line, and the turn by nominal wheels up to which that is believed
+LED: Final = ("corridor", "straight", "line")
+LED_RAD: Final = 1.2
+#: turn of a run of which only the end counts are known, up to which it is taken for one arc
+ONE_ARC_RAD: Final = 0.2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """Wheels and reference of a campaign's runs."""
+
+    #: labels of the runs, shape (n_runs,)
+    run_id: StrArray
+    session: StrArray
+    kind: StrArray
+    #: samples of run i stand at ``offsets[i]:offsets[i + 1]``, shape (n_runs + 1,)
+    offsets: IntArray
+    #: time since the run's start, shape (n_samples,)
+    t_s: FloatArray
+    #: what the wheels did from sample to sample
+    steps: Steps
+    #: pose by the reference at the samples, heading not wrapped; NaN where it has none, shape (3, n_samples)
+    reference: FloatArray
+    #: end pose against the start by the reference; NaN where it was not measured. Of a straight run whose length alone
+    #: was measured, that is the way ahead, shape (n_runs, 3)
+    end_pose: FloatArray
+    #: runs that cannot be used: id and reason
+    left_out: tuple[tuple[str, str], ...] = ()
+    #: what each run's delay of the reference adds to the common one; None: nothing, shape (n_runs,)
+    own_delay_s: FloatArray | None = None
+
+    def __len__(self) -> int:
+        return len(self.run_id)
+
+    @property
+    def run(self) -> IntArray:
+        """Number of the run of each sample, shape (n_samples,)."""
+        return np.repeat(np.arange(len(self)), np.diff(self.offsets)).astype(np.int64)
+
+    @property
+    def delay_added_s(self) -> FloatArray:
+        """What each run's delay adds to the common one, shape (n_runs,)."""
+        return np.zeros(len(self)) if self.own_delay_s is None else self.own_delay_s
+
+    @property
+    def travel_rad(self) -> FloatArray:
+        """Angle that the wheels turned on average since the run's start, without sign, shape (n_samples,)."""
+        total = np.cumsum(np.abs(self.steps.turned_rad).mean(axis=0))
+        return np.asarray(total - np.repeat(total[self.offsets[:-1]], np.diff(self.offsets)))
+
+    @property
+    def continuous(self) -> bool:
+        """Whether the reference follows the vehicle along the way, in half of the runs at least."""
+        has = np.isfinite(self.reference).all(axis=0)
+        counts = np.add.reduceat(has.astype(np.int64), self.offsets[:-1])
+        return bool(np.mean(counts >= MANY_POSES) >= 0.5)
+
+    def unwrapped(self, turn_rad: FloatArray) -> Recording:
+        """Return the recording with whole turns added to end headings, where the reference states them within a half.
+
+        `turn_rad` (shape (n_runs,)): turn of each run by its wheels.
+        """
+        heading = self.end_pose[:, 2]
+        within = np.abs(heading) <= np.pi + 1e-6
+        if not within[np.isfinite(heading)].all() or not np.any(np.abs(turn_rad[np.isfinite(heading)]) > 1.5 * np.pi):
+            return self
+        end_pose = self.end_pose.copy()
+        end_pose[:, 2] += 2.0 * np.pi * np.rint((turn_rad - heading) / (2.0 * np.pi))
+        return replace(self, end_pose=end_pose)
+
+    def with_turned(self, turned_rad: FloatArray) -> Recording:
+        """Return the recording with other wheel turns (sides swapped, say)."""
+        return replace(self, steps=replace(self.steps, turned_rad=turned_rad))
+
+
+#: poses of a run that make a reference a continuous one
+MANY_POSES: Final = 20
+
+
+def recording_of(campaign: Campaign, source: str) -> Recording:
+    """Return wheels and reference of the runs that are not excluded.
+
+    `campaign`: with logs; a straight run may have its end counts alone; `source` ({"rear", "front", "wheels"}): which
+    wheels drive the odometry. Raises RefusedError where no run has both wheels and a reference.
+    """
+    campaign = campaign.included()
+    per_rev = _counts_per_rev(campaign, source)
+    pieces: list[dict[str, Any]] = []
+    left_out: list[tuple[str, str]] = []
+    rows: list[int] = []
+    for row in range(len(campaign.runs)):
+        piece = _piece(campaign, row, source, per_rev)
+        if isinstance(piece, str):
+            left_out.append((str(campaign.runs.run_id[row]), piece))
+        else:
+            pieces.append(piece)
+            rows.append(row)
+    if not pieces:
+        reason = f"; the first, {left_out[0][0]}: {left_out[0][1]}" if left_out else ""
+        raise RefusedError(
+            f"geometry of {campaign.name!r}: found no run with wheels and a reference pose{reason}; expected logs with "
+            f"{', '.join(WHEEL_COLUMNS[source])} and end poses or ref_ columns; measure where runs end (ref_x_m, "
+            "ref_y_m, ref_theta_rad)"
+        )
+    runs = campaign.runs.select(np.array(rows))
+    lengths = np.array([piece["turned"].shape[1] for piece in pieces])
+    steer = [piece["steer"] for piece in pieces]
+    loads = [piece["loads"] for piece in pieces]
+    return Recording(
+        run_id=runs.run_id,
+        session=runs.label("session"),
+        kind=runs.label("kind"),
+        offsets=np.concatenate(([0], np.cumsum(lengths))).astype(np.int64),
+        t_s=np.concatenate([piece["t_s"] for piece in pieces]),
+        steps=Steps(
+            turned_rad=np.concatenate([piece["turned"] for piece in pieces], axis=1),
+            steer_rad=np.concatenate(steer) if all(angles is not None for angles in steer) else None,
+            load_offset_N=np.concatenate(loads, axis=1) if all(pair is not None for pair in loads) else None,
+        ),
+        reference=np.concatenate([piece["reference"] for piece in pieces], axis=1),
+        end_pose=np.stack([piece["end_pose"] for piece in pieces]),
+        left_out=tuple(left_out),
+    )
+
+
+def _counts_per_rev(campaign: Campaign, source: str) -> FloatArray:
+    encoder = campaign.encoder
+    left, right = encoder.counts_per_rev_left, encoder.counts_per_rev_right
+    return np.array({"rear": (left, right), "front": (encoder.front,), "wheels": (left, right, left, right)}[source])
+
+
+def _piece(campaign: Campaign, row: int, source: str, per_rev: FloatArray) -> dict[str, Any] | str:
+    """Return the arrays of one run, or why it cannot be used."""
+    log = campaign.logs.of(row)
+    names = WHEEL_COLUMNS[source]
+    runs = campaign.runs
+    end = np.array([runs.number(name)[row] for name in REFERENCE])
+    if not all(name in log for name in names):
+        return _end_counts(campaign, row, source, per_rev, end)
+    counts = np.stack([log[name] for name in names])
+    keep: BoolArray = np.asarray(np.isfinite(counts).all(axis=0))
+    steer = log.get("steer_rad") if source == "front" else None
+    if source == "front":
+        if steer is None:
+            return "its log has no steer_rad"
+        keep &= np.isfinite(steer)
+    if keep.sum() < 2:
+        return "its log has fewer than two samples with counts"
+    reference = np.full((3, len(keep)), np.nan)
+    for axis, name in enumerate(REFERENCE):
+        if name in log:
+            reference[axis] = _unwrapped(log[name]) if axis == 2 else log[name]
+    turned = 2.0 * np.pi * np.diff(counts[:, keep], axis=1, prepend=counts[:, keep][:, :1]) / per_rev[:, None]
+    reference = reference[:, keep]
+    if np.isnan(end).any():
+        end = _last_pose(reference)
+    if np.isnan(end[:2]).any() and not np.isfinite(reference[:2]).all(axis=0).any():
+        end = _straight_end(campaign, row, source, turned.sum(axis=1))
+        if np.isnan(end[0]):
+            return "nothing says where it ended: no ref_ columns, and no distance_m of a straight run"
+    middle = None if steer is None else _middle(steer[keep])
+    return {
+        "t_s": log["t_s"][keep] - log["t_s"][keep][0],
+        "turned": turned,
+        "steer": middle,
+        "loads": _loads(campaign, row, log, keep),
+        "reference": reference,
+        "end_pose": end,
+    }
+
+
+def _end_counts(
+    campaign: Campaign, row: int, source: str, per_rev: FloatArray, end: FloatArray
+) -> dict[str, Any] | str:
+    """Return a run without log as one arc, where it is straight enough."""
+    if source != "rear":
+        return f"its log lacks {' or '.join(WHEEL_COLUMNS[source])}"
+    runs = campaign.runs
+    counts = np.array([runs.number(name)[row] for name in WHEEL_COLUMNS[source]])
+    if np.isnan(counts).any():
+        return "it has no log and no end counts"
+    if np.isnan(end).any():
+        end = _straight_end(campaign, row, source, 2.0 * np.pi * counts / per_rev)
+    if np.isnan(end[0]):
+        return "it has no log, and no end pose or distance_m of a straight run"
+    if abs(end[2]) > ONE_ARC_RAD:
+        return "it turns and has no log: its path cannot be computed from end counts"
+    turned = np.stack([np.zeros(2), 2.0 * np.pi * counts / per_rev], axis=1)
+    return {
+        "t_s": np.array([0.0, 1.0]),
+        "turned": turned,
+        "steer": None,
+        "loads": _loads(campaign, row, {}, np.ones(2, dtype=np.bool_)),
+        "reference": np.full((3, 2), np.nan),
+        "end_pose": end,
+    }
+
+
+def _straight_end(campaign: Campaign, row: int, source: str, turned_rad: FloatArray) -> FloatArray:
+    """Return the way ahead of a straight run by its measured length, nothing said of the rest; NaN for other runs.
+
+    `campaign`: its row says a ``distance_m`` where one was measured; `row`: number of the run; `source`: only two
+    wheels on one axle tell by themselves whether a run was straight; `turned_rad` (shape (2,)): angle that each wheel
+    turned in all.
+    """
+    model, end = campaign.model, np.full(3, np.nan)
+    if source != "rear":
+        return end
+    left, right = turned_rad * np.array([model.radius_left_m, model.radius_right_m])
+    kind = str(campaign.runs.label("kind")[row]).lower()
+    # unequal radii bend what the nominal vehicle makes of a corridor
+    straight = abs(right - left) / model.track_m < (LED_RAD if kind.startswith(LED) else ONE_ARC_RAD)
+    if straight:
+        end[0] = campaign.runs.number("distance_m")[row] * np.sign(left + right)
+    return end
+
+
+def _loads(campaign: Campaign, row: int, log: dict[str, FloatArray], keep: BoolArray) -> FloatArray | None:
+    """Return the loads less the reference load: of the log, else of the run table."""
+    loads = []
+    for name in ("load_left_N", "load_right_N"):
+        load = log[name][keep] if name in log else np.full(int(keep.sum()), campaign.runs.number(name)[row])
+        if np.isnan(load).any():
+            return None
+        loads.append(load)
+    return np.stack(loads) - campaign.model.reference_load_N
+
+
+def _middle(steer: FloatArray) -> FloatArray:
+    """Return the steering angle in the middle of each step."""
+    return np.concatenate([steer[:1], 0.5 * (steer[1:] + steer[:-1])])
+
+
+def _unwrapped(theta: FloatArray) -> FloatArray:
+    good = np.isfinite(theta)
+    unwrapped = theta.copy()
+    unwrapped[good] = np.unwrap(theta[good])
+    return unwrapped
+
+
+def _last_pose(reference: FloatArray) -> FloatArray:
+    """Return the last pose of a continuous reference in the frame of the first, where both stand at the run's ends."""
+    good = np.flatnonzero(np.isfinite(reference).all(axis=0))
+    if len(good) < 2 or good[0] != 0 or good[-1] != reference.shape[1] - 1:
+        return np.full(3, np.nan)
+    return np.asarray(moved_between(reference, good[:1], good[-1:])[0])
+
+
+#: windows as parts of a block: whole, half, quarter
+LEVELS: Final = (1.0, 0.5, 0.25)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Segments:
+    """Stretches and what the reference says of them."""
+
+    #: number of the run, first and last sample, shape (n,)
+    run: IntArray
+    first: IntArray
+    last: IntArray
+    #: displacement of the sensor in its own frame at the start: forward, left, turn, shape (n, 3)
+    measured: FloatArray
+    #: which of these were measured, shape (n, 3)
+    seen: BoolArray
+    #: stretches of one block share their noise; they are nested in it, shape (n,)
+    block: IntArray
+    #: 0 for the longest windows, shape (n,)
+    level: IntArray
+
+    def __len__(self) -> int:
+        return len(self.run)
+
+    def are_runs_of(self, recording: Recording) -> bool:
+        """Return whether the stretches are whole runs."""
+        return bool(np.array_equal(self.first, recording.offsets[self.run]))
+
+    def select(self, keep: BoolArray) -> Segments:
+        """Return the stretches that `keep` picks."""
+        return Segments(*(getattr(self, column.name)[keep] for column in fields(self)))
+
+
+def end_pose_segments(recording: Recording) -> Segments:
+    """Return each run with an end pose as one stretch.
+
+    Raises RefusedError where no run has an end pose.
+    """
+    runs = np.flatnonzero(np.isfinite(recording.end_pose[:, 0]))
+    if not len(runs):
+        raise RefusedError("end poses: found none; expected ref_x_m, ref_y_m, ref_theta_rad of some runs; measure them")
+    measured = recording.end_pose[runs]
+    return Segments(
+        run=runs,
+        first=recording.offsets[runs],
+        last=recording.offsets[runs + 1] - 1,
+        measured=np.nan_to_num(measured),
+        seen=np.isfinite(measured),
+        block=np.arange(len(runs)),
+        level=np.zeros(len(runs), dtype=np.int64),
+    )
+
+
+def window_segments(recording: Recording, blocks: int) -> Segments:
+    """Return windows of three lengths, nested in blocks of equal travel.
+
+    `recording`: with a reference along the way; `blocks`: how many blocks all runs together are cut into, about; a run
+    is one at least. Raises RefusedError where the reference follows the vehicle nowhere.
+
+    The travel of the wheels, not the time, sets the length, so that a standing vehicle makes no windows. Shorter
+    windows overlap by half. No window reaches over the end of its block.
+    """
+    good: BoolArray = np.asarray(np.isfinite(recording.reference).all(axis=0))
+    travel = recording.travel_rad
+    ends = np.array([travel[stop - 1] for stop in recording.offsets[1:]])
+    length = float(ends.sum()) / max(blocks, 1)
+    pieces: list[tuple[IntArray, IntArray, IntArray, IntArray, IntArray]] = []
+    block = 0
+    for run in range(len(recording)):
+        samples = np.flatnonzero(good[recording.offsets[run] : recording.offsets[run + 1]]) + recording.offsets[run]
+        if len(samples) < 2 or length <= 0.0:
+            continue
+        n_blocks = max(1, round(float(ends[run]) / length))
+        edges = np.linspace(travel[samples[0]], travel[samples[-1]], n_blocks + 1)
+        low, size = edges[:-1, None], np.diff(edges)[:, None]
+        for level, share in enumerate(LEVELS):
+            starts = np.arange(0.0, 1.0 - share + 1e-9, 0.5 * share if share < 1.0 else 1.0)
+            first = samples[_nearest(travel[samples], (low + starts * size).ravel())]
+            last = samples[_nearest(travel[samples], (low + (starts + share) * size).ravel())]
+            real = last > first
+            n, of = int(real.sum()), np.repeat(block + np.arange(n_blocks), len(starts))
+            pieces.append((first[real], last[real], np.full(n, run), of[real], np.full(n, level)))
+        block += n_blocks
+    if not pieces or not sum(len(piece[0]) for piece in pieces):
+        raise RefusedError(
+            "windows: found no reference along the way; expected ref_x_m, ref_y_m, ref_theta_rad in logs; "
+            "use end poses instead"
+        )
+    first, last, run_of, block_of, level_of = (np.concatenate(part) for part in zip(*pieces, strict=True))
+    measured = moved_between(recording.reference, first, last)
+    return Segments(run_of, first, last, measured, np.ones(measured.shape, dtype=np.bool_), block_of, level_of)
+
+
+def _nearest(travel: FloatArray, wanted: FloatArray) -> IntArray:
+    """Return the samples where the travel is nearest to `wanted`."""
+    after = np.clip(np.searchsorted(travel, wanted), 1, len(travel) - 1)
+    return np.asarray(after - (wanted - travel[after - 1] < travel[after] - wanted))

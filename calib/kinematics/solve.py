@@ -1,0 +1,301 @@
+"""Robust Gauss-Newton with noise that grows along the path: the components of the covariance, and the solution."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from calib.kinematics.drives import Parameters, Path
+from calib.kinematics.model import Model, Prediction
+from calib.kinematics.recording import Segments
+from calib.types import BoolArray, FloatArray, IntArray
+
+#: variances that make up the covariance of a displacement: of position and heading by the reference (m^2, rad^2),
+#: of the random walks of heading and of distance (rad^2/m, m^2/m)
+COMPONENTS: Final = ("reference_xy", "reference_theta", "heading_walk", "along_walk")
+#: how far below its stated size a component may fall
+LEAST: Final = 1e-4
+#: 0.5 would never lower the likelihood but creeps
+POWER: Final = 0.9
+
+
+def kernels(path: Path, body: FloatArray, segments: Segments, yaw_rad: float) -> FloatArray:
+    """Return the covariance of each displacement for each component of unit size.
+
+    `path`: poses at the samples; `body` (shape (3, n_samples)): motion of the body in each step; `yaw_rad`: yaw of the
+    sensor on the vehicle. Shape (4, n, 3, 3): in the order of `COMPONENTS`, in the sensor's frame at the start of the
+    stretch.
+    """
+    n = len(segments)
+    kernel = np.zeros((len(COMPONENTS), n, 3, 3))
+    forward, left = segments.measured[:, 0], segments.measured[:, 1]
+    kernel[0, :, 0, 0] = kernel[0, :, 1, 1] = 2.0
+    start = np.stack([left, -forward, -np.ones(n)], axis=1)
+    kernel[1] = start[:, :, None] * start[:, None, :]
+    kernel[1, :, 2, 2] += 1.0
+    walk, along = _walks(path, body, segments)
+    turn = path.pose[2, segments.first] + yaw_rad
+    rotate = np.zeros((n, 3, 3))
+    rotate[:, 0, 0] = rotate[:, 1, 1] = np.cos(turn)
+    rotate[:, 0, 1], rotate[:, 1, 0] = np.sin(turn), -np.sin(turn)
+    rotate[:, 2, 2] = 1.0
+    for at, covariance in ((2, walk), (3, along)):
+        kernel[at] = rotate @ covariance @ rotate.transpose(0, 2, 1)
+    unseen = ~segments.seen
+    for component in kernel:
+        component[unseen] = 0.0
+        component.transpose(0, 2, 1)[unseen] = 0.0
+    return kernel
+
+
+def _walks(path: Path, body: FloatArray, segments: Segments) -> tuple[FloatArray, FloatArray]:
+    """Return covariances of the end pose, in the path's own frame, of unit walks of heading and distance."""
+    x, y, theta = path.pose
+    # a turn on the spot makes noise too: a radian counts as a metre of a hand's width
+    weight = np.hypot(body[0], body[1]) + 0.1 * np.abs(body[2])
+    first, last = segments.first, segments.last
+
+    def between(values: FloatArray) -> FloatArray:
+        total = np.cumsum(values)
+        return np.asarray(total[last] - total[first])
+
+    zero = between(weight)
+    dx, dy = x[last] - x[first], y[last] - y[first]
+    # moments about the start of each stretch, in two steps so that nothing large cancels
+    mx, my = between(weight * x), between(weight * y)
+    one_x, one_y = mx - zero * x[first], my - zero * y[first]
+    two_xx = between(weight * x * x) - 2 * x[first] * mx + zero * x[first] ** 2
+    two_yy = between(weight * y * y) - 2 * y[first] * my + zero * y[first] ** 2
+    two_xy = between(weight * x * y) - x[first] * my - y[first] * mx + zero * x[first] * y[first]
+    # a kick of heading at (x, y) moves the end by (-(y_end - y), x_end - x)
+    a, b = -(dy * zero - one_y), dx * zero - one_x
+    aa = dy * dy * zero - 2 * dy * one_y + two_yy
+    bb = dx * dx * zero - 2 * dx * one_x + two_xx
+    ab = -(dx * dy * zero - dy * one_x - dx * one_y + two_xy)
+    walk = np.empty((len(segments), 3, 3))
+    walk[:, 0, 0], walk[:, 1, 1], walk[:, 2, 2] = np.maximum(aa, 0.0), np.maximum(bb, 0.0), zero
+    walk[:, 0, 1] = walk[:, 1, 0] = ab
+    walk[:, 0, 2] = walk[:, 2, 0] = a
+    walk[:, 1, 2] = walk[:, 2, 1] = b
+    along = np.zeros((len(segments), 3, 3))
+    cosine, sine = np.cos(theta), np.sin(theta)
+    along[:, 0, 0], along[:, 1, 1] = between(weight * cosine**2), between(weight * sine**2)
+    along[:, 0, 1] = along[:, 1, 0] = between(weight * cosine * sine)
+    return walk, along
+
+
+def covariances(kernel: FloatArray, scales: FloatArray, seen: BoolArray) -> FloatArray:
+    """Return the covariance of each displacement, shape (n, 3, 3); 1 on the diagonal where nothing was measured."""
+    total = np.asarray(np.einsum("c,cnij->nij", scales, kernel), dtype=np.float64)
+    diagonal = np.arange(3)
+    total[:, diagonal, diagonal] += np.where(seen, 1e-18, 1.0)
+    return total
+
+
+def update_scales(kernel: FloatArray, scales: FloatArray, inverse: FloatArray, whitened: FloatArray) -> FloatArray:
+    """Return better variances of the components: one step that never lowers the likelihood (Zhou et al. 2019).
+
+    `kernel` (shape (4, n, 3, 3)); `scales` (shape (4,)): variances now; `inverse` (shape (n, 3, 3)): inverse
+    covariances at `scales`; `whitened` (shape (n, 3)): inverse covariances times residuals, times the square root of
+    the robust weights.
+    """
+    outer = (whitened[:, :, None] * whitened[:, None, :]).ravel()
+    flat = kernel.reshape(len(kernel), -1)
+    size, trace = flat @ outer, flat @ inverse.ravel()
+    return np.asarray(scales * np.clip(size / np.where(trace > 0.0, trace, 1.0), 0.05, 20.0) ** POWER)
+
+
+#: degrees of freedom of the Student t
+DEGREES: Final = 5.0
+#: linearisations; those in which the noise is estimated too; steps within one
+ROUNDS: Final = 15
+NOISE_ROUNDS: Final = 4
+INNER: Final = 40
+#: stretches from which the noise is estimated; more of them cost time and tell nothing new about four numbers
+NOISE_STRETCHES: Final = 500
+#: a step below this part of a standard deviation ends the search; one below it squared ends the steps within
+CLOSE: Final = 1e-3
+#: a change of the noise's variances below this ends the inner steps, relative
+STEADY: Final = 1e-2
+#: strength of the pull to the nominal values, in parts of the information there is; only for solvability
+RIDGE: Final = 1e-10
+#: longest step, in spreads of what is possible
+LONGEST: Final = 3.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """Where the search ended."""
+
+    #: all parameters; those not free at their nominal value, shape (n_parameters,)
+    values: FloatArray
+    #: at `values`
+    prediction: Prediction
+    #: variances of the noise's components, shape (4,)
+    scales: FloatArray
+    #: turns residuals into ones of unit covariance, shape (n, 3, 3)
+    whitener: FloatArray
+    #: robust weights, shape (n,)
+    weights: FloatArray
+    #: squared whitened residuals, rescaled so that their middle is where normal noise has it, shape (n,)
+    squares: FloatArray
+    #: whether the last step was small
+    converged: bool
+
+
+def solve(model: Model, parameters: Parameters, start: FloatArray, scales: FloatArray) -> Solution:
+    """Return the parameters that the data make most likely.
+
+    `model`: predicts displacements; `start` (shape (n_parameters,)): where to begin; `scales` (shape (4,)): variances
+    of the noise's components to begin with.
+    """
+    values, least = start.copy(), LEAST * scales
+    free, prior = parameters.free, parameters.prior_std
+    seen = model.segments.seen
+    size = seen.sum(axis=1)
+    prediction, converged = model.predict(values), False
+    for number in range(ROUNDS):
+        if number < NOISE_ROUNDS:
+            kernel = _kernel(model, prediction, values)
+        problem = _Linear(prediction.residuals, prediction.jacobian[:, :, free] * prior[free], seen, size)
+        if number < NOISE_ROUNDS:
+            some = slice(None, None, max(1, len(size) // NOISE_STRETCHES))
+            scales = _noise(problem.part(some), kernel[:, some], scales, least)
+            whitener = _inverse(kernel, scales, seen)[1]
+        spreads, sigmas = _settle(problem, whitener)
+        step = np.zeros(len(values))
+        step[free] = spreads * prior[free]
+        if number >= NOISE_ROUNDS - 1 and sigmas < CLOSE:
+            converged = True
+            break
+        values, prediction, moved = _advance(model, (values, prediction), step, prior, _judge(whitener, size))
+        if not moved:
+            break
+    weights, squares = _weights(whitener, prediction.residuals, size)
+    return Solution(values, prediction, scales, whitener, weights, _centred(squares, size), converged)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Linear:
+    """The problem made linear: residuals, derivatives by parameters in units of their spread, what was measured."""
+
+    residuals: FloatArray
+    jacobian: FloatArray
+    seen: BoolArray
+    size: IntArray
+
+    def part(self, some: slice) -> _Linear:
+        """Return the problem of some of the stretches."""
+        return _Linear(self.residuals[some], self.jacobian[some], self.seen[some], self.size[some])
+
+
+def _settle(problem: _Linear, whitener: FloatArray) -> tuple[FloatArray, float]:
+    """Return the step, in spreads, that the linear problem asks for at known noise, and its length in sigmas."""
+    step = np.zeros(problem.jacobian.shape[2])
+    jacobian = whitener @ problem.jacobian
+    residuals = np.einsum("nij,nj->ni", whitener, problem.residuals)
+    for _ in range(INNER):
+        squares = np.square(residuals - jacobian @ step).sum(axis=1)
+        before, step = step, _weighted(jacobian, residuals, (DEGREES + problem.size) / (DEGREES + squares))
+        if float(np.linalg.norm(jacobian @ (step - before))) < CLOSE**2:
+            break
+    return step, float(np.linalg.norm(jacobian @ step))
+
+
+def _weighted(jacobian: FloatArray, residuals: FloatArray, weights: FloatArray) -> FloatArray:
+    """Return the weighted least-squares solution of whitened equations."""
+    n_free = jacobian.shape[2]
+    root = np.sqrt(weights)[:, None]
+    flat = (jacobian * root[:, :, None]).reshape(-1, n_free)
+    normal = flat.T @ flat
+    normal[np.diag_indices_from(normal)] += RIDGE * max(float(np.trace(normal)) / max(n_free, 1), 1.0)
+    return np.asarray(np.linalg.solve(normal, flat.T @ (residuals * root).ravel()))
+
+
+def _noise(problem: _Linear, kernel: FloatArray, scales: FloatArray, least: FloatArray) -> FloatArray:
+    """Return the noise's variances that the linear problem asks for, together with its step."""
+    step = np.zeros(problem.jacobian.shape[2])
+    for _ in range(INNER):
+        inverse, whitener = _inverse(kernel, scales, problem.seen)
+        rest = problem.residuals - problem.jacobian @ step
+        weights = _weights(whitener, rest, problem.size)[0]
+        residuals = np.einsum("nij,nj->ni", whitener, problem.residuals)
+        step = _weighted(whitener @ problem.jacobian, residuals, weights)
+        rest = problem.residuals - problem.jacobian @ step
+        pulled = np.einsum("nij,nj->ni", inverse, rest) * np.sqrt(_weights(whitener, rest, problem.size)[0])[:, None]
+        better = np.maximum(update_scales(kernel, scales, inverse, pulled), least)
+        change = float(np.max(np.abs(np.log(better / scales))))
+        scales = better
+        if change < STEADY:
+            break
+    return scales
+
+
+def _kernel(model: Model, prediction: Prediction, values: FloatArray) -> FloatArray:
+    n_drive = len(values) - 4
+    body = model.drive.motion(values[:n_drive], model.recording.steps).body
+    return kernels(prediction.path, body, model.segments, float(values[-2]))
+
+
+def _inverse(kernel: FloatArray, scales: FloatArray, seen: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """Return inverse covariances and what whitens."""
+    root = np.linalg.cholesky(covariances(kernel, scales, seen))
+    whitener = _inverse_of_triangles(np.asarray(root, dtype=np.float64))
+    return whitener.transpose(0, 2, 1) @ whitener, whitener
+
+
+def _inverse_of_triangles(root: FloatArray) -> FloatArray:
+    """Return the inverses of lower triangles, shape (n, 3, 3), written out: for thousands of them far faster."""
+    a, d, f = root[:, 0, 0], root[:, 1, 1], root[:, 2, 2]
+    b, c, e = root[:, 1, 0], root[:, 2, 0], root[:, 2, 1]
+    inverse = np.zeros_like(root)
+    inverse[:, 0, 0], inverse[:, 1, 1], inverse[:, 2, 2] = 1.0 / a, 1.0 / d, 1.0 / f
+    inverse[:, 1, 0], inverse[:, 2, 1] = -b / (a * d), -e / (d * f)
+    inverse[:, 2, 0] = (b * e - c * d) / (a * d * f)
+    return inverse
+
+
+def _weights(whitener: FloatArray, residuals: FloatArray, size: IntArray) -> tuple[FloatArray, FloatArray]:
+    squares = np.square(np.einsum("nij,nj->ni", whitener, residuals)).sum(axis=1)
+    return (DEGREES + size) / (DEGREES + squares), squares
+
+
+def _judge(whitener: FloatArray, size: IntArray) -> Callable[[Prediction], float]:
+    """Return the loss as a function of a prediction, at fixed noise."""
+
+    def loss(prediction: Prediction) -> float:
+        squares = _weights(whitener, prediction.residuals, size)[1]
+        return float(np.sum(0.5 * (DEGREES + size) * np.log1p(squares / DEGREES)))
+
+    return loss
+
+
+def _advance(
+    model: Model,
+    here: tuple[FloatArray, Prediction],
+    step: FloatArray,
+    prior: FloatArray,
+    loss: Callable[[Prediction], float],
+) -> tuple[FloatArray, Prediction, bool]:
+    """Go as far along `step` as lowers the loss; return also whether that was anywhere."""
+    values, prediction = here
+    now, part = loss(prediction), min(1.0, LONGEST / float(np.max(np.abs(step / prior))))
+    for _ in range(12):
+        tried = values + part * step
+        there = model.predict(tried)
+        if loss(there) <= now * (1.0 + 1e-12):
+            return tried, there, True
+        part *= 0.4
+    return values, prediction, False
+
+
+def _centred(squares: FloatArray, size: IntArray) -> FloatArray:
+    """Return squares rescaled so that half of them lie below the median of chi squared."""
+    from scipy.special import chdtri
+
+    expected = chdtri(np.maximum(size, 1), 0.5)
+    ratio = float(np.median(squares / expected))
+    return squares / ratio if ratio > 0.0 else squares

@@ -1,0 +1,335 @@
+"""Covariance of the parameters from clusters of runs or blocks along the path (sandwich), and degrees of freedom."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+
+from calib.kinematics.drives import Parameters
+from calib.kinematics.recording import Recording, Segments
+from calib.kinematics.solve import DEGREES, Solution
+from calib.types import BoolArray, FloatArray, IntArray, StrArray
+
+#: a length that turns show only beside a radius -> these radii, of which the mean counts
+_BESIDE: Final[Mapping[str, tuple[str, ...]]] = {
+    "track_m": ("radius_left_m", "radius_right_m"),
+    "wheelbase_m": ("front_radius_m",),
+    "half_length_plus_half_width_m": ("wheel_radius_m",),
+}
+_WHEELS: Final = ("radius_left_m", "radius_right_m")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Freedom:
+    """How well the standard deviations themselves are known."""
+
+    #: rows: sums of parameters that err independently of one another, about, shape (n_parameters, n_parameters)
+    directions: FloatArray
+    #: standard deviation of each, shape (n_parameters,)
+    std: FloatArray
+    #: degrees of freedom of that standard deviation, shape (n_parameters,)
+    dof: FloatArray
+
+    def of(self, contrast: FloatArray) -> float:
+        """Return the degrees of freedom of the variance of a sum of parameters (Welch and Satterthwaite)."""
+        parts = np.square(np.linalg.solve(self.directions.T, contrast) * self.std)
+        return float(parts.sum() ** 2 / max(float(np.sum(np.square(parts) / self.dof)), 1e-300))
+
+
+def own_directions(names: Sequence[str], values: FloatArray) -> FloatArray:
+    """Return what distances and turns show apart from one another: mean radius, ratios of radii and lengths.
+
+    What turns show, they show by headings, whose errors follow another law along the way than those of distances.
+
+    `values` (shape (n,)). Shape (n, n): a row a direction, of full rank.
+    """
+    at = {name: number for number, name in enumerate(names)}
+    out = np.eye(len(names))
+    for name, radii in _BESIDE.items():
+        if name in at and all(radius in at for radius in radii):
+            places = [at[radius] for radius in radii]
+            out[at[name], places] = -values[at[name]] / values[places].sum()
+    if all(name in at for name in _WHEELS):
+        left, right = (at[name] for name in _WHEELS)
+        out[left, [left, right]] = 0.5
+        out[right, [left, right]] = -1.0 / values[left], 1.0 / values[right]
+    return out
+
+
+#: cosines for n blocks: this times n to the power 2/3, so that of many blocks only the slower part of them counts
+COSINES: Final = 3.3
+#: how much steeper than level a spectrum may be: by the slope at zero over the square of the frequency
+STEEPNESS: Final = np.concatenate([-np.logspace(2.0, -1.0, 13), [0.0], np.logspace(-1.0, 2.0, 13)])
+
+
+def _cosines(n: int) -> tuple[FloatArray, FloatArray]:
+    """Return orthonormal cosines over n blocks, the slowest first, and the squares of their frequencies."""
+    number = np.arange(1.0, min(round(COSINES * n ** (2.0 / 3.0)), n - 1) + 1.0)
+    waves = np.sqrt(2.0 / n) * np.cos(np.pi * np.outer(number, (np.arange(n) + 0.5) / n))
+    return waves, 4.0 * np.square(np.sin(0.5 * np.pi * number / n))
+
+
+def level_at_nought(powers: FloatArray, squares: FloatArray, dof: float) -> tuple[float, float, FloatArray]:
+    """Return the level of a spectrum at frequency zero, its degrees of freedom, and the spectrum's shape.
+
+    `powers` (shape (n_cosines,)): squared amplitudes; `squares` (shape (n_cosines,)): squares of the frequencies;
+    `dof`: degrees of freedom of the amplitudes together; fewer than there are of them where blocks are unequal.
+
+    For each steepness the level has a scaled inverse chi squared distribution; steepnesses are weighted by the
+    likelihood with the level integrated out. The mixture is met by the one such distribution whose logarithm has the
+    same mean and variance, so that a t distribution gives the intervals.
+    """
+    from scipy.special import digamma, polygamma
+
+    raised = 1.0 + np.abs(STEEPNESS)[:, None] * squares
+    shapes = np.where(STEEPNESS[:, None] >= 0.0, raised, 1.0 / raised)
+    levels = np.maximum((powers / shapes).mean(axis=1), 1e-300)
+    likelihood = -0.5 * np.log(shapes).sum(axis=1) - 0.5 * len(powers) * np.log(levels)
+    weights = np.exp(likelihood - likelihood.max())
+    weights /= weights.sum()
+    logs = np.log(levels) + np.log(0.5 * dof) - digamma(0.5 * dof)
+    mean = float(weights @ logs)
+    variance = float(weights @ np.square(logs - mean) + polygamma(1, 0.5 * dof))
+    grid = np.geomspace(0.2, 2e4, 2000)
+    matched = float(np.interp(-variance, -polygamma(1, 0.5 * grid), grid))
+    level = float(np.exp(mean + digamma(0.5 * matched) - np.log(0.5 * matched)))
+    return level, matched, np.asarray(np.exp(weights @ np.log(shapes)))
+
+
+def covariance_along(pulls: FloatArray, information: FloatArray, directions: FloatArray) -> tuple[FloatArray, Freedom]:
+    """Return the covariance of sums of parameters, and what is known of it.
+
+    `pulls` (shape (n_blocks, n_parameters)): of each block, in the order driven, in columns in which all blocks
+    together have unit information; `information` (shape (n_blocks, n_parameters, n_parameters)): of each block in the
+    same columns; their sum is the identity; `directions` (shape (n_parameters, n_parameters)): rows: sums of parameters
+    that err for reasons of their own, in the same columns. Returns `covariance` (shape (n_parameters, n_parameters)):
+    of the directions; `freedom`: standard deviations of the directions, and their degrees of freedom.
+    """
+    waves, squares = _cosines(len(pulls))
+    number = len(squares)
+    amplitudes = waves @ pulls @ directions.T
+    std, dof = np.empty(len(directions)), np.empty(len(directions))
+    flat = np.empty_like(amplitudes)
+    for at, direction in enumerate(directions):
+        seen = information @ direction
+        # what independent blocks of this information would leave in each cosine after the fit has taken its part
+        taken = waves @ seen
+        left = (waves * (seen @ direction)) @ waves.T - taken @ taken.T
+        share = np.maximum(len(pulls) * np.diag(left) / max(float(direction @ direction), 1e-300), 1e-6)
+        own = max(float(np.trace(left) ** 2 / max(float(np.square(left).sum()), 1e-300)), 1.0)
+        level, dof[at], shape = level_at_nought(np.square(amplitudes[:, at]) / share, squares, own)
+        std[at] = np.sqrt(len(pulls) * level)
+        flat[:, at] = amplitudes[:, at] / np.sqrt(shape * share)
+    products = flat.T @ flat
+    size = np.sqrt(np.maximum(np.diag(products), 1e-300))
+    # correlations by no more cosines than parameters would leave some sum of them without any spread
+    correlation = (number * products / np.outer(size, size) + np.eye(len(size))) / (number + 1.0)
+    return correlation * np.outer(std, std), Freedom(np.eye(len(std)), std, dof)
+
+
+#: power that is unbiased for known weights (CR2); 1 is the jackknife (CR3)
+UNBIASED: Final = 0.5
+#: for single runs, from which the noise's sizes are estimated too; the coverage lies between the two
+OF_RUNS: Final = 0.75
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Uncertainty:
+    """Covariance of the free parameters and the degrees of freedom of each."""
+
+    #: of the free parameters, shape (n_free, n_free)
+    covariance: FloatArray
+    #: degrees of freedom of each standard deviation, shape (n_free,)
+    dof: FloatArray
+    #: groups whose noise was taken for independent, or shared with neighbours
+    clusters: int
+    #: standard deviations as if no group shared anything: less right, but steadier, to compare estimates by, shape
+    #: (n_free,)
+    apart: FloatArray
+    #: degrees of freedom of sums of parameters, where these are known
+    freedom: Freedom | None = None
+
+    @property
+    def std(self) -> FloatArray:
+        """Standard deviations, shape (n_free,)."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    def half_widths(self, level: float = 0.95) -> FloatArray:
+        """Return the half widths of intervals of probability `level`, shape (n_free,)."""
+        from scipy.special import stdtrit
+
+        return np.asarray(self.std * stdtrit(self.dof, 0.5 + 0.5 * level))
+
+
+def whitened(solution: Solution, free: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """Return Jacobian, shape (n, 3, n_free), and residuals, shape (n, 3), whitened and weighted."""
+    root = np.sqrt(solution.weights)[:, None]
+    jacobian = (solution.whitener @ solution.prediction.jacobian[:, :, free]) * root[:, :, None]
+    return jacobian, np.einsum("nij,nj->ni", solution.whitener, solution.prediction.residuals) * root
+
+
+def block_scores(solution: Solution, free: BoolArray, block: IntArray) -> FloatArray:
+    """Return the pull of each block on the parameters, in units of unit information, shape (n_blocks, n_free)."""
+    jacobian, residuals = whitened(solution, free)
+    scores = np.einsum("nip,ni->np", jacobian, residuals)
+    total = np.stack([np.bincount(block, scores[:, at]) for at in range(scores.shape[1])], axis=1)
+    flat = jacobian.reshape(-1, jacobian.shape[2])
+    return np.asarray(total @ np.linalg.inv(np.linalg.cholesky(flat.T @ flat)).T)
+
+
+def _unit_columns(solution: Solution, free: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return Jacobian in columns of unit information, residuals, and what turns these columns into parameters."""
+    jacobian, residuals = whitened(solution, free)
+    flat = jacobian.reshape(-1, jacobian.shape[2])
+    scale = 1.0 / np.sqrt(np.maximum(np.square(flat).sum(axis=0), 1e-300))
+    flat = flat * scale
+    root = np.linalg.cholesky(np.linalg.inv(flat.T @ flat))
+    return flat @ root, residuals.ravel(), root, scale
+
+
+def _rows_of(cluster: IntArray) -> Iterator[IntArray]:
+    """Yield the rows, three a stretch, of each cluster."""
+    order = np.argsort(np.repeat(cluster, 3), kind="stable")
+    ends = np.concatenate(([0], np.cumsum(3 * np.bincount(cluster))))
+    for low, high in pairwise(ends):
+        yield order[low:high]
+
+
+def sandwich_along(solution: Solution, free: BoolArray, block: IntArray, directions: FloatArray) -> Uncertainty:
+    """Return the covariance of the free parameters from blocks along the way, which share noise with neighbours.
+
+    `solution`: of the robust fit; `free` (shape (n_parameters,)): which parameters were free; `block` (shape (n,)):
+    blocks are numbered along the way; `directions` (shape (n_free, n_free)): rows: sums of parameters that err for
+    reasons of their own.
+    """
+    flat, residuals, root, scale = _unit_columns(solution, free)
+    parts = [(flat[rows], residuals[rows]) for rows in _rows_of(block)]
+    pulls = _influence(solution) * np.stack([part.T @ rest for part, rest in parts])
+    information = np.stack([part.T @ part for part, _ in parts])
+    covariance, freedom = covariance_along(pulls, information, (directions * scale) @ root)
+    back = np.linalg.inv(directions)
+    freedom = replace(freedom, directions=directions)
+    return replace(
+        sandwich(solution, free, block),
+        covariance=back @ covariance @ back.T,
+        dof=np.array([freedom.of(unit) for unit in np.eye(len(directions))]),
+        freedom=freedom,
+    )
+
+
+def sandwich(solution: Solution, free: BoolArray, cluster: IntArray, *, power: float = UNBIASED) -> Uncertainty:
+    """Return the covariance of the free parameters.
+
+    `solution`: of the robust fit; `free` (shape (n_parameters,)): which parameters were free; `cluster` (shape (n,)):
+    stretches of one cluster share their noise; `power`: of what leverage takes from the residuals; they are enlarged by
+    it.
+    """
+    flat, residuals, root, scale = _unit_columns(solution, free)
+    cluster = np.unique(cluster, return_inverse=True)[1]
+    pulls, sizes, shares = [], [], []
+    contrast = root.T  # columns: what a unit of each parameter is in the new columns
+    for rows in _rows_of(cluster):
+        part, rest = flat[rows], residuals[rows]
+        left, singular, right = np.linalg.svd(part, full_matrices=False)
+        grow = np.maximum(1.0 - singular**2, 1e-6) ** -power - 1.0
+        lever = part + left @ ((grow * singular)[:, None] * right)
+        pulls.append(lever.T @ rest)
+        seen = lever @ contrast
+        sizes.append(np.square(seen).sum(axis=0))
+        shares.append(part.T @ seen)
+    pull = np.stack(pulls) @ root.T
+    factor = _influence(solution)
+    covariance = factor**2 * (pull.T @ pull) * np.outer(scale, scale)
+    apart = factor * np.sqrt(np.square(pull).sum(axis=0)) * scale
+    return Uncertainty(covariance, _degrees(np.stack(sizes), np.stack(shares)), len(pull), apart)
+
+
+def _degrees(sizes: FloatArray, shares: FloatArray) -> FloatArray:
+    """Return Bell and McCaffrey's degrees of freedom of each parameter's variance."""
+    degrees = []
+    for at in range(sizes.shape[1]):
+        inner = np.diag(sizes[:, at]) - shares[:, :, at] @ shares[:, :, at].T
+        degrees.append(np.trace(inner) ** 2 / np.maximum(np.square(inner).sum(), 1e-300))
+    return np.maximum(np.asarray(degrees, dtype=np.float64), 1.0)
+
+
+def _influence(solution: Solution) -> float:
+    """Return by how much the weights overstate the information: mean weight over mean slope of the influence."""
+    size = np.maximum(solution.prediction.jacobian.any(axis=2).sum(axis=1), 1)
+    squares = (DEGREES + size) / solution.weights - DEGREES
+    slope = solution.weights * (1.0 - 2.0 * squares / (size * (DEGREES + squares)))
+    return float(np.mean(solution.weights) / max(np.mean(slope), 0.2 * np.mean(solution.weights)))
+
+
+#: groups that a covariance needs at least
+FEWEST: Final = 4
+#: so many runs are the groups to begin with; of fewer runs, blocks within them
+ENOUGH_RUNS: Final = 8
+#: standard deviations by which members of a group pull alike before the group counts as one
+ALIKE: Final = 2.6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Clustering:
+    """The groups taken for independent, and the covariance that follows."""
+
+    #: ``run``, ``block``, ``session`` or ``route``
+    name: str
+    #: of the free parameters
+    uncertainty: Uncertainty
+
+
+def clustered(solution: Solution, parameters: Parameters, recording: Recording, segments: Segments) -> Clustering:
+    """Return the covariance of the free parameters with groups as large as the residuals ask for.
+
+    Runs of one session, or of one route, that pull the parameters alike beyond chance are one group each: what they
+    share does not average out over repeats. Of several such groupings the one with the widest intervals holds.
+
+    `solution`: of the robust fit.
+    """
+    free = parameters.free
+    block = np.unique(segments.block, return_inverse=True)[1]
+    first = np.unique(block, return_index=True)[1]
+    run = segments.run[first]
+    scores = block_scores(solution, free, block)
+    if len(np.unique(run)) >= min(ENOUGH_RUNS, len(run)):
+        best = Clustering("run", sandwich(solution, free, segments.run, power=OF_RUNS))
+    else:
+        directions = own_directions(parameters.free_names, solution.values[free])
+        best = Clustering("block", sandwich_along(solution, free, block, directions))
+    alone = best.name
+    candidates = {"session": _codes(recording.session)[run], "route": _codes(_routes(recording))[run]}
+    for name, group in candidates.items():
+        if len(np.unique(group)) >= FEWEST and _alike(scores, group) > ALIKE:
+            tried = sandwich(solution, free, group[block])
+            if best.name == alone or _width(tried) > _width(best.uncertainty):
+                best = Clustering(name, tried)
+    return best
+
+
+def _width(uncertainty: Uncertainty) -> float:
+    """Return the mean logarithm of the intervals' half widths."""
+    return float(np.mean(np.log(uncertainty.half_widths())))
+
+
+def _codes(labels: StrArray) -> IntArray:
+    return np.asarray(np.unique(labels, return_inverse=True)[1])
+
+
+def _routes(recording: Recording) -> StrArray:
+    """Return a label of each run's route: its kind, and the sense in which it turns."""
+    turn = recording.end_pose[:, 2]
+    sense = np.where(turn > 1.0, " ccw", np.where(turn < -1.0, " cw", ""))
+    return np.char.add(recording.kind, sense)
+
+
+def _alike(scores: FloatArray, group: IntArray) -> float:
+    """Return by how many standard deviations members of a group pull alike."""
+    products = scores @ scores.T
+    same = (group[:, None] == group[None, :]) & ~np.eye(len(group), dtype=np.bool_)
+    spread = float(np.sqrt(np.square(products[same]).sum() / 2.0))
+    return float(products[same].sum() / 2.0 / spread) if spread > 0.0 else 0.0

@@ -1,1 +1,0 @@
-"""Odometry of logged counts over whole logs as arrays."""

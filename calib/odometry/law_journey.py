@@ -1,0 +1,240 @@
+"""The same journeys under a fitted law: with the radius of one load, and with the radius of the load carried.
+
+The law's own uncertainty is carried to the end pose twice: by linear propagation (Jacobians by the radii) and by Monte
+Carlo. Without correction the odometry computes with the radii at the reference loads; with it, with those of the loads
+carried. The real radii are those of the loads carried, uncertain by the law's mean or by the scatter of single runs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from calib.errors import BadInputError
+from calib.odometry.paper import Axle, end_of_route, wheel_travel
+from calib.odometry.pose_covariance import jacobian, steps
+from calib.odometry.poses import COMPONENTS, PoseErrors, pose_errors
+from calib.odometry.routes import Route
+from calib.radius.law import RadiusLaw, WheelLaw
+from calib.types import FloatArray
+
+BANDS: Final = ("mean", "prediction")
+
+
+@dataclass(frozen=True, slots=True)
+class TableRow:
+    """Radii at one load (Table 1), with the 95 % half-widths of the mean and of a single run (Fig. 15).
+
+    `extrapolated_left`, `extrapolated_right`: the load lies outside those that the wheel was measured under.
+    """
+
+    load_N: float
+    radius_left_m: float
+    radius_right_m: float
+    mean_left_m: float
+    mean_right_m: float
+    prediction_left_m: float
+    prediction_right_m: float
+    extrapolated_left: bool
+    extrapolated_right: bool
+
+
+def law_table(law: RadiusLaw, loads_N: FloatArray) -> tuple[TableRow, ...]:
+    """Return the effective radii for preset wheel loads (n,) (Table 1), with their 95 % bands."""
+    rows = []
+    for load in np.asarray(loads_N, dtype=np.float64).tolist():
+        parts = [
+            (
+                float(wheel.radius_m(load)),
+                _student(wheel.dof) * float(wheel.mean_std_m(load)),
+                _student(wheel.dof) * float(wheel.prediction_std_m(load)),
+                not wheel.load_min_N <= load <= wheel.load_max_N,
+            )
+            for wheel in (law.left, law.right)
+        ]
+        left, right = parts
+        rows.append(TableRow(load, left[0], right[0], left[1], right[1], left[2], right[2], left[3], right[3]))
+    return tuple(rows)
+
+
+@dataclass(frozen=True, slots=True)
+class Interval:
+    """95 % interval of one component of the end error."""
+
+    value: float  #: with the law's mean radii
+    linear: tuple[float, float]  #: by linear propagation with Student's t
+    monte_carlo: tuple[float, float]  #: the 2.5 and 97.5 % quantiles of the draws
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Journey:
+    """End errors of one journey without and with the correction."""
+
+    #: load_left_N, load_right_N: wheel loads carried
+    load_left_N: float
+    load_right_N: float
+    #: reference_left_N, reference_right_N: wheel loads whose radii the uncorrected odometry uses
+    reference_left_N: float
+    reference_right_N: float
+    band: str  #: ``mean`` or ``prediction``
+    #: without, corrected: error along, lateral, of heading, and global x and y
+    without: dict[str, Interval]
+    corrected: dict[str, Interval]
+    radius_ratio: float  #: e_r that the uncorrected odometry overlooks: (real over believed) right, over the same left
+    #: without_rms_m, corrected_rms_m: root mean square of the distance to the intended end, to first order, at the
+    #: fit's standard deviations
+    without_rms_m: float
+    corrected_rms_m: float
+    #: without_95_m, corrected_95_m: distance that 95 % of the draws stay below
+    without_95_m: float
+    corrected_95_m: float
+    #: ratio, ratio_ci95: ratio of the two root mean squares; its interval says how well the fit's degrees of freedom
+    #: know the scatter
+    ratio: float
+    ratio_ci95: tuple[float, float]
+    journeys_ratio: tuple[float, float, float]  #: ratio of the distances draw by draw: 2.5, 50 and 97.5 % quantiles
+    draws: int
+
+
+def law_journey(
+    law: RadiusLaw,
+    route: Route,
+    *,
+    loads_N: tuple[float, float],
+    reference_N: tuple[float, float],
+    track_m: float,
+    band: str,
+    draws: int,
+    rng: np.random.Generator,
+) -> Journey:
+    """Simulate a journey under a law without and with the correction.
+
+    Parameters
+    ----------
+    law : RadiusLaw
+        Both wheels, fitted separately and taken as independent.
+    route : Route
+        What the believed pose follows.
+    loads_N, reference_N : (float, float)
+        Loads (left, right) carried, and those that the uncorrected odometry stands on.
+    track_m : float
+        Track, believed and real.
+    band : {"mean", "prediction"}
+        Uncertainty of the real radii: of the regression mean, or of a single run.
+    draws : int
+        Draws of the Monte Carlo.
+    rng : numpy.random.Generator
+        Source of chance.
+
+    Raises
+    ------
+    BadInputError
+        Where `band` is not known or `draws` below 100.
+    """
+    if band not in BANDS or draws < 100:
+        raise BadInputError(f"band {band!r}, {draws} draws: expected one of {', '.join(BANDS)} and 100 draws or more")
+    wheels = (law.left, law.right)
+    dof = [wheel.dof for wheel in wheels]
+    mean = [float(wheel.radius_m(load)) for wheel, load in zip(wheels, loads_N, strict=True)]
+    std = np.array([_std(wheel, load, band) for wheel, load in zip(wheels, loads_N, strict=True)])
+    # a radius whose standard uncertainty was itself estimated follows Student's t
+    scale = np.stack([np.sqrt(d / rng.chisquare(d, draws)) for d in dof])
+    radii = np.array(mean)[:, None] + std[:, None] * scale * rng.standard_normal((2, draws))
+    reference = [float(wheel.radius_m(load)) for wheel, load in zip(wheels, reference_N, strict=True)]
+    end = route.poses()[-1]
+    distance: dict[str, FloatArray] = {}
+    square: dict[str, FloatArray] = {}
+    intervals: dict[str, dict[str, Interval]] = {}
+    for name, believed in (("without", reference), ("corrected", mean)):
+        axle, real = Axle(believed[0], believed[1], track_m), Axle(mean[0], mean[1], track_m)
+        errors = pose_errors(end_of_route(route, axle, Axle(radii[0], radii[1], track_m)), end)
+        centre = pose_errors(end_of_route(route, axle, real), end)
+        slopes = _end_jacobian(route, axle, real, float(end.theta_rad))
+        distance[name] = errors.distance_m
+        # squared distance to the end, expected for a given scatter: at the fit's, and at each draw's
+        by_wheel = (slopes[3:] ** 2).sum(axis=0) * std**2
+        spread = np.column_stack([np.ones(2), scale]) ** 2
+        square[name] = float(centre.distance_m[0]) ** 2 + by_wheel @ spread
+        intervals[name] = _intervals(centre, errors, np.abs(slopes) * std, dof)
+    ratios = np.sqrt(square["without"] / square["corrected"])
+    ratio_low, ratio_high = np.quantile(ratios[1:], [0.025, 0.975])
+    each = np.quantile(distance["without"] / np.maximum(distance["corrected"], 1e-15), [0.025, 0.5, 0.975])
+    return Journey(
+        load_left_N=loads_N[0],
+        load_right_N=loads_N[1],
+        reference_left_N=reference_N[0],
+        reference_right_N=reference_N[1],
+        band=band,
+        without=intervals["without"],
+        corrected=intervals["corrected"],
+        radius_ratio=mean[1] / reference[1] / (mean[0] / reference[0]),
+        without_rms_m=float(np.sqrt(square["without"][0])),
+        corrected_rms_m=float(np.sqrt(square["corrected"][0])),
+        without_95_m=float(np.quantile(distance["without"], 0.95)),
+        corrected_95_m=float(np.quantile(distance["corrected"], 0.95)),
+        ratio=float(ratios[0]),
+        ratio_ci95=(float(ratio_low), float(ratio_high)),
+        journeys_ratio=(float(each[0]), float(each[1]), float(each[2])),
+        draws=draws,
+    )
+
+
+def _intervals(centre: PoseErrors, errors: PoseErrors, scales: FloatArray, dof: list[float]) -> dict[str, Interval]:
+    """Return each component's value with its interval by linear propagation and by Monte Carlo."""
+    intervals = {}
+    for row, component in enumerate(COMPONENTS):
+        half = _half_width(scales[row], dof)
+        value = float(getattr(centre, component)[0])
+        low, high = np.quantile(getattr(errors, component), [0.025, 0.975])
+        intervals[component] = Interval(value, (value - half, value + half), (float(low), float(high)))
+    return intervals
+
+
+def _end_jacobian(route: Route, believed: Axle, real: Axle, heading_rad: float) -> FloatArray:
+    """Return the derivatives of the components of the end error by the real radii, shape (5, 2)."""
+    left, right, track = wheel_travel(route, believed, real)
+    real_left, real_right, _ = real.arrays()
+    path = steps(left[0], right[0], track[0], radius_left_m=real_left, radius_right_m=real_right)
+    by_radius = jacobian(path)[-1][:, [0, 2]]
+    cosine, sine = np.cos(heading_rad), np.sin(heading_rad)
+    turned = np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]]) @ by_radius
+    return np.vstack([turned, by_radius[:2]])
+
+
+def _std(wheel: WheelLaw, load_N: float, band: str) -> float:
+    return float(wheel.mean_std_m(load_N) if band == "mean" else wheel.prediction_std_m(load_N))
+
+
+def _student(dof: float) -> float:
+    from scipy.stats import t
+
+    return float(t.ppf(0.975, dof))
+
+
+def _half_width(scales: FloatArray, dof: list[float]) -> float:
+    """Return the 97.5 % quantile of a sum of two independent Student variates, each times its scale.
+
+    With few degrees of freedom this is wider than the Welch-Satterthwaite factor, which forgets that both standard
+    deviations were estimated.
+    """
+    from scipy.optimize import brentq
+    from scipy.special import stdtr, stdtrit
+
+    large, small = (0, 1) if scales[0] >= scales[1] else (1, 0)
+    if scales[large] <= 0.0:
+        return 0.0
+    share = float(scales[small] / scales[large])
+    # the smaller variate by equal parts of its probability, refined towards the tails
+    edge = np.linspace(-1.0, 1.0, 4002)[1:-1]
+    probability = 0.5 * (1.0 + np.sin(0.5 * np.pi * edge))
+    weight = np.cos(0.5 * np.pi * edge)
+    weight /= weight.sum()
+    points = share * stdtrit(dof[small], probability)
+
+    def beyond(q: float) -> float:
+        return float(weight @ stdtr(dof[large], q - points)) - 0.975
+
+    widest = _student(dof[large]) + share * _student(dof[small])
+    return float(scales[large] * brentq(beyond, 0.0, 2.0 * widest, xtol=1e-9))

@@ -1,0 +1,331 @@
+"""Journeys under a law along the path: loads that change on the way, errors and covariance at each point."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from calib.errors import BadInputError
+from calib.odometry.integrate import radii_under_load
+from calib.odometry.paper import SPACING_M
+from calib.odometry.pose_covariance import RandomWalk, ellipses, jacobian, parameter_covariance, steps
+from calib.odometry.poses import COMPONENTS, POSE, PoseErrors, Poses, pose_errors
+from calib.odometry.routes import Route
+from calib.radius.law import RadiusLaw
+from calib.types import FloatArray
+from calib.vehicle import Vehicle, check_wheel_loads, wheel_loads_N
+
+if TYPE_CHECKING:
+    from calib.coefficients.file import CoefficientFile
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Loading:
+    """Wheel loads along a route: each pair holds from its distance on until the next one."""
+
+    from_m: FloatArray  #: shape (n,): distances along the route, rising from 0
+    #: left_N, right_N: shape (n,): wheel loads
+    left_N: FloatArray
+    right_N: FloatArray
+
+    @staticmethod
+    def from_rows(rows: Sequence[tuple[float, float, float]]) -> Loading:
+        """Return a loading of rows (distance in m, left load in N, right load in N) in any order, one at 0 m."""
+        ordered = np.array(sorted(rows), dtype=np.float64).reshape(-1, 3)
+        if not len(ordered) or ordered[0, 0] != 0.0 or (np.diff(ordered[:, 0]) <= 0.0).any():
+            raise BadInputError(
+                f"loads along the path: found changes at {', '.join(f'{at:g}' for at in ordered[:, 0])} m; expected "
+                "the first at 0 m and each at a place of its own; give each place once"
+            )
+        if not np.isfinite(ordered).all() or (ordered[:, 1:] <= 0.0).any():
+            raise BadInputError(
+                "loads along the path: found one of 0 N or below, or no number; expected loads above 0 N"
+            )
+        return Loading(ordered[:, 0], ordered[:, 1], ordered[:, 2])
+
+    @property
+    def pairs(self) -> tuple[tuple[float, float], ...]:
+        """Pairs of loads (left, right), each once."""
+        return tuple(dict.fromkeys(zip(self.left_N.tolist(), self.right_N.tolist(), strict=True)))
+
+    def at(self, distance_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the loads (left, right) of pieces that begin at these distances, shape of `distance_m`."""
+        index = np.maximum(np.searchsorted(self.from_m, distance_m + 1e-9, side="right") - 1, 0)
+        return self.left_N[index], self.right_N[index]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AxleLaw:
+    """The law of both wheels and the track between them, with what their odometry scatters by."""
+
+    radii: RadiusLaw  #: radii by load
+    #: track_m, track_std_m: track, believed and real, and its standard uncertainty
+    track_m: float
+    track_std_m: float = 0.0
+    walk: RandomWalk | None = None  #: random part of the error; None: none
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LawSource:
+    """A law and what comes with it."""
+
+    law: RadiusLaw  #: radii by load
+    vehicle: Vehicle  #: geometry
+    track_std_m: float  #: standard uncertainty of the track
+    walk: RandomWalk  #: random part of the pose's error
+    notes: tuple[str, ...]  #: what the user should know of where it comes from
+
+    def axle(self, track_m: float | None) -> AxleLaw:
+        """Return law and track; `track_m` in place of the vehicle's where it is given."""
+        return AxleLaw(self.law, self.vehicle.track_m if track_m is None else track_m, self.track_std_m, self.walk)
+
+
+def law_source(path: Path) -> LawSource:
+    """Return the law of a campaign, a result folder or a coefficient file."""
+    from calib.coefficients.export import coefficients_of, effects_left_out
+
+    source = coefficients_of(path)
+    return LawSource(
+        law=source.file.law,
+        vehicle=source.file.geometry,
+        track_std_m=source.file.vehicle.track_std.value,
+        walk=_walk(source.file),
+        notes=(*source.notes, *effects_left_out(source.file, "not simulated")),
+    )
+
+
+def carried_loads_N(vehicle: Vehicle, payload_kg: float, x_m: float, y_m: float) -> tuple[float, float]:
+    """Return the wheel loads (left, right) under a payload; refused where the vehicle cannot carry it."""
+    if payload_kg < 0.0:
+        raise BadInputError(f"payload: found {payload_kg:g} kg; expected a mass from 0 kg; correct it")
+    front, left_N, right_N = wheel_loads_N(vehicle, payload_kg, x_m, y_m)
+    check_wheel_loads(vehicle, front, left_N, right_N, what=f"payload {payload_kg:g} kg at x {x_m:g} m, y {y_m:g} m")
+    return float(left_N), float(right_N)
+
+
+def loading_on_the_way(vehicle: Vehicle, rows: Sequence[tuple[float, ...]]) -> Loading:
+    """Return the loads of payloads that are put on and taken off on the way; unladen before the first.
+
+    Each row is the distance from which on in m, and the payload's mass in kg and place x and y in m.
+    """
+    if any(row[0] < 0.0 for row in rows):
+        raise BadInputError("payload_at: found a distance below 0 m; expected one along the route; correct it")
+    if min(row[0] for row in rows) > 0.0:
+        rows = [*rows, (0.0, 0.0, 0.0, 0.0)]
+    return Loading.from_rows([(row[0], *carried_loads_N(vehicle, *row[1:4])) for row in rows])
+
+
+def _walk(file: CoefficientFile) -> RandomWalk:
+    """Return the random part of the pose's error as a coefficient file states it."""
+    return RandomWalk(
+        sigma_along_m_per_sqrt_m=file.noise.along.value,
+        sigma_heading_rad_per_sqrt_m=file.noise.heading.value,
+        count_std=file.noise.count_std.value,
+        counts_per_rev_left=file.encoder.counts_per_rev_left.value,
+        counts_per_rev_right=file.encoder.counts_per_rev_right.value,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Driven:
+    """What one odometry makes of the journey, at the start and after each piece of the route."""
+
+    poses: Poses  #: real poses for the law's mean radii, shape (n,)
+    errors: PoseErrors  #: real minus route, shape (n,)
+    #: shape (n, 3, 3): covariance of the real pose (x in m, y in m, theta in rad) by what is the same all along a
+    #: journey: the law, the scatter of single runs about it, the track
+    systematic: FloatArray
+    #: shape (n, 3, 3): the same by what is new with every metre: the floor, and the readings of the encoders
+    random: FloatArray
+    #: shape (n,): standard uncertainty of each of `COMPONENTS`, systematic and random together
+    std: dict[str, FloatArray]
+    #: shape (2,): what the law of the left and of the right wheel adds to the mean square of the distance at the end
+    by_wheel_m2: FloatArray
+
+    @property
+    def rms_m(self) -> FloatArray:
+        """Root mean square of the distance to the route's pose, to first order, shape (n,)."""
+        spread = self.std["global_x_m"] ** 2 + self.std["global_y_m"] ** 2
+        return np.asarray(np.sqrt(self.errors.distance_m**2 + spread))
+
+    def end(self) -> dict[str, float]:
+        """Return the errors at the end of the route, with their standard uncertainties and the rms distance."""
+        values = {f"error_{name}": float(getattr(self.errors, name)[-1]) for name in COMPONENTS}
+        values |= {f"std_{name}": float(self.std[name][-1]) for name in COMPONENTS}
+        return values | {"rms_m": float(self.rms_m[-1])}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LawPath:
+    """A journey under a law, with and without the correction."""
+
+    loading: Loading  #: loads carried
+    reference_N: tuple[float, float]  #: loads whose radii the uncorrected odometry uses all along
+    distance_m: FloatArray  #: shape (n,): distance along the route
+    reference: Poses  #: the route, shape (n,)
+    #: without, corrected: with the radii of the reference loads, and with radii that follow the load
+    without: Driven
+    corrected: Driven
+    #: 95 % interval of `ratio`: how well the fit's degrees of freedom know the scatter; None where nothing was drawn
+    ratio_ci95: tuple[float, float] | None = None
+
+    @property
+    def ratio(self) -> float:
+        """How many times smaller the correction makes the rms distance at the end."""
+        return float(self.without.rms_m[-1] / self.corrected.rms_m[-1])
+
+    @property
+    def loading_text(self) -> str:
+        """Loads for people: left and right wheel, and from where on."""
+        rows = zip(self.loading.from_m.tolist(), self.loading.left_N, self.loading.right_N, strict=True)
+        return ", ".join(f"{left:.0f} / {right:.0f} N" + (f" from {s:g} m" if s else "") for s, left, right in rows)
+
+    def document(self) -> dict[str, Any]:
+        """Return loads and end errors, ready for JSON."""
+        rows = zip(
+            self.loading.from_m.tolist(), self.loading.left_N.tolist(), self.loading.right_N.tolist(), strict=True
+        )
+        return {
+            "loading": [{"from_m": s, "load_left_N": left, "load_right_N": right} for s, left, right in rows],
+            "reference_load_N": list(self.reference_N),
+            "without": self.without.end(),
+            "corrected": self.corrected.end(),
+            "ratio": self.ratio,
+            "ratio_ci95": self.ratio_ci95,
+        }
+
+    def error_rows(self) -> list[dict[str, float]]:
+        """Return poses, errors and standard uncertainties along the path, one row a point."""
+        columns = {"distance_m": self.distance_m} | self._loads()
+        for name, driven in (("without", self.without), ("corrected", self.corrected)):
+            columns |= {f"{name}_{key}": getattr(driven.poses, key) for key in POSE}
+            columns |= {f"{name}_error_{key}": getattr(driven.errors, key) for key in COMPONENTS}
+            columns |= {f"{name}_std_{key}": driven.std[key] for key in COMPONENTS}
+        return _rows(columns)
+
+    def covariance_rows(self) -> list[dict[str, float]]:
+        """Return pose and covariance along the path with the correction on, one row a point."""
+        poses, units = self.corrected.poses, ("m", "m", "rad")
+        columns = {"distance_m": self.distance_m} | self._loads()
+        columns |= {"x_m": poses.x_m, "y_m": poses.y_m, "theta_rad": poses.theta_rad}
+        for part in ("systematic", "random"):
+            matrix = getattr(self.corrected, part)
+            for i, first in enumerate(("x", "y", "theta")):
+                for j, second in enumerate(("x", "y", "theta")[i:], start=i):
+                    unit = f"{units[i]}2" if units[i] == units[j] else f"{units[i]}_{units[j]}"
+                    columns[f"{part}_{first}_{second}_{unit}"] = matrix[:, i, j]
+        regions = ellipses(self.corrected.systematic + self.corrected.random)
+        columns |= {"ellipse95_major_m": regions.major_m, "ellipse95_minor_m": regions.minor_m}
+        return _rows(columns | {"ellipse95_angle_rad": regions.angle_rad})
+
+    def _loads(self) -> dict[str, FloatArray]:
+        left, right = self.loading.at(self.distance_m)
+        return {"load_left_N": left, "load_right_N": right}
+
+
+def law_path(
+    axle: AxleLaw,
+    route: Route,
+    *,
+    loading: Loading,
+    reference_N: tuple[float, float],
+    draws: int = 20_000,
+    rng: np.random.Generator | None = None,
+) -> LawPath:
+    """Drive a route under a law, closed on the odometry, with and without the correction.
+
+    Parameters
+    ----------
+    axle : AxleLaw
+        Both wheels and the track between them.
+    route : Route
+        What the believed pose follows.
+    loading : Loading
+        Loads carried along it.
+    reference_N : (float, float)
+        Loads (left, right) whose radii the uncorrected odometry uses all along.
+    draws : int
+        Draws for the interval of the ratio.
+    rng : numpy.random.Generator, optional
+        Their source; None: no interval.
+
+    Raises
+    ------
+    BadInputError
+        Where the load changes beyond the end of the route.
+    """
+    if loading.from_m[-1] >= route.total_m:
+        raise BadInputError(
+            f"loads along the path: found a change at {loading.from_m[-1]:g} m; expected one before the end of "
+            f"{route.name} at {route.total_m:g} m; correct the distance"
+        )
+    fine = route.cut(loading.from_m).divided(SPACING_M)
+    distance, reference = fine.distance_m(), fine.poses()
+    loads = loading.at(distance[:-1])
+    law = axle.radii
+    real = radii_under_load(law, *loads)
+    kept = radii_under_load(law, *reference_N)
+    spread = parameter_covariance(law, track_std_m=axle.track_std_m, single_run=True)
+    half = 0.5 * axle.track_m * fine.turn_rad
+    driven = []
+    for believed in (kept, real):
+        path = steps(
+            real[0] / believed[0] * (fine.length_m - half),
+            real[1] / believed[1] * (fine.length_m + half),
+            axle.track_m,
+            radius_left_m=real[0],
+            radius_right_m=real[1],
+        )
+        slopes = jacobian(
+            path,
+            load_offset_left_N=loads[0] - law.left.reference_load_N,
+            load_offset_right_N=loads[1] - law.right.reference_load_N,
+        )
+        systematic = _from_start(slopes @ spread @ np.swapaxes(slopes, -1, -2))
+        random = np.zeros_like(systematic) if axle.walk is None else _from_start(axle.walk.covariance(path))
+        poses = Poses.from_stacked(_from_start(path.poses.stacked()))
+        std = _std(systematic + random, reference)
+        # x and y at the end by the coefficients of each wheel
+        last = [(slopes[-1, :2, part], spread[part, part]) for part in (slice(0, 2), slice(2, 4))]
+        by_wheel = np.array([np.trace(slope @ own @ slope.T) for slope, own in last])
+        driven.append(Driven(poses, pose_errors(poses, reference), systematic, random, std, by_wheel))
+    interval = None if rng is None else _ratio_interval(driven[0], driven[1], (law.left.dof, law.right.dof), draws, rng)
+    return LawPath(loading, reference_N, distance, reference, driven[0], driven[1], interval)
+
+
+def _ratio_interval(
+    without: Driven, corrected: Driven, dof: tuple[float, float], draws: int, rng: np.random.Generator
+) -> tuple[float, float]:
+    """Return the 95 % interval of the ratio of the rms distances: variances that were estimated follow chi-square."""
+    more = np.stack([d / rng.chisquare(d, draws) for d in dof]) - 1.0
+    square = [float(drive.rms_m[-1]) ** 2 + drive.by_wheel_m2 @ more for drive in (without, corrected)]
+    low, high = np.quantile(np.sqrt(square[0] / square[1]), [0.025, 0.975])
+    return float(low), float(high)
+
+
+def _std(covariance: FloatArray, reference: Poses) -> dict[str, FloatArray]:
+    """Return the standard uncertainty of each component of the error."""
+    cosine, sine = np.cos(reference.theta_rad), np.sin(reference.theta_rad)
+    xx, xy, yy = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
+    squares = (
+        cosine * cosine * xx + 2 * cosine * sine * xy + sine * sine * yy,
+        sine * sine * xx - 2 * cosine * sine * xy + cosine * cosine * yy,
+        covariance[:, 2, 2],
+        xx,
+        yy,
+    )
+    return {name: np.sqrt(np.maximum(part, 0.0)) for name, part in zip(COMPONENTS, squares, strict=True)}
+
+
+def _from_start(values: FloatArray) -> FloatArray:
+    """Put zeros, the start, before the first point."""
+    return np.concatenate((np.zeros_like(values[:1]), values))
+
+
+def _rows(columns: dict[str, FloatArray]) -> list[dict[str, float]]:
+    table = np.stack(list(columns.values()), axis=1).tolist()
+    return [dict(zip(columns, row, strict=True)) for row in table]

@@ -1,0 +1,347 @@
+"""The studies of the paper's Section 7: a vehicle that follows a route on its own odometry with wrong radii."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from calib.errors import BadInputError
+from calib.limits import SIMULATED_POSES, refuse_more
+from calib.odometry.integrate import integrate
+from calib.odometry.poses import COMPONENTS, POSE, PoseErrors, Poses, pose_errors
+from calib.odometry.routes import Route, find_route
+from calib.odometry.steps import shorten
+from calib.types import FloatArray
+
+#: vehicles a block: the arrays in use stay in the second-level cache
+BLOCK: Final = 16384
+#: radii, their ratios and tracks that a vehicle can have
+SHORTEST_M: Final = 1e-4
+LONGEST_M: Final = 1e4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Axle:
+    """Rear wheels as somebody believes them to be, or as they are."""
+
+    #: radius_left_m, radius_right_m, track_m: shape () or (vehicles,): effective radii and the distance of the contact
+    #: points; shapes that broadcast
+    radius_left_m: npt.ArrayLike
+    radius_right_m: npt.ArrayLike
+    track_m: npt.ArrayLike
+
+    def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return left radius, right radius and track, each () or (vehicles,), checked to be lengths of a vehicle."""
+        parts = tuple(
+            np.asarray(part, dtype=np.float64) for part in (self.radius_left_m, self.radius_right_m, self.track_m)
+        )
+        for name, part in zip(("left radius", "right radius", "track"), parts, strict=True):
+            impossible = ~((part >= SHORTEST_M) & (part <= LONGEST_M))
+            if part.ndim > 1 or impossible.any():
+                found = f"{part.shape} of them" if part.ndim > 1 else f"{np.atleast_1d(part[impossible])[0]:g} m"
+                expected = f"lengths from {SHORTEST_M:g} to {LONGEST_M:g} m, one a vehicle"
+                raise BadInputError(f"{name}: found {found}; expected {expected}")
+        return parts[0], parts[1], parts[2]
+
+
+def wheel_travel(route: Route, believed: Axle, real: Axle) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return what the real wheels travel in each segment, each (vehicles, n_segments), and the track (vehicles, 1)."""
+    left, right, track = believed.arrays()
+    real_left, real_right, real_track = real.arrays()
+    ratio_left, ratio_right = np.atleast_1d(real_left / left)[:, None], np.atleast_1d(real_right / right)[:, None]
+    half = 0.5 * np.atleast_1d(track)[:, None] * route.turn_rad
+    parts = np.broadcast_arrays(
+        ratio_left * (route.length_m - half),
+        ratio_right * (route.length_m + half),
+        np.atleast_1d(real_track)[:, None],
+    )
+    return parts[0], parts[1], parts[2][:, :1]
+
+
+def follow(route: Route, believed: Axle, real: Axle) -> Poses:
+    """Return the real poses at the start and at the end of each segment, shape (vehicles, n_segments + 1).
+
+    The believed pose follows the route; divide the route for more poses.
+    """
+    left, right, track = wheel_travel(route, believed, real)
+    driven = integrate(left, right, track)
+    zero = np.zeros((len(left), 1))
+    return Poses(*(np.concatenate((zero, part), axis=1) for part in (driven.x_m, driven.y_m, driven.theta_rad)))
+
+
+def end_of_route(route: Route, believed: Axle, real: Axle) -> Poses:
+    """Return the real end poses alone, shape (vehicles,): `follow` for many thousands of vehicles at once."""
+    left, right, track = believed.arrays()
+    real_left, real_right, real_track = real.arrays()
+    ratio_left, ratio_right, track, inverse = (
+        np.atleast_1d(part)
+        for part in (real_left / left, real_right / right, np.asarray(track), np.asarray(1.0 / real_track))
+    )
+    n = max(len(part) for part in (ratio_left, ratio_right, track, inverse))
+    try:
+        end = np.zeros((3, *np.broadcast_shapes((n,), *(p.shape for p in (ratio_left, ratio_right, track, inverse)))))
+    except ValueError as error:
+        raise BadInputError(f"axles: found arrays of unlike lengths; expected one value or {n}") from error
+    store = np.empty((4, min(BLOCK, n)))
+    for first in range(0, n, BLOCK):
+        part = slice(first, first + BLOCK)
+        block = tuple(a[part] if len(a) > 1 else a for a in (ratio_left, ratio_right, track, inverse))
+        _drive(route, block, end[:, part], store)
+    return Poses(end[0], end[1], end[2])
+
+
+def _drive(route: Route, block: tuple[FloatArray, ...], end: FloatArray, store: FloatArray) -> None:
+    """Drive a block of vehicles over the route, segment by segment; `end` (3, vehicles) is moved along."""
+    ratio_left, ratio_right, track, inverse = block
+    x, y, theta = end
+    turn, path, work, tangent = (row[: len(x)] for row in store)
+    common = float(track[0]) if len(track) == 1 else None
+    for length, bend in zip(route.length_m.tolist(), route.turn_rad.tolist(), strict=True):
+        half = 0.5 * bend * (track if common is None else common)
+        np.multiply(ratio_left, length - half, out=work)
+        np.multiply(ratio_right, length + half, out=path)
+        np.subtract(path, work, out=turn)
+        turn *= inverse
+        path += work
+        shorten(path, turn, work, tangent)
+        # the tangent of half the heading in the segment's middle gives sine and cosine
+        turn *= 0.5
+        theta += turn
+        np.multiply(theta, 0.5, out=tangent)
+        theta += turn
+        np.tan(tangent, out=tangent)
+        np.multiply(tangent, tangent, out=work)
+        work += 1.0
+        np.divide(path, work, out=work)
+        work *= 2.0
+        tangent *= work
+        y += tangent
+        work -= path
+        x += work
+
+
+#: spacing of the points that figures and trajectories show
+SPACING_M: Final = 0.05
+
+#: which wheel is off -> (left, right) radius over the believed one, for E_r = right / left (Eq. 15)
+WHICH: Final = ("right", "left", "both", "equal")
+
+
+@dataclass(frozen=True, slots=True)
+class Study:
+    """A study by name."""
+
+    title: str  #: what it shows
+    routes: tuple[str, ...]  #: routes driven
+    ratios: tuple[float, ...]  #: ratios of radii
+    which: tuple[str, ...]  #: which wheels are off, of `WHICH`
+    figures: tuple[str, ...]  #: figures of the paper that it corresponds to, one a route
+
+
+STUDIES: Final[Mapping[str, Study]] = {
+    "symmetric": Study(
+        "Both wheels roll at E times the radius that the odometry believes",
+        ("paper_route",),
+        (0.98, 0.98825, 0.98971, 0.99, 1.0),
+        ("equal",),
+        ("fig12",),
+    ),
+    "asymmetric": Study(
+        "The radii differ by E_r = r_R / r_L, and the odometry believes that they do not",
+        ("straight15", "paper_route"),
+        (0.99, 0.995, 1.0, 1.005, 1.01),
+        ("right", "left", "both"),
+        ("fig13", "fig14"),
+    ),
+    "corrected": Study(
+        "The radii follow the load; what is left is the 95 % band of the regression",
+        ("paper_route",),
+        (0.9994, 0.9997, 1.0, 1.0003, 1.0006),
+        ("right", "left", "both"),
+        ("fig16",),
+    ),
+}
+
+
+def ratios(which: str, ratio: float) -> tuple[float, float]:
+    """Return the left and right radius over the believed one, where E_r = r_R / r_L is `ratio`.
+
+    ``both`` shares it about the mean; ``equal`` scales both wheels alike by it.
+    """
+    if not (math.isfinite(ratio) and ratio > 0.0):
+        raise BadInputError(f"ratio of radii: found {ratio!r}; expected a number above 0, near 1")
+    if which == "right":
+        return 1.0, ratio
+    if which == "left":
+        return 1.0 / ratio, 1.0
+    if which == "both":
+        return 2.0 / (1.0 + ratio), 2.0 * ratio / (1.0 + ratio)
+    if which == "equal":
+        return ratio, ratio
+    raise BadInputError(f"which wheel: found {which!r}; expected one of {', '.join(WHICH)}; choose one of them")
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One vehicle of a sweep: which wheel is off, by how much, and the radii over the believed one."""
+
+    which: str
+    ratio: float
+    left: float
+    right: float
+
+    @property
+    def label(self) -> str:
+        """Short name for tables and legends."""
+        if self.which == "given":
+            return f"given radii, E_r = {self.ratio:.6g}"
+        if self.which == "equal":
+            return f"both alike, E = {self.ratio:g}"
+        return f"{self.which} off, E_r = {self.ratio:g}"
+
+    @staticmethod
+    def off(which: str, ratio: float) -> Case:
+        """Return the case of a wheel that is off by a ratio; see `ratios`."""
+        return Case(which, ratio, *ratios(which, ratio))
+
+    @staticmethod
+    def given(left: float, right: float) -> Case:
+        """Return the case of radii (left, right) over the believed ones."""
+        return Case("given", right / left, left, right)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sweep:
+    """Vehicles with different radii on one route."""
+
+    route: Route  #: the route, undivided
+    track_m: float
+    cases: tuple[Case, ...]  #: vehicles
+    distance_m: FloatArray  #: shape (n_points,): distance along the route at each point
+    reference: Poses  #: route at the points, shape (n_points,)
+    poses: Poses  #: real poses, shape (n_cases, n_points)
+    errors: PoseErrors  #: real minus route, shape (n_cases, n_points)
+    corners: Poses  #: real poses at the ends of the undivided segments, shape (n_cases, n_segments + 1)
+
+    def ends(self) -> list[dict[str, float | str]]:
+        """Return the numbers at the end of the route, one row a case."""
+        rows: list[dict[str, float | str]] = []
+        for number, case in enumerate(self.cases):
+            first, last = self.corners[number, 1], self.poses[number, -1]
+            row: dict[str, float | str] = {
+                "case": case.label,
+                "which": case.which,
+                "ratio": case.ratio,
+                "first_segment_m": math.hypot(float(first.x_m), float(first.y_m)),
+            }
+            row |= {f"end_{name}": float(getattr(last, name)) for name in POSE}
+            rows.append(row | {f"error_{name}": float(values[number, -1]) for name, values in self._errors().items()})
+        return rows
+
+    def _errors(self) -> dict[str, FloatArray]:
+        return {name: getattr(self.errors, name) for name in (*COMPONENTS, "distance_m")}
+
+    def along(self) -> list[dict[str, float | str]]:
+        """Return poses and errors along the route, one row a case and point."""
+        columns = {name: getattr(self.poses, name) for name in POSE}
+        columns |= {f"error_{name}": getattr(self.errors, name) for name in COMPONENTS}
+        rows: list[dict[str, float | str]] = []
+        for number, case in enumerate(self.cases):
+            values = np.stack([self.distance_m, *(column[number] for column in columns.values())], axis=1).tolist()
+            named: dict[str, float | str] = {"which": case.which, "ratio": case.ratio}
+            rows += [named | dict(zip(("distance_m", *columns), row, strict=True)) for row in values]
+        return rows
+
+    def largest_m(self) -> float:
+        """Return the largest error in global x at the end of the route, by absolute value."""
+        return float(np.abs(self.errors.global_x_m[:, -1]).max())
+
+
+def run_sweep(
+    route: Route | str,
+    cases: Sequence[Case],
+    *,
+    track_m: float = 0.7,
+    real_track_m: float | None = None,
+) -> Sweep:
+    """Drive vehicles with different radii over a route (or one of that name).
+
+    Only the ratios of real to believed radii matter. The odometry believes `track_m`; the real one is the same by
+    default.
+    """
+    way = find_route(route) if isinstance(route, str) else route
+    vehicles = tuple(cases)
+    believed = Axle(1.0, 1.0, track_m)
+    real = Axle(
+        np.array([case.left for case in vehicles]),
+        np.array([case.right for case in vehicles]),
+        track_m if real_track_m is None else real_track_m,
+    )
+    fine = way.divided(SPACING_M)
+    what = f"poses of {len(vehicles)} vehicles along {way.name}"
+    refuse_more(what, len(vehicles) * (len(fine) + 1), SIMULATED_POSES, "simulate fewer vehicles, or a shorter route")
+    reference, poses = fine.poses(), follow(fine, believed, real)
+    return Sweep(
+        route=way,
+        track_m=track_m,
+        cases=vehicles,
+        distance_m=fine.distance_m(),
+        reference=reference,
+        poses=poses,
+        errors=pose_errors(poses, reference),
+        corners=follow(way, believed, real),
+    )
+
+
+#: end error along the route without and with the load correction, as the paper prints them (Sect. 7.3)
+PAPER_BEFORE_M: Final = 1.1
+PAPER_AFTER_M: Final = 0.06
+
+#: the vehicle's track as the paper states it
+PAPER_TRACK_M: Final = 0.7
+
+
+@dataclass(frozen=True, slots=True)
+class Improvement:
+    """End errors without and with a correction, and their ratio; None where the corrected error is zero."""
+
+    before_m: float
+    after_m: float
+    ratio: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Headline:
+    """End error without and with the correction, each the largest case of its sweep, and their ratio."""
+
+    which: str  #: wheel that is off
+    #: without_m, corrected_m: largest global e_x by absolute value
+    without_m: float
+    corrected_m: float
+    ratio: float  #: how many times smaller the corrected one is
+
+
+def headlines(route: Route, track_m: float) -> tuple[Headline, ...]:
+    """Set the study of corrected radii against that of uncorrected ones, on the same route, wheel by wheel."""
+    before, after = STUDIES["asymmetric"], STUDIES["corrected"]
+    lines = []
+    for which in before.which:
+        first, second = (
+            run_sweep(route, [Case.off(which, ratio) for ratio in study.ratios], track_m=track_m).largest_m()
+            for study in (before, after)
+        )
+        lines.append(Headline(which, first, second, first / second))
+    return tuple(lines)
+
+
+@cache
+def paper_headline() -> Improvement:
+    """Return the paper's end errors as printed, and their ratio before rounding."""
+    largest = max(headlines(find_route("paper_route"), PAPER_TRACK_M), key=lambda line: line.without_m)
+    return Improvement(PAPER_BEFORE_M, PAPER_AFTER_M, largest.ratio)

@@ -1,0 +1,262 @@
+"""Logged runs replayed through odometry, against their reference poses: with and without the load correction.
+
+Three odometries are compared: with what the simulator believes, its load slopes included; with the law's radii at the
+unladen load, kept constant; and with the law's radii at the load of each run (Fig. 7), or, where a log has its own
+loads, of each step. The vehicle's own runtime is fed the same logs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from calib.campaign.model import Campaign
+from calib.campaign.wheels import WHEEL_COLUMNS, odometry_source, without_rear_wheels
+from calib.coefficients.file import CoefficientFile, believed_model
+from calib.errors import RefusedError
+from calib.odometry.integrate import end_poses, loads_in_steps, radii_of_model, radii_under_load, travel_from_counts
+from calib.odometry.poses import PoseErrors, Poses, pose_errors
+from calib.odometry.replay_checks import (
+    NOT_FED,
+    RuntimeCheck,
+    of_vehicle,
+    runtime_check,
+    stood_in,
+    with_end_poses,
+    with_loads,
+)
+from calib.radius.law import RadiusLaw
+from calib.result import Result
+from calib.types import BoolArray, FloatArray, StrArray
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+METHODS = ("model", "constant", "corrected")
+
+#: of the bootstrap over runs
+RESAMPLES: Final = 2000
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Replay(Result):
+    """End poses of logged runs by each odometry, against the reference."""
+
+    campaign: str  #: name of the campaign
+    simulated: bool  #: whether a program made its data
+    #: run_id, kind: shape (n,): runs with a log and a reference end pose
+    run_id: StrArray
+    kind: StrArray
+    #: load_left_N, load_right_N: shape (n,): wheel loads of the runs, where their logs do not say otherwise
+    load_left_N: FloatArray
+    load_right_N: FloatArray
+    distance_m: FloatArray  #: shape (n,): driven by the reference law
+    reference: Poses  #: reference end poses, shape (n,)
+    ends: dict[str, Poses]  #: end poses by each of `METHODS`
+    errors: dict[str, PoseErrors]  #: odometry minus reference
+    in_range: BoolArray  #: shape (n,): whether all loads lie within the range that the law was measured in
+    #: rms_m, rms_heading_rad: root mean square of the position's and the heading's end error over the runs in range
+    rms_m: dict[str, float]
+    rms_heading_rad: dict[str, float]
+    #: ratio, ratio_ci95: RMS of the constant radii over that of the corrected ones, with a bootstrap interval over runs
+    ratio: float
+    ratio_ci95: tuple[float, float]
+    runtime: RuntimeCheck  #: the vehicle's own code on the same logs
+    left_out: dict[str, int]  #: runs that could not be compared, by reason
+    #: whether a front wheel or four wheels drive the odometry: no law of a load, so that ``constant`` is ``corrected``,
+    #: and nothing for the runtime, which reads two wheels on one axle
+    by_geometry: bool = False
+    notes: tuple[str, ...] = ()  #: what had to be assumed
+
+    @property
+    def table(self) -> DataFrame:
+        """The runs as a table: end errors by each odometry; SI units."""
+        from pandas import DataFrame
+
+        return DataFrame(self.to_dict()["runs"])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the replay as plain values: what ``calib simulate replay --json`` prints.
+
+        The differences of the runtime are null where no sample could be compared.
+        """
+        runtime = asdict(self.runtime)
+        for key in ("largest_difference_m", "largest_difference_rad"):
+            runtime[key] = runtime[key] if np.isfinite(runtime[key]) else None
+        runs = []
+        for k in range(len(self.run_id)):
+            row: dict[str, Any] = {
+                "run_id": str(self.run_id[k]),
+                "kind": str(self.kind[k]),
+                "load_left_N": float(self.load_left_N[k]),
+                "load_right_N": float(self.load_right_N[k]),
+                "in_range": bool(self.in_range[k]),
+                "distance_m": float(self.distance_m[k]),
+            }
+            for method in METHODS:
+                for name in ("along_m", "lateral_m", "heading_rad", "distance_m"):
+                    row[f"{method}_{name}"] = float(getattr(self.errors[method], name)[k])
+            runs.append(row)
+        return {
+            "rms_m": self.rms_m,
+            "rms_heading_rad": self.rms_heading_rad,
+            "ratio": self.ratio,
+            "ratio_ci95": list(self.ratio_ci95),
+            "runtime": runtime,
+            "left_out": self.left_out,
+            "runs": runs,
+        }
+
+
+def replay(
+    campaign: Campaign,
+    coefficients: CoefficientFile,
+    *,
+    rng: np.random.Generator,
+    scheme: str = "exact",
+    runtime_runs: int = 20,
+) -> Replay:
+    """Replay the logged runs of a campaign.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        Runs with logs and reference end poses.
+    coefficients : CoefficientFile
+        Law, track and vehicle.
+    rng : numpy.random.Generator
+        For the bootstrap.
+    scheme : str
+        Integration scheme; see `calib.odometry.integrate.SCHEMES`.
+    runtime_runs : int
+        How many runs the runtime is fed.
+
+    Raises
+    ------
+    RefusedError
+        Where no run has a log, a reference end pose and wheel loads within the valid range.
+    """
+    chosen, left_out, notes = _usable(campaign, coefficients.law)
+    if not len(chosen.runs):
+        reasons = ", ".join(f"{count} {reason}" for reason, count in left_out.items() if count) or "no runs"
+        raise RefusedError(
+            f"{campaign.name}: no run can be replayed ({reasons}); expected runs with a log, a reference end pose and "
+            "wheel loads; log counts and measure ref_x_m, ref_y_m, ref_theta_rad"
+        )
+    law, runs, logs = coefficients.law, chosen.runs, chosen.logs
+    loads = runs.number("load_left_N"), runs.number("load_right_N")
+    carried = (
+        loads_in_steps(loads[0], logs.columns.get("load_left_N"), logs.offsets),
+        loads_in_steps(loads[1], logs.columns.get("load_right_N"), logs.offsets),
+    )
+    by_geometry = without_rear_wheels(chosen)
+    reference = Poses(runs.number("ref_x_m"), runs.number("ref_y_m"), runs.number("ref_theta_rad"))
+    reference = of_vehicle(reference, coefficients) if by_geometry else reference
+    ends, travelled = _driven(chosen, coefficients, carried, scheme)
+    errors = {method: pose_errors(end, reference) for method, end in ends.items()}
+    in_range = np.logical_and.reduceat(_in_range(law, *carried) | by_geometry, logs.offsets[:-1])
+    if not in_range.any():
+        raise RefusedError(
+            f"{campaign.name}: no run's wheel loads lie within the range that the law was measured in; "
+            "give coefficients that were measured under these loads"
+        )
+    square = {method: errors[method].distance_m[in_range] ** 2 for method in METHODS}
+    picks = rng.integers(0, in_range.sum(), size=(RESAMPLES, int(in_range.sum())))
+    means = {method: square[method][picks].mean(axis=1) for method in ("constant", "corrected")}
+    low, high = np.quantile(np.sqrt(means["constant"] / np.maximum(means["corrected"], 1e-300)), [0.025, 0.975])
+    rms = {method: float(np.sqrt(part.mean())) for method, part in square.items()}
+    return Replay(
+        campaign=campaign.name,
+        simulated=campaign.simulated,
+        run_id=runs.run_id,
+        kind=runs.label("kind"),
+        load_left_N=loads[0],
+        load_right_N=loads[1],
+        distance_m=travelled,
+        reference=reference,
+        ends=ends,
+        errors=errors,
+        in_range=in_range,
+        rms_m=rms,
+        rms_heading_rad={
+            method: float(np.sqrt(np.mean(errors[method].heading_rad[in_range] ** 2))) for method in METHODS
+        },
+        ratio=rms["constant"] / rms["corrected"],
+        ratio_ci95=(float(low), float(high)),
+        runtime=NOT_FED if by_geometry else runtime_check(chosen, coefficients, runs=runtime_runs),
+        left_out=left_out,
+        by_geometry=by_geometry,
+        notes=notes,
+    )
+
+
+def _driven(
+    campaign: Campaign, coefficients: CoefficientFile, carried_N: tuple[FloatArray, FloatArray], scheme: str
+) -> tuple[dict[str, Poses], FloatArray]:
+    """Return the end poses by each of `METHODS`, and the way by the corrected one, under the loads of the steps."""
+    if without_rear_wheels(campaign):
+        return _stood_in(campaign, coefficients, scheme)
+    unladen = np.full(len(campaign.runs), coefficients.geometry.unladen_load_N)
+    track_m, offsets, columns = coefficients.geometry.track_m, campaign.logs.offsets, campaign.logs.columns
+    believed = {
+        "model": (radii_of_model(campaign.model, *carried_N), campaign.model.track_m),
+        "constant": (radii_under_load(coefficients.law, unladen, unladen), track_m),
+        "corrected": (radii_under_load(coefficients.law, *carried_N), track_m),
+    }
+    ends, left, right = {}, np.empty(0), np.empty(0)
+    for method in METHODS:
+        radii, track = believed[method]
+        left, right = travel_from_counts(
+            columns["counts_left"], columns["counts_right"], campaign.encoder, *radii, offsets=offsets
+        )
+        ends[method] = end_poses(left, right, track, offsets=offsets, scheme=scheme)
+    return ends, np.add.reduceat(0.5 * np.abs(left + right), offsets[:-1])
+
+
+def _stood_in(campaign: Campaign, coefficients: CoefficientFile, scheme: str) -> tuple[dict[str, Poses], FloatArray]:
+    """Return the same for odometry from a front wheel or from four wheels."""
+    offsets = campaign.logs.offsets
+    calibrated = believed_model(coefficients, campaign.model.reference_load_N)
+    before, _ = stood_in(campaign, campaign.model, scheme=scheme)
+    after, rolled = stood_in(campaign, calibrated, scheme=scheme)
+    last = offsets[1:] - 1
+    return {"model": before[last], "constant": after[last], "corrected": after[last]}, np.add.reduceat(
+        rolled, offsets[:-1]
+    )
+
+
+def _usable(campaign: Campaign, law: RadiusLaw) -> tuple[Campaign, dict[str, int], tuple[str, ...]]:
+    """Return the runs with log, reference end pose and loads, how many were omitted and why, and what was assumed."""
+    campaign, notes = with_loads(with_end_poses(campaign), law)
+    runs, logs = campaign.runs, campaign.logs
+    source = odometry_source(campaign)
+    needed = (*WHEEL_COLUMNS[source if without_rear_wheels(campaign) else "rear"], "t_s")
+    needed = (*needed, "steer_rad") if "counts_front" in needed else needed
+    posed = np.isfinite(np.stack([runs.number(c) for c in ("ref_x_m", "ref_y_m", "ref_theta_rad")])).all(axis=0)
+    loaded = np.isfinite(runs.number("load_left_N")) & np.isfinite(runs.number("load_right_N"))
+    counted = logs.present.copy()
+    for name in needed:
+        column = logs.columns.get(name)
+        if column is None:
+            counted[:] = False
+            continue
+        gaps = np.concatenate(([0], np.cumsum(~np.isfinite(column))))
+        counted &= gaps[logs.offsets[1:]] == gaps[logs.offsets[:-1]]
+    excluded = runs.excluded
+    left_out = {
+        "excluded": int(excluded.sum()),
+        "without a complete log": int((~excluded & ~counted).sum()),
+        "without a reference end pose": int((~excluded & counted & ~posed).sum()),
+        "without wheel loads": int((~excluded & counted & posed & ~loaded).sum()),
+    }
+    return campaign.select(~excluded & counted & posed & loaded), left_out, notes
+
+
+def _in_range(law: RadiusLaw, load_left_N: FloatArray, load_right_N: FloatArray) -> BoolArray:
+    """Return whether both loads were measured; a newton beyond the range counts as inside."""
+    inside = np.ones(len(load_left_N), dtype=np.bool_)
+    for wheel, load in ((law.left, load_left_N), (law.right, load_right_N)):
+        inside &= (load >= wheel.load_min_N - 1.0) & (load <= wheel.load_max_N + 1.0)
+    return inside

@@ -1,0 +1,199 @@
+"""Routes of straights and arcs: by name, or from a small TOML file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from calib.campaign.settings_file import load_toml
+from calib.errors import BadFileError, BadInputError
+from calib.limits import ROUTE_POINTS, refuse_more
+from calib.odometry.integrate import integrate
+from calib.odometry.poses import Poses, read_tum
+from calib.odometry.steps import sinc
+from calib.types import FloatArray
+
+Segment = tuple[float, float]
+
+FORMAT: Final = "calib-route/1"
+
+
+def straight(length_m: float) -> Segment:
+    """Return a straight of a length in m; negative is driven backwards."""
+    return (length_m, 0.0)
+
+
+def arc(radius_m: float, turn_rad: float) -> Segment:
+    """Return an arc of a radius in m; a positive turn goes left; radius 0 turns on the spot."""
+    return (radius_m * abs(turn_rad), turn_rad)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Route:
+    """Straights and arcs that the middle of the rear axle follows, starting at (0, 0, 0)."""
+
+    name: str
+    length_m: FloatArray  #: shape (n_segments,): length of each segment
+    turn_rad: FloatArray  #: shape (n_segments,): turn of each segment, left positive; 0 in a straight
+
+    @staticmethod
+    def from_segments(name: str, *segments: Segment) -> Route:
+        """Return the route of `straight` and `arc` segments."""
+        rows = np.array(segments, dtype=np.float64).reshape(-1, 2)
+        return Route(name, rows[:, 0].copy(), rows[:, 1].copy())
+
+    def __len__(self) -> int:
+        return len(self.length_m)
+
+    @property
+    def total_m(self) -> float:
+        """Length of the whole route."""
+        return float(np.abs(self.length_m).sum())
+
+    def divided(self, spacing_m: float) -> Route:
+        """Return the same route with every segment cut into equal pieces of at most `spacing_m` (or 3 degrees).
+
+        Raises
+        ------
+        BadInputError
+            Where these are more than `calib.limits.ROUTE_POINTS`.
+        """
+        if not spacing_m > 0.0:
+            raise BadInputError(f"spacing: found {spacing_m!r} m; expected a length above 0")
+        pieces = np.ceil(
+            np.maximum(np.abs(self.length_m) / spacing_m, np.abs(self.turn_rad) / math.radians(3.0)) - 1e-9
+        )
+        pieces = np.maximum(pieces, 1.0)
+        what = f"points along {self.name}, {self.total_m:.4g} m at {spacing_m:g} m each"
+        refuse_more(what, float(pieces.sum()), ROUTE_POINTS, "drive a shorter route, or a part of it")
+        count = pieces.astype(np.int64)
+        return Route(self.name, np.repeat(self.length_m / count, count), np.repeat(self.turn_rad / count, count))
+
+    def cut(self, at_m: npt.ArrayLike) -> Route:
+        """Return the same route with a border between two segments at each of these distances along it."""
+        wanted = np.unique(np.asarray(at_m, dtype=np.float64))
+        edges = self.distance_m()
+        pieces: list[Segment] = []
+        for k, (length, turn) in enumerate(zip(self.length_m.tolist(), self.turn_rad.tolist(), strict=True)):
+            first, last = edges[k], edges[k + 1]
+            inside = wanted[(wanted > first + 1e-9) & (wanted < last - 1e-9)]
+            shares = np.diff(np.concatenate(([first], inside, [last]))) / (last - first) if len(inside) else [1.0]
+            pieces += [(length * float(share), turn * float(share)) for share in shares]
+        return Route.from_segments(self.name, *pieces)
+
+    def mirrored(self) -> Route:
+        """Return the route with left and right swapped."""
+        return Route(self.name, self.length_m, -self.turn_rad)
+
+    def poses(self) -> Poses:
+        """Return the poses at the start and at the end of each segment, shape (n_segments + 1,)."""
+        half = 0.5 * self.turn_rad
+        driven = integrate(self.length_m - half, self.length_m + half, 1.0)
+        return Poses(*(np.concatenate(([0.0], part)) for part in (driven.x_m, driven.y_m, driven.theta_rad)))
+
+    def distance_m(self) -> FloatArray:
+        """Return the distance driven at the start and at the end of each segment, shape (n_segments + 1,)."""
+        return np.concatenate(([0.0], np.cumsum(np.abs(self.length_m))))
+
+
+def _square(side_m: float, turn_rad: float) -> tuple[Segment, ...]:
+    return (straight(side_m), arc(0.5, turn_rad)) * 4
+
+
+QUARTER: Final = math.pi / 2
+
+#: adding a named route means adding one line here
+NAMED: Final[Mapping[str, tuple[Segment, ...]]] = {
+    "corridor": (straight(40.0),),
+    "straight15": (straight(15.0),),
+    "paper_route": (straight(5.0), arc(3.0, QUARTER), straight(5.0)),
+    "square_cw": _square(4.0, -QUARTER),
+    "square_ccw": _square(4.0, QUARTER),
+    "figure8": (arc(2.0, 2 * math.pi), arc(2.0, -2 * math.pi)),
+}
+
+
+def find_route(name: str) -> Route:
+    """Return a route by its name, from a TOML file, or from a recorded trajectory (``.tum``)."""
+    if name in NAMED:
+        return Route.from_segments(name, *NAMED[name])
+    if name.endswith(".toml"):
+        return read_route(Path(name))
+    if name.endswith(".tum"):
+        return driven_route(Path(name))
+    raise BadInputError(
+        f"route: found {name!r}; expected {', '.join(NAMED)}, or a file ending in .toml or .tum; choose one of them"
+    )
+
+
+def driven_route(path: Path) -> Route:
+    """Return the route that a recorded trajectory (TUM file) describes: one arc from each pose to the next.
+
+    An arc keeps the poses' distance and turn; what a pose lies off the arc's chord is lost.
+    """
+    _, poses = read_tum(path)
+    if len(poses) < 2:
+        raise BadFileError(path, found="one pose", expected="two or more", remedy="record a longer trajectory")
+    turn = np.diff(poses.theta_rad)
+    dx, dy = np.diff(poses.x_m), np.diff(poses.y_m)
+    middle = poses.theta_rad[:-1] + 0.5 * turn
+    sign = np.where(dx * np.cos(middle) + dy * np.sin(middle) < 0.0, -1.0, 1.0)
+    return Route(path.stem, sign * np.hypot(dx, dy) / sinc(0.5 * turn), turn)
+
+
+def read_route(path: Path) -> Route:
+    """Read a route file.
+
+    The file says ``format = "calib-route/1"``, a ``name`` where wanted, and one ``[[segment]]`` for each piece with
+    either ``straight_m``, or ``radius_m`` and ``turn_deg`` (or ``turn_rad``), left positive.
+    """
+    path = Path(path)
+
+    def bad(found: str, expected: str, column: str | None = None) -> BadFileError:
+        return BadFileError(path, found=found, expected=expected, remedy="correct the route file", column=column)
+
+    document = load_toml(path, str(path), remedy="give the path of a route file")
+    if document.get("format") != FORMAT:
+        raise bad(repr(document.get("format")), repr(FORMAT), "format")
+    pieces = document.get("segment")
+    if not isinstance(pieces, list) or not pieces:
+        raise bad("no [[segment]]", "one [[segment]] or more", "segment")
+    name = document.get("name", path.stem)
+    if not isinstance(name, str):
+        raise bad(repr(name), "a text", "name")
+    segments = []
+    for number, piece in enumerate(pieces, start=1):
+        where = f"segment {number}"
+        if not isinstance(piece, dict):
+            raise bad(repr(piece), "a table", where)
+        keys = frozenset(piece)
+        if keys not in _KEYS:
+            raise bad(", ".join(sorted(keys)) or "nothing", "straight_m, or radius_m and turn_deg (or turn_rad)", where)
+        values = {key: _number(value) for key, value in piece.items()}
+        for key, value in values.items():
+            if value is None or (key == "radius_m" and value < 0.0):
+                raise bad(f"{key} = {piece[key]!r}", "a finite number, a radius not below 0", where)
+        segments.append(_segment({key: value for key, value in values.items() if value is not None}))
+    return Route.from_segments(name, *segments)
+
+
+_KEYS: Final = {frozenset({"straight_m"}), frozenset({"radius_m", "turn_deg"}), frozenset({"radius_m", "turn_rad"})}
+
+
+def _number(value: Any) -> float | None:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value) or abs(value) > 1e6:
+        return None
+    return float(value)
+
+
+def _segment(values: Mapping[str, float]) -> Segment:
+    if "straight_m" in values:
+        return straight(values["straight_m"])
+    turn = math.radians(values["turn_deg"]) if "turn_deg" in values else values["turn_rad"]
+    return arc(values["radius_m"], turn)

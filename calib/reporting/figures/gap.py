@@ -1,0 +1,320 @@
+"""Figures of a gap: map on the floor plan, gap by covariate, before and after by channel."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.figure import Figure
+
+from calib.gap.decision.diagnosis import Diagnosis
+from calib.gap.localise.covariates import covariate_values
+from calib.gap.observations.arrays import Channel
+from calib.gap.predict import residuals
+from calib.reporting.figures.style import (
+    BLUE,
+    GREY,
+    INK,
+    MANY,
+    ORANGE,
+    WIDTH_CM,
+    canvas,
+    colour,
+    group_legend,
+    legible,
+    panels,
+    styled,
+)
+from calib.reporting.formatting import readable, with_unit
+from calib.types import FloatArray, StrArray
+
+#: longest arrow of the map over the larger side of the floor plan
+ARROW_SHARE: Final = 0.12
+#: greatest height of the map: half a page
+MAP_HEIGHT_CM: Final = 11.5
+#: covariates drawn of one channel: two rows of three
+MAX_PANELS: Final = 6
+#: pictures of a diagnosis in a report, and figures of ``calib diagnose --figures``
+GAP_PICTURES: Final = ("gap-map", "gap-by-covariate", "gap-before-after")
+GAP_FIGURES: Final = ("gap-map", "before-after", *(f"gap-by-covariate-{channel.label}" for channel in Channel))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GapArrays:
+    """Arrays of a diagnosis as its figures and panels show them."""
+
+    #: name and unit (``m`` or ``rad``) of each channel, shape (n_channels,)
+    channels: tuple[tuple[str, str], ...]
+    #: run, session and kind of each observation, shape (n,)
+    labels: Mapping[str, StrArray]
+    #: measured minus simulated without and with the named causes, on held-out runs; NaN where an observation lacks the
+    #: channel, shape (n, n_channels)
+    before: FloatArray
+    after: FloatArray
+    #: noise level, one standard deviation; NaN as above, shape (n, n_channels)
+    noise_level: FloatArray
+    #: candidates that the gap may correlate with, by name with unit suffix, shape (n,)
+    covariates: Mapping[str, FloatArray]
+    #: predicted path of each observation from its own start, x and y, shape (n_samples, 2); empty without end positions
+    paths_m: tuple[FloatArray, ...] = ()
+    #: measured minus predicted end position in the frame of the paths, shape (n, 2)
+    offset_m: FloatArray | None = None
+
+    @staticmethod
+    def of(diagnosis: Diagnosis) -> GapArrays:
+        """Return the arrays of a diagnosis."""
+        observations, nominal, held_out = diagnosis.observations, diagnosis.nominal, diagnosis.held_out
+        usable, starts = observations.usable, observations.starts
+        _, along, lateral, *_ = np.where(usable, residuals(nominal, nominal), np.nan).T
+        c, sn = np.cos(nominal.frame), np.sin(nominal.frame)
+        offset = np.column_stack((c * along - sn * lateral, sn * along + c * lateral))
+        xy = np.column_stack((nominal.x_m, nominal.y_m))
+        paths = tuple(
+            np.vstack((np.zeros((1, 2)), xy[first:last], nominal.end[k, :2]))
+            for k, (first, last) in enumerate(pairwise(starts))
+        )
+        known = bool(np.isfinite(offset).any())
+        before, after, noise_level = (
+            np.where(usable, part, np.nan) for part in (held_out.before, held_out.after, held_out.floor)
+        )
+        return GapArrays(
+            channels=tuple((channel.label, channel.unit) for channel in Channel),
+            labels={name: observations.labels[name] for name in ("run_id", "session", "kind")},
+            before=before,
+            after=after,
+            noise_level=noise_level,
+            covariates={
+                name: np.asarray(values, dtype=np.float64)
+                for name, values in covariate_values(observations).items()
+                if values.dtype.kind == "f"
+            },
+            paths_m=paths if known else (),
+            offset_m=offset if known else None,
+        )
+
+
+@styled
+def gap_map(paths_m: Sequence[FloatArray], offset_m: FloatArray, group: StrArray | None = None) -> Figure:
+    """Draw the floor plan with every run's path, and its gap as an arrow from simulated to measured end.
+
+    `paths_m` (shape (n_samples, 2)): path of each run, x and y; an end position alone is a path of one sample;
+    `offset_m` (shape (n, 2)): measured minus simulated end position; NaN where unknown; `group` (shape
+    (n,)): route or kind of each run, for colours. Arrows are magnified by a round factor that the title says.
+    """
+    ends = np.array([path[-1] for path in paths_m], dtype=np.float64)
+    offset = np.asarray(offset_m, dtype=np.float64)
+    known = np.asarray(np.isfinite(np.hstack((offset, ends))).all(axis=1))
+    points = np.concatenate([np.asarray(path, dtype=np.float64) for path in paths_m])
+    points = points[np.flatnonzero(np.isfinite(points).all(axis=1))]
+    low, high = points.min(axis=0), points.max(axis=0)
+    size = float(max(np.max(high - low), 1e-3))
+    length = np.hypot(*offset[known].T) if known.any() else np.zeros(0)
+    typical = float(np.quantile(length, 0.9)) if len(length) else 0.0
+    factor = _round_down(ARROW_SHARE * size / typical) if typical > 0 else 1.0
+    tips = np.add(ends, factor * np.where(known.reshape(-1, 1), offset, 0.0))
+    low, high = np.minimum(low, tips.min(axis=0)), np.maximum(high, tips.max(axis=0))
+    margin = 0.04 * float(max(np.max(high - low), 1e-3))
+    # a long corridor is a flat figure: the height follows the plan, within reason
+    aspect = float((high[1] - low[1] + 2 * margin) / (high[0] - low[0] + 2 * margin))
+    stretched = aspect < 0.12
+    figure = canvas(float(np.clip(2.6 + 0.86 * WIDTH_CM * aspect, 6.0, MAP_HEIGHT_CM)))
+    axis = figure.add_subplot()
+    names, number = _groups(group, len(paths_m))
+    seen: set[int] = set()
+    for path in paths_m:
+        axis.plot(path[:, 0], path[:, 1], color="#C4C9CE", lw=0.7, solid_capstyle="round")
+    for k in np.flatnonzero(known):
+        label = names[number[k]] if number[k] not in seen else None
+        seen.add(int(number[k]))
+        axis.plot(*ends[k], "o", ms=2.2, color=colour(int(number[k])), label=label)
+        axis.annotate(
+            "",
+            xy=tuple(tips[k]),
+            xytext=tuple(ends[k]),
+            arrowprops={"arrowstyle": "-|>", "color": colour(int(number[k])), "lw": 0.9, "mutation_scale": 6,
+                        "shrinkA": 0, "shrinkB": 0},
+        )  # fmt: skip
+    axis.set_xlim(low[0] - margin, high[0] + margin)
+    axis.set_ylim(low[1] - margin, high[1] + margin)
+    if not stretched:
+        axis.set_aspect("equal", adjustable="box")
+    axis.set(xlabel="x (m)", ylabel="y (m)")
+    scale = ""
+    if len(length):
+        unit_factor, unit = readable("m", float(length.max()))
+        scale = f"largest {unit_factor * float(length.max()):.3g} {unit}; "
+    magnified = "to scale" if factor == 1 else f"{factor:g} times"
+    note = ", y stretched" if stretched else ""
+    axis.set_title(f"Gap at the end of each run ({scale}arrows {magnified}{note})")
+    group_legend(figure, axis, names, below=True)
+    return figure
+
+
+@styled
+def gap_by_covariate(
+    residual: FloatArray,
+    channel: str,
+    unit: str,
+    covariates: Mapping[str, FloatArray],
+    *,
+    noise_level: float | None = None,
+    group: StrArray | None = None,
+) -> Figure:
+    """Draw one channel's gap against each covariate, with the mean of up to eight classes and its 95 % interval.
+
+    Parameters
+    ----------
+    residual : array of float, shape (n,)
+        Measured minus simulated; NaN where a run lacks the channel.
+    channel, unit : str
+        Name of the channel; ``m`` or ``rad``.
+    covariates : mapping of str to array of float, shape (n,)
+        By name with unit suffix; at most six are drawn.
+    noise_level : float, optional
+        Standard deviation of repeats, as a band about zero.
+    group : array of str, shape (n,), optional
+        Route or kind of each run, for colours.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        One panel a covariate.
+    """
+    shown = list(covariates.items())[:MAX_PANELS]
+    factor, name = readable(unit, _largest(residual))
+    figure, axes = panels(len(shown), 1.6, 4.4, sharey=True)
+    names, number = _groups(group, len(residual))
+    gap = factor * np.asarray(residual, dtype=np.float64)
+    for axis, (title, values) in zip(axes.flat, shown, strict=False):
+        good = np.isfinite(gap) & np.isfinite(values)
+        if noise_level is not None:
+            axis.axhspan(-factor * noise_level, factor * noise_level, color=GREY, alpha=0.18, lw=0)
+        axis.axhline(0.0, color=GREY, lw=0.6)
+        for index in range(len(names)):
+            on = good & (number == index)
+            style = {"color": colour(index), "label": names[index], "rasterized": len(gap) > MANY}
+            axis.plot(values[on], gap[on], "o", ms=2.2, alpha=0.6, mew=0, **style)
+        if good.sum() >= 3:
+            centre, mean, error = _classes(values[good], gap[good])
+            axis.errorbar(centre, mean, yerr=error, fmt="s", color=INK, elinewidth=0.8, ms=2.6)
+        axis.set_xlabel(legible(with_unit(title)))
+        axis.margins(x=0.06, y=0.08)
+        # numbers with many decimals would run into each other
+        axis.locator_params(axis="x", nbins=4)
+    for row in axes:
+        row[0].set_ylabel(f"{channel} ({name})")
+    group_legend(figure, axes[0, 0], names)
+    return figure
+
+
+@styled
+def before_after(
+    channels: Sequence[tuple[str, str]], before: FloatArray, after: FloatArray, noise_level: FloatArray
+) -> Figure:
+    """Draw the gap of every run before and after the fix, channel by channel, with the noise level.
+
+    `channels`: name and unit (``m`` or ``rad``) of each channel; `before`, `after` (shape (n, n_channels)):
+    measured minus simulated without and with the named cause, on held-out runs; NaN where there is none; `noise_level`
+    (shape (n, n_channels)): standard deviation that repeats give. One panel a channel that any run has; the dots
+    are runs, the thick bars root mean squares.
+    """
+    used = [k for k in range(len(channels)) if np.isfinite(before[:, k]).any()]
+    figure, axes = panels(len(used), 1.2, 4.8)
+    for axis, k in zip(axes.flat, used, strict=False):
+        title, unit = channels[k]
+        factor, name = readable(unit, _largest(before[:, k]))
+        level = factor * rms(noise_level[:, k])
+        if np.isfinite(level):
+            axis.axhspan(-level, level, color=GREY, alpha=0.22, lw=0)
+        axis.axhline(0.0, color=GREY, lw=0.6)
+        for place, (values, tint) in enumerate(((before[:, k], ORANGE), (after[:, k], BLUE))):
+            gaps = factor * values[np.isfinite(values)]
+            # dots beside each other, spread evenly, not by chance
+            spread = 0.26 * (2 * ((np.arange(len(gaps)) * 0.6180339887498949) % 1.0) - 1)
+            axis.plot(place + spread, gaps, "o", ms=2.2, mew=0, color=tint, alpha=0.55, rasterized=len(gaps) > MANY)
+            size = rms(gaps)
+            for sign in (-1.0, 1.0):
+                axis.plot([place - 0.3, place + 0.3], [sign * size, sign * size], color=tint, lw=1.8)
+        sizes = [f"{factor * rms(values[:, k]):.3g} {name}" for values in (before, after)]
+        axis.set_xticks([0, 1], [f"before\n{sizes[0]}", f"after\n{sizes[1]}"])
+        axis.set_xlim(-0.5, 1.5)
+        axis.grid(visible=False, axis="x")
+        axis.set(
+            title=f"{title} (noise level {level:.3g} {name})" if np.isfinite(level) else title, ylabel=f"gap ({name})"
+        )
+        axis.margins(y=0.08)
+    return figure
+
+
+def gap_figures(diagnosis: Diagnosis) -> dict[str, Figure]:
+    """Return the figures of a diagnosis by name; figures without data are omitted."""
+    gap = GapArrays.of(diagnosis)
+    figures: dict[str, Figure] = {}
+    if gap.offset_m is not None:
+        figures["gap-map"] = gap_map(gap.paths_m, gap.offset_m, gap.labels["kind"])
+    lines = diagnosis.where.covariates
+    for k, (channel, unit) in enumerate(gap.channels):
+        # covariates of the verdict first, those of this channel before others
+        ranked = [line.name for line in lines if line.channel_label == channel] + [line.name for line in lines]
+        names = [name for name in dict.fromkeys([*ranked, *gap.covariates]) if name in gap.covariates][:MAX_PANELS]
+        if names and np.isfinite(gap.before[:, k]).any():
+            figures[f"gap-by-covariate-{channel}"] = gap_by_covariate(
+                gap.before[:, k], channel, unit, {name: gap.covariates[name] for name in names},
+                noise_level=rms(gap.noise_level[:, k]), group=gap.labels["kind"],
+            )  # fmt: skip
+    figures["before-after"] = before_after(gap.channels, gap.before, gap.after, gap.noise_level)
+    return figures
+
+
+def _largest(values: FloatArray) -> float:
+    known = np.abs(values[np.isfinite(values)])
+    return float(known.max()) if len(known) else 0.0
+
+
+def rms(values: FloatArray) -> float:
+    """Return the root mean square of the finite values; NaN where there are none."""
+    known = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(known**2))) if len(known) else float("nan")
+
+
+def _round_down(value: float) -> float:
+    """Return the largest of 1, 2, 5 times a power of ten that is not above `value`, 1 at least."""
+    power = 10.0 ** np.floor(np.log10(max(value, 1.0)))
+    return float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= max(value, 1.0)))
+
+
+def _groups(group: StrArray | None, n: int) -> tuple[list[str], npt.NDArray[np.int64]]:
+    """Return names in order of first appearance, and the number of each run's."""
+    if group is None:
+        return [""], np.zeros(n, dtype=np.int64)
+    names = list(dict.fromkeys(str(text) for text in group))
+    index = {text: k for k, text in enumerate(names)}
+    number = np.array([index[str(text)] for text in group], dtype=np.int64)
+    return [legible((text or "(none)").replace("_", " ").strip()) or "(none)" for text in names], number
+
+
+def _classes(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return mean x, mean y and half the 95 % interval of classes: the values themselves where few, else equal counts.
+
+    A class stands where its runs are: empty stretches between them hold none, and a class of one run has no interval.
+    """
+    from scipy.special import stdtrit
+
+    distinct = np.unique(x)
+    if len(distinct) <= 8:
+        index = np.searchsorted(distinct, x)
+    else:
+        edges = np.quantile(x, np.linspace(0, 1, 9)[1:-1])
+        index = np.searchsorted(edges, x, side="right")
+    rows: list[tuple[float, float, float]] = []
+    for k in np.unique(index):
+        on = index == k
+        n = int(on.sum())
+        half = float(stdtrit(n - 1, 0.975) * np.std(y[on], ddof=1) / np.sqrt(n)) if n > 1 else 0.0
+        rows.append((float(x[on].mean()), float(y[on].mean()), half))
+    columns = np.array(rows)
+    return columns[:, 0], columns[:, 1], columns[:, 2]

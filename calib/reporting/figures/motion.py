@@ -1,0 +1,327 @@
+"""Figures of wheel loads, of Section 7, of errors along a path, and of calibrated paths."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Ellipse, Patch
+from matplotlib.ticker import MaxNLocator
+
+from calib.kinematics.result import RunPath
+from calib.odometry.law_path import LawPath
+from calib.odometry.load_sweep import LoadSweep
+from calib.odometry.paper import Sweep
+from calib.odometry.pose_covariance import ellipses
+from calib.odometry.poses import COMPONENTS
+from calib.reporting.figures.style import (
+    BLUE,
+    GREY,
+    INK,
+    ORANGE,
+    SKY,
+    axes_grid,
+    canvas,
+    colour,
+    figure_title,
+    shared_legend,
+    styled,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from calib.odometry.law_journey import TableRow
+    from calib.odometry.replay import Replay
+
+DASHES: Final[dict[str, Any]] = {"right": "-", "left": "--", "both": ":", "equal": "-", "given": "-"}
+
+_SWEEP_LABELS: Final = {
+    "payload_kg": "payload (kg)",
+    "payload_x_m": "payload ahead of the rear axle, x (m)",
+    "payload_y_m": "payload left of the centre line, y (m)",
+    "": "payload (kg)",
+}
+
+
+@styled
+def load_figure(sweep: LoadSweep) -> Figure:
+    """Return the wheel loads over a sweep (Fig. 3)."""
+    figure = canvas(8.0, 11.0)
+    axes = figure.add_subplot()
+    along = getattr(sweep, sweep.swept or "payload_kg")
+    for name, load, tint, dash in (
+        ("left wheel", sweep.left_N, BLUE, "-"),
+        ("right wheel", sweep.right_N, ORANGE, "--"),
+        ("front wheel", sweep.front_N, GREY, ":"),
+    ):
+        axes.plot(along, load, dash, color=tint, label=name, linewidth=1.6)
+    axes.set(xlabel=_SWEEP_LABELS[sweep.swept], ylabel="wheel load (N)")
+    axes.set_ylim(bottom=0.0)
+    axes.legend()
+    return figure
+
+
+def sweep_styles(sweep: Sweep) -> list[dict[str, Any]]:
+    """Return how each vehicle of a sweep is drawn: colour by ratio, dashes by the wheel that is off."""
+    shades = _shades(sweep)
+    return [{"color": shades[c.ratio], "linestyle": DASHES[c.which], "linewidth": 1.3} for c in sweep.cases]
+
+
+def sweep_keys(sweep: Sweep) -> list[Line2D]:
+    """Return the entries of the legend of a sweep."""
+    symbol = "E" if sweep.cases[0].which == "equal" else "E_r"
+    keys = [Line2D([], [], color=shade, label=f"{symbol} = {ratio:.6g}") for ratio, shade in _shades(sweep).items()]
+    wheels = {case.which: DASHES[case.which] for case in sweep.cases}
+    if set(wheels) - {"equal", "given"}:
+        keys += [Line2D([], [], color=GREY, linestyle=d, label=f"{w} off") for w, d in wheels.items()]
+    return [*keys, Line2D([], [], color=INK, linewidth=0.8, label="route")]
+
+
+def _shades(sweep: Sweep) -> dict[float, str]:
+    return {ratio: colour(k) for k, ratio in enumerate(dict.fromkeys(c.ratio for c in sweep.cases))}
+
+
+@styled
+def sweep_figure(sweep: Sweep, *, error: str, title: str) -> Figure:
+    """Return the routes driven (a) and one error along them (b), as in Figs 12 to 14 and 16.
+
+    `error`: which error to draw: ``lateral_m``, ``global_x_m`` or ``distance_m``.
+    """
+    labels = {
+        "lateral_m": "error to the left of the route (m)",
+        "global_x_m": "error in global x (m)",
+        "distance_m": "distance to the route's pose (m)",
+    }
+    figure = canvas(8.0)
+    route, graph = figure.subplots(1, 2)
+    values = getattr(sweep.errors, error)
+    for number, style in enumerate(sweep_styles(sweep)):
+        route.plot(sweep.poses.x_m[number], sweep.poses.y_m[number], **style)
+        graph.plot(sweep.distance_m, values[number], **style)
+    route.plot(sweep.reference.x_m, sweep.reference.y_m, color=INK, linewidth=0.8)
+    straight = float(np.ptp(sweep.reference.y_m)) < 1e-9
+    if not straight:
+        route.set_aspect("equal", adjustable="box")
+    route.set(xlabel="x (m)", ylabel="y (m)", title="path of the middle of the rear axle")
+    graph.set(xlabel="distance along the route (m)", ylabel=labels[error], title="error")
+    keys = sweep_keys(sweep)
+    figure.legend(handles=keys, loc="outside lower center", ncols=9)
+    figure_title(figure, f"{title}; track {sweep.track_m:g} m")
+    return figure
+
+
+@styled
+def ratio_figure(rows: Sequence[TableRow], *, measured: tuple[tuple[float, float], tuple[float, float]]) -> Figure:
+    """Return the ratio of the 95 % bands' limits to the mean radius over load, both wheels (Fig. 15).
+
+    `rows`: the table of radii; `measured`: load ranges that the left and the right wheel were measured in.
+    """
+    figure = canvas(7.4)
+    loads = np.array([row.load_N for row in rows])
+    first: Axes | None = None
+    for number, side in enumerate(("left", "right")):
+        axes = figure.add_subplot(1, 2, number + 1, sharey=first)
+        first = first or axes
+        radius = np.array([getattr(row, f"radius_{side}_m") for row in rows])
+        for band, tint in (("prediction", SKY), ("mean", BLUE)):
+            half = np.array([getattr(row, f"{band}_{side}_m") for row in rows]) / radius
+            name = "of a single run" if band == "prediction" else "of the mean"
+            axes.fill_between(loads, 1 - half, 1 + half, color=tint, alpha=0.35, label=f"95 % band {name}")
+            axes.plot(loads, np.stack([1 - half, 1 + half], axis=1), color=tint, linewidth=1.0)
+        axes.axvspan(*measured[number], color=INK, alpha=0.05, label="loads measured")
+        axes.set(xlabel="wheel load (N)", title=f"{side.capitalize()} wheel")
+        axes.ticklabel_format(axis="y", useOffset=False)
+    if first is not None:
+        first.set_ylabel("radius over the law's mean radius")
+        handles, names = first.get_legend_handles_labels()
+        figure.legend(handles, names, loc="outside lower center", ncols=3)
+    return figure
+
+
+@styled
+def replay_figure(replayed: Replay) -> Figure:
+    """Return the end errors of the logged runs, by constant radii and by radii that follow the load."""
+    figure = canvas(7.4)
+    plan, graph = figure.subplots(1, 2)
+    total = replayed.load_left_N + replayed.load_right_N
+    for method, name, tint, mark in (
+        ("constant", "radii of the unladen load", ORANGE, "x"),
+        ("corrected", "radii of the load carried", BLUE, "o"),
+    ):
+        e = replayed.errors[method]
+        plan.plot(e.along_m, e.lateral_m, mark, color=tint, markersize=4, label=name, fillstyle="none")
+        graph.plot(total, e.distance_m, mark, color=tint, markersize=4, fillstyle="none")
+    plan.set(xlabel="along (m)", ylabel="lateral (m)")
+    plan.axhline(0.0, color=INK, linewidth=0.6)
+    plan.axvline(0.0, color=INK, linewidth=0.6)
+    plan.set_title("end error in the frame of the reference")
+    graph.set_xlabel("load of both rear wheels (N)")
+    graph.set_ylabel("distance to the reference (m)")
+    graph.set_yscale("log")
+    graph.set_title("end error by load")
+    plan.legend()
+    return figure
+
+
+#: component -> what its axis says, and by what its values are multiplied
+_AXES: Final = {
+    "along_m": ("along the route (m)", 1.0),
+    "lateral_m": ("left of the route (m)", 1.0),
+    "heading_rad": ("heading (mrad)", 1e3),
+    "global_x_m": ("global x (m)", 1.0),
+    "global_y_m": ("global y (m)", 1.0),
+}
+
+#: how the paths of a journey under a law are drawn
+_WITHOUT: Final[dict[str, Any]] = {"color": ORANGE, "linestyle": "--", "linewidth": 1.3}
+_WITH: Final[dict[str, Any]] = {"color": BLUE, "linewidth": 1.3}
+
+
+@styled
+def sweep_errors_figure(sweep: Sweep, *, title: str) -> Figure:
+    """Return the errors of all vehicles of a sweep along the route, component by component."""
+    figure, axes = _grid(f"{title}; track {sweep.track_m:g} m", float(sweep.distance_m[-1]))
+    for name, graph in axes.items():
+        values = _AXES[name][1] * getattr(sweep.errors, name)
+        for row, style in zip(values, sweep_styles(sweep), strict=True):
+            graph.plot(sweep.distance_m, row, **style)
+    figure.legend(handles=sweep_keys(sweep)[:-1], loc="outside lower center", ncols=8)
+    return figure
+
+
+@styled
+def law_errors_figure(path: LawPath, *, title: str) -> Figure:
+    """Return the errors of a journey under a law along the route, without the correction and with it."""
+    figure, axes = _grid(title, float(path.distance_m[-1]))
+    for name, graph in axes.items():
+        factor = _AXES[name][1]
+        half = 2.0 * factor * path.corrected.std[name]
+        middle = factor * getattr(path.corrected.errors, name)
+        graph.fill_between(path.distance_m, middle - half, middle + half, color=SKY, alpha=0.5, linewidth=0)
+        graph.plot(path.distance_m, middle, **_WITH)
+        graph.plot(path.distance_m, factor * getattr(path.without.errors, name), **_WITHOUT)
+        for place in path.loading.from_m[1:].tolist():
+            graph.axvline(place, color=GREY, linestyle=":", linewidth=1.0)
+    keys = [
+        Line2D([], [], label="radii of the reference load, kept", **_WITHOUT),
+        Line2D([], [], label="radii that follow the load", **_WITH),
+        Patch(facecolor=SKY, alpha=0.5, label="its 2 standard uncertainties"),
+    ]
+    if len(path.loading.from_m) > 1:
+        keys.append(Line2D([], [], color=GREY, linestyle=":", label="the load changes"))
+    figure.legend(handles=keys, loc="outside lower center", ncols=4)
+    return figure
+
+
+@styled
+def law_path_figure(path: LawPath, *, title: str) -> Figure:
+    """Return the trajectories of a journey under a law with 95 % ellipses, and the band of the lateral error."""
+    figure = canvas(8.6)
+    plan, graph = figure.subplots(1, 2)
+    drawn_ellipses = ellipses(path.corrected.systematic + path.corrected.random)
+    route = path.corrected.poses
+    # so much larger that the largest axis is about an eighth of the plan
+    extent = max(float(np.ptp(path.reference.x_m)), float(np.ptp(path.reference.y_m)), 1.0)
+    wanted = 0.125 * extent / max(float(drawn_ellipses.major_m.max()), 1e-9)
+    scale = max([1.0, *(m * 10.0**e for e in range(9) for m in (1.0, 2.0, 5.0) if m * 10.0**e <= wanted)])
+    for k in np.unique(np.linspace(0, len(route) - 1, 13).astype(int))[1:]:
+        plan.add_patch(
+            Ellipse(
+                (float(route.x_m[k]), float(route.y_m[k])),
+                2 * scale * float(drawn_ellipses.major_m[k]),
+                2 * scale * float(drawn_ellipses.minor_m[k]),
+                angle=float(np.degrees(drawn_ellipses.angle_rad[k])),
+                facecolor=SKY,
+                edgecolor=BLUE,
+                alpha=0.6,
+            )
+        )
+    plan.plot(path.without.poses.x_m, path.without.poses.y_m, label="radii of the reference load, kept", **_WITHOUT)
+    plan.plot(route.x_m, route.y_m, label="radii that follow the load", **(_WITH | {"linewidth": 2.6}))
+    plan.plot(path.reference.x_m, path.reference.y_m, color=INK, linewidth=0.8, label="route")
+    stops = np.searchsorted(path.distance_m, path.loading.from_m[1:] - 1e-9)
+    if len(stops):
+        plan.plot(route.x_m[stops], route.y_m[stops], "v", color=GREY, label="the load changes")
+    plan.set_aspect("equal", adjustable="datalim")
+    plan.set(xlabel="x (m)", ylabel="y (m)")
+    drawn = f"drawn {scale:g} times as large" if scale > 1.0 else "true to scale"
+    plan.set_title(f"paths and 95 % ellipses, {drawn}")
+    lateral = path.corrected.std["lateral_m"]
+    for factor, tint, name in (
+        (2.0, SKY, "2 standard uncertainties"),
+        (1.0, BLUE, "1 standard uncertainty"),
+    ):
+        graph.fill_between(
+            path.distance_m, -factor * lateral, factor * lateral, color=tint, alpha=0.4, linewidth=0, label=name
+        )
+    graph.axhline(0.0, color=INK, linewidth=0.8)
+    for place in path.loading.from_m[1:].tolist():
+        graph.axvline(place, color=GREY, linestyle=":", linewidth=1.0)
+    graph.set_xlabel("distance along the route (m)")
+    graph.set_ylabel(f"error {_AXES['lateral_m'][0]}")
+    graph.set_title("lateral error with radii that follow the load")
+    handles, names = (a + b for a, b in zip(*(x.get_legend_handles_labels() for x in (plan, graph)), strict=True))
+    figure.legend(handles, names, loc="outside lower center", ncols=3)
+    figure_title(figure, title)
+    return figure
+
+
+def _grid(title: str, end_m: float) -> tuple[Figure, dict[str, Axes]]:
+    """Return a figure with one graph for each component of the error: along the route above, global below."""
+    figure = canvas(10.0)
+    cells = figure.subplots(2, 3, sharex=True)
+    axes: dict[str, Axes] = dict(zip(COMPONENTS, cells.ravel(), strict=False))
+    cells[1, 2].set_axis_off()
+    cells[0, 0].set_xlim(0.0, end_m)
+    cells[0, 0].xaxis.set_major_locator(MaxNLocator(nbins=6, steps=[1, 2, 5, 10]))
+    for number, (name, graph) in enumerate(axes.items()):
+        graph.set_title(f"error: {_AXES[name][0]}")
+        graph.axhline(0.0, color=INK, linewidth=0.6)
+        if number >= 2:
+            graph.set_xlabel("distance along the route (m)")
+            graph.tick_params(labelbottom=True)
+    figure_title(figure, title)
+    return figure, axes
+
+
+COLUMNS: Final = 3
+PANEL_CM: Final = 5.6
+#: paths drawn a panel; more of one kind lie on one another
+MOST: Final = 12
+
+
+@styled
+def draw_paths(paths: Sequence[RunPath], *, simulated: bool = False) -> Figure:
+    """Draw the paths by kind of route: nominal odometry, calibrated odometry, and the reference.
+
+    `simulated`: say that a program made the data.
+    """
+    kinds = list(dict.fromkeys(path.kind for path in paths))
+    rows = -(-len(kinds) // COLUMNS)
+    figure = canvas(PANEL_CM * rows + 1.2)
+    grid = axes_grid(figure, rows, COLUMNS).ravel()
+    handles: dict[str, Any] = {}
+    for axes, kind in zip(grid, kinds, strict=False):
+        chosen = [path for path in paths if path.kind == kind]
+        for path in chosen[:MOST]:
+            for points, tint, width, label in (
+                (path.reference, INK, 1.6, "reference"),
+                (path.before, ORANGE, 0.8, "odometry before"),
+                (path.after, BLUE, 0.8, "odometry after"),
+            ):
+                (line,) = axes.plot(points[:, 0], points[:, 1], color=tint, lw=width, alpha=0.7, label=label)
+                axes.plot(points[-1:, 0], points[-1:, 1], "o", color=tint, ms=2.5)
+                handles.setdefault(label, line)
+        axes.set_title(f"{kind or 'all runs'} ({len(chosen)})")
+        axes.set_aspect("equal", adjustable="datalim")
+        axes.set(xlabel="x m", ylabel="y m")
+    for axes in grid[len(kinds) :]:
+        axes.set_axis_off()
+    shared_legend(figure, list(handles.values()), list(handles))
+    if simulated:
+        figure.text(0.99, 0.01, "SIMULATED DATA", ha="right", color=GREY)
+    return figure

@@ -1,0 +1,223 @@
+"""Style of all figures, and figures as SVG, PNG or PDF: the same bytes for the same figure."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache, wraps
+from pathlib import Path
+from typing import Any, Final, ParamSpec
+
+import matplotlib as mpl
+from matplotlib.figure import Figure
+
+from calib.errors import BadInputError
+from calib.io import refuse_existing, write_files
+from calib.types import Progress, silent, stepped
+
+P = ParamSpec("P")
+
+#: Okabe and Ito's colours, told apart by colour-blind readers, dark ones first
+PALETTE: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#7A5C00", "#56B4E9", "#E69F00", "#5D5D5D")
+BLUE, ORANGE, SKY = PALETTE[0], PALETTE[1], PALETTE[5]
+INK: Final = "#222222"
+GREY: Final = "#8A8A8A"
+#: width of the text on the page
+WIDTH_CM: Final = 17.0
+CM_PER_INCH: Final = 2.54
+PNG_DPI: Final = 200
+#: characters of a legend that fit the width, and those that handle and gap take
+LINE_CHARACTERS: Final = 118
+#: groups that still get a legend entry each
+LEGEND_LIMIT: Final = 8
+#: points beyond which markers are drawn as pixels inside the vector figure
+MANY: Final = 2000
+LEGEND_GAP: Final = 6
+
+_STYLE: Final[dict[str, Any]] = {
+    "font.family": ["DejaVu Sans"],
+    "font.size": 7.0,
+    "axes.titlesize": 7.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.labelsize": 7.0,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": "#666666",
+    "axes.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.unicode_minus": True,
+    "axes.formatter.useoffset": False,
+    "grid.color": "#E3E3E3",
+    "grid.linewidth": 0.5,
+    "xtick.labelsize": 6.5,
+    "ytick.labelsize": 6.5,
+    "xtick.color": "#444444",
+    "ytick.color": "#444444",
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "legend.fontsize": 6.5,
+    "legend.frameon": False,
+    "lines.linewidth": 1.2,
+    "lines.markersize": 3.5,
+    "figure.facecolor": "white",
+    "figure.titlesize": 8.0,
+    "figure.titleweight": "bold",
+    "figure.constrained_layout.h_pad": 0.04,
+    "figure.constrained_layout.w_pad": 0.04,
+    "text.parse_math": False,
+    "text.usetex": False,
+    "svg.fonttype": "path",
+    "svg.hashsalt": "calib",
+    "pdf.fonttype": 42,
+    "savefig.dpi": PNG_DPI,
+}
+
+
+def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
+    """Make `draw` use the report's style, for any user's matplotlib settings are."""
+
+    @wraps(draw)
+    def inner(*args: P.args, **kwargs: P.kwargs) -> Figure:
+        with mpl.rc_context(_rc()):
+            return draw(*args, **kwargs)
+
+    return inner
+
+
+def _rc() -> Any:
+    return {**mpl.rcParamsDefault, "backend": mpl.rcParams["backend"], **_STYLE}
+
+
+def canvas(height_cm: float, width_cm: float = WIDTH_CM) -> Figure:
+    """Return an empty figure of a size given in cm; needs no display."""
+    return Figure(figsize=(width_cm / CM_PER_INCH, height_cm / CM_PER_INCH), layout="constrained")
+
+
+def axes_grid(figure: Figure, rows: int, columns: int, **options: Any) -> Any:
+    """Return an array of axes, shape (rows, columns)."""
+    return figure.subplots(rows, columns, squeeze=False, **options)
+
+
+def figure_title(figure: Figure, text: str) -> None:
+    """Put a title over all axes, at the left as theirs are."""
+    figure.suptitle(text, x=0.01, ha="left")
+
+
+def shared_legend(figure: Figure, handles: Sequence[Any], labels: Sequence[str], *, below: bool = False) -> None:
+    """Put one legend outside the axes, in as many columns as the longest label leaves room for."""
+    if labels:
+        lengths = [len(text) + LEGEND_GAP for text in labels]
+        # all in one row, else in columns as wide as the longest
+        columns = len(labels) if sum(lengths) <= LINE_CHARACTERS else max(1, LINE_CHARACTERS // max(lengths))
+        figure.legend(
+            handles,
+            labels,
+            loc="outside lower center" if below else "outside upper center",
+            ncols=columns,
+            handlelength=1.2,
+            handletextpad=0.5,
+            columnspacing=1.4,
+        )
+
+
+def group_legend(figure: Figure, axis: Any, names: Sequence[str], *, below: bool = False) -> None:
+    """Put the legend of groups outside the axes where there are several, and not too many to be told apart."""
+    if 1 < len(names) <= LEGEND_LIMIT:
+        shared_legend(figure, *axis.get_legend_handles_labels(), below=below)
+
+
+def panels(count: int, head_cm: float, row_cm: float, **options: Any) -> tuple[Figure, Any]:
+    """Return a figure of two or three panels a row, and its axes, shape (rows, columns); those left over are hidden."""
+    columns = 2 if count in {2, 4} else min(3, max(count, 1))
+    rows = max(-(-count // columns), 1)
+    figure = canvas(head_cm + row_cm * rows)
+    axes = axes_grid(figure, rows, columns, **options)
+    for axis in axes.flat[count:]:
+        axis.set_visible(False)
+    return figure, axes
+
+
+@cache
+def _known_signs() -> frozenset[int]:
+    """Return the code points that the figures' font can show."""
+    from matplotlib.font_manager import findfont
+    from matplotlib.ft2font import FT2Font
+
+    return frozenset(FT2Font(findfont("DejaVu Sans")).get_charmap())
+
+
+def legible(text: str) -> str:
+    """Return a text with signs that the font lacks given by their code points, so that labels stay apart."""
+    if text.isascii():
+        return text
+    return "".join(sign if ord(sign) in _known_signs() else f"U+{ord(sign):X} " for sign in text).strip()
+
+
+def colour(number: int) -> str:
+    """Return the colour of group `number`; they repeat after eight."""
+    return PALETTE[number % len(PALETTE)]
+
+
+def render(figure: Figure, form: str) -> bytes:
+    """Return a figure as bytes.
+
+    `figure`: as the figure functions make it; `form`: ``svg``, ``png`` or ``pdf``. The same for the same figure: no
+    date, fixed ids.
+    """
+    metadata: dict[str, Any] = {
+        "svg": {"Date": None, "Creator": None},
+        "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
+        "png": {"Software": None},
+    }[form]
+    out = io.BytesIO()
+    with mpl.rc_context(_rc()):
+        figure.savefig(out, format=form, metadata=metadata)
+    return out.getvalue()
+
+
+def render_all(figure: Figure, forms: Sequence[str]) -> dict[str, bytes]:
+    """Return a figure in several formats, laid out once: the layout takes as long as a drawing.
+
+    `figure`: as the figure functions make it; `forms`: of ``svg``, ``png`` and ``pdf``. By format; ``svg`` is as
+    `render` gives it, the others differ from that by less than a pixel.
+    """
+    layout = figure.get_layout_engine()
+    drawn: dict[str, bytes] = {}
+    try:
+        for form in sorted(forms, key=lambda form: form != "svg"):
+            drawn[form] = render(figure, form)
+            with mpl.rc_context(_rc()):
+                figure.set_layout_engine(None)
+    finally:
+        with mpl.rc_context(_rc()):
+            figure.set_layout_engine(layout)
+    return {form: drawn[form] for form in forms}
+
+
+FORMS: Final = ("png", "svg", "pdf")
+
+
+def figure_paths(folder: Path | None, names: Iterable[str]) -> list[Path]:
+    """Return the files that figures of these names are written to; none without a folder."""
+    return [] if folder is None else [folder / f"{name}.{form}" for name in names for form in FORMS]
+
+
+def write_figures(
+    figures: Mapping[str, Figure], folder: Path, *, force: bool = False, progress: Progress = silent
+) -> list[Path]:
+    """Write figures in every format of `FORMS`; the same figure gives the same bytes.
+
+    `figures`: by the name of their files, without suffix; `folder`: made where it is missing. Raises BadInputError
+    where a file exists and `force` is False; nothing is then written.
+    """
+    folder = Path(folder)
+    if folder.exists() and not folder.is_dir():
+        raise BadInputError(f"{folder}: found a file; expected a folder for the figures; choose another path")
+    refuse_existing(figure_paths(folder, figures), force=force)
+    drawn: dict[str, bytes] = {}
+    for name, figure in stepped(figures.items(), progress, "figures"):
+        drawn |= {f"{name}.{form}": data for form, data in render_all(figure, FORMS).items()}
+    return write_files(folder, drawn, force=force) if drawn else []

@@ -1,0 +1,126 @@
+"""Words and figures of each result: where `calib.result.Result` meets its topic."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Final
+
+from calib.errors import BadInputError
+from calib.reporting.blocks import drawn
+from calib.result import Result
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from calib.gap.decision.diagnosis import Diagnosis, Plan
+    from calib.kinematics.result import Geometry
+    from calib.odometry.replay import Replay
+    from calib.odometry.simulation import Simulation
+    from calib.radius.result import Fit
+    from calib.reporting.blocks import Block, Section
+
+Blocks = Sequence["Block | Section"]
+#: kind of figure -> its drawing function, the default first
+Figures = Mapping[str, Callable[[], "Figure"]]
+
+#: class of a result -> ``module.function`` of `calib.reporting.topics`: what its command prints, and what the
+#: interpreter and a notebook show
+CONTENT: Final = {
+    "Fit": ("fit.fit_content", "fit.fit_brief"),
+    "Geometry": ("geometry.geometry_content", "geometry.geometry_brief"),
+    "Diagnosis": ("diagnosis.diagnosis_full", "diagnosis.diagnosis_brief"),
+    "Plan": ("diagnosis.plan_content", "diagnosis.plan_content"),
+    "Simulation": ("simulation.simulation_content", "simulation.simulation_content"),
+    "Replay": ("simulation.replay_content", "simulation.replay_content"),
+}
+
+
+def summary(result: Result) -> str:
+    """Return what the command prints of a result."""
+    from calib.reporting.text import to_text
+
+    return to_text(_content(result, brief=False))
+
+
+def brief(result: Result) -> str:
+    """Return what the interpreter shows of a result."""
+    from calib.reporting.text import to_text
+
+    return to_text(_content(result, brief=True)).rstrip()
+
+
+def brief_html(result: Result) -> str:
+    """Return what a notebook shows of a result."""
+    from calib.reporting.html import blocks_html
+
+    return blocks_html(_content(result, brief=True))
+
+
+def figure(result: Result, kind: str | None) -> Figure:
+    """Return a figure of a result, the first one where no kind is named."""
+    figures = _FIGURES[type(result).__name__](result)
+    kind = next(iter(figures), "") if kind is None else kind
+    if kind not in figures:
+        raise BadInputError(
+            f"plot: found the kind {kind!r}; expected one of {', '.join(figures) or 'none: there is nothing to draw'}"
+        )
+    return figures[kind]()
+
+
+def _content(result: Result, *, brief: bool) -> Blocks:
+    module, _, function = CONTENT[type(result).__name__][brief].partition(".")
+    blocks: Blocks = getattr(import_module(f"calib.reporting.topics.{module}"), function)(result)
+    return blocks
+
+
+def _fit(fit: Fit) -> Figures:
+    session = fit.radii.session
+    return {
+        "regressions": partial(drawn, "radius.regressions", fit.left, fit.right, session),
+        "runs": partial(drawn, "radius.runs_by_series", fit.radii),
+        "path_deviation": partial(drawn, "radius.path_deviation", fit.radii),
+        "residuals": partial(drawn, "radius.residuals", fit.left, fit.right, session),
+    }
+
+
+def _geometry(geometry: Geometry) -> Figures:
+    return {"paths": partial(drawn, "motion.draw_paths", geometry.paths, simulated=geometry.simulated)}
+
+
+def _diagnosis(diagnosis: Diagnosis) -> Figures:
+    from calib.reporting.figures.gap import gap_figures
+
+    figures = gap_figures(diagnosis)
+    names = sorted(figures, key=lambda name: name != "before-after")
+    return {name: partial(figures.__getitem__, name) for name in names}
+
+
+def _plan(plan: Plan) -> Figures:
+    from calib.gap.plan.identifiability import outlook_of
+
+    return {"matrix": lambda: drawn("effects.plan_matrix", outlook_of(plan.campaign))}
+
+
+def _simulation(simulation: Simulation) -> Figures:
+    from calib.odometry.simulation import SHOWN
+
+    return {
+        name: partial(drawn, "motion.sweep_figure", sweep, error=SHOWN.get(name, "lateral_m"), title=simulation.title)
+        for name, sweep in simulation.sweeps.items()
+    }
+
+
+def _replay(replay: Replay) -> Figures:
+    return {"end_errors": partial(drawn, "motion.replay_figure", replay)}
+
+
+_FIGURES: Final[Mapping[str, Callable[[Any], Figures]]] = {
+    "Fit": _fit,
+    "Geometry": _geometry,
+    "Diagnosis": _diagnosis,
+    "Plan": _plan,
+    "Simulation": _simulation,
+    "Replay": _replay,
+}

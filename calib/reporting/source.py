@@ -1,0 +1,264 @@
+"""Input of a report: a fit, its coefficient file, and the ``[report]`` section of campaign.toml."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from datetime import date
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from calib import __version__
+from calib.campaign.model import Campaign
+from calib.documents import to_json
+from calib.errors import BadFileError, BadInputError, RefusedError
+from calib.io import inside
+from calib.radius.result import Fit, is_result, provenance, read_result
+from calib.types import Progress, silent
+
+if TYPE_CHECKING:
+    from calib.coefficients.file import CoefficientFile
+    from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
+    from calib.reporting.figures.gap import GapArrays
+
+#: a PDF cannot carry an earlier date of creation
+FIRST_YEAR: Final = 1970
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Source:
+    """Input of all pages."""
+
+    #: the fit with its setup and provenance
+    fit: Fit
+    #: the same law as the vehicle gets it; attached to the PDF
+    coefficients: CoefficientFile
+    #: date of issue, YYYY-MM-DD
+    issued: str
+    #: what the campaign's ``[report]`` section states, by the keys of `STATED`
+    stated: Mapping[str, str] = field(default_factory=dict)
+    #: verdict of the diagnosis, where one was asked for
+    verdict: Diagnosis | None = None
+    #: arrays of its figures
+    gap: GapArrays | None = None
+    logo: Logo | None = None
+    #: verdict and sentence of a diagnosis.json that lies beside the fit
+    known_verdict: tuple[VerdictKind, str] | None = None
+
+    @property
+    def simulated(self) -> bool:
+        """True where a program made the data."""
+        return self.fit.simulated
+
+    @property
+    def inputs(self) -> dict[str, str]:
+        """SHA-256 of every input file, by path relative to the campaign."""
+        hashes = self.fit.provenance.get("inputs", {})
+        return {str(key): str(value) for key, value in hashes.items()} if isinstance(hashes, Mapping) else {}
+
+    @property
+    def report_id(self) -> str:
+        """Identification: derived from the inputs, the program's version and what was asked, never from chance."""
+        inputs = self.inputs or {"fit": hashlib.sha256(to_json(self.fit.to_dict()).encode()).hexdigest()}
+        content = {
+            "inputs": inputs,
+            "campaign": self.fit.name,
+            "version": __version__,
+            "coefficients": self.coefficients.changed(created=None).checksum,
+            "gap": None if self.verdict is None else verdict_document(self.verdict),
+        }
+        return "CR-" + hashlib.sha256(to_json(content).encode()).hexdigest()[:12].upper()
+
+    def with_diagnosis(self, diagnosis: Diagnosis) -> Source:
+        """Return the same with a diagnosis for its page."""
+        from calib.reporting.figures.gap import GapArrays
+
+        return replace(self, verdict=diagnosis, gap=GapArrays.of(diagnosis))
+
+    def text(self, key: str) -> str:
+        """Return the campaign's text under a key of `STATED`, or ``not stated``."""
+        return self.stated.get(key, "not stated")
+
+
+def issue_date(text: str | None) -> str:
+    """Return the date of issue: `text`, checked, or today's where it is None.
+
+    Raises BadInputError where `text` is no date as YYYY-MM-DD.
+    """
+    if text is None:
+        return date.today().isoformat()
+    try:
+        fine = len(text) == len("YYYY-MM-DD") and date.fromisoformat(text).year >= FIRST_YEAR
+    except ValueError:
+        fine = False
+    if not fine:
+        raise BadInputError(f"date: found {text!r}; expected a date as YYYY-MM-DD; for example 2025-03-31")
+    return text
+
+
+def source_of(
+    path: Path | str, *, issued: str, accept: str = "", progress: Progress = silent
+) -> tuple[Source, Campaign | None]:
+    """Return what a report on a campaign folder or a result folder is made from.
+
+    `path`: a campaign's folder, which is fitted now, or a result folder or ``fit.json``, which is only read; `issued`:
+    date of issue, YYYY-MM-DD; `accept`: why a law beyond the bounds of its vehicle is passed on all the same; empty: it
+    is refused. Returns `source`: without diagnosis; `campaign`: the campaign, where it was read. Raises BadInputError
+    where the path is neither, or cannot be used; RefusedError where the runs allow no law.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise BadFileError(path, "nothing", "a campaign folder or a result folder of calib fit", "give the path of one")
+    if is_result(path):
+        source = source_of_fit(replace(read_result(path), accepted=accept), issued=issued, where=path)
+        return replace(source, known_verdict=_verdict_beside(path, source.fit.name)), None
+    from calib.campaign.read import read_campaign
+
+    campaign = read_campaign(path, progress=progress)
+    source = from_campaign(campaign, issued=issued, accept=accept)
+    return replace(source, known_verdict=_verdict_beside(path, campaign.name)), campaign
+
+
+def _verdict_beside(path: Path, name: str) -> tuple[VerdictKind, str] | None:
+    """Return verdict and sentence of the diagnosis of the same campaign that lies in the folder, if there is one."""
+    file = (path if path.is_dir() else path.parent) / "diagnosis.json"
+    if not file.is_file():
+        return None
+    from calib.gap.decision.diagnosis import VerdictKind
+
+    try:
+        document = json.loads(file.read_text(encoding="utf-8"))
+        if document["campaign"] != name:
+            return None
+        return VerdictKind(document["verdict"]), str(document["sentence"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise BadFileError(file, f"{type(error).__name__}", "what calib diagnose --into wrote", "remove it") from error
+
+
+def source_of_fit(fit: Fit, *, issued: str, where: Path | str = "fit") -> Source:
+    """Return what a report on a fit is made from; see `source_of`."""
+    from calib.coefficients.build import from_fit
+
+    if fit.setup is None:
+        raise RefusedError(
+            f"{where}: found a fit without its setup; expected vehicle, instruments and conditions; make it anew "
+            "with 'calib fit CAMPAIGN --into FOLDER'"
+        )
+    stated = texts_of(fit.provenance.get("report"), where)
+    return Source(fit, from_fit(fit, created=issued), issued, stated)
+
+
+def from_campaign(campaign: Campaign, *, issued: str, accept: str = "") -> Source:
+    """Return what a report on `campaign`, fitted now, is made from; see `source_of`."""
+    from calib.coefficients.build import from_fit
+    from calib.radius.fit import fit_campaign
+
+    fit = fit_campaign(campaign)
+    fit = replace(fit, provenance=provenance(campaign, version=__version__, arguments={}), accepted=accept)
+    file = from_fit(fit, created=issued, inputs=campaign.hashes)
+    return Source(fit, file, issued, stated_of(campaign), logo=logo_of(campaign))
+
+
+#: keys of the campaign's ``[report]`` section, and what a reader is told where one is missing
+STATED: Final[Mapping[str, str]] = {
+    "laboratory": "name and address of the laboratory",
+    "customer": "name and contact of the customer",
+    "item": "description of the vehicle",
+    "item_id": "serial number of the vehicle",
+    "item_condition": "condition of the wheels",
+    "place": "where the runs were driven",
+    "floor": "floor of the corridor",
+    "received": "date of receipt of the vehicle",
+    "measured": "dates of the measurement",
+    "instruments": "instruments and their calibration certificates",
+    "deviations": "deviations from the method",
+    "prepared": "who prepared the report",
+    "authorised": "who authorises the report",
+    "method": "identifier of the method",
+    "replaces": "report that this one replaces",
+    "logo": "picture of the laboratory, a file of the campaign",
+    "remarks": "remarks",
+}
+#: keys whose absence a reader need not be told
+OPTIONAL: Final = frozenset({"remarks", "deviations", "prepared", "method", "replaces", "logo"})
+#: kinds of pictures that a page can carry, by the suffix of the file
+_PICTURES: Final = (".svg", ".png", ".jpg", ".jpeg")
+#: a logo of more bytes is a photograph by mistake
+_LARGEST: Final = 2_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Logo:
+    """A laboratory's picture: suffix with its point, and the file's bytes."""
+
+    suffix: str
+    data: bytes
+
+
+def stated_of(campaign: Campaign) -> dict[str, str]:
+    """Return what the ``[report]`` section of a campaign states, by the keys of `STATED`."""
+    where = "campaign.toml" if campaign.root is None else campaign.root / "campaign.toml"
+    return texts_of(campaign.extra.get("report"), where)
+
+
+def texts_of(section: Any, where: Path | str) -> dict[str, str]:
+    """Return the texts of a ``[report]`` section; a list of texts is joined.
+
+    Raises BadFileError where it is no section, a key is unknown, or a value is no text.
+    """
+    if section is None:
+        return {}
+    remedy = f"write text under these keys: {', '.join(STATED)}"
+    if not isinstance(section, Mapping):
+        raise BadFileError(where, column="report", found=type(section).__name__, expected="a section", remedy=remedy)
+    stated = {}
+    for key, value in section.items():
+        texts = value if isinstance(value, (list, tuple)) else [value]
+        if key not in STATED or not all(isinstance(text, (str, int, float)) or _is_date(text) for text in texts):
+            raise BadFileError(
+                where,
+                column=f"report.{key}",
+                found="an unknown key" if key not in STATED else f"a {type(value).__name__}",
+                expected="text",
+                remedy=remedy,
+            )
+        joined = "; ".join(str(text).strip() for text in texts if str(text).strip())
+        if joined:
+            stated[str(key)] = joined
+    return stated
+
+
+def _is_date(value: Any) -> bool:
+    return hasattr(value, "isoformat")
+
+
+def logo_of(campaign: Campaign) -> Logo | None:
+    """Return the logo that a campaign states, None where it states none.
+
+    Raises BadFileError where the file leads out of the campaign, is missing, too large, or of a kind that no page can
+    carry.
+    """
+    name = stated_of(campaign).get("logo")
+    if name is None or campaign.root is None:
+        return None
+    where = campaign.root / "campaign.toml"
+    path = inside(campaign.root, name, named_in=where, column="report.logo")
+    remedy = "give an SVG, PNG or JPEG of at most 2 MB inside the campaign's folder"
+    if path.suffix.lower() not in _PICTURES or not path.is_file() or path.stat().st_size > _LARGEST:
+        raise BadFileError(where, column="report.logo", found=repr(name), expected="a small picture", remedy=remedy)
+    return Logo(path.suffix.lower(), path.read_bytes())
+
+
+def signatures_of(stated: Mapping[str, str]) -> tuple[tuple[str, str], ...]:
+    """Return the lines to be signed, (role, name); the name is empty where none is stated."""
+    return (("Prepared by", stated.get("prepared", "")), ("Authorised by", stated.get("authorised", "")))
+
+
+def verdict_document(verdict: Diagnosis) -> dict[str, Any]:
+    """Return a verdict as ``calib diagnose --json`` writes it: with the paper's headline where load is the cause."""
+    from calib.gap.decision.sentences import headline
+
+    beside = headline(verdict)
+    return verdict.to_dict() | {"headline": None if beside is None else asdict(beside)}

@@ -1,0 +1,37 @@
+"""Topics of a result: what the terminal prints and what the report shows of each, in one file."""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from calib.reporting.blocks import Section
+    from calib.reporting.source import Source
+
+__all__ = ["PAGES", "sections_of"]
+
+#: ``module:function`` of this folder, in the order of the report; each function is ``(source) -> Section | None``
+PAGES: Final = (
+    "fit:result_section",
+    "conditions:item_section",
+    "conditions:method_section",
+    "conditions:conditions_section",
+    "runs:runs_section",
+    "law:regression_section",
+    "deviation:deviation_section",
+    "checks:residuals_section",
+    "law:coefficients_section",
+    "budget:budget_section",
+    "diagnosis:diagnosis_section",
+    "checks:decision_section",
+    "conditions:limits_section",
+    "conditions:files_section",
+)
+
+
+def sections_of(source: Source) -> tuple[Section, ...]:
+    """Return the sections of all pages that apply to `source`, in the order of `PAGES`."""
+    pages = (page.split(":") for page in PAGES)
+    sections = (getattr(importlib.import_module(f"{__name__}.{module}"), name)(source) for module, name in pages)
+    return tuple(section for section in sections if section is not None)

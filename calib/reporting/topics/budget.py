@@ -1,0 +1,130 @@
+"""Uncertainty budget of a single effective radius and of the law."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from calib.radius.result import Fit
+from calib.reporting.blocks import Block, Column, Picture, Section, Table, Text, drawn
+from calib.reporting.formatting import aligned, fixed, number_columns, prose, text_column, text_columns, two_digits
+
+if TYPE_CHECKING:
+    from calib.reporting.source import Source
+
+_NAMES: Final = {
+    "rangefinder": "rangefinder",
+    "quantisation": "quantisation",
+    "path": "path",
+    "other_run_to_run": "other, run to run",
+    "session_to_session": "session to session",
+}
+
+
+def radius_budget(fit: Fit) -> Table:
+    """Return the contributions to the standard uncertainty of a single effective radius."""
+    parts = fit.radii.budget
+    rows: list[tuple[str, ...]] = [
+        (
+            _NAMES.get(part.name, part.name.replace("_", " ")),
+            prose(part.what),
+            part.kind,
+            part.distribution,
+            "∞" if part.dof is None else fixed(part.dof, 1),
+            two_digits(1e6 * part.std_left_m),
+            two_digits(1e6 * part.std_right_m),
+        )
+        for part in parts
+    ]
+    sides = ([part.std_left_m for part in parts], [part.std_right_m for part in parts])
+    total = [float(np.sqrt(sum(value**2 for value in side))) for side in sides]
+    rows.append(("combined", "one run in a session of its own", "", "", "", *(two_digits(1e6 * u) for u in total)))
+    return Table(
+        "Uncertainty budget of a single effective radius, for a typical run: contributions to its standard uncertainty "
+        "u (k = 1). Type A is evaluated from repeats, type B from other knowledge (GUM).",
+        (
+            text_column("Contribution"),
+            text_column("Quantity", wide=True),
+            Column("Type", align="center"),
+            text_column("Distribution"),
+            Column("ν", detail=True),
+            Column("left", "µm", group="u"),
+            Column("right", "µm", group="u"),
+        ),
+        aligned(rows, 5, 6),
+    )
+
+
+def budget_picture(fit: Fit) -> Picture:
+    """Return the budget of a single radius as bars."""
+    largest = max(fit.radii.budget, key=lambda part: part.std_left_m + part.std_right_m)
+    return Picture(
+        "budget",
+        "Contributions to the standard uncertainty of a single effective radius, and all of them combined.",
+        f"Bars of the uncertainty budget; the largest contribution is {largest.name.replace('_', ' ')}",
+        partial(drawn, "radius.budget_bars", fit.radii.budget),
+    )
+
+
+def declared_text(fit: Fit) -> Text:
+    """Say which systematic parts are declared, or that none is and what that means for U."""
+    if any(len(wheel.estimate.systematic) for wheel in fit.wheels.values()):
+        return Text(
+            "Parts that are the same in every run are declared by the campaign ([uncertainty] of campaign.toml); they "
+            "enter every U and every band, and more runs do not make them smaller."
+        )
+    return Text(
+        "The campaign declares no systematic parts ([uncertainty] of campaign.toml): scale and offset of the "
+        "rangefinder, angle of its beam, scale of the weighing. Every U counts the instruments' errors as random from "
+        "run to run; errors that are the same in every run are not contained in it."
+    )
+
+
+def law_budget(fit: Fit) -> Table:
+    """Return what scatter of runs and sessions, and what is systematic, contribute to the coefficients."""
+    systematic = any(len(wheel.estimate.systematic) for wheel in fit.wheels.values())
+    rows = []
+    for name, wheel in fit.wheels.items():
+        parts = [wheel.estimate.cov_within, wheel.estimate.cov_between]
+        parts += [wheel.estimate.cov_systematic] if systematic else []
+        kinds = [(0, "radius at F₀", "µm", 1e6)]
+        if wheel.model == "line":
+            kinds.append((1, "slope", "nm/N", 1e9))
+        for number, (index, title, unit, scale) in enumerate(kinds):
+            values = [float(part[index, index]) for part in (*parts, wheel.estimate.covariance)]
+            cells = (two_digits(scale * float(np.sqrt(max(value, 0.0)))) for value in values)
+            rows.append(("" if number else name, title, unit, *cells))
+    return Table(
+        "Budget of the law: contributions to the standard uncertainties u (k = 1) of its coefficients."
+        + (" Systematic parts do not become smaller with more runs." if systematic else ""),
+        (
+            *text_columns("Wheel", "Coefficient", "Unit"),
+            *number_columns("of runs", "of sessions", group="u from the scatter"),
+            *((Column("Systematic"),) if systematic else ()),
+            Column("Combined"),
+        ),
+        aligned(rows, *range(3, 7 if systematic else 6)),
+    )
+
+
+def scatter_text(fit: Fit) -> Text | None:
+    """Say by how much runs scatter more than the instruments explain; None where they do not."""
+    known = [float(np.sqrt(np.mean(std**2))) for std in (fit.radii.std_left_m, fit.radii.std_right_m)]
+    scatter = [wheel.run_std_m for wheel in fit.wheels.values()]
+    if not all(spread > 2 * two for spread, two in zip(scatter, known, strict=True)):
+        return None
+    return Text(
+        f"Runs scatter {scatter[0] / known[0]:.1f} (left) and {scatter[1] / known[1]:.1f} (right) times as "
+        "much as the instruments explain: ground, steering and tyre set the scatter, a better rangefinder would "
+        "not help."
+    )
+
+
+def budget_section(source: Source) -> Section:
+    """Return what the uncertainty is made of."""
+    fit = source.fit
+    blocks: list[Block] = [radius_budget(fit), budget_picture(fit), law_budget(fit), declared_text(fit)]
+    scatter = scatter_text(fit)
+    return Section("Uncertainty budget", (*blocks, *((scatter,) if scatter else ())))

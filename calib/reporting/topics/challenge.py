@@ -1,0 +1,167 @@
+"""The blind check in blocks: the scoreboard, and what a laboratory's own data would find."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from calib.challenge.own.result import Own
+    from calib.challenge.score import Score
+    from calib.reporting.blocks import Block
+
+_MET: Final = {True: "met", False: "MISSED", None: ""}
+
+
+def score_content(score: Score) -> list[Block]:
+    """Return what a score says."""
+    from calib.reporting.blocks import Items
+
+    summary = score.summary
+    coverage = summary["interval_coverage"]
+    sentences = [
+        f"95 % set: {summary['median_set_size']} hypotheses (median)",
+        f"95 % intervals that hold the truth: {coverage['hits']} of {coverage['total']}",
+    ]
+    if summary["closure_compared"]:
+        difference = summary["closure_predicted_minus_achieved_median"]
+        sentences.append(f"closure, predicted against achieved: {difference:.3f} apart (median)")
+    if summary["crowded_stated_minus_true"] is not None:
+        sentences.append(
+            "crowded cases: stated probabilities less the share that is true: "
+            f"{summary['crowded_stated_minus_true']:+.3f} (wanted within 0.05)"
+        )
+    return [_board(score), *_parts(score), Items(tuple(sentences)), _misses(score)]
+
+
+def _board(score: Score) -> Block:
+    from calib.challenge.score import TARGETS, clopper_pearson, wilson
+    from calib.reporting.blocks import Column, Table
+    from calib.reporting.formatting import MISSING, number_columns, text_column
+
+    rows = []
+    for name, line in score.board.items():
+        low, high = wilson(line.hits, line.total)
+        exact = clopper_pearson(line.hits, line.total)
+        rows.append(
+            (
+                name,
+                f"{line.hits}/{line.total}",
+                MISSING if line.rate is None else f"{line.rate:.1%}",
+                f"{low:.1%}..{high:.1%}",
+                f"{exact[0]:.1%}..{exact[1]:.1%}",
+                f"{TARGETS[name][1]} {TARGETS[name][0]:.0%}" if name in TARGETS else "",
+                _MET[score.meets(name)],
+            )
+        )
+    columns = (
+        text_column("Line"),
+        *number_columns("Cases", "Share"),
+        *number_columns("Wilson", "Clopper-Pearson", group="95 % interval"),
+        Column("Target"),
+        text_column(""),
+    )
+    caption = f"{len(score.cases)} sealed cases ({score.purpose}), truth {score.truth_sha256}"
+    return Table(caption, columns, tuple(rows))
+
+
+def _parts(score: Score) -> list[Block]:
+    from calib.reporting.blocks import Column, Table
+    from calib.reporting.formatting import MISSING
+
+    words = ("detected", "first", "in_group", "covered")
+    titles = ("Signal", "A gap seen", "Named first", "Named or in its group", "In the 95 % set",
+              "Ceiling", "First over ceiling", "Own ceiling", "First over own")  # fmt: skip
+    ceilings = ("gated", "hits_over_gated", "own_gated", "hits_over_own_gated")
+    by_signal = tuple(
+        (
+            signal,
+            *(f"{row[word].hits}/{row[word].total}" for word in words),
+            *(MISSING if (v := score.ceilings[signal][key]) is None else f"{v:.2f}" for key in ceilings),
+        )
+        for signal, row in score.by_signal.items()
+    )
+    reliability = tuple(
+        (
+            f"{row['low']:.1f}..{row['high']:.1f}",
+            f"{row['stated']:.3f}",
+            f"{row['true']['rate']:.3f}",
+            f"{row['true']['total']}",
+        )
+        for row in score.reliability
+    )
+    return [
+        Table("Single effects by signal.", tuple(Column(title) for title in titles), by_signal),
+        Table(
+            "Stated probabilities.",
+            tuple(Column(title) for title in ("Bin", "Stated", "True", "Statements")),
+            reliability,
+        ),
+    ]
+
+
+def _misses(score: Score) -> Block:
+    from calib.reporting.blocks import Column, Table
+    from calib.reporting.formatting import MISSING, text_column
+
+    rows = tuple(
+        (
+            case.case,
+            case.group,
+            MISSING if case.signal is None else f"{case.signal:g}",
+            (f"deleted {case.deleted}" if case.deleted else " + ".join(case.truth)) or "nothing",
+            case.error or f"{case.verdict}: {', '.join(case.named)}".rstrip(": "),
+            case.rival,
+        )
+        for case in score.misses
+    )
+    columns = (
+        text_column("Case"),
+        text_column("Group"),
+        Column("Signal"),
+        text_column("Truth", wide=True),
+        text_column("Answer", wide=True),
+        text_column("Nearest rival, sigma", wide=True),
+    )
+    return Table("Misses.", columns, rows)
+
+
+def own_content(own: Own) -> list[Block]:
+    """Return what was found, as blocks."""
+    from calib.challenge.score import clopper_pearson
+    from calib.reporting.blocks import Column, Items, Table
+    from calib.reporting.formatting import text_column
+
+    head = (
+        text_column("Planted", wide=True),
+        Column("Size"),
+        text_column("Unit"),
+        Column("Signal"),
+        Column("Times"),
+        Column("Seen"),
+    )
+    effects, outside = (
+        tuple(
+            (f.effect, f"{f.size:.3g}", f.unit, f"{f.signal:.1f}", str(f.planted), str(f.seen), *rest(f), str(f.wrong))
+            for f in own.found
+            if f.outside == which
+        )
+        for which, rest in (
+            (False, lambda f: (str(f.first), str(f.in_group))),
+            (True, lambda f: (str(f.left_open),)),
+        )
+    )
+    columns = (*head, Column("First"), Column("In group"), Column("Wrong"))
+    low, high = (f"{bound:.0%}" for bound in clopper_pearson(own.raised, len(own.empty)))
+    sentences = [
+        f"False alarms where nothing was planted: {own.raised} of {len(own.empty)} (95 %: {low} to {high}).",
+        f"Something else named: {own.wrong} of {own.planted} planted.",
+        f"The noise is what the diagnosis leaves of {own.units} units, {own.units_with_repeats} of them with repeats; "
+        f"the campaign's own verdict was {own.own_verdict}.",
+    ]
+    if own.done < own.asked:
+        sentences.append(f"Diagnosed {own.done} of {own.asked}: the time was up.")
+    blocks: list[Block] = [Table(f"Planted on {own.campaign}'s own noise and route.", columns, effects)]
+    if outside:
+        open_columns = (*head, Column("Left open"), Column("Fix recommended"))
+        blocks.append(Table("Causes that no library holds.", open_columns, outside))
+    return [*blocks, Items((*sentences, *(f"Not planted: {name}: {why}." for name, why in own.left_out.items())))]

@@ -1,0 +1,270 @@
+"""Vehicle, instruments, conditions and assumed settings; method, limits of the result, and input files."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from typing import Final
+
+from calib import __version__
+from calib.campaign.checks.design import WEIGHTY
+from calib.reporting.blocks import Block, Column, Equation, Facts, Items, Notice, Section, Table, Text, items
+from calib.reporting.formatting import MISSING, prose, span, text_column
+from calib.reporting.source import OPTIONAL, STATED, Source
+
+
+def item_section(source: Source) -> Section:
+    """Return the vehicle as the campaign states it."""
+    setup = source.fit.setup
+    rows = [
+        ("Vehicle", source.text("item")),
+        ("Identification", source.text("item_id")),
+        ("Condition", source.text("item_condition")),
+        ("Received", source.text("received")),
+        ("Campaign", source.fit.name),
+    ]
+    if setup is not None:
+        vehicle, encoder = setup.vehicle, setup.encoder
+        per_rev = {encoder.counts_per_rev_left, encoder.counts_per_rev_right}
+        counts = (
+            f"{per_rev.pop():g} counts a revolution"
+            if len(per_rev) == 1
+            else f"{encoder.counts_per_rev_left:g} (left) and {encoder.counts_per_rev_right:g} (right) counts a "
+            "revolution"
+        )
+        wrap = "" if encoder.wrap_bits is None else f", counters of {encoder.wrap_bits} bits"
+        rows += [
+            ("Track", f"{1e3 * vehicle.track_m:.1f} mm between the contact points of the rear wheels"),
+            ("Wheelbase", f"{1e3 * vehicle.wheelbase_m:.1f} mm"),
+            ("Nominal wheel radius", f"{1e3 * vehicle.wheel_radius_m:.2f} mm, free"),
+            ("Mass", f"{vehicle.mass_kg:g} kg without payload, permissible wheel load {vehicle.max_wheel_load_N:g} N"),
+            ("Wheel encoders", counts + wrap),
+        ]
+    missing = [what for key, what in STATED.items() if key not in source.stated and key not in OPTIONAL]
+    blocks: list[Facts | Text] = [Facts(tuple((name, value or MISSING) for name, value in rows))]
+    blocks.append(
+        Text(
+            "What the campaign states of laboratory, customer, vehicle, instruments and dates is carried over as "
+            "given; geometry and counts a revolution are taken from it and were not measured here.",
+            small=True,
+        )
+    )
+    if missing:
+        blocks.append(Text(f"The campaign does not state: {', '.join(missing)}.", small=True))
+    return Section("Item", tuple(blocks))
+
+
+_CONDITIONS = {
+    "temperature_C": ("Temperature of the hall", "°C", ".1f"),
+    "speed_mps": ("Set speed", "m/s", ".3g"),
+    "distance_m": ("Length of the runs", "m", ".2f"),
+    "payload_kg": ("Payload", "kg", ".4g"),
+    "payload_x_m": ("Payload ahead of the rear axle", "m", ".3f"),
+    "payload_y_m": ("Payload left of the centre line", "m", ".3f"),
+    "load_left_N": ("Load of the left wheel", "N", ".0f"),
+    "load_right_N": ("Load of the right wheel", "N", ".0f"),
+    "minutes_under_load": ("Time under load before a run", "min", ".3g"),
+}
+
+
+def conditions_section(source: Source) -> Section:
+    """Return what the runs were measured with and under."""
+    setup, radii = source.fit.setup, source.fit.radii
+    sessions = len(set(radii.session.tolist()))
+    out, back = int((radii.direction == "out").sum()), int((radii.direction == "back").sum())
+    rows = [
+        ("Place", source.text("place")),
+        ("Floor", source.text("floor")),
+        ("Dates of measurement", source.text("measured")),
+        ("Sessions", str(sessions)),
+        ("Instruments", source.text("instruments")),
+    ]
+    if setup is not None:
+        rows.append(
+            ("Laser rangefinder", f"standard uncertainty of a distance {1e3 * setup.rangefinder.sigma_m:.2g} mm")
+        )
+        if any("heading" in text for text in radii.path_source.tolist()):
+            milli = 1e3 * setup.reference.sigma_theta_rad
+            rows.append(("Heading reference", f"standard uncertainty of a heading {milli:.2g} mrad"))
+        rows += [
+            (title, span(*setup.conditions[name], unit, form))
+            for name, (title, unit, form) in _CONDITIONS.items()
+            if name in setup.conditions
+        ]
+    if out + back:
+        rows.append(("Direction of driving", f"{out} runs out, {back} back"))
+    blocks: list[Facts | Text] = [Facts(tuple(rows))]
+    traceable = (
+        "Traceability to the SI rests on the instruments' certificates as named above."
+        if "instruments" in source.stated
+        else "No calibration certificates of the instruments are stated; traceability to the SI is not shown by this "
+        "report."
+    )
+    blocks.append(Text(traceable + " The standard uncertainties of the instruments are as stated by the campaign."))
+    if setup is not None:
+        blocks.append(assumed_text(setup.assumed))
+    if "remarks" in source.stated:
+        blocks.append(Text(f"Remarks: {source.stated['remarks']}"))
+    return Section("Instruments and conditions", tuple(blocks))
+
+
+def assumed_text(assumed: Mapping[str, str]) -> Text:
+    """Return the keys of ``campaign.toml`` that the campaign does not state, with the values assumed."""
+    if not assumed:
+        return Text("Every setting that these results depend on is stated by the campaign; none is assumed.")
+    return Text(
+        f"Assumed, not stated by the campaign: {_listed(assumed)}. Results that depend on these are not measured."
+    )
+
+
+def assumed_notice(assumed: Mapping[str, str]) -> tuple[Notice, ...]:
+    """Return a notice for the first page where every result scales with an assumed value, else nothing."""
+    weighty = {key: value for key, value in assumed.items() if key in WEIGHTY}
+    if not weighty:
+        return ()
+    text = f"{_listed(weighty)}. Every radius or path scales with these: state the vehicle's own in campaign.toml."
+    return (Notice("note", "Assumed, since the campaign does not state it", text),)
+
+
+def _listed(assumed: Mapping[str, str]) -> str:
+    return ", ".join(f"{key} = {value}" if value else key for key, value in assumed.items())
+
+
+_DESIGNS = {
+    "crossed": "The slope comes from differences between loads within the sessions.",
+    "confounded": "Each session has a load of its own, so the slope comes from the session means alone.",
+    "mixed": "The slope combines differences within the sessions with those between their means.",
+    "single": "The runs count as one session.",
+    "constant": "The runs have one load, so a constant radius is given and no slope.",
+}
+
+
+def method_section(source: Source) -> Section:
+    """Return effective radius, regression, and their uncertainty."""
+    fit = source.fit
+    designs = dict.fromkeys(_DESIGNS.get(wheel.design, "") for wheel in fit.wheels.values())
+    blocks: list[Text | Equation] = [
+        Text(
+            "The vehicle drives along a straight corridor. A laser rangefinder measures the distance Sₒ of each run, "
+            "the encoders of the free rear wheels count their revolutions n. The effective radius of a wheel in a run "
+            "is"
+        ),
+        Equation("effective_radius"),
+        Text(
+            "where the path correction e accounts for weaving and turning about the straight line. For each wheel a "
+            "line is fitted by least squares to the radii of all runs,"
+        ),
+        Equation("law"),
+        Text(
+            "with F the wheel load and F₀ the reference load. Runs of one session share temperature, mounting and wear "
+            "and are not independent: scatter between sessions and between runs are estimated separately, and both "
+            "enter the "
+            "uncertainty. " + " ".join(text for text in designs if text)
+        ),
+        Text(
+            "Uncertainties follow the Guide to the expression of uncertainty in measurement (GUM). Expanded "
+            "uncertainties use Student's t at the effective degrees of freedom for a coverage of 95 %."
+        ),
+        Text(f"Deviations from the method: {source.stated.get('deviations', 'none stated')}."),
+    ]
+    return Section("Method", (*blocks, *items(map(prose, fit.notes))))
+
+
+def limits_section(source: Source) -> Section:
+    """Return the limits of the result."""
+    fit = source.fit
+    items = [
+        "The results relate only to the vehicle and wheels named above, in the condition in which they were driven.",
+    ]
+    for name, wheel in fit.wheels.items():
+        if wheel.model == "line":
+            items.append(
+                f"{name.capitalize()} wheel: loads below {wheel.law.load_min_N:.0f} N and above "
+                f"{wheel.law.load_max_N:.0f} N were not measured."
+            )
+        else:
+            items.append(
+                f"{name.capitalize()} wheel: only one load was measured; how the radius changes with load is not known."
+            )
+    if any(wheel.design == "confounded" for wheel in fit.wheels.values()):
+        items.append(
+            "Each session had a load of its own: a change from session to session is confounded with an effect of load."
+        )
+    conditions = {} if fit.setup is None else fit.setup.conditions
+    speed, hall = conditions.get("speed_mps"), conditions.get("temperature_C")
+    items.append(
+        "Other speeds than those driven"
+        + ("" if speed is None else f" ({_range(speed, '.2g')} m/s)")
+        + " and curves: the "
+        "law comes from straight runs at constant speed; scrub and load transfer in curves are not contained in it."
+    )
+    items.append(
+        "Other temperatures"
+        + (", as none were recorded" if hall is None else f" than {_range(hall, '.1f')} °C")
+        + ", later wear, other wheels and other floors."
+    )
+    items.append(
+        "The track, and with it heading: straight runs do not determine it"
+        + (" and the heading error of a vehicle needs it as well as the radii." if fit.setup is not None else ".")
+    )
+    return Section(
+        "What this report does not cover",
+        (
+            Items(tuple(items)),
+            Text(
+                "This report may be passed on in full only. It is not a certificate, and makes no claim about the "
+                "competence of the laboratory beyond what the laboratory states itself."
+            ),
+        ),
+    )
+
+
+def _range(pair: tuple[float, float], form: str) -> str:
+    low, high = (format(value, form) for value in pair)
+    return low if low == high else f"{low} to {high}"
+
+
+#: beyond this many files their logs are given as one hash
+MOST_FILES: Final = 12
+
+
+def files_section(source: Source) -> Section:
+    """Return the inputs with their SHA-256, the program and the attachment."""
+    inputs = source.inputs
+    named = {path: digest for path, digest in inputs.items() if not path.startswith("logs/")}
+    others = {path: digest for path, digest in inputs.items() if path not in named}
+    if len(inputs) <= MOST_FILES:
+        named, others = dict(inputs), {}
+    rows = sorted(named.items())
+    if others:
+        listing = "".join(f"{digest}  {path}\n" for path, digest in sorted(others.items()))
+        rows.append((f"{len(others)} logs*", hashlib.sha256(listing.encode()).hexdigest()))
+    blocks: list[Block] = [
+        Facts(
+            (
+                ("Program", f"calib {source.fit.provenance.get('version', __version__)}"),
+                ("Attached", "coefficients.json"),
+                ("Its checksum", source.coefficients.checksum),
+            )
+        )
+    ]
+    if rows:
+        blocks.append(
+            Table(
+                "Input files and their SHA-256.",
+                (text_column("File", wide=True), Column("SHA-256", align="left", mono=True)),
+                tuple(rows),
+                dense=True,
+            )
+        )
+    else:
+        blocks.append(Text("The data were handed over in memory; there are no input files."))
+    if others:
+        blocks.append(
+            Text(
+                "* SHA-256 of the list that sha256sum prints for the logs, sorted by path; each log's own hash is in "
+                "the attached coefficients.json.",
+                small=True,
+            )
+        )
+    return Section("Files", tuple(blocks))

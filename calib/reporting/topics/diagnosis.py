@@ -1,0 +1,175 @@
+"""Diagnosis of a gap: verdict, pictures, and the page with linked panels."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from calib.gap.decision.diagnosis import Diagnosis, Plan, VerdictKind
+from calib.reporting.blocks import Block, Heading, Notice, Picture, Section, Text, drawn, items, simulated_notice
+from calib.reporting.formatting import length, prose
+from calib.reporting.source import Source
+from calib.reporting.topics.effects import next_runs_table
+from calib.reporting.topics.gap import (
+    cause_blocks,
+    closure_blocks,
+    confounded_blocks,
+    effect_name,
+    limit_blocks,
+    where_blocks,
+)
+from calib.types import FloatArray
+
+if TYPE_CHECKING:
+    from calib.reporting.figures.gap import GapArrays
+
+#: verdict -> level of its notice, and its title
+TITLES: Final[Mapping[VerdictKind, tuple[str, str]]] = {
+    VerdictKind.NO_GAP: ("good", "No gap beyond the noise"),
+    VerdictKind.EXPLAINED: ("good", "The gap is explained"),
+    VerdictKind.PARTLY_EXPLAINED: ("note", "The gap is explained in part"),
+    VerdictKind.AMBIGUOUS: ("note", "These runs cannot tell the causes apart"),
+    VerdictKind.UNKNOWN: ("bad", "The cause of the gap is unknown"),
+    VerdictKind.UNDECIDED: ("note", "These runs cannot show whether there is a gap"),
+}
+
+
+def verdict_notice(verdict: Diagnosis) -> Notice:
+    """Return the verdict with its sentence."""
+    level, title = TITLES[verdict.kind]
+    return Notice(level, f"{title} ({verdict.kind.value})", prose(verdict.sentence))
+
+
+def verdict_content(verdict: Diagnosis) -> tuple[Block, ...]:
+    """Return what the terminal prints of a verdict, under the name of its campaign."""
+    mark = (simulated_notice(),) if verdict.simulated else ()
+    return (Heading(verdict.campaign), *mark, *diagnosis_content(verdict))
+
+
+def diagnosis_content(verdict: Diagnosis, gap: GapArrays | None = None) -> tuple[Block, ...]:
+    """Return the statements of a diagnosis, with its pictures where its arrays are given."""
+    next_runs = (next_runs_table([run.to_dict() for run in verdict.next_runs]),) if verdict.next_runs else ()
+    return (
+        verdict_notice(verdict),
+        Text(
+            "The gap is measured minus simulated motion, run by run. The noise level is the scatter of repeated runs; "
+            "no model gets below it.",
+            small=True,
+        ),
+        *map_picture(gap),
+        *where_blocks(verdict.where),
+        *covariate_picture(gap, verdict),
+        *cause_blocks(verdict),
+        *confounded_blocks(verdict),
+        *closure_blocks(verdict),
+        *before_after_picture(gap),
+        *limit_blocks(verdict),
+        *next_runs,
+        *items(map(prose, verdict.notes)),
+    )
+
+
+def diagnosis_section(source: Source) -> Section | None:
+    """Return the findings of the diagnosis, or None where the report has none."""
+    return None if source.verdict is None else gap_section(source.verdict, source.gap)
+
+
+def gap_section(verdict: Diagnosis, gap: GapArrays | None = None) -> Section:
+    """Return the section of a report on a diagnosis."""
+    return Section("Diagnosis of the gap", diagnosis_content(verdict, gap))
+
+
+def map_picture(gap: GapArrays | None) -> list[Picture]:
+    """Return the gap on the floor plan."""
+    if gap is None or gap.offset_m is None:
+        return []
+    largest = float(np.nanmax(np.hypot(*gap.offset_m.T), initial=0.0))
+    return [
+        Picture(
+            "gap-map",
+            "The gap on the floor plan: paths driven, and arrows from the simulated to the measured end of each run.",
+            f"Floor plan of {len(gap.paths_m)} runs with the gap at their ends, at most {length(largest)}",
+            partial(drawn, "gap.gap_map", gap.paths_m, gap.offset_m, gap.labels["kind"]),
+        )
+    ]
+
+
+def covariate_picture(gap: GapArrays | None, verdict: Diagnosis) -> list[Picture]:
+    """Return the channel furthest above its noise level, against what varied between the runs."""
+    if gap is None:
+        return []
+    # covariates that explain most come first: the number of panels is limited
+    lines = sorted(verdict.where.covariates, key=lambda line: not line.significant)
+    rank = {line.name: number for number, line in reversed(list(enumerate(lines)))}
+    varied = {
+        name: gap.covariates[name]
+        for name in sorted(gap.covariates, key=lambda name: rank.get(name, len(rank)))
+        if np.isfinite(gap.covariates[name]).sum() >= 3 and np.ptp(_known(gap.covariates[name])) > 0
+    }
+    levels = [_rms(column) for column in gap.noise_level.T]
+    ratios = [
+        _rms(values) / level if np.isfinite(values).sum() >= 3 and level > 0 else -1.0
+        for values, level in zip(gap.before.T, levels, strict=True)
+    ]
+    worst = int(np.argmax(ratios))
+    if not varied or ratios[worst] <= 0:
+        return []
+    channel, unit = gap.channels[worst]
+    title, options = effect_name(channel), {"noise_level": levels[worst], "group": gap.labels["kind"]}
+    return [
+        Picture(
+            "gap-by-covariate",
+            f"The {title} gap against what varied between the runs; squares are means with their 95 % intervals, the "
+            "grey band is the noise level.",
+            f"Gap of the channel {title} against {', '.join(effect_name(name) for name in list(varied)[:6])}",
+            partial(drawn, "gap.gap_by_covariate", gap.before[:, worst], title, unit, varied, **options),
+        )
+    ]
+
+
+def before_after_picture(gap: GapArrays | None) -> list[Picture]:
+    """Return the gap of every run before and after the correction, channel by channel."""
+    if gap is None or not np.isfinite(gap.before).any():
+        return []
+    channels = [(effect_name(name), unit) for name, unit in gap.channels]
+    sizes = [
+        f"{name} {_rms(before):.3g} to {_rms(after):.3g} {unit}"
+        for (name, unit), before, after in zip(channels, gap.before.T, gap.after.T, strict=True)
+        if np.isfinite(before).any()
+    ]
+    return [
+        Picture(
+            "gap-before-after",
+            "The gap of every run before and after the correction, channel by channel, on held-out runs; bars "
+            "are root mean squares, the grey band is the noise level.",
+            "Gap before and after by channel: " + "; ".join(sizes),
+            partial(drawn, "gap.before_after", channels, gap.before, gap.after, gap.noise_level),
+        )
+    ]
+
+
+def _known(values: FloatArray) -> FloatArray:
+    return np.asarray(values[np.isfinite(values)], dtype=np.float64)
+
+
+def _rms(values: FloatArray) -> float:
+    known = _known(values)
+    return float(np.sqrt(np.mean(known**2))) if len(known) else 0.0
+
+
+def diagnosis_full(diagnosis: Diagnosis) -> tuple[Block, ...]:
+    """Return what the terminal prints of a diagnosis."""
+    return verdict_content(diagnosis)
+
+
+def diagnosis_brief(diagnosis: Diagnosis) -> tuple[Block, ...]:
+    """Return what the interpreter shows of a diagnosis: its verdict."""
+    return (verdict_notice(diagnosis),)
+
+
+def plan_content(plan: Plan) -> tuple[Block, ...]:
+    """Return what the terminal prints of a plan: the verdict that it follows from, and the runs to drive next."""
+    return (verdict_notice(plan.diagnosis), next_runs_table([run.to_dict() for run in plan.runs]))

@@ -1,0 +1,304 @@
+"""Gap: where it lies, what it correlates with, its causes, and how far the correction closes it."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from calib.gap.decision.diagnosis import Diagnosis, Quantity
+from calib.gap.decision.sentences import advice, headline
+from calib.gap.localise.result import GapLocation, PlaceResult, RunDeviation
+from calib.gap.observations.arrays import POSE
+from calib.reporting.blocks import Block, Column, Items, Table, Text, items
+from calib.reporting.formatting import (
+    MISSING,
+    aligned,
+    fixed,
+    in_words,
+    length,
+    number_columns,
+    percent,
+    places,
+    probability,
+    prose,
+    readable,
+    text_column,
+    text_columns,
+    three_digits,
+)
+
+#: most covariates, runs and places shown; the JSON has them all
+MAX_LINES: Final = 12
+MAX_RUNS: Final = 5
+#: a run is named where its gap exceeds this many noise levels
+OUTSTANDING_Z: Final = 4.0
+
+
+def where_blocks(where: GapLocation) -> list[Block]:
+    """Return where the gap lies, as tables and sentences."""
+    blocks: list[Block] = []
+    if where.channels:
+        blocks.append(_channels(where))
+    if where.significant:
+        blocks.append(_covariates(where))
+    blocks += [Text(prose(_place(line))) for line in where.places[:MAX_LINES]]
+    runs = [line for line in where.runs if abs(line.z) > OUTSTANDING_Z][:MAX_RUNS]
+    if runs:
+        blocks += [Text("Runs with the largest gap:"), Items(tuple(prose(_run(line)) for line in runs))]
+    return blocks
+
+
+def _channels(where: GapLocation) -> Table:
+    rows = []
+    for gap in where.channels:
+        factor, unit = readable(gap.channel.unit, gap.rms)
+        cells = (three_digits(factor * value) for value in (gap.rms, gap.floor))
+        rows.append((gap.channel.label, unit, *cells, fixed(gap.ratio, 1)))
+    return Table(
+        "Where: the gap by channel, root mean square, against its noise level.",
+        (text_column("Channel"), text_column("Unit"), Column("Gap"), Column("Noise"), Column("Ratio")),
+        tuple(rows),
+    )
+
+
+def _covariates(where: GapLocation) -> Table:
+    rows = tuple(
+        (
+            in_words(line.name),
+            line.channel_label,
+            f"{line.share:.2f}",
+            MISSING if line.ci95 is None else f"{line.ci95[0]:.2f}",
+            MISSING if line.ci95 is None else f"{line.ci95[1]:.2f}",
+            probability(line.p_value),
+        )
+        for line in where.significant[:MAX_LINES]
+    )
+    columns = (
+        *text_columns("Correlates with", "Channel"),
+        Column("Share"),
+        *number_columns("from", "to", group="95 % interval"),
+        Column("p"),
+    )
+    return Table(
+        "Correlations of the gap: share of its variance above the noise, and p corrected for the number of tests (the "
+        "chance of any false line is 5 %).",
+        columns,
+        rows,
+    )
+
+
+def _run(line: RunDeviation) -> str:
+    milli = 1e3 * line.value
+    shown = ("+" if milli >= 0 else "−") + three_digits(abs(milli))
+    return f"{line.run_id}: {line.channel.label} {shown} m{line.channel.unit}, {abs(line.z):.0f} times its noise level"
+
+
+def _place(line: PlaceResult) -> str:
+    size = f"{1e3 * line.size:+.3g} m{line.unit}"
+    spread = f"{1e3 * line.ci95[0]:.3g} to {1e3 * line.ci95[1]:.3g}"
+    if line.place is None or line.place_ci95 is None:
+        return f"It opens at {line.where}: {line.channel.label} {size} {line.what} (95 %: {spread})."
+    (low, high), (first, last) = line.place, line.place_ci95
+    route = f" on {line.route.replace('_', ' ')}" if line.route else ""
+    return (
+        f"It opens at a {line.where}{route}: {line.channel.label} {size} (95 %: {spread}) between {low:.2f} m "
+        f"({first[0]:.2f} to {first[1]:.2f}) and {high:.2f} m ({last[0]:.2f} to {last[1]:.2f}), {line.coordinate}."
+    )
+
+
+def closure_blocks(verdict: Diagnosis) -> list[Block]:
+    """Return how far the gap shrinks and whether the fix is recommended."""
+    blocks: list[Block] = []
+    if verdict.causes and verdict.closure.channels:
+        blocks.append(_by_channel(verdict))
+    sentence = _sentence(verdict) if verdict.causes else ""
+    advised = advice(verdict)
+    if sentence or advised:
+        blocks.append(Text(" ".join(part for part in (sentence, prose(advised)) if part)))
+    if paper := headline(verdict):
+        blocks.append(Text(prose(paper.sentence)))
+    fix = verdict.fix
+    if fix.agreement_m is not None:
+        blocks.append(
+            Text(
+                "The corrections of the confounded causes differ by at most "
+                f"{length(fix.agreement_m)} at the end of the {fix.agreement_on}."
+            )
+        )
+    if fix.transfer:
+        blocks.append(_transfer(verdict))
+    if verdict.unexplained is not None:
+        blocks.append(Text(f"No named cause explains {percent(verdict.unexplained.share)} of the gap."))
+        blocks += items(map(prose, verdict.unexplained.where))
+    return blocks
+
+
+def _by_channel(verdict: Diagnosis) -> Table:
+    closure = verdict.closure
+    rows = []
+    for line in closure.channels:
+        factor, unit = readable(line.channel.unit, line.before_rms)
+        sizes = (three_digits(factor * value) for value in (line.before_rms, line.after_rms, line.floor_rms))
+        rows.append((line.channel.label, unit, *sizes, percent(line.fraction)))
+    if closure.before_rms_m is not None and any(line.channel in POSE for line in closure.channels):
+        factor, unit = readable("m", closure.before_rms_m)
+        ends = (closure.before_rms_m, closure.after_rms_m or 0.0, closure.floor_rms_m or 0.0)
+        rows.append(("end position", unit, *(three_digits(factor * value) for value in ends), MISSING))
+    return Table(
+        f"How far: the gap by channel on held-out runs, each {closure.held_out} in turn; root mean square with the "
+        "model alone, with the causes added, and of the noise. Closed: share of error variance above noise removed.",
+        (
+            text_column("Channel"),
+            text_column("Unit"),
+            Column("Before"),
+            Column("After"),
+            Column("Noise"),
+            Column("Closed"),
+        ),
+        aligned(rows, 2, 3, 4),
+    )
+
+
+def _sentence(verdict: Diagnosis) -> str:
+    closure = verdict.closure
+    if closure.fraction is None:
+        return ""
+    text = f"Each run and channel weighted by its noise, {percent(closure.fraction)} of the gap above the noise closes"
+    if closure.ci95 is None:
+        return f"{text}."
+    low, high = closure.ci95
+    return f"{text} (95 % interval {percent(low)} to {percent(high)})."
+
+
+def _transfer(verdict: Diagnosis) -> Table:
+    return Table(
+        "Effect of the correction on the end position (else the distance), root mean square, on conditions that it was "
+        "not fitted on, each held out in turn.",
+        (text_column("Held out"), text_column("Which"), Column("Before"), Column("After")),
+        tuple(
+            (trial.left_out, trial.value.replace("_", " "), length(trial.before_rms_m), length(trial.after_rms_m))
+            for trial in verdict.fix.transfer
+        ),
+    )
+
+
+#: rows of a table of causes at most; the JSON has them all
+MAX_CAUSES: Final = 24
+#: credible sets named in one sentence; the JSON has them all
+MAX_SETS: Final = 8
+
+
+def effect_name(effect: str) -> str:
+    """Return an effect's id without underscores and colons."""
+    return effect.replace("_", " ").replace(":", " ")
+
+
+def cause_blocks(verdict: Diagnosis) -> list[Block]:
+    """Return the ranking of the named causes, their sizes, and remarks on these."""
+    if not verdict.causes:
+        return []
+    named = verdict.causes[:MAX_CAUSES]
+    doubtful = not all(cause.plausible for cause in named)
+    ranking = Table(
+        "Which: the named causes, most probable first; the share is that of the gap above the noise level.",
+        (
+            text_column("Cause", wide=True),
+            text_column("Id"),
+            *number_columns("Probability", "Share"),
+            *number_columns("from", "to", group="95 % interval"),
+            *((text_column("Plausible"),) if doubtful else ()),
+        ),
+        tuple(
+            (
+                cause.title + (f" ({cause.form})" if cause.form else ""),
+                cause.effect,
+                percent(cause.probability),
+                percent(cause.share),
+                *(percent(end) for end in cause.share_ci95 or (None, None)),
+                *(("yes" if cause.plausible else "NO",) if doubtful else ()),
+            )
+            for cause in named
+        ),
+    )
+    rows = tuple(
+        (cause.effect, effect_name(name), quantity.unit, *_interval(quantity))
+        for cause in verdict.causes[:MAX_CAUSES]
+        for name, quantity in cause.parameters.items()
+    )
+    blocks: list[Block] = [ranking]
+    if rows:
+        columns = (
+            *text_columns("Cause", "Parameter", "Unit"),
+            Column("Value"),
+            *number_columns("from", "to", group="95 % interval"),
+        )
+        blocks.append(Table("Sizes of the causes with 95 % intervals.", columns, rows))
+    remarks = [f"{cause.effect}: {prose(cause.remark)}" for cause in verdict.causes if cause.remark]
+    remarks += [
+        f"{cause.effect}: these runs do not determine the form; {', '.join(cause.forms_open)} fit equally well"
+        for cause in verdict.causes
+        if cause.forms_open
+    ]
+    return [*blocks, *items(remarks)]
+
+
+def confounded_blocks(verdict: Diagnosis) -> list[Block]:
+    """Return the effects that these runs confound, and the credible sets of causes."""
+    blocks: list[Block] = []
+    if verdict.groups:
+        groups = tuple(", ".join(group.effects) for group in verdict.groups[:MAX_CAUSES])
+        blocks += [
+            Text("Confounded in these runs, since their signatures are the same:"),
+            Items(groups),
+        ]
+    sets = [" + ".join(names) or "none" for names in verdict.credible_sets]
+    if len(sets) > 1:
+        more = f"; and {len(sets) - MAX_SETS} more" if len(sets) > MAX_SETS else ""
+        blocks.append(Text(f"With 95 % probability the cause is one of: {'; '.join(sets[:MAX_SETS])}{more}."))
+    return blocks
+
+
+def limit_blocks(verdict: Diagnosis) -> list[Block]:
+    """Return the detection limits of these runs, and the effects that they do not excite."""
+    blocks: list[Block] = []
+    unseen = [limit for limit in verdict.undetectable if not limit.never]
+    if unseen:
+        blocks.append(
+            Table(
+                "Detection limits above the typical size: the smallest size that these runs would show.",
+                (text_column("Effect"), text_column("Smallest size that would show", wide=True)),
+                tuple((limit.effect, prose(limit.smallest)) for limit in unseen[:MAX_CAUSES]),
+            )
+        )
+    never: dict[str, list[str]] = {}
+    for limit in verdict.undetectable:
+        if limit.never:
+            never.setdefault(limit.smallest, []).append(limit.effect)
+    if never:
+        blocks += [
+            Text("Not excited by these runs, at any size:"),
+            Items(tuple(f"{', '.join(names)}: {prose(why)}" for why, names in never.items())),
+        ]
+    return blocks
+
+
+def _interval(quantity: Quantity) -> tuple[str, str, str]:
+    """Return value and interval to the place that two digits of its half width have."""
+    low, high = quantity.ci95
+    value = quantity.value
+    if not math.isfinite(value):
+        return MISSING, MISSING, MISSING
+    known = math.isfinite(low) and math.isfinite(high)
+    half = 0.5 * (high - low) if known else abs(value)
+    if 0 < max(abs(value), half) < 1e-3:
+        return _scientific(value), _scientific(low), _scientific(high)
+    decimals = places(half)
+    return fixed(value, decimals), fixed(low, decimals), fixed(high, decimals)
+
+
+def _scientific(value: float) -> str:
+    if not math.isfinite(value):
+        return MISSING
+    mantissa, exponent = f"{value:.2e}".split("e")
+    raised = str(int(exponent)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+    return f"{mantissa} × 10{raised}".replace("-", "−")

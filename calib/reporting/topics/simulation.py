@@ -1,0 +1,235 @@
+"""Simulations of Section 7, replays of logged runs, and wheel loads."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+from calib.odometry.law_path import LawPath
+from calib.odometry.load_sweep import LoadSweep
+from calib.odometry.paper import Sweep, paper_headline
+from calib.odometry.replay import Replay
+from calib.odometry.simulation import LawPart, Simulation
+from calib.reporting.blocks import Block, Column, Table, Text
+from calib.reporting.formatting import fixed, measured, number_columns, text_column, text_columns
+from calib.vehicle import Vehicle, WeighedPayload
+
+#: component of the error -> by what it is multiplied to be read
+_FACTORS: Final = {"along_m": 1.0, "lateral_m": 1.0, "heading_rad": 1e3, "global_x_m": 1.0, "global_y_m": 1.0}
+
+
+def simulation_content(simulation: Simulation) -> tuple[Block, ...]:
+    """Return what a simulation says."""
+    blocks: list[Block] = [_sweep(name, sweep) for name, sweep in simulation.sweeps.items()]
+    if simulation.headlines:
+        blocks.append(_headline(simulation))
+    if simulation.law is not None:
+        blocks += _law(simulation.law)
+        if len(simulation.law.path.loading.from_m) > 1:
+            blocks += _path(simulation.law.path, list(simulation.sweeps.values())[-1].route.name)
+    return tuple(blocks)
+
+
+def _sweep(name: str, sweep: Sweep) -> Table:
+    rows = [
+        (
+            str(row["case"]),
+            fixed(float(row["end_x_m"]), 6),
+            fixed(float(row["end_y_m"]), 6),
+            fixed(math.degrees(float(row["end_theta_rad"])), 4),
+            *(_signed(float(row[f"error_{key}_m"]), 5) for key in ("along", "lateral", "global_x", "global_y")),
+            fixed(float(row["error_distance_m"]), 6),
+        )
+        for row in sweep.ends()
+    ]
+    columns = (
+        text_column("Vehicle"),
+        Column("x", "m", group="End pose", detail=True),
+        Column("y", "m", group="End pose", detail=True),
+        Column("θ", "deg", group="End pose", detail=True),
+        *(Column(title, "m", group="True minus intended") for title in ("along", "left", "global x", "global y")),
+        Column("distance", "m", group="True minus intended"),
+    )
+    return Table(f"{name}: {sweep.route.name}, track {sweep.track_m:g} m; end of the route.", columns, tuple(rows))
+
+
+def _headline(simulation: Simulation) -> Table:
+    paper = paper_headline()
+    return Table(
+        "Largest error in global x at the end, without and with the correction "
+        f"(paper: {paper.before_m:g} m, {paper.after_m:g} m, about {paper.ratio:.0f}).",
+        (text_column("Wheel off"), Column("Without", "m"), Column("With", "m"), Column("Times smaller")),
+        tuple(
+            (line.which, fixed(line.without_m, 5), fixed(line.corrected_m, 5), fixed(line.ratio, 1))
+            for line in simulation.headlines
+        ),
+    )
+
+
+def _law(part: LawPart) -> list[Block]:
+    outside = any(row.extrapolated_left or row.extrapolated_right for row in part.table)
+    radii = Table(
+        "Table 1: effective radii by the law; ± is the half width of the 95 % interval, of the mean and of a single "
+        "run." + (" * outside the loads that were measured." if outside else ""),
+        (
+            Column("Load", "N"),
+            *(
+                Column(title, "mm", group=f"{side} wheel")
+                for side in ("Left", "Right")
+                for title in ("radius", "± mean", "± run")
+            ),
+        ),
+        tuple(
+            (
+                f"{row.load_N:g}" + ("*" if row.extrapolated_left or row.extrapolated_right else ""),
+                *(
+                    fixed(1e3 * getattr(row, f"{name}_{side}_m"), 4)
+                    for side in ("left", "right")
+                    for name in ("radius", "mean", "prediction")
+                ),
+            )
+            for row in part.table
+        ),
+    )
+    return [radii, _journeys(part)]
+
+
+def _journeys(part: LawPart) -> Table:
+    rows = []
+    for journey in part.journeys:
+        lateral = journey.corrected["lateral_m"]
+        low, high = journey.ratio_ci95
+        rows.append(
+            (
+                f"{journey.load_left_N:.0f} / {journey.load_right_N:.0f}",
+                "mean" if journey.band == "mean" else "run",
+                fixed(journey.radius_ratio, 5),
+                fixed(journey.without_rms_m, 4),
+                fixed(journey.corrected_rms_m, 4),
+                fixed(journey.corrected_95_m, 4),
+                fixed(0.5 * (lateral.linear[1] - lateral.linear[0]), 4),
+                fixed(0.5 * (lateral.monte_carlo[1] - lateral.monte_carlo[0]), 4),
+                f"{journey.ratio:.1f} [{low:.1f}, {high:.1f}]",
+            )
+        )
+    columns = (
+        *text_columns("Loads L / R", "Band"),
+        Column("E_r"),
+        Column("rms", "m", group="Without"),
+        *number_columns("rms", "95 %", unit="m", group="With"),
+        *number_columns("linear", "Monte Carlo", unit="m", group="e_y ±"),
+        Column("Times smaller [95 %]"),
+    )
+    return Table(
+        "End error under the law, without and with the correction; ± is the half width of the 95 % interval, by "
+        "linear propagation and by Monte Carlo.",
+        columns,
+        tuple(rows),
+    )
+
+
+def _path(path: LawPath, route: str) -> list[Block]:
+    ends: dict[str, dict[str, Any]] = {
+        "of the reference load": path.without.end(),
+        "that follow the load": path.corrected.end(),
+    }
+    rows: list[tuple[str, ...]] = []
+    for title, end in ends.items():
+        errors = (_signed(factor * end[f"error_{key}"], 4) for key, factor in _FACTORS.items())
+        rows.append((title, *errors, fixed(end["rms_m"], 4)))
+        rows.append(("", *(f"± {2.0 * factor * end[f'std_{key}']:.4f}" for key, factor in _FACTORS.items()), ""))
+    columns = (
+        text_column("Radii"),
+        *number_columns("along", "left", unit="m"),
+        Column("heading", "mrad"),
+        *number_columns("global x", "global y", "rms", unit="m"),
+    )
+    ends_of_ratio = path.ratio_ci95
+    interval = "" if ends_of_ratio is None else f" (95 % interval {ends_of_ratio[0]:.1f} to {ends_of_ratio[1]:.1f})"
+    return [
+        Table(f"{route}, {path.loading_text}: end error; ± is 95 % (k = 2).", columns, tuple(rows)),
+        Text(f"Radii that follow the load make the end error {path.ratio:.1f} times smaller{interval}."),
+    ]
+
+
+def _signed(value: float, decimals: int) -> str:
+    text = fixed(value, decimals)
+    return text if text.startswith("−") or float(text) == 0 else f"+{text}"
+
+
+METHODS: Final = {
+    "model": "as the simulator believes",
+    "constant": "law's radii, unladen, kept",
+    "corrected": "law's radii at the load carried",
+}
+#: where a front wheel or four wheels drive the odometry
+METHODS_BY_GEOMETRY: Final = {"model": "as the simulator believes", "corrected": "the coefficients' radii and lengths"}
+
+
+def replay_content(replay: Replay) -> tuple[Block, ...]:
+    """Return what a replay says."""
+    name = replay.campaign + (" (simulated)" if replay.simulated else "")
+    table = Table(
+        f"{name}: end error of {int(replay.in_range.sum())} runs.",
+        (text_column("Radii"), Column("rms", "m"), Column("rms heading", "mrad")),
+        tuple(
+            (title, fixed(replay.rms_m[key], 4), fixed(1e3 * replay.rms_heading_rad[key], 2))
+            for key, title in (METHODS_BY_GEOMETRY if replay.by_geometry else METHODS).items()
+        ),
+    )
+    left_out = [Text(f"{count} runs not used: {reason}.") for reason, count in replay.left_out.items() if count]
+    if replay.by_geometry:
+        runtime = Text("The vehicle's runtime reads two wheels on one axle; so it was not checked.")
+        return (table, runtime, *left_out)
+    low, high = replay.ratio_ci95
+    check = replay.runtime
+    blocks: list[Block] = [
+        table,
+        Text(
+            f"The correction makes the end error {replay.ratio:.1f} times smaller (95 % interval {low:.1f} to "
+            f"{high:.1f})."
+        ),
+        Text(
+            f"The vehicle's runtime on {check.runs} of these runs, {check.samples} samples: differs from the arrays "
+            f"by at most {check.largest_difference_m:.2g} m and {check.largest_difference_rad:.2g} rad."
+        ),
+    ]
+    blocks += [Text(f"The runtime refused {count} times: {status}.") for status, count in check.faults.items()]
+    return (*blocks, *left_out)
+
+
+def loads_content(vehicle: Vehicle, sweep: LoadSweep) -> tuple[Block, ...]:
+    """Return the wheel loads of a payload or a sweep."""
+    columns = (
+        Column("mass", "kg", group="Payload"),
+        Column("x", "m", group="Payload"),
+        Column("y", "m", group="Payload"),
+        *(Column(title, "N", group="Wheel load") for title in ("front", "left", "right", "sum")),
+    )
+    rows = tuple(
+        (
+            f"{row['payload_kg']:.4g}",
+            fixed(row["payload_x_m"], 4),
+            fixed(row["payload_y_m"], 4),
+            *(fixed(row[key], 2) for key in ("front_N", "left_N", "right_N", "total_N")),
+        )
+        for row in sweep.rows()
+    )
+    caption = (
+        f"Wheel loads (track {vehicle.track_m:g} m, wheelbase {vehicle.wheelbase_m:g} m, mass {vehicle.mass_kg:g} kg)."
+    )
+    return (Table(caption, columns, rows),)
+
+
+def weighed_content(payload: WeighedPayload, *, known: bool) -> tuple[Block, ...]:
+    """Return the payload found from three weighed wheels."""
+    rows = []
+    for title, unit, value, std, decimals in (
+        ("mass", "kg", payload.payload_kg, payload.payload_std_kg, 3),
+        ("ahead of the rear axle, x", "m", payload.payload_x_m, payload.payload_x_std_m, 4),
+        ("left of the centre line, y", "m", payload.payload_y_m, payload.payload_y_std_m, 4),
+    ):
+        cells = measured(value, 2 * std) if known else (fixed(value, decimals), "not given")
+        rows.append((title, unit, *cells))
+    columns = (text_column("Quantity"), text_column("Unit"), Column("Value"), Column("±"))
+    return (Table("Payload from three weighed wheels; ± is 95 % (k = 2).", columns, tuple(rows)),)

@@ -1,0 +1,111 @@
+"""Mean and spread over vehicles hold the truth as often as they say; what is named is named rightly."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calib.fleet.population import any_false, difference_of, false_discovery, outlying, population
+
+#: 400 fleets: the standard error of a share of 95 % is 1.1 %; three of them either way
+CAMPAIGNS = 400
+LOWEST_COVERAGE, HIGHEST_COVERAGE = 0.917, 0.983
+#: where nothing is to be found, the false discovery rate is the chance of any: 1 %, and three standard errors
+MOST_FALSE_FLEETS = 0.025
+
+
+@pytest.mark.parametrize("spread", [0.3, 1.0, 4.0])
+def test_the_intervals_of_mean_and_spread_hold_the_truth(spread: float) -> None:
+    """In 95 % of fleets, whether the spread is below or above what each vehicle is uncertain by."""
+    rng = np.random.default_rng(5)
+    mean_held = spread_held = 0
+    for _ in range(CAMPAIGNS):
+        std = rng.uniform(0.5, 1.5, 40)
+        found = population(rng.normal(7.0, spread, 40) + rng.normal(0.0, std), std)
+        assert found is not None
+        mean_held += found.mean_ci95[0] <= 7.0 <= found.mean_ci95[1]
+        spread_held += found.spread_ci95[0] <= spread <= found.spread_ci95[1]
+    for held in (mean_held, spread_held):
+        assert LOWEST_COVERAGE <= held / CAMPAIGNS <= HIGHEST_COVERAGE
+
+
+def test_a_fleet_without_spread_has_none() -> None:
+    """Vehicles that differ by less than they are uncertain by: the spread is zero, and its interval begins there."""
+    found = population(np.array([1.0, 1.1, 0.9, 1.0]), np.full(4, 1.0))
+    assert found is not None
+    assert found.spread == 0.0
+    assert found.spread_ci95[0] == 0.0
+
+
+def test_spread_and_shared_differences_are_those_of_scipy() -> None:
+    """The between variance is the root of Cochran's Q that a bracketing solver finds; Welch's test is that of scipy."""
+    from scipy.optimize import brentq
+    from scipy.stats import ttest_ind
+
+    rng = np.random.default_rng(8)
+    std = rng.uniform(1e-7, 3e-6, 60)
+    values = 0.1 + rng.uniform(-4e-5, 4e-5, 60)
+    fleet = population(values, std)
+    assert fleet is not None
+
+    def excess(between: float) -> float:
+        weight = 1.0 / (between + std**2)
+        return float(weight @ (values - weight @ values / weight.sum()) ** 2) - 59.0
+
+    assert fleet.spread == pytest.approx(np.sqrt(brentq(excess, 0.0, 1e-6, xtol=1e-24)), rel=1e-9)
+    inside = np.arange(60) < 20
+    difference = difference_of(values, inside)
+    # nothing lies so far out that it would be drawn in
+    test = ttest_ind(values[inside], values[~inside], equal_var=False)
+    assert difference.p_value == pytest.approx(test.pvalue, rel=1e-9)
+    assert difference.ci95 == pytest.approx(tuple(test.confidence_interval(0.95)), rel=1e-9)
+
+
+def test_far_vehicles_do_not_hide_themselves() -> None:
+    """A fifth of the fleet ten spreads off: the others' distances stay those of a normal, theirs are far beyond."""
+    rng = np.random.default_rng(2)
+    values = rng.normal(0.0, 1.0, 200)
+    values[:40] += 10.0
+    z, p_value = outlying(values, np.full(200, 0.1))
+    assert np.abs(z[:40]).min() > 4.0
+    assert false_discovery(p_value)[:40].all()
+    assert not false_discovery(p_value)[40:].any()
+
+
+def test_a_sound_fleet_has_no_vehicle_apart() -> None:
+    """Normal vehicles, sixty of them: in few fleets any is named, four quantities or one."""
+    rng = np.random.default_rng(4)
+    named = [false_discovery(outlying(rng.normal(0.0, 1.0, 60), np.full(60, 0.1))[1]).any() for _ in range(CAMPAIGNS)]
+    assert np.mean(named) < MOST_FALSE_FLEETS
+
+
+def test_the_share_of_false_findings_is_controlled() -> None:
+    """Benjamini and Hochberg: of those named, at most a hundredth is false on average."""
+    rng = np.random.default_rng(3)
+    shares = []
+    for _ in range(200):
+        p = rng.random(400)
+        p[:20] = 1e-9
+        named = false_discovery(p)
+        shares.append(named[20:].sum() / max(named.sum(), 1))
+        assert named[:20].all()
+    assert np.mean(shares) < 0.02
+
+
+def test_statistics_are_those_of_statsmodels() -> None:
+    """Benjamini-Hochberg, Holm and the Paule-Mandel variance, which are own code for the sake of the import time."""
+    from statsmodels.stats.meta_analysis import _fit_tau_iterative
+    from statsmodels.stats.multitest import multipletests
+
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        p_values = rng.random(50) ** 3
+        assert np.array_equal(multipletests(p_values, 0.01, "fdr_bh")[0], false_discovery(p_values, 0.01))
+        assert np.array_equal(multipletests(p_values, 0.01, "holm")[0], any_false(p_values, 0.01))
+    values, std = rng.normal(1.0, 2.0, 30), rng.uniform(0.5, 1.5, 30)
+    fleet = population(values, std)
+    assert fleet is not None
+    variance, converged = _fit_tau_iterative(values, std**2)
+    assert converged
+    # statsmodels stops at 1e-5 of the estimating equation, which has the size of n - 1
+    assert fleet.spread**2 == pytest.approx(variance, rel=1e-6)

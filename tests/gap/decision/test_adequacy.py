@@ -1,0 +1,205 @@
+"""Which verdict it is, and whether the fix is recommended, on findings written by hand: no campaign is needed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from calib.gap.decision.adequacy import kind_of, recommended
+from calib.gap.decision.causes import limited_beside
+from calib.gap.decision.diagnosis import Cause, Unexplained, VerdictKind
+from calib.gap.decision.held_out import Closure, Trial
+
+#: the correction of one certain effect closes the gap on held-out runs
+CLOSED = Closure(fraction=0.98, ci95=(0.95, 1.0), floor_rms_m=0.004)
+
+
+def cause(probability: float = 0.9) -> Cause:
+    return Cause("load_radius", "", "", probability, share=1.0, signal=30.0, parameters={})
+
+
+def trial(after: float, growth_sd: float = -5.0, before: float = 500.0) -> Trial:
+    """A held-out value whose thirty readings square to thirty by noise alone, to 70 one time in a hundred."""
+    squares = {"before_square": before, "after_square": after, "noise_square": 30.0, "noise_limit": 70.0}
+    return Trial("kind", "square_cw", 0.05, 0.01, **squares, growth_sd=growth_sd)
+
+
+def verdict(
+    fraction: float | None = 0.98,
+    ci95: tuple[float, float] | None = (0.95, 1.0),
+    *,
+    gap: float = 1.0,
+    n_named: int = 1,
+    probability: float = 0.5,
+    **given: Any,
+) -> VerdictKind:
+    closure = Closure(fraction=fraction, ci95=ci95, floor_rms_m=0.004)
+    return kind_of(gap, [cause(probability)] * n_named, closure, **given)
+
+
+def test_one_clear_effect_explains_the_gap() -> None:
+    assert verdict() is VerdictKind.EXPLAINED
+
+
+def test_without_a_probable_gap_there_is_none_even_if_causes_are_named() -> None:
+    assert verdict(gap=0.3) is VerdictKind.NO_GAP
+
+
+def test_without_a_noise_level_nothing_is_decided() -> None:
+    assert verdict(supported=False) is VerdictKind.UNDECIDED
+    assert verdict(gap=0.0, supported=False) is VerdictKind.UNDECIDED
+
+
+def test_a_confounded_effect_is_ambiguous() -> None:
+    assert verdict(tied=True) is VerdictKind.AMBIGUOUS
+
+
+def test_several_causes_beside_a_small_unexplained_residual_explain() -> None:
+    """Real robots have several small imperfections at once, and a residual that carries next to nothing."""
+    assert verdict(n_named=5, unexplained_share=0.02) is VerdictKind.EXPLAINED
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"unexplained_share": 0.3},
+        {"unexplained_share": 1.0},
+        {"trials": [trial(400.0)]},
+        {"fraction": 0.8, "ci95": (0.6, 0.88)},
+        {"fraction": 0.5, "ci95": (0.4, 0.6)},
+        {"unexplained_share": 0.3, "tied": True},
+        {"unexplained_share": 0.9, "probability": 0.9, "fraction": 0.1, "ci95": (-0.2, 0.9)},
+    ],
+    ids=[
+        "unexplained",
+        "excluded",
+        "not transferred",
+        "closes 0.8",
+        "closes 0.5",
+        "confounded too",
+        "mostly unexplained",
+    ],
+)
+def test_what_leaves_a_residual_explains_in_part(given: dict[str, Any]) -> None:
+    assert verdict(**given) is VerdictKind.PARTLY_EXPLAINED
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"unexplained_share": 0.9, "fraction": 0.1, "ci95": (-0.2, 0.9)},
+        {"unexplained_share": 0.9, "fraction": None, "ci95": None},
+        {"fraction": 0.1, "ci95": (-0.2, 0.4)},
+        {"n_named": 0, "unexplained_share": 1.0, "fraction": None, "ci95": None},
+        {"misfit": 0.2},
+        {"gap": 0.1, "misfit": 0.2},
+        # even if probable: an effect that is in no library is imitated by those that are
+        {"unexplained_share": 0.6, "probability": 0.9, "fraction": 0.3, "ci95": (0.1, 0.45)},
+    ],
+    ids=[
+        "unexplained, no closure",
+        "unexplained, closure unmeasured",
+        "no closure",
+        "nothing named",
+        "blunder",
+        "blunder beside a large noise level",
+        "certainly less than half",
+    ],
+)
+def test_what_closes_nothing_leaves_the_cause_unknown(given: dict[str, Any]) -> None:
+    assert verdict(**given) is VerdictKind.UNKNOWN
+
+
+def test_an_unexplained_part_within_the_interval_of_the_closure_is_none() -> None:
+    """A closure of 0.8 whose interval holds 1 is what a sound fix of a small gap shows on few runs."""
+    assert verdict(0.8, (0.5, 1.0)) is VerdictKind.EXPLAINED
+
+
+def test_a_probable_gap_without_any_cause_is_unknown() -> None:
+    """With nothing named, even without a probable residual: that there is a gap is what matters."""
+    assert verdict(None, None, gap=0.8, n_named=0) is VerdictKind.UNKNOWN
+    assert verdict(None, None, gap=0.2, n_named=0) is VerdictKind.NO_GAP
+
+
+@pytest.mark.parametrize(
+    ("certain", "closure", "expected"),
+    [
+        ([0.9], CLOSED, True),
+        ([0.9, 0.4], CLOSED, False),
+        ([0.8, 0.8, 0.8], CLOSED, False),
+        ([0.9], replace(CLOSED, fraction=0.6, ci95=(0.5, 0.9)), False),
+        ([0.9], replace(CLOSED, ci95=(0.2, 1.0)), False),
+        ([0.9], Closure(), False),
+    ],
+    ids=["clear", "a doubtful cause", "three likely ones", "closes little", "wide interval", "no closure"],
+)
+def test_a_fix_is_recommended_where_its_causes_are_probable_and_it_holds(
+    certain: list[float], closure: Closure, expected: bool
+) -> None:
+    assert recommended([cause()] * len(certain), certain, closure) is expected
+
+
+@pytest.mark.parametrize(
+    ("tried", "expected"),
+    [
+        ([trial(40.0)], True),
+        ([trial(40.0), trial(400.0)], False),
+        ([trial(40.0), trial(66.0, before=69.0)], True),
+        ([trial(40.0), trial(36.0, before=33.0, growth_sd=0.5)], True),
+        ([trial(40.0), trial(90.0, before=33.0, growth_sd=4.0)], False),
+    ],
+    ids=["closes", "leaves most of one kind's gap", "within chance", "no gap there, hardly touched", "makes one"],
+)
+def test_a_fix_has_to_help_wherever_it_is_tried(tried: list[Trial], expected: bool) -> None:
+    assert recommended([cause()], [0.9], CLOSED, trials=tried) is expected
+
+
+def test_confounded_causes_need_corrections_that_agree() -> None:
+    """Within the noise level it does not matter which cause it is; beyond, find out first."""
+    assert recommended([cause()], [0.9], CLOSED, agreement_m=0.002)
+    assert not recommended([cause()], [0.9], CLOSED, agreement_m=0.020)
+
+
+@pytest.mark.parametrize(
+    ("unexplained", "expected"),
+    [
+        (None, True),
+        (Unexplained(share=0.2, signal=4.0), True),
+        (Unexplained(share=0.2, signal=6.0), False),
+        (Unexplained(share=0.01, signal=6.0), True),
+    ],
+)
+def test_beside_an_unexplained_residual_of_half_its_signal_a_cause_is_no_fix(
+    unexplained: Unexplained | None, expected: bool
+) -> None:
+    """A cause that leaves much may imitate the unexplained one; a residual of a small share does not matter."""
+    named = replace(cause(), share=0.8, signal=10.0)
+    assert recommended([named], [0.9], CLOSED, unexplained=unexplained) is expected
+
+
+@pytest.mark.parametrize(("nothing_else", "expected"), [(0.9, True), (0.5, False)])
+def test_where_a_further_effect_is_probable_the_fix_is_not_recommended(nothing_else: float, expected: bool) -> None:
+    """Each cause may be certain while it is not certain that they are all: only the whole is transferable."""
+    assert recommended([cause()], [0.9], CLOSED, nothing_else=nothing_else) is expected
+
+
+@pytest.mark.parametrize(
+    ("share", "signal", "expected"),
+    [(0.4, 60.0, 0.5), (0.4, 29.0, 0.9), (0.04, 60.0, 0.9)],
+    ids=["weaker than the residual", "stronger than the residual", "a residual of a small share"],
+)
+def test_a_cause_weaker_than_the_unexplained_residual_has_even_odds_at_most(
+    share: float, signal: float, expected: float
+) -> None:
+    """What left so much unexplained may have left that little, too; the signal of the cause is 30."""
+    assert [each.probability for each in limited_beside(Unexplained(share, signal), [cause()])] == [expected]
+
+
+def test_even_odds_raise_no_probability() -> None:
+    assert limited_beside(Unexplained(0.4, 60.0), [cause(0.3)])[0].probability == 0.3
+
+
+def test_without_an_unexplained_residual_the_causes_stay_as_they_are() -> None:
+    assert limited_beside(None, [cause()]) == [cause()]

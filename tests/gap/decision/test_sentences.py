@@ -1,0 +1,169 @@
+"""The sentences: the channels above the noise level, the cause, the advice, and the paper's figures beside them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from calib.gap.decision.diagnosis import BY_SIMULATOR, Cause, Diagnosis, Fix, Group, VerdictKind
+from calib.gap.decision.held_out import ChannelClosure, Closure
+from calib.gap.decision.sentences import advice, headline, sentence
+from calib.gap.observations.arrays import Channel
+
+DISTANCE = ChannelClosure(Channel.DISTANCE, 0.0061, 0.0019, 0.0023, 0.98)
+HEADING = ChannelClosure(Channel.HEADING, 0.012, 0.002, 0.002, 0.97)
+STILL = ChannelClosure(Channel.LATERAL, 0.0101, 0.0101, 0.01, None)
+CAUSE = Cause("track_width", "a wrong track", "", 0.98, 0.93, 20.0, {})
+CLOSED = Closure(0.09, 0.002, 0.002, 0.99, (0.9, 1.0))
+#: more than runs can confound and still identify a cause
+SEVEN = ("track_width", "curve_scrub", "lost_counts", "wear", "side_slip", "braking_skid", "reference_latency")
+
+
+def words(kind: VerdictKind, *channels: ChannelClosure, named: bool = True, against: str = "model") -> str:
+    causes = (CAUSE,) if named else ()
+    return sentence(Diagnosis(kind, "", causes, closure=Closure(channels=channels), judged_against=against))
+
+
+def diagnosis(kind: str, *causes: tuple[str, float], recommended: bool = False, tied: bool = False) -> Diagnosis:
+    named = tuple(Cause(effect, effect, "", probability, 1.0, 10.0, {}) for effect, probability in causes)
+    groups = (Group((*(effect for effect, _ in causes), "wear")),) if tied else ()
+    return Diagnosis(VerdictKind(kind), "", causes=named, groups=groups, fix=Fix(recommended=recommended))
+
+
+def test_the_channels_above_the_noise_level_come_first_the_largest_ratio_first() -> None:
+    text = words(VerdictKind.EXPLAINED, DISTANCE, STILL, HEADING)
+    lead = "Against the campaign's own model, on held-out runs: heading 12 -> 2 mrad (noise level 2); "
+    assert text.startswith(lead + "distance 6.1 -> 1.9 mm (noise level 2.3). The gap is explained by")
+    assert "lateral" not in text
+
+
+def test_where_no_channel_is_above_the_noise_level_the_nearest_to_it_is_named() -> None:
+    assert "lateral 10.1 -> 10.1 mm (noise level 10)" in words(VerdictKind.EXPLAINED, STILL)
+
+
+@pytest.mark.parametrize("against", [BY_SIMULATOR, "coefficients.json"])
+def test_the_sentence_names_what_the_gap_is_judged_against(against: str) -> None:
+    assert words(VerdictKind.EXPLAINED, DISTANCE, against=against).startswith(f"Against {against}, on held-out runs: ")
+    assert against in words(VerdictKind.NO_GAP, STILL, named=False, against=against)
+
+
+def test_an_unknown_gap_has_a_size_but_none_after_a_correction() -> None:
+    """Nothing is named, so nothing was fitted that could shrink it."""
+    text = words(VerdictKind.UNKNOWN, DISTANCE, named=False)
+    assert text.startswith("Against the campaign's own model: distance 6.1 mm (noise level 2.3). There is a gap")
+    assert "Closest" not in text
+
+
+def test_probable_effects_that_leave_most_of_the_gap_are_the_closest() -> None:
+    """The reader sees where the search ended, and that it is no cause."""
+    unknown = Diagnosis(
+        VerdictKind.UNKNOWN,
+        "",
+        closure=Closure(channels=(DISTANCE,)),
+        probabilities={"unknown": 0.99, "track_width": 0.9, "floor_zone": 0.6, "wear": 0.2},
+    )
+    closest = sentence(unknown).partition(" Closest: ")[2]
+    assert "(track_width) and " in closest and "(floor_zone); more than half of the gap remains." in closest
+
+
+@pytest.mark.parametrize(("probability", "doubted"), [(0.44, True), (0.5, False), (0.99, False), (None, False)])
+def test_an_improbable_gap_is_stated_with_its_probability(probability: float | None, doubted: bool) -> None:
+    """It is reported, since another look costs less than a gap not seen; but not as a matter of course."""
+    closure = Closure(channels=(DISTANCE,))
+    text = sentence(Diagnosis(VerdictKind.EXPLAINED, "", (CAUSE,), closure=closure, gap_probability=probability))
+    assert ("The probability of a gap is 0.44 only; if there is one: The gap is" in text) is doubted
+    assert ("probability" in text) is doubted
+
+
+@pytest.mark.parametrize("kind", [VerdictKind.AMBIGUOUS, VerdictKind.PARTLY_EXPLAINED])
+def test_confounded_effects_are_named_unless_they_are_too_many_to_identify_the_cause(kind: VerdictKind) -> None:
+    closure = Closure(channels=(DISTANCE,))
+    two, seven = (
+        sentence(Diagnosis(kind, "", (CAUSE,), groups=(Group(g),), closure=closure)) for g in (SEVEN[:2], SEVEN)
+    )
+    assert "(curve_scrub)" in two and "cannot tell" in two
+    assert "(curve_scrub)" not in seven and "7 effects explain it equally well" in seven
+
+
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        (diagnosis("explained", ("load_radius", 0.9), recommended=True), "Recommended: the fix holds"),
+        (diagnosis("ambiguous", ("load_radius", 0.5), recommended=True, tied=True), "apply the fix in either case"),
+        (diagnosis("ambiguous", ("load_radius", 0.5), tied=True), "other effects explain these runs equally well"),
+        (diagnosis("partly_explained", ("load_radius", 0.5)), "part of the gap is unexplained"),
+        (diagnosis("explained", ("load_radius", 0.9), ("wear", 0.4)), "the probability is too low: wear (0.40)"),
+        (diagnosis("explained", ("load_radius", 0.9)), "do not show that the fix holds"),
+        (diagnosis("explained", ("session_step", 0.9)), "calibrate in each"),
+        (diagnosis("explained", ("load_radius", 0.9), ("floor_zone", 0.9)), "place of the floor"),
+    ],
+)
+def test_the_advice_gives_the_reason(given: Diagnosis, text: str) -> None:
+    assert text in advice(given)
+    assert advice(given).startswith("Recommended") == given.recommended
+
+
+def test_a_further_probable_effect_is_a_reason_against_the_fix() -> None:
+    given = replace(
+        diagnosis("explained", ("load_radius", 0.9)),
+        fix=Fix(nothing_else=0.5),
+        probabilities={"load_radius": 0.9, "unknown": 0.6, "wear": 0.5},
+    )
+    assert advice(given) == "Not recommended: wear (0.50) may be at work too."
+
+
+def test_without_a_cause_there_is_nothing_to_recommend() -> None:
+    assert advice(diagnosis("no_gap")) == ""
+
+
+def test_where_runs_do_not_identify_the_cause_corrections_that_agree_are_no_fix() -> None:
+    """Seven effects fit equally well: these runs cannot show what they do on other routes, even if they agree here."""
+    given = replace(
+        diagnosis("ambiguous", ("track_width", 0.5)), groups=(Group(SEVEN),), fix=Fix(agreement_m=0.0), closure=CLOSED
+    )
+    assert "other effects explain" in advice(given)
+    assert "other effects explain" not in advice(replace(given, groups=(Group(SEVEN[:2]),)))
+
+
+def _load(effect: str, *, group: tuple[str, ...] = (), before: float | None = 2.2, after: float = 0.1) -> Diagnosis:
+    cause = Cause(effect, "", "", probability=0.9, share=1.0, signal=30.0, parameters={})
+    return Diagnosis(
+        kind=VerdictKind.AMBIGUOUS if group else VerdictKind.EXPLAINED,
+        sentence="",
+        causes=(cause,),
+        groups=(Group(group),) if group else (),
+        closure=Closure() if before is None else Closure(before_rms_m=before, after_rms_m=after),
+        fix=Fix(recommended=True),
+    )
+
+
+@pytest.mark.parametrize("effect", ["load_radius", "load_radius_nonlinear"])
+def test_a_load_effect_has_the_papers_figures_beside_it(effect: str) -> None:
+    """1.1 m to 0.06 m are those of the paper's Section 7; 2.2 m to 0.1 m is 22 times."""
+    beside = headline(_load(effect))
+    assert beside is not None
+    assert (beside.paper.before_m, beside.paper.after_m) == (1.1, 0.06)
+    # the paper's study at its track gives 1.24753 m and 0.07375 m; the quotient of what it prints, 18, is rounded
+    assert beside.paper.ratio == pytest.approx(1.24753 / 0.07375, rel=1e-4)
+    assert "about 17 times smaller before rounding" in beside.sentence
+    assert beside.campaign.ratio == pytest.approx(22.0, rel=1e-12)  # a quotient of two doubles
+    assert beside.sole_candidate
+    assert "1.1 m to 0.06 m as printed" in beside.sentence and "2.20 m to 0.1 m" in beside.sentence
+
+
+def test_the_headline_of_a_confounded_load_effect_is_conditional() -> None:
+    beside = headline(_load("load_radius", group=("load_radius", "session_step")))
+    assert beside is not None and not beside.sole_candidate
+    assert "if the load is the cause" in beside.sentence
+
+
+def test_other_causes_and_diagnoses_without_closure_have_no_headline() -> None:
+    assert headline(_load("temperature_radius")) is None
+    assert headline(_load("load_radius", before=None)) is None
+    assert headline(replace(_load("load_radius"), causes=())) is None
+
+
+def test_a_gap_that_vanishes_has_no_ratio() -> None:
+    beside = headline(_load("load_radius", after=0.0))
+    assert beside is not None and beside.campaign.ratio is None

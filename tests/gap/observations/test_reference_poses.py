@@ -1,0 +1,160 @@
+"""References as they are: in a map, off the axle, turned about, without a heading, over a part of the run only."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calib.campaign.settings import Reference
+from calib.gap.effects.floor import common_frame, far_end_m, floor_place, map_heading_rad
+from calib.gap.observations.from_campaign import observations_of
+from calib.gap.predict import predict
+from tests.gap.observations.paths import ROUTE, Truth, campaign_of, seen
+
+#: sums of some hundred exact arcs in double precision
+ROUNDING = 1e-9
+STARTS = [(0.3 + 0.7 * k - 1j * k, 0.4 * k - 2.0) for k in range(15)]
+
+
+def routes(n: int = 15) -> list[Truth]:
+    return [Truth(ROUTE, start, heading) for start, heading in STARTS[:n]]
+
+
+@pytest.mark.parametrize("frame", ["map", None])
+@pytest.mark.parametrize("n", [15, 1])
+def test_runs_anywhere_in_a_map_end_as_seen_from_their_own_start(frame: str | None, n: int) -> None:
+    """Wherever and however a run begins in the map, and however many there are, its unit ends where the truth says."""
+    truths = routes(n)
+    logs = [truth.counts() | seen(truth, in_map=True) for truth in truths]
+    observations = observations_of(campaign_of(logs, Reference(frame=frame)))  # type: ignore[arg-type]
+    assert observations.common_frame
+    whole = observations.window == 0
+    np.testing.assert_allclose(observations.start_pose[whole, 2], [h for _, h in STARTS[:n]], atol=ROUNDING)
+    if n >= 12:
+        np.testing.assert_allclose(observations.measured[:, 1:4], [t.end() for t in truths], atol=ROUNDING)
+    else:
+        # few runs are cut into windows: the turns of all windows add up to the whole
+        assert observations.windowed
+        assert observations.measured[:, 3].sum() == pytest.approx(truths[0].end()[2], abs=ROUNDING)
+
+
+@pytest.mark.parametrize("in_map", [True, False], ids=["map", "start"])
+@pytest.mark.parametrize(("place", "yaw"), [(0.4 - 0.25j, 0.0), (0.0, 1.55), (-1.2 + 0.3j, -3.0)])
+def test_a_sensor_anywhere_on_the_vehicle_tells_the_axle(in_map: bool, place: complex, yaw: float) -> None:
+    """The sensor's own motion, or its place in the map, gives the axle's motion once its pose is stated."""
+    truths = routes()
+    logs = [truth.counts() | seen(truth, place, yaw, in_map=in_map) for truth in truths]
+    where = {"sensor_x_m": complex(place).real, "sensor_y_m": complex(place).imag, "sensor_yaw_rad": yaw}
+    observations = observations_of(campaign_of(logs, Reference(frame="map" if in_map else "start", **where)))
+    np.testing.assert_allclose(observations.measured[:, 1:4], [t.end() for t in truths], atol=ROUNDING)
+    assert observations.common_frame == in_map
+
+
+def test_end_poses_of_the_table_know_the_sensor_too() -> None:
+    """Without a log of poses the row's end pose, since the sensor's own start, is turned into the axle's."""
+    truths = routes()
+    ends = [seen(truth, 0.4j, 1.5, in_map=False) for truth in truths]
+    numbers = {name: np.array([end[name][-1] for end in ends]) for name in ends[0]}
+    where = Reference(sensor_y_m=0.4, sensor_yaw_rad=1.5)
+    observations = observations_of(campaign_of([t.counts() for t in truths], where, numbers))
+    np.testing.assert_allclose(observations.measured[:, 1:4], [t.end() for t in truths], atol=ROUNDING)
+
+
+@pytest.mark.parametrize("place", [0.0, 0.3 + 0.2j])
+def test_positions_alone_give_headings_by_the_course(place: complex) -> None:
+    """Without headings the course stands in, less what the wheels say of heading against course: exact data, exact."""
+    truths = routes()
+    logs = []
+    for truth in truths:
+        poses = seen(truth, place, in_map=True)
+        del poses["ref_theta_rad"]
+        logs.append(truth.counts() | poses)
+    where = Reference(frame="map", sensor_x_m=complex(place).real, sensor_y_m=complex(place).imag)
+    observations = observations_of(campaign_of(logs, where))
+    # chords of the steps, half a centimetre of an arc of 1 m radius, differ from the arcs by 1e-6 of their length
+    np.testing.assert_allclose(observations.measured[:, 1:4], [t.end() for t in truths], atol=2e-5)
+    assert (observations.sigma_start_rad > 0).all()
+    assert any("without a heading" in note for note in observations.notes)
+
+
+def test_the_stated_heading_of_a_course_is_that_of_monte_carlo() -> None:
+    """With scatter of 2 mm the headings at both ends scatter as stated."""
+    rng = np.random.default_rng(8)
+    logs, truths = [], []
+    for k in range(60):
+        truth = Truth([(4.0, 0.1)], 1j * k, 0.1 * k)
+        poses = seen(truth, in_map=True)
+        del poses["ref_theta_rad"]
+        for name in poses:
+            poses[name] = poses[name] + rng.normal(0, 0.002, len(truth.t))
+        truths.append(truth)
+        logs.append(truth.counts() | poses)
+    observations = observations_of(campaign_of(logs, Reference(frame="map")))
+    off = observations.measured[:, 3] - np.array([t.end()[2] for t in truths])
+    stated = np.hypot(observations.sigma_theta_rad, observations.sigma_start_rad)
+    # 60 draws: the standard deviation scatters by 1 / sqrt(120) = 9 %; four of these
+    assert np.sqrt(np.mean((off / stated) ** 2)) == pytest.approx(1.0, abs=0.37)
+
+
+def test_a_reference_that_sees_a_part_of_the_run_is_compared_with_that_part() -> None:
+    """Counts before the first and after the last pose are omitted, and so is the distance of the whole."""
+    truth = Truth(ROUTE, 2.0 + 1j, 0.7)
+    poses = seen(truth, in_map=True)
+    part = slice(100, 450)
+    for name, column in poses.items():
+        kept = np.full(len(column), np.nan)
+        kept[part] = column[part]
+        poses[name] = kept
+    logs = [truth.counts() | poses] * 12
+    observations = observations_of(campaign_of(logs, Reference(frame="map"), {"distance_m": np.full(12, 7.0)}))
+    turned = truth.heading[part][-1] - truth.heading[part][0]
+    np.testing.assert_allclose(observations.measured[:, 3], turned, atol=ROUNDING)
+    np.testing.assert_allclose(observations.total(observations.turn_rad), turned, atol=1e-6)
+    assert np.isnan(observations.measured[:, 0]).all()
+
+
+def test_an_end_pose_in_a_map_without_the_start_is_not_used() -> None:
+    truths = routes()
+    numbers = {
+        "ref_x_m": np.array([t.place[-1].real for t in truths]),
+        "ref_y_m": np.array([t.place[-1].imag for t in truths]),
+        "distance_m": np.full(15, 7.5),
+    }
+    observations = observations_of(campaign_of([t.counts() for t in truths], Reference(frame="map"), numbers))
+    assert np.isnan(observations.measured[:, 1:4]).all()
+    assert observations.usable[:, 0].all()
+
+
+@pytest.mark.parametrize("n", [15, 3])
+def test_places_on_the_floor_are_those_of_the_map(n: int) -> None:
+    """In a map every step of every run, whole or window, stands where the truth was on the floor, heading included."""
+    truths = routes(n)
+    logs = [truth.counts() | seen(truth, in_map=True) for truth in truths]
+    observations = observations_of(campaign_of(logs, Reference(frame="map")))
+    assert common_frame(observations)
+    path = predict(observations)
+    x, y = floor_place(path, far_end_m(path.s))
+    heading = map_heading_rad(path)
+    for run, truth in enumerate(truths):
+        mine = observations.run[observations.unit] == run
+        away = np.abs((x + 1j * y)[mine][:, None] - truth.place[None, :])
+        # thinned steps of two centimetres, told at their middle
+        assert away.min(axis=1).max() < 0.02
+        turned = heading[mine] - truth.heading[away.argmin(axis=1)]
+        assert np.abs(turned).max() < 0.05
+
+
+def test_starts_of_their_own_have_no_common_floor() -> None:
+    truths = routes()
+    logs = [truth.counts() | seen(truth, in_map=False) for truth in truths]
+    for frame, direction, common in (("start", "out", False), (None, "", False), (None, "out", True)):
+        made = campaign_of(logs, Reference(frame=frame), direction=[direction] * 15)  # type: ignore[arg-type]
+        assert common_frame(observations_of(made)) is common
+
+
+def test_journeys_of_which_none_was_driven_twice_are_cut_into_windows() -> None:
+    """Fifteen free drives, each its own route, say nothing of a floor as runs; repeated ones stay whole."""
+    free = [Truth([(2.0 + 0.7 * k, 0.0), (1.5, (-1) ** k * (0.3 + 0.1 * k)), (1.0 + 0.5 * k, 0.0)]) for k in range(15)]
+    for truths, windowed in ((free, True), (routes(), False)):
+        logs = [truth.counts() | seen(truth, in_map=True) for truth in truths]
+        assert observations_of(campaign_of(logs, Reference(frame="map"))).windowed is windowed

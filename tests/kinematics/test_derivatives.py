@@ -1,0 +1,67 @@
+"""Derivatives of what each drive predicts agree with finite differences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calib.kinematics.drives import Differential, Drive, FrontWheel, Mecanum, Steps, integrate_motion
+from calib.kinematics.model import Model
+from calib.kinematics.recording import Recording, window_segments
+
+#: relative step of the finite differences, and how well they can agree with the derivative
+STEP, AGREE = 1e-6, 2e-6
+
+DRIVES = {
+    "differential": (Differential(0.05, 0.051, 0.4), 2),
+    "loaded": (Differential(0.05, 0.051, 0.4, slopes=True, slope_left_m_per_N=1e-6, slope_right_m_per_N=-2e-6), 2),
+    "front": (FrontWheel(0.1, 1.1), 1),
+    "mecanum": (Mecanum(0.07, 0.37), 4),
+}
+
+
+def recording(n_wheels: int) -> Recording:
+    rng = np.random.default_rng(1)
+    n = 300
+    turned = rng.uniform(0.02, 0.3, (n_wheels, n))
+    offsets = np.array([0, 170, n])
+    turned[:, offsets[:-1]] = 0.0
+    steps = Steps(turned, rng.uniform(-0.8, 0.8, n), rng.uniform(-200, 400, (2, n)))
+    reference = np.cumsum(rng.normal(size=(3, n)) * 0.1, axis=1)
+    labels = np.array(["a", "b"])
+    t_s = np.concatenate([np.arange(170), np.arange(130)]) * 0.05
+    return Recording(labels, labels, labels, offsets, t_s, steps, reference, np.full((2, 3), np.nan))
+
+
+@pytest.mark.parametrize("name", list(DRIVES))
+def test_the_jacobian_is_the_derivative(name: str) -> None:
+    drive, n_wheels = DRIVES[name]
+    record = recording(n_wheels)
+    model = Model(drive, record, window_segments(record, 4))
+    values = np.array([*(item.nominal for item in drive.parameters), 0.1, -0.05, 0.3, 0.0])
+    here = model.predict(values)
+    for at in range(len(values) - 1):
+        step = np.zeros(len(values))
+        step[at] = STEP * max(abs(values[at]), 1e-3)
+        ahead, behind = (model.predict(values + sign * step).residuals for sign in (1, -1))
+        numeric = -(ahead - behind) / (2 * step[at])
+        size = np.abs(numeric).max()
+        np.testing.assert_allclose(here.jacobian[:, :, at], numeric, atol=AGREE * size + 1e-9)
+
+
+@pytest.mark.parametrize("name", list(DRIVES))
+def test_a_steady_twist_draws_its_arc(name: str) -> None:
+    """Equal steps close the circle that their twist draws, for any size of a step."""
+    drive, n_wheels = DRIVES[name]
+    values = np.array([item.nominal for item in drive.parameters])
+    turned = np.tile(np.linspace(0.05, 0.2, n_wheels)[:, None], (1, 50))
+    steps = Steps(turned, np.full(50, 0.4), np.zeros((2, 50)))
+    fine = Steps(np.repeat(turned, 10, axis=1) / 10, np.full(500, 0.4), np.zeros((2, 500)))
+    coarse_end, fine_end = (integrate_motion(drive.motion(values, one)).pose[:, -1] for one in (steps, fine))
+    np.testing.assert_allclose(coarse_end, fine_end, atol=1e-12)
+
+
+def test_every_drive_is_one() -> None:
+    for drive, _ in DRIVES.values():
+        checked: Drive = drive
+        assert len({item.name for item in checked.parameters}) == len(checked.parameters)

@@ -1,0 +1,255 @@
+"""The estimate finds the geometry that runs were made with, says how well, and names what it cannot find."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.campaign.model import Campaign
+from calib.campaign.read import read_campaign
+from calib.campaign.write import write_campaign
+from calib.errors import RefusedError
+from calib.gap.plan.planned_runs import joined
+from calib.kinematics.estimate import estimate_geometry
+from calib.reporting.topics.geometry import geometry_sentences
+from tests.kinematics.campaigns import Truth, both_ways, campaign, mixed, tricycle
+
+TRUTH = Truth()
+NAMES = ("radius_left_m", "radius_right_m", "track_m")
+#: a true value lies within this many standard deviations; one in 15,000 does not
+SIGMAS = 4.0
+#: fine steps of the generator and counts are good to this part of a length without noise
+EXACT = 2e-5
+
+
+def _swap(made: Campaign) -> Campaign:
+    numbers, columns = dict(made.runs.numbers), dict(made.logs.columns)
+    for table in (numbers, columns):
+        table["counts_left"], table["counts_right"] = table["counts_right"], table["counts_left"]
+    return replace(made, runs=replace(made.runs, numbers=numbers), logs=replace(made.logs, columns=columns))
+
+
+def test_without_noise_every_length_comes_back() -> None:
+    """Squares, arcs and lines determine both radii and the track, for any nominal values were."""
+    made = campaign(mixed(2), TRUTH, np.random.default_rng(1), sigma=(1e-7, 1e-7), nominal=(0.047, 0.053, 0.44))
+    found = estimate_geometry(made)
+    for name in NAMES:
+        assert found[name].value == pytest.approx(getattr(TRUTH, name), rel=EXACT)
+    assert found.passed and not found.undetermined
+
+
+def test_a_gross_error_is_named_and_hardly_moves_the_result() -> None:
+    """One end pose that is 0.3 m off is listed by its run id; the estimate stays within its interval."""
+    made = campaign(mixed(4), TRUTH, np.random.default_rng(2))
+    numbers = dict(made.runs.numbers)
+    numbers["ref_x_m"] = numbers["ref_x_m"] + 0.3 * (np.arange(len(made.runs)) == 5)
+    spoiled = replace(made, runs=replace(made.runs, numbers=numbers))
+    found = estimate_geometry(spoiled)
+    assert found.outliers == ("r005",)
+    for name in NAMES:
+        assert abs(found[name].value - getattr(TRUTH, name)) < SIGMAS * found[name].std
+
+
+def test_sensor_pose_and_delay_are_found_along_the_way() -> None:
+    """Windows determine where the sensor sits and how late its stamps are, together with the wheels."""
+    truth = Truth(sensor=(0.11, -0.04, 0.3), delay_s=0.12)
+    made = campaign(mixed(1), truth, np.random.default_rng(3), sigma=(5e-4, 3e-4), along=True)
+    made = replace(made, reference=replace(made.reference, sensor_yaw_rad=0.1))
+    found = estimate_geometry(made, using="windows")
+    wanted = {name: getattr(truth, name) for name in NAMES}
+    wanted |= dict(zip(("sensor_x_m", "sensor_y_m", "sensor_yaw_rad"), truth.sensor, strict=True))
+    wanted["delay_s"] = truth.delay_s
+    for name, value in wanted.items():
+        # five runs are few blocks: Student's t rather than sigmas
+        low, high = found[name].ci95
+        assert low - (high - low) < value < high + (high - low), name
+
+
+def test_straight_lines_leave_the_track_open_and_say_so() -> None:
+    """Without turns neither the track nor the lever arm can be known: they are named and omitted."""
+    made = campaign([("line", [(4.0, 0.0)])] * 10, TRUTH, np.random.default_rng(4))
+    found = estimate_geometry(made, sensor=True)
+    assert {"track_m", "sensor_x_m", "sensor_y_m"} <= set(found.undetermined)
+    assert "track_m" not in found.to_dict()["parameters"]
+    assert found.values["track_m"] == pytest.approx(0.4)
+
+
+def test_swapped_columns_are_recognised() -> None:
+    """Left and right exchanged turn every turn round; the estimate says so and still finds the vehicle."""
+    made = _swap(campaign(mixed(2), TRUTH, np.random.default_rng(5)))
+    found = estimate_geometry(made)
+    assert [fault.code for fault in found.faults] == ["swapped_wheels"]
+    assert not found.passed
+    assert found["track_m"].value == pytest.approx(TRUTH.track_m, rel=5e-3)
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_a_counter_that_runs_backwards_is_recognised(side: str) -> None:
+    made = campaign(mixed(2), TRUTH, np.random.default_rng(6))
+    columns = dict(made.logs.columns)
+    columns[f"counts_{side}"] = -columns[f"counts_{side}"]
+    found = estimate_geometry(replace(made, logs=replace(made.logs, columns=columns)))
+    assert [fault.code for fault in found.faults] == [f"reversed_{side}"]
+
+
+@pytest.mark.parametrize(("nominal", "code"), [((0.05, 0.05, 0.2), "half_track"), ((0.1, 0.1, 0.4), "radius_factor")])
+def test_half_a_track_and_a_diameter_for_a_radius_are_said(nominal: tuple[float, float, float], code: str) -> None:
+    made = campaign(mixed(2), TRUTH, np.random.default_rng(7), nominal=nominal)
+    found = estimate_geometry(made)
+    assert {fault.code for fault in found.faults} == {code}
+    assert found["track_m"].value == pytest.approx(TRUTH.track_m, rel=1e-2)
+
+
+def test_umbmark_and_least_squares_agree_on_squares_both_ways() -> None:
+    """E_d and E_b of UMBmark are the ratio of the radii, and the track over the nominal one at the mean radius."""
+    truth = Truth(radius_left_m=0.0501, radius_right_m=0.05, track_m=0.402)
+    made = campaign(both_ways(5), truth, np.random.default_rng(8), sigma=(2e-4, 1e-4))
+    estimated = estimate_geometry(made)
+    found = estimated.umbmark
+    assert found.applies and (found.n_cw, found.n_ccw) == (5, 5)
+    mean = 0.5 * (truth.radius_left_m + truth.radius_right_m)
+    # UMBmark is linear: its terms of second order are a few per cent of errors of 0.2 and 0.5 %
+    assert pytest.approx(truth.radius_right_m / truth.radius_left_m, abs=1e-4) == found.E_d
+    assert pytest.approx(truth.track_m / 0.4 * 0.05 / mean, abs=3e-4) == found.E_b
+    assert found.c_left == pytest.approx(2 / (found.E_d + 1))
+    assert estimated.undetermined == ("mean_radius_m",)
+    ratio = estimated.ratio("radius_right_m", "radius_left_m")
+    assert abs(ratio.value - truth.radius_right_m / truth.radius_left_m) < SIGMAS * ratio.std + EXACT
+
+
+def test_umbmark_does_not_apply_to_one_sense_alone() -> None:
+    made = campaign(mixed(2), TRUTH, np.random.default_rng(9))
+    ccw = made.select(made.runs.label("kind") != "square_cw")
+    found = estimate_geometry(ccw).umbmark
+    assert not found.applies and "clockwise" in found.why
+
+
+def test_loads_and_geometry_come_from_one_fit() -> None:
+    """Radius at the reference load, slope and track of both wheels, with the terms that couple left and right."""
+    truth = Truth(slope_left=2e-6, slope_right=-1e-6)
+    rng = np.random.default_rng(10)
+    loads = np.tile([[200.0, 250.0], [400.0, 300.0], [600.0, 700.0]], (10, 1))
+    found = estimate_geometry(campaign(mixed(6), truth, rng, loads=loads))
+    assert [estimate.name for estimate in found.estimates] == [*NAMES, "slope_left_m_per_N", "slope_right_m_per_N"]
+    for name, value in ((NAMES[2], truth.track_m), ("slope_left_m_per_N", 2e-6), ("slope_right_m_per_N", -1e-6)):
+        assert abs(found[name].value - value) < SIGMAS * found[name].std
+    assert abs(found.correlation()[0, 1]) > 0.3
+
+
+def test_a_route_that_pulls_alike_widens_the_intervals() -> None:
+    """What all runs of a route share is no noise that repeats would average: the routes become the groups."""
+    routes = [(f"arc{size}", [(3.0, size * 0.7)]) for size in (-4, -3, -2, 2, 3, 4) for _ in range(8)]
+    made = campaign(routes, TRUTH, np.random.default_rng(11), sigma=(1e-3, 1e-3))
+    plain = estimate_geometry(made)
+    numbers = dict(made.runs.numbers)
+    shift = dict(zip(dict.fromkeys(made.runs.label("kind")), (1, -1, 1, -1, 1, 1), strict=True))
+    sign = np.array([shift[kind] for kind in made.runs.label("kind")])
+    for name, size in (("ref_x_m", 0.02), ("ref_y_m", 0.03), ("ref_theta_rad", 0.02)):
+        numbers[name] = numbers[name] + size * sign
+    shared = estimate_geometry(replace(made, runs=replace(made.runs, numbers=numbers)))
+    assert (plain.clusters[0], shared.clusters[0]) == ("run", "route")
+    assert shared["track_m"].std > 3 * plain["track_m"].std
+
+
+def test_nothing_to_go_by_is_refused_in_one_line() -> None:
+    made = campaign(both_ways(2), TRUTH, np.random.default_rng(12))
+    numbers = {name: column for name, column in made.runs.numbers.items() if not name.startswith("ref_")}
+    with pytest.raises(RefusedError, match="found no run with wheels and a reference pose"):
+        estimate_geometry(replace(made, runs=replace(made.runs, numbers=numbers)))
+
+
+def test_recordings_left_out_are_met_better_than_before() -> None:
+    made = campaign(mixed(2), TRUTH, np.random.default_rng(13))
+    rows = estimate_geometry(made, leave_out="kind").transfer
+    assert {row.left_out for row in rows} == {"square_ccw", "square_cw", "arc_left", "arc_right", "line"}
+    assert all(row.after_rms_m < 0.4 * row.before_rms_m for row in rows)
+
+
+@pytest.mark.parametrize("bits", [13, 16, 32])
+def test_counters_that_overflow_change_nothing(bits: int, tmp_path: Path) -> None:
+    """A counter of 13, 16 or 32 bits that begins near its end wraps in the logs; read back, nothing changes."""
+    made = campaign(mixed(1), TRUTH, np.random.default_rng(14), samples=800)
+    full = 2.0**bits
+    columns = dict(made.logs.columns)
+    for name in ("counts_left", "counts_right"):
+        columns[name] = np.mod(columns[name] + full - 1000.0, full)
+    wrapped = replace(made, logs=replace(made.logs, columns=columns), encoder=replace(made.encoder, wrap_bits=bits))
+    write_campaign(wrapped, tmp_path / "wrapped")
+    write_campaign(made, tmp_path / "plain")
+    found, wanted = (estimate_geometry(read_campaign(tmp_path / name)) for name in ("wrapped", "plain"))
+    for name in NAMES:
+        assert found[name].value == pytest.approx(wanted[name].value, rel=1e-9)
+
+
+def test_a_mirrored_tricycle_is_turned_round() -> None:
+    """A front counter that runs backwards and a steering of the other sign: recognised, and the lengths come back."""
+    rng = np.random.default_rng(15)
+    found = estimate_geometry(tricycle(rng, sign_front=-1.0, sign_steer=-1.0))
+    assert {fault.code for fault in found.faults} == {"reversed_front", "reversed_steering"}
+    assert found.mirrored
+    for name, value in (("front_radius_m", 0.102), ("wheelbase_m", 1.03), ("steering_zero_rad", 0.012)):
+        assert abs(found[name].value - value) < SIGMAS * found[name].std, name
+    plain = estimate_geometry(tricycle(np.random.default_rng(15)))
+    assert not plain.mirrored and plain.passed
+
+
+def _together(parts: list[Campaign]) -> Campaign:
+    """Runs of several recordings as one campaign, each recording a session."""
+    whole = parts[0]
+    for part in parts[1:]:
+        whole = joined(whole, part)
+    n = [len(part.runs) for part in parts]
+    labels = dict(whole.runs.labels)
+    labels["session"] = np.repeat([f"day {at}" for at in range(len(parts))], n)
+    labels["run_id"] = np.array([f"r{at:03d}" for at in range(sum(n))])
+    return replace(whole, runs=replace(whole.runs, labels=labels))
+
+
+@pytest.mark.parametrize("later_s", [0.05, 0.2])
+def test_recordings_of_different_delays_get_one_each(later_s: float) -> None:
+    """Two recordings whose stamps lag by 0.05 and 0.2 s: each delay is found and said; of one delay only one is."""
+    rng = np.random.default_rng(16)
+    truths = [replace(TRUTH, sensor=(0.1, 0.0, 0.0), delay_s=delay) for delay in (0.05, later_s)]
+    legs = [(1.0, turn) for turn in rng.uniform(-1.5, 1.5, 16)]
+    made = [campaign([("free", legs)], truth, rng, sigma=(5e-4, 3e-4), along=True, samples=400) for truth in truths]
+    found = estimate_geometry(_together(made), using="windows")
+    if later_s == 0.05:
+        # a hundredth of a sample: before the log begins the generator holds the pose still
+        assert not found.delays and found["delay_s"].value == pytest.approx(0.05, abs=5e-4)
+        return
+    assert [one.label for one in found.delays] == ["day 0", "day 1"]
+    for one, truth in zip(found.delays, truths, strict=True):
+        # a tenth of a sample: before the log begins the generator holds the pose still
+        assert one.value_s == pytest.approx(truth.delay_s, abs=5e-3)
+    assert "a delay of its own in each recording" in " ".join(geometry_sentences(found))
+    assert found["track_m"].value == pytest.approx(TRUTH.track_m, rel=3e-3)
+
+
+def test_measured_lengths_of_straight_runs_and_end_poses_of_squares_are_one_fit() -> None:
+    """Squares hold no scale and corridors no track: together they give both laws and the track, with one covariance."""
+    truth = Truth(slope_left=2e-6, slope_right=-1e-6)
+    rng = np.random.default_rng(17)
+    loads = np.tile([[200.0, 250.0], [400.0, 300.0], [600.0, 700.0]], (10, 1))
+    routes = [*both_ways(9), *([("corridor", [(4.0, 0.0)])] * 12)]
+    made = campaign(routes, truth, rng, loads=loads)
+    corridor = made.runs.label("kind") == "corridor"
+    numbers = dict(made.runs.numbers)
+    numbers["distance_m"] = np.where(corridor, numbers["ref_x_m"], np.nan)
+    for name in ("ref_x_m", "ref_y_m", "ref_theta_rad"):
+        numbers[name] = np.where(corridor, np.nan, numbers[name])
+    found = estimate_geometry(replace(made, runs=replace(made.runs, numbers=numbers)))
+    assert not found.undetermined and found.n_runs == 30
+    wanted = {
+        **{name: getattr(truth, name) for name in NAMES},
+        "slope_left_m_per_N": 2e-6,
+        "slope_right_m_per_N": -1e-6,
+    }
+    for name, value in wanted.items():
+        assert abs(found[name].value - value) < SIGMAS * found[name].std, name
+    squares = replace(made, runs=replace(made.runs, numbers=numbers)).select(~corridor)
+    # without the corridors the lengths are known to the nominal 1 % only, or not determined at all
+    alone = estimate_geometry(squares)
+    assert alone.undetermined or alone["track_m"].std > 3.0 * found["track_m"].std

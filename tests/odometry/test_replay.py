@@ -1,0 +1,111 @@
+"""Replay of logged runs whose load changes on the way."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.campaign.model import Campaign
+from calib.campaign.read import read_campaign
+from calib.campaign.write import write_campaign
+from calib.coefficients.export import coefficients_of
+from calib.coefficients.file import CoefficientFile
+from calib.gap.observations.from_campaign import observations_of
+from calib.gap.predict import predict
+from calib.odometry.integrate import end_poses, loads_in_steps, travel_from_counts
+from calib.odometry.replay import replay
+from tests.campaign.making import with_log_columns, with_numbers
+
+LADEN_N = (900.0, 400.0)
+
+
+@pytest.fixture(scope="module")
+def coefficients() -> CoefficientFile:
+    return coefficients_of(Path(__file__).resolve().parents[2] / "sample_runs" / "corridor_crossed").file
+
+
+@pytest.fixture(scope="module")
+def campaign(coefficients: CoefficientFile) -> Campaign:
+    """Four runs, unladen up to the middle sample and laden from there on; the reference is driven in two pieces."""
+    whole = read_campaign(Path(__file__).resolve().parents[2] / "sample_runs" / "corridor_crossed")
+    made = whole.select(np.arange(4))
+    law, track = coefficients.law, coefficients.geometry.track_m
+    loads = [np.full(int(made.logs.offsets[-1]), np.nan) for _ in range(2)]
+    ends = []
+    for run in range(4):
+        log = made.logs.of(run)
+        middle = len(log["t_s"]) // 2
+        pose = np.zeros(3)
+        for part, pair in ((slice(0, middle + 1), (300.0, 300.0)), (slice(middle, None), LADEN_N)):
+            radii = float(law.left.radius_m(pair[0])), float(law.right.radius_m(pair[1]))
+            travel = travel_from_counts(log["counts_left"][part], log["counts_right"][part], made.encoder, *radii)
+            pose = end_poses(*travel, track, start=pose).stacked()
+        ends.append(pose)
+        # said once, at the sample from which the load is carried
+        for column, load in zip(loads, LADEN_N, strict=True):
+            column[made.logs.offsets[run] + middle] = load
+    ref = np.array(ends).T
+    made = with_numbers(
+        made,
+        load_left_N=np.full(4, 300.0),
+        load_right_N=np.full(4, 300.0),
+        ref_x_m=ref[0],
+        ref_y_m=ref[1],
+        ref_theta_rad=ref[2],
+    )
+    return with_log_columns(made, load_left_N=loads[0], load_right_N=loads[1])
+
+
+def test_radii_follow_the_load_that_the_log_says(campaign: Campaign, coefficients: CoefficientFile) -> None:
+    found = replay(campaign, coefficients, rng=np.random.default_rng(0))
+    # a thousand additions of numbers of the order of 40 m
+    assert found.rms_m["corrected"] < 1e-10
+    # radii of the unladen load, kept: half a percent over some twenty metres
+    assert found.rms_m["constant"] > 0.05
+    assert found.runtime.faults == {}
+    assert found.runtime.largest_difference_m < 1e-9  # what both promise
+
+
+def test_a_load_out_of_range_on_the_way_takes_the_run_out(campaign: Campaign, coefficients: CoefficientFile) -> None:
+    left = campaign.logs.columns["load_left_N"].copy()
+    left[np.flatnonzero(np.isfinite(left))[1]] = 3000.0
+    found = replay(with_log_columns(campaign, load_left_N=left), coefficients, rng=np.random.default_rng(0))
+    assert found.in_range.tolist() == [True, False, True, True]
+    assert found.runtime.faults == {"LOAD_OUT_OF_RANGE": 1}
+
+
+def test_loads_in_logs_are_read_back(campaign: Campaign, tmp_path: Path) -> None:
+    write_campaign(campaign, tmp_path / "c")
+    back = read_campaign(tmp_path / "c")
+    for name in ("load_left_N", "load_right_N"):
+        np.testing.assert_array_equal(back.logs.columns[name], campaign.logs.columns[name])
+
+
+def test_a_load_holds_from_the_step_after_its_sample_to_the_end_of_its_run() -> None:
+    nan = np.nan
+    logged = [nan, 5.0, nan, 6.0, nan, nan, 7.0, nan]
+    got = loads_in_steps([1.0, 2.0, 3.0], logged, [0, 5, 5, 8])
+    assert got.tolist() == [1.0, 1.0, 5.0, 5.0, 6.0, 3.0, 3.0, 7.0]
+    assert loads_in_steps([1.0, 3.0], None, [0, 2, 3]).tolist() == [1.0, 1.0, 3.0]
+
+
+def test_the_gap_of_the_model_is_the_one_that_the_diagnosis_sees() -> None:
+    """With load slopes in the model, both simulate the same end poses: the same errors, run by run."""
+    yard = Path(__file__).resolve().parents[2] / "sample_runs" / "yard"
+    campaign = read_campaign(yard)
+    assert campaign.model.slope_left_m_per_N != 0.0
+    replayed = replay(campaign, coefficients_of(yard).file, rng=np.random.default_rng(0), runtime_runs=1)
+    nominal = predict(observations_of(campaign))
+    unit = {str(name): number for number, name in enumerate(nominal.s.labels["run_id"])}
+    chosen = [unit[str(name)] for name in replayed.run_id]
+    # the diagnosis takes some twenty samples of a log as steps: sub-millimetre on ways of up to 60 m
+    tolerance_m = 2e-3
+    np.testing.assert_allclose(replayed.ends["model"].x_m, nominal.end[chosen, 0], rtol=0.0, atol=tolerance_m)
+    np.testing.assert_allclose(replayed.ends["model"].y_m, nominal.end[chosen, 1], rtol=0.0, atol=tolerance_m)
+    without = replace(campaign.model, slope_left_m_per_N=0.0, slope_right_m_per_N=0.0)
+    flat = replay(replace(campaign, model=without), coefficients_of(yard).file, rng=np.random.default_rng(0))
+    # what leaving the slopes out costs on this campaign
+    assert flat.rms_m["model"] > 5 * replayed.rms_m["model"]

@@ -1,0 +1,58 @@
+"""A line from sums is the line from runs, and sums of parts are the sums of the whole."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calib.radius.regression import independent_line, least_squares
+from calib.radius.sessions import SessionSums, groups_of, line_from_sums, stratified_line
+
+#: sums of squares about a far origin lose about six of sixteen digits against sums about the mean
+SUMS_TOLERANCE = 1e-8
+FIELDS = ("coefficients", "cov_within", "cov_between", "dof_within", "dof_between", "run_variance", "session_variance")
+
+
+def _runs(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    number = rng.integers(0, rng.integers(2, 6), rng.integers(8, 40))
+    own = (200.0 * number, rng.choice([0.0, 300.0, 600.0], len(number)), rng.uniform(0.0, 800.0, len(number)))[seed % 3]
+    radius = -1.2e-6 * own + 2e-5 * rng.standard_normal(len(number)) + 1e-5 * number**1.5
+    return np.array([f"s{k}" for k in number]), own, radius
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_the_line_from_sums_is_the_line_from_runs(seed: int) -> None:
+    """Coefficients, covariances and degrees of freedom, however loads and sessions are crossed."""
+    session, load, radius = _runs(seed)
+    expected = stratified_line(load, radius, groups_of(session)) if len(set(session)) < len(session) else None
+    expected = expected or independent_line(least_squares(load, radius))
+    if expected.hc3:
+        pytest.skip("the scatter grows with the load: sums cannot tell")
+    line = line_from_sums(SessionSums.from_runs(session, load, radius, np.zeros_like(load)))
+    assert line is not None
+    for name in FIELDS:
+        values = np.asarray(getattr(expected, name))
+        scale = max(float(np.abs(values).max()), 1e-20)
+        np.testing.assert_allclose(getattr(line, name), values, rtol=SUMS_TOLERANCE, atol=SUMS_TOLERANCE * scale)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_sums_of_parts_add_up_to_those_of_the_whole(seed: int) -> None:
+    """However the runs are cut into parts, sessions that go on in another part included."""
+    session, load, radius = _runs(seed)
+    day = np.arange(len(load), dtype=np.float64)
+    whole = SessionSums.from_runs(session, load, radius, day)
+    cut = len(load) // 3
+    parts = [SessionSums.from_runs(session[k], load[k], radius[k], day[k]) for k in (slice(cut), slice(cut, None))]
+    added = parts[0].added(parts[1])
+    assert added.session.tolist() == whole.session.tolist()
+    np.testing.assert_allclose(added.table, whole.table, rtol=1e-12, atol=1e-18)
+    assert (added.load_min_N, added.load_max_N) == (whole.load_min_N, whole.load_max_N)
+
+
+def test_a_single_load_carries_no_line() -> None:
+    """Where every run has one load there is no slope."""
+    load = np.full(6, 300.0)
+    sums = SessionSums.from_runs(np.array(["a", "a", "a", "b", "b", "b"]), load, load * 1e-4, load)
+    assert line_from_sums(sums) is None

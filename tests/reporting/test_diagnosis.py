@@ -1,0 +1,93 @@
+"""The diagnosis as a page."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from html import unescape
+
+import pytest
+
+from calib.gap.decision.diagnosis import Cause, Diagnosis, Quantity, VerdictKind
+from calib.gap.decision.held_out import Closure
+from calib.gap.localise.result import ChannelGap, GapLocation
+from calib.gap.observations.arrays import Channel
+from calib.gap.plan.planned_runs import PlannedRun
+from calib.reporting.blocks import Notice, Picture, Section, Table
+from calib.reporting.content import compose
+from calib.reporting.html import blocks_html
+from calib.reporting.pdf import to_pdf
+from calib.reporting.source import Source
+from calib.reporting.text import to_text
+from calib.reporting.topics.diagnosis import diagnosis_content, diagnosis_section
+from tests.reporting.making import findings, with_findings
+
+
+def page(source: Source) -> Section:
+    made = diagnosis_section(source)
+    assert made is not None
+    return made
+
+
+def test_without_a_diagnosis_there_is_no_page(source: Source) -> None:
+    assert diagnosis_section(source) is None
+
+
+def test_the_page_shows_verdict_map_ranking_aliases_closure_and_next_runs(source: Source) -> None:
+    made = page(with_findings(source))
+    pictures = [block.name for block in made.blocks if isinstance(block, Picture)]
+    assert pictures == ["gap-map", "gap-by-covariate", "gap-before-after"]
+    notice = next(block for block in made.blocks if isinstance(block, Notice))
+    assert notice.title == "These runs cannot tell the causes apart (ambiguous)"
+    tables = {block.columns[0].title: block for block in made.blocks if isinstance(block, Table)}
+    sizes = next(block for block in made.blocks if isinstance(block, Table) and block.columns[1].title == "Parameter")
+    assert sizes.rows[0] == ("track_width", "relative", "1", "0.003020", "0.002930", "0.003110")
+    assert tables["Run"].rows[0][0] == "1. square ccw"
+    assert tables["Run"].rows[0][-1] == "tells the two apart"
+    text = str([block.to_dict() for block in made.blocks])
+    for phrase in ("track_width, curve_scrub", "61 %", "'61.0'", "4.10", "99 %", "m/s²", "suspect latency",
+                   "wear: nothing varies", "r_004: lateral +34.0 mm, 4 times its noise level"):  # fmt: skip
+        assert phrase in text, phrase
+
+
+@pytest.mark.parametrize("kind", VerdictKind)
+def test_a_bare_verdict_is_a_page(source: Source, kind: VerdictKind) -> None:
+    """A verdict without arrays, causes or closure still says what it is."""
+    made = page(replace(source, verdict=Diagnosis(kind, "It is as it is.")))
+    notice = next(block for block in made.blocks if isinstance(block, Notice))
+    assert kind.value in notice.title
+    assert notice.text == "It is as it is."
+    assert not [block for block in made.blocks if isinstance(block, Picture)]
+
+
+def test_terminal_pdf_and_html_say_the_same(source: Source) -> None:
+    """Every word of the content that the terminal shows stands in the HTML, and every block is one of the PDF's."""
+    content = diagnosis_content(*findings())
+    markup = " ".join(unescape(re.sub(r"<[^>]+>", " ", blocks_html([block]))) for block in content)
+    said = set(re.findall(r"\w+", to_text(content, width=400)))
+    assert len(said) > 100
+    assert said <= set(re.findall(r"\w+", markup))
+    assert [block.to_dict() for block in page(with_findings(source)).blocks] == [block.to_dict() for block in content]
+
+
+def test_missing_values_are_dashes_not_failures(source: Source) -> None:
+    nan = float("nan")
+    cause = Cause("track_width", "track", "", nan, nan, nan, {"relative": Quantity(nan, (nan, nan), "1")})
+    verdict = Diagnosis(
+        VerdictKind.EXPLAINED,
+        "",
+        causes=(cause,),
+        where=GapLocation(channels=(ChannelGap(Channel.ALONG, 0.0, 0.0),)),
+        closure=Closure(),
+        next_runs=(PlannedRun("corridor", why="why"),),
+    )
+    text = str([block.to_dict() for block in page(replace(source, verdict=verdict)).blocks])
+    assert "–" in text
+    assert "None" not in text
+    assert "nan" not in text
+
+
+def test_the_report_with_a_diagnosis_is_set(source: Source) -> None:
+    made = compose(with_findings(source))
+    assert to_pdf(made).startswith(b"%PDF")
+    assert made.report_id != compose(source).report_id

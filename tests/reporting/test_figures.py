@@ -1,0 +1,177 @@
+"""The figures: inside their canvas, the same bytes, and for any campaign."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.text import Text as Label
+
+from calib.radius.effective import EffectiveRadii
+from calib.radius.fit import fit_law
+from calib.reporting.blocks import Picture
+from calib.reporting.content import Report, compose
+from calib.reporting.figures import gap as gap_figures
+from calib.reporting.figures.radius import path_deviation, regressions, residuals, runs_by_series
+from calib.reporting.figures.style import render, render_all
+from calib.reporting.source import Source
+from tests.reporting.making import CHANNELS, findings, with_findings
+
+
+def clipped(figure: Figure) -> list[str]:
+    """Texts that reach beyond the figure's edge."""
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    box = figure.bbox
+    found = []
+    for label in figure.findobj(Label):
+        assert isinstance(label, Label)
+        if not label.get_visible() or not label.get_text().strip() or (label.axes and not label.axes.get_visible()):
+            continue
+        extent = label.get_window_extent(canvas.get_renderer())
+        # 1 pixel: anti-aliasing at the edge; ticks outside the axes' limits are not drawn
+        if extent.x0 < box.x0 - 1 or extent.x1 > box.x1 + 1 or extent.y0 < box.y0 - 1 or extent.y1 > box.y1 + 1:
+            found.append(label.get_text())
+    return [text for text in found if text not in undrawn(figure)]
+
+
+def undrawn(figure: Figure) -> set[str]:
+    """Labels of ticks outside their axis' limits."""
+    made: set[str] = set()
+    for axes in figure.axes:
+        for axis, (low, high) in ((axes.xaxis, sorted(axes.get_xlim())), (axes.yaxis, sorted(axes.get_ylim()))):
+            made |= {tick.label1.get_text() for tick in axis.get_major_ticks() if not low <= tick.get_loc() <= high}
+    return made
+
+
+def radii_like(n: int, sessions: int, *, loads: int, seed: int = 1) -> EffectiveRadii:
+    rng = np.random.default_rng(seed)
+    load = np.linspace(300, 1100, loads)[np.arange(n) % loads]
+    session = np.array([f"_session {k % sessions} of a rather long name" for k in range(n)])
+    radius = 0.1 + 1e-6 * (load - 300) + rng.normal(0, 1e-5, n)
+    nothing = np.full(n, np.nan)
+    return EffectiveRadii(
+        run_id=np.array([f"r{k}" for k in range(n)]),
+        session=session,
+        direction=np.array(["out", "back"])[np.arange(n) % 2],
+        load_left_N=load,
+        load_right_N=load[::-1].copy(),
+        distance_m=np.full(n, 40.0),
+        radius_left_m=radius,
+        radius_right_m=radius[::-1].copy(),
+        std_left_m=np.full(n, 4e-6),
+        std_right_m=np.full(n, 4e-6),
+        path_left=np.zeros(n),
+        path_right=np.zeros(n),
+        path_source=np.full(n, "none"),
+        amplitude_m=nothing,
+        wavelength_m=nothing,
+    )
+
+
+@pytest.mark.parametrize(("n", "sessions", "loads"), [(3, 1, 3), (12, 12, 2), (60, 5, 6), (40, 20, 1), (2100, 9, 7)])
+def test_no_text_of_a_figure_is_clipped(n: int, sessions: int, loads: int) -> None:
+    """Few runs, many sessions, one load, thousands of runs, names that begin with an underscore."""
+    radii = radii_like(n, sessions, loads=loads)
+    fit = fit_law(radii, reference_load_N=300.0)
+    for figure in (
+        runs_by_series(radii),
+        regressions(fit.left, fit.right, radii.session),
+        path_deviation(radii),
+        residuals(fit.left, fit.right, radii.session),
+    ):
+        assert clipped(figure) == []
+
+
+def test_the_figures_of_the_sample_are_not_clipped(report: Report) -> None:
+    for picture in report.pictures:
+        assert clipped(picture.draw()) == [], picture.name
+
+
+def test_a_figure_is_drawn_to_the_same_bytes(report: Report) -> None:
+    draw = report.pictures[0].draw
+    for form in ("svg", "png", "pdf"):
+        assert render(draw(), form) == render(draw(), form), form
+
+
+def test_the_style_does_not_depend_on_the_users_settings(report: Report) -> None:
+    import matplotlib as mpl
+
+    first = render(report.pictures[0].draw(), "svg")
+    with mpl.rc_context({"font.size": 30, "axes.grid": False, "text.parse_math": True, "savefig.bbox": "tight"}):
+        assert render(report.pictures[0].draw(), "svg") == first
+
+
+def test_figures_of_a_small_campaign_hold_no_pixels(report: Report) -> None:
+    for picture in report.pictures:
+        assert b"<image" not in render(picture.draw(), "svg"), picture.name
+
+
+def test_drawing_needs_no_display_and_no_pyplot() -> None:
+    drawing = "calib.reporting.figures.radius, calib.reporting.figures.gap"
+    code = f"import sys, {drawing}; print('matplotlib.pyplot' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
+
+
+def test_every_picture_has_words_for_those_who_do_not_see_it(source: Source) -> None:
+    for one in compose(with_findings(source)).pictures:
+        assert isinstance(one, Picture)
+        assert len(one.alt) > 20
+        assert one.caption.endswith(".")
+
+
+@pytest.mark.parametrize("n", [1, 4, 48, 400])
+def test_no_text_of_a_gap_figure_is_clipped(n: int) -> None:
+    _, gap = findings(n=n)
+    assert gap.offset_m is not None
+    for figure in (
+        gap_figures.gap_map(gap.paths_m, gap.offset_m, gap.labels["kind"]),
+        gap_figures.gap_by_covariate(
+            gap.before[:, 3], "heading", "rad", gap.covariates, noise_level=1e-3, group=gap.labels["kind"]
+        ),
+        gap_figures.before_after(CHANNELS, gap.before, gap.after, gap.noise_level),
+    ):
+        assert clipped(figure) == []
+
+
+def test_arrows_of_the_map_are_magnified_by_the_factor_that_it_says() -> None:
+    """An arrow's tip stands at the end position plus the factor times the gap."""
+    ends = (np.array([[0.0, 0.0], [10.0, 0.0]]), np.array([[0.0, 0.0], [10.0, 5.0]]))
+    offset = np.array([[0.02, 0.01], [0.0, -0.03]])
+    figure = gap_figures.gap_map(ends, offset)
+    axis = figure.axes[0]
+    factor = float(axis.get_title(loc="left").split("arrows ")[1].split(" times")[0])
+    arrows = [child for child in axis.texts if getattr(child, "arrow_patch", None) is not None]
+    tips = np.array([arrow.xy for arrow in arrows])
+    np.testing.assert_allclose(tips, np.array([path[-1] for path in ends]) + factor * offset, rtol=1e-12)
+    assert factor > 1
+
+
+def test_a_map_without_known_gaps_is_still_a_map() -> None:
+    figure = gap_figures.gap_map((np.zeros((1, 2)), np.ones((1, 2))), np.full((2, 2), np.nan))
+    assert clipped(figure) == []
+
+
+def test_root_mean_squares_before_and_after_stand_at_the_figure() -> None:
+    before, after = np.array([[3e-3], [-4e-3]]), np.array([[1e-3], [np.nan]])
+    figure = gap_figures.before_after([("along", "m")], before, after, np.full((2, 1), 1e-3))
+    labels = [tick.get_text() for tick in figure.axes[0].get_xticklabels()]
+    # sqrt((9 + 16) / 2) = 3.54 mm; NaN is omitted
+    assert labels == ["before\n3.54 mm", "after\n1 mm"]
+
+
+def test_laid_out_once_a_figure_is_the_same_in_every_format() -> None:
+    """The SVG as alone; the others by the same places of their axes; the figure keeps its layout engine."""
+    figure = path_deviation(radii_like(12, 3, loads=4))
+    engine = figure.get_layout_engine()
+    forms = render_all(figure, ("png", "svg", "pdf"))
+    assert figure.get_layout_engine() is engine
+    assert list(forms) == ["png", "svg", "pdf"]
+    assert forms["svg"] == render(path_deviation(radii_like(12, 3, loads=4)), "svg")
+    assert forms["png"].startswith(b"\x89PNG")
+    assert forms["pdf"].startswith(b"%PDF")
