@@ -37,8 +37,8 @@ _RISES: Final = 0.98
 _JUMP, _ONE_TURN = 0.75, 1.001
 #: how far a clock's step is from the usual one, as a share of it, and the share of steps that are so
 _EVEN, _MOSTLY = 0.05, 0.9
-#: span of increments in usual steps of theirs; a counter that goes there and back passes hundreds
-_FEW_STEPS: Final = 40.0
+#: least correlation of a counter's steps with the next: a smooth drive has nearly 1, noise on a speed -0.5
+_ALIKE: Final = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,8 +86,6 @@ class ColumnContents:
         bits = next((c.wrap_bits for c in alike if c.wrap_bits), None)
         if bits:
             text += f"; a counter that overflows at {bits} bits"
-        if self.does and self.does != RISES and not bits:
-            text += f"; {self.does}"
         return text + (f"; {self.n_empty} empty" if self.n_empty and self.kind != "empty" else "")
 
 
@@ -288,8 +286,9 @@ def behaviour(values: FloatArray, *, whole: bool) -> str:
             and np.abs(steps[~jumps]).max(initial=0.0) < 0.5 * turn
         ):
             return words
-    # a count that rises and falls passes each value on its way: steps are small beside its span
-    return "increments, a count a sample" if whole and span < _FEW_STEPS * _usual_step(values) else ""
+    # what moves goes on: the steps of a counter are alike from one to the next, those of increments are not
+    alike = float(np.sum(steps[1:] * steps[:-1])) / float(np.sum(steps * steps))
+    return "increments, a count a sample" if whole and alike < _ALIKE else ""
 
 
 def _recording_contents(path: Path, shown: str) -> FileContents:

@@ -24,7 +24,7 @@ _TABLE: Final[Sequence[tuple[str, str]]] = (
         r"|(lfd|lauf)_nr",
     ),
     ("session", r"(sitzung|session|schicht|serie|messtag|tag|day)(_?(id|nr|no))?|datum|date|messdatum"),
-    ("direction", r".*(richtung|direction|heading_of_run)|way"),
+    ("direction", r".*(richtung|direction|heading_of_run)|way|dir"),
     ("kind", r"(art|route|kurs|course|kind|type|typ|streckenart|manoever|path)"),
     (
         "load_left_N",
@@ -34,8 +34,14 @@ _TABLE: Final[Sequence[tuple[str, str]]] = (
         "load_right_N",
         r"(rad|wheel|waage|scale)?_?(last|load)?_?(rechts|right)|((rad|wheel)_?)?(last|load)_?(re|r)|f_?(right|r)",
     ),
-    ("payload_x_m", r"(payload|last|zuladung|ladung|nutzlast)_?(x|vorn.*|laengs)|(abstand|lage)_?(vorn.*|x|laengs)"),
-    ("payload_y_m", r"(payload|last|zuladung|ladung|nutzlast)_?(y|quer)|(versatz|quer|lage_?y).*"),
+    (
+        "payload_x_m",
+        r"(payload|last|zuladung|ladung|nutzlast)_?(x|vorn.*|laengs)|(abstand|lage)_?(vorn.*|x|laengs)|x_(of_)?(the_)?(payload|load)",
+    ),
+    (
+        "payload_y_m",
+        r"(payload|last|zuladung|ladung|nutzlast)_?(y|quer)|(versatz|quer|lage_?y).*|y_(of_)?(the_)?(payload|load)",
+    ),
     (
         "payload_kg",
         r"(zuladung|nutzlast|beladung|ladung|payload|masse|mass|gewicht|weight|load|last)"
@@ -47,7 +53,7 @@ _TABLE: Final[Sequence[tuple[str, str]]] = (
     ("minutes_under_load", r"(standzeit|minutes?_under_load|dwell.*)"),
     (
         "distance_m",
-        r"((laser|mess|fahr|gemessene|measured|travelled|true|ref|wahre)_?)?(strecke|distanz|distance|dist|weg|laenge|length|s_?o)"
+        r"((laser|mess|fahr|gemessene|measured|travelled|true|ref|reference|wahre)_?)?(strecke|distanz|distance|dist|weg|laenge|length|s_?o)"
         r"(_.*)?|travel(led)?",
     ),
     ("counts_left", _COUNTS + r".*_?(l|li|links|left)"),
@@ -95,13 +101,29 @@ _SIDES: Final = {
 #: names of directions along a corridor -> out or back
 DIRECTION_WORDS: Final = {
     **dict.fromkeys(
-        ("out", "hin", "vor", "vorwaerts", "hinfahrt", "hinweg", "forward", "fwd", "there", "outbound", "a", "ab"),
+        (
+            "out",
+            "hin",
+            "vor",
+            "vorwaerts",
+            "hinfahrt",
+            "hinweg",
+            "forward",
+            "fwd",
+            "there",
+            "outbound",
+            "a",
+            "ab",
+            "a->b",
+            ">",
+            "+",
+        ),
         "out",
     ),
     **dict.fromkeys(
         ("back", "zurueck", "rueck", "rueckwaerts", "rueckfahrt", "rueckweg", "her", "return", "ret", "inbound"), "back"
     ),
-    **dict.fromkeys(("backward", "backwards", "bwd", "reverse", "b", "ba"), "back"),
+    **dict.fromkeys(("backward", "backwards", "bwd", "reverse", "b", "ba", "b->a", "<"), "back"),
 }
 
 _UMLAUTS: Final = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss"})

@@ -66,7 +66,10 @@ COUNT_UNITS: Final[MappingType[str, tuple[str, float]]] = {
 }
 #: how people write the units of wheels, in lower case -> as in `COUNT_UNITS`
 _COUNT_SPELLINGS: Final[MappingType[str, str]] = {
-    **dict.fromkeys(("count", "cnt", "cnts", "tick", "ticks", "pulse", "pulses", "impulse", "impulses"), "counts"),
+    **dict.fromkeys(
+        ("count", "cnt", "cnts", "tick", "ticks", "pulse", "pulses", "impulse", "impulses", "inc", "ink", "imp"),
+        "counts",
+    ),
     **dict.fromkeys(("increments", "cnt/sample", "ticks/sample", "counts/step"), "counts/sample"),
     **dict.fromkeys(("cnt/s", "ticks/s", "impulse/s"), "counts/s"),
     **dict.fromkeys(("turn", "rev", "revs", "revolutions", "umdrehungen"), "turns"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from os.path import commonprefix
 from pathlib import Path
 from typing import Final
 
@@ -18,6 +19,14 @@ from calib.units import split_suffix
 
 #: characters of a remark that lists columns
 _LISTED_COLUMNS: Final = 110
+#: a date in a file's name, and a time behind it -> how a mapping says so
+_MOMENTS: Final = (
+    (
+        re.compile(r"(?<!\d)(19|20)\d{2}[-_.]?\d{2}[-_.]?\d{2}(?!\d)|(?<!\d)\d{2}[-_.]\d{2}[-_.](19|20)\d{2}(?!\d)"),
+        "{date}",
+    ),
+    (re.compile(r"(?<=\{date\}[T_ \-])\d{2}[-_.:h]?\d{2}([-_.:m]?\d{2})?s?(?!\d)"), "{time}"),
+)
 
 
 def table_lines(table: FileContents) -> list[str]:
@@ -70,7 +79,8 @@ def _column_line(column: ColumnContents, name: str, unit: str | None) -> str:
     remark = ""
     if name == "direction" and set(column.texts) - {"out", "back"}:
         directions = _meanings(column)
-        further["values"] = {text: meaning or "out" for text, meaning in directions.items()}
+        free = iter([way for way in ("out", "back") if way not in directions.values()])
+        further["values"] = {text: meaning or next(free, "out") for text, meaning in directions.items()}
         remark = "" if all(directions.values()) else '   # "out" or "back"'
     if name == "session" and column.n_empty:
         further["fill_down"] = True
@@ -143,7 +153,7 @@ def file_lines(table: FileContents | None, logs: Sequence[FileContents]) -> list
     run_ids = column.texts if column is not None and column.kind == "text" else ()
     if run_ids and run_ids[0] in stems:
         return []
-    pattern = _name_pattern(stems)
+    pattern = name_pattern(stems)
     if pattern is None:
         return ['#file = "{run_id}.csv"   # the log of a run']
     lines = [f"file = {QUOTED.encode(pattern + Path(logs[0].name).suffix)}"]
@@ -153,14 +163,17 @@ def file_lines(table: FileContents | None, logs: Sequence[FileContents]) -> list
     return lines
 
 
-def _name_pattern(stems: Sequence[str]) -> str | None:
+def name_pattern(stems: Sequence[str]) -> str | None:
     """Return what the names of logs have in common: a run's number, dates and times, and text that differs."""
+    for form, sign in _MOMENTS:
+        if all(form.search(stem) for stem in stems):
+            stems = [form.sub(sign, stem, count=1) for stem in stems]
     parts = [re.split(r"(\d+)", stem) for stem in stems]
     if len({len(part) for part in parts}) > 1 or len(parts[0]) < 2:
         return None
     columns = [[part[at] for part in parts] for at in range(len(parts[0]))]
     numbers = [at for at in range(1, len(columns), 2) if len({int(cell) for cell in columns[at]}) == len(stems)]
-    # a run's number is small: a date or a time of day may differ from log to log as well
+    # a run's number is small: a serial number or a time may differ from log to log as well
     best = min(numbers, key=lambda at: (max(int(cell) for cell in columns[at]), -at), default=None)
     if best is None:
         return None
@@ -170,8 +183,6 @@ def _name_pattern(stems: Sequence[str]) -> str | None:
         if at == best:
             padded = len(widths) == 1 and next(iter(widths)) > 1
             out += f"{{n:{widths.pop():02}}}" if padded else "{n}"
-        elif len(set(cells)) == 1 and not (at % 2 and widths == {8}):
-            out += cells[0]
         else:
-            out += "{date}" if widths == {8} else "{time}" if at % 2 and widths <= {4, 6} else "*"
+            out += cells[0] if len(set(cells)) == 1 else f"{commonprefix(cells)}*"
     return out

@@ -10,6 +10,7 @@ from calib.campaign.columns import recognise
 from calib.campaign.ingest.contents import BEHAVIOURS, RISES, ColumnContents
 from calib.campaign.ingest.guesses import count_unit, side_of
 from calib.campaign.model import LOG_COLUMNS
+from calib.campaign.readers.sheets import UNNAMED
 
 #: wheels at four corners, by their sides, front first
 _CORNERS: Final = {
@@ -108,6 +109,9 @@ def _by_behaviour(found: dict[str, ColumnContents], columns: Sequence[ColumnCont
     if not counters:
         counters = [column for column in free if column.does == RISES and not column.even]
         what = "rises in whole numbers"
+    if not counters and all(UNNAMED.fullmatch(column.name) for column in columns):
+        counters = [column for column in columns if column.does == RISES]
+        what = "rises"
     if len(counters) != 2:
         return ""
     sides = [side_of(column.name) for column in counters]
@@ -119,9 +123,9 @@ def _by_behaviour(found: dict[str, ColumnContents], columns: Sequence[ColumnCont
 
 
 def _wheel(column: ColumnContents, remark: str) -> Wheel:
-    if count_unit(column.name) is not None or column.unit == "counts":
-        return Wheel(column, "", remark)
     unit = BEHAVIOURS.get(column.does, "")
+    if count_unit(column.name) not in {None, "counts"} or (column.unit == "counts" and unit != "counts/sample"):
+        return Wheel(column, "", remark)
     if unit:
         return Wheel(column, unit, remark or f"   # {column.does}")
     if column.kind == "number" and not column.whole and not column.wrap_bits:

@@ -16,7 +16,35 @@ from calib.errors import BadFileError
 from calib.units import unit_named
 
 #: units of counters and rates, which no suffix of a column names, and signs of no unit
-_COUNT_WORDS: Final = frozenset({"rpm", "rad/s", "deg/s", "counts", "count", "cnt", "cnts", "ticks", "inc", "impulse"})
+_COUNT_WORDS: Final = frozenset(
+    {"rpm", "rad/s", "deg/s", "counts", "count", "cnt", "cnts", "ticks", "inc", "ink", "imp", "impulse"}
+)
+#: units of what calib does not use, in lower case: they show a row of units, and their numbers are not converted
+_OTHER_UNITS: Final = frozenset(
+    {
+        "v",
+        "mv",
+        "a",
+        "ma",
+        "w",
+        "kw",
+        "hz",
+        "khz",
+        "%",
+        "bar",
+        "mbar",
+        "pa",
+        "hpa",
+        "kpa",
+        "nm",
+        "h",
+        "min",
+        "d",
+        "m/s²",
+    }
+)
+#: forms of dates and times: hh:mm:ss,f, dd.mm.yyyy
+_CLOCK_FORM: Final = re.compile(r"[dmyhsfjt]{1,4}([.:/, \-]+[dmyhsfjt]{1,4})+", re.IGNORECASE)
 _NO_UNIT: Final = frozenset({"", "-", "–", "1"})
 #: a unit in a row of units that is not known is no longer than this
 _SHORT: Final = 8
@@ -28,6 +56,8 @@ _HEADER_ROWS: Final = 4
 _LOOKED_AT: Final = 20
 #: columns that a table has at least where a row of one text is a remark
 _LEAST_COLUMNS: Final = 3
+#: what columns are called that no row names
+UNNAMED: Final = re.compile(r"column \d+")
 _SIDE: Final = re.compile(r"(l|r|li|re|left|right|links|rechts)\.?", re.IGNORECASE)
 _SUMMARY: Final = re.compile(
     r"(mean|average|avg|sum|total|std|st\.?\s?dev|std\.?\s?dev|sd|min|max|minimum|maximum|median|mittel(wert)?|mw|summe"
@@ -104,7 +134,7 @@ def looks_like_units(row: Sequence[Any]) -> bool:
     cells = [str(cell).strip() for cell in filled_cells(row)]
     if not cells or any(map(is_number, cells)):
         return False
-    good = [_is_unit(cell) or bool(re.fullmatch(r"[\[(].*[\])]", cell)) for cell in cells]
+    good = [_is_unit(cell) or bool(re.fullmatch(r"[\[(].*[\])]", cell)) or _is_other(bare(cell)) for cell in cells]
     known = sum(good)
     return 2 * known >= len(cells) or (known > 0 and all(len(cell) <= _SHORT for cell in cells))
 
@@ -117,6 +147,10 @@ def bare(unit: str) -> str:
 def _is_unit(text: str) -> bool:
     word = bare(text)
     return unit_named(word) is not None or word.lower() in _COUNT_WORDS or word in _NO_UNIT
+
+
+def _is_other(word: str) -> bool:
+    return word.lower() in _OTHER_UNITS or _CLOCK_FORM.fullmatch(word) is not None
 
 
 def _all_known(units: Sequence[str]) -> bool:
@@ -142,18 +176,21 @@ def _header_rows(rows: Sequence[Sequence[Any]], *, fixed: bool) -> int:
         cells = [row[column] for row in body if column < len(row) and filled_cells([row[column]])]
         if cells and 2 * sum(map(is_number, cells)) >= len(cells):
             numeric.append(column)
-    n_rows = 1
-    while n_rows < min(_HEADER_ROWS, len(rows) - 1):
-        row = rows[n_rows]
-        over = [str(row[column]).strip() for column in numeric if column < len(row) and row[column] is not None]
-        texts = [cell for cell in over if cell.lower() not in EMPTY and not is_number(cell)]
-        named = len(texts) >= _TEXT_SHARE * len(numeric) > 0 and not fixed
-        if not named and not looks_like_units(row):
+    last = 0
+    for at, row in enumerate(rows[1 : min(_HEADER_ROWS, len(rows) - 1)], start=1):
+        filled = [column for column, cell in enumerate(row) if filled_cells([cell])]
+        over = [str(row[column]).strip() for column in filled if column in numeric]
+        if any(is_number(cell) for cell in over):
             break
-        n_rows += 1
+        texts = [cell for cell in over if cell.lower() not in EMPTY]
+        wide = len(texts) >= _TEXT_SHARE * len(numeric) > 0
+        # a second row of names stands over columns of numbers alone
+        further = len(texts) > 1 and set(filled) <= set(numeric)
         if looks_like_units(row):
-            break
-    return n_rows
+            return at + 1
+        if (wide or further) and not fixed:
+            last = at
+    return last + 1
 
 
 def _joined(names: Sequence[str], groups: Sequence[Sequence[str]]) -> list[str]:

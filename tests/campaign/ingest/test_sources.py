@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from calib.campaign.ingest import describe, ingest
-from calib.campaign.ingest.mapping import MappedColumn, unit_spelled, units_for
-from calib.campaign.ingest.runs import fits_name
+from calib.campaign.ingest.mapping import LogSection, MappedColumn, unit_spelled, units_for
+from calib.campaign.ingest.proposal_table import name_pattern
+from calib.campaign.ingest.runs import expected_name, fits_name
 from calib.campaign.model import Campaign
 from calib.errors import CalibError
 from calib.units import GRAVITY_MPS2, SUFFIXES, unit_named
@@ -127,6 +129,26 @@ def test_rows_at_the_end_that_name_no_run_are_omitted(tmp_path: Path) -> None:
 )
 def test_names_of_logs_may_hold_a_time(wanted: str, name: str, fits: bool) -> None:
     assert fits_name(name, wanted) == fits
+
+
+@pytest.mark.parametrize(
+    ("stems", "pattern"),
+    [
+        (["2026-05-04_09-00_Fahrt01", "2026-05-04_09-07_Fahrt02"], "{date}_{time}_Fahrt{n:02}"),
+        (["20260504T091500_TR9", "20260505T091500_TR10"], "{date}T{time}_TR{n}"),
+        (["run 01 (take 1)", "run 02 (take 1)"], "run {n:02} (take 1)"),
+        (["Lauf_1_am", "Lauf_2_pm"], "Lauf_{n}_*"),
+        (["first", "second"], None),
+    ],
+)
+def test_what_the_names_of_logs_have_in_common_is_proposed(stems: list[str], pattern: str | None) -> None:
+    """And the pattern finds each of them, by its own number."""
+    assert name_pattern(stems) == pattern
+    for stem in stems if pattern else ():
+        number = next(n for n in (1, 2, 9, 10) if re.search(rf"(Fahrt|TR|run |Lauf_)0?{n}(?!\d)", stem))
+        wanted = expected_name(LogSection(file=f"{pattern}.csv"), f"Run {number}")
+        assert wanted is not None
+        assert [fits_name(f"{other}.csv", wanted) for other in stems] == [other == stem for other in stems]
 
 
 @pytest.mark.parametrize(

@@ -102,11 +102,12 @@ def test_counters_that_overflow_are_the_wheels(names: tuple[str, str], first: st
     ("make", "unit"),
     [
         (lambda counts: np.diff(counts, prepend=0.0), "counts/sample"),
+        (lambda counts: np.diff(counts, prepend=counts[0]), "counts/sample"),
         (lambda counts: counts / 4096 * 2 * np.pi, "rad"),
         (lambda counts: np.angle(np.exp(1j * counts / 4096 * 2 * np.pi)), "rad"),
         (lambda counts: (counts / 4096 * 360) % 360, "deg"),
     ],
-    ids=["increments", "radians", "radians of one turn", "degrees of one turn"],
+    ids=["increments", "increments from a stand", "radians", "radians of one turn", "degrees of one turn"],
 )
 def test_what_wheels_give_is_proposed_with_its_unit_and_ingested(make, unit: str, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     """The proposal goes in as it is, and the counts are those driven."""
@@ -119,6 +120,13 @@ def test_what_wheels_give_is_proposed_with_its_unit_and_ingested(make, unit: str
     made = ingest([path], tmp_path / "c", mapping=mapping).campaign
     got = made.logs.columns["counts_right"]
     np.testing.assert_allclose(got - got[0], right - right[0], atol=1e-3)
+
+
+def test_a_counter_that_goes_there_and_back_is_no_increment(tmp_path: Path) -> None:
+    time, left, right = _turned()
+    back = {name: np.concatenate([counts, counts[::-1]]) for name, counts in (("Enc_L", left), ("Enc_R", right))}
+    path = _log(tmp_path / "l.csv", {"t_s": np.arange(2 * len(time)) / 20, **back})
+    assert not any("unit" in line for line in _wheel_lines(describe([path]).to_toml()))
 
 
 @pytest.mark.parametrize(

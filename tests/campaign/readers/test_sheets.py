@@ -89,6 +89,15 @@ def test_several_header_rows_make_one_name(tmp_path: Path) -> None:
     assert table.columns["Run"].tolist() == ["a", "b"]
 
 
+def test_a_second_row_of_names_stands_over_a_part_of_the_columns(tmp_path: Path) -> None:
+    """Sides beneath one heading, then units: no data row, though it is narrow."""
+    text = "Protokoll;;;;\nNr.;Datum;Strecke;Radlast;\n;;;links;rechts\n;;mm;kg;kg\n"
+    rows = "".join(f"{k};04.05.2026;4020{k},5;30,{k};31,{k}\n" for k in range(5))
+    table = _csv(tmp_path, text + rows)
+    assert list(table.columns) == ["Nr.", "Datum", "Strecke [mm]", "Radlast links [kg]", "Radlast rechts [kg]"]
+    assert len(table.line) == 5
+
+
 def test_rows_named_in_the_mapping_are_taken(tmp_path: Path) -> None:
     text = "a;b\nc;d\nodd;odd\nx;y\n1;2\n3;4\n"
     table = _csv(tmp_path, text, Layout(header_row=1, units_row=4, skip_rows=(2, 3), lab=True))
