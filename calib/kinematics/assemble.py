@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from calib.errors import BadInputError
+from calib.kinematics.adequacy import judged
 from calib.kinematics.blunders import Fault, factor_faults
 from calib.kinematics.drives import MeanHeld
 from calib.kinematics.joint_fit import NOMINAL_STD, Fitted
@@ -82,6 +83,7 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
     faults = (*faults, *factor_faults(nominal_of, value_of))
     whole = _whole(model)
     before, after = whole.predict(nominal), whole.predict(values)
+    outliers = _outliers(model, solution)
     squares = (
         umbmark(before, after, whole.segments, campaign.model.track_m)
         if source == "rear" and len(whole.segments) and whole.segments.are_runs_of(whole.recording)
@@ -104,13 +106,14 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
         clusters=(fitted.clustering.name, fitted.clustering.uncertainty.clusters),
         noise=dict(zip(COMPONENTS, np.sqrt(solution.scales).tolist(), strict=True)),
         residual_rms=rms(after.residuals),
-        outliers=_outliers(model, solution),
+        outliers=outliers,
         faults=faults,
         mirrored=any(fault.code in {"reversed_front", "reversed_steering", "reversed_both"} for fault in faults),
         umbmark=squares,
         routes=route_table(model.recording, whole.segments, before.residuals, after.residuals),
         notes=_notes(fitted),
         inputs=campaign.hashes,
+        judgement=judged(campaign, fitted, whole, faults, outliers),
     )
 
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, Literal, cast
 
 import numpy as np
 
 from calib.campaign.wheels import odometry_source
+from calib.errors import RefusedError
 from calib.kinematics.assemble import geometry_of, of_kinds
+from calib.kinematics.blunder_search import find_blunder
 from calib.kinematics.blunders import Fault, put_right
 from calib.kinematics.delays import Delay, own_delays, sought_delays
 from calib.kinematics.drives import Drive, integrate_motion, moved_between
@@ -76,26 +78,64 @@ def estimate_geometry(
     recording = recording_of(campaign, source)
     recording = recording.unwrapped(_turns(drive_of(campaign, source, recording), recording))
     way = using or _way(recording)
+    task = _Task(campaign, source, way, (way == "windows") if sensor is None else sensor, progress)
+    try:
+        geometry = _estimated(task, recording)
+    except RefusedError:
+        corrected = _without_blunder(task, recording)
+        if corrected is None:
+            raise
+        return corrected
+    if geometry.misfit:
+        geometry = _without_blunder(task, recording) or geometry
+    if leave_out is not None:
+        geometry = replace(geometry, transfer=_transfer(campaign, geometry, task.sensor, leave_out, progress))
+    return geometry
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Task:
+    """What is to be estimated, and how."""
+
+    campaign: Campaign
+    source: str
+    way: Using
+    sensor: bool
+    progress: Progress
+
+
+def _estimated(task: _Task, recording: Recording, found: tuple[Fault, ...] = ()) -> Geometry:
+    """Return the geometry of a recording; `found`: blunders that it was corrected for."""
+    campaign, source, way = task.campaign, task.source, task.way
     divisions = _divisions(recording, way)
     coarse = next(divisions)
     recording, faults = put_right(recording, coarse, source, drive_of(campaign, source, recording))
     drive = drive_of(campaign, source, recording)
-    estimated = (way == "windows") if sensor is None else sensor
-    progress(0, 0, "fits")
-    chosen = fit_parameters(campaign, drive, recording, coarse, estimated)
+    task.progress(0, 0, "fits")
+    chosen = fit_parameters(campaign, drive, recording, coarse, task.sensor)
     for number, segments in enumerate(divisions, start=1):
-        progress(number, 0, "fits")
+        task.progress(number, 0, "fits")
         # from where the coarser one ended: over short windows a delay of many steps is not found from zero
-        other = fit_parameters(campaign, drive, recording, segments, estimated, start=chosen)
+        other = fit_parameters(campaign, drive, recording, segments, task.sensor, start=chosen)
         if other.spread > chosen.spread + np.log(AS_GOOD):
             break
         chosen = other
-    chosen, delays = _with_own_delays(campaign, chosen, estimated) if way == "windows" else (chosen, ())
-    geometry = replace(geometry_of(campaign, chosen, source, way, faults), delays=delays)
-    if leave_out is not None:
-        transfer = _transfer(campaign, geometry, estimated, leave_out, progress)
-        geometry = replace(geometry, transfer=transfer)
-    return geometry
+    chosen, delays = _with_own_delays(campaign, chosen, task.sensor) if way == "windows" else (chosen, ())
+    return replace(geometry_of(campaign, chosen, source, way, (*found, *faults)), delays=delays)
+
+
+def _without_blunder(task: _Task, recording: Recording) -> Geometry | None:
+    """Return the geometry of the recording with its blunder corrected; None where no blunder explains it."""
+    task.progress(0, 0, "blunders")
+    drive = drive_of(task.campaign, task.source, recording)
+    found = find_blunder(task.campaign, recording, drive, lambda other: next(_divisions(other, task.way)))
+    if found is None:
+        return None
+    corrected, blunder = found
+    try:
+        return _estimated(task, corrected, (blunder,))
+    except RefusedError as error:
+        raise RefusedError(f"{error}; {blunder.text}") from error
 
 
 def _with_own_delays(campaign: Campaign, common: Fitted, sensor: bool) -> tuple[Fitted, tuple[Delay, ...]]:

@@ -1,0 +1,204 @@
+"""The geometry held against what it leaves: residuals before, after, on held-out runs, and the noise of replicates."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from calib.adequacy import Level, Residuals, judge
+from calib.kinematics.blunders import Fault
+from calib.kinematics.joint_fit import Fitted
+from calib.kinematics.model import Model
+from calib.kinematics.recording import Segments
+from calib.kinematics.solve import solve
+from calib.kinematics.uncertainty import ENOUGH_RUNS
+from calib.types import BoolArray, FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from calib.campaign.model import Campaign
+
+#: folds in which runs are held out: each fit still sees four fifths of them
+FOLDS: Final = 5
+#: runs are replicates where path and displacement differ by less than this share of the path, and turns by so much
+REPLICATE_SHARE: Final = 0.05
+REPLICATE_TURN_RAD: Final = 0.3
+#: degrees of freedom from which on the scatter of replicates is known well enough to judge by: to about a third
+REPLICATE_DOF: Final = 4
+#: drift of a calibrated odometry as a share of the path, where no replicates say it (UMBmark's robots: 0.1 to 0.5 %)
+USUAL_DRIFT: Final = 0.003
+#: a length further from what is stated is a wrong setting, unit or count; rubber, wear and load stay within it
+PLAUSIBLE_CHANGE: Final = 0.15
+#: a track may be an effective one, of two tyres that scrub or of a wide tread
+PLAUSIBLE_TRACK_CHANGE: Final = 0.3
+#: share of runs that the noise cannot explain, from which on they are no single bad runs
+MANY_OUTLIERS: Final = 0.25
+
+
+class GeometryVerdict(StrEnum):
+    """Whether the estimates are to be used."""
+
+    CALIBRATED = "calibrated"
+    DOUBTFUL = "doubtful"
+    WRONG = "wrong"
+
+
+@dataclass(frozen=True, slots=True)
+class Adequacy:
+    """Root mean square position errors at the ends of runs, or of windows, in m."""
+
+    before_rms_m: float
+    after_rms_m: float
+    noise_rms_m: float
+    held_out_rms_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """A verdict with its figures and reasons; no reasons where it is ``calibrated``."""
+
+    verdict: GeometryVerdict
+    adequacy: Adequacy
+    why: tuple[str, ...]
+
+
+def judged(
+    campaign: Campaign, fitted: Fitted, whole: Model, faults: Sequence[Fault], outliers: Sequence[str]
+) -> Judgement:
+    """Judge a fit by what it leaves.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        States the noise of the reference.
+    fitted : Fitted
+        The fit.
+    whole : Model
+        Whole runs, or the longest windows of long recordings: where the position errors are taken.
+    faults : sequence of Fault
+        Blunders that were recognised.
+    outliers : sequence of str
+        Runs that the noise cannot explain; they are named by themselves and take no part.
+    """
+    segments = whole.segments
+    used: BoolArray = ~np.isin(whole.recording.run_id[segments.run], list(outliers))
+    if used.sum() < 2 or not segments.seen[:, :2].all(axis=1).any():
+        used = np.ones(len(segments), dtype=np.bool_)
+    nominal, values = fitted.parameters.nominal, fitted.solution.values
+    after = whole.predict(values).residuals
+    path = path_lengths(whole, values)
+    noise = _noise(campaign, whole, after, path, used)
+    residuals = Residuals(
+        before=_rms(whole.predict(nominal).residuals[used]),
+        after=_rms(after[used]),
+        held_out=_rms(_held_out(fitted, whole, after)[used]),
+        noise=noise,
+        distance=float(np.sqrt(np.mean(np.square(path[used])))),
+    )
+    level, reasons = judge(residuals)
+    extra = [*_implausible(fitted), *_at_odds(whole, outliers)]
+    if faults or _implausible(fitted):
+        level = Level.WRONG
+    elif extra and level is Level.ADEQUATE:
+        level = Level.DOUBTFUL
+    why = (*(fault.text for fault in faults), *extra, *reasons)
+    verdict = (GeometryVerdict.CALIBRATED, GeometryVerdict.DOUBTFUL, GeometryVerdict.WRONG)[level]
+    figures = Adequacy(residuals.before, residuals.after, residuals.noise, residuals.held_out)
+    return Judgement(verdict, figures, why)
+
+
+def path_lengths(model: Model, values: FloatArray) -> FloatArray:
+    """Return the distance travelled in each segment, shape (n,); a radian on the spot counts a tenth of a metre."""
+    body = model.drive.motion(values[: len(values) - 4], model.recording.steps).body
+    total = np.cumsum(np.hypot(body[0], body[1]) + 0.1 * np.abs(body[2]))
+    return np.asarray(total[model.segments.last] - total[model.segments.first])
+
+
+def _rms(residuals: FloatArray) -> float:
+    """Return the root mean square of position residuals (n, 3)."""
+    return float(np.sqrt(np.mean(np.square(residuals[:, :2]).sum(axis=1)))) if len(residuals) else 0.0
+
+
+def _noise(campaign: Campaign, whole: Model, after: FloatArray, path: FloatArray, used: BoolArray) -> float:
+    """Return the scatter of replicates about their mean; where there are too few, what is usual for the distance."""
+    group = _replicates(whole, path)
+    squares = dof = 0.0
+    for number in np.unique(group[used]):
+        members = after[used & (group == number), :2]
+        squares += float(np.square(members - members.mean(axis=0)).sum())
+        dof += len(members) - 1
+    if dof >= REPLICATE_DOF:
+        return float(np.sqrt(squares / dof))
+    return float(np.hypot(np.sqrt(2.0) * campaign.reference.sigma_xy_m, USUAL_DRIFT * np.mean(path[used])))
+
+
+def _replicates(whole: Model, path: FloatArray) -> IntArray:
+    """Return a number for each segment, the same for those that were driven alike by their wheels."""
+    measured = whole.segments.measured
+    told = measured - whole.predict(np.concatenate([_nominal(whole), np.zeros(4)])).residuals
+    group = np.full(len(path), -1, dtype=np.int64)
+    for at in range(len(path)):
+        if group[at] >= 0:
+            continue
+        near = np.abs(path - path[at]) < REPLICATE_SHARE * path[at]
+        near &= np.hypot(*(told[:, :2] - told[at, :2]).T) < REPLICATE_SHARE * path[at]
+        near &= np.abs(told[:, 2] - told[at, 2]) < REPLICATE_TURN_RAD
+        group[near & (group < 0)] = at
+        group[at] = at
+    return group
+
+
+def _nominal(model: Model) -> FloatArray:
+    return np.array([parameter.nominal for parameter in model.drive.parameters])
+
+
+def _held_out(fitted: Fitted, whole: Model, after: FloatArray) -> FloatArray:
+    """Return the residuals of runs, or blocks of few runs, that the fit has not seen, shape (n, 3)."""
+    model, solution = fitted.model, fitted.solution
+    runs = np.unique(model.segments.run)
+    by_run = len(runs) >= min(ENOUGH_RUNS, FOLDS)
+    if not by_run and whole.segments.are_runs_of(whole.recording):
+        return after
+    units, ours = (model.segments.run, whole.segments.run) if by_run else (model.segments.block, whole.segments.block)
+    fold = {unit: number % FOLDS for number, unit in enumerate(np.unique(units))}
+    of_fit, of_whole = (np.array([fold.get(unit, 0) for unit in part]) for part in (units, ours))
+    residuals = after.copy()
+    for number in range(FOLDS):
+        rest: Segments = model.segments.select(of_fit != number)
+        away = of_whole == number
+        if not len(rest) or not away.any():
+            continue
+        fit = solve(Model(model.drive, model.recording, rest), fitted.parameters, solution.values, solution.scales)
+        residuals[away] = whole.predict(fit.values).residuals[away]
+    return residuals
+
+
+def _implausible(fitted: Fitted) -> list[str]:
+    """Return what is further from the stated lengths than wheels and floors can make it."""
+    sentences = []
+    for name, nominal, value, free in zip(
+        fitted.parameters.names, fitted.parameters.nominal, fitted.solution.values, fitted.parameters.free, strict=True
+    ):
+        if (
+            not free
+            or not nominal
+            or not name.startswith(("radius", "front_radius", "wheel_radius", "track", "wheelbase"))
+        ):
+            continue
+        bound = PLAUSIBLE_TRACK_CHANGE if name.startswith("track") else PLAUSIBLE_CHANGE
+        change = value / nominal - 1.0
+        if abs(change) > bound:
+            away = f"{name} is {100 * change:+.3g} % from the stated {nominal:.6g}"
+            sentences.append(f"{away}, more than wheels can change: check lengths, counts per revolution and units")
+    return sentences
+
+
+def _at_odds(whole: Model, outliers: Sequence[str]) -> list[str]:
+    """Return a sentence where so many runs are outliers that they are no single bad ones."""
+    n_runs = len(np.unique(whole.segments.run))
+    if len(outliers) <= MANY_OUTLIERS * n_runs:
+        return []
+    return [f"{len(outliers)} of {n_runs} runs are outliers: look at their references, times and counts"]
