@@ -28,14 +28,19 @@ REPLICATE_SHARE: Final = 0.05
 REPLICATE_TURN_RAD: Final = 0.3
 #: degrees of freedom from which on the scatter of replicates is known well enough to judge by: to about a third
 REPLICATE_DOF: Final = 4
-#: drift of a calibrated odometry as a share of the path, where no replicates say it (UMBmark's robots: 0.1 to 0.5 %)
+#: drift of a calibrated odometry where no replicates say it: share of the way (UMBmark's robots: 0.1 to 0.5 %), and
+#: heading as a share of the rotation and in rad per metre
 USUAL_DRIFT: Final = 0.003
 #: a length further from what is stated is a wrong setting, unit or count; rubber, wear and load stay within it
 PLAUSIBLE_CHANGE: Final = 0.15
 #: a track may be an effective one, of two tyres that scrub or of a wide tread
 PLAUSIBLE_TRACK_CHANGE: Final = 0.3
-#: share of runs that the noise cannot explain, from which on they are no single bad runs
+#: at most this share of the runs are single bad ones, which take no part; one run always may be
+FEW_OUTLIERS: Final = 0.1
+#: share of runs that the noise cannot explain, from which on the result is doubtful
 MANY_OUTLIERS: Final = 0.25
+#: a turn of less is not what heading residuals are held against: chance in the reference's heading would be most of it
+LEAST_ROTATION_RAD: Final = 1.0
 
 
 class GeometryVerdict(StrEnum):
@@ -83,56 +88,86 @@ def judged(
     outliers : sequence of str
         Runs that the noise cannot explain; they are named by themselves and take no part.
     """
-    segments = whole.segments
-    used: BoolArray = ~np.isin(whole.recording.run_id[segments.run], list(outliers))
-    if used.sum() < 2 or not segments.seen[:, :2].all(axis=1).any():
-        used = np.ones(len(segments), dtype=np.bool_)
-    nominal, values = fitted.parameters.nominal, fitted.solution.values
-    after = whole.predict(values).residuals
-    path = path_lengths(whole, values)
-    noise = _noise(campaign, whole, after, path, used)
-    residuals = Residuals(
-        before=_rms(whole.predict(nominal).residuals[used]),
-        after=_rms(after[used]),
-        held_out=_rms(_held_out(fitted, whole, after)[used]),
-        noise=noise,
-        distance=float(np.sqrt(np.mean(np.square(path[used])))),
+    used = _used(whole, outliers)
+    seen = whole.segments.seen
+    after = np.where(seen, whole.predict(fitted.solution.values).residuals, 0.0)
+    before = np.where(seen, whole.predict(fitted.parameters.nominal).residuals, 0.0)
+    held_out = np.where(seen, _held_out(fitted, whole, after), 0.0)
+    way_m, rotation_rad = travelled(whole, fitted.solution.values)
+    replicates = _replicates(whole, way_m)
+
+    def of(columns: slice, travelled: FloatArray, usual: float) -> Residuals:
+        """Return the figures of a part of the pose."""
+        at = used & seen[:, columns].any(axis=1)
+        scatter = _scatter(after[:, columns], replicates, at)
+        total = float(np.sqrt(np.mean(np.square(travelled[at])))) if at.any() else 0.0
+        return Residuals(
+            *(_rms(part[at, columns]) for part in (before, after, held_out)),
+            noise=usual if scatter is None else scatter,
+            travelled=total,
+            usual_noise=usual,
+        )
+
+    reference = campaign.reference
+    turned = float(np.mean(rotation_rad[used]) + np.mean(way_m[used]))
+    position = of(slice(0, 2), way_m, float(np.hypot(np.sqrt(2.0) * reference.sigma_xy_m, USUAL_DRIFT * way_m.mean())))
+    heading = of(
+        slice(2, 3),
+        np.maximum(rotation_rad, LEAST_ROTATION_RAD),
+        float(np.hypot(np.sqrt(2.0) * reference.sigma_theta_rad, USUAL_DRIFT * turned)),
     )
-    level, reasons = judge(residuals)
-    extra = [*_implausible(fitted), *_at_odds(whole, outliers)]
-    if faults or _implausible(fitted):
+    level, reasons = judge(position)
+    level_of_heading, more = judge(heading, "heading", "mrad")
+    level = max(level, level_of_heading)
+    impossible = _implausible(fitted)
+    extra = [*impossible, *_at_odds(whole, outliers)]
+    if faults or impossible:
         level = Level.WRONG
-    elif extra and level is Level.ADEQUATE:
-        level = Level.DOUBTFUL
-    why = (*(fault.text for fault in faults), *extra, *reasons)
+    elif extra:
+        level = max(level, Level.DOUBTFUL)
+    why = (*(fault.text for fault in faults), *extra, *reasons, *more)
     verdict = (GeometryVerdict.CALIBRATED, GeometryVerdict.DOUBTFUL, GeometryVerdict.WRONG)[level]
-    figures = Adequacy(residuals.before, residuals.after, residuals.noise, residuals.held_out)
-    return Judgement(verdict, figures, why)
+    return Judgement(verdict, Adequacy(position.before, position.after, position.noise, position.held_out), why)
 
 
-def path_lengths(model: Model, values: FloatArray) -> FloatArray:
-    """Return the distance travelled in each segment, shape (n,); a radian on the spot counts a tenth of a metre."""
+def _used(whole: Model, outliers: Sequence[str]) -> BoolArray:
+    """Return the segments that are judged: all but those of few single bad runs, which are named by themselves.
+
+    Where all runs driven alike are outliers, they are no single bad ones.
+    """
+    segments, recording = whole.segments, whole.recording
+    bad: BoolArray = np.isin(recording.run_id, list(outliers))
+    used: BoolArray = ~bad[segments.run]
+    kinds = recording.kind[bad]
+    alone = all((recording.kind == kind).sum() > (kinds == kind).sum() or not kind for kind in set(kinds.tolist()))
+    runs = np.unique(segments.run)
+    few = bad[runs].sum() <= max(1.0, FEW_OUTLIERS * len(runs))
+    if not few or not alone or used.sum() < 2:
+        return np.ones(len(segments), dtype=np.bool_)
+    return used
+
+
+def travelled(model: Model, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return way in m and rotation in rad of each segment, shape (n,); a radian on the spot is a tenth of a metre."""
     body = model.drive.motion(values[: len(values) - 4], model.recording.steps).body
-    total = np.cumsum(np.hypot(body[0], body[1]) + 0.1 * np.abs(body[2]))
-    return np.asarray(total[model.segments.last] - total[model.segments.first])
+    way, rotation = (np.cumsum(part) for part in (np.hypot(body[0], body[1]) + 0.1 * np.abs(body[2]), np.abs(body[2])))
+    first, last = model.segments.first, model.segments.last
+    return np.asarray(way[last] - way[first]), np.asarray(rotation[last] - rotation[first])
 
 
 def _rms(residuals: FloatArray) -> float:
-    """Return the root mean square of position residuals (n, 3)."""
-    return float(np.sqrt(np.mean(np.square(residuals[:, :2]).sum(axis=1)))) if len(residuals) else 0.0
+    """Return the root mean square of residuals, shape (n, n_channels), of all channels together."""
+    return float(np.sqrt(np.mean(np.square(residuals).sum(axis=1)))) if len(residuals) else 0.0
 
 
-def _noise(campaign: Campaign, whole: Model, after: FloatArray, path: FloatArray, used: BoolArray) -> float:
-    """Return the scatter of replicates about their mean; where there are too few, what is usual for the distance."""
-    group = _replicates(whole, path)
+def _scatter(after: FloatArray, group: IntArray, used: BoolArray) -> float | None:
+    """Return the scatter of replicates about their mean; None where there are too few."""
     squares = dof = 0.0
     for number in np.unique(group[used]):
-        members = after[used & (group == number), :2]
+        members = after[used & (group == number)]
         squares += float(np.square(members - members.mean(axis=0)).sum())
         dof += len(members) - 1
-    if dof >= REPLICATE_DOF:
-        return float(np.sqrt(squares / dof))
-    return float(np.hypot(np.sqrt(2.0) * campaign.reference.sigma_xy_m, USUAL_DRIFT * np.mean(path[used])))
+    return float(np.sqrt(squares / dof)) if dof >= REPLICATE_DOF else None
 
 
 def _replicates(whole: Model, path: FloatArray) -> IntArray:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from calib.errors import CalibError
+from calib.kinematics.adequacy import FEW_OUTLIERS
 from calib.kinematics.blunders import Fault
 from calib.kinematics.drives import Drive, Parameters, sensor_parameters
 from calib.kinematics.model import Model
@@ -24,8 +25,9 @@ from calib.types import FloatArray
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign
 
-#: a reading is named where it leaves less than this part of what the recording as it stands leaves
-CLEARLY_LESS: Final = 1.0 / 3.0
+#: a reading is named where it leaves less than this part of what the recording as it stands leaves: a quarter of its
+#: mean square
+CLEARLY_LESS: Final = 0.5
 #: and less than this share of the distance travelled: what a calibrated vehicle may leave
 SMALL_SHARE: Final = 0.03
 #: readings that leave no more than this much of the least are alike: the first of them, the simplest, is named
@@ -69,7 +71,7 @@ class Reading:
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """What a reading leaves: median residual as a share of the distance and rotation, and whether it is plausible."""
+    """What a reading leaves: residual, root mean square, as a share of the distance and rotation, and whether it is plausible."""
 
     share: float
     plausible: bool
@@ -136,8 +138,17 @@ def _tried(campaign: Campaign, recording: Recording, drive: Drive, divide: Divid
     )
     told = segments.measured - residuals
     ahead, seen = told[:, 0] + 1j * told[:, 1], segments.measured[:, 0] + 1j * segments.measured[:, 1]
-    median = float(np.sqrt(np.median(share))) if len(share) and np.isfinite(share).all() else np.inf
-    return Trial(median, bool((np.abs(change) < PLAUSIBLE_CHANGE).all()), float(np.angle(np.vdot(ahead, seen))))
+    return Trial(
+        _trimmed(share), bool((np.abs(change) < PLAUSIBLE_CHANGE).all()), float(np.angle(np.vdot(ahead, seen)))
+    )
+
+
+def _trimmed(squares: FloatArray) -> float:
+    """Return the root of the mean of squares without the largest, so that few bad runs do not hide a reading."""
+    if not len(squares) or not np.isfinite(squares).all():
+        return np.inf
+    kept = len(squares) - max(1, int(FEW_OUTLIERS * len(squares)))
+    return float(np.sqrt(np.mean(np.sort(squares)[: max(kept, 1)])))
 
 
 def _between(values: FloatArray, segments: Segments) -> FloatArray:

@@ -14,7 +14,7 @@ from calib.kinematics.assemble import geometry_of, of_kinds
 from calib.kinematics.blunder_search import find_blunder
 from calib.kinematics.blunders import Fault, put_right
 from calib.kinematics.delays import Delay, own_delays, sought_delays
-from calib.kinematics.drives import Drive, integrate_motion, moved_between
+from calib.kinematics.drives import integrate_motion, moved_between
 from calib.kinematics.joint_fit import Fitted, drive_of, fit_parameters
 from calib.kinematics.model import Model
 from calib.kinematics.recording import Recording, Segments, end_pose_segments, recording_of, window_segments
@@ -76,7 +76,6 @@ def estimate_geometry(
     campaign = of_kinds(campaign, kinds)
     source = odometry_source(campaign)
     recording = recording_of(campaign, source)
-    recording = recording.unwrapped(_turns(drive_of(campaign, source, recording), recording))
     way = using or _way(recording)
     task = _Task(campaign, source, way, (way == "windows") if sensor is None else sensor, progress)
     try:
@@ -107,6 +106,12 @@ class _Task:
 def _estimated(task: _Task, recording: Recording, found: tuple[Fault, ...] = ()) -> Geometry:
     """Return the geometry of a recording; `found`: blunders that it was corrected for."""
     campaign, source, way = task.campaign, task.source, task.way
+    recording, off = _with_turns_right(campaign, source, recording)
+    if off and way == "end_poses":
+        text = (
+            f"ref_theta_rad: found the end heading of {', '.join(off)} off by whole turns beside the others; correct it"
+        )
+        found = (*found, Fault("heading_turn", text))
     divisions = _divisions(recording, way)
     coarse = next(divisions)
     recording, faults = put_right(recording, coarse, source, drive_of(campaign, source, recording))
@@ -128,7 +133,11 @@ def _without_blunder(task: _Task, recording: Recording) -> Geometry | None:
     """Return the geometry of the recording with its blunder corrected; None where no blunder explains it."""
     task.progress(0, 0, "blunders")
     drive = drive_of(task.campaign, task.source, recording)
-    found = find_blunder(task.campaign, recording, drive, lambda other: next(_divisions(other, task.way)))
+
+    def divided(other: Recording) -> Segments:
+        return next(_divisions(_with_turns_right(task.campaign, task.source, other)[0], task.way))
+
+    found = find_blunder(task.campaign, recording, drive, divided)
     if found is None:
         return None
     corrected, blunder = found
@@ -158,11 +167,12 @@ def _way(recording: Recording) -> Using:
     return "windows" if recording.continuous and ends < ENOUGH_RUNS else "end_poses"
 
 
-def _turns(drive: Drive, recording: Recording) -> FloatArray:
-    """Return the turn of each run by the nominal vehicle."""
+def _with_turns_right(campaign: Campaign, source: str, recording: Recording) -> tuple[Recording, list[str]]:
+    """Return the recording with end headings right by whole turns, by the nominal vehicle, and the runs alone off."""
+    drive = drive_of(campaign, source, recording)
     nominal = np.array([item.nominal for item in drive.parameters])
     turn = drive.motion(nominal, recording.steps).body[2]
-    return np.add.reduceat(turn, recording.offsets[:-1])
+    return recording.with_turns_right(np.add.reduceat(turn, recording.offsets[:-1]))
 
 
 def _divisions(recording: Recording, using: Using) -> Iterator[Segments]:

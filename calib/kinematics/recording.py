@@ -82,15 +82,41 @@ class Recording:
         within = np.abs(heading) <= np.pi + 1e-6
         if not within[np.isfinite(heading)].all() or not np.any(np.abs(turn_rad[np.isfinite(heading)]) > 1.5 * np.pi):
             return self
+        return self._with_whole_turns(turn_rad, np.ones(len(self), dtype=np.bool_))
+
+    def turns_off(self, turn_rad: FloatArray) -> BoolArray:
+        """Return the runs, few beside the others, whose end heading is off by whole turns, shape (n_runs,).
+
+        `turn_rad` (shape (n_runs,)): turn of each run by its wheels.
+        """
+        turns = np.nan_to_num((turn_rad - self.end_pose[:, 2]) / (2.0 * np.pi))
+        off: BoolArray = (np.rint(turns) != 0.0) & (np.abs(turns - np.rint(turns)) < WHOLE_TURN)
+        return off if off.mean() <= FEW_OFF else np.zeros(len(self), dtype=np.bool_)
+
+    def _with_whole_turns(self, turn_rad: FloatArray, which: BoolArray) -> Recording:
         end_pose = self.end_pose.copy()
-        end_pose[:, 2] += 2.0 * np.pi * np.rint((turn_rad - heading) / (2.0 * np.pi))
+        turns = np.rint((turn_rad - end_pose[:, 2]) / (2.0 * np.pi))
+        end_pose[:, 2] += np.where(which, 2.0 * np.pi * turns, 0.0)
         return replace(self, end_pose=end_pose)
+
+    def with_turns_right(self, turn_rad: FloatArray) -> tuple[Recording, list[str]]:
+        """Return the recording with end headings right by whole turns, and the runs that were off beside the others.
+
+        `turn_rad` (shape (n_runs,)): turn of each run by its wheels.
+        """
+        unwrapped = self.unwrapped(turn_rad)
+        off = unwrapped.turns_off(turn_rad)
+        return unwrapped._with_whole_turns(turn_rad, off), [str(run) for run in self.run_id[off]]
 
     def with_turned(self, turned_rad: FloatArray) -> Recording:
         """Return the recording with other wheel turns (sides swapped, say)."""
         return replace(self, steps=replace(self.steps, turned_rad=turned_rad))
 
 
+#: share of runs that can be off by whole turns beside the others; more are another convention
+FEW_OFF: Final = 0.25
+#: how near to a whole turn: the wheels of a nominal vehicle tell a few turns to this part of one
+WHOLE_TURN: Final = 0.1
 #: poses of a run that make a reference a continuous one
 MANY_POSES: Final = 20
 

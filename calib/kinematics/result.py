@@ -164,6 +164,13 @@ class Geometry(Result):
         return GeometryVerdict.WRONG if self.faults else GeometryVerdict.CALIBRATED
 
     @property
+    def why(self) -> tuple[str, ...]:
+        """What speaks against the estimates; empty where they are to be used."""
+        if not self.estimates:
+            return ("these runs determine no parameter",)
+        return tuple(fault.text for fault in self.faults) if self.judgement is None else self.judgement.why
+
+    @property
     def misfit(self) -> bool:
         """Whether the residuals or the lengths themselves speak against the estimates, blunders aside."""
         faults = {fault.text for fault in self.faults}
@@ -237,5 +244,5 @@ class Geometry(Result):
             "notes": list(self.notes),
             "verdict": self.verdict.value,
             "adequacy": None if self.judgement is None else asdict(self.judgement.adequacy),
-            "why": [] if self.judgement is None else list(self.judgement.why),
+            "why": list(self.why),
         }
