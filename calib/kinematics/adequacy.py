@@ -13,7 +13,7 @@ from calib.adequacy import Level, Residuals, judge
 from calib.kinematics.blunders import Fault
 from calib.kinematics.joint_fit import Fitted
 from calib.kinematics.model import Model
-from calib.kinematics.recording import Segments
+from calib.kinematics.segments import Segments
 from calib.kinematics.solve import solve
 from calib.kinematics.uncertainty import ENOUGH_RUNS
 from calib.types import BoolArray, FloatArray, IntArray
@@ -53,12 +53,16 @@ class GeometryVerdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Adequacy:
-    """Root mean square position errors at the ends of runs, or of windows, in m."""
+    """Root mean square errors at the ends of runs, or of windows: of the position, and of the heading."""
 
     before_rms_m: float
     after_rms_m: float
     noise_rms_m: float
     held_out_rms_m: float
+    heading_before_rms_rad: float
+    heading_after_rms_rad: float
+    heading_noise_rms_rad: float
+    heading_held_out_rms_rad: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,8 +105,11 @@ def judged(
         at = used & seen[:, columns].any(axis=1)
         scatter = _scatter(after[:, columns], replicates, at)
         total = float(np.sqrt(np.mean(np.square(travelled[at])))) if at.any() else 0.0
+        before_rms, after_rms, held_out_rms = (_rms(part[at, columns]) for part in (before, after, held_out))
         return Residuals(
-            *(_rms(part[at, columns]) for part in (before, after, held_out)),
+            before_rms,
+            after_rms,
+            held_out_rms,
             noise=usual if scatter is None else scatter,
             travelled=total,
             usual_noise=usual,
@@ -127,7 +134,15 @@ def judged(
         level = max(level, Level.DOUBTFUL)
     why = (*(fault.text for fault in faults), *extra, *reasons, *more)
     verdict = (GeometryVerdict.CALIBRATED, GeometryVerdict.DOUBTFUL, GeometryVerdict.WRONG)[level]
-    return Judgement(verdict, Adequacy(position.before, position.after, position.noise, position.held_out), why)
+    figures = (part for of_pose in (position, heading) for part in _figures(of_pose))
+    return Judgement(verdict, Adequacy(*figures), why)
+
+
+def _figures(residuals: Residuals) -> tuple[float, float, float, float]:
+    """Return before, after, noise, held out, 0 where nothing was measured."""
+    if residuals.before == residuals.after == 0.0:
+        return 0.0, 0.0, 0.0, 0.0
+    return residuals.before, residuals.after, residuals.noise, residuals.held_out
 
 
 def _used(whole: Model, outliers: Sequence[str]) -> BoolArray:

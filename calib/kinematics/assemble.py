@@ -13,8 +13,9 @@ from calib.kinematics.blunders import Fault, factor_faults
 from calib.kinematics.drives import MeanHeld
 from calib.kinematics.joint_fit import NOMINAL_STD, Fitted
 from calib.kinematics.model import Model
-from calib.kinematics.recording import Recording, Segments, end_pose_segments
+from calib.kinematics.recording import Recording
 from calib.kinematics.result import Estimate, Geometry, RouteResidual
+from calib.kinematics.segments import Segments, end_pose_segments
 from calib.kinematics.solve import COMPONENTS, Solution
 from calib.kinematics.umbmark import Umbmark, umbmark
 from calib.kinematics.uncertainty import ENOUGH_RUNS
@@ -181,8 +182,10 @@ def _notes(fitted: Fitted) -> tuple[str, ...]:
             "independent. What they share is no noise; 'calib diagnose' looks for its cause."
         )
     if isinstance(fitted.model.drive, MeanHeld):
+        positions = fitted.model.segments.seen[:, :2].any()
+        what = "These paths close, or nearly so, at any scale" if positions else "Headings alone hold at any scale"
         notes.append(
-            "These paths close, or nearly so, at any scale: the mean radius is not determined and was held at its "
+            f"{what}: the mean radius is not determined and was held at its "
             f"nominal value within {100 * NOMINAL_STD:g} %. The ratio of the radii and the track over the mean radius "
             "are determined; a straight run of known length would determine the scale."
         )

@@ -7,8 +7,9 @@ stands leaves, relative to the distance travelled, so that no unit makes residua
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -17,8 +18,10 @@ from calib.errors import CalibError
 from calib.kinematics.adequacy import FEW_OUTLIERS
 from calib.kinematics.blunders import Fault
 from calib.kinematics.drives import Drive, Parameters, sensor_parameters
+from calib.kinematics.joint_fit import drive_of
 from calib.kinematics.model import Model
-from calib.kinematics.recording import Recording, Segments
+from calib.kinematics.recording import Recording
+from calib.kinematics.segments import Segments
 from calib.kinematics.solve import solve
 from calib.types import FloatArray
 
@@ -30,6 +33,10 @@ if TYPE_CHECKING:
 CLEARLY_LESS: Final = 0.5
 #: and less than this share of the distance travelled: what a calibrated vehicle may leave
 SMALL_SHARE: Final = 0.03
+#: a right reading's displacements are as long as those of the wheels, within this factor, and point their way, in rad:
+#: lengths and mounting angles stay within it
+SAME_LENGTH: Final = 1.3
+SAME_WAY_RAD: Final = 0.3
 #: readings that leave no more than this much of the least are alike: the first of them, the simplest, is named
 ALIKE: Final = 1.3
 #: lengths further from nominal are no calibration
@@ -57,8 +64,11 @@ ANGLE_UNITS: Final = {"degrees": np.pi / 180.0, "turns": 2.0 * np.pi, "gon": np.
 #: factors that counts per revolution are wrong by
 COUNT_FACTORS: Final = {"half": 0.5, "twice": 2.0, "a quarter of": 0.25, "four times": 4.0}
 
+#: factors that a track is stated wrong by: from the middle to a wheel
+TRACK_FACTORS: Final = {"half": 0.5, "twice": 2.0}
+
 Change = Callable[[Recording], Recording]
-Divide = Callable[[Recording], Segments]
+Divide = Callable[["Campaign", Recording], Segments]
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,46 +77,61 @@ class Reading:
 
     blunder: Fault
     change: Change
+    #: the same with the column in question zero: a reading that is no better takes the column's words away, no more
+    zeroed: Change | None = None
+    #: a setting that it corrects
+    setting: Callable[[Campaign], Campaign] | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """What a reading leaves: residual, root mean square, as a share of the distance and rotation, and whether it is plausible."""
+    """What a reading leaves, and whether it is plausible."""
 
+    #: residual, root mean square, as a share of the distance and rotation
     share: float
+    #: lengths are near nominal, and displacements as long as those of the wheels and of their direction
     plausible: bool
-    turned_rad: float  #: angle by which the reference's displacements are turned against those of the wheels
+    #: angle by which the reference's displacements are turned against those of the wheels
+    turned_rad: float
 
 
 def find_blunder(
-    campaign: Campaign, recording: Recording, drive: Drive, divide: Divide
-) -> tuple[Recording, Fault] | None:
-    """Return the recording with its blunder corrected, and the blunder; None where no reading explains the data.
+    campaign: Campaign, recording: Recording, source: str, divide: Divide
+) -> tuple[Campaign, Recording, Fault] | None:
+    """Return settings and recording put right, and the blunder; None where no reading explains the data.
 
     Parameters
     ----------
     campaign : Campaign
-        States encoder and noise of the reference.
+        States vehicle, encoder and noise of the reference.
     recording : Recording
         As it stands.
-    drive : Drive
-        With its nominal values.
+    source : {"rear", "front", "wheels"}
+        Which wheels drive the odometry.
     divide : callable
-        Cuts a recording into the segments that are compared.
+        Cuts a recording into the segments that are compared, by the nominal vehicle of a campaign.
     """
     per_rev = float(campaign.encoder.counts_per_rev_left or campaign.encoder.front)
-    as_it_stands = _tried(campaign, recording, drive, divide)
-    best: list[tuple[float, Recording, Fault]] = []
+    drive = drive_of(campaign, source, recording)
+
+    def tried(change: Change, setting: Callable[[Campaign], Campaign] | None = None) -> Trial:
+        stated = setting(campaign) if setting else campaign
+        return _tried(stated, change(recording), drive_of(stated, source, recording) if setting else drive, divide)
+
+    as_it_stands = tried(_unchanged)
+    enough = min(SMALL_SHARE, CLEARLY_LESS * as_it_stands.share)
+    best: list[tuple[float, Reading]] = []
     for reading in _readings(recording, per_rev, drive, as_it_stands.turned_rad):
-        corrected = reading.change(recording)
-        trial = _tried(campaign, corrected, drive, divide)
-        if trial.plausible and trial.share < min(SMALL_SHARE, CLEARLY_LESS * as_it_stands.share):
-            best.append((trial.share, corrected, reading.blunder))
+        trial = tried(reading.change, reading.setting)
+        if not trial.plausible or trial.share >= enough:
+            continue
+        if reading.zeroed is None or trial.share < CLEARLY_LESS * tried(reading.zeroed).share:
+            best.append((trial.share, reading))
     if not best:
         return None
-    least = min(share for share, *_ in best)
-    _, corrected, blunder = next(one for one in best if one[0] <= ALIKE * least)
-    return corrected, blunder
+    least = min(share for share, _ in best)
+    chosen = next(reading for share, reading in best if share <= ALIKE * least)
+    return chosen.setting(campaign) if chosen.setting else campaign, chosen.change(recording), chosen.blunder
 
 
 def _tried(campaign: Campaign, recording: Recording, drive: Drive, divide: Divide) -> Trial:
@@ -116,7 +141,7 @@ def _tried(campaign: Campaign, recording: Recording, drive: Drive, divide: Divid
     parameters = Parameters.of((*drive.parameters, *place), [item.name for item in drive.parameters])
     scales = np.array([reference.sigma_xy_m**2, reference.sigma_theta_rad**2, *WALKS])
     try:
-        segments = divide(recording)
+        segments = divide(campaign, recording)
         model = Model(drive, recording, segments)
         with np.errstate(all="ignore"):
             values = solve(model, parameters, parameters.nominal, scales).values
@@ -138,9 +163,10 @@ def _tried(campaign: Campaign, recording: Recording, drive: Drive, divide: Divid
     )
     told = segments.measured - residuals
     ahead, seen = told[:, 0] + 1j * told[:, 1], segments.measured[:, 0] + 1j * segments.measured[:, 1]
-    return Trial(
-        _trimmed(share), bool((np.abs(change) < PLAUSIBLE_CHANGE).all()), float(np.angle(np.vdot(ahead, seen)))
-    )
+    turned = float(np.angle(np.vdot(ahead, seen)))
+    stretched = float(np.sum(np.abs(seen)) / max(float(np.sum(np.abs(ahead))), 1e-12))
+    near = bool((np.abs(change) < PLAUSIBLE_CHANGE).all()) and 1.0 / SAME_LENGTH < stretched < SAME_LENGTH
+    return Trial(_trimmed(share), near and abs(turned) < SAME_WAY_RAD, turned)
 
 
 def _trimmed(squares: FloatArray) -> float:
@@ -160,6 +186,7 @@ def _readings(recording: Recording, per_rev: float, drive: Drive, turned_rad: fl
     """Yield readings, the simplest first."""
     yield from _axes(turned_rad)
     yield from _units()
+    yield from _tracks(drive)
     yield from _wheel_units(per_rev, drive)
     yield from _wraps(recording, per_rev)
     yield from _increments(recording)
@@ -177,8 +204,12 @@ def _referred(change: Callable[[FloatArray], FloatArray]) -> Change:
     return changed
 
 
-def _linear(matrix: list[list[float]]) -> Change:
+def _linear(matrix: Sequence[Sequence[float]]) -> Change:
     return _referred(lambda pose: np.asarray(np.array(matrix) @ np.nan_to_num(pose) + 0.0 * pose))
+
+
+def _scaled(x: float, y: float, theta: float) -> Change:
+    return _linear([[x, 0, 0], [0, y, 0], [0, 0, theta]])
 
 
 def _axes(turned_rad: float) -> Iterator[Reading]:
@@ -212,10 +243,28 @@ def _units() -> Iterator[Reading]:
     for unit, metres in LENGTH_UNITS.items():
         for columns, x, y in (("ref_x_m, ref_y_m", metres, metres), ("ref_x_m", metres, 1.0), ("ref_y_m", 1.0, metres)):
             text = f"{columns}: found {unit} where metres are expected; convert, or state the unit in the mapping"
-            yield Reading(Fault("position_unit", text), _linear([[x, 0, 0], [0, y, 0], [0, 0, 1]]))
+            zeroed = _scaled(float(x == 1.0), float(y == 1.0), 1.0)
+            yield Reading(Fault("position_unit", text), _scaled(x, y, 1.0), zeroed)
     for unit, radians in ANGLE_UNITS.items():
         text = f"ref_theta_rad: found {unit} where radians are expected; convert, or state the unit in the mapping"
-        yield Reading(Fault("heading_unit", text), _linear([[1, 0, 0], [0, 1, 0], [0, 0, float(radians)]]))
+        yield Reading(Fault("heading_unit", text), _scaled(1.0, 1.0, float(radians)), _scaled(1.0, 1.0, 0.0))
+
+
+def _unchanged(recording: Recording) -> Recording:
+    return recording
+
+
+def _tracks(drive: Drive) -> Iterator[Reading]:
+    """Yield a track that was stated as half of it, or twice."""
+    if not any(item.name == "track_m" for item in drive.parameters):
+        return
+    for words, factor in TRACK_FACTORS.items():
+
+        def stated(campaign: Campaign, factor: float = factor) -> Campaign:
+            return replace(campaign, model=replace(campaign.model, track_m=factor * campaign.model.track_m))
+
+        text = f"track_m: {words} the stated track explains the data; correct [vehicle]"
+        yield Reading(Fault("track", text), _unchanged, setting=stated)
 
 
 def _turned(factors: FloatArray | float) -> Change:
@@ -287,7 +336,7 @@ def _steering(steer: FloatArray) -> Iterator[Reading]:
 
     for unit, radians in ANGLE_UNITS.items():
         text = f"steer_rad: found {unit} where radians are expected; convert, or state the unit in the mapping"
-        yield Reading(Fault("steering_unit", text), steered(lambda angle, radians=radians: angle * radians))
+        yield Reading(Fault("steering_unit", text), steered(partial(np.multiply, float(radians))))
     period = float(np.max(steer))
     if np.min(steer) >= 0.0 and period > 0.0:
         for factor in (1.0, 1.001, 1.01):

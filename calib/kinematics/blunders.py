@@ -12,7 +12,8 @@ import numpy as np
 from calib.errors import RefusedError
 from calib.kinematics.drives import Drive, Steps
 from calib.kinematics.model import Model
-from calib.kinematics.recording import Recording, Segments
+from calib.kinematics.recording import Recording
+from calib.kinematics.segments import Segments
 from calib.types import FloatArray
 
 #: how far a ratio may be from a factor and still be taken for it, relative

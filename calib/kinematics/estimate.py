@@ -17,8 +17,9 @@ from calib.kinematics.delays import Delay, own_delays, sought_delays
 from calib.kinematics.drives import integrate_motion, moved_between
 from calib.kinematics.joint_fit import Fitted, drive_of, fit_parameters
 from calib.kinematics.model import Model
-from calib.kinematics.recording import Recording, Segments, end_pose_segments, recording_of, window_segments
+from calib.kinematics.recording import Recording, recording_of
 from calib.kinematics.result import Geometry, RunPath, Transfer
+from calib.kinematics.segments import Segments, end_pose_segments, window_segments
 from calib.kinematics.uncertainty import ENOUGH_RUNS
 from calib.types import FloatArray, Progress, silent, stepped
 
@@ -76,6 +77,7 @@ def estimate_geometry(
     campaign = of_kinds(campaign, kinds)
     source = odometry_source(campaign)
     recording = recording_of(campaign, source)
+    recording.refuse_constant_heading(_nominal_turn(campaign, source, recording))
     way = using or _way(recording)
     task = _Task(campaign, source, way, (way == "windows") if sensor is None else sensor, progress)
     try:
@@ -132,17 +134,16 @@ def _estimated(task: _Task, recording: Recording, found: tuple[Fault, ...] = ())
 def _without_blunder(task: _Task, recording: Recording) -> Geometry | None:
     """Return the geometry of the recording with its blunder corrected; None where no blunder explains it."""
     task.progress(0, 0, "blunders")
-    drive = drive_of(task.campaign, task.source, recording)
 
-    def divided(other: Recording) -> Segments:
-        return next(_divisions(_with_turns_right(task.campaign, task.source, other)[0], task.way))
+    def divided(campaign: Campaign, other: Recording) -> Segments:
+        return next(_divisions(_with_turns_right(campaign, task.source, other)[0], task.way))
 
-    found = find_blunder(task.campaign, recording, drive, divided)
+    found = find_blunder(task.campaign, recording, task.source, divided)
     if found is None:
         return None
-    corrected, blunder = found
+    campaign, corrected, blunder = found
     try:
-        return _estimated(task, corrected, (blunder,))
+        return _estimated(replace(task, campaign=campaign), corrected, (blunder,))
     except RefusedError as error:
         raise RefusedError(f"{error}; {blunder.text}") from error
 
@@ -169,10 +170,15 @@ def _way(recording: Recording) -> Using:
 
 def _with_turns_right(campaign: Campaign, source: str, recording: Recording) -> tuple[Recording, list[str]]:
     """Return the recording with end headings right by whole turns, by the nominal vehicle, and the runs alone off."""
+    turn = _nominal_turn(campaign, source, recording)
+    return recording.with_turns_right(np.add.reduceat(turn, recording.offsets[:-1]))
+
+
+def _nominal_turn(campaign: Campaign, source: str, recording: Recording) -> FloatArray:
+    """Return the turn in each step by the nominal vehicle, shape (n_samples,)."""
     drive = drive_of(campaign, source, recording)
     nominal = np.array([item.nominal for item in drive.parameters])
-    turn = drive.motion(nominal, recording.steps).body[2]
-    return recording.with_turns_right(np.add.reduceat(turn, recording.offsets[:-1]))
+    return np.asarray(drive.motion(nominal, recording.steps).body[2])
 
 
 def _divisions(recording: Recording, using: Using) -> Iterator[Segments]:

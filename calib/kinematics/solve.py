@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.kinematics.drives import Parameters, Path
 from calib.kinematics.model import Model, Prediction
-from calib.kinematics.recording import Segments
+from calib.kinematics.segments import Segments
 from calib.types import BoolArray, FloatArray, IntArray
 
 #: variances that make up the covariance of a displacement: of position and heading by the reference (m^2, rad^2),

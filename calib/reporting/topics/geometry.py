@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Final
 
 from calib.kinematics.result import Estimate, RouteResidual, Transfer
@@ -61,13 +62,19 @@ def verdict_sentences(geometry: Geometry) -> list[str]:
     verdict = geometry.verdict.value.capitalize()
     if geometry.judgement is None:
         return [f"{verdict}: {text}." for text in geometry.why]
-    adequacy = geometry.judgement.adequacy
-    before, after, held_out, noise = (
-        f"{1e3 * value:.3g} mm"
-        for value in (adequacy.before_rms_m, adequacy.after_rms_m, adequacy.held_out_rms_m, adequacy.noise_rms_m)
-    )
-    figures = f"position error {before} before, {after} after, {held_out} on held-out runs; noise {noise}"
-    return [f"{verdict}: {figures}.", *(f"{text[0].upper()}{text[1:]}." for text in geometry.why)]
+    errors = asdict(geometry.judgement.adequacy)
+    parts = [
+        f"{what} {before} before, {after} after, {held_out} on held-out runs; noise {noise}"
+        for what, prefix, unit in (("position error", "", "m"), ("heading error", "heading_", "rad"))
+        if errors[f"{prefix}before_rms_{unit}"]
+        for before, after, held_out, noise in [
+            [
+                f"{1e3 * errors[f'{prefix}{at}_rms_{unit}']:.3g} m{unit}"
+                for at in ("before", "after", "held_out", "noise")
+            ]
+        ]
+    ]
+    return [f"{verdict}: {'. '.join(parts)}.", *(f"{text[0].upper()}{text[1:]}." for text in geometry.why)]
 
 
 def geometry_sentences(geometry: Geometry) -> list[str]:
