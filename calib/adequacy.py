@@ -14,12 +14,8 @@ LACK_OF_FIT: Final = 3.0
 SMALL_SHARE: Final = 0.005
 #: a result that leaves more than this share of the error on held-out runs explains nothing of it
 USELESS_SHARE: Final = 0.9
-#: a residual above this share of the way travelled, or of the rotation, is no calibration, whatever it was before
+#: a residual above this share of the way travelled, or of the rotation, is no calibration
 WRONG_SHARE: Final = 0.05
-
-
-#: replicates that scatter by more than this share of the way, or of the rotation, did more than roll
-SCATTER_SHARE: Final = 0.01
 
 
 class Level(IntEnum):
@@ -56,9 +52,9 @@ def judge(
     )
     of = "way travelled" if what == "position" else "rotation"
     scattered = residuals.noise / max(residuals.travelled, 1e-12)
-    if scattered > SCATTER_SHARE and residuals.noise > LACK_OF_FIT * residuals.usual_noise:
-        reason = f"{what}: runs driven alike scatter by {noise}, {100 * scattered:.2g} % of the {of}"
-        return Level.DOUBTFUL, (f"{reason}: more than wheels that roll; look for slip, strafing and a bad reference",)
+    if scattered > WRONG_SHARE and residuals.noise > LACK_OF_FIT * residuals.usual_noise:
+        reason = f"{what}: replicates scatter by {noise}, {100 * scattered:.2g} % of the {of}"
+        return Level.WRONG, (f"{reason}: more than wheels that roll; look for slip and a bad reference",)
     small = max(LACK_OF_FIT * residuals.noise, SMALL_SHARE * residuals.travelled)
     if max(residuals.after, residuals.held_out) <= small:
         return Level.ADEQUATE, ()

@@ -264,9 +264,28 @@ def from_geometry(
     the mean load of the runs: the uncertainty of a radius grows with the distance from that load. The valid range is
     then all that the vehicle may carry. Lengths that were not determined keep their nominal value, with 1 %.
 
-    `campaign`: the one it was estimated from; `outside` ({"refuse", "clamp"}): what the vehicle does with a load
-    outside the valid range; `created`: date as YYYY-MM-DD; `accept`: why a doubtful or wrong geometry is passed on all
-    the same, written into the file. Raises ImplausibleError where it is doubtful or wrong and no reason is given.
+    Parameters
+    ----------
+    geometry : Geometry
+        What was estimated.
+    campaign : Campaign
+        The one it was estimated from.
+    outside : {"refuse", "clamp"}
+        What the vehicle does with a load outside the valid range.
+    created : str
+        Date as YYYY-MM-DD.
+    accept : str
+        Why a doubtful or wrong geometry is passed on all the same, written into the file.
+
+    Returns
+    -------
+    CoefficientFile
+        With the uncertainties of the geometry.
+
+    Raises
+    ------
+    ImplausibleError
+        Where the geometry is doubtful or wrong and no reason is given.
     """
     findings = geometry.why
     if not geometry.passed and not accept:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from calib.adequacy import Level, Residuals, judge
+from calib.adequacy import LACK_OF_FIT, SMALL_SHARE, Level, Residuals, judge
 from calib.kinematics.blunders import Fault
 from calib.kinematics.joint_fit import Fitted
 from calib.kinematics.model import Model
@@ -72,6 +72,8 @@ class Judgement:
     verdict: GeometryVerdict
     adequacy: Adequacy
     why: tuple[str, ...]
+    #: blunders that are named: none of those recognised where the data stay unexplained once they are corrected
+    faults: tuple[Fault, ...] = ()
 
 
 def judged(
@@ -126,16 +128,21 @@ def judged(
     level, reasons = judge(position)
     level_of_heading, more = judge(heading, "heading", "mrad")
     level = max(level, level_of_heading)
-    impossible = _implausible(fitted)
-    extra = [*impossible, *_at_odds(whole, outliers)]
-    if faults or impossible:
+    # a factor that is recognised says by itself that the length is off
+    impossible = [] if {fault.code for fault in faults} & {"half_track", "radius_factor"} else _implausible(fitted)
+    large = (np.hypot(*after[:, :2].T) > SMALL_SHARE * way_m) | (
+        np.abs(after[:, 2]) > SMALL_SHARE * np.maximum(rotation_rad, LEAST_ROTATION_RAD)
+    )
+    named = tuple(faults) if level < Level.WRONG else ()
+    extra = [*impossible, *_at_odds(whole, outliers, large), *_sideways(position, heading)]
+    if named or impossible:
         level = Level.WRONG
     elif extra:
         level = max(level, Level.DOUBTFUL)
-    why = (*(fault.text for fault in faults), *extra, *reasons, *more)
+    why = (*(fault.text for fault in named), *extra, *reasons, *more)
     verdict = (GeometryVerdict.CALIBRATED, GeometryVerdict.DOUBTFUL, GeometryVerdict.WRONG)[level]
     figures = (part for of_pose in (position, heading) for part in _figures(of_pose))
-    return Judgement(verdict, Adequacy(*figures), why)
+    return Judgement(verdict, Adequacy(*figures), why, named)
 
 
 def _figures(residuals: Residuals) -> tuple[float, float, float, float]:
@@ -148,7 +155,7 @@ def _figures(residuals: Residuals) -> tuple[float, float, float, float]:
 def _used(whole: Model, outliers: Sequence[str]) -> BoolArray:
     """Return the segments that are judged: all but those of few single bad runs, which are named by themselves.
 
-    Where all runs driven alike are outliers, they are no single bad ones.
+    Where all replicates are outliers, they are no single bad ones.
     """
     segments, recording = whole.segments, whole.recording
     bad: BoolArray = np.isin(recording.run_id, list(outliers))
@@ -186,7 +193,7 @@ def _scatter(after: FloatArray, group: IntArray, used: BoolArray) -> float | Non
 
 
 def _replicates(whole: Model, path: FloatArray) -> IntArray:
-    """Return a number for each segment, the same for those that were driven alike by their wheels."""
+    """Return a number for each segment, the same for those that are replicates by their wheels."""
     measured = whole.segments.measured
     told = measured - whole.predict(np.concatenate([_nominal(whole), np.zeros(4)])).residuals
     group = np.full(len(path), -1, dtype=np.int64)
@@ -246,9 +253,27 @@ def _implausible(fitted: Fitted) -> list[str]:
     return sentences
 
 
-def _at_odds(whole: Model, outliers: Sequence[str]) -> list[str]:
-    """Return a sentence where so many runs are outliers that they are no single bad ones."""
-    n_runs = len(np.unique(whole.segments.run))
-    if len(outliers) <= MANY_OUTLIERS * n_runs:
+def _sideways(position: Residuals, heading: Residuals) -> list[str]:
+    """Return a sentence where positions are off by more than headings and the usual drift can make them."""
+    if not heading.before:
         return []
-    return [f"{len(outliers)} of {n_runs} runs are outliers: look at their references, times and counts"]
+    rolled = float(np.hypot(heading.after * position.travelled, position.usual_noise))
+    if position.after <= LACK_OF_FIT * rolled:
+        return []
+    return [
+        f"position: {1e3 * position.after:.3g} mm are left where the headings and the usual drift make "
+        f"{1e3 * rolled:.3g} mm: the vehicle moves as its wheels do not (it strafes or slides sideways), or the "
+        "reference's positions are wrong"
+    ]
+
+
+def _at_odds(whole: Model, outliers: Sequence[str], large: BoolArray) -> list[str]:
+    """Return a sentence where so many runs are outliers that they are no single bad ones.
+
+    `large` (shape (n_segments,)): which residuals are no small share of the way; small ones are no blunder.
+    """
+    n_runs = len(np.unique(whole.segments.run))
+    n_off = len(np.intersect1d(outliers, whole.recording.run_id[np.unique(whole.segments.run[large])]))
+    if n_off <= MANY_OUTLIERS * n_runs:
+        return []
+    return [f"{n_off} of {n_runs} runs are outliers: look at their references, times and counts"]

@@ -90,6 +90,7 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
         if source == "rear" and len(whole.segments) and whole.segments.are_runs_of(whole.recording)
         else Umbmark(False, why="squares of a vehicle with two encoders on one axle are needed")
     )
+    judgement = judged(campaign, fitted, whole, faults, outliers)
     return Geometry(
         name=campaign.name,
         simulated=campaign.simulated,
@@ -108,13 +109,13 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
         noise=dict(zip(COMPONENTS, np.sqrt(solution.scales).tolist(), strict=True)),
         residual_rms=rms(after.residuals),
         outliers=outliers,
-        faults=faults,
+        faults=judgement.faults,
         mirrored=any(fault.code in {"reversed_front", "reversed_steering", "reversed_both"} for fault in faults),
         umbmark=squares,
         routes=route_table(model.recording, whole.segments, before.residuals, after.residuals),
         notes=_notes(fitted),
         inputs=campaign.hashes,
-        judgement=judged(campaign, fitted, whole, faults, outliers),
+        judgement=judgement,
     )
 
 

@@ -98,7 +98,7 @@ class Trial:
 def find_blunder(
     campaign: Campaign, recording: Recording, source: str, divide: Divide
 ) -> tuple[Campaign, Recording, Fault] | None:
-    """Return settings and recording put right, and the blunder; None where no reading explains the data.
+    """Return settings and recording corrected, and the blunder; None where no reading explains the data.
 
     Parameters
     ----------
@@ -119,13 +119,15 @@ def find_blunder(
         return _tried(stated, change(recording), drive_of(stated, source, recording) if setting else drive, divide)
 
     as_it_stands = tried(_unchanged)
-    enough = min(SMALL_SHARE, CLEARLY_LESS * as_it_stands.share)
+    # a fit of lengths that no vehicle has explains nothing
+    enough = min(SMALL_SHARE, CLEARLY_LESS * as_it_stands.share if as_it_stands.plausible else SMALL_SHARE)
     best: list[tuple[float, Reading]] = []
     for reading in _readings(recording, per_rev, drive, as_it_stands.turned_rad):
         trial = tried(reading.change, reading.setting)
         if not trial.plausible or trial.share >= enough:
             continue
-        if reading.zeroed is None or trial.share < CLEARLY_LESS * tried(reading.zeroed).share:
+        without = tried(reading.zeroed) if reading.zeroed else None
+        if without is None or not without.plausible or trial.share < CLEARLY_LESS * without.share:
             best.append((trial.share, reading))
     if not best:
         return None
@@ -264,7 +266,7 @@ def _tracks(drive: Drive) -> Iterator[Reading]:
             return replace(campaign, model=replace(campaign.model, track_m=factor * campaign.model.track_m))
 
         text = f"track_m: {words} the stated track explains the data; correct [vehicle]"
-        yield Reading(Fault("track", text), _unchanged, setting=stated)
+        yield Reading(Fault("half_track" if factor > 1.0 else "double_track", text), _unchanged, setting=stated)
 
 
 def _turned(factors: FloatArray | float) -> Change:
@@ -286,7 +288,9 @@ def _wheel_units(per_rev: float, drive: Drive) -> Iterator[Reading]:
             yield Reading(Fault("count_unit", text), _turned(np.where(which, factor, 1.0)))
         for words, factor in COUNT_FACTORS.items():
             text = f"counts of {side}: {words} the stated counts_per_rev explains the data; correct [encoder]"
-            yield Reading(Fault("counts_per_rev", text), _turned(np.where(which, 1.0 / factor, 1.0)))
+            code = "radius_factor" if which.all() else "counts_per_rev"
+            text += ", or the radius (a diameter?)" if which.all() else ""
+            yield Reading(Fault(code, text), _turned(np.where(which, 1.0 / factor, 1.0)))
 
 
 def _wraps(recording: Recording, per_rev: float) -> Iterator[Reading]:

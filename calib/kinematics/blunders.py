@@ -148,7 +148,7 @@ def factor_faults(nominal: Mapping[str, float], estimated: Mapping[str, float]) 
         if name in estimated:
             ratio = estimated[name] / nominal[name]
             explained = _factor(name, ratio, RADIUS_FACTORS)
-            if not explained and not 1.0 / FARTHEST < ratio < FARTHEST:
+            if not explained and ratio > 0.0 and not 1.0 / FARTHEST < ratio < FARTHEST:
                 text = f"{name} is {ratio:.3g} times the nominal value; check counts per revolution and units"
                 explained = [Fault("radius_factor", text)]
             faults += explained
