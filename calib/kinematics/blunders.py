@@ -26,6 +26,8 @@ RADIUS_FACTORS: Final = {
     4.0: "four times the radius: a quarter of the counts per revolution (quadrature)",
     0.25: "a quarter of the radius: four times the counts per revolution (quadrature)",
     float(np.pi): "pi times the radius",
+    1.0 / 0.3048: "1 / 0.3048 times: positions in feet taken for m",
+    1.0 / 0.0254: "1 / 0.0254 times: positions in inches taken for m",
     1e-3: "a thousandth: positions in m taken for mm, or lengths of the settings in mm taken for m",
     1e3: "a thousand times: positions in mm taken for m",
     1e-2: "a hundredth: positions in m taken for cm, or lengths of the settings in cm taken for m",
@@ -176,14 +178,13 @@ def refuse_heading_unit(told_rad: FloatArray, measured_rad: FloatArray) -> None:
 
 
 def _factor(name: str, ratio: float, factors: dict[float, str]) -> list[Fault]:
-    return [
-        Fault(
-            "half_track" if meaning.endswith("the track") else "radius_factor",
-            f"{name} is {ratio:.3g} times the nominal value, {meaning}; correct the settings or the mapping",
-        )
-        for factor, meaning in factors.items()
-        if abs(ratio / factor - 1.0) < NEAR
-    ]
+    factor = min(factors, key=lambda one: abs(ratio / one - 1.0))
+    if abs(ratio / factor - 1.0) >= NEAR:
+        return []
+    meaning = factors[factor]
+    code = "half_track" if meaning.endswith("the track") else "radius_factor"
+    text = f"{name} is {ratio:.3g} times the nominal value, {meaning}; correct the settings or the mapping"
+    return [Fault(code, text)]
 
 
 WHEELS: Final = ("front_left", "front_right", "rear_left", "rear_right")
