@@ -37,6 +37,8 @@ SMALL_SHARE: Final = 0.03
 #: lengths and mounting angles stay within it
 SAME_LENGTH: Final = 1.3
 SAME_WAY_RAD: Final = 0.3
+#: linearisations of a trial: a right reading is near its end after four, a wrong one never
+TRIAL_ROUNDS: Final = 6
 #: readings that leave no more than this much of the least are alike: the first of them, the simplest, is named
 ALIKE: Final = 1.3
 #: lengths further from nominal are no calibration
@@ -146,7 +148,7 @@ def _tried(campaign: Campaign, recording: Recording, drive: Drive, divide: Divid
         segments = divide(campaign, recording)
         model = Model(drive, recording, segments)
         with np.errstate(all="ignore"):
-            values = solve(model, parameters, parameters.nominal, scales).values
+            values = solve(model, parameters, parameters.nominal, scales, TRIAL_ROUNDS).values
             residuals = model.predict(values).residuals
             body = drive.motion(values[:-4], recording.steps).body
     except (CalibError, np.linalg.LinAlgError, ValueError):

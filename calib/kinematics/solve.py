@@ -146,18 +146,20 @@ class Solution:
     converged: bool
 
 
-def solve(model: Model, parameters: Parameters, start: FloatArray, scales: FloatArray) -> Solution:
+def solve(
+    model: Model, parameters: Parameters, start: FloatArray, scales: FloatArray, rounds: int = ROUNDS
+) -> Solution:
     """Return the parameters that the data make most likely.
 
     `model`: predicts displacements; `start` (shape (n_parameters,)): where to begin; `scales` (shape (4,)): variances
-    of the noise's components to begin with.
+    of the noise's components to begin with; `rounds`: linearisations at most.
     """
     values, least = start.copy(), LEAST * scales
     free, prior = parameters.free, parameters.prior_std
     seen = model.segments.seen
     size = seen.sum(axis=1)
     prediction, converged = model.predict(values), False
-    for number in range(ROUNDS):
+    for number in range(rounds):
         if number < NOISE_ROUNDS:
             kernel = _kernel(model, prediction, values)
         problem = _Linear(prediction.residuals, prediction.jacobian[:, :, free] * prior[free], seen, size)

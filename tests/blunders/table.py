@@ -11,6 +11,7 @@ import io
 import json
 import sys
 import tempfile
+from collections.abc import Collection
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
@@ -155,7 +156,12 @@ def _right(document: dict[str, Any]) -> bool:
     return bool(named) and named <= RIGHT
 
 
-def rows(names: list[str], *, diagnose: bool, folder: Path) -> list[Row]:
+REFERENCES: Final = {"end poses": False, "along": True}
+
+
+def rows(
+    names: Collection[str], *, diagnose: bool, folder: Path, references: Collection[str] = tuple(REFERENCES)
+) -> list[Row]:
     """Return the rows of the named blunders; all of them where none is named."""
     found = []
     for changes, make in ((DIFFERENTIAL, plant.differential), (TRICYCLE, plant.tricycle)):
@@ -165,7 +171,8 @@ def rows(names: list[str], *, diagnose: bool, folder: Path) -> list[Row]:
                 continue
             altered = sound.copy()
             change(altered)
-            for reference, along in (("end poses", False), ("along", True)):
+            for reference in references:
+                along = REFERENCES[reference]
                 place = plant.write(altered, folder / f"{len(found)}", along=along)
                 diagnosis = ask("diagnose", str(place)) if diagnose and not along else None
                 using = ["--using", "windows"] if along else []

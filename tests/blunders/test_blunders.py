@@ -25,6 +25,6 @@ NAMES = (
 @pytest.mark.parametrize("name", NAMES)
 def test_a_blunder_never_passes_and_is_not_named_otherwise(name: str, tmp_path: Path) -> None:
     """The plant shares no code with the package."""
-    at_end, _ = rows([name], diagnose=False, folder=tmp_path)
+    (at_end,) = rows([name], diagnose=False, folder=tmp_path, references=["end poses"])
     assert at_end.geometry.status != 0
     assert not at_end.misnamed
