@@ -267,7 +267,7 @@ def _tracks(drive: Drive) -> Iterator[Reading]:
         def stated(campaign: Campaign, factor: float = factor) -> Campaign:
             return replace(campaign, model=replace(campaign.model, track_m=factor * campaign.model.track_m))
 
-        text = f"track_m: {words} the stated track explains the data; correct [vehicle]"
+        text = f"track_m: {words} the track that is stated explains the data; correct [vehicle]"
         yield Reading(Fault("half_track" if factor > 1.0 else "double_track", text), _unchanged, setting=stated)
 
 

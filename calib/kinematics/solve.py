@@ -151,8 +151,23 @@ def solve(
 ) -> Solution:
     """Return the parameters that the data make most likely.
 
-    `model`: predicts displacements; `start` (shape (n_parameters,)): where to begin; `scales` (shape (4,)): variances
-    of the noise's components to begin with; `rounds`: linearisations at most.
+    Parameters
+    ----------
+    model : Model
+        Predicts displacements.
+    parameters : Parameters
+        Those that are estimated, with the spread of what is possible.
+    start : array, shape (n_parameters,)
+        Where to begin.
+    scales : array, shape (4,)
+        Variances of the noise's components to begin with.
+    rounds : int
+        Linearisations at most.
+
+    Returns
+    -------
+    Solution
+        With `converged` False where the last step was long.
     """
     values, least = start.copy(), LEAST * scales
     free, prior = parameters.free, parameters.prior_std
