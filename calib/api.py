@@ -361,7 +361,7 @@ def export(
 
     options = ExportOptions(loads=parse_loads(loads), controllers=tuple(controllers))
     if isinstance(source, Campaign) and without_rear_wheels(source):
-        master = from_geometry(geometry(source), source)
+        master = from_geometry(geometry(source), source, accept=accept_implausible)
     else:
         law = fit(source) if isinstance(source, Campaign) else source
         master = from_fit(replace(law, accepted=accept_implausible))

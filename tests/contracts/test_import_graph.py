@@ -16,6 +16,7 @@ PACKAGE = ROOT / "calib"
 ORDER: Mapping[str, tuple[str, ...]] = {
     "calib": (
         "types",
+        "adequacy",
         "errors",
         "documents",
         "inputs",
