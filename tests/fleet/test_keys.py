@@ -40,8 +40,6 @@ def _radius(text: str) -> str:
     """Return settings with another radius of as many digits."""
     pattern = r"(wheel_radius_m = 0\.\d*?)(\d)\b"
     return re.sub(pattern, lambda found: f"{found[1]}{(int(found[2]) + 1) % 10}", text, count=1)
-        r"(wheel_radius_m = 0\.\d*?)(\d)\b", lambda found: f"{found[1]}{(int(found[2]) + 1) % 10}", text, count=1
-    )
 
 
 def _last_digit(text: str) -> str:
