@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
-from calib.errors import MissingExtraError, RefusedError
+from calib.errors import RefusedError
 
 if TYPE_CHECKING:
     from concurrent.futures import Future, ProcessPoolExecutor
@@ -22,16 +22,13 @@ Outcome = tuple[Sequence[Item], list[Result] | None]
 #: end together
 PARTS_OF_A_SHARE: Final = 2
 #: pieces of work in a batch, least and most: in this process (between two progress reports); in processes, where a file
-#: takes 3 ms or more and a hand-over 2 ms; with Dask, where a task costs client, scheduler and worker 8 ms together
+#: takes 3 ms or more and a hand-over 2 ms
 SERIAL_BATCH: Final = (1, 16)
 PROCESS_BATCH: Final = (4, 64)
-DASK_BATCH: Final = (8, 256)
 #: what nearly every task needs and the parent too: imported before processes are made of it
 SHARED_MODULES: Final = ("calib.fleet.reading", "scipy.special")
 #: what nearly every task needs and what starts threads: imported by each worker
 WORKER_MODULES: Final = ("pyarrow.parquet",)
-#: how long a scheduler may take to answer
-DASK_TIMEOUT: Final = "10s"
 
 
 def equal_weight(_item: object) -> int:
@@ -147,7 +144,13 @@ def engine(workers: int = 1, scheduler: str = "") -> Iterator[Engine]:
     `workers`: processes; 1 is this process. `scheduler`: address of a Dask scheduler (``tcp://host:port``), in place of
     `workers`. Raises MissingExtraError where Dask is not installed, RefusedError where the scheduler does not answer.
     """
-    opened = DaskEngine(scheduler) if scheduler else ProcessEngine(workers) if workers > 1 else Engine()
+    opened: Engine
+    if scheduler:
+        from calib.fleet.dask import DaskEngine
+
+        opened = DaskEngine(scheduler)
+    else:
+        opened = ProcessEngine(workers) if workers > 1 else Engine()
     try:
         yield opened
     finally:
@@ -243,82 +246,6 @@ class ProcessEngine(Engine):
             count = self._workers if workers is None else workers
             self._pool = ProcessPoolExecutor(count, mp_context=context, initializer=_begin_worker)
         return self._pool
-
-
-class DaskEngine(Engine):
-    """The workers of a Dask scheduler, which moves the tasks of a worker that dies to another."""
-
-    batch = DASK_BATCH
-
-    def __init__(self, scheduler: str) -> None:
-        try:
-            from distributed import Client, fire_and_forget
-        except ImportError as error:
-            raise MissingExtraError("a Dask scheduler", "distributed", "fleet") from error
-        try:
-            self._client = Client(scheduler, timeout=DASK_TIMEOUT, set_as_default=False)
-        except (OSError, TimeoutError, ValueError) as error:
-            raise RefusedError(
-                f"scheduler {scheduler}: found no answer ({' '.join(str(error).split())[:100]}); "
-                "expected a Dask scheduler; start one, or leave the scheduler away"
-            ) from error
-        # the workers import what they need while this process lists the work
-        modules = (*SHARED_MODULES, *WORKER_MODULES)
-        for worker in self._client.nthreads():
-            fire_and_forget(
-                self._client.submit(import_modules, modules, workers=[worker], allow_other_workers=True, pure=False)
-            )
-
-    @property
-    def workers(self) -> int:
-        """How many threads the scheduler's workers have together."""
-        threads: int = sum(self._client.nthreads().values())
-        return max(1, threads)
-
-    def close(self) -> None:
-        """Leave the scheduler."""
-        self._client.close()
-
-    def completed(self, task: Task[Item, Result], cut: Sequence[Sequence[Item]]) -> Iterator[Outcome[Item, Result]]:
-        """Yield the batches as they are done; None for those that the scheduler blames for a death."""
-        from distributed import as_completed
-
-        submitted = {self._submit(task, batch): batch for batch in cut}
-        # this process needs them in the end, and has nothing to do until the first task is done
-        import_modules(SHARED_MODULES)
-        with self._client.as_current():
-            for future in as_completed(list(submitted)):
-                yield submitted.pop(future), self._result(future)
-
-    def alone(self, task: Task[Item, Result], item: Item) -> list[Result] | None:
-        """Return the result of an item that nothing waits beside; None where its worker dies."""
-        results: list[Result] | None = self._result(self._submit(task, [item]))
-        return results
-
-    def _submit(self, task: Task[Item, Result], batch: Sequence[Item]) -> Any:
-        from distributed.protocol import serialize
-
-        return self._client.submit(_in_bytes, *serialize((task, batch)), pure=False)
-
-    @staticmethod
-    def _result(future: Any) -> Any:
-        from distributed import KilledWorker
-        from distributed.protocol import deserialize
-
-        try:
-            return deserialize(*future.result())
-        except KilledWorker:
-            return None
-        finally:
-            future.release()
-
-
-def _in_bytes(header: Any, frames: Any) -> Any:
-    """Run a task on items, all of it as bytes and its results too: the scheduler need not know what it passes on."""
-    from distributed.protocol import deserialize, serialize
-
-    task, items = deserialize(header, frames)
-    return serialize(task(items))
 
 
 def _refuse_unless_it_starts(pool: ProcessPoolExecutor) -> None:
