@@ -8,7 +8,7 @@ from contextlib import suppress
 from typing import Any, Final
 
 from calib.errors import BadInputError, MissingExtraError, RefusedError
-from calib.fleet.workers import (
+from calib.fleet.engine import (
     SHARED_MODULES,
     WORKER_MODULES,
     Engine,

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from calib import __version__
+from calib.documents import VERSION
 from calib.errors import CalibError
 from calib.io import sha256_file
 
@@ -36,7 +36,7 @@ class Keys:
         """
         if part.why:
             raise CalibError(part.why)
-        digest = hashlib.blake2b(__version__.encode(), digest_size=DIGEST_BYTES)
+        digest = hashlib.blake2b(VERSION.encode(), digest_size=DIGEST_BYTES)
         if part.path.parent == part.settings:
             for line in _lines(part.settings):
                 digest.update(line.encode("utf-8", "surrogateescape"))

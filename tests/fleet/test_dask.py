@@ -21,7 +21,7 @@ from tests.fleet.slow import doubled
 pytest.importorskip("distributed", reason="the extra fleet is not installed")
 
 
-@pytest.mark.parametrize("address", ["foo", "tcp://", "http://localhost:8080", "inproc://x", "tcp://a", "/tmp/x.json"])
+@pytest.mark.parametrize("address", ["foo", "tcp://", "http://localhost:8080", "inproc://x", "tcp://a", "x.json"])
 def test_what_is_no_address_is_refused_at_once(address: str) -> None:
     with pytest.raises(BadInputError, match=r"expected tcp://host:port"), engine(scheduler=address):
         pass

@@ -81,7 +81,7 @@ def test_a_new_time_alone_reads_nothing_again(fleet: Path, tmp_path: Path) -> No
 
 def test_another_version_reads_anew(fleet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fit_fleet(fleet, tmp_path / "out")
-    monkeypatch.setattr(keys, "__version__", "0.0.1")
+    monkeypatch.setattr(keys, "VERSION", "0.0.1")
     assert fit_fleet(fleet, tmp_path / "out").n_read == 2
 
 
