@@ -17,7 +17,6 @@ Outcome = tuple[Sequence[Item], list[Result] | None]
 #: end together
 PARTS_OF_A_SHARE: Final = 2
 #: pieces of work in a batch, least and most: in this process (between two progress reports)
-
 SERIAL_BATCH: Final = (1, 16)
 #: what nearly every task needs and the parent too: imported before processes are made of it
 SHARED_MODULES: Final = ("calib.fleet.reading", "scipy.special")
