@@ -17,6 +17,8 @@ sensor together) -> ``coefficients`` (the law as the vehicle gets it) -> ``odome
 
 from typing import TYPE_CHECKING, Any
 
+from calib.documents import VERSION as __version__
+
 if TYPE_CHECKING:
     from calib.api import diagnose, export, fit, geometry, plan, read, replay, report, simulate
     from calib.campaign.model import Campaign
@@ -26,7 +28,6 @@ if TYPE_CHECKING:
     from calib.odometry.simulation import Simulation
     from calib.radius.result import Fit
 
-__version__ = "1.0.0"
 
 __all__ = [
     "Campaign",
