@@ -20,7 +20,8 @@ from typing import TYPE_CHECKING, Any
 from calib.documents import VERSION as __version__
 
 if TYPE_CHECKING:
-    from calib.api import diagnose, export, fit, geometry, plan, read, replay, report, simulate
+    from calib.api import describe, diagnose, export, fit, geometry, ingest, plan, read, replay, report, simulate
+    from calib.campaign.ingest.describe import Description
     from calib.campaign.model import Campaign
     from calib.gap.decision.diagnosis import Diagnosis, Plan
     from calib.kinematics.result import Geometry
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Campaign",
+    "Description",
     "Diagnosis",
     "Fit",
     "Geometry",
@@ -38,10 +40,12 @@ __all__ = [
     "Replay",
     "Simulation",
     "__version__",
+    "describe",
     "diagnose",
     "export",
     "fit",
     "geometry",
+    "ingest",
     "plan",
     "read",
     "replay",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from calib.kinematics.umbmark import Umbmark
 from calib.kinematics.uncertainty import Freedom
 from calib.result import Result
 from calib.types import FloatArray
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 #: residual channels and their units
 CHANNELS: Final = ("x_m", "y_m", "theta_rad")
@@ -180,6 +183,16 @@ class Geometry(Result):
     def passed(self) -> bool:
         """Whether the estimates are to be used."""
         return self.verdict is GeometryVerdict.CALIBRATED and bool(self.estimates)
+
+    @property
+    def table(self) -> DataFrame:
+        """Estimates as a pandas table, a row a parameter."""
+        from pandas import DataFrame
+
+        rows = [{"parameter": one.name, **one.to_dict()} for one in self.estimates]
+        low, high = ([row["ci95"][at] for row in rows] for at in (0, 1))
+        table = DataFrame(rows, columns=["parameter", "nominal", "value", "sd", "dof"])
+        return table.assign(ci95_low=low, ci95_high=high).set_index("parameter")
 
     def correlation(self) -> FloatArray:
         """Return the correlation matrix of the estimates."""

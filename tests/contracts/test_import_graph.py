@@ -18,6 +18,7 @@ ORDER: Mapping[str, tuple[str, ...]] = {
         "types",
         "adequacy",
         "errors",
+        "arguments",
         "documents",
         "inputs",
         "io",
