@@ -17,8 +17,11 @@ sensor together) -> ``coefficients`` (the law as the vehicle gets it) -> ``odome
 
 from typing import TYPE_CHECKING, Any
 
+from calib.documents import VERSION as __version__
+
 if TYPE_CHECKING:
-    from calib.api import diagnose, export, fit, geometry, plan, read, replay, report, simulate
+    from calib.api import describe, diagnose, export, fit, geometry, ingest, plan, read, replay, report, simulate
+    from calib.campaign.ingest.describe import Description
     from calib.campaign.model import Campaign
     from calib.gap.decision.diagnosis import Diagnosis, Plan
     from calib.kinematics.result import Geometry
@@ -26,10 +29,10 @@ if TYPE_CHECKING:
     from calib.odometry.simulation import Simulation
     from calib.radius.result import Fit
 
-__version__ = "1.0.0"
 
 __all__ = [
     "Campaign",
+    "Description",
     "Diagnosis",
     "Fit",
     "Geometry",
@@ -37,10 +40,12 @@ __all__ = [
     "Replay",
     "Simulation",
     "__version__",
+    "describe",
     "diagnose",
     "export",
     "fit",
     "geometry",
+    "ingest",
     "plan",
     "read",
     "replay",

@@ -10,6 +10,9 @@ import json
 from collections.abc import Iterable, Sequence
 from typing import Any, Final
 
+#: of the program, as its documents name it
+VERSION = "1.0.0"
+
 CHECKSUM_KEY: Final = "checksum"
 
 

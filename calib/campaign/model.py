@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.campaign.settings import Encoder, Odometry, OdometryModel, Rangefinder, Reference
-from calib.errors import BadFileError
+from calib.errors import BadFileError, BadInputError
 from calib.types import BoolArray, FloatArray, IntArray, StrArray
 from calib.vehicle import Vehicle
 
@@ -304,6 +304,22 @@ class Campaign:
     def frame(self) -> DataFrame:
         """Return the run table as a pandas table; see `RunTable.frame`."""
         return self.runs.frame()
+
+    def log(self, run_id: str) -> DataFrame:
+        """Return the log of a run as a pandas table, a row a sample: seconds from the run's start, unwrapped counts.
+
+        Raises BadInputError where the campaign has no such run, or the run no log.
+        """
+        from pandas import DataFrame
+
+        rows = np.flatnonzero(self.runs.run_id == run_id)
+        if not len(rows):
+            known = ", ".join(map(str, self.runs.run_id[:5]))
+            raise BadInputError(f"run_id: found {run_id!r}; expected a run of {self.name}: {known} ...; name one")
+        columns = self.logs.of(int(rows[0]))
+        if not columns:
+            raise BadInputError(f"{run_id}: found no log; expected a run with one; see campaign.frame()")
+        return DataFrame(columns)
 
     def summary(self) -> str:
         """Return what was driven, as lines of text."""

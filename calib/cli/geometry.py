@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from calib.cli.options import CampaignOrRecording, Figures, Force, JsonTarget, MappingOption
+from calib.cli.options import AcceptImplausible, CampaignOrRecording, Figures, Force, JsonTarget, MappingOption
 from calib.cli.terminal import emit_json, progress, show, wrote
 from calib.io import refuse_existing
 
@@ -38,14 +38,15 @@ def run(
     output: Annotated[Path | None, typer.Option(metavar="COEFFICIENTS", help="Write a coefficient file.")] = None,
     figures: Figures = None,
     mapping: MappingOption = None,
+    accept_implausible: AcceptImplausible = "",
     json: JsonTarget = None,
     force: Force = False,
 ) -> int:
     """Estimate radii, track and the reference's sensor together, with intervals.
 
     From end poses (any routes; squares both ways by UMBmark too) or by windows along the way. The coefficient file is
-    what export, diagnose --model and simulate take. Status 1 where a blunder (swapped columns, half a track) was
-    recognised: correct it first.
+    what export, diagnose --model and simulate take. The result is judged by what it leaves on held-out runs beside the
+    noise. Status 1, and no coefficient file without a reason, where it is doubtful or wrong.
 
     Example: calib geometry my_squares --figures pictures --output coefficients.json
     """
@@ -65,13 +66,14 @@ def run(
     document = estimated.to_dict()
     if result is not None:
         wrote([write_json(result, document, force=force)], target=json)
-    if output is not None:
-        from calib.coefficients.build import from_geometry
-
-        wrote([write_bytes(output, from_geometry(estimated, read).to_bytes(), force=force)], target=json)
     if figures is not None:
         _draw(estimated, read, figures, json, force=force)
     emit_json(document, json, force=force)
+    if output is not None:
+        from calib.coefficients.build import from_geometry
+
+        coefficients = from_geometry(estimated, read, accept=accept_implausible.strip())
+        wrote([write_bytes(output, coefficients.to_bytes(), force=force)], target=json)
     return 0 if estimated.passed else 1
 
 

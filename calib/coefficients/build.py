@@ -26,7 +26,7 @@ from calib.coefficients.sections import (
     WheelSection,
     WheelsSection,
 )
-from calib.errors import BadInputError, ImplausibleError, RefusedError
+from calib.errors import BadInputError, ImplausibleError
 from calib.radius.law import RadiusLaw, WheelLaw
 from calib.units import GRAVITY_MPS2
 from calib.vehicle import Vehicle
@@ -251,7 +251,12 @@ def _wheel(law: WheelLaw, load_margin_N: float | None) -> WheelSection:
 
 
 def from_geometry(
-    geometry: Geometry, campaign: Campaign, *, outside: Outside = "refuse", created: str | None = None
+    geometry: Geometry,
+    campaign: Campaign,
+    *,
+    outside: Outside = "refuse",
+    created: str | None = None,
+    accept: str = "",
 ) -> CoefficientFile:
     """Return the coefficient file of a geometry.
 
@@ -259,15 +264,32 @@ def from_geometry(
     the mean load of the runs: the uncertainty of a radius grows with the distance from that load. The valid range is
     then all that the vehicle may carry. Lengths that were not determined keep their nominal value, with 1 %.
 
-    `campaign`: the one it was estimated from; `outside` ({"refuse", "clamp"}): what the vehicle does with a load
-    outside the valid range; `created`: date as YYYY-MM-DD. Raises RefusedError where the campaign has a blunder (wrong
-    unit, axis, column or count): the file would carry it to the vehicle.
+    Parameters
+    ----------
+    geometry : Geometry
+        What was estimated.
+    campaign : Campaign
+        The one it was estimated from.
+    outside : {"refuse", "clamp"}
+        What the vehicle does with a load outside the valid range.
+    created : str
+        Date as YYYY-MM-DD.
+    accept : str
+        Why a doubtful or wrong geometry is passed on all the same, written into the file.
+
+    Returns
+    -------
+    CoefficientFile
+        With the uncertainties of the geometry.
+
+    Raises
+    ------
+    ImplausibleError
+        Where the geometry is doubtful or wrong and no reason is given.
     """
-    if geometry.faults:
-        raise RefusedError(
-            f"coefficients of {geometry.name!r}: found a blunder ({geometry.faults[0].text}); expected a campaign "
-            "without; correct it and estimate again"
-        )
+    findings = geometry.why
+    if not geometry.passed and not accept:
+        raise ImplausibleError(f"{geometry.name}, geometry {geometry.verdict}", findings)
     vehicle = campaign.vehicle
     names = {
         "rear": ("radius_left_m", "radius_right_m"),
@@ -286,7 +308,10 @@ def from_geometry(
         load_table=load_points(runs.number("load_left_N"), runs.number("load_right_N")),
         noise=PoseNoise(track_std, geometry.noise["along_walk"], geometry.noise["heading_walk"]),
     )
-    return file.changed(joint_geometry=_section(geometry))
+    file = file.changed(joint_geometry=_section(geometry))
+    if geometry.passed:
+        return file
+    return file.changed(accepted_implausible={"reason": accept, "findings": list(findings)})
 
 
 def _section(geometry: Geometry) -> GeometrySection:

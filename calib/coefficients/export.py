@@ -68,7 +68,7 @@ def coefficients_of(
 
         campaign = read_campaign(path)
         if without_rear_wheels(campaign):
-            return _by_geometry(campaign, rule or "refuse", created)
+            return _by_geometry(campaign, rule or "refuse", created, accept)
         fit, inputs = fit_campaign(campaign), campaign.hashes
     fit = replace(fit, accepted=accept)
     master = from_fit(fit, outside=rule or "refuse", created=created, inputs=inputs)
@@ -81,13 +81,13 @@ def coefficients_of(
     return Source(master, notes)
 
 
-def _by_geometry(campaign: Campaign, outside: Outside, created: str | None) -> Source:
+def _by_geometry(campaign: Campaign, outside: Outside, created: str | None, accept: str) -> Source:
     """Return the coefficients of a vehicle without rear encoders: there is no law of a load, but a geometry."""
     from calib.coefficients.build import from_geometry
     from calib.kinematics.estimate import estimate_geometry
 
     geometry = estimate_geometry(campaign)
-    file = from_geometry(geometry, campaign, outside=outside, created=created)
+    file = from_geometry(geometry, campaign, outside=outside, created=created, accept=accept)
     return Source(file, (*geometry.notes, "no rear wheel was counted: radii and lengths are those of 'calib geometry'"))
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from calib.campaign.readers import READERS, read_table
-from calib.errors import BadFileError
+from calib.errors import BadFileError, CalibError
 from calib.io import inside
 
 SETTINGS: Final = "campaign.toml"
@@ -36,18 +36,15 @@ class Part:
     day : float or None
         Day of its journeys since 1970-01-01 where the partition says a month (its fifteenth); None where only the
         column ``day`` can.
+    why : str
+        Why the file may not be read, on one line; empty where it may.
     """
 
     name: str
     path: Path
     settings: Path
     day: float | None = None
-
-    @property
-    def key(self) -> str:
-        """Size and time of change, by which a part that was read before is known again."""
-        status = self.path.stat()
-        return f"{status.st_size}-{status.st_mtime_ns}"
+    why: str = ""
 
 
 @dataclass(frozen=True)
@@ -99,13 +96,25 @@ def members_of(folder: Path) -> tuple[Member, ...]:
 def _campaigns(folder: Path) -> tuple[Member, ...]:
     members = []
     for path in sorted(folder.iterdir()):
-        if not (path / SETTINGS).exists():
+        try:
+            if not (path / SETTINGS).exists() and not (path / SETTINGS).is_symlink():
+                continue
+        except OSError as error:
+            why = f"{path.name}: found {error.strerror}; expected a folder that can be read; allow it, or take it away"
+            members.append(Member(path.name, (Part(f"{path.name}/runs.csv", path / "runs.csv", path, why=why),)))
             continue
         tables = (path / f"runs{suffix}" for suffix in READERS)
         table = next((one for one in tables if one.exists()), path / "runs.csv")
-        part = Part(f"{path.name}/{table.name}", inside(folder, f"{path.name}/{table.name}", named_in=folder), path)
-        members.append(Member(path.name, (part,)))
+        members.append(Member(path.name, (_part(folder, f"{path.name}/{table.name}", path),)))
     return tuple(members)
+
+
+def _part(folder: Path, name: str, settings: Path, day: float | None = None) -> Part:
+    """Return a file of journeys; one that leads out of the fleet says so, and leaves the others alone."""
+    try:
+        return Part(name, inside(folder, name, named_in=folder), settings, day)
+    except CalibError as error:
+        return Part(name, folder / name, settings, day, " ".join(str(error).split()))
 
 
 def _dataset(folder: Path) -> tuple[Member, ...]:
@@ -116,7 +125,9 @@ def _dataset(folder: Path) -> tuple[Member, ...]:
     for entry in sorted(of_vehicles, key=lambda entry: entry.name):
         # a million files: paths are put together as text, and only what may lead elsewhere is resolved one by one
         parts = tuple(
-            Part(name, top / name if plain else inside(folder, name, named_in=folder), folder, _day_of(partition))
+            Part(name, top / name, folder, _day_of(partition))
+            if plain
+            else _part(folder, name, folder, _day_of(partition))
             for name, partition, plain in sorted(_files_in(entry.path, entry.name, plain=not entry.is_symlink()))
         )
         members.append(Member(entry.name.partition("=")[2], parts))

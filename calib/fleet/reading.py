@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,8 +15,9 @@ from calib.campaign.readers import read_table
 from calib.campaign.runs_file import run_table
 from calib.campaign.settings_file import Settings, read_settings
 from calib.errors import CalibError
+from calib.fleet.keys import Keys
 from calib.fleet.members import Member, Part
-from calib.fleet.store import line_of
+from calib.fleet.store import line_of, unsealed
 from calib.fleet.vehicle import PartSums, VehicleRecord, record_of
 from calib.radius.effective import effective_radii
 from calib.radius.sessions import SessionSums
@@ -45,13 +45,14 @@ def sums_of_parts(parts: Sequence[Part]) -> list[PartSums]:
         One a file.
     """
     settings: dict[Path, Settings] = {}
-    return [_sums_of_part(part, settings) for part in parts]
+    keys = Keys()
+    return [_sums_of_part(part, settings, keys) for part in parts]
 
 
-def _sums_of_part(part: Part, settings: dict[Path, Settings]) -> PartSums:
+def _sums_of_part(part: Part, settings: dict[Path, Settings], keys: Keys) -> PartSums:
     key = ""
     try:
-        key = part.key
+        key = keys.of(part)
         campaign = campaign_of(part, settings)
         radii = effective_radii(campaign)
     except (CalibError, OSError) as error:
@@ -181,7 +182,7 @@ def _done(piece: Piece, new: Sequence[PartSums]) -> PieceDone:
     lines = {part.name: line_of(part) for part in new}
     if not piece.whole:
         return PieceDone(len(new), lines, None)
-    before = [PartSums.from_dict(json.loads(line)) for line in piece.lines]
+    before = [PartSums.from_dict(unsealed(line)) for line in piece.lines]
     return PieceDone(len(new), lines, record_of(piece.vehicle, [*before, *new]))
 
 

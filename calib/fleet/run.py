@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from calib.errors import CalibError
+from calib.fleet.engine import Engine
+from calib.fleet.keys import Keys
 from calib.fleet.members import Member, labels_of, members_of
 from calib.fleet.reading import PieceDone, do_pieces, given_up, pieces_of, size_of
 from calib.fleet.store import SUMS, Store, line_of
 from calib.fleet.vehicle import PartSums, VehicleRecord
 from calib.fleet.view import FleetView, view_of
-from calib.fleet.workers import Engine, engine
+from calib.fleet.workers import engine
 from calib.result import plain
 
 #: called with the number of files done and the number to do
@@ -112,11 +116,13 @@ def _done(opened: Engine, members: tuple[Member, ...], lines: Mapping[str, str])
 
 
 def _still_valid(members: tuple[Member, ...], kept: dict[str, PartSums]) -> dict[str, PartSums]:
-    """Return the kept sums whose files are there and unchanged."""
+    """Return the kept sums whose files, logs and settings are there and unchanged."""
     valid = {}
+    keys = Keys()
     for member in members:
         for part in member.parts:
             have = kept.get(part.name)
-            if have is not None and have.key and part.path.exists() and have.key == part.key:
-                valid[part.name] = have
+            with suppress(CalibError, OSError):
+                if have is not None and have.key and have.key == keys.of(part):
+                    valid[part.name] = have
     return valid

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping
@@ -15,6 +16,8 @@ from calib.io import sweep, temporary_beside
 from calib.result import plain_fields
 
 SUMS: Final = "sums.jsonl"
+#: key of a line's seal: a digest of its other values, so that a damaged line is read anew
+SEAL: Final = "seal"
 
 
 class Kept(Protocol):
@@ -92,15 +95,15 @@ class Store(Generic[Record]):
             ) from error
 
     def read(self) -> dict[str, Record]:
-        """Return what is kept, by name; a line cut short by an interruption is dropped."""
+        """Return what is kept, by name; a line cut short by an interruption, or changed since, is dropped."""
         kept: dict[str, Record] = {}
         if not self.path.is_file():
             return kept
         with self.path.open(encoding="utf-8") as stream:
             for line in stream:
                 try:
-                    record = self.from_dict(json.loads(line))
-                except (ValueError, KeyError, TypeError):
+                    record = self.from_dict(unsealed(line))
+                except (ValueError, KeyError, TypeError, AttributeError):
                     continue
                 kept[record.name] = record
         return kept
@@ -132,8 +135,21 @@ class Store(Generic[Record]):
 
 
 def line_of(record: Kept) -> str:
-    """Return the line that is kept of a record."""
-    return json.dumps(record.to_dict(), ensure_ascii=False) + "\n"
+    """Return the line that is kept of a record, with its seal."""
+    values = record.to_dict()
+    return json.dumps({**values, SEAL: _seal(values)}, ensure_ascii=False) + "\n"
+
+
+def unsealed(line: str) -> dict[str, Any]:
+    """Return the values of a kept line; raises ValueError where they are not what was written."""
+    values: dict[str, Any] = json.loads(line)
+    if values.pop(SEAL, "") != _seal(values):
+        raise ValueError("a kept line was changed")
+    return values
+
+
+def _seal(values: Mapping[str, Any]) -> str:
+    return hashlib.blake2b(json.dumps(values, ensure_ascii=False).encode(), digest_size=8).hexdigest()
 
 
 def _ends_whole(path: Path) -> bool:

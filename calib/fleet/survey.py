@@ -12,6 +12,7 @@ import numpy as np
 from calib.campaign.model import Campaign
 from calib.errors import BadInputError, CalibError, RefusedError
 from calib.fleet.comparison import Quantities, SharedCause, quantities_of, shared_causes
+from calib.fleet.keys import Keys
 from calib.fleet.members import Member, labels_of, members_of
 from calib.fleet.reading import campaign_of
 from calib.fleet.run import Progress
@@ -86,7 +87,8 @@ def survey_fleet(
     members = members_of(folder)
     store = Store(Path(into) / f"{what}.jsonl", VehicleResult.from_dict)
     before = store.read()
-    kept = {member.vehicle: before[member.vehicle] for member in members if _valid(member, before)}
+    keys = Keys()
+    kept = {member.vehicle: before[member.vehicle] for member in members if _valid(member, before, keys)}
     todo = [member for member in members if member.vehicle not in kept]
     n_kept = len(kept)
     results = run_tasks(TASKS[what], todo, _given_up, _weight, workers=workers, scheduler=scheduler)
@@ -103,12 +105,12 @@ def survey_fleet(
     return Survey(what, records, shared, len(todo), n_kept, _quantities(records, labels))
 
 
-def _valid(member: Member, kept: Mapping[str, VehicleResult]) -> bool:
+def _valid(member: Member, kept: Mapping[str, VehicleResult], keys: Keys) -> bool:
     """Return whether a vehicle's record is there and its files are unchanged."""
     record = kept.get(member.vehicle)
     try:
-        return record is not None and record.key != "" and record.key == key_of(member)
-    except OSError:
+        return record is not None and record.key != "" and record.key == keys.of_member(member)
+    except (CalibError, OSError):
         return False
 
 
@@ -134,11 +136,6 @@ def _quantities(records: Sequence[VehicleResult], labels: Mapping[str, Mapping[s
         for key in ("value", "sd")
     }
     return quantities_of([record.name for record in done], table["value"], table["sd"], labels)
-
-
-def key_of(member: Member) -> str:
-    """Return the keys of a vehicle's files, by which they are known again."""
-    return "|".join(f"{part.name}:{part.key}" for part in member.parts)
 
 
 def _campaign(member: Member) -> Campaign:
@@ -199,11 +196,11 @@ def _geometry(member: Member) -> dict[str, Any]:
 
 
 def _run(task: Callable[[Member], dict[str, Any]], members: Sequence[Member]) -> list[VehicleResult]:
-    records = []
+    records, keys = [], Keys()
     for member in members:
         key = ""
         try:
-            key = key_of(member)
+            key = keys.of_member(member)
             records.append(VehicleResult(member.vehicle, key, task(member)))
         except (CalibError, OSError) as error:
             records.append(VehicleResult(member.vehicle, key, why=" ".join(str(error).split())))

@@ -4,140 +4,28 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, Final
 
-from calib.errors import MissingExtraError, RefusedError
+from calib.errors import RefusedError
+from calib.fleet.dask import DaskEngine
+from calib.fleet.engine import (
+    SHARED_MODULES,
+    WORKER_MODULES,
+    Engine,
+    Item,
+    Outcome,
+    Result,
+    Task,
+    equal_weight,
+    import_modules,
+)
 
 if TYPE_CHECKING:
     from concurrent.futures import Future, ProcessPoolExecutor
 
-Item = TypeVar("Item")
-Result = TypeVar("Result")
-Task = Callable[[Sequence[Item]], list[Result]]
-#: a batch with its results; None where its worker died
-Outcome = tuple[Sequence[Item], list[Result] | None]
-
-#: a batch is at most this part of a worker's share of the remaining work: the last ones are small, so that all workers
-#: end together
-PARTS_OF_A_SHARE: Final = 2
-#: pieces of work in a batch, least and most: in this process (between two progress reports); in processes, where a file
-#: takes 3 ms or more and a hand-over 2 ms; with Dask, where a task costs client, scheduler and worker 8 ms together
-SERIAL_BATCH: Final = (1, 16)
+#: pieces of work in a batch, least and most: a file takes 3 ms or more and a hand-over to a process 2 ms
 PROCESS_BATCH: Final = (4, 64)
-DASK_BATCH: Final = (8, 256)
-#: what nearly every task needs and the parent too: imported before processes are made of it
-SHARED_MODULES: Final = ("calib.fleet.reading", "scipy.special")
-#: what nearly every task needs and what starts threads: imported by each worker
-WORKER_MODULES: Final = ("pyarrow.parquet",)
-#: how long a scheduler may take to answer
-DASK_TIMEOUT: Final = "10s"
-
-
-def equal_weight(_item: object) -> int:
-    """Return the weight of an item that is one piece of work, as every other is."""
-    return 1
-
-
-def batches(
-    items: Sequence[Item], weigh: Callable[[Item], int], largest: int, workers: int = 1, smallest: int = 1
-) -> list[Sequence[Item]]:
-    """Cut items into batches in their order.
-
-    Parameters
-    ----------
-    items, weigh : sequence, callable
-        What to do, and how many pieces of work an item stands for.
-    largest, smallest : int
-        Pieces of work in a batch, at most (a single item may stand for more) and at least (but for the last).
-    workers : int
-        How many share them.
-
-    Returns
-    -------
-    list of sequence
-        None of them empty.
-    """
-    weights = [max(weigh(item), 1) for item in items]
-    remaining = sum(weights)
-    cut: list[Sequence[Item]] = []
-    first = filled = 0
-    for number, weight in enumerate(weights):
-        share = max(smallest, remaining // (PARTS_OF_A_SHARE * workers))
-        if filled and filled + weight > min(largest, share):
-            cut.append(items[first:number])
-            remaining -= filled
-            first, filled = number, 0
-        filled += weight
-    if filled:
-        cut.append(items[first:])
-    return cut
-
-
-class Engine:
-    """Runs tasks in this process; the engines below give the batches to others. Workers stay between two calls."""
-
-    #: least and most pieces of work in a batch
-    batch: tuple[int, int] = SERIAL_BATCH
-
-    @property
-    def workers(self) -> int:
-        """How many batches run at once."""
-        return 1
-
-    def completed(self, task: Task[Item, Result], cut: Sequence[Sequence[Item]]) -> Iterator[Outcome[Item, Result]]:
-        """Yield the batches with their results as they are done."""
-        for batch in cut:
-            yield batch, task(batch)
-
-    def alone(self, task: Task[Item, Result], item: Item) -> list[Result] | None:
-        """Return the result of an item that has a worker to itself; None where the worker dies."""
-        return task([item])
-
-    def close(self) -> None:
-        """End the workers."""
-
-    def run(
-        self,
-        task: Task[Item, Result],
-        items: Sequence[Item],
-        given_up: Callable[[Item, str], Result],
-        weigh: Callable[[Item], int] = equal_weight,
-    ) -> Iterator[Result]:
-        """Run a task on all items, a few at a time, and yield the results as they come.
-
-        A worker that dies costs its own batches: their items are tried again one by one, so that the one that kills its
-        worker is found and the others go through.
-
-        Parameters
-        ----------
-        task : callable
-            Takes some items and returns a result for each; a module's function, since it is sent to others by name.
-        items : sequence
-            What to do.
-        given_up : callable
-            Makes the result of an item that took its worker down twice, from the item and the reason.
-        weigh : callable
-            Pieces of work that an item stands for, so that batches are alike.
-
-        Yields
-        ------
-        Result
-            One an item.
-        """
-        smallest, largest = self.batch
-        suspects: list[Item] = []
-        for batch, results in self.completed(task, batches(items, weigh, largest, self.workers, smallest)):
-            if results is None:
-                suspects += batch
-            else:
-                yield from results
-        for item in suspects:
-            results = self.alone(task, item)
-            if results is None:
-                yield given_up(item, "its worker died twice; expected one that ends; read it alone")
-            else:
-                yield from results
 
 
 @contextmanager
@@ -245,82 +133,6 @@ class ProcessEngine(Engine):
         return self._pool
 
 
-class DaskEngine(Engine):
-    """The workers of a Dask scheduler, which moves the tasks of a worker that dies to another."""
-
-    batch = DASK_BATCH
-
-    def __init__(self, scheduler: str) -> None:
-        try:
-            from distributed import Client, fire_and_forget
-        except ImportError as error:
-            raise MissingExtraError("a Dask scheduler", "distributed", "fleet") from error
-        try:
-            self._client = Client(scheduler, timeout=DASK_TIMEOUT, set_as_default=False)
-        except (OSError, TimeoutError, ValueError) as error:
-            raise RefusedError(
-                f"scheduler {scheduler}: found no answer ({' '.join(str(error).split())[:100]}); "
-                "expected a Dask scheduler; start one, or leave the scheduler away"
-            ) from error
-        # the workers import what they need while this process lists the work
-        modules = (*SHARED_MODULES, *WORKER_MODULES)
-        for worker in self._client.nthreads():
-            fire_and_forget(
-                self._client.submit(import_modules, modules, workers=[worker], allow_other_workers=True, pure=False)
-            )
-
-    @property
-    def workers(self) -> int:
-        """How many threads the scheduler's workers have together."""
-        threads: int = sum(self._client.nthreads().values())
-        return max(1, threads)
-
-    def close(self) -> None:
-        """Leave the scheduler."""
-        self._client.close()
-
-    def completed(self, task: Task[Item, Result], cut: Sequence[Sequence[Item]]) -> Iterator[Outcome[Item, Result]]:
-        """Yield the batches as they are done; None for those that the scheduler blames for a death."""
-        from distributed import as_completed
-
-        submitted = {self._submit(task, batch): batch for batch in cut}
-        # this process needs them in the end, and has nothing to do until the first task is done
-        import_modules(SHARED_MODULES)
-        with self._client.as_current():
-            for future in as_completed(list(submitted)):
-                yield submitted.pop(future), self._result(future)
-
-    def alone(self, task: Task[Item, Result], item: Item) -> list[Result] | None:
-        """Return the result of an item that nothing waits beside; None where its worker dies."""
-        results: list[Result] | None = self._result(self._submit(task, [item]))
-        return results
-
-    def _submit(self, task: Task[Item, Result], batch: Sequence[Item]) -> Any:
-        from distributed.protocol import serialize
-
-        return self._client.submit(_in_bytes, *serialize((task, batch)), pure=False)
-
-    @staticmethod
-    def _result(future: Any) -> Any:
-        from distributed import KilledWorker
-        from distributed.protocol import deserialize
-
-        try:
-            return deserialize(*future.result())
-        except KilledWorker:
-            return None
-        finally:
-            future.release()
-
-
-def _in_bytes(header: Any, frames: Any) -> Any:
-    """Run a task on items, all of it as bytes and its results too: the scheduler need not know what it passes on."""
-    from distributed.protocol import deserialize, serialize
-
-    task, items = deserialize(header, frames)
-    return serialize(task(items))
-
-
 def _refuse_unless_it_starts(pool: ProcessPoolExecutor) -> None:
     """Refuse a pool whose workers die before they are given anything: no item is to blame for that."""
     from concurrent.futures.process import BrokenProcessPool
@@ -378,13 +190,3 @@ def _end_with_parent() -> None:
     if parent is not None:
         wait([parent.sentinel])
         os._exit(1)
-
-
-def import_modules(modules: Sequence[str]) -> None:
-    """Import modules, so that the first task need not; those that are not installed are skipped."""
-    import importlib
-
-    for module in modules:
-        # an extra that is not installed: the task reports it where it needs it
-        with suppress(ImportError):
-            importlib.import_module(module)

@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from calib.errors import BadInputError
+from calib.kinematics.adequacy import judged
 from calib.kinematics.blunders import Fault, factor_faults
 from calib.kinematics.drives import MeanHeld
 from calib.kinematics.joint_fit import NOMINAL_STD, Fitted
 from calib.kinematics.model import Model
-from calib.kinematics.recording import Recording, Segments, end_pose_segments
+from calib.kinematics.recording import Recording
 from calib.kinematics.result import Estimate, Geometry, RouteResidual
+from calib.kinematics.segments import Segments, end_pose_segments
 from calib.kinematics.solve import COMPONENTS, Solution
 from calib.kinematics.umbmark import Umbmark, umbmark
 from calib.kinematics.uncertainty import ENOUGH_RUNS
@@ -82,11 +84,13 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
     faults = (*faults, *factor_faults(nominal_of, value_of))
     whole = _whole(model)
     before, after = whole.predict(nominal), whole.predict(values)
+    outliers = _outliers(model, solution)
     squares = (
         umbmark(before, after, whole.segments, campaign.model.track_m)
         if source == "rear" and len(whole.segments) and whole.segments.are_runs_of(whole.recording)
         else Umbmark(False, why="squares of a vehicle with two encoders on one axle are needed")
     )
+    judgement = judged(campaign, fitted, whole, faults, outliers)
     return Geometry(
         name=campaign.name,
         simulated=campaign.simulated,
@@ -104,13 +108,14 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
         clusters=(fitted.clustering.name, fitted.clustering.uncertainty.clusters),
         noise=dict(zip(COMPONENTS, np.sqrt(solution.scales).tolist(), strict=True)),
         residual_rms=rms(after.residuals),
-        outliers=_outliers(model, solution),
-        faults=faults,
+        outliers=outliers,
+        faults=judgement.faults,
         mirrored=any(fault.code in {"reversed_front", "reversed_steering", "reversed_both"} for fault in faults),
         umbmark=squares,
         routes=route_table(model.recording, whole.segments, before.residuals, after.residuals),
         notes=_notes(fitted),
         inputs=campaign.hashes,
+        judgement=judgement,
     )
 
 
@@ -178,8 +183,10 @@ def _notes(fitted: Fitted) -> tuple[str, ...]:
             "independent. What they share is no noise; 'calib diagnose' looks for its cause."
         )
     if isinstance(fitted.model.drive, MeanHeld):
+        positions = fitted.model.segments.seen[:, :2].any()
+        what = "These paths close, or nearly so, at any scale" if positions else "Headings alone hold at any scale"
         notes.append(
-            "These paths close, or nearly so, at any scale: the mean radius is not determined and was held at its "
+            f"{what}: the mean radius is not determined and was held at its "
             f"nominal value within {100 * NOMINAL_STD:g} %. The ratio of the radii and the track over the mean radius "
             "are determined; a straight run of known length would determine the scale."
         )

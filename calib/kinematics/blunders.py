@@ -12,7 +12,8 @@ import numpy as np
 from calib.errors import RefusedError
 from calib.kinematics.drives import Drive, Steps
 from calib.kinematics.model import Model
-from calib.kinematics.recording import Recording, Segments
+from calib.kinematics.recording import Recording
+from calib.kinematics.segments import Segments
 from calib.types import FloatArray
 
 #: how far a ratio may be from a factor and still be taken for it, relative
@@ -25,6 +26,8 @@ RADIUS_FACTORS: Final = {
     4.0: "four times the radius: a quarter of the counts per revolution (quadrature)",
     0.25: "a quarter of the radius: four times the counts per revolution (quadrature)",
     float(np.pi): "pi times the radius",
+    1.0 / 0.3048: "1 / 0.3048 times: positions in feet taken for m",
+    1.0 / 0.0254: "1 / 0.0254 times: positions in inches taken for m",
     1e-3: "a thousandth: positions in m taken for mm, or lengths of the settings in mm taken for m",
     1e3: "a thousand times: positions in mm taken for m",
     1e-2: "a hundredth: positions in m taken for cm, or lengths of the settings in cm taken for m",
@@ -147,7 +150,7 @@ def factor_faults(nominal: Mapping[str, float], estimated: Mapping[str, float]) 
         if name in estimated:
             ratio = estimated[name] / nominal[name]
             explained = _factor(name, ratio, RADIUS_FACTORS)
-            if not explained and not 1.0 / FARTHEST < ratio < FARTHEST:
+            if not explained and ratio > 0.0 and not 1.0 / FARTHEST < ratio < FARTHEST:
                 text = f"{name} is {ratio:.3g} times the nominal value; check counts per revolution and units"
                 explained = [Fault("radius_factor", text)]
             faults += explained
@@ -175,14 +178,13 @@ def refuse_heading_unit(told_rad: FloatArray, measured_rad: FloatArray) -> None:
 
 
 def _factor(name: str, ratio: float, factors: dict[float, str]) -> list[Fault]:
-    return [
-        Fault(
-            "half_track" if meaning.endswith("the track") else "radius_factor",
-            f"{name} is {ratio:.3g} times the nominal value, {meaning}; correct the settings or the mapping",
-        )
-        for factor, meaning in factors.items()
-        if abs(ratio / factor - 1.0) < NEAR
-    ]
+    factor = min(factors, key=lambda one: abs(ratio / one - 1.0))
+    if abs(ratio / factor - 1.0) >= NEAR:
+        return []
+    meaning = factors[factor]
+    code = "half_track" if meaning.endswith("the track") else "radius_factor"
+    text = f"{name} is {ratio:.3g} times the nominal value, {meaning}; correct the settings or the mapping"
+    return [Fault(code, text)]
 
 
 WHEELS: Final = ("front_left", "front_right", "rear_left", "rear_right")

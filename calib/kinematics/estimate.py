@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, Literal, cast
 
 import numpy as np
 
 from calib.campaign.wheels import odometry_source
+from calib.errors import RefusedError
 from calib.kinematics.assemble import geometry_of, of_kinds
+from calib.kinematics.blunder_search import find_blunder
 from calib.kinematics.blunders import Fault, put_right
 from calib.kinematics.delays import Delay, own_delays, sought_delays
-from calib.kinematics.drives import Drive, integrate_motion, moved_between
+from calib.kinematics.drives import integrate_motion, moved_between
 from calib.kinematics.joint_fit import Fitted, drive_of, fit_parameters
 from calib.kinematics.model import Model
-from calib.kinematics.recording import Recording, Segments, end_pose_segments, recording_of, window_segments
+from calib.kinematics.recording import Recording, recording_of
 from calib.kinematics.result import Geometry, RunPath, Transfer
+from calib.kinematics.segments import Segments, end_pose_segments, window_segments
 from calib.kinematics.uncertainty import ENOUGH_RUNS
 from calib.types import FloatArray, Progress, silent, stepped
 
@@ -74,28 +77,75 @@ def estimate_geometry(
     campaign = of_kinds(campaign, kinds)
     source = odometry_source(campaign)
     recording = recording_of(campaign, source)
-    recording = recording.unwrapped(_turns(drive_of(campaign, source, recording), recording))
+    recording.refuse_constant_heading(_nominal_turn(campaign, source, recording))
     way = using or _way(recording)
+    task = _Task(campaign, source, way, (way == "windows") if sensor is None else sensor, progress)
+    try:
+        geometry = _estimated(task, recording)
+    except RefusedError:
+        corrected = _without_blunder(task, recording)
+        if corrected is None:
+            raise
+        return corrected
+    if geometry.misfit:
+        geometry = _without_blunder(task, recording) or geometry
+    if leave_out is not None:
+        geometry = replace(geometry, transfer=_transfer(campaign, geometry, task.sensor, leave_out, progress))
+    return geometry
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Task:
+    """What is to be estimated, and how."""
+
+    campaign: Campaign
+    source: str
+    way: Using
+    sensor: bool
+    progress: Progress
+
+
+def _estimated(task: _Task, recording: Recording, found: tuple[Fault, ...] = ()) -> Geometry:
+    """Return the geometry of a recording; `found`: blunders that it was corrected for."""
+    campaign, source, way = task.campaign, task.source, task.way
+    recording, off = _with_turns_right(campaign, source, recording)
+    if off and way == "end_poses":
+        text = (
+            f"ref_theta_rad: found the end heading of {', '.join(off)} off by whole turns beside the others; correct it"
+        )
+        found = (*found, Fault("heading_turn", text))
     divisions = _divisions(recording, way)
     coarse = next(divisions)
     recording, faults = put_right(recording, coarse, source, drive_of(campaign, source, recording))
     drive = drive_of(campaign, source, recording)
-    estimated = (way == "windows") if sensor is None else sensor
-    progress(0, 0, "fits")
-    chosen = fit_parameters(campaign, drive, recording, coarse, estimated)
+    task.progress(0, 0, "fits")
+    chosen = fit_parameters(campaign, drive, recording, coarse, task.sensor)
     for number, segments in enumerate(divisions, start=1):
-        progress(number, 0, "fits")
+        task.progress(number, 0, "fits")
         # from where the coarser one ended: over short windows a delay of many steps is not found from zero
-        other = fit_parameters(campaign, drive, recording, segments, estimated, start=chosen)
+        other = fit_parameters(campaign, drive, recording, segments, task.sensor, start=chosen)
         if other.spread > chosen.spread + np.log(AS_GOOD):
             break
         chosen = other
-    chosen, delays = _with_own_delays(campaign, chosen, estimated) if way == "windows" else (chosen, ())
-    geometry = replace(geometry_of(campaign, chosen, source, way, faults), delays=delays)
-    if leave_out is not None:
-        transfer = _transfer(campaign, geometry, estimated, leave_out, progress)
-        geometry = replace(geometry, transfer=transfer)
-    return geometry
+    chosen, delays = _with_own_delays(campaign, chosen, task.sensor) if way == "windows" else (chosen, ())
+    return replace(geometry_of(campaign, chosen, source, way, (*found, *faults)), delays=delays)
+
+
+def _without_blunder(task: _Task, recording: Recording) -> Geometry | None:
+    """Return the geometry of the recording with its blunder corrected; None where no blunder explains it."""
+    task.progress(0, 0, "blunders")
+
+    def divided(campaign: Campaign, other: Recording) -> Segments:
+        return next(_divisions(_with_turns_right(campaign, task.source, other)[0], task.way))
+
+    found = find_blunder(task.campaign, recording, task.source, divided)
+    if found is None:
+        return None
+    campaign, corrected, blunder = found
+    try:
+        return _estimated(replace(task, campaign=campaign), corrected, (blunder,))
+    except RefusedError as error:
+        raise RefusedError(f"{error}; {blunder.text}") from error
 
 
 def _with_own_delays(campaign: Campaign, common: Fitted, sensor: bool) -> tuple[Fitted, tuple[Delay, ...]]:
@@ -118,11 +168,17 @@ def _way(recording: Recording) -> Using:
     return "windows" if recording.continuous and ends < ENOUGH_RUNS else "end_poses"
 
 
-def _turns(drive: Drive, recording: Recording) -> FloatArray:
-    """Return the turn of each run by the nominal vehicle."""
+def _with_turns_right(campaign: Campaign, source: str, recording: Recording) -> tuple[Recording, list[str]]:
+    """Return the recording with end headings right by whole turns, by the nominal vehicle, and the runs alone off."""
+    turn = _nominal_turn(campaign, source, recording)
+    return recording.with_turns_right(np.add.reduceat(turn, recording.offsets[:-1]))
+
+
+def _nominal_turn(campaign: Campaign, source: str, recording: Recording) -> FloatArray:
+    """Return the turn in each step by the nominal vehicle, shape (n_samples,)."""
+    drive = drive_of(campaign, source, recording)
     nominal = np.array([item.nominal for item in drive.parameters])
-    turn = drive.motion(nominal, recording.steps).body[2]
-    return np.add.reduceat(turn, recording.offsets[:-1])
+    return np.asarray(drive.motion(nominal, recording.steps).body[2])
 
 
 def _divisions(recording: Recording, using: Using) -> Iterator[Segments]:

@@ -20,7 +20,8 @@ from calib.kinematics.drives import (
     sensor_parameters,
 )
 from calib.kinematics.model import Model
-from calib.kinematics.recording import Recording, Segments
+from calib.kinematics.recording import Recording
+from calib.kinematics.segments import Segments
 from calib.kinematics.solve import Solution, solve
 from calib.kinematics.uncertainty import Clustering, clustered
 from calib.types import FloatArray

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.kinematics.drives import Drive, Path, displacement, integrate_motion
-from calib.kinematics.recording import Recording, Segments
+from calib.kinematics.recording import Recording
+from calib.kinematics.segments import Segments
 from calib.types import FloatArray, IntArray
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -16,6 +16,15 @@ if TYPE_CHECKING:
     from calib.campaign.model import Campaign
 
 REFERENCE: Final = ("ref_x_m", "ref_y_m", "ref_theta_rad")
+#: why a run with positions alone may not be used
+POSITION_ALONE: Final = (
+    'its reference has positions alone, not from the start pose: nothing says its heading there; state frame = "start" '
+    "and begin each run at (0, 0) with x ahead, or measure ref_theta_rad"
+)
+#: unequal wheels turn a vehicle by less in a run that was driven straight
+TURNS_CLEARLY_RAD: Final = 1.2
+#: a run in its own start frame begins nearer to its origin than this
+AT_START_M: Final = 0.1
 #: kinds of runs that were led along a line, and the turn by nominal wheels up to which that is believed
 LED: Final = ("corridor", "straight", "line")
 LED_RAD: Final = 1.2
@@ -69,7 +78,7 @@ class Recording:
     @property
     def continuous(self) -> bool:
         """Whether the reference follows the vehicle along the way, in half of the runs at least."""
-        has = np.isfinite(self.reference).all(axis=0)
+        has = np.isfinite(self.reference).any(axis=0)
         counts = np.add.reduceat(has.astype(np.int64), self.offsets[:-1])
         return bool(np.mean(counts >= MANY_POSES) >= 0.5)
 
@@ -82,15 +91,55 @@ class Recording:
         within = np.abs(heading) <= np.pi + 1e-6
         if not within[np.isfinite(heading)].all() or not np.any(np.abs(turn_rad[np.isfinite(heading)]) > 1.5 * np.pi):
             return self
+        return self._with_whole_turns(turn_rad, np.ones(len(self), dtype=np.bool_))
+
+    def turns_off(self, turn_rad: FloatArray) -> BoolArray:
+        """Return the runs, few beside the others, whose end heading is off by whole turns, shape (n_runs,).
+
+        `turn_rad` (shape (n_runs,)): turn of each run by its wheels.
+        """
+        turns = np.nan_to_num((turn_rad - self.end_pose[:, 2]) / (2.0 * np.pi))
+        off: BoolArray = (np.rint(turns) != 0.0) & (np.abs(turns - np.rint(turns)) < WHOLE_TURN)
+        return off if off.mean() <= FEW_OFF else np.zeros(len(self), dtype=np.bool_)
+
+    def _with_whole_turns(self, turn_rad: FloatArray, which: BoolArray) -> Recording:
         end_pose = self.end_pose.copy()
-        end_pose[:, 2] += 2.0 * np.pi * np.rint((turn_rad - heading) / (2.0 * np.pi))
+        turns = np.rint((turn_rad - end_pose[:, 2]) / (2.0 * np.pi))
+        end_pose[:, 2] += np.where(which, 2.0 * np.pi * turns, 0.0)
         return replace(self, end_pose=end_pose)
+
+    def with_turns_right(self, turn_rad: FloatArray) -> tuple[Recording, list[str]]:
+        """Return the recording with end headings right by whole turns, and the runs that were off beside the others.
+
+        `turn_rad` (shape (n_runs,)): turn of each run by its wheels.
+        """
+        unwrapped = self.unwrapped(turn_rad)
+        off = unwrapped.turns_off(turn_rad)
+        return unwrapped._with_whole_turns(turn_rad, off), [str(run) for run in self.run_id[off]]
+
+    def refuse_constant_heading(self, turn_rad: FloatArray) -> None:
+        """Raise RefusedError where every heading is the same number, although the wheels turn the vehicle.
+
+        `turn_rad` (shape (n_samples,)): turn in each step by the wheels.
+        """
+        headings = np.concatenate([self.reference[2], self.end_pose[:, 2]])
+        headings = headings[np.isfinite(headings)]
+        turned = float(np.max(np.abs(np.add.reduceat(turn_rad, self.offsets[:-1])), initial=0.0))
+        if len(headings) > 1 and np.ptp(headings) == 0.0 and turned > TURNS_CLEARLY_RAD:
+            raise RefusedError(
+                f"ref_theta_rad: found {headings[0] + 0.0:.6g} throughout, although the wheels turn by up to "
+                f"{turned:.3g} rad; expected the measured heading; leave the column empty where it was not measured"
+            )
 
     def with_turned(self, turned_rad: FloatArray) -> Recording:
         """Return the recording with other wheel turns (sides swapped, say)."""
         return replace(self, steps=replace(self.steps, turned_rad=turned_rad))
 
 
+#: share of runs that can be off by whole turns beside the others; more are another convention
+FEW_OFF: Final = 0.25
+#: how near to a whole turn: the wheels of a nominal vehicle tell a few turns to this part of one
+WHOLE_TURN: Final = 0.1
 #: poses of a run that make a reference a continuous one
 MANY_POSES: Final = 20
 
@@ -170,9 +219,11 @@ def _piece(campaign: Campaign, row: int, source: str, per_rev: FloatArray) -> di
             reference[axis] = _unwrapped(log[name]) if axis == 2 else log[name]
     turned = 2.0 * np.pi * np.diff(counts[:, keep], axis=1, prepend=counts[:, keep][:, :1]) / per_rev[:, None]
     reference = reference[:, keep]
-    if np.isnan(end).any():
+    if _position_alone_in_a_map(campaign, reference):
+        return POSITION_ALONE
+    if np.isnan(end).all() or (np.isnan(end).any() and np.isfinite(reference).all(axis=0).any()):
         end = _last_pose(reference)
-    if np.isnan(end[:2]).any() and not np.isfinite(reference[:2]).all(axis=0).any():
+    if np.isnan(end).all() and not np.isfinite(reference).any():
         end = _straight_end(campaign, row, source, turned.sum(axis=1))
         if np.isnan(end[0]):
             return "nothing says where it ended: no ref_ columns, and no distance_m of a straight run"
@@ -256,108 +307,28 @@ def _unwrapped(theta: FloatArray) -> FloatArray:
     return unwrapped
 
 
+def _position_alone_in_a_map(campaign: Campaign, reference: FloatArray) -> bool:
+    """Return whether a run's reference along the way has no headings, and does not begin at the start pose."""
+    places = reference[:2, np.isfinite(reference[:2]).all(axis=0)]
+    if not places.shape[1] or np.isfinite(reference[2]).any():
+        return False
+    frame = campaign.reference.frame
+    return frame == "map" or (frame is None and float(np.hypot(*places[:, 0])) > AT_START_M)
+
+
+def parts_seen(reference: FloatArray) -> BoolArray:
+    """Return which of x, y, theta a reference (shape (3, n)) has at all, shape (3,)."""
+    return np.asarray(np.isfinite(reference).any(axis=1))
+
+
 def _last_pose(reference: FloatArray) -> FloatArray:
-    """Return the last pose of a continuous reference in the frame of the first, where both stand at the run's ends."""
-    good = np.flatnonzero(np.isfinite(reference).all(axis=0))
+    """Return the last pose of a continuous reference in the frame of the first, where both stand at the run's ends.
+
+    Of positions alone the frame is the start pose's, so that the first heading is zero.
+    """
+    seen = parts_seen(reference)
+    good = np.flatnonzero(np.isfinite(reference[seen]).all(axis=0))
     if len(good) < 2 or good[0] != 0 or good[-1] != reference.shape[1] - 1:
         return np.full(3, np.nan)
-    return np.asarray(moved_between(reference, good[:1], good[-1:])[0])
-
-
-#: windows as parts of a block: whole, half, quarter
-LEVELS: Final = (1.0, 0.5, 0.25)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Segments:
-    """Stretches and what the reference says of them."""
-
-    #: number of the run, first and last sample, shape (n,)
-    run: IntArray
-    first: IntArray
-    last: IntArray
-    #: displacement of the sensor in its own frame at the start: forward, left, turn, shape (n, 3)
-    measured: FloatArray
-    #: which of these were measured, shape (n, 3)
-    seen: BoolArray
-    #: stretches of one block share their noise; they are nested in it, shape (n,)
-    block: IntArray
-    #: 0 for the longest windows, shape (n,)
-    level: IntArray
-
-    def __len__(self) -> int:
-        return len(self.run)
-
-    def are_runs_of(self, recording: Recording) -> bool:
-        """Return whether the stretches are whole runs."""
-        return bool(np.array_equal(self.first, recording.offsets[self.run]))
-
-    def select(self, keep: BoolArray) -> Segments:
-        """Return the stretches that `keep` picks."""
-        return Segments(*(getattr(self, column.name)[keep] for column in fields(self)))
-
-
-def end_pose_segments(recording: Recording) -> Segments:
-    """Return each run with an end pose as one stretch.
-
-    Raises RefusedError where no run has an end pose.
-    """
-    runs = np.flatnonzero(np.isfinite(recording.end_pose[:, 0]))
-    if not len(runs):
-        raise RefusedError("end poses: found none; expected ref_x_m, ref_y_m, ref_theta_rad of some runs; measure them")
-    measured = recording.end_pose[runs]
-    return Segments(
-        run=runs,
-        first=recording.offsets[runs],
-        last=recording.offsets[runs + 1] - 1,
-        measured=np.nan_to_num(measured),
-        seen=np.isfinite(measured),
-        block=np.arange(len(runs)),
-        level=np.zeros(len(runs), dtype=np.int64),
-    )
-
-
-def window_segments(recording: Recording, blocks: int) -> Segments:
-    """Return windows of three lengths, nested in blocks of equal travel.
-
-    `recording`: with a reference along the way; `blocks`: how many blocks all runs together are cut into, about; a run
-    is one at least. Raises RefusedError where the reference follows the vehicle nowhere.
-
-    The travel of the wheels, not the time, sets the length, so that a standing vehicle makes no windows. Shorter
-    windows overlap by half. No window reaches over the end of its block.
-    """
-    good: BoolArray = np.asarray(np.isfinite(recording.reference).all(axis=0))
-    travel = recording.travel_rad
-    ends = np.array([travel[stop - 1] for stop in recording.offsets[1:]])
-    length = float(ends.sum()) / max(blocks, 1)
-    pieces: list[tuple[IntArray, IntArray, IntArray, IntArray, IntArray]] = []
-    block = 0
-    for run in range(len(recording)):
-        samples = np.flatnonzero(good[recording.offsets[run] : recording.offsets[run + 1]]) + recording.offsets[run]
-        if len(samples) < 2 or length <= 0.0:
-            continue
-        n_blocks = max(1, round(float(ends[run]) / length))
-        edges = np.linspace(travel[samples[0]], travel[samples[-1]], n_blocks + 1)
-        low, size = edges[:-1, None], np.diff(edges)[:, None]
-        for level, share in enumerate(LEVELS):
-            starts = np.arange(0.0, 1.0 - share + 1e-9, 0.5 * share if share < 1.0 else 1.0)
-            first = samples[_nearest(travel[samples], (low + starts * size).ravel())]
-            last = samples[_nearest(travel[samples], (low + (starts + share) * size).ravel())]
-            real = last > first
-            n, of = int(real.sum()), np.repeat(block + np.arange(n_blocks), len(starts))
-            pieces.append((first[real], last[real], np.full(n, run), of[real], np.full(n, level)))
-        block += n_blocks
-    if not pieces or not sum(len(piece[0]) for piece in pieces):
-        raise RefusedError(
-            "windows: found no reference along the way; expected ref_x_m, ref_y_m, ref_theta_rad in logs; "
-            "use end poses instead"
-        )
-    first, last, run_of, block_of, level_of = (np.concatenate(part) for part in zip(*pieces, strict=True))
-    measured = moved_between(recording.reference, first, last)
-    return Segments(run_of, first, last, measured, np.ones(measured.shape, dtype=np.bool_), block_of, level_of)
-
-
-def _nearest(travel: FloatArray, wanted: FloatArray) -> IntArray:
-    """Return the samples where the travel is nearest to `wanted`."""
-    after = np.clip(np.searchsorted(travel, wanted), 1, len(travel) - 1)
-    return np.asarray(after - (wanted - travel[after - 1] < travel[after] - wanted))
+    moved = moved_between(np.where(seen[:, None], reference, 0.0), good[:1], good[-1:])[0]
+    return np.asarray(np.where(seen, moved, np.nan))

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from calib.kinematics.adequacy import GeometryVerdict, Judgement
 from calib.kinematics.blunders import Fault
 from calib.kinematics.delays import Delay
 from calib.kinematics.umbmark import Umbmark
 from calib.kinematics.uncertainty import Freedom
 from calib.result import Result
 from calib.types import FloatArray
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 #: residual channels and their units
 CHANNELS: Final = ("x_m", "y_m", "theta_rad")
@@ -141,6 +145,8 @@ class Geometry(Result):
     paths: tuple[RunPath, ...] = ()
     #: degrees of freedom of sums of the estimates; None: those of the estimates themselves hold
     freedom: Freedom | None = None
+    #: whether the estimates are to be used, with the figures and reasons; None where nobody judged
+    judgement: Judgement | None = None
 
     def __getitem__(self, name: str) -> Estimate:
         for estimate in self.estimates:
@@ -154,9 +160,39 @@ class Geometry(Result):
         return {**self.held, **{estimate.name: estimate.value for estimate in self.estimates}}
 
     @property
+    def verdict(self) -> GeometryVerdict:
+        """Whether the estimates are to be used: ``calibrated``, ``doubtful`` or ``wrong``."""
+        if self.judgement is not None:
+            return self.judgement.verdict
+        return GeometryVerdict.WRONG if self.faults else GeometryVerdict.CALIBRATED
+
+    @property
+    def why(self) -> tuple[str, ...]:
+        """What speaks against the estimates; empty where they are to be used."""
+        if not self.estimates:
+            return ("these runs determine no parameter",)
+        return tuple(fault.text for fault in self.faults) if self.judgement is None else self.judgement.why
+
+    @property
+    def misfit(self) -> bool:
+        """Whether the residuals or the lengths themselves speak against the estimates, blunders aside."""
+        faults = {fault.text for fault in self.faults}
+        return self.judgement is not None and any(reason not in faults for reason in self.judgement.why)
+
+    @property
     def passed(self) -> bool:
-        """Whether no blunder was recognised and something was determined."""
-        return not self.faults and bool(self.estimates)
+        """Whether the estimates are to be used."""
+        return self.verdict is GeometryVerdict.CALIBRATED and bool(self.estimates)
+
+    @property
+    def table(self) -> DataFrame:
+        """Estimates as a pandas table, a row a parameter."""
+        from pandas import DataFrame
+
+        rows = [{"parameter": one.name, **one.to_dict()} for one in self.estimates]
+        low, high = ([row["ci95"][at] for row in rows] for at in (0, 1))
+        table = DataFrame(rows, columns=["parameter", "nominal", "value", "sd", "dof"])
+        return table.assign(ci95_low=low, ci95_high=high).set_index("parameter")
 
     def correlation(self) -> FloatArray:
         """Return the correlation matrix of the estimates."""
@@ -219,4 +255,7 @@ class Geometry(Result):
             "routes": [route.to_dict() for route in self.routes],
             "transfer": [asdict(left_out) for left_out in self.transfer],
             "notes": list(self.notes),
+            "verdict": self.verdict.value,
+            "adequacy": None if self.judgement is None else asdict(self.judgement.adequacy),
+            "why": list(self.why),
         }

@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.kinematics.drives import Parameters, Path
 from calib.kinematics.model import Model, Prediction
-from calib.kinematics.recording import Segments
+from calib.kinematics.segments import Segments
 from calib.types import BoolArray, FloatArray, IntArray
 
 #: variances that make up the covariance of a displacement: of position and heading by the reference (m^2, rad^2),
@@ -146,18 +146,35 @@ class Solution:
     converged: bool
 
 
-def solve(model: Model, parameters: Parameters, start: FloatArray, scales: FloatArray) -> Solution:
+def solve(
+    model: Model, parameters: Parameters, start: FloatArray, scales: FloatArray, rounds: int = ROUNDS
+) -> Solution:
     """Return the parameters that the data make most likely.
 
-    `model`: predicts displacements; `start` (shape (n_parameters,)): where to begin; `scales` (shape (4,)): variances
-    of the noise's components to begin with.
+    Parameters
+    ----------
+    model : Model
+        Predicts displacements.
+    parameters : Parameters
+        Those that are estimated, with the spread of what is possible.
+    start : array, shape (n_parameters,)
+        Where to begin.
+    scales : array, shape (4,)
+        Variances of the noise's components to begin with.
+    rounds : int
+        Linearisations at most.
+
+    Returns
+    -------
+    Solution
+        With `converged` False where the last step was long.
     """
     values, least = start.copy(), LEAST * scales
     free, prior = parameters.free, parameters.prior_std
     seen = model.segments.seen
     size = seen.sum(axis=1)
     prediction, converged = model.predict(values), False
-    for number in range(ROUNDS):
+    for number in range(rounds):
         if number < NOISE_ROUNDS:
             kernel = _kernel(model, prediction, values)
         problem = _Linear(prediction.residuals, prediction.jacobian[:, :, free] * prior[free], seen, size)

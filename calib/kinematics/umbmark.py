@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from calib.kinematics.model import Prediction
-from calib.kinematics.recording import Segments
+from calib.kinematics.segments import Segments
 from calib.types import BoolArray, FloatArray
 
 #: how far from a side's direction a piece of the way may point and still belong to it

@@ -11,6 +11,7 @@ import io
 import json
 import sys
 import tempfile
+from collections.abc import Collection
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,6 +35,42 @@ TRUTH: Final = {
 RIGHT: Final = {
     *("radius_scale", "unequal_radii", "track_width", "encoder_gross", "reference_latency", "reference_yaw"),
     *("steering_scale", "steering_zero", "drive_slip"),
+}
+#: blunder -> what geometry may name; of the others nothing is named, or what is wrong is said in an error
+NAMES: Final = {
+    **{f"axes turned by {degrees} degrees": {"axes_turned"} for degrees in (30, 10, 2, 90, 180)},
+    "tricycle axes turned by 30 degrees": {"axes_turned"},
+    "y mirrored": {"y_mirrored"},
+    "x mirrored": {"x_mirrored"},
+    "y and heading mirrored": {"mirrored", "swapped_wheels"},
+    "heading clockwise": {"heading_clockwise"},
+    "x and y exchanged": {"axes_exchanged"},
+    **{f"positions in {unit}": {"position_unit"} for unit in ("millimetres", "centimetres", "inches")},
+    "positions in feet": {"position_unit", "radius_factor"},
+    "x alone in millimetres": {"position_unit"},
+    "tricycle positions in millimetres": {"position_unit"},
+    "heading in degrees": {"heading_unit"},
+    "heading in turns": {"heading_unit"},
+    **{f"wheel {what} read as counts": {"count_unit"} for what in ("angles in radians", "ways in metres", "turns")},
+    "left wheel in radians": {"count_unit"},
+    "front counts in radians": {"count_unit"},
+    "increments read as counts": {"count_increments"},
+    "increments of the left wheel": {"count_increments"},
+    "absolute encoder, not unwrapped": {"counts_wrap"},
+    "absolute encoder of the right wheel, not unwrapped": {"counts_wrap"},
+    "16 bit counter, not unwrapped": {"counts_wrap"},
+    "front counts wrap": {"counts_wrap"},
+    "counts of left and right exchanged": {"swapped_wheels"},
+    "left counts negative": {"reversed_left"},
+    "both counts negative": {"reversed_both"},
+    **{f"counts per revolution {what}": {"radius_factor"} for what in ("half", "a quarter", "double")},
+    "left counts per revolution half": {"counts_per_rev"},
+    "heading off by a turn in one run": {"heading_turn"},
+    "half the track as track": {"half_track"},
+    "diameter as radius": {"radius_factor"},
+    "steering in degrees": {"steering_unit"},
+    "steering reversed": {"reversed_steering"},
+    "absolute steering encoder that wraps": {"steering_wraps"},
 }
 #: an estimate nearer than this to the truth is no harm (relative)
 HARMLESS: Final = 2e-2
@@ -86,15 +123,25 @@ class Row:
         return self.geometry.status == 0 and bool(harmful(self.geometry.document))
 
     @property
+    def codes(self) -> list[str]:
+        """What geometry names."""
+        return [fault.get("code", "") for fault in self.geometry.document.get("faults", ())]
+
+    @property
+    def misnamed(self) -> bool:
+        """Whether geometry names another blunder than the one that was made."""
+        return not set(self.codes) <= NAMES.get(self.name, set())
+
+    @property
     def diagnosis_unnoticed(self) -> bool:
         """Whether the diagnosis gives an all-clear, or recommends a fix, beside the blunder."""
         return self.diagnosis is not None and self.diagnosis.status == 0 and not _right(self.diagnosis.document)
 
     def __str__(self) -> str:
-        codes = [fault.get("code", "") for fault in self.geometry.document.get("faults", ())]
         error = self.geometry.error.splitlines()[0][:90] if self.geometry.error else ""
-        named = ", ".join(codes) or self.geometry.document.get("verdict", "") or error
+        named = ", ".join(self.codes) or self.geometry.document.get("verdict", "") or error
         mark = "SILENT " + ", ".join(harmful(self.geometry.document)) if self.geometry_unnoticed else ""
+        mark += "MISNAMED" if self.misnamed else ""
         cells = [self.name, self.reference, str(self.geometry.status), named, mark]
         if self.diagnosis is not None:
             causes = ", ".join(cause["effect"] for cause in self.diagnosis.document.get("causes", ()))
@@ -109,7 +156,12 @@ def _right(document: dict[str, Any]) -> bool:
     return bool(named) and named <= RIGHT
 
 
-def rows(names: list[str], *, diagnose: bool, folder: Path) -> list[Row]:
+REFERENCES: Final = {"end poses": False, "along": True}
+
+
+def rows(
+    names: Collection[str], *, diagnose: bool, folder: Path, references: Collection[str] = tuple(REFERENCES)
+) -> list[Row]:
     """Return the rows of the named blunders; all of them where none is named."""
     found = []
     for changes, make in ((DIFFERENTIAL, plant.differential), (TRICYCLE, plant.tricycle)):
@@ -119,7 +171,8 @@ def rows(names: list[str], *, diagnose: bool, folder: Path) -> list[Row]:
                 continue
             altered = sound.copy()
             change(altered)
-            for reference, along in (("end poses", False), ("along", True)):
+            for reference in references:
+                along = REFERENCES[reference]
                 place = plant.write(altered, folder / f"{len(found)}", along=along)
                 diagnosis = ask("diagnose", str(place)) if diagnose and not along else None
                 using = ["--using", "windows"] if along else []
@@ -140,8 +193,12 @@ def main() -> None:
         table = rows(given.names, diagnose=not given.no_diagnosis, folder=Path(folder))
     silent = sum(row.geometry_unnoticed for row in table), sum(row.diagnosis_unnoticed for row in table)
     asked = sum(row.diagnosis is not None for row in table)
-    sys.stdout.write(f"{len(table)} recordings: geometry silent {silent[0]}, diagnose silent {silent[1]} of {asked}\n")
-    sys.exit(int(any(silent)))
+    misnamed, named = sum(row.misnamed for row in table), sum(bool(row.codes) for row in table)
+    sys.stdout.write(
+        f"{len(table)} recordings: geometry silent {silent[0]}, blunder named {named}, misnamed {misnamed}; "
+        f"diagnose silent {silent[1]} of {asked}\n"
+    )
+    sys.exit(int(any(silent) or misnamed > 0))
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from calib.coefficients.build import from_geometry
 from calib.coefficients.export import export
 from calib.coefficients.file import CoefficientFile, load_coefficients
 from calib.coefficients.formats import LoadPair
-from calib.errors import RefusedError
+from calib.errors import ImplausibleError
 from calib.kinematics.estimate import estimate_geometry
 from calib.kinematics.result import Geometry
 from calib.odometry.pose_covariance import parameter_covariance
@@ -74,5 +74,5 @@ def test_ros2_writes_the_calibrated_separation_and_states_where_it_is_nominal(
 
 def test_a_blunder_is_not_exported(made: Campaign) -> None:
     off = campaign(mixed(2), Truth(), np.random.default_rng(2), nominal=(0.05, 0.05, 0.2))
-    with pytest.raises(RefusedError, match="twice the track"):
+    with pytest.raises(ImplausibleError, match="twice the track"):
         from_geometry(estimate_geometry(off), off)

@@ -16,7 +16,9 @@ PACKAGE = ROOT / "calib"
 ORDER: Mapping[str, tuple[str, ...]] = {
     "calib": (
         "types",
+        "adequacy",
         "errors",
+        "arguments",
         "documents",
         "inputs",
         "io",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from os.path import commonprefix
+from itertools import takewhile
 from pathlib import Path
 from typing import Final
 
@@ -184,5 +184,10 @@ def name_pattern(stems: Sequence[str]) -> str | None:
             padded = len(widths) == 1 and next(iter(widths)) > 1
             out += f"{{n:{widths.pop():02}}}" if padded else "{n}"
         else:
-            out += cells[0] if len(set(cells)) == 1 else f"{commonprefix(cells)}*"
+            out += cells[0] if len(set(cells)) == 1 else f"{_common_start(cells)}*"
     return out
+
+
+def _common_start(texts: Sequence[str]) -> str:
+    same = takewhile(lambda signs: len(set(signs)) == 1, zip(*texts, strict=False))
+    return "".join(signs[0] for signs in same)

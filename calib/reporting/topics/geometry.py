@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Final
 
 from calib.kinematics.result import Estimate, RouteResidual, Transfer
@@ -29,7 +30,7 @@ _ROUTE: Final = (
 
 def geometry_content(geometry: Geometry) -> tuple[Block, ...]:
     """Return the result as blocks."""
-    blocks: list[Block] = [Text(_heading(geometry))]
+    blocks: list[Block] = [Text(_heading(geometry)), *items(verdict_sentences(geometry))]
     parameters = [_cells(estimate) for estimate in geometry.estimates]
     blocks.append(_table("Parameters, with 95 % intervals.", _HEADER, parameters))
     blocks += items(geometry_sentences(geometry))
@@ -56,6 +57,26 @@ def _heading(geometry: Geometry) -> str:
     )
 
 
+def verdict_sentences(geometry: Geometry) -> list[str]:
+    """Return the verdict with the residuals that it rests on, and what speaks against the estimates."""
+    verdict = geometry.verdict.value.capitalize()
+    if geometry.judgement is None:
+        return [f"{verdict}: {text}." for text in geometry.why]
+    errors = asdict(geometry.judgement.adequacy)
+    parts = [
+        f"{what} {before} before, {after} after, {held_out} on held-out runs; noise {noise}"
+        for what, prefix, unit in (("position error", "", "m"), ("heading error", "heading_", "rad"))
+        if errors[f"{prefix}before_rms_{unit}"]
+        for before, after, held_out, noise in [
+            [
+                f"{1e3 * errors[f'{prefix}{at}_rms_{unit}']:.3g} m{unit}"
+                for at in ("before", "after", "held_out", "noise")
+            ]
+        ]
+    ]
+    return [f"{verdict}: {'. '.join(parts)}.", *(f"{text[0].upper()}{text[1:]}." for text in geometry.why)]
+
+
 def geometry_sentences(geometry: Geometry) -> list[str]:
     """Return the sentences beside the table of parameters."""
     lines = []
@@ -63,7 +84,6 @@ def geometry_sentences(geometry: Geometry) -> list[str]:
         lines.append(
             f"Not identifiable from these runs, kept at the nominal value: {', '.join(geometry.undetermined)}."
         )
-    lines += [f"Wrong: {fault.text}." for fault in geometry.faults]
     if geometry.outliers:
         lines.append(f"Outliers, down-weighted: {', '.join(geometry.outliers)}.")
     if geometry.delays:
@@ -125,4 +145,4 @@ def _transfer_cells(row: Transfer) -> tuple[str, ...]:
 
 def geometry_brief(geometry: Geometry) -> tuple[Block, ...]:
     """Return what the interpreter shows of a geometry: runs and parameters."""
-    return geometry_content(geometry)[:2]
+    return geometry_content(geometry)[:3]

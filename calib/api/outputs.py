@@ -1,0 +1,233 @@
+"""What a law or a geometry does, and where it goes: `simulate`, `replay`, `report`, `export`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from calib.api.inputs import CampaignLike, opened, refuse_negative
+from calib.api.results import fit, geometry
+from calib.arguments import checked
+from calib.errors import BadInputError
+from calib.kinematics.result import Geometry
+from calib.odometry.replay import Replay
+from calib.odometry.simulation import Simulation
+from calib.radius.result import Fit
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
+
+
+@checked
+def simulate(
+    study: str = "corrected",
+    *,
+    law: Fit | None = None,
+    routes: Sequence[str] = (),
+    loads_N: Sequence[tuple[float, float]] = (),
+    seed: int = 0,
+) -> Simulation:
+    """Simulate a vehicle that follows a route on its own odometry, with wrong and with corrected radii.
+
+    Parameters
+    ----------
+    study : {"symmetric", "asymmetric", "corrected", "custom"}
+        The paper's studies, or ``custom`` for the law alone.
+    law : Fit, optional
+        Drive the same journeys under this law, its 95 % band carried to the end pose.
+    routes : sequence of str
+        Names of routes or route files in place of the study's own.
+    loads_N : sequence of (float, float)
+        Wheel loads (left, right) of the journeys under the law, in N.
+    seed : int
+        Seed of the Monte Carlo.
+
+    Returns
+    -------
+    Simulation
+        ``simulation.table`` has the end of every drive.
+
+    Raises
+    ------
+    BadInputError
+        Where the study or a route is not known.
+    """
+    from calib.odometry.law_path import AxleLaw
+    from calib.odometry.simulation import LawJourneys
+    from calib.odometry.simulation import simulate as run
+    from calib.vehicle import Vehicle
+
+    vehicle = Vehicle() if law is None or law.setup is None else law.setup.vehicle
+    simulation = run(
+        study,
+        routes=routes,
+        track_m=vehicle.track_m,
+        under=None if law is None else LawJourneys(AxleLaw(law.law, vehicle.track_m), loads_N),
+        rng=_generator(seed),
+    )
+    return simulation
+
+
+@checked
+def replay(campaign: CampaignLike, law: Fit | Geometry, *, scheme: str = "exact", seed: int = 0) -> Replay:
+    """Replay the logged runs of a campaign through odometry, with and without the load correction.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        Runs with logs, wheel loads and reference end poses.
+    law : Fit or Geometry
+        The law that corrects, or the geometry; best of a campaign other than this one.
+    scheme : {"exact", "mid_point", "euler", "end_point"}
+        How a step is drawn.
+    seed : int
+        Seed of the bootstrap.
+
+    Returns
+    -------
+    Replay
+        End errors by run and odometry.
+
+    Raises
+    ------
+    RefusedError
+        Where no run can be replayed.
+    """
+    from calib.coefficients.build import from_fit, from_geometry
+    from calib.odometry.replay import replay as run
+
+    campaign = opened(campaign)
+    file = from_geometry(law, campaign) if isinstance(law, Geometry) else from_fit(law)
+    return run(campaign, file, rng=_generator(seed), scheme=scheme)
+
+
+@checked
+def report(
+    source: CampaignLike | Fit,
+    target: Path | str,
+    *,
+    date: str | None = None,
+    diagnosis: bool = False,
+    accept_implausible: str = "",
+    force: bool = False,
+) -> Path:
+    """Write the report on a campaign or on its fit as PDF.
+
+    Parameters
+    ----------
+    source : Campaign, Path, str or Fit
+        A campaign is fitted first.
+    target : Path or str
+        The PDF, or a folder for it.
+    date : str, optional
+        Date of issue as YYYY-MM-DD, which fixes the bytes of the PDF; without it today.
+    diagnosis : bool
+        Add the diagnosis of the gap; needs the campaign.
+    accept_implausible : str
+        Why a law beyond the bounds of its vehicle is passed on all the same; written into the file.
+    force : bool
+        Replace an existing file.
+
+    Returns
+    -------
+    Path
+        The file written.
+
+    Raises
+    ------
+    BadInputError
+        Where the file exists and `force` is False.
+    RefusedError
+        Where the runs allow no law.
+    """
+    from calib.gap.diagnose import diagnose_in_full
+    from calib.io import write_bytes
+    from calib.reporting.content import compose, place_of
+    from calib.reporting.pdf import to_pdf
+    from calib.reporting.source import from_campaign, issue_date, source_of_fit
+
+    issued = issue_date(date)
+    if not isinstance(source, Fit):
+        campaign = opened(source)
+        content = from_campaign(campaign, issued=issued, accept=accept_implausible)
+        if diagnosis:
+            content = content.with_diagnosis(diagnose_in_full(campaign))
+    elif diagnosis:
+        raise BadInputError("report: found a fit; expected a campaign, which a diagnosis needs; give the campaign")
+    else:
+        content = source_of_fit(replace(source, accepted=accept_implausible), issued=issued)
+    path = place_of(content.fit.name, Path(target), force=force)
+    return write_bytes(path, to_pdf(compose(content)), force=force)
+
+
+@checked
+def export(
+    source: CampaignLike | Fit | Geometry,
+    to: str = "json",
+    target: Path | str | None = None,
+    *,
+    loads: Sequence[float | str] = (),
+    controllers: Sequence[str] = (),
+    campaign: CampaignLike | None = None,
+    accept_implausible: str = "",
+    force: bool = False,
+) -> Mapping[str, str]:
+    """Return the coefficients as the vehicle needs them, and write them where a target is given.
+
+    Parameters
+    ----------
+    source : Campaign, Path, str, Fit or Geometry
+        A campaign is fitted first; one without rear encoders has the coefficients of its geometry.
+    to : {"json", "ros2", "c", "csv"}
+        The form; ``json`` is the master that `calib.runtime` reads.
+    target : Path or str, optional
+        File, or folder where there are several files.
+    loads : sequence of float or str
+        Load points in N for ``ros2`` and ``csv``: 600 for both wheels or ``"500,700"``.
+    controllers : sequence of str
+        Names of ROS 2 controllers; none: those of the vehicle's drive.
+    campaign : Campaign, Path or str, optional
+        What a geometry was estimated from.
+    accept_implausible : str
+        Why a law beyond the bounds of its vehicle is passed on all the same; written into the file.
+    force : bool
+        Replace existing files.
+
+    Returns
+    -------
+    mapping of str to str
+        Text of each file by its name.
+    """
+    from calib.campaign.wheels import without_rear_wheels
+    from calib.coefficients.build import from_fit, from_geometry
+    from calib.coefficients.export import export as rendered
+    from calib.coefficients.export import parse_loads, place
+    from calib.coefficients.formats import ExportOptions
+
+    options = ExportOptions(loads=parse_loads([str(load) for load in loads]), controllers=tuple(controllers))
+    if isinstance(source, Geometry):
+        if campaign is None:
+            raise BadInputError("export: found a geometry alone; expected its campaign too; give campaign=...")
+        master = from_geometry(source, opened(campaign), accept=accept_implausible)
+    elif isinstance(source, Fit):
+        master = from_fit(replace(source, accepted=accept_implausible))
+    else:
+        read = opened(source)
+        master = (
+            from_geometry(geometry(read), read, accept=accept_implausible)
+            if without_rear_wheels(read)
+            else from_fit(replace(fit(read), accepted=accept_implausible))
+        )
+    artifacts = rendered(master, to, options=options)
+    if target is not None:
+        place(artifacts, Path(target), force=force)
+    return {artifact.name: artifact.data.decode("utf-8") for artifact in artifacts}
+
+
+def _generator(seed: int) -> Generator:
+    from numpy.random import default_rng
+
+    refuse_negative(seed)
+    return default_rng(seed)

@@ -1,0 +1,163 @@
+"""From a campaign to results: `fit`, `geometry`, `diagnose`, `plan`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+from calib.api.inputs import CampaignLike, opened, refuse_negative
+from calib.arguments import checked
+from calib.gap.decision.diagnosis import Diagnosis, Plan
+from calib.kinematics.result import Geometry
+from calib.radius.result import Fit
+
+
+@checked
+def fit(campaign: CampaignLike, *, reference_load_N: float | None = None) -> Fit:
+    """Fit the effective radius of each wheel against its load.
+
+    Parameters
+    ----------
+    campaign : Campaign, Path or str
+        From `read`, or what it reads.
+    reference_load_N : float, optional
+        Load on which the coefficients are centred; without it the one of the campaign's model.
+
+    Returns
+    -------
+    Fit
+        The laws with intervals, checks and budget; ``fit.table`` has the runs.
+
+    Raises
+    ------
+    RefusedError
+        Where fewer than three runs can be used.
+    """
+    from calib import __version__
+    from calib.radius.fit import fit_campaign
+    from calib.radius.result import provenance
+
+    arguments = {} if reference_load_N is None else {"reference_load_N": reference_load_N}
+    campaign = opened(campaign)
+    fitted = fit_campaign(campaign, reference_load_N=reference_load_N)
+    return replace(fitted, provenance=provenance(campaign, version=__version__, arguments=arguments))
+
+
+@checked
+def geometry(
+    campaign: CampaignLike,
+    *,
+    using: Literal["end_poses", "windows"] | None = None,
+    kinds: Sequence[str] = (),
+    leave_out: Literal["session", "kind", "run_id"] | None = None,
+) -> Geometry:
+    """Estimate radii and track together, with the reference's sensor, from end poses or along the way.
+
+    Parameters
+    ----------
+    campaign : Campaign, Path or str
+        From `read`, or what it reads.
+    using : {"end_poses", "windows"}, optional
+        Whole runs, or windows of several lengths along the way; without it what the campaign has.
+    kinds : sequence of str
+        Kinds of routes to use; none: all.
+    leave_out : {"session", "kind", "run_id"}, optional
+        Leave each of these out in turn and say the end position errors.
+
+    Returns
+    -------
+    Geometry
+        Values with intervals and joint covariance, what stayed undetermined, residuals by route.
+
+    Raises
+    ------
+    RefusedError
+        Where no run has both wheels and a reference.
+    """
+    from calib.kinematics.estimate import estimate_geometry, paths_of
+
+    campaign = opened(campaign)
+    estimated = estimate_geometry(campaign, using=using, kinds=kinds, leave_out=leave_out)
+    return replace(estimated, paths=paths_of(campaign, estimated))
+
+
+@checked
+def diagnose(
+    campaign: CampaignLike,
+    *,
+    model: Path | str | None = None,
+    exclude: Sequence[str] = (),
+    seed: int = 0,
+    journeys: Path | str | None = None,
+) -> Diagnosis:
+    """Find out where simulated and measured motion differ, and which unmodelled effect causes it.
+
+    Parameters
+    ----------
+    campaign : Campaign, Path or str
+        From `read`, or what it reads.
+    model : Path or str, optional
+        Coefficient file that the simulator believes; the campaign's own model without.
+    exclude : sequence of str
+        Effects to leave out of the library.
+    seed : int
+        Seed of the bootstraps.
+    journeys : Path or str, optional
+        A plan of runs still to come, on which the corrections of causes that cannot be told apart are compared.
+
+    Returns
+    -------
+    Diagnosis
+        Verdict, causes, confounded effects, and the arrays behind them.
+
+    Raises
+    ------
+    RefusedError
+        Where no run has both counts and something measured.
+    """
+    from calib.gap.diagnose import diagnose_in_full
+    from calib.gap.effects.applied import model_of
+    from calib.gap.effects.library import check_excluded
+    from calib.gap.observations.from_campaign import observations_of
+    from calib.gap.plan.plan_file import read_plan
+
+    refuse_negative(seed)
+    campaign = opened(campaign)
+    if exclude:
+        check_excluded(exclude, observations_of(campaign), campaign.extra.get("effects", ()))
+    believed, effects = (None, ()) if model is None else model_of(Path(model), campaign)
+    to_come = None if journeys is None else read_plan(Path(journeys))
+    return diagnose_in_full(
+        campaign, seed=seed, exclude=tuple(exclude), model=believed, applied=effects, journeys=to_come
+    )
+
+
+@checked
+def plan(campaign: CampaignLike, *, most: int = 5, seed: int = 0) -> Plan:
+    """Say which runs to drive next, best first, and what each would tell apart.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        What was driven so far.
+    most : int
+        How many runs to name.
+    seed : int
+        Seed of the diagnosis behind it.
+
+    Returns
+    -------
+    Plan
+        The runs with the reason for each.
+    """
+    from calib.gap.diagnose import diagnose_in_full
+    from calib.gap.plan.next_runs import next_runs
+
+    refuse_negative(seed)
+    campaign = opened(campaign)
+    full = diagnose_in_full(campaign, seed=seed, plan=False)
+    ties = [group.effects for group in full.groups]
+    runs = next_runs(campaign, full.effects, full.noise, ties, full.fitted, most=most)
+    return Plan(campaign=campaign, diagnosis=full, runs=tuple(runs))

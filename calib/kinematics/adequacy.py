@@ -1,0 +1,279 @@
+"""The geometry held against what it leaves: residuals before, after, on held-out runs, and the noise of replicates."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from calib.adequacy import LACK_OF_FIT, SMALL_SHARE, Level, Residuals, judge
+from calib.kinematics.blunders import Fault
+from calib.kinematics.joint_fit import Fitted
+from calib.kinematics.model import Model
+from calib.kinematics.segments import Segments
+from calib.kinematics.solve import solve
+from calib.kinematics.uncertainty import ENOUGH_RUNS
+from calib.types import BoolArray, FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from calib.campaign.model import Campaign
+
+#: folds in which runs are held out: each fit still sees four fifths of them
+FOLDS: Final = 5
+#: runs are replicates where path and displacement differ by less than this share of the path, and turns by so much
+REPLICATE_SHARE: Final = 0.05
+REPLICATE_TURN_RAD: Final = 0.3
+#: degrees of freedom from which on the scatter of replicates is known well enough to judge by: to about a third
+REPLICATE_DOF: Final = 4
+#: drift of a calibrated odometry where no replicates say it: share of the way (UMBmark's robots: 0.1 to 0.5 %), and
+#: heading as a share of the rotation and in rad per metre
+USUAL_DRIFT: Final = 0.003
+#: a length further from what is stated is a wrong setting, unit or count; rubber, wear and load stay within it
+PLAUSIBLE_CHANGE: Final = 0.15
+#: a track may be an effective one, of two tyres that scrub or of a wide tread
+PLAUSIBLE_TRACK_CHANGE: Final = 0.3
+#: at most this share of the runs are single bad ones, which take no part; one run always may be
+FEW_OUTLIERS: Final = 0.1
+#: share of runs that the noise cannot explain, from which on the result is doubtful
+MANY_OUTLIERS: Final = 0.25
+#: a turn of less is not what heading residuals are held against: chance in the reference's heading would be most of it
+LEAST_ROTATION_RAD: Final = 1.0
+
+
+class GeometryVerdict(StrEnum):
+    """Whether the estimates are to be used."""
+
+    CALIBRATED = "calibrated"
+    DOUBTFUL = "doubtful"
+    WRONG = "wrong"
+
+
+@dataclass(frozen=True, slots=True)
+class Adequacy:
+    """Root mean square errors at the ends of runs, or of windows: of the position, and of the heading."""
+
+    before_rms_m: float
+    after_rms_m: float
+    noise_rms_m: float
+    held_out_rms_m: float
+    heading_before_rms_rad: float
+    heading_after_rms_rad: float
+    heading_noise_rms_rad: float
+    heading_held_out_rms_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """A verdict with its figures and reasons; no reasons where it is ``calibrated``."""
+
+    verdict: GeometryVerdict
+    adequacy: Adequacy
+    why: tuple[str, ...]
+    #: blunders that are named: none of those recognised where the data stay unexplained once they are corrected
+    faults: tuple[Fault, ...] = ()
+
+
+def judged(
+    campaign: Campaign, fitted: Fitted, whole: Model, faults: Sequence[Fault], outliers: Sequence[str]
+) -> Judgement:
+    """Judge a fit by what it leaves.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        States the noise of the reference.
+    fitted : Fitted
+        The fit.
+    whole : Model
+        Whole runs, or the longest windows of long recordings: where the position errors are taken.
+    faults : sequence of Fault
+        Blunders that were recognised.
+    outliers : sequence of str
+        Runs that the noise cannot explain; they are named by themselves and take no part.
+    """
+    used = _used(whole, outliers)
+    seen = whole.segments.seen
+    after = np.where(seen, whole.predict(fitted.solution.values).residuals, 0.0)
+    before = np.where(seen, whole.predict(fitted.parameters.nominal).residuals, 0.0)
+    held_out = np.where(seen, _held_out(fitted, whole, after), 0.0)
+    way_m, rotation_rad = travelled(whole, fitted.solution.values)
+    replicates = _replicates(whole, way_m)
+
+    def of(columns: slice, travelled: FloatArray, usual: float) -> Residuals:
+        """Return the figures of a part of the pose."""
+        at = used & seen[:, columns].any(axis=1)
+        scatter = _scatter(after[:, columns], replicates, at)
+        total = float(np.sqrt(np.mean(np.square(travelled[at])))) if at.any() else 0.0
+        before_rms, after_rms, held_out_rms = (_rms(part[at, columns]) for part in (before, after, held_out))
+        return Residuals(
+            before_rms,
+            after_rms,
+            held_out_rms,
+            noise=usual if scatter is None else scatter,
+            travelled=total,
+            usual_noise=usual,
+        )
+
+    reference = campaign.reference
+    turned = float(np.mean(rotation_rad[used]) + np.mean(way_m[used]))
+    position = of(slice(0, 2), way_m, float(np.hypot(np.sqrt(2.0) * reference.sigma_xy_m, USUAL_DRIFT * way_m.mean())))
+    heading = of(
+        slice(2, 3),
+        np.maximum(rotation_rad, LEAST_ROTATION_RAD),
+        float(np.hypot(np.sqrt(2.0) * reference.sigma_theta_rad, USUAL_DRIFT * turned)),
+    )
+    level, reasons = judge(position)
+    level_of_heading, more = judge(heading, "heading", "mrad")
+    level = max(level, level_of_heading)
+    # a factor that is recognised says by itself that the length is off
+    impossible = [] if {fault.code for fault in faults} & {"half_track", "radius_factor"} else _implausible(fitted)
+    large = (np.hypot(*after[:, :2].T) > SMALL_SHARE * way_m) | (
+        np.abs(after[:, 2]) > SMALL_SHARE * np.maximum(rotation_rad, LEAST_ROTATION_RAD)
+    )
+    named = tuple(faults) if level < Level.WRONG else ()
+    extra = [*impossible, *_at_odds(whole, outliers, large), *_sideways(position, heading)]
+    if named or impossible:
+        level = Level.WRONG
+    elif extra:
+        level = max(level, Level.DOUBTFUL)
+    why = (*(fault.text for fault in named), *extra, *reasons, *more)
+    verdict = (GeometryVerdict.CALIBRATED, GeometryVerdict.DOUBTFUL, GeometryVerdict.WRONG)[level]
+    figures = (part for of_pose in (position, heading) for part in _figures(of_pose))
+    return Judgement(verdict, Adequacy(*figures), why, named)
+
+
+def _figures(residuals: Residuals) -> tuple[float, float, float, float]:
+    """Return before, after, noise, held out, 0 where nothing was measured."""
+    if residuals.before == residuals.after == 0.0:
+        return 0.0, 0.0, 0.0, 0.0
+    return residuals.before, residuals.after, residuals.noise, residuals.held_out
+
+
+def _used(whole: Model, outliers: Sequence[str]) -> BoolArray:
+    """Return the segments that are judged: all but those of few single bad runs, which are named by themselves.
+
+    Where all replicates are outliers, they are no single bad ones.
+    """
+    segments, recording = whole.segments, whole.recording
+    bad: BoolArray = np.isin(recording.run_id, list(outliers))
+    used: BoolArray = ~bad[segments.run]
+    kinds = recording.kind[bad]
+    alone = all((recording.kind == kind).sum() > (kinds == kind).sum() or not kind for kind in set(kinds.tolist()))
+    runs = np.unique(segments.run)
+    few = bad[runs].sum() <= max(1.0, FEW_OUTLIERS * len(runs))
+    if not few or not alone or used.sum() < 2:
+        return np.ones(len(segments), dtype=np.bool_)
+    return used
+
+
+def travelled(model: Model, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return way in m and rotation in rad of each segment, shape (n,); a radian on the spot is a tenth of a metre."""
+    body = model.drive.motion(values[: len(values) - 4], model.recording.steps).body
+    way, rotation = (np.cumsum(part) for part in (np.hypot(body[0], body[1]) + 0.1 * np.abs(body[2]), np.abs(body[2])))
+    first, last = model.segments.first, model.segments.last
+    return np.asarray(way[last] - way[first]), np.asarray(rotation[last] - rotation[first])
+
+
+def _rms(residuals: FloatArray) -> float:
+    """Return the root mean square of residuals, shape (n, n_channels), of all channels together."""
+    return float(np.sqrt(np.mean(np.square(residuals).sum(axis=1)))) if len(residuals) else 0.0
+
+
+def _scatter(after: FloatArray, group: IntArray, used: BoolArray) -> float | None:
+    """Return the scatter of replicates about their mean; None where there are too few."""
+    squares = dof = 0.0
+    for number in np.unique(group[used]):
+        members = after[used & (group == number)]
+        squares += float(np.square(members - members.mean(axis=0)).sum())
+        dof += len(members) - 1
+    return float(np.sqrt(squares / dof)) if dof >= REPLICATE_DOF else None
+
+
+def _replicates(whole: Model, path: FloatArray) -> IntArray:
+    """Return a number for each segment, the same for those that are replicates by their wheels."""
+    measured = whole.segments.measured
+    told = measured - whole.predict(np.concatenate([_nominal(whole), np.zeros(4)])).residuals
+    group = np.full(len(path), -1, dtype=np.int64)
+    for at in range(len(path)):
+        if group[at] >= 0:
+            continue
+        near = np.abs(path - path[at]) < REPLICATE_SHARE * path[at]
+        near &= np.hypot(*(told[:, :2] - told[at, :2]).T) < REPLICATE_SHARE * path[at]
+        near &= np.abs(told[:, 2] - told[at, 2]) < REPLICATE_TURN_RAD
+        group[near & (group < 0)] = at
+        group[at] = at
+    return group
+
+
+def _nominal(model: Model) -> FloatArray:
+    return np.array([parameter.nominal for parameter in model.drive.parameters])
+
+
+def _held_out(fitted: Fitted, whole: Model, after: FloatArray) -> FloatArray:
+    """Return the residuals of runs, or blocks of few runs, that the fit has not seen, shape (n, 3)."""
+    model, solution = fitted.model, fitted.solution
+    runs = np.unique(model.segments.run)
+    by_run = len(runs) >= min(ENOUGH_RUNS, FOLDS)
+    if not by_run and whole.segments.are_runs_of(whole.recording):
+        return after
+    units, ours = (model.segments.run, whole.segments.run) if by_run else (model.segments.block, whole.segments.block)
+    fold = {unit: number % FOLDS for number, unit in enumerate(np.unique(units))}
+    of_fit, of_whole = (np.array([fold.get(unit, 0) for unit in part]) for part in (units, ours))
+    residuals = after.copy()
+    for number in range(FOLDS):
+        rest: Segments = model.segments.select(of_fit != number)
+        away = of_whole == number
+        if not len(rest) or not away.any():
+            continue
+        fit = solve(Model(model.drive, model.recording, rest), fitted.parameters, solution.values, solution.scales)
+        residuals[away] = whole.predict(fit.values).residuals[away]
+    return residuals
+
+
+def _implausible(fitted: Fitted) -> list[str]:
+    """Return what is further from the stated lengths than wheels and floors can make it."""
+    sentences = []
+    for name, nominal, value, free in zip(
+        fitted.parameters.names, fitted.parameters.nominal, fitted.solution.values, fitted.parameters.free, strict=True
+    ):
+        if (
+            not free
+            or not nominal
+            or not name.startswith(("radius", "front_radius", "wheel_radius", "track", "wheelbase"))
+        ):
+            continue
+        bound = PLAUSIBLE_TRACK_CHANGE if name.startswith("track") else PLAUSIBLE_CHANGE
+        change = value / nominal - 1.0
+        if abs(change) > bound:
+            away = f"{name} is {100 * change:+.3g} % from the stated {nominal:.6g}"
+            sentences.append(f"{away}, more than wheels can change: check lengths, counts per revolution and units")
+    return sentences
+
+
+def _sideways(position: Residuals, heading: Residuals) -> list[str]:
+    """Return a sentence where positions are off by more than headings and the usual drift can make them."""
+    if not heading.before:
+        return []
+    rolled = float(np.hypot(heading.after * position.travelled, position.usual_noise))
+    if position.after <= LACK_OF_FIT * rolled:
+        return []
+    return [
+        f"position: {1e3 * position.after:.3g} mm are left where the headings and the usual drift make "
+        f"{1e3 * rolled:.3g} mm: the vehicle moves as its wheels do not (it strafes or slides sideways), or the "
+        "reference's positions are wrong"
+    ]
+
+
+def _at_odds(whole: Model, outliers: Sequence[str], large: BoolArray) -> list[str]:
+    """Return a sentence where so many runs are outliers that they are no single bad ones.
+
+    `large` (shape (n_segments,)): which residuals are no small share of the way; small ones are no blunder.
+    """
+    n_runs = len(np.unique(whole.segments.run))
+    n_off = len(np.intersect1d(outliers, whole.recording.run_id[np.unique(whole.segments.run[large])]))
+    if n_off <= MANY_OUTLIERS * n_runs:
+        return []
+    return [f"{n_off} of {n_runs} runs are outliers: look at their references, times and counts"]

@@ -1,0 +1,354 @@
+"""Blunders found by trial: each is a reading of the recording, and the one that explains the data is named.
+
+A reading changes what was recorded (other units, axes, columns, wraps), and the vehicle's parameters are fitted again
+within what is plausible. A blunder is named only where its reading leaves a small part of what the recording as it
+stands leaves, relative to the distance travelled, so that no unit makes residuals small by itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from calib.errors import CalibError
+from calib.kinematics.adequacy import FEW_OUTLIERS
+from calib.kinematics.blunders import Fault
+from calib.kinematics.drives import Drive, Parameters, sensor_parameters
+from calib.kinematics.joint_fit import drive_of
+from calib.kinematics.model import Model
+from calib.kinematics.recording import Recording
+from calib.kinematics.segments import Segments
+from calib.kinematics.solve import solve
+from calib.types import FloatArray
+
+if TYPE_CHECKING:
+    from calib.campaign.model import Campaign
+
+#: a reading is named where it leaves less than this part of what the recording as it stands leaves: a quarter of its
+#: mean square
+CLEARLY_LESS: Final = 0.5
+#: and less than this share of the distance travelled: what a calibrated vehicle may leave
+SMALL_SHARE: Final = 0.03
+#: a right reading's displacements are as long as those of the wheels, within this factor, and point their way, in rad:
+#: lengths and mounting angles stay within it
+SAME_LENGTH: Final = 1.3
+SAME_WAY_RAD: Final = 0.3
+#: linearisations of a trial: a right reading is near its end after four, a wrong one never
+TRIAL_ROUNDS: Final = 6
+#: readings that leave no more than this much of the least are alike: the first of them, the simplest, is named
+ALIKE: Final = 1.3
+#: lengths further from nominal are no calibration
+PLAUSIBLE_CHANGE: Final = 0.2
+#: turns of less say little: added to the total absolute rotation that heading residuals are taken relative to
+LEAST_TURN_RAD: Final = 0.2
+#: axes turned by less are a sensor's mounting, which is estimated
+LEAST_ANGLE_RAD: Final = 0.02
+#: random walks of heading and distance per metre, to weigh residuals by
+WALKS: Final = (2.5e-7, 2.5e-7)
+#: widths of counters in use, bits
+COUNTER_BITS: Final = (8, 10, 12, 13, 14, 16, 24, 32)
+
+#: units of positions, in metres
+LENGTH_UNITS: Final = {
+    "millimetres": 1e-3,
+    "centimetres": 1e-2,
+    "feet": 0.3048,
+    "inches": 0.0254,
+    "decimetres": 0.1,
+    "kilometres": 1e3,
+}
+#: units of angles, in radians
+ANGLE_UNITS: Final = {"degrees": np.pi / 180.0, "turns": 2.0 * np.pi, "gon": np.pi / 200.0}
+#: factors that counts per revolution are wrong by
+COUNT_FACTORS: Final = {"half": 0.5, "twice": 2.0, "a quarter of": 0.25, "four times": 4.0}
+
+#: factors that a track is stated wrong by: from the middle to a wheel
+TRACK_FACTORS: Final = {"half": 0.5, "twice": 2.0}
+
+Change = Callable[[Recording], Recording]
+Divide = Callable[["Campaign", Recording], Segments]
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """Another reading of a recording, and the blunder that it corrects."""
+
+    blunder: Fault
+    change: Change
+    #: the same with the column in question zero: a reading that is no better takes the column's words away, no more
+    zeroed: Change | None = None
+    #: a setting that it corrects
+    setting: Callable[[Campaign], Campaign] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """What a reading leaves, and whether it is plausible."""
+
+    #: residual, root mean square, as a share of the distance and rotation
+    share: float
+    #: lengths are near nominal, and displacements as long as those of the wheels and of their direction
+    plausible: bool
+    #: angle by which the reference's displacements are turned against those of the wheels
+    turned_rad: float
+
+
+def find_blunder(
+    campaign: Campaign, recording: Recording, source: str, divide: Divide
+) -> tuple[Campaign, Recording, Fault] | None:
+    """Return settings and recording corrected, and the blunder; None where no reading explains the data.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        States vehicle, encoder and noise of the reference.
+    recording : Recording
+        As it stands.
+    source : {"rear", "front", "wheels"}
+        Which wheels drive the odometry.
+    divide : callable
+        Cuts a recording into the segments that are compared, by the nominal vehicle of a campaign.
+    """
+    per_rev = float(campaign.encoder.counts_per_rev_left or campaign.encoder.front)
+    drive = drive_of(campaign, source, recording)
+
+    def tried(change: Change, setting: Callable[[Campaign], Campaign] | None = None) -> Trial:
+        stated = setting(campaign) if setting else campaign
+        return _tried(stated, change(recording), drive_of(stated, source, recording) if setting else drive, divide)
+
+    as_it_stands = tried(_unchanged)
+    # a fit of lengths that no vehicle has explains nothing
+    enough = min(SMALL_SHARE, CLEARLY_LESS * as_it_stands.share if as_it_stands.plausible else SMALL_SHARE)
+    best: list[tuple[float, Reading]] = []
+    for reading in _readings(recording, per_rev, drive, as_it_stands.turned_rad):
+        trial = tried(reading.change, reading.setting)
+        if not trial.plausible or trial.share >= enough:
+            continue
+        without = tried(reading.zeroed) if reading.zeroed else None
+        if without is None or not without.plausible or trial.share < CLEARLY_LESS * without.share:
+            best.append((trial.share, reading))
+    if not best:
+        return None
+    least = min(share for share, _ in best)
+    chosen = next(reading for share, reading in best if share <= ALIKE * least)
+    return chosen.setting(campaign) if chosen.setting else campaign, chosen.change(recording), chosen.blunder
+
+
+def _tried(campaign: Campaign, recording: Recording, drive: Drive, divide: Divide) -> Trial:
+    """Return what a fit of the drive's parameters leaves of a recording."""
+    reference = campaign.reference
+    place = sensor_parameters(reference.sensor_x_m, reference.sensor_y_m, reference.sensor_yaw_rad)
+    parameters = Parameters.of((*drive.parameters, *place), [item.name for item in drive.parameters])
+    scales = np.array([reference.sigma_xy_m**2, reference.sigma_theta_rad**2, *WALKS])
+    try:
+        segments = divide(campaign, recording)
+        model = Model(drive, recording, segments)
+        with np.errstate(all="ignore"):
+            values = solve(model, parameters, parameters.nominal, scales, TRIAL_ROUNDS).values
+            residuals = model.predict(values).residuals
+            body = drive.motion(values[:-4], recording.steps).body
+    except (CalibError, np.linalg.LinAlgError, ValueError):
+        return Trial(np.inf, False, 0.0)
+    path, rotation = (
+        _between(np.abs(part), segments) for part in (np.hypot(body[0], body[1]) + 0.1 * np.abs(body[2]), body[2])
+    )
+    share = np.square(np.hypot(residuals[:, 0], residuals[:, 1]) / np.maximum(path, 1e-9))
+    share += np.square(residuals[:, 2] / (rotation + LEAST_TURN_RAD))
+    change = np.array(
+        [
+            value / item.nominal - 1.0
+            for value, item in zip(values, drive.parameters, strict=False)
+            if item.nominal and not item.name.startswith("steering") and not item.name.startswith("slope")
+        ]
+    )
+    told = segments.measured - residuals
+    ahead, seen = told[:, 0] + 1j * told[:, 1], segments.measured[:, 0] + 1j * segments.measured[:, 1]
+    turned = float(np.angle(np.vdot(ahead, seen)))
+    stretched = float(np.sum(np.abs(seen)) / max(float(np.sum(np.abs(ahead))), 1e-12))
+    near = bool((np.abs(change) < PLAUSIBLE_CHANGE).all()) and 1.0 / SAME_LENGTH < stretched < SAME_LENGTH
+    return Trial(_trimmed(share), near and abs(turned) < SAME_WAY_RAD, turned)
+
+
+def _trimmed(squares: FloatArray) -> float:
+    """Return the root of the mean of squares without the largest, so that few bad runs do not hide a reading."""
+    if not len(squares) or not np.isfinite(squares).all():
+        return np.inf
+    kept = len(squares) - max(1, int(FEW_OUTLIERS * len(squares)))
+    return float(np.sqrt(np.mean(np.sort(squares)[: max(kept, 1)])))
+
+
+def _between(values: FloatArray, segments: Segments) -> FloatArray:
+    total = np.cumsum(values)
+    return np.asarray(total[segments.last] - total[segments.first])
+
+
+def _readings(recording: Recording, per_rev: float, drive: Drive, turned_rad: float) -> Iterator[Reading]:
+    """Yield readings, the simplest first."""
+    yield from _axes(turned_rad)
+    yield from _units()
+    yield from _tracks(drive)
+    yield from _wheel_units(per_rev, drive)
+    yield from _wraps(recording, per_rev)
+    yield from _increments(recording)
+    if recording.steps.steer_rad is not None:
+        yield from _steering(recording.steps.steer_rad)
+
+
+def _referred(change: Callable[[FloatArray], FloatArray]) -> Change:
+    """Return a change of every reference pose, given as columns of x, y, theta, shape (3, n)."""
+
+    def changed(recording: Recording) -> Recording:
+        ends = change(recording.end_pose.T).T
+        return replace(recording, reference=change(recording.reference), end_pose=np.asarray(ends))
+
+    return changed
+
+
+def _linear(matrix: Sequence[Sequence[float]]) -> Change:
+    return _referred(lambda pose: np.asarray(np.array(matrix) @ np.nan_to_num(pose) + 0.0 * pose))
+
+
+def _scaled(x: float, y: float, theta: float) -> Change:
+    return _linear([[x, 0, 0], [0, y, 0], [0, 0, theta]])
+
+
+def _axes(turned_rad: float) -> Iterator[Reading]:
+    """Yield axes that are turned, mirrored or exchanged against the vehicle's start heading."""
+    if abs(turned_rad) > LEAST_ANGLE_RAD:
+        c, s = float(np.cos(turned_rad)), float(np.sin(turned_rad))
+        text = (
+            f"the reference's axes are turned by {np.degrees(turned_rad):+.3g} degrees against the start heading; turn "
+            "them back, so that x is the vehicle's heading at the start, or state sensor_yaw_rad in [reference]"
+        )
+        yield Reading(Fault("axes_turned", text), _linear([[c, s, 0], [-s, c, 0], [0, 0, 1]]))
+    for code, what, matrix in (
+        ("y_mirrored", "y is mirrored: it is positive to the left", [[1, 0, 0], [0, -1, 0], [0, 0, 1]]),
+        ("x_mirrored", "x is mirrored: it is positive ahead", [[-1, 0, 0], [0, 1, 0], [0, 0, 1]]),
+        ("heading_clockwise", "the heading is clockwise: left turns are positive", [[1, 0, 0], [0, 1, 0], [0, 0, -1]]),
+        ("axes_exchanged", "x and y are exchanged: x is ahead, y to the left", [[0, 1, 0], [1, 0, 0], [0, 0, 1]]),
+        ("axes_turned", "the axes are turned by 90 degrees: x is ahead", [[0, 1, 0], [-1, 0, 0], [0, 0, 1]]),
+        ("axes_turned", "the axes are turned by -90 degrees: x is ahead", [[0, -1, 0], [1, 0, 0], [0, 0, 1]]),
+        ("axes_turned", "the axes are turned by 180 degrees: x is ahead", [[-1, 0, 0], [0, -1, 0], [0, 0, 1]]),
+        (
+            "mirrored",
+            "y and heading are mirrored, or the wheels exchanged",
+            [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
+        ),
+    ):
+        yield Reading(Fault(code, f"ref_x_m, ref_y_m, ref_theta_rad: {what}; correct the mapping"), _linear(matrix))
+
+
+def _units() -> Iterator[Reading]:
+    """Yield positions and headings in other units."""
+    for unit, metres in LENGTH_UNITS.items():
+        for columns, x, y in (("ref_x_m, ref_y_m", metres, metres), ("ref_x_m", metres, 1.0), ("ref_y_m", 1.0, metres)):
+            text = f"{columns}: found {unit} where metres are expected; convert, or state the unit in the mapping"
+            zeroed = _scaled(float(x == 1.0), float(y == 1.0), 1.0)
+            yield Reading(Fault("position_unit", text), _scaled(x, y, 1.0), zeroed)
+    for unit, radians in ANGLE_UNITS.items():
+        text = f"ref_theta_rad: found {unit} where radians are expected; convert, or state the unit in the mapping"
+        yield Reading(Fault("heading_unit", text), _scaled(1.0, 1.0, float(radians)), _scaled(1.0, 1.0, 0.0))
+
+
+def _unchanged(recording: Recording) -> Recording:
+    return recording
+
+
+def _tracks(drive: Drive) -> Iterator[Reading]:
+    """Yield a track that was stated as half of it, or twice."""
+    if not any(item.name == "track_m" for item in drive.parameters):
+        return
+    for words, factor in TRACK_FACTORS.items():
+
+        def stated(campaign: Campaign, factor: float = factor) -> Campaign:
+            return replace(campaign, model=replace(campaign.model, track_m=factor * campaign.model.track_m))
+
+        text = f"track_m: {words} the track that is stated explains the data; correct [vehicle]"
+        yield Reading(Fault("half_track" if factor > 1.0 else "double_track", text), _unchanged, setting=stated)
+
+
+def _turned(factors: FloatArray | float) -> Change:
+    """Return a change of the wheels' angles by factors, one a wheel."""
+    return lambda recording: recording.with_turned((recording.steps.turned_rad.T * factors).T)
+
+
+def _wheel_units(per_rev: float, drive: Drive) -> Iterator[Reading]:
+    """Yield counts that are angles or distances, and counts per revolution that are wrong."""
+    radius = next(item.nominal for item in drive.parameters if "radius" in item.name)
+    units = {"radians": per_rev / (2.0 * np.pi), "degrees": per_rev / 360.0, "turns": per_rev}
+    units |= {"metres": per_rev / (2.0 * np.pi * radius), "millimetres": 1e-3 * per_rev / (2.0 * np.pi * radius)}
+    two = sum(item.name.startswith("radius_") for item in drive.parameters) == 2
+    sides = {"both wheels": np.ones(2, dtype=np.bool_), "the left wheel": np.array([True, False])}
+    sides |= {"the right wheel": np.array([False, True])}
+    for side, which in (sides if two else {"the wheels": np.ones(1, dtype=np.bool_)}).items():
+        for unit, factor in units.items():
+            text = f"counts of {side}: found {unit} where encoder counts are expected; map the column with its unit"
+            yield Reading(Fault("count_unit", text), _turned(np.where(which, factor, 1.0)))
+        for words, factor in COUNT_FACTORS.items():
+            text = f"counts of {side}: {words} the stated counts_per_rev explains the data; correct [encoder]"
+            code = "radius_factor" if which.all() else "counts_per_rev"
+            text += ", or the radius (a diameter?)" if which.all() else ""
+            yield Reading(Fault(code, text), _turned(np.where(which, 1.0 / factor, 1.0)))
+
+
+def _wraps(recording: Recording, per_rev: float) -> Iterator[Reading]:
+    """Yield counters that overflow: of an absolute encoder after a turn, or of a register of so many bits."""
+    turned = recording.steps.turned_rad
+    periods = {"one revolution (an absolute encoder)": 2.0 * np.pi}
+    periods |= {f"2^{bits}": 2.0 * np.pi * 2.0**bits / per_rev for bits in COUNTER_BITS}
+    largest = np.abs(turned).max(axis=1)
+    for what, period in periods.items():
+        wraps = largest > 0.5 * period
+        if not wraps.any() or float(largest.max()) > 1.01 * period:
+            continue
+        text = f"counts overflow at {what} and were not unwrapped; state wrap_bits in [encoder], or unwrap them"
+
+        def unwrapped(recording: Recording, period: float = period) -> Recording:
+            turned = recording.steps.turned_rad
+            return recording.with_turned(turned - period * np.rint(turned / period))
+
+        yield Reading(Fault("counts_wrap", text), unwrapped)
+
+
+def _increments(recording: Recording) -> Iterator[Reading]:
+    """Yield counts that are increments since the sample before."""
+    n_wheels = len(recording.steps.turned_rad)
+    all_wheels = np.ones(n_wheels, dtype=np.bool_)
+    single = [np.arange(n_wheels) == at for at in range(n_wheels)] if n_wheels == 2 else []
+    for which in (all_wheels, *single):
+        side = "the wheels" if which.all() else ("the left wheel" if which[0] else "the right wheel")
+
+        def summed(recording: Recording, which: FloatArray = which) -> Recording:
+            turned = recording.steps.turned_rad
+            total = np.cumsum(turned, axis=1)
+            start = np.repeat(total[:, recording.offsets[:-1]], np.diff(recording.offsets), axis=1)
+            return recording.with_turned(np.where(which[:, None], total - start, turned))
+
+        text = f"counts of {side}: found increments since the sample before where totals are expected; add them up"
+        yield Reading(Fault("count_increments", text), summed)
+
+
+def _steering(steer: FloatArray) -> Iterator[Reading]:
+    """Yield steering angles in another unit, of the other sign, or that wrap."""
+
+    def steered(change: Callable[[FloatArray], FloatArray]) -> Change:
+        return lambda recording: replace(
+            recording, steps=replace(recording.steps, steer_rad=change(np.asarray(recording.steps.steer_rad)))
+        )
+
+    for unit, radians in ANGLE_UNITS.items():
+        text = f"steer_rad: found {unit} where radians are expected; convert, or state the unit in the mapping"
+        yield Reading(Fault("steering_unit", text), steered(partial(np.multiply, float(radians))))
+    period = float(np.max(steer))
+    if np.min(steer) >= 0.0 and period > 0.0:
+        for factor in (1.0, 1.001, 1.01):
+            text = f"steer_rad: it wraps at {factor * period:.3g} rad (an absolute encoder); unwrap it about its zero"
+
+            def unwrapped(angle: FloatArray, full: float = factor * period) -> FloatArray:
+                return np.asarray(np.where(angle > 0.5 * full, angle - full, angle))
+
+            yield Reading(Fault("steering_wraps", text), steered(unwrapped))

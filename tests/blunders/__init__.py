@@ -1,0 +1,1 @@
+"""Blunders in recordings, on a plant that shares no code with the package."""

@@ -1,0 +1,30 @@
+"""Blunders through ``calib geometry``: each named or refused; the whole table: ``python -m tests.blunders.table``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.blunders.table import rows
+
+#: one of each family; the table has all of them, along the path as well
+NAMES = (
+    "axes turned by 10 degrees",
+    "positions in millimetres",
+    "wheel angles in radians read as counts",
+    "absolute encoder, not unwrapped",
+    "heading off by a turn in one run",
+    "heading zero throughout",
+    "a robot that strafes",
+    "half the track as track",
+    "steering in degrees",
+)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_blunder_never_passes_and_is_not_named_otherwise(name: str, tmp_path: Path) -> None:
+    """The plant shares no code with the package."""
+    (at_end,) = rows([name], diagnose=False, folder=tmp_path, references=["end poses"])
+    assert at_end.geometry.status != 0
+    assert not at_end.misnamed

@@ -1,0 +1,119 @@
+"""What was read is kept while its bytes, its settings and calib stay the same, and while the kept line is whole."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from calib.fleet import keys
+from calib.fleet.run import fit_fleet
+from calib.fleet.store import SUMS
+from calib.fleet.survey import survey_fleet
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture
+def fleet(tmp_path: Path) -> Path:
+    """Two vehicles, each a campaign folder with logs."""
+    for vehicle in ("v1", "v2"):
+        shutil.copytree(ROOT / "sample_runs" / "corridor_crossed", tmp_path / "fleet" / vehicle)
+    return tmp_path / "fleet"
+
+
+def _same_time(path: Path, change: Callable[[str], str]) -> None:
+    """Change a file's text, and neither its size nor its times."""
+    before = path.stat()
+    text = path.read_text()
+    path.write_text(change(text))
+    assert path.read_text() != text
+    os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
+    assert path.stat().st_size == before.st_size
+
+
+def _radius(text: str) -> str:
+    """Return settings with another radius of as many digits."""
+    pattern = r"(wheel_radius_m = 0\.\d*?)(\d)\b"
+    return re.sub(pattern, lambda found: f"{found[1]}{(int(found[2]) + 1) % 10}", text, count=1)
+
+
+def _last_digit(text: str) -> str:
+    """Return a table whose last digit is another."""
+    at = max(number for number, sign in enumerate(text) if sign.isdigit())
+    return f"{text[:at]}{(int(text[at]) + 1) % 10}{text[at + 1 :]}"
+
+
+@pytest.mark.parametrize("what", ["fit", "check"])
+@pytest.mark.parametrize(
+    ("file", "change"), [("campaign.toml", _radius), ("runs.csv", _last_digit), ("log", _last_digit)]
+)
+def test_a_corrected_file_is_read_again(
+    what: str, file: str, change: Callable[[str], str], fleet: Path, tmp_path: Path
+) -> None:
+    """Settings, run table and log, of the same size and time; the other vehicle's are kept."""
+
+    def run() -> tuple[int, int]:
+        if what == "fit":
+            fitted = fit_fleet(fleet, tmp_path / "out")
+            return fitted.n_read, fitted.n_kept
+        survey = survey_fleet(fleet, tmp_path / "out", what)
+        return survey.n_done, survey.n_kept
+
+    assert run() == (2, 0)
+    assert run() == (0, 2)
+    path = next((fleet / "v1").rglob("logs/*.csv")) if file == "log" else fleet / "v1" / file
+    _same_time(path, change)
+    assert run() == (1, 1)
+
+
+def test_a_new_time_alone_reads_nothing_again(fleet: Path, tmp_path: Path) -> None:
+    """Restored copies have other times and the same bytes."""
+    fit_fleet(fleet, tmp_path / "out")
+    for path in fleet.rglob("*.csv"):
+        os.utime(path, (0, 0))
+    assert fit_fleet(fleet, tmp_path / "out").n_read == 0
+
+
+def test_another_version_reads_anew(fleet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fit_fleet(fleet, tmp_path / "out")
+    monkeypatch.setattr(keys, "VERSION", "0.0.1")
+    assert fit_fleet(fleet, tmp_path / "out").n_read == 2
+
+
+def test_a_kept_line_that_was_changed_is_read_anew(fleet: Path, tmp_path: Path) -> None:
+    """One digit of a kept sum: the seal no longer fits, and the result is that of the files."""
+    right = fit_fleet(fleet, tmp_path / "out").to_dict()
+    kept = tmp_path / "out" / SUMS
+    first, second = kept.read_text().splitlines(keepends=True)
+    kept.write_text(re.sub(r'("load_min_N": \d)', r"\g<1>9", first) + second)
+    again = fit_fleet(fleet, tmp_path / "out")
+    assert (again.n_read, again.n_kept) == (1, 1)
+    assert again.to_dict() == right
+
+
+def test_links_and_special_files_of_a_vehicle_leave_the_others_alone(fleet: Path, tmp_path: Path) -> None:
+    """A table that leads out of the fleet, a table that is a pipe, settings that lead nowhere: each is listed."""
+    outside = tmp_path / "outside.csv"
+    outside.write_text((fleet / "v1" / "runs.csv").read_text())
+    for vehicle in ("linked", "pipe", "nowhere"):
+        shutil.copytree(fleet / "v1", fleet / vehicle)
+    (fleet / "linked" / "runs.csv").unlink()
+    (fleet / "linked" / "runs.csv").symlink_to(outside)
+    (fleet / "pipe" / "runs.csv").unlink()
+    os.mkfifo(fleet / "pipe" / "runs.csv")
+    (fleet / "nowhere" / "campaign.toml").unlink()
+    (fleet / "nowhere" / "campaign.toml").symlink_to("missing.toml")
+    found = {vehicle["id"]: vehicle for vehicle in fit_fleet(fleet, tmp_path / "out").to_dict()["vehicles"]}
+    assert {vehicle for vehicle, record in found.items() if record["status"] == "failed"} == {
+        "linked",
+        "nowhere",
+        "pipe",
+    }
+    for vehicle in ("linked", "pipe", "nowhere"):
+        assert found[vehicle]["why"]
+    assert found["v1"]["status"] == found["v2"]["status"] == "fitted"

@@ -1,0 +1,107 @@
+"""A geometry is believed only where its residuals on held-out runs are near the noise."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import calib
+from calib.adequacy import Level, Residuals, judge
+from calib.campaign.read import read_campaign
+from calib.coefficients.build import from_geometry
+from calib.errors import ImplausibleError, RefusedError
+from calib.kinematics.adequacy import GeometryVerdict
+from calib.kinematics.estimate import Using, estimate_geometry
+from tests.blunders import plant
+from tests.blunders.blunders import DIFFERENTIAL
+
+TRUTH = {
+    "radius_left_m": plant.RADIUS_LEFT_M,
+    "radius_right_m": plant.RADIUS_RIGHT_M,
+    "track_m": plant.TRACK_M,
+}
+SOUND = plant.differential(np.random.default_rng(1))
+
+
+def recorded(folder: Path, *, along: bool = False, heading: bool = True, blunder: str = "") -> calib.Campaign:
+    """Return a campaign of the independent plant."""
+    recording = SOUND.copy()
+    if blunder:
+        DIFFERENTIAL[blunder](recording)
+    return read_campaign(plant.write(recording, folder / "c", along=along, heading=heading))
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "held_out", "level"),
+    [
+        (0.100, 0.004, 0.005, Level.ADEQUATE),  # at the noise
+        (0.100, 0.100, 0.100, Level.WRONG),  # explains nothing
+        (0.900, 0.200, 0.300, Level.DOUBTFUL),  # helps, and leaves 75 times the noise
+        (9.000, 0.800, 0.900, Level.WRONG),  # 9 % of the way
+        (0.003, 0.003, 0.003, Level.ADEQUATE),  # nothing to explain
+    ],
+)
+def test_levels_follow_residuals_noise_and_way(before: float, after: float, held_out: float, level: Level) -> None:
+    """Of a way of 10 m with noise of 4 mm."""
+    found, why = judge(Residuals(before, after, held_out, noise=0.004, travelled=10.0, usual_noise=0.03))
+    assert found is level
+    assert bool(why) == (level is not Level.ADEQUATE)
+
+
+@pytest.mark.parametrize("along", [False, True])
+def test_positions_alone_determine_radii_and_track(along: bool, tmp_path: Path) -> None:
+    """Intervals hold the truth of the plant."""
+    using: Using = "windows" if along else "end_poses"
+    found = estimate_geometry(recorded(tmp_path, along=along, heading=False), using=using)
+    assert found.passed
+    for name, truth in TRUTH.items():
+        low, high = found[name].ci95
+        assert low < truth < high
+
+
+def test_headings_alone_leave_the_scale_open(tmp_path: Path) -> None:
+    """Ratio of the radii and track over radius follow from headings; the mean radius does not."""
+    recorded(tmp_path, along=True)
+    folder = tmp_path / "c"
+    for path in (folder / "runs.csv", *(folder / "logs").glob("*.csv")):
+        path.write_text(path.read_text().replace("ref_x_m", "note_a").replace("ref_y_m", "note_b"))
+    found = estimate_geometry(read_campaign(folder), using="windows")
+    assert "mean_radius_m" in found.undetermined
+    assert any("Headings alone" in note for note in found.notes)
+    ratio = found["radius_left_m"].value / found["radius_right_m"].value
+    assert ratio == pytest.approx(TRUTH["radius_left_m"] / TRUTH["radius_right_m"], rel=RATIO)
+    track = found["track_m"].value / found["radius_left_m"].value
+    assert track == pytest.approx(TRUTH["track_m"] / TRUTH["radius_left_m"], rel=TRACK)
+
+
+#: five standard deviations: the plant's radii scatter by 0.1 % a run, over 18 runs
+RATIO, TRACK = 2e-3, 5e-3
+
+
+def test_a_heading_that_never_changes_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RefusedError, match=r"found 0 throughout, although the wheels turn .* leave the column empty"):
+        estimate_geometry(recorded(tmp_path, blunder="heading zero throughout"))
+
+
+def test_positions_in_a_map_without_headings_say_what_is_missing(tmp_path: Path) -> None:
+    recorded(tmp_path, along=True, heading=False)
+    settings = tmp_path / "c" / "campaign.toml"
+    settings.write_text(settings.read_text().replace("[reference]", '[reference]\nframe = "map"'))
+    with pytest.raises(RefusedError, match="positions alone, not from the start pose"):
+        estimate_geometry(read_campaign(tmp_path / "c"), using="windows")
+
+
+def test_a_doubtful_geometry_gives_no_coefficients_without_a_reason(tmp_path: Path) -> None:
+    """And the reason stands in the file, with what it sets aside."""
+    campaign = recorded(tmp_path, blunder="a robot that strafes")
+    found = estimate_geometry(campaign)
+    assert found.verdict is GeometryVerdict.DOUBTFUL
+    assert any("strafes" in reason for reason in found.why)
+    with pytest.raises(ImplausibleError, match="strafes"):
+        from_geometry(found, campaign)
+    accepted = from_geometry(found, campaign, accept="wheels are omnidirectional").accepted_implausible
+    assert accepted is not None
+    assert accepted.reason == "wheels are omnidirectional"
+    assert any("strafes" in finding for finding in accepted.findings)
