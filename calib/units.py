@@ -38,6 +38,43 @@ SUFFIXES: Final[dict[str, tuple[str, float, float]]] = {
     "F": ("C", 5 / 9, -160 / 9),
 }
 
+#: how people write a unit, in lower case -> suffix as in `SUFFIXES`; those that differ by case alone are in `_CASED`
+_SPELLINGS: Final[dict[str, str]] = {
+    **dict.fromkeys(("meter", "meters", "metre", "metres"), "m"),
+    **dict.fromkeys(("millimeter", "millimeters", "millimetre", "millimetres"), "mm"),
+    **dict.fromkeys(("centimeter", "centimeters", "centimetre", "centimetres"), "cm"),
+    **dict.fromkeys(("µm", "μm", "micron", "microns"), "um"),
+    **dict.fromkeys(("kilogram", "kilograms", "kilogramm", "kgs"), "kg"),
+    **dict.fromkeys(("gram", "grams", "gramm"), "g"),
+    **dict.fromkeys(("tonne", "tonnes", "tonnen"), "t"),
+    **dict.fromkeys(("newton", "newtons"), "N"),
+    **dict.fromkeys(("kn", "kilonewton"), "kN"),
+    "dan": "daN",
+    "kp": "kgf",
+    **dict.fromkeys(("radian", "radians", "radiant"), "rad"),
+    **dict.fromkeys(("°", "º", "degree", "degrees"), "deg"),
+    **dict.fromkeys(("sec", "secs", "second", "seconds", "sek", "sekunden"), "s"),
+    **dict.fromkeys(("msec", "millisecond", "milliseconds", "millisekunden"), "ms"),
+    **dict.fromkeys(("µs", "μs", "usec", "microsecond", "microseconds"), "us"),
+    **dict.fromkeys(("nsec", "nanosecond", "nanoseconds"), "ns"),
+    **dict.fromkeys(("m/s", "m/sec", "m*s^-1", "m·s⁻¹", "m s-1", "m s^-1"), "mps"),
+    **dict.fromkeys(("km/h", "kph", "kmph"), "kmh"),
+    **dict.fromkeys(("mm/s", "mm/sec"), "mmps"),
+    **dict.fromkeys(("°c", "ºc", "℃", "degc", "deg c", "celsius", "grad celsius", "degrees celsius"), "C"),
+    "kelvin": "K",
+    **dict.fromkeys(("°f", "ºf", "degf", "deg f", "fahrenheit"), "F"),
+}
+#: a German degree begins with a capital; the English grad is a hundredth of a right angle
+_CASED: Final = {"Grad": "deg"}
+
+
+def unit_named(text: str) -> str | None:
+    """Return the unit of `SUFFIXES` that a text names as people write it (``mm/s``, ``°C``, ``seconds``), or None."""
+    clean = text.strip()
+    if clean in SUFFIXES:
+        return clean
+    return _CASED.get(clean) or _SPELLINGS.get(clean.lower())
+
 
 def split_suffix(name: str) -> tuple[str, str | None]:
     """Split a column name into its stem and its unit suffix.

@@ -12,19 +12,9 @@ import numpy as np
 
 from calib.errors import BadFileError
 from calib.types import FloatArray
-from calib.units import SUFFIXES, convertible, split_suffix
+from calib.units import SUFFIXES, convertible, split_suffix, unit_named
 
 _BRACKETS: Final = re.compile(r"(.*?)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]\s*")
-_SPELLINGS: Final = {
-    "m/s": "mps",
-    "km/h": "kmh",
-    "mm/s": "mmps",
-    "°": "deg",
-    "°C": "C",
-    "°F": "F",
-    "µm": "um",
-    "µs": "us",
-}
 # units that a further column may be converted from; the one-letter ones are left alone, since names end in letters
 _FURTHER: Final = frozenset({"mm", "cm", "km", "um", "deg", "mrad", "kN", "daN", "ms", "us", "ns", "kmh", "mmps"})
 
@@ -49,8 +39,8 @@ def spelled(found: str) -> str:
     """Return a column name with blanks as underscores and a unit in brackets as its suffix."""
     name = found.strip()
     if match := _BRACKETS.fullmatch(name):
-        unit = _SPELLINGS.get(match[2], match[2])
-        name = f"{match[1]}_{unit}" if unit in SUFFIXES else match[1] if match[2] in {"", "-", "1"} else name
+        unit = unit_named(match[2])
+        name = f"{match[1]}_{unit}" if unit else match[1] if match[2] in {"", "-", "1"} else name
     return re.sub(r"[\s\-]+", "_", name.strip())
 
 

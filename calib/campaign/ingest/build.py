@@ -16,6 +16,7 @@ from calib.campaign.ingest.logs import MappedLog, read_mapped
 from calib.campaign.ingest.mapping import Mapping, bad_line, read_mapping
 from calib.campaign.ingest.runs import listed_files, mapped_runs, match_logs, names_runs
 from calib.campaign.ingest.segmentation import Segment, end_values, from_start, segment_recordings
+from calib.campaign.ingest.sources import with_lookups
 from calib.campaign.model import Border, Campaign, Note, RunTable
 from calib.campaign.readers import RawTable, holds_recording, read_table
 from calib.campaign.readers.table import object_array
@@ -205,6 +206,8 @@ def _campaign(paths: Sequence[Path], work: _Ingestion) -> Campaign:
         first = work.mapping.table_file
         table = _run_table(first, work)
     files = [path for path in files if table is None or path.resolve() != first.resolve()]
+    if table is not None:
+        table, work.mapping = with_lookups(table, work.mapping, first, work.border)
     runs = None if table is None else mapped_runs(table, work.mapping, str(first), work.border)
     if work.mapping.cut is not None:
         if not files:

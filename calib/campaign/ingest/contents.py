@@ -1,13 +1,10 @@
-"""The contents of files: rows, columns with units and spans, streams with their clocks; and what columns may mean.
-
-Column names are guessed by what laboratories call things, in English and German; nothing else is assumed.
-"""
+"""The contents of files: rows, columns with units, spans and behaviour, sheets, streams with their clocks."""
 
 from __future__ import annotations
 
-import re
 import textwrap
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
@@ -15,16 +12,14 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from calib.campaign.columns import recognise, spelled
 from calib.campaign.counters import detect_wrap_bits
-from calib.campaign.ingest.mapping import TABLE_COLUMNS
-from calib.campaign.model import LOG_COLUMNS
-from calib.campaign.readers import RawTable, holds_recording, read_recording, read_table
+from calib.campaign.ingest.guesses import count_unit, guessed_table_column, stem_and_unit
+from calib.campaign.readers import Layout, RawTable, holds_recording, read_recording, read_table
 from calib.campaign.readers.recording import Stream, check_not_empty
-from calib.campaign.readers.table import TIME_FORMATS, comma_evidence, filled_cells, numbers, time_format
+from calib.campaign.readers.table import FORMAT_NAMES, comma_evidence, filled_cells, numbers, time_format
+from calib.campaign.readers.workbook import sheet_names
 from calib.errors import BadFileError
-from calib.types import IntArray
-from calib.units import SUFFIXES, split_suffix
+from calib.types import FloatArray, IntArray
 
 #: different texts of a column that are listed
 _LISTED_TEXTS: Final = 6
@@ -32,102 +27,18 @@ _LISTED_TEXTS: Final = 6
 _FEW_ROWS: Final = 40
 #: properties of a recording that are listed
 _LISTED_PROPERTIES: Final = 12
+#: characters that list the columns of another sheet
+_LISTED_SHEET: Final = 200
 #: characters of a remark's line
 _WIDTH: Final = 78
-
-_COUNTS: Final = r"(impuls|count|enc|tick|inkrement|increment|zaehl|pulse|wheel|rad_|joint|drehgeber)"
-
-#: column of the run table -> what its name may look like, letters lower and umlauts spelt out
-_TABLE: Final[Sequence[tuple[str, str]]] = (
-    ("run_id", r"(run|lauf|fahrt|messung|versuch|trial|test)(_?(id|no|nr|nummer|number|name))?\.?|nr\.?|id"),
-    ("session", r"(sitzung|session|schicht|serie|messtag|tag|day)(_?(id|nr|no))?"),
-    ("direction", r".*(richtung|direction|heading_of_run)"),
-    ("kind", r"(art|route|kurs|course|kind|type|typ|streckenart|manoever|path)"),
-    ("load_left_N", r"(rad)?last_?(li|links|left|l)|(wheel_)?load_(left|l)|f_?(left|l)"),
-    ("load_right_N", r"(rad)?last_?(re|rechts|right|r)|(wheel_)?load_(right|r)|f_?(right|r)"),
-    ("payload_x_m", r"(payload|last|zuladung|ladung|nutzlast)_?(x|vorn.*|laengs)|(abstand|lage)_?(vorn.*|x|laengs)"),
-    ("payload_y_m", r"(payload|last|zuladung|ladung|nutzlast)_?(y|quer)|(versatz|quer|lage_?y).*"),
-    ("payload_kg", r"(zuladung|nutzlast|beladung|ladung|payload|masse|mass|gewicht|load|last)"),
-    ("speed_mps", r"(geschw.*|speed.*|velocity|tempo|v_?soll|v)"),
-    ("temperature_C", r"temp.*"),
-    ("minutes_under_load", r"(standzeit|minutes?_under_load|dwell.*)"),
-    ("distance_m", r"(strecke|distanz|distance|weg|laenge|length|s_?o)(_.*)?"),
-    ("counts_left", _COUNTS + r".*_?(l|li|links|left)"),
-    ("counts_right", _COUNTS + r".*_?(r|re|rechts|right)"),
-    ("ref_x_m", r"(ref|mocap|tracker|end)_?x"),
-    ("ref_y_m", r"(ref|mocap|tracker|end)_?y"),
-    ("ref_theta_rad", r"(ref|mocap|tracker|end)_?(theta|yaw|heading|winkel)"),
-    ("excluded", r"(excluded|ungueltig|ausschluss|ausgeschlossen)"),
-)
-_LOG: Final[Sequence[tuple[str, str]]] = (
-    ("t_s", r"(t|time|zeit|timestamp|zeitstempel|stamp|uhrzeit|datum_?zeit)(_.*)?"),
-    ("counts_front_left", r".*(front_?(l|left)|v_?l|vorn.*links)"),
-    ("counts_front_right", r".*(front_?(r|right)|v_?r|vorn.*rechts)"),
-    ("counts_rear_left", r".*((rear|back)_?(l|left)|h_?l|hinten.*links)"),
-    ("counts_rear_right", r".*((rear|back)_?(r|right)|h_?r|hinten.*rechts)"),
-    ("counts_front", _COUNTS + r".*_?(front|vorn|vorne|v)"),
-    ("counts_left", r"(" + _COUNTS + r".*_?)?(l|li|links|left)"),
-    ("counts_right", r"(" + _COUNTS + r".*_?)?(r|re|rechts|right)"),
-    ("steer_rad", r".*(steer|lenk).*"),
-    ("range_m", r".*(laser|range|abstand|entfernung|distan[cz]|weg|strecke).*"),
-    ("ref_x_m", r"((ref|mocap|pose|pos|tracker)_?)?x(_?true)?"),
-    ("ref_y_m", r"((ref|mocap|pose|pos|tracker)_?)?y"),
-    ("ref_theta_rad", r"((ref|mocap|pose|pos|tracker)_?)?(theta|yaw|heading|gier.*)"),
-)
-
-#: names of directions along a corridor -> out or back
-DIRECTION_WORDS: Final = {
-    **dict.fromkeys(("out", "hin", "vor", "vorwaerts", "hinfahrt", "hinweg", "forward", "there", "a", "ab"), "out"),
-    **dict.fromkeys(("back", "zurueck", "rueck", "rueckwaerts", "rueckfahrt", "rueckweg", "return", "b", "ba"), "back"),
-}
-
-
-_UMLAUTS: Final = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss"})
-
-
-def plain_text(text: str) -> str:
-    """Return a text in lower case with umlauts spelt out."""
-    return text.strip().lower().translate(_UMLAUTS)
-
-
-def stem_and_unit(name: str) -> tuple[str, str | None]:
-    """Return a column's name without its unit, plain, and the unit where it names one that calib knows.
-
-    `name`: as found, for example ``Strecke [mm]`` or ``Weg in mm``.
-    """
-    in_words = re.sub(r"\s+in\s+(\S+)\s*$", r" [\1]", name.strip())
-    stem, unit = split_suffix(spelled(in_words))
-    return plain_text(re.sub(r"[.\s]+", "_", stem)).strip("_"), unit
-
-
-def _guessed(name: str, words: Sequence[tuple[str, str]], known: Sequence[str]) -> tuple[str, str | None] | None:
-    exact = recognise(name, known).name
-    if exact in known:
-        return exact, None
-    stem, unit = stem_and_unit(name)
-    for target, pattern in words:
-        if re.fullmatch(pattern, stem):
-            suffix = split_suffix(target)[1]
-            if unit is None or target.startswith("counts_"):
-                return target, None
-            if suffix is not None and SUFFIXES[unit][0] == suffix:
-                return target, unit
-    return None
-
-
-def guessed_table_column(name: str) -> tuple[str, str | None] | None:
-    """Return the column of the run table that a name may mean, and its unit, or None."""
-    return _guessed(name, _TABLE, TABLE_COLUMNS)
-
-
-def guessed_log_column(name: str) -> tuple[str, str | None] | None:
-    """Return the column of a log that a name may mean, and its unit, or None.
-
-    `name`: as found; of a recording's ``stream:column`` or ``group/channel`` the last part counts first.
-    """
-    last = re.split(r"[:/]", name)[-1]
-    last = re.sub(r"^(position|velocity|effort)\.", "", last)
-    return _guessed(last, _LOG, LOG_COLUMNS) or _guessed(re.sub(r"[:/.]+", "_", name).strip("_"), _LOG, LOG_COLUMNS)
+#: share of all steps that a column rises by in the end, where it rises without a break
+_RISES: Final = 0.98
+#: shares of a turn: a jump back of an angle, and its span with rounding
+_JUMP, _ONE_TURN = 0.75, 1.001
+#: how far a clock's step is from the usual one, as a share of it, and the share of steps that are so
+_EVEN, _MOSTLY = 0.05, 0.9
+#: least correlation of a counter's steps with the next: a smooth drive has nearly 1, noise on a speed -0.5
+_ALIKE: Final = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,6 +63,12 @@ class ColumnContents:
     whole: bool = False
     #: what its times look like
     form: str = ""
+    #: what its numbers do: of `behaviour`
+    does: str = ""
+    #: median step between rows, of the steps other than 0
+    step: float = 0.0
+    #: whether it rises in even steps, as a clock does
+    even: bool = False
 
     def words(self, alike: Sequence[ColumnContents]) -> str:
         """Return the column in words; `alike`: the same column of all files of its kind."""
@@ -159,11 +76,11 @@ class ColumnContents:
         if self.kind == "number":
             low, high = min(c.low for c in alike if c.low is not None), max(c.high for c in alike if c.high is not None)
             ends = dict.fromkeys((f"{low:.6g}", f"{high:.6g}"))
-            text += " to ".join(ends) + (f" {self.unit}" if self.unit else "")
+            text += " to ".join(ends) + (f" {self.unit}" if self.unit and "[" not in self.name else "")
         elif self.kind == "time":
             spans = [c.high for c in alike if c.high]
             span = f", {min(spans):.4g} to {max(spans):.4g} s long" if spans else ""
-            text += (self.form if self.texts else "times of the clock") + span
+            text += f"{self.texts[0]} and later, {self.form}" + span
         else:
             text += ", ".join(self.texts) if self.kind == "text" else "empty"
         bits = next((c.wrap_bits for c in alike if c.wrap_bits), None)
@@ -224,6 +141,10 @@ class FileContents:
     streams: tuple[StreamContents, ...] = ()
     #: properties that a recording names
     properties: Mapping[str, str] = field(default_factory=dict)
+    #: sheet of a workbook that was looked into; empty where it is the first that holds a table
+    sheet: str = ""
+    #: other sheets that hold tables, by their names
+    others: Mapping[str, tuple[ColumnContents, ...]] = field(default_factory=dict)
 
     def alike(self, other: FileContents) -> bool:
         """Return whether another file has the same columns."""
@@ -231,31 +152,61 @@ class FileContents:
 
 
 def file_contents(path: Path) -> FileContents:
-    """Return what a file holds.
+    """Return what a file holds; of a workbook, the first sheet that holds a table with a column that names runs.
 
     Raises BadFileError where it cannot be read.
     """
     shown = str(path)
     if holds_recording(path):
         return _recording_contents(path, shown)
+    names = sheet_names(path, shown) if path.suffix.lower() == ".xlsx" else []
+    if len(names) < 2:
+        return _table_contents(path, shown, "")
+    sheets: dict[str, FileContents] = {}
+    for name in names:
+        # a sheet of notes is no table
+        with suppress(BadFileError):
+            sheets[name] = _table_contents(path, shown, name)
+    usual = [name for name, sheet in sheets.items() if len(sheet.columns) > 1 and sheet.n_rows]
+    runs = [name for name in usual if any(_names_runs(column.name) for column in sheets[name].columns)]
+    chosen = next(iter(runs or usual), None)
+    if chosen is None:
+        return _table_contents(path, shown, "")
+    others = {name: sheets[name].columns for name in usual if name != chosen}
+    contents = _table_contents(path, shown, "")
+    if contents.columns == sheets[chosen].columns:
+        return replace(contents, others=others)
+    return replace(sheets[chosen], sheet=chosen, others=others)
+
+
+def _names_runs(name: str) -> bool:
+    return (guessed_table_column(name) or ("",))[0] == "run_id"
+
+
+def _table_contents(path: Path, shown: str, sheet: str) -> FileContents:
+    layout = Layout(sheet=sheet or None, lab=True)
     try:
-        raw = read_table(path, shown, lambda _: True)
+        raw = read_table(path, shown, lambda _: True, layout)
     except BadFileError:
         # texts among the columns: as read, and each column looked at by itself
-        raw = read_table(path, shown)
+        raw = read_table(path, shown, None, layout)
+    texts = read_table(path, shown, None, layout).columns if raw.epochs else raw.columns
     evidence = comma_evidence(list(raw.columns.values()))
-    columns = tuple(_column_contents(name, raw, shown, evidence) for name in raw.columns)
+    columns = tuple(_column_contents(name, raw, shown, evidence, texts[name]) for name in raw.columns)
     remarks = [
         note.text if note.where == shown else f"{note.where.partition(', ')[2]}: {note.text}" for note in raw.notes
     ]
     return FileContents(shown, False, len(raw.line), columns, tuple(remarks))
 
 
-def _column_contents(name: str, raw: RawTable, shown: str, evidence: bool | None) -> ColumnContents:
+def _column_contents(
+    name: str, raw: RawTable, shown: str, evidence: bool | None, texts: npt.NDArray[np.generic]
+) -> ColumnContents:
     cells: npt.NDArray[np.generic] = raw.columns[name]
     if name in raw.epochs:
-        high = float(np.nanmax(cells)) if len(cells) else 0.0
-        return ColumnContents(name, "time", low=0.0, high=high, form="times of the clock")
+        high, first = float(np.nanmax(cells)), str(texts[0]).strip()
+        words = FORMAT_NAMES[time_format(first) or "iso8601"]
+        return ColumnContents(name, "time", low=0.0, high=high, form=words, texts=(first,))
     if cells.dtype == object:
         filled = filled_cells(cells.tolist())
         n_empty = len(cells) - len(filled)
@@ -263,7 +214,7 @@ def _column_contents(name: str, raw: RawTable, shown: str, evidence: bool | None
             return ColumnContents(name, "empty", n_empty=n_empty)
         first = str(filled[0])
         if form := time_format(first):
-            return ColumnContents(name, "time", n_empty=n_empty, form=TIME_FORMATS[form], texts=(first,))
+            return ColumnContents(name, "time", n_empty=n_empty, form=FORMAT_NAMES[form], texts=(first,))
     try:
         values, _ = numbers(cells, shown=shown, column=name, line=raw.line, decimal_comma=evidence)
     except BadFileError:
@@ -279,13 +230,65 @@ def _column_contents(name: str, raw: RawTable, shown: str, evidence: bool | None
     return ColumnContents(
         name,
         "number",
-        unit=stem_and_unit(name)[1] or "",
+        unit=stem_and_unit(name)[1] or count_unit(name) or "",
         low=float(known.min()),
         high=float(known.max()),
         n_empty=len(values) - len(known),
         wrap_bits=bits,
         whole=whole,
+        does="" if bits or len(known) <= _FEW_ROWS else behaviour(known, whole=whole),
+        step=_usual_step(known),
+        even=_rises_evenly(known),
     )
+
+
+def _rises_evenly(values: FloatArray) -> bool:
+    steps = np.diff(values)
+    usual = float(np.median(steps)) if len(steps) > 1 else 0.0
+    return usual > 0 and bool((steps >= 0).all() and np.mean(np.abs(steps - usual) < _EVEN * usual) > _MOSTLY)
+
+
+def _usual_step(values: FloatArray) -> float:
+    steps = np.abs(np.diff(values))
+    return float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+
+
+#: what a plain counter does, and an angle without end
+RISES: Final = "rises without a break"
+#: what the numbers of a wheel do -> the unit that they are in then
+BEHAVIOURS: Final = {
+    "increments, a count a sample": "counts/sample",
+    "an angle that starts again after 2 pi": "rad",
+    "an angle that starts again after 360": "deg",
+    RISES: "",
+}
+
+
+def behaviour(values: FloatArray, *, whole: bool) -> str:
+    """Return what a column's numbers do, of `BEHAVIOURS`; empty where they do nothing that a wheel does.
+
+    `values` (shape (n_rows,)): finite; `whole`: whether all are integers.
+    """
+    steps, span = np.diff(values), float(np.ptp(values))
+    total = float(np.abs(steps).sum())
+    if not span:
+        return ""
+    if abs(values[-1] - values[0]) > _RISES * total:
+        return RISES
+    for turn, words in (
+        (2 * np.pi, "an angle that starts again after 2 pi"),
+        (360.0, "an angle that starts again after 360"),
+    ):
+        jumps = np.abs(steps) > _JUMP * turn
+        if (
+            _JUMP * turn < span <= _ONE_TURN * turn
+            and jumps.any()
+            and np.abs(steps[~jumps]).max(initial=0.0) < 0.5 * turn
+        ):
+            return words
+    # what moves goes on: the steps of a counter are alike from one to the next, those of increments are not
+    alike = float(np.sum(steps[1:] * steps[:-1])) / float(np.sum(steps * steps))
+    return "increments, a count a sample" if whole and alike < _ALIKE else ""
 
 
 def _recording_contents(path: Path, shown: str) -> FileContents:
@@ -295,7 +298,7 @@ def _recording_contents(path: Path, shown: str) -> FileContents:
     for stream in recording.streams:
         line: IntArray = np.arange(1, len(stream) + 1, dtype=np.int64)
         for name in stream.columns:
-            contents = _column_contents(name, RawTable(stream.columns, line), shown, None)
+            contents = _column_contents(name, RawTable(stream.columns, line), shown, None, stream.columns[name])
             columns.append(replace(contents, unit=stream.units.get(name, contents.unit)))
     longest = max((len(stream) for stream in recording.streams), default=0)
     remarks = tuple(note.text for note in recording.notes)
@@ -314,6 +317,8 @@ def described(group: Sequence[FileContents], *, is_run_table: bool) -> list[str]
     properties = [f"{key} = {value}" for key, value in list(file.properties.items())[:_LISTED_PROPERTIES]]
     for text in (*dict.fromkeys(file.remarks), *properties, *(stream.words() for stream in file.streams)):
         lines += wrapped(text, "#   ")
+    for sheet, columns in file.others.items():
+        lines += wrapped(f"sheet {sheet!r}: {', '.join(column.name for column in columns)[:_LISTED_SHEET]}", "#   ")
     for number, column in enumerate(file.columns):
         lines += wrapped(column.words([member.columns[number] for member in group]), "#     ")
     return [*lines, "#"]

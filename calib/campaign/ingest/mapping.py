@@ -8,15 +8,16 @@
 
     [table]                            # calib column = column of the laboratory's run table
     file = "runs.xlsx"                 # beside the mapping, where no table is among the sources
-    sheet = "Runs"                     # sheet and header_row are found where they are not named
+    sheet = "Runs"                     # sheet, header_row, units_row are found where not named
     run_id = "Run no."
     distance_m = {column = "Distance", unit = "mm"}
     counts_left = {column = "Enc L", factor = -1}
+    load_left_N = {column = "Left", unit = "kg", sheet = "Payloads", by = "Label"}   # looked up, weighed
     direction = {column = "Way", values = {hin = "out", zurueck = "back"}}
     session = {value = "monday"}       # the same for every run; a list holds one value a run
 
     [log]                              # the same for logs and recordings, and the file that holds a run's log
-    file = "run_{n:02}.csv"            # {run_id}, or {n}: the number in the run's name, as run = "Run {n}" reads it
+    file = "run_{n:02}.csv"            # {run_id}, or {n}: the number in the run's name; {date}, {time}, *
     swapped = ["Run 12"]               # runs whose left and right encoder were exchanged
     t_s = {column = "time", unit = "ms"}
     counts_left = "EncL"
@@ -31,6 +32,7 @@ Columns that already carry calib's names, with any known unit, need no line.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping as MappingType
 from dataclasses import dataclass
 from math import pi
@@ -39,13 +41,12 @@ from typing import Annotated, Any, Final, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from calib.campaign.columns import spelled
 from calib.campaign.model import LABEL_COLUMNS, LOG_COLUMNS, NUMERIC_COLUMNS
 from calib.campaign.readers import Layout
 from calib.campaign.settings_file import load_toml
 from calib.errors import BadFileError
 from calib.io import inside
-from calib.units import SUFFIXES, split_suffix
+from calib.units import GRAVITY_MPS2, SUFFIXES, split_suffix, unit_named
 
 TABLE_COLUMNS: Final = (*LABEL_COLUMNS, *NUMERIC_COLUMNS, "excluded")
 
@@ -63,10 +64,43 @@ COUNT_UNITS: Final[MappingType[str, tuple[str, float]]] = {
     "rpm": ("rate", 1.0 / 60.0),
     "rad/min": ("rate", 1.0 / (60.0 * 2.0 * pi)),
 }
+#: how people write the units of wheels, in lower case -> as in `COUNT_UNITS`
+_COUNT_SPELLINGS: Final[MappingType[str, str]] = {
+    **dict.fromkeys(
+        ("count", "cnt", "cnts", "tick", "ticks", "pulse", "pulses", "impulse", "impulses", "inc", "ink", "imp"),
+        "counts",
+    ),
+    **dict.fromkeys(("increments", "cnt/sample", "ticks/sample", "counts/step"), "counts/sample"),
+    **dict.fromkeys(("cnt/s", "ticks/s", "impulse/s"), "counts/s"),
+    **dict.fromkeys(("turn", "rev", "revs", "revolutions", "umdrehungen"), "turns"),
+    **dict.fromkeys(("rev/s", "u/s"), "turns/s"),
+    **dict.fromkeys(("°/s", "degrees/s", "grad/s"), "deg/s"),
+    **dict.fromkeys(("1/min", "u/min", "rev/min"), "rpm"),
+    **dict.fromkeys(("radians/s", "rads/s"), "rad/s"),
+}
 _COLUMN: Final = 'a column name, or {column = "...", unit = "...", factor = 1}'
 _TIMES: Final = "pairs of start and end, as [[0, 41.5], [60, 101]]"
-_LOG_FILE: Final = 'a name that holds {run_id} or {n}, as "run_{run_id}.csv" or "Run_{n:02}.csv"'
+_LOG_FILE: Final = (
+    "a name that holds {run_id} or {n}, beside them {date}, {time} or * for any text, "
+    'as "run_{run_id}.csv", "Run_{n:02}.csv" or "{date}_{time}_TR{n}.csv"'
+)
+_BRACKET: Final = re.compile(r"(.+?)\s*[\[(]([^\[\]()]*)[\])]\s*")
 _NOT_NEGATIVE: Final = "a number, not below 0"
+
+
+def unit_spelled(text: str) -> str:
+    """Return a unit as calib writes it, where calib knows it: ``mm/s`` is ``mmps``, ``ticks`` are ``counts``."""
+    clean = text.strip()
+    return clean if clean in COUNT_UNITS else _COUNT_SPELLINGS.get(clean.lower()) or unit_named(clean) or clean
+
+
+def units_for(name: str) -> tuple[str, ...]:
+    """Return the units that calib's column `name` may be given in."""
+    if name.startswith("counts_"):
+        return tuple(COUNT_UNITS)
+    suffix = split_suffix(name)[1]
+    masses = name.startswith("load_") and suffix == "N"
+    return tuple(unit for unit, (to, _, _) in SUFFIXES.items() if to == suffix or (masses and to == "kg"))
 
 
 class _Model(BaseModel):
@@ -94,6 +128,13 @@ class MappedColumn(_Model):
     )
     #: the source's unit
     unit: str | None = Field(default=None, description="the name of a unit")
+    #: sheet of the same workbook on which the value is looked up, by the text of the run table's column `by`
+    sheet: str = Field(default="", description="the name of a sheet")
+    by: str = Field(default="", description="the run table's column whose text is looked up")
+    #: the sheet's column that holds these texts; empty: the one of the same name, else its first
+    key: str = Field(default="", description="the sheet's column that holds the texts looked up")
+    #: whether an empty cell means the same as the one above it
+    fill_down: bool = Field(default=False, description="true or false")
     #: factor on the source's numbers
     factor: float = Field(default=1.0, gt=-1e12, lt=1e12, description="a factor that is a number other than 0")
     #: texts of the source -> calib's
@@ -109,28 +150,49 @@ class MappedColumn(_Model):
     def _usable(self) -> MappedColumn:
         if not self.column and self.value is None and "column" not in self.model_fields_set:
             raise _UnfitError("", None, _COLUMN)
+        if bool(self.sheet) != bool(self.by):
+            raise _UnfitError("", None, '{column = "...", sheet = "...", by = "..."}, by a column of the run table')
         if self.factor == 0:
             raise _UnfitError("", 0, "a factor that is a number other than 0")
         return self
 
+    @field_validator("unit")
+    @classmethod
+    def _as_calib_writes(cls, unit: str | None) -> str | None:
+        return None if unit is None else unit_spelled(unit)
+
+    def unit_for(self, name: str) -> str | None:
+        """Return the source's unit: the line's, or that in the source's name where column `name` may be in it."""
+        if self.unit is not None:
+            return self.unit
+        bracket = _BRACKET.fullmatch(self.column.strip())
+        unit = unit_spelled(bracket[2]) if bracket else None
+        return unit if unit in units_for(name) else None
+
+    @property
+    def wheel_unit(self) -> str:
+        """Unit of a wheel's column, of `COUNT_UNITS`."""
+        return self.unit_for("counts_left") or "counts"
+
     def target(self, name: str) -> str:
         """Return calib's column `name` in the source's unit (``t_ms``), as the recognition of columns reads it."""
-        unit = self.unit
-        if unit is None and ("[" in self.column or "(" in self.column):
-            # the source names its own unit: Distance [mm]
-            _, unit = split_suffix(spelled(self.column))
-            if unit is not None and SUFFIXES[unit][0] != split_suffix(name)[1]:
-                unit = None
-        return name if unit is None or name.startswith("counts_") else f"{split_suffix(name)[0]}_{unit}"
+        unit = self.unit_for(name)
+        if unit is None or name.startswith("counts_") or self._weighed(name):
+            return name
+        return f"{split_suffix(name)[0]}_{unit}"
+
+    def scale(self, name: str) -> float:
+        """Return the factor on the source's numbers beside its unit; a wheel's load in kg is its weight in N."""
+        unit = self.unit_for(name)
+        return self.factor * (GRAVITY_MPS2 * SUFFIXES[unit][1] if unit and self._weighed(name) else 1.0)
+
+    def _weighed(self, name: str) -> bool:
+        unit = self.unit_for(name)
+        return name.startswith("load_") and unit in SUFFIXES and SUFFIXES[unit][0] == "kg"
 
     def fits(self, name: str) -> bool:
         """Return whether the unit is one that calib's column `name` may have."""
-        if self.unit is None:
-            return True
-        if name.startswith("counts_"):
-            return self.unit in COUNT_UNITS
-        suffix = split_suffix(name)[1]
-        return suffix is not None and self.unit in SUFFIXES and SUFFIXES[self.unit][0] == suffix
+        return self.unit is None or self.unit in units_for(name)
 
 
 class _Section(_Model):
@@ -138,6 +200,12 @@ class _Section(_Model):
 
     sheet: str | None = Field(default=None, description="the name of a sheet")
     header_row: int | None = Field(default=None, ge=1, description="the number of a row, counted from 1")
+    #: the row of units
+    units_row: int | None = Field(default=None, ge=1, description="the number of a row, counted from 1")
+    #: rows that are not read
+    skip_rows: list[Annotated[int, Field(ge=1)]] = Field(
+        default_factory=list, description="numbers of rows, counted from 1, as [1, 2, 40]"
+    )
     #: calib's column -> its source
     columns: dict[str, MappedColumn] = Field(default_factory=dict)
 
@@ -153,14 +221,15 @@ class _Section(_Model):
     def _units_fit(self) -> _Section:
         for name, line in self.columns.items():
             if not line.fits(name):
-                kind = f"one of {', '.join(COUNT_UNITS)}" if name.startswith("counts_") else "a unit of the same kind"
-                raise _UnfitError(name, line.unit, f"{kind} as {name} is in")
+                units = units_for(name)
+                expected = f"one of {', '.join(units)}" if units else f"no unit, since {name} has none"
+                raise _UnfitError(name, line.unit, expected)
         return self
 
     @property
     def layout(self) -> Layout:
-        """Sheet and header row, for the readers."""
-        return Layout(self.sheet, self.header_row)
+        """Sheet and rows, for the readers."""
+        return Layout(self.sheet, self.header_row, self.units_row, tuple(self.skip_rows), lab=True)
 
 
 class TableSection(_Section):

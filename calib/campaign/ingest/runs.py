@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping as MappingType
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from calib.campaign.columns import converted, recognise
 from calib.campaign.ingest.mapping import TABLE_COLUMNS, LogSection, MappedColumn, Mapping, bad_line
+from calib.campaign.ingest.sources import resolved
 from calib.campaign.model import Border, RunTable
 from calib.campaign.readers import READERS, RawTable, is_bag_folder
-from calib.campaign.readers.table import object_array
+from calib.campaign.readers.table import filled_cells, object_array
 from calib.campaign.runs_file import run_table
 from calib.errors import BadFileError, BadInputError
 from calib.io import sha256_file
@@ -35,14 +37,14 @@ def mapped_runs(raw: RawTable, mapping: Mapping, shown: str, border: Border) -> 
     `mapping`: its lines for the table. Raises BadFileError where the mapping names a column or a text that is not
     there, or the table cannot be used.
     """
-    raw = without_repeats(raw, shown, border)
-    lines = mapping.table.columns
+    lines = resolved(mapping.table.columns, raw.columns)
+    raw = without_repeats(_without_end(raw, lines, shown, border), shown, border)
     factors: dict[str, float] = {}
     columns: dict[str, npt.NDArray[Any]] = {}
     for name, line in lines.items():
         if line.column:
             columns[line.target(name)] = _cells(raw, name, line, mapping, shown)
-            factors[recognise(line.target(name), TABLE_COLUMNS).name] = line.factor
+            factors[recognise(line.target(name), TABLE_COLUMNS).name] = line.scale(name)
     used = {line.column for line in lines.values()}
     for name, cells in raw.columns.items():
         # a column that the mapping uses is not taken a second time under its own name
@@ -54,6 +56,18 @@ def mapped_runs(raw: RawTable, mapping: Mapping, shown: str, border: Border) -> 
     runs = run_table(RawTable(columns, raw.line, raw.notes), shown, border)
     scaled = {name: converted(column, factors.get(name, 1.0)) for name, column in runs.numbers.items()}
     return replace(runs, numbers=scaled)
+
+
+def _without_end(raw: RawTable, lines: MappingType[str, MappedColumn], shown: str, border: Border) -> RawTable:
+    """Return the table without rows at its end that name no run: means and sums without a word."""
+    names = raw.columns.get(lines["run_id"].column if "run_id" in lines else "run_id")
+    if names is None:
+        return raw
+    last = max((at for at, cell in enumerate(names) if filled_cells([cell])), default=-1)
+    for row in raw.line[last + 1 :] if last >= 0 else ():
+        border.say(f"{shown}, row {int(row)}", "names no run, at the end of the table; omitted", "remark")
+    keep = slice(0, last + 1) if last >= 0 else slice(None)
+    return replace(raw, columns={name: cells[keep] for name, cells in raw.columns.items()}, line=raw.line[keep])
 
 
 def _cells(raw: RawTable, name: str, line: MappedColumn, mapping: Mapping, shown: str) -> npt.NDArray[Any]:
@@ -146,8 +160,19 @@ def run_number(run_id: str, pattern: str | None) -> int | None:
     return int(match[1]) if match else None
 
 
+#: what a name may hold beside the run -> what it looks like
+_PARTS: Final = {
+    "{date}": r"\d{2,4}[-_.]?\d{2}[-_.]?\d{2,4}",
+    "{time}": r"\d{2}[-_.:h]?\d{2}([-_.:m]?\d{2})?s?([.,_]\d+)?",
+    "*": r".*",
+}
+
+
 def expected_name(log: LogSection, run_id: str) -> str | None:
-    """Return the name of a run's log by the pattern; None where there is no pattern, or no number in the run's name."""
+    """Return the name of a run's log by the pattern; None where there is no pattern, or no number in the run's name.
+
+    ``{date}``, ``{time}`` and ``*`` stay as they are: `fits_name` compares.
+    """
     if log.file is None:
         return None
     name = log.file.replace("{run_id}", run_id)
@@ -157,6 +182,13 @@ def expected_name(log: LogSection, run_id: str) -> str | None:
     if number is None:
         return None
     return re.sub(r"\{n(?::0?(\d+))?\}", lambda match: str(number).zfill(int(match[1] or 0)), name)
+
+
+def fits_name(name: str, wanted: str) -> bool:
+    """Return whether a file's name is the one wanted, in any letter case; `wanted`: as `expected_name` gives it."""
+    parts = re.split(r"(\{date\}|\{time\}|\*)", wanted.replace("\\", "/").rpartition("/")[2])
+    pattern = "".join(_PARTS.get(part, re.escape(part)) for part in parts)
+    return re.fullmatch(pattern, name, re.IGNORECASE) is not None
 
 
 def match_logs(
@@ -202,8 +234,7 @@ def match_logs(
         if wanted == "" and named is not None:
             continue
         if wanted:
-            name = wanted.replace("\\", "/").rpartition("/")[2].lower()
-            fitting = [path for path in files if path.name.lower() == name]
+            fitting = [path for path in files if fits_name(path.name, wanted)]
         else:
             fitting = [path for path in files if path.stem == run_id]
         if len(fitting) > 1:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import codecs
 import csv
 import io
 import itertools
@@ -14,6 +13,8 @@ from typing import Any, Final
 import numpy as np
 
 from calib.campaign.model import Note
+from calib.campaign.readers.lines import tidy, utf8
+from calib.campaign.readers.sheets import Heading, heading, table_rows
 from calib.campaign.readers.table import (
     HEADER_ROWS,
     LARGEST_VALUE,
@@ -22,7 +23,6 @@ from calib.campaign.readers.table import (
     Wanted,
     check_header,
     find_header,
-    header_with_units,
     is_number,
     to_numbers,
 )
@@ -39,6 +39,8 @@ _HEAD_BYTES: Final = 1 << 16
 #: as two hundred such logs
 NUMPY_BYTES: Final = 1 << 16
 _NUMBER_BYTES: Final = b"0123456789+-.eE\n"
+#: rows in which names, units and columns of numbers are looked for
+_LOOKED_AT: Final = 20
 #: rows that suffice to show a header in the first of them
 _FEW_ROWS: Final = 8
 #: what keeps a file out of a batch: quotes, other ends of lines, other delimiters, no text, and a zero with a sign,
@@ -54,7 +56,10 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
     size = path.stat().st_size
     if size > _MAX_BYTES:
         raise BadFileError(shown, f"{size} bytes", "at most 4 GiB", "split the file or store it as parquet")
-    data, notes = _utf8(path.read_bytes(), shown)
+    data, notes = utf8(path.read_bytes(), shown)
+    if layout.lab:
+        data, tidied = tidy(data.replace(b"\r\n", b"\n"), layout, shown)
+        notes += tidied
     delimiter, skipped = _locate_header(data, layout, shown)
     start = 0
     for _ in range(skipped):
@@ -65,20 +70,31 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
     if not header.strip():
         found = "an empty file" if not data.strip() else "an empty first line"
         raise BadFileError(shown, found, "a header line with column names", "export the table again")
-    if delimiter != ",":
+    if delimiter != "," and not any(note.code == "delimiter" for note in notes):
         notes.append(Note("info", shown, f"columns are separated by {_DELIMITERS[delimiter]}", "delimiter"))
-    if skipped:
-        notes.append(Note("info", shown, f"the header was found in row {skipped + 1}", "preamble"))
+    above = _split([data[:start].decode("utf-8").splitlines()[-1]], delimiter)[0] if skipped and layout.lab else ()
     if wanted is not None and data.find(b'"', start) < 0:
-        names = [name.strip() for name in header.split(delimiter)]
-        _check_names(names, shown, skipped + 1)
-        fast = _read_numeric(data[end + 1 :], names, delimiter, wanted)
+        first = data[start : start + _HEAD_BYTES].decode("utf-8", errors="ignore").splitlines()[:_LOOKED_AT]
+        head = heading(_split(first, delimiter), range(skipped + 1, skipped + 1 + len(first)), layout, shown, above)
+        _check_names(head.names, shown, skipped + 1)
+        end = start
+        for _ in range(head.n_rows):
+            end = data.find(b"\n", end) + 1 or len(data)
+        fast = _read_numeric(data[end:], head.names, delimiter, wanted)
         if fast is not None:
             columns, rows, comma = fast
+            notes += [*_header_notes(head, skipped, shown), *head.notes]
             if comma:
                 notes.append(Note("info", shown, "decimal commas were read as decimal points", "decimal_comma"))
-            return RawTable(columns, np.arange(skipped + 2, rows + skipped + 2, dtype=np.int64), tuple(notes))
-    return _read_cells(data[start:].decode("utf-8"), shown, delimiter, wanted, notes, skipped)
+            lines = skipped + 1 + head.n_rows
+            return RawTable(columns, np.arange(lines, lines + rows, dtype=np.int64), tuple(notes))
+    return _read_cells(data[start:].decode("utf-8"), shown, delimiter, wanted, notes, skipped, layout, above)
+
+
+def _header_notes(head: Heading, skipped: int, shown: str) -> list[Note]:
+    if not skipped or not head.n_rows:
+        return []
+    return [Note("info", shown, f"the header was found in row {skipped + 1}", "preamble")]
 
 
 def read_batch(files: Sequence[tuple[Path, str]], wanted: Wanted) -> list[RawTable | None]:
@@ -171,6 +187,9 @@ def _locate_header(data: bytes, layout: Layout, shown: str) -> tuple[str, int]:
     delimiter = find_delimiter(lines)
     if delimiter != usual:
         header = find_header(_split(lines, delimiter))
+    if header is None and layout.lab:
+        # rows of numbers alone, beneath remarks
+        return delimiter, next((at for at, line in enumerate(lines) if line.strip()), 0)
     return (delimiter, header) if header else (usual, 0)
 
 
@@ -226,37 +245,6 @@ def _split(lines: Sequence[str], delimiter: str) -> list[list[str]]:
         rows = []
     # a cell over several lines would shift the numbers of the rows
     return rows if len(rows) == len(lines) else [line.split(delimiter) for line in lines]
-
-
-def _utf8(data: bytes, shown: str) -> tuple[bytes, list[Note]]:
-    """Return the file as UTF-8 without a byte order mark, with line feeds only, and notes of what was changed."""
-    notes: list[Note] = []
-    encoding = None
-    if data.startswith(codecs.BOM_UTF8):
-        data = data[3:]
-        notes.append(Note("info", shown, "a UTF-8 byte order mark was skipped", "encoding"))
-    elif data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        encoding = "utf-16"
-    elif b"\0" in data[:2000]:
-        even, odd = data[0:2000:2].count(0), data[1:2000:2].count(0)
-        encoding = "utf-16-le" if odd > 20 * (even + 1) else "utf-16-be" if even > 20 * (odd + 1) else None
-    try:
-        if encoding:
-            data = data.decode(encoding).encode("utf-8")
-            notes.append(Note("info", shown, "the text is UTF-16", "encoding"))
-        elif not data.isascii():
-            data.decode("utf-8")
-    except UnicodeError:
-        if encoding:
-            raise BadFileError(shown, "broken UTF-16 text", "whole characters", "export the file again") from None
-        data = data.decode("latin-1").encode("utf-8")
-        notes.append(Note("info", shown, "the text is not UTF-8; it was read as Latin-1", "encoding"))
-    if b"\0" in data:
-        row = data[: data.index(b"\0")].count(b"\n") + 1
-        raise BadFileError(shown, "a NUL byte", "text", "export the file again; it is damaged or binary", row=row)
-    if b"\r" in data and b"\n" not in data:
-        data = data.replace(b"\r", b"\n")
-    return data, notes
 
 
 def _read_numeric(
@@ -332,36 +320,43 @@ def _parsed(
 
 
 def _read_cells(
-    text: str, shown: str, delimiter: str, wanted: Wanted | None, notes: list[Note], skipped: int
+    text: str,
+    shown: str,
+    delimiter: str,
+    wanted: Wanted | None,
+    notes: list[Note],
+    skipped: int,
+    layout: Layout,
+    above: Sequence[str],
 ) -> RawTable:
     """Read cell by cell, so that a fault is named by its row and column."""
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
-    rows: list[list[str]] = []
+    rows: list[Sequence[str]] = []
     lines: list[int] = []
-    names: list[str] = []
     try:
-        for cells in reader:
-            if not names:
-                names = [name.strip() for name in cells]
-                _check_names(names, shown, skipped + 1)
-                continue
-            if not rows and (named := header_with_units(names, cells)):
-                names = named
-                notes.append(Note("info", shown, "the row beneath the header names units", "unit_row"))
-                continue
-            if not any(cell.strip() for cell in cells):
-                continue
-            if len(cells) > len(names) and not any(cell.strip() for cell in cells[len(names) :]):
-                cells = cells[: len(names)]
-            if len(cells) != len(names):
-                expected = f"{len(names)}, as the header in row {skipped + 1} has"
-                remedy = _remedy(cells, names, delimiter)
-                raise BadFileError(shown, f"{len(cells)} cells", expected, remedy, row=reader.line_num + skipped)
-            rows.append(cells)
+        for row in reader:
+            rows.append(row)
             lines.append(reader.line_num + skipped)
     except csv.Error as error:
-        found, row = f"text that is no table ({error})", reader.line_num + skipped
-        raise BadFileError(shown, found, "rows of separated cells", "export the file again", row=row) from error
+        found, at = f"text that is no table ({error})", reader.line_num + skipped
+        raise BadFileError(shown, found, "rows of separated cells", "export the file again", row=at) from error
+    head = heading(rows[:_LOOKED_AT], lines[:_LOOKED_AT], layout, shown, above)
+    names = head.names
+    _check_names(names, shown, skipped + 1)
+    notes += [*_header_notes(head, skipped, shown), *head.notes]
+    rows, lines = rows[head.n_rows :], lines[head.n_rows :]
+    if layout.lab:
+        rows, lines, omitted = table_rows(names, rows, lines, shown)
+        notes += omitted
+    filled = [at for at, cells in enumerate(rows) if any(cell.strip() for cell in cells)]
+    rows, lines = [rows[at] for at in filled], [lines[at] for at in filled]
+    for at, cells in enumerate(rows):
+        if len(cells) > len(names) and not any(cell.strip() for cell in cells[len(names) :]):
+            rows[at] = cells = cells[: len(names)]
+        if len(cells) != len(names):
+            expected = f"{len(names)}, as the header in row {skipped + 1} has"
+            remedy = _remedy(cells, names, delimiter)
+            raise BadFileError(shown, f"{len(cells)} cells", expected, remedy, row=lines[at])
     table = np.empty((len(rows), len(names)), dtype=object)
     for index, cells in enumerate(rows):
         table[index] = cells
@@ -376,7 +371,7 @@ def _read_cells(
     return RawTable(columns, line, tuple(notes), epochs)
 
 
-def _remedy(cells: list[str], names: list[str], delimiter: str) -> str:
+def _remedy(cells: Sequence[str], names: list[str], delimiter: str) -> str:
     """Return what to do about a row of another width than the header."""
     for other, called in _DELIMITERS.items():
         if other != delimiter and sum(cell.count(other) for cell in cells) + 1 == len(names):

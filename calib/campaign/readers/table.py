@@ -14,7 +14,6 @@ from calib.campaign.model import Note
 from calib.errors import BadFileError
 from calib.limits import COLUMNS, refuse_beyond
 from calib.types import FloatArray, IntArray
-from calib.units import SUFFIXES
 
 Wanted = Callable[[str], bool]
 
@@ -26,13 +25,12 @@ HEADER_ROWS: Final = 60
 #: share of the usual width that a header must fill, and share of its cells that must be texts
 _HEADER_SHARE: Final = 0.6
 
-_EMPTY: Final = frozenset({"", "nan", "na", "n/a", "#n/a", "null", "none", "-"})
+EMPTY: Final = frozenset({"", "nan", "na", "n/a", "#n/a", "null", "none", "-"})
 _POINT: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _COMMA: Final = re.compile(r"[+-]?(\d+,\d*|,\d+)([eE][+-]?\d+)?", re.ASCII)
 _POINT_OR_COMMA: Final = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?", re.ASCII)
 #: one to three digits, one mark, exactly three digits: 1,234 is 1.234 in one country and 1234 in another
 _AMBIGUOUS: Final = re.compile(r"[+-]?[1-9]\d{0,2}[,.]\d{3}", re.ASCII)
-_UNIT_WORDS: Final = frozenset(SUFFIXES) | {"m/s", "km/h", "°", "°C", "µm", "1", "-", "rpm", "rad/s", "counts", "ticks"}
 
 _CLOCK: Final = r"(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,](\d{1,9}))?)?"
 _ZONE: Final = r"\s*(Z|UTC|[+-]\d{2}:?\d{2}|[+-]\d{2})?"
@@ -48,13 +46,26 @@ TIME_FORMATS: Final = {
     "time_of_day": "10:15:30.250",
 }
 
+#: name of a time format -> the same in words
+FORMAT_NAMES: Final = {
+    "iso8601": "ISO 8601 (year-month-day, hours:minutes:seconds)",
+    "day_first": "day.month.year hours:minutes:seconds",
+    "time_of_day": "times of day (hours:minutes:seconds)",
+}
+
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Sheet and header row (counted from 1) of a table; None where they are to be found."""
+    """Sheet and rows (counted from 1) of a table; None where they are to be found."""
 
     sheet: str | None = None
     header_row: int | None = None
+    #: the row of units
+    units_row: int | None = None
+    #: rows that are not read
+    skip_rows: tuple[int, ...] = ()
+    #: whether the file is as a laboratory keeps it (`calib.campaign.readers.sheets`), not one of a campaign
+    lab: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,19 +158,6 @@ def find_header(rows: Sequence[Sequence[Any]]) -> int | None:
     return None
 
 
-def header_with_units(header: Sequence[str], below: Sequence[Any]) -> list[str] | None:
-    """Return the header with the units of a row beneath it in brackets, or None where that row holds no units."""
-    bare = ["" if cell is None else str(cell).strip().strip("[]()") for cell in below]
-    filled = [cell for cell in bare if cell]
-    if not filled or not all(cell in _UNIT_WORDS for cell in filled) or all(is_number(cell) for cell in filled):
-        return None
-    units = [*bare, *[""] * (len(header) - len(bare))]
-    return [
-        f"{name} [{unit}]" if name and unit and "[" not in name else name
-        for name, unit in zip(header, units, strict=False)
-    ]
-
-
 def numbers(
     cells: npt.NDArray[Any], *, shown: str, column: str, line: IntArray, decimal_comma: bool | None = None
 ) -> tuple[FloatArray, bool]:
@@ -201,7 +199,7 @@ def numbers(
             continue
         if isinstance(cell, str):
             text = cell.strip().replace("−", "-")
-            if text.lower() in _EMPTY:
+            if text.lower() in EMPTY:
                 continue
             comma = _COMMA.fullmatch(text) is not None
             if comma != (decimal_comma is True) and _AMBIGUOUS.fullmatch(text):
@@ -269,7 +267,7 @@ def to_numbers(columns: dict[str, npt.NDArray[Any]], shown: str, line: IntArray)
             raise BadFileError(shown, found, expected, remedy, row=int(line[bad]), column=name)
         epochs[name] = int(time_ns[0])
         columns[name] = (time_ns - time_ns[0]) / NS_PER_S
-        text = f"times were read as {TIME_FORMATS[form]}"
+        text = f"times were read as {FORMAT_NAMES[form]}"
         notes.append(Note("info", f"{shown}, column {name}", text, "time_format"))
     if used_comma:
         notes.append(Note("info", shown, "decimal commas were read as decimal points", "decimal_comma"))

@@ -5,16 +5,20 @@ What a workbook unpacks to is counted before a library lays out every empty plac
 
 from __future__ import annotations
 
+import datetime
 import re
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from calib.campaign.model import Note
+from calib.campaign.readers.sheets import heading, table_rows
 from calib.campaign.readers.table import (
     HEADER_ROWS,
     Layout,
@@ -22,7 +26,6 @@ from calib.campaign.readers.table import (
     Wanted,
     check_header,
     find_header,
-    header_with_units,
     object_array,
     to_numbers,
 )
@@ -38,6 +41,12 @@ _OTHER_BYTES: Final = 8 << 20
 _BLOCK_BYTES: Final = 1 << 20
 #: column, row, and whether the cell ends at once and so holds nothing
 _CELL: Final = re.compile(rb"<(?:\w{1,20}:)?c\s[^<>]*?\br=[\"']([A-Z]{1,3})([0-9]{1,7})[\"'][^<>]*?(/?)>")
+#: first column, first and last row of merged cells
+_MERGED: Final = re.compile(
+    rb"<(?:\w{1,20}:)?mergeCell\s[^<>]*?\bref=[\"']([A-Z]{1,3})([0-9]{1,7}):[A-Z]{1,3}([0-9]{1,7})[\"']"
+)
+#: rows in which names, units and columns of numbers are looked for
+_LOOKED_AT: Final = 20
 _ROW: Final = re.compile(rb"<(?:\w{1,20}:)?row\b")
 _TEXT: Final = re.compile(rb"<(?:\w{1,20}:)?si\b")
 _DAMAGE: Final = (zipfile.BadZipFile, zlib.error, ValueError, NotImplementedError, EOFError, RuntimeError)
@@ -47,17 +56,57 @@ _HEADER_ROW_REMEDY: Final = "correct header_row of the mapping"
 
 def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTable:
     """Read a sheet of a workbook; see `calib.campaign.readers.read_table`."""
-    import openpyxl
-
     last_row = check_size(path, shown)
     notes: list[Note] = []
+    with _opened(path, shown) as book:
+        sheet = _sheet(book, path, shown, layout, last_row)
+        if len(book.sheetnames) > 1 and sheet.rows:
+            text = f"the workbook has {len(book.sheetnames)} sheets; {sheet.name!r} was read"
+            notes.append(Note("info", shown, text, "sheet"))
+    if not sheet.rows:
+        raise BadFileError(shown, found="no cells", expected="a header line and rows", remedy="export the table again")
+    at, rows, lines = sheet.header_at, sheet.rows, sheet.lines
+    above = rows[at - 1] if at and lines[at - 1] == lines[at] - 1 else ()
+    head = heading(rows[at : at + _LOOKED_AT], lines[at : at + _LOOKED_AT], layout, shown, above)
+    header = list(head.names)
+    while header and not header[-1]:
+        header.pop()
+    check_header(header, shown, row=lines[at])
+    if lines[at] > 1:
+        notes.append(Note("info", shown, f"the header was found in row {lines[at]}", "preamble"))
+    notes += [*head.notes, *sheet.notes]
+    rows, lines = rows[at + head.n_rows :], lines[at + head.n_rows :]
+    if layout.lab:
+        rows, lines, omitted = table_rows(header, rows, lines, shown)
+        notes += omitted
+    notes += _beside(rows, lines, len(header), shown, layout, sheet.lines[at])
+    line = np.asarray(lines, dtype=np.int64)
+    columns: dict[str, Any] = {}
+    for index, name in enumerate(header):
+        if name and (wanted is None or wanted(name)):
+            columns[name] = object_array(_dated([row[index] if index < len(row) else None for row in rows]))
+    epochs: dict[str, int] = {}
+    if wanted is not None:
+        number_notes, epochs = to_numbers(columns, shown, line)
+        notes += number_notes
+    return RawTable(columns, line, tuple(notes), epochs)
+
+
+def sheet_names(path: Path, shown: str) -> list[str]:
+    """Return the names of a workbook's sheets."""
+    check_size(path, shown)
+    with _opened(path, shown) as book:
+        return [str(sheet.title) for sheet in book.worksheets]
+
+
+@contextmanager
+def _opened(path: Path, shown: str) -> Iterator[Any]:
+    import openpyxl
+
     try:
         book = openpyxl.load_workbook(path, read_only=True, data_only=True)
         try:
-            sheet_name, header, rows, lines = _sheet(book, shown, layout, last_row)
-            if len(book.sheetnames) > 1 and header:
-                text = f"the workbook has {len(book.sheetnames)} sheets; {sheet_name!r} was read"
-                notes.append(Note("info", shown, text, "sheet"))
+            yield book
         finally:
             book.close()
     except (BadFileError, MemoryError):
@@ -67,45 +116,40 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
         expected = "an .xlsx file that a spreadsheet program opens"
         remedy = "open it and save it again, or export it as CSV"
         raise BadFileError(shown, f"a damaged workbook ({type(error).__name__})", expected, remedy) from error
-    if not header:
-        raise BadFileError(shown, found="no cells", expected="a header line and rows", remedy="export the table again")
-    check_header(header, shown, row=lines[0])
-    if lines[0] > 1:
-        notes.append(Note("info", shown, f"the header was found in row {lines[0]}", "preamble"))
-    if rows and (named := header_with_units(header, rows[0])):
-        header, rows, lines = named, rows[1:], [lines[0], *lines[2:]]
-        notes.append(Note("info", shown, "the row beneath the header names units", "unit_row"))
-    line = np.asarray(lines[1:], dtype=np.int64)
-    columns: dict[str, Any] = {}
-    for index, name in enumerate(header):
-        if name and (wanted is None or wanted(name)):
-            columns[name] = object_array([row[index] if index < len(row) else None for row in rows])
-    epochs: dict[str, int] = {}
-    if wanted is not None:
-        number_notes, epochs = to_numbers(columns, shown, line)
-        notes += number_notes
-    return RawTable(columns, line, tuple(notes), epochs)
 
 
-def _sheet(book: Any, shown: str, layout: Layout, last_row: int) -> tuple[str, list[str], list[list[Any]], list[int]]:
-    """Return name, header, rows and line numbers of the sheet asked for, or of the first that holds a table."""
+@dataclass(slots=True)
+class _Sheet:
+    """A sheet's rows that hold something, their numbers, and which of them is the header."""
+
+    name: str = ""
+    rows: list[Sequence[Any]] = field(default_factory=list)
+    lines: list[int] = field(default_factory=list)
+    header_at: int = 0
+    notes: list[Note] = field(default_factory=list)
+
+
+def _sheet(book: Any, path: Path, shown: str, layout: Layout, last_row: int) -> _Sheet:
+    """Return the sheet asked for, or the first that holds a table."""
     if layout.sheet is not None and layout.sheet not in book.sheetnames:
         found = f"the sheets {', '.join(map(str, book.sheetnames))[:200]}"
         raise BadFileError(shown, found, f"a sheet {layout.sheet!r}", "correct sheet of the mapping")
-    first: tuple[str, list[str], list[list[Any]], list[int]] = ("", [], [], [])
+    first = _Sheet()
     for sheet in book.worksheets:
         if layout.sheet is not None and sheet.title != layout.sheet:
             continue
         sheet.reset_dimensions()
-        filled = []
-        for number, values in enumerate(sheet.iter_rows(max_row=last_row or None, values_only=True), start=1):
-            cells = [_cell(value) for value in values]
-            if any(cell is not None for cell in cells):
-                filled.append((number, cells))
+        numbered = {
+            number: [_cell(value) for value in values]
+            for number, values in enumerate(sheet.iter_rows(max_row=last_row or None, values_only=True), start=1)
+            if number not in layout.skip_rows
+        }
+        notes = _fill_merged(numbered, path, getattr(sheet, "_worksheet_path", ""), shown) if layout.lab else []
+        filled = [(number, cells) for number, cells in numbered.items() if any(cell is not None for cell in cells)]
         header_at = _header_index(filled, layout, shown)
-        if header_at is None and (first[1] or not filled):
+        if header_at is None and (first.rows or not filled):
             continue
-        table = (str(sheet.title), *_rows_below(filled, header_at or 0, shown))
+        table = _Sheet(str(sheet.title), [row for _, row in filled], [at for at, _ in filled], header_at or 0, notes)
         if header_at is not None:
             return table
         first = table
@@ -122,30 +166,61 @@ def _header_index(filled: list[tuple[int, list[Any]]], layout: Layout, shown: st
     return index
 
 
-def _rows_below(
-    filled: list[tuple[int, list[Any]]], header_at: int, shown: str
-) -> tuple[list[str], list[list[Any]], list[int]]:
-    """Return the header, the rows beneath it, and the line numbers of all of them."""
-    header = ["" if cell is None else str(cell).strip() for cell in filled[header_at][1]]
-    while header and not header[-1]:
-        header.pop()
-    lines = [number for number, _ in filled[header_at:]]
-    rows = [cells for _, cells in filled[header_at + 1 :]]
-    for number, cells in zip(lines[1:], rows, strict=True):
-        extra = [cell for cell in cells[len(header) :] if cell is not None]
-        if extra:
-            expected = f"at most {len(header)} cells, as the header in row {lines[0]} has"
+def _fill_merged(rows: dict[int, list[Any]], path: Path, part: str, shown: str) -> list[Note]:
+    """Fill cells merged over several rows with what the first of them holds, in place, and note where."""
+    from openpyxl.utils import column_index_from_string
+
+    n_filled = 0
+    with zipfile.ZipFile(path) as archive:
+        entry = next((one for one in archive.infolist() if one.filename.lstrip("/") == part.lstrip("/")), None)
+        blocks = _blocks(archive, entry) if entry else ()
+        merges = [match for block in blocks for match in _MERGED.findall(block)]
+    bottom = max(rows, default=0)
+    places = sum(max(0, min(int(last), bottom) - int(first)) for _, first, last in merges)
+    refuse_beyond(places, SHEET_CELLS, shown=shown, what="merged cells", remedy=_REMEDY)
+    for letters, first, last in merges:
+        column = column_index_from_string(letters.decode()) - 1
+        value = rows[int(first)][column] if int(first) in rows and column < len(rows[int(first)]) else None
+        for number in range(int(first) + 1, min(int(last), bottom) + 1):
+            if value is not None and number in rows and column < len(rows[number]) and rows[number][column] is None:
+                rows[number][column] = value
+                n_filled += 1
+    text = f"{n_filled} cells of merged ranges were filled with what the first of each holds"
+    return [Note("info", shown, text, "merged_cells")] if n_filled else []
+
+
+def _beside(
+    rows: Sequence[Sequence[Any]], lines: Sequence[int], width: int, shown: str, layout: Layout, header_row: int
+) -> list[Note]:
+    """Refuse cells beside the table; in a laboratory's file they are noted and omitted."""
+    notes = []
+    for number, cells in zip(lines, rows, strict=True):
+        extra = [cell for cell in cells[width:] if cell is not None]
+        if extra and not layout.lab:
+            expected = f"at most {width} cells, as the header in row {header_row} has"
             remedy = "name the column, remove the cell, or name the header's row (header_row)"
             raise BadFileError(shown, f"{str(extra[0])[:40]!r} beside the table", expected, remedy, row=number)
-    return header, rows, lines
+        if extra:
+            text = f"{str(extra[0])[:40]!r} stands beside the table, under no name; omitted"
+            notes.append(Note("info", f"{shown}, row {number}", text, "beside"))
+    return notes
 
 
 def _cell(value: Any) -> Any:
-    if value is None or isinstance(value, str):
+    if value is None or isinstance(value, str | datetime.datetime):
         return value
     if isinstance(value, bool):
         return "true" if value else "false"
     return float(value) if isinstance(value, int | float) else str(value)
+
+
+def _dated(cells: list[Any]) -> list[Any]:
+    """Return cells with dates as texts: without the time of day where no cell of the column has one."""
+    moments = [cell for cell in cells if isinstance(cell, datetime.datetime)]
+    form = "%Y-%m-%d" if all(cell.time() == datetime.time() for cell in moments) else ""
+    return [
+        (cell.strftime(form) if form else str(cell)) if isinstance(cell, datetime.datetime) else cell for cell in cells
+    ]
 
 
 def check_size(path: Path, shown: str) -> int:

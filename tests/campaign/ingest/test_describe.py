@@ -102,10 +102,22 @@ def test_rates_are_proposed_where_there_are_no_positions(tmp_path: Path) -> None
     assert 'counts_left = {column = "/joints:velocity.left", unit = "rad/s"}' in text
 
 
-def test_a_file_without_names_asks_for_them(tmp_path: Path) -> None:
-    """A first row of numbers names no column, whether or not a number stands there twice."""
-    for first in ("0,0,0,0", "0.05,1.5,-2,1e-3"):
-        path = tmp_path / "log.csv"
-        path.write_text(f"{first}\n0.1,1.0,2.0,3.0\n0.2,1.0,2.0,3.0\n")
-        with pytest.raises(CalibError, match=r"row 1: found numbers alone.*put a line of names above"):
-            describe([path])
+def test_a_file_without_names_is_read_by_its_columns_numbers(tmp_path: Path) -> None:
+    """Numbers alone: the clock rises in even steps, the counters in whole ones; ingest takes the names proposed."""
+    time = np.arange(200) / 20
+    rng = np.random.default_rng(1)
+    counts = [np.cumsum(rng.integers(20, 30, 200)) for _ in range(2)]
+    rows = zip(time, *counts, strict=True)
+    (tmp_path / "log.csv").write_text("".join(f"{t:.2f}   {a} {b}\n" for t, a, b in rows))
+    text = describe([tmp_path / "log.csv"]).to_toml()
+    for words in (
+        't_s = {column = "column 1", unit = "s"}',
+        'counts_left = "column 2"',
+        "which side it is on is not said",
+    ):
+        assert words in text, text
+    mapping = tmp_path / "m.toml"
+    mapping.write_text(text)
+    made = ingest([tmp_path / "log.csv"], tmp_path / "c", mapping=mapping).campaign
+    np.testing.assert_array_equal(made.logs.columns["counts_right"], counts[1])
+    np.testing.assert_allclose(made.logs.columns["t_s"], time)

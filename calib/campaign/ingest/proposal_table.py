@@ -1,0 +1,193 @@
+"""The lines proposed for a run table: its columns, those of other sheets, and the names of the runs' logs."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from itertools import takewhile
+from pathlib import Path
+from typing import Final
+
+from calib.campaign.columns import recognise
+from calib.campaign.ingest.contents import ColumnContents, FileContents
+from calib.campaign.ingest.entries import QUOTED, entry, unit_remark
+from calib.campaign.ingest.guesses import DIRECTION_WORDS, guessed_table_column, plain_text, stem_and_unit
+from calib.campaign.ingest.mapping import TABLE_COLUMNS
+from calib.campaign.ingest.runs import run_number
+from calib.campaign.model import LABEL_COLUMNS
+from calib.units import split_suffix
+
+#: characters of a remark that lists columns
+_LISTED_COLUMNS: Final = 110
+#: a date in a file's name, and a time behind it -> how a mapping says so
+_MOMENTS: Final = (
+    (
+        re.compile(r"(?<!\d)(19|20)\d{2}[-_.]?\d{2}[-_.]?\d{2}(?!\d)|(?<!\d)\d{2}[-_.]\d{2}[-_.](19|20)\d{2}(?!\d)"),
+        "{date}",
+    ),
+    (re.compile(r"(?<=\{date\}[T_ \-])\d{2}[-_.:h]?\d{2}([-_.:m]?\d{2})?s?(?!\d)"), "{time}"),
+)
+
+
+def table_lines(table: FileContents) -> list[str]:
+    """Return the lines that name the run table's columns, and remarks on those without one."""
+    lines, own, unused = [], [], []
+    if table.sheet:
+        lines.append(f"sheet = {QUOTED.encode(table.sheet)}")
+    sessions = [column for column in table.columns if _guess_of(column) == "session"]
+    dates = [column for column in sessions if _is_date(column)]
+    # a date is the session where nothing else is
+    passed_over = dates if len(sessions) > len(dates) else []
+    named: set[str] = set()
+    for column in table.columns:
+        guess = None if column in passed_over else _guess(column)
+        if guess is None or guess[0] in named or not _may_be(guess[0], column):
+            unused.append(column.name)
+            continue
+        named.add(guess[0])
+        line = _column_line(column, *guess)
+        if line:
+            lines.append(line)
+        else:
+            own.append(column.name)
+    lines += _lookup_lines(table, named)
+    if "run_id" not in named:
+        lines.append('#run_id = ""   # the column that names the runs')
+    if "kind" not in named:
+        lines.append('kind = {value = "corridor"}   # the route, where the table does not say')
+    if own:
+        lines.append(f"# recognised by their names: {', '.join(own)[:_LISTED_COLUMNS]}")
+    if unused:
+        lines.append(f"# not used, numbers kept as covariates: {', '.join(unused)[:_LISTED_COLUMNS]}")
+    return lines
+
+
+def _meanings(column: ColumnContents) -> dict[str, str | None]:
+    return {text: DIRECTION_WORDS.get(plain_text(text)) for text in column.texts}
+
+
+def _guess(column: ColumnContents) -> tuple[str, str | None] | None:
+    directions = _meanings(column)
+    if directions and len(directions) <= 2 and all(directions.values()):
+        return "direction", None
+    return guessed_table_column(column.name)
+
+
+def _column_line(column: ColumnContents, name: str, unit: str | None) -> str:
+    """Return the line for a column; empty where its name alone is recognised."""
+    further: dict[str, object] = {}
+    remark = ""
+    if name == "direction" and set(column.texts) - {"out", "back"}:
+        directions = _meanings(column)
+        free = iter([way for way in ("out", "back") if way not in directions.values()])
+        further["values"] = {text: meaning or next(free, "out") for text, meaning in directions.items()}
+        remark = "" if all(directions.values()) else '   # "out" or "back"'
+    if name == "session" and column.n_empty:
+        further["fill_down"] = True
+        remark = "   # an empty cell means the one above"
+    if recognise(column.name, TABLE_COLUMNS).name == name and not further:
+        return ""
+    needs = split_suffix(name)[1]
+    if needs and stem_and_unit(column.name)[1] is None:
+        unit, remark = needs, unit_remark(name)
+    return entry(name, column, unit, further) + remark
+
+
+def _guess_of(column: ColumnContents) -> str:
+    return (guessed_table_column(column.name) or ("", None))[0]
+
+
+def _is_date(column: ColumnContents) -> bool:
+    return stem_and_unit(column.name)[0] in {"datum", "date", "messdatum"}
+
+
+def _may_be(target: str, column: ColumnContents) -> bool:
+    """Return whether a column's cells may be what its name looks like: no text is a number, no clock a session."""
+    if column.kind == "empty" or (target == "session" and column.kind == "time"):
+        return False
+    return column.kind == "number" or target in {*LABEL_COLUMNS, "excluded"}
+
+
+def _lookup_lines(table: FileContents, named: set[str]) -> list[str]:
+    """Return lines for columns of other sheets whose labels the run table holds, and add their names to `named`."""
+    lines = []
+    for sheet, columns in table.others.items():
+        by, key = next(
+            ((by, key) for by in table.columns for key in columns if _same_labels(by, key)),
+            (None, None),
+        )
+        if by is None or key is None:
+            continue
+        for column in columns:
+            guess = guessed_table_column(column.name)
+            if column is key or guess is None or guess[0] in named or not _may_be(guess[0], column):
+                continue
+            name, unit = guess
+            if name in LABEL_COLUMNS:
+                continue
+            named.add(name)
+            further: dict[str, object] = {"sheet": sheet, "by": by.name}
+            if stem_and_unit(key.name)[0] != stem_and_unit(by.name)[0]:
+                further["key"] = key.name
+            needs, remark = split_suffix(name)[1], ""
+            if needs and unit is None:
+                unit, remark = needs, unit_remark(name)
+            lines.append(entry(name, column, unit, further) + remark)
+    return lines
+
+
+def _same_labels(by: ColumnContents, key: ColumnContents) -> bool:
+    """Return whether two text columns hold the same labels, as far as they are listed."""
+    if by.kind != "text" or key.kind != "text":
+        return False
+    shared = {plain_text(text) for text in by.texts} & {plain_text(text) for text in key.texts}
+    return len(shared) >= min(2, len(by.texts)) > 0
+
+
+def file_lines(table: FileContents | None, logs: Sequence[FileContents]) -> list[str]:
+    """Return the pattern of the logs' names, where the runs' names do not say them."""
+    if table is None or len(logs) < 2:
+        return []
+    column = next((part for part in table.columns if _guess_of(part) == "run_id"), None)
+    stems = [Path(log.name).stem for log in logs]
+    run_ids = column.texts if column is not None and column.kind == "text" else ()
+    if run_ids and run_ids[0] in stems:
+        return []
+    pattern = name_pattern(stems)
+    if pattern is None:
+        return ['#file = "{run_id}.csv"   # the log of a run']
+    lines = [f"file = {QUOTED.encode(pattern + Path(logs[0].name).suffix)}"]
+    if run_ids and run_number(run_ids[0], None) is not None:
+        pattern = re.sub(r"\d+(?!.*\d)", "{n}", run_ids[0])
+        lines.append(f"run = {QUOTED.encode(pattern)}   # the number in a run's name")
+    return lines
+
+
+def name_pattern(stems: Sequence[str]) -> str | None:
+    """Return what the names of logs have in common: a run's number, dates and times, and text that differs."""
+    for form, sign in _MOMENTS:
+        if all(form.search(stem) for stem in stems):
+            stems = [form.sub(sign, stem, count=1) for stem in stems]
+    parts = [re.split(r"(\d+)", stem) for stem in stems]
+    if len({len(part) for part in parts}) > 1 or len(parts[0]) < 2:
+        return None
+    columns = [[part[at] for part in parts] for at in range(len(parts[0]))]
+    numbers = [at for at in range(1, len(columns), 2) if len({int(cell) for cell in columns[at]}) == len(stems)]
+    # a run's number is small: a serial number or a time may differ from log to log as well
+    best = min(numbers, key=lambda at: (max(int(cell) for cell in columns[at]), -at), default=None)
+    if best is None:
+        return None
+    out = ""
+    for at, cells in enumerate(columns):
+        widths = {len(cell) for cell in cells}
+        if at == best:
+            padded = len(widths) == 1 and next(iter(widths)) > 1
+            out += f"{{n:{widths.pop():02}}}" if padded else "{n}"
+        else:
+            out += cells[0] if len(set(cells)) == 1 else f"{_common_start(cells)}*"
+    return out
+
+
+def _common_start(texts: Sequence[str]) -> str:
+    same = takewhile(lambda signs: len(set(signs)) == 1, zip(*texts, strict=False))
+    return "".join(signs[0] for signs in same)

@@ -1,0 +1,278 @@
+"""Tables as laboratories keep them: several header rows, a row of units, remarks, means and sums among the rows.
+
+Nothing is dropped in silence: what is no row of the table is noted by its place.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+from calib.campaign.model import Note
+from calib.campaign.readers.table import EMPTY, Layout, filled_cells, is_number
+from calib.errors import BadFileError
+from calib.units import unit_named
+
+#: units of counters and rates, which no suffix of a column names, and signs of no unit
+_COUNT_WORDS: Final = frozenset(
+    {"rpm", "rad/s", "deg/s", "counts", "count", "cnt", "cnts", "ticks", "inc", "ink", "imp", "impulse"}
+)
+#: units of what calib does not use, in lower case: they show a row of units, and their numbers are not converted
+_OTHER_UNITS: Final = frozenset(
+    {
+        "v",
+        "mv",
+        "a",
+        "ma",
+        "w",
+        "kw",
+        "hz",
+        "khz",
+        "%",
+        "bar",
+        "mbar",
+        "pa",
+        "hpa",
+        "kpa",
+        "nm",
+        "h",
+        "min",
+        "d",
+        "m/s²",
+    }
+)
+#: forms of dates and times: hh:mm:ss,f, dd.mm.yyyy
+_CLOCK_FORM: Final = re.compile(r"[dmyhsfjt]{1,4}([.:/, \-]+[dmyhsfjt]{1,4})+", re.IGNORECASE)
+_NO_UNIT: Final = frozenset({"", "-", "–", "1"})
+#: a unit in a row of units that is not known is no longer than this
+_SHORT: Final = 8
+#: share of the columns of numbers in which a header row holds texts
+_TEXT_SHARE: Final = 0.6
+#: header rows at most: groups, names, further names, units
+_HEADER_ROWS: Final = 4
+#: rows whose cells tell which columns hold numbers
+_LOOKED_AT: Final = 20
+#: columns that a table has at least where a row of one text is a remark
+_LEAST_COLUMNS: Final = 3
+#: what columns are called that no row names
+UNNAMED: Final = re.compile(r"column \d+")
+_SIDE: Final = re.compile(r"(l|r|li|re|left|right|links|rechts)\.?", re.IGNORECASE)
+_SUMMARY: Final = re.compile(
+    r"(mean|average|avg|sum|total|std|st\.?\s?dev|std\.?\s?dev|sd|min|max|minimum|maximum|median|mittel(wert)?|mw|summe"
+    r"|gesamt|standardabweichung|stabw|durchschnitt|ø|σ|Σ)\W*",
+    re.IGNORECASE,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Heading:
+    """The names of a table's columns, and how many of the rows looked at they take."""
+
+    names: list[str]
+    n_rows: int
+    notes: tuple[Note, ...] = ()
+
+
+def heading(
+    rows: Sequence[Sequence[Any]], lines: Sequence[int], layout: Layout, shown: str, above: Sequence[Any] = ()
+) -> Heading:
+    """Return the names of the columns, with units in brackets, from the header row and those beneath it.
+
+    Parameters
+    ----------
+    rows : sequence of rows
+        The header row first, then some of those beneath it, cells as read.
+    lines : sequence of int
+        The row of each in the file, counted from 1.
+    layout : Layout
+        Rows that the mapping names; several header rows only in a laboratory's file.
+    shown : str
+        The file's name in messages.
+    above : sequence of cells
+        The row above the header.
+
+    Returns
+    -------
+    Heading
+        Names as found; ``column 1``, ``column 2``, ... where no row names them.
+    """
+    first = _texts(rows[0])
+    if not layout.lab:
+        units = _texts(rows[1]) if len(rows) > 1 else []
+        if not units or not _all_known(units):
+            return Heading(first, 1)
+        names, note = _with_units(first, units, shown)
+        return Heading(names, 2, (note,))
+    if layout.header_row is None and len(filled_cells(first)) > 1 and all(map(is_number, filled_cells(first))):
+        text = "no row names the columns; they are called column 1, column 2, ..."
+        return Heading(
+            [f"column {number + 1}" for number in range(len(first))], 0, (Note("info", shown, text, "names"),)
+        )
+    n_rows = _header_rows(rows, fixed=layout.header_row is not None)
+    units_at = n_rows - 1 if n_rows > 1 and looks_like_units(rows[n_rows - 1]) else None
+    if layout.units_row is not None:
+        if layout.units_row not in lines:
+            found, expected = f"rows {lines[0]} to {lines[-1]} at the head of the table", "the row of units among them"
+            raise BadFileError(shown, found, expected, "correct units_row of the mapping", row=layout.units_row)
+        units_at = list(lines).index(layout.units_row)
+        n_rows = max(n_rows, units_at + 1)
+    block = [_texts(row) for number, row in enumerate(rows[:n_rows]) if number != units_at]
+    if layout.header_row is not None:
+        block = block[:1]
+    groups = [_texts(above), *block[:-1]] if _is_group(above) else block[:-1]
+    names = _joined(block[-1], groups)
+    if units_at is None:
+        return Heading(names, n_rows)
+    names, note = _with_units(names, _texts(rows[units_at]), shown)
+    return Heading(names, n_rows, (note,))
+
+
+def looks_like_units(row: Sequence[Any]) -> bool:
+    """Return whether a row holds units: texts, some of them known or in brackets, and the others short."""
+    cells = [str(cell).strip() for cell in filled_cells(row)]
+    if not cells or any(map(is_number, cells)):
+        return False
+    good = [_is_unit(cell) or bool(re.fullmatch(r"[\[(].*[\])]", cell)) or _is_other(bare(cell)) for cell in cells]
+    known = sum(good)
+    return 2 * known >= len(cells) or (known > 0 and all(len(cell) <= _SHORT for cell in cells))
+
+
+def bare(unit: str) -> str:
+    """Return a unit without its brackets."""
+    return unit.strip().strip("[]()").strip()
+
+
+def _is_unit(text: str) -> bool:
+    word = bare(text)
+    return unit_named(word) is not None or word.lower() in _COUNT_WORDS or word in _NO_UNIT
+
+
+def _is_other(word: str) -> bool:
+    return word.lower() in _OTHER_UNITS or _CLOCK_FORM.fullmatch(word) is not None
+
+
+def _all_known(units: Sequence[str]) -> bool:
+    filled = [unit for unit in units if unit]
+    return bool(filled) and all(map(_is_unit, filled)) and not all(map(is_number, filled))
+
+
+def _texts(row: Sequence[Any]) -> list[str]:
+    return ["" if cell is None else " ".join(str(cell).split()) for cell in row]
+
+
+def _is_group(row: Sequence[Any]) -> bool:
+    filled = filled_cells(row)
+    return len(filled) > 1 and not any(map(is_number, filled))
+
+
+def _header_rows(rows: Sequence[Sequence[Any]], *, fixed: bool) -> int:
+    """Return how many rows from the first are header: texts over columns of numbers, or units."""
+    body = list(rows[_HEADER_ROWS - 1 : _LOOKED_AT]) or list(rows[1:])
+    width = max(map(len, rows))
+    numeric = []
+    for column in range(width):
+        cells = [row[column] for row in body if column < len(row) and filled_cells([row[column]])]
+        if cells and 2 * sum(map(is_number, cells)) >= len(cells):
+            numeric.append(column)
+    last = 0
+    for at, row in enumerate(rows[1 : min(_HEADER_ROWS, len(rows) - 1)], start=1):
+        filled = [column for column, cell in enumerate(row) if filled_cells([cell])]
+        over = [str(row[column]).strip() for column in filled if column in numeric]
+        if any(is_number(cell) for cell in over):
+            break
+        texts = [cell for cell in over if cell.lower() not in EMPTY]
+        wide = len(texts) >= _TEXT_SHARE * len(numeric) > 0
+        # a second row of names stands over columns of numbers alone
+        further = len(texts) > 1 and set(filled) <= set(numeric)
+        if looks_like_units(row):
+            return at + 1
+        if (wide or further) and not fixed:
+            last = at
+    return last + 1
+
+
+def _joined(names: Sequence[str], groups: Sequence[Sequence[str]]) -> list[str]:
+    """Return names, those that are empty, there twice or a side only with the group above them."""
+    spread: list[str] = []
+    for group in groups:
+        last = ""
+        for column in range(len(names)):
+            cell = group[column] if column < len(group) else ""
+            last = cell or last
+            if column == len(spread):
+                spread.append("")
+            spread[column] = last or spread[column]
+    own = [
+        next((group[at] for group in reversed(groups) if at < len(group) and group[at]), "") for at in range(len(names))
+    ]
+    out = []
+    for at, name in enumerate(names):
+        unclear = not name or names.count(name) > 1 or _SIDE.fullmatch(name)
+        group = (spread[at] if name else own[at]) if spread and unclear else ""
+        out.append(" ".join(part for part in (group, name) if part))
+    return out
+
+
+def _with_units(names: Sequence[str], units: Sequence[str], shown: str) -> tuple[list[str], Note]:
+    """Return names with their units in brackets, and a note that says which of these are not known."""
+    out, unknown = [], []
+    for at, name in enumerate(names):
+        unit = bare(units[at]) if at < len(units) else ""
+        if name and unit not in _NO_UNIT and not re.search(r"[\[(][^\[\]()]*[\])]\s*$", name):
+            out.append(f"{name} [{unit}]")
+            if not _is_unit(unit):
+                unknown.append(f"{unit} ({name})")
+        else:
+            out.append(name)
+    text = "the row beneath the header names units"
+    if unknown:
+        text += f"; not known, so their numbers are not converted: {', '.join(unknown)[:200]}"
+    return out, Note("info", shown, text, "unit_row")
+
+
+def table_rows(
+    names: Sequence[str], rows: Sequence[Sequence[Any]], lines: Sequence[int], shown: str
+) -> tuple[list[Sequence[Any]], list[int], list[Note]]:
+    """Return rows and lines without remarks, means and sums, and a note on each that is omitted.
+
+    `rows`, `lines`: cells as read, and their rows in the file. A row of one text is a remark, unless it is written as
+    other cells of its column are; one that begins with ``mean``, ``sum``, ... is a summary.
+    """
+    kept: list[Sequence[Any]] = []
+    kept_lines, notes = [], []
+    shapes: Mapping[int, set[str]] = {}
+    for row, line in zip(rows, lines, strict=True):
+        filled = [(at, cell) for at, cell in enumerate(row) if filled_cells([cell])]
+        if not filled:
+            continue
+        at, first = filled[0]
+        text = " ".join(str(first).split())
+        why = ""
+        if len(filled) == 1 and len(names) >= _LEAST_COLUMNS and not is_number(first):
+            shapes = shapes or _shapes(rows)
+            shape = _shape(text)
+            why = "" if "0" in shape and shape in shapes.get(at, set()) else "a remark"
+        elif isinstance(first, str) and _SUMMARY.fullmatch(text) and not is_number(text):
+            why = "a mean, a sum or the like"
+        if why:
+            notes.append(Note("info", f"{shown}, row {line}", f"{text[:60]!r} is {why}, no row; omitted", "remark"))
+            continue
+        kept.append(row)
+        kept_lines.append(line)
+    return kept, kept_lines, notes
+
+
+def _shape(text: str) -> str:
+    return re.sub(r"\d+", "0", text)
+
+
+def _shapes(rows: Sequence[Sequence[Any]]) -> dict[int, set[str]]:
+    """Return how the cells of each column are written, of rows with more than one cell."""
+    out: dict[int, set[str]] = {}
+    for row in rows:
+        if len(filled_cells(row)) > 1:
+            for at, cell in enumerate(row):
+                out.setdefault(at, set()).add(_shape(str(cell).strip()))
+    return out

@@ -1,0 +1,191 @@
+"""What a mapping may say of a source: units as people write them, lookups, cells filled down, names of logs."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.campaign.ingest import describe, ingest
+from calib.campaign.ingest.mapping import LogSection, MappedColumn, unit_spelled, units_for
+from calib.campaign.ingest.proposal_table import name_pattern
+from calib.campaign.ingest.runs import expected_name, fits_name
+from calib.campaign.model import Campaign
+from calib.errors import CalibError
+from calib.units import GRAVITY_MPS2, SUFFIXES, unit_named
+
+RUNS = "Run;Label;Day;Dist\n;;;mm\n1;A;Mon;40100\n2;B;;40200\n3;A;Tue;40300\n4;B;;40400\n"
+MAPPING = 'counts_left = {value = 1000}\ncounts_right = {value = 1001}\nrun_id = "Run"\nkind = {value = "corridor"}\n'
+
+
+def _made(folder: Path, lines: str, source: Path | None = None) -> tuple[Campaign, list[str]]:
+    if source is None:
+        source = folder / "runs.csv"
+        source.write_text(RUNS)
+    (folder / "m.toml").write_text(f"[table]\n{MAPPING}{lines}")
+    done = ingest([source], folder / "c", mapping=folder / "m.toml", dry_run=True)
+    return done.campaign, [note.text for note in done.notes]
+
+
+def _workbook(folder: Path) -> Path:
+    import openpyxl
+
+    book = openpyxl.Workbook()
+    for row in RUNS.splitlines():
+        book.active.append([float(cell) if cell.isdigit() else cell or None for cell in row.split(";")])
+    sheet = book.create_sheet("Payloads")
+    for cells in (["Label", "Mass", "Left"], [None, "t", "kg"], ["a", 0.1, 40.0], ["B ", 0.2, 45.5]):
+        sheet.append(cells)
+    book.save(folder / "runs.xlsx")
+    return folder / "runs.xlsx"
+
+
+@pytest.mark.parametrize(
+    ("text", "unit"),
+    [
+        ("mm/s", "mmps"), ("km/h", "kmh"), ("°C", "C"), ("deg C", "C"), ("metres", "m"), ("Grad", "deg"), ("sec", "s"),
+        ("µs", "us"), ("Millimeter", "mm"), ("kN", "kN"), ("K", "K"), ("grad", None), ("hh:mm", None), ("", None),
+    ],
+)  # fmt: skip
+def test_units_are_read_as_people_write_them(text: str, unit: str | None) -> None:
+    assert unit_named(text) == unit
+    assert unit_spelled(text) == (unit or text)
+
+
+@pytest.mark.parametrize(
+    ("text", "unit"), [("ticks", "counts"), ("U/min", "rpm"), ("°", "deg"), ("rev", "turns"), ("cnt/s", "counts/s")]
+)
+def test_so_are_those_of_wheels(text: str, unit: str) -> None:
+    assert MappedColumn(column="c", unit=text).wheel_unit == unit
+
+
+def test_a_wrong_unit_lists_those_that_may_be(tmp_path: Path) -> None:
+    with pytest.raises(CalibError, match=r"distance_m: found 'ells'; expected one of m, mm, cm, km, um"):
+        _made(tmp_path, 'distance_m = {column = "Dist", unit = "ells"}\n')
+    assert set(units_for("load_left_N")) == {unit for unit, (to, _, _) in SUFFIXES.items() if to in {"N", "kg"}}
+
+
+@pytest.mark.parametrize("name", ["Dist", "Dist [mm]"])
+def test_a_column_is_named_with_or_without_its_unit(name: str, tmp_path: Path) -> None:
+    made, _ = _made(tmp_path, f'distance_m = "{name}"\n')
+    np.testing.assert_allclose(made.runs.number("distance_m"), [40.1, 40.2, 40.3, 40.4])
+
+
+def test_values_are_looked_up_on_another_sheet_and_weighed(tmp_path: Path) -> None:
+    """Labels in any case and spacing; tonnes become kg, and a load in kg its weight."""
+    lines = 'payload_kg = {column = "Mass", sheet = "Payloads", by = "Label"}\n'
+    lines += 'load_left_N = {column = "Left", sheet = "Payloads", by = "Label"}\n'
+    made, _ = _made(tmp_path, lines, _workbook(tmp_path))
+    np.testing.assert_allclose(made.runs.number("payload_kg"), [100, 200, 100, 200])
+    np.testing.assert_allclose(made.runs.number("load_left_N"), GRAVITY_MPS2 * np.array([40.0, 45.5, 40.0, 45.5]))
+    text = describe([tmp_path / "runs.xlsx"]).to_toml()
+    assert 'payload_kg = {column = "Mass [t]", sheet = "Payloads", by = "Label"}' in text, text
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ('{column = "Mass", sheet = "Payload", by = "Label"}', "a sheet 'Payload'"),
+        ('{column = "Mess", sheet = "Payloads", by = "Label"}', "column Mess: found only Label, Mass"),
+        ('{column = "Mass", sheet = "Payloads", by = "Labels"}', "the column that `by` names"),
+        ('{column = "Mass", sheet = "Payloads", by = "Run"}', "no label '1', which row 3"),
+        ('{column = "Mass", sheet = "Payloads"}', "by a column of the run table"),
+    ],
+)
+def test_a_lookup_that_fails_says_where(line: str, words: str, tmp_path: Path) -> None:
+    with pytest.raises(CalibError, match=words) as caught:
+        _made(tmp_path, f"payload_kg = {line}\n", _workbook(tmp_path))
+    assert "\n" not in str(caught.value)
+
+
+def test_sessions_that_are_missing_are_said_or_filled_down(tmp_path: Path) -> None:
+    made, said = _made(tmp_path, 'session = "Day"\n')
+    assert made.runs.label("session").tolist() == ["Mon", "", "Tue", ""]
+    assert any("2 of 4 rows name no session" in text for text in said)
+    made, said = _made(tmp_path, 'session = {column = "Day", fill_down = true}\n')
+    assert made.runs.label("session").tolist() == ["Mon", "Mon", "Tue", "Tue"]
+    assert not any("name no session" in text for text in said)
+
+
+def test_rows_at_the_end_that_name_no_run_are_omitted(tmp_path: Path) -> None:
+    (tmp_path / "runs.csv").write_text(RUNS + ";;;40250\n;;;161000\n")
+    made, said = _made(tmp_path, 'distance_m = "Dist"\n', tmp_path / "runs.csv")
+    assert len(made.runs) == 4
+    assert sum("names no run" in text for text in said) == 2
+
+
+@pytest.mark.parametrize(
+    ("wanted", "name", "fits"),
+    [
+        ("{date}_{time}_TR7.csv", "20260504_081500_TR7.csv", True),
+        ("{date}_{time}_TR7.csv", "2026-05-04_08-15_tr7.CSV", True),
+        ("{date}_{time}_TR7.csv", "20260504_081500_TR17.csv", False),
+        ("*_7.csv", "anything (2)_7.csv", True),
+        ("log+7.csv", "log+7.csv", True),
+        ("log+7.csv", "logg7.csv", False),
+    ],
+)
+def test_names_of_logs_may_hold_a_time(wanted: str, name: str, fits: bool) -> None:
+    assert fits_name(name, wanted) == fits
+
+
+@pytest.mark.parametrize(
+    ("stems", "pattern"),
+    [
+        (["2026-05-04_09-00_Fahrt01", "2026-05-04_09-07_Fahrt02"], "{date}_{time}_Fahrt{n:02}"),
+        (["20260504T091500_TR9", "20260505T091500_TR10"], "{date}T{time}_TR{n}"),
+        (["run 01 (take 1)", "run 02 (take 1)"], "run {n:02} (take 1)"),
+        (["Lauf_1_am", "Lauf_2_pm"], "Lauf_{n}_*"),
+        (["first", "second"], None),
+    ],
+)
+def test_what_the_names_of_logs_have_in_common_is_proposed(stems: list[str], pattern: str | None) -> None:
+    """And the pattern finds each of them, by its own number."""
+    assert name_pattern(stems) == pattern
+    for stem in stems if pattern else ():
+        number = next(n for n in (1, 2, 9, 10) if re.search(rf"(Fahrt|TR|run |Lauf_)0?{n}(?!\d)", stem))
+        wanted = expected_name(LogSection(file=f"{pattern}.csv"), f"Run {number}")
+        assert wanted is not None
+        assert [fits_name(f"{other}.csv", wanted) for other in stems] == [other == stem for other in stems]
+
+
+@pytest.mark.parametrize(
+    ("header", "cells", "line"),
+    [
+        ("Hallentemp. [°C]", ("20.5", "21"), 'temperature_C = "Hallentemp. [°C]"'),
+        ("Dist. [mm]", ("40100", "40200"), 'distance_m = "Dist. [mm]"'),
+        ("Payload mass [kg]", ("50", "100"), 'payload_kg = "Payload mass [kg]"'),
+        ("End heading [°]", ("1.5", "2.5"), 'ref_theta_rad = "End heading [°]"'),
+        ("Datum", ("2026-05-04", "2026-05-05"), 'session = "Datum"'),
+        ("Payload", ("heavy", "light"), None),
+        ("Speed", ("slow", "fast"), None),
+    ],
+)
+def test_the_proposal_finds_columns_and_takes_no_text_for_a_number(
+    header: str, cells: tuple[str, str], line: str | None, tmp_path: Path
+) -> None:
+    rows = [f"{number + 1};{cells[number % 2]};{number * 1.5}" for number in range(4)]
+    (tmp_path / "runs.csv").write_text(f"Run;{header};x\n" + "\n".join(rows) + "\n")
+    text = describe([tmp_path / "runs.csv"]).to_toml()
+    if line is None:
+        assert f'"{header}"' not in text
+    else:
+        assert line in text.splitlines(), text
+
+
+def test_a_description_prints_what_stands_in_the_file(tmp_path: Path) -> None:
+    """No example of a format in place of a cell."""
+    (tmp_path / "log.csv").write_text("Zeit;links\n" + "".join(f"04.05.2026 10:15:{s:02},250;{s}\n" for s in range(50)))
+    text = describe([tmp_path / "log.csv"]).to_toml()
+    assert "04.05.2026 10:15:00,250" in text
+    assert "30,250" not in text and "2026-05-04T" not in text
+
+
+def test_other_kinds_of_logs_are_said(tmp_path: Path) -> None:
+    """One file a run is read: what to do with two of them stands in the proposal."""
+    (tmp_path / "enc_1.csv").write_text("t,enc_left,enc_right\n" + "".join(f"{k},{9 * k},{8 * k}\n" for k in range(50)))
+    (tmp_path / "cam_1.csv").write_text("t,x,y,yaw\n" + "".join(f"{k},{9 * k}.5,{8 * k},0\n" for k in range(50)))
+    text = describe([tmp_path / "enc_1.csv", tmp_path / "cam_1.csv"]).to_toml()
+    assert "2 kinds of logs (enc_1.csv, cam_1.csv)" in text and "join them by time" in text

@@ -1,0 +1,137 @@
+"""Wheels are found by the names that robots and laboratories give them, or by what they do: both sides or neither."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.campaign.ingest import describe, ingest
+from calib.campaign.ingest.guesses import guessed_log_column, side_of
+
+TWO = "counts_left", "counts_right"
+FOUR = "counts_front_left", "counts_front_right", "counts_rear_left", "counts_rear_right"
+#: names of two joints of robots and laboratories
+PAIRS = [
+    ("left_wheel_joint", "right_wheel_joint"),
+    ("wheel_left_joint", "wheel_right_joint"),
+    ("front_left_wheel", "front_right_wheel"),
+    ("rear_left_joint", "rear_right_joint"),
+    ("left_joint", "right_joint"),
+    ("wheel_joint_left", "wheel_joint_right"),
+    ("base_l_drive_wheel_joint", "base_r_drive_wheel_joint"),
+    ("left_wheel", "right_wheel"),
+    ("l_wheel_joint", "r_wheel_joint"),
+    ("fl_wheel_joint", "fr_wheel_joint"),
+    ("Geber_links", "Geber_rechts"),
+    ("encoder_left_ticks", "encoder_right_ticks"),
+    ("Enc L [cnt]", "Enc R [cnt]"),
+]
+
+
+def _log(path: Path, columns: dict[str, np.ndarray], form: str = ".6f") -> Path:
+    rows = [",".join(columns), *(",".join(f"{x:{form}}" for x in row) for row in zip(*columns.values(), strict=True))]
+    path.write_text("\n".join(rows) + "\n")
+    return path
+
+
+def _turned(n: int = 400, seed: int = 2) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times, and counts of two wheels that drive at changing speed."""
+    rng = np.random.default_rng(seed)
+    speed = 250 + 60 * np.sin(np.arange(n) / 30)
+    left, right = (np.cumsum(np.rint(speed + 8 * rng.standard_normal(n))) for _ in range(2))
+    return np.arange(n) / 20, left, right
+
+
+def _wheel_lines(text: str) -> list[str]:
+    return [line for line in text.splitlines() if line.startswith("counts_")]
+
+
+@pytest.mark.parametrize("names", PAIRS)
+def test_two_wheels_are_found_by_their_names(names: tuple[str, str], tmp_path: Path) -> None:
+    time, left, right = _turned()
+    lines = _wheel_lines(
+        describe([_log(tmp_path / "l.csv", dict(zip(("t_s", *names), (time, left, right), strict=True)))]).to_toml()
+    )
+    assert [line.split(" = ")[0] for line in lines] == list(TWO)
+    assert names[0] in lines[0] and names[1] in lines[1]
+
+
+@pytest.mark.parametrize("name", ["front_left_wheel", "front_left_wheel_joint", "wheel_front_left_joint", "fl_wheel"])
+def test_a_wheel_at_a_corner_is_one(name: str) -> None:
+    guess = guessed_log_column(f"/joint_states:position.{name}")
+    assert guess is not None and guess[0] == "counts_front_left"
+
+
+@pytest.mark.parametrize("coupled", [True, False])
+def test_four_wheels_are_skid_steer_where_those_of_a_side_turn_alike(coupled: bool, tmp_path: Path) -> None:
+    """Husky and Jackal: one wheel of each side; of a mecanum drive all four."""
+    time, left, right = _turned()
+    rear = (left, right) if coupled else (0.6 * left, 1.4 * right)
+    names = ("front_left_wheel", "front_right_wheel", "rear_left_wheel", "rear_right_wheel")
+    columns = dict(zip(("t_s", *names), (time, left, right, *rear), strict=True))
+    text = describe([_log(tmp_path / "l.csv", columns)]).to_toml()
+    assert [line.split(" = ")[0] for line in _wheel_lines(text)] == list(TWO if coupled else FOUR)
+    assert ("skid steer" in text) == coupled
+    assert ('drive = "mecanum"   #' in text) == (not coupled)
+
+
+def test_one_side_alone_is_none(tmp_path: Path) -> None:
+    time, left, _ = _turned()
+    text = describe([_log(tmp_path / "l.csv", {"t_s": time, "wheel_left": left, "voltage": 24 + 0 * time})]).to_toml()
+    assert _wheel_lines(text) == []
+    assert '#counts_left = "wheel_left"   # looks like a wheel, but no column looks like counts_right' in text
+
+
+@pytest.mark.parametrize(
+    ("names", "first"), [(("K7", "K3"), "K7"), (("QR", "QL"), "QL"), (("ch_re", "ch_li"), "ch_li")]
+)
+def test_counters_that_overflow_are_the_wheels(names: tuple[str, str], first: str, tmp_path: Path) -> None:
+    """Of any name; the side by what the name says of it, else in their order with a remark."""
+    time, one, other = _turned()
+    path = _log(tmp_path / "l.csv", {"t_s": time, names[0]: one % 2**16, names[1]: other % 2**16, "n": time * 20})
+    text = describe([path]).to_toml()
+    [left, right] = _wheel_lines(text)
+    assert left.startswith(f'counts_left = "{first}"') and right.startswith("counts_right = ")
+    assert ("not said: check" in left) == (names[0] == "K7")
+    assert "wrap_bits = 16" in text
+
+
+@pytest.mark.parametrize(
+    ("make", "unit"),
+    [
+        (lambda counts: np.diff(counts, prepend=0.0), "counts/sample"),
+        (lambda counts: np.diff(counts, prepend=counts[0]), "counts/sample"),
+        (lambda counts: counts / 4096 * 2 * np.pi, "rad"),
+        (lambda counts: np.angle(np.exp(1j * counts / 4096 * 2 * np.pi)), "rad"),
+        (lambda counts: (counts / 4096 * 360) % 360, "deg"),
+    ],
+    ids=["increments", "increments from a stand", "radians", "radians of one turn", "degrees of one turn"],
+)
+def test_what_wheels_give_is_proposed_with_its_unit_and_ingested(make, unit: str, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    """The proposal goes in as it is, and the counts are those driven."""
+    time, left, right = _turned()
+    path = _log(tmp_path / "l.csv", {"t_s": time, "wheel_left": make(left), "wheel_right": make(right)}, ".9f")
+    text = describe([path]).to_toml()
+    assert [f'unit = "{unit}"' in line for line in _wheel_lines(text)] == [True, True], text
+    mapping = tmp_path / "m.toml"
+    mapping.write_text(text.replace("#counts_per_rev =   #", "counts_per_rev = 4096   #"))
+    made = ingest([path], tmp_path / "c", mapping=mapping).campaign
+    got = made.logs.columns["counts_right"]
+    np.testing.assert_allclose(got - got[0], right - right[0], atol=1e-3)
+
+
+def test_a_counter_that_goes_there_and_back_is_no_increment(tmp_path: Path) -> None:
+    time, left, right = _turned()
+    back = {name: np.concatenate([counts, counts[::-1]]) for name, counts in (("Enc_L", left), ("Enc_R", right))}
+    path = _log(tmp_path / "l.csv", {"t_s": np.arange(2 * len(time)) / 20, **back})
+    assert not any("unit" in line for line in _wheel_lines(describe([path]).to_toml()))
+
+
+@pytest.mark.parametrize(
+    ("name", "side"),
+    [("Geber_links", "left"), ("QR", None), ("encoderRight", "right"), ("x", None), ("re_raw", "right")],
+)
+def test_a_side_is_read_from_a_name(name: str, side: str | None) -> None:
+    assert side_of(name) == side
