@@ -17,6 +17,8 @@ from calib.result import plain
 
 #: files of one kind that are read to the end; of more, the first and the last
 _ALL_READ: Final = 40
+#: rows of a run table to a log: means, remarks and runs without a log stand among them
+MOST_ROWS_A_LOG: Final = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +78,7 @@ def describe(sources: Sequence[Path]) -> Description:
     for members in kinds.values():
         chosen += members if len(members) <= _ALL_READ else [members[0], members[-1]]
     files = [file_contents(path) for path in chosen]
-    table = _run_table(files)
+    table = _run_table(files, len(paths))
     logs = [file for file in files if file is not table]
     lines = mapping_lines(table, logs)
     # the table has to be named first, also where it was found in a folder
@@ -95,8 +97,11 @@ def _folders_inside(sources: Sequence[Path]) -> str:
     return f" in {sources[0]}, which holds folders ({', '.join(names)})"
 
 
-def _run_table(files: Sequence[FileContents]) -> FileContents | None:
-    """Return the file that names runs: a table with a column for their names, and more than a clock beside it."""
+def _run_table(files: Sequence[FileContents], n_files: int) -> FileContents | None:
+    """Return the file that names runs: a table with a column for their names, and more than a clock beside it.
+
+    `n_files`: in all; where no name is known, the one table among logs with a row each is the run table.
+    """
     best, best_score = None, 0
     for file in files:
         guesses = {guess[0] for column in file.columns if (guess := guessed_table_column(column.name))}
@@ -104,4 +109,8 @@ def _run_table(files: Sequence[FileContents]) -> FileContents | None:
         score = len(guesses) + 3 - 4 * timed
         if not file.recording and "run_id" in guesses and score > best_score:
             best, best_score = file, score
+    if best is None:
+        worded = [file for file in files if not file.recording and any(one.kind == "text" for one in file.columns)]
+        if len(worded) == 1 and len(files) > 1 and n_files - 1 <= worded[0].n_rows <= MOST_ROWS_A_LOG * (n_files - 1):
+            return worded[0]
     return best

@@ -1,10 +1,11 @@
-"""What columns may mean, by what laboratories and robots call things, in English and German."""
+"""What columns may mean, by what laboratories and robots call things: English, German, French, Italian, Spanish."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
 from typing import Final
+from unicodedata import combining, normalize
 
 from calib.campaign.columns import recognise, spelled
 from calib.campaign.ingest.mapping import COUNT_UNITS, TABLE_COLUMNS, unit_spelled
@@ -21,10 +22,14 @@ _TABLE: Final[Sequence[tuple[str, str]]] = (
     (
         "run_id",
         r"(run|lauf|fahrt|messung|messfahrt|versuch|trial|test|drive)(_?(id|no|nr|nummer|number|name|#))?\.?|nr\.?|id|#"
-        r"|(lfd|lauf)_nr",
+        r"|(lfd|lauf)_nr|((n|no|num|numero)_)?(essai|mesure|passage|ensayo|prueba|corsa|prova|misura)|num|numero",
     ),
-    ("session", r"(sitzung|session|schicht|serie|messtag|tag|day)(_?(id|nr|no))?|datum|date|messdatum"),
-    ("direction", r".*(richtung|direction|heading_of_run)|way|dir"),
+    (
+        "session",
+        r"(sitzung|session|schicht|serie|messtag|tag|day)(_?(id|nr|no))?|datum|date|messdatum"
+        r"|jour|seance|fecha|sesion|data|giorno",
+    ),
+    ("direction", r".*(richtung|direction|heading_of_run)|way|dir|sens|sentido|direccion|senso|verso|direzione"),
     ("kind", r"(art|route|kurs|course|kind|type|typ|streckenart|manoever|path)"),
     (
         "load_left_N",
@@ -44,16 +49,17 @@ _TABLE: Final[Sequence[tuple[str, str]]] = (
     ),
     (
         "payload_kg",
-        r"(zuladung|nutzlast|beladung|ladung|payload|masse|mass|gewicht|weight|load|last)"
+        r"(zuladung|nutzlast|beladung|ladung|payload|masse|mass|gewicht|weight|load|last|massa)"
+        r"|(charge|carga|carico)(_(utile|util))?"
         r"|(mass|masse|gewicht|weight)_(of_)?(the_)?(zuladung|nutzlast|ladung|payload|load|last)"
         r"|(zuladung|nutzlast|ladung|payload|load|last)s?_?(masse|mass|gewicht|weight)",
     ),
     ("speed_mps", r"((soll|set|mean)_?)?(geschw.*|speed.*|velocity|tempo|v_?soll|v)"),
-    ("temperature_C", rf"({_PLACE}_?)?temp((eratur|erature)(_.*)?|_.*)?"),
+    ("temperature_C", rf"({_PLACE}_?)?temp(eratur[ea]?)?(_.*)?"),
     ("minutes_under_load", r"(standzeit|minutes?_under_load|dwell.*)"),
     (
         "distance_m",
-        r"((laser|mess|fahr|gemessene|measured|travelled|true|ref|reference|wahre)_?)?(strecke|distanz|distance|dist|weg|laenge|length|s_?o)"
+        r"((laser|mess|fahr|gemessene|measured|travelled|true|ref|reference|wahre)_?)?(strecke|distanz|distance|dist|weg|laenge|length|s_?o|longueur|trajet|distancia|recorrido|distanza|percorso)"
         r"(_.*)?|travel(led)?",
     ),
     ("counts_left", _COUNTS + r".*_?(l|li|links|left)"),
@@ -115,14 +121,31 @@ DIRECTION_WORDS: Final = {
             "a",
             "ab",
             "a->b",
+            "aller",
+            "ida",
+            "andata",
             ">",
             "+",
         ),
         "out",
     ),
     **dict.fromkeys(
-        ("back", "zurueck", "rueck", "rueckwaerts", "rueckfahrt", "rueckweg", "her", "return", "ret", "inbound"), "back"
+        (
+            "back",
+            "zurueck",
+            "rueck",
+            "rueckwaerts",
+            "rueckfahrt",
+            "rueckweg",
+            "her",
+            "return",
+            "ret",
+            "inbound",
+            "retour",
+        ),
+        "back",
     ),
+    **dict.fromkeys(("retour", "vuelta", "ritorno"), "back"),
     **dict.fromkeys(("backward", "backwards", "bwd", "reverse", "b", "ba", "b->a", "<"), "back"),
 }
 
@@ -131,8 +154,9 @@ _UNIT: Final = re.compile(r"(.+?)\s*[\[(]([^\[\]()]*)[\])]\s*")
 
 
 def plain_text(text: str) -> str:
-    """Return a text in lower case with umlauts spelt out."""
-    return text.strip().lower().translate(_UMLAUTS)
+    """Return a text in lower case with umlauts spelt out and without accents."""
+    spelt = text.strip().lower().translate(_UMLAUTS).replace("°", "")
+    return "".join(sign for sign in normalize("NFKD", spelt) if not combining(sign))
 
 
 def stem_and_unit(name: str) -> tuple[str, str | None]:

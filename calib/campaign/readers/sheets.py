@@ -61,7 +61,7 @@ UNNAMED: Final = re.compile(r"column \d+")
 _SIDE: Final = re.compile(r"(l|r|li|re|left|right|links|rechts)\.?", re.IGNORECASE)
 _SUMMARY: Final = re.compile(
     r"(mean|average|avg|sum|total|std|st\.?\s?dev|std\.?\s?dev|sd|min|max|minimum|maximum|median|mittel(wert)?|mw|summe"
-    r"|gesamt|standardabweichung|stabw|durchschnitt|ø|σ|Σ)\W*",
+    r"|gesamt|standardabweichung|stabw|durchschnitt|moyenne|somme|ecart.type|écart.type|media|suma|somma|ø|σ|Σ)\W*",
     re.IGNORECASE,
 )
 
