@@ -111,6 +111,8 @@ def diagnose(
     exclude: Sequence[str] = (),
     seed: int = 0,
     journeys: Path | str | None = None,
+    simulator: Path | str | None = None,
+    workers: int = 1,
 ) -> Diagnosis:
     """Find out where simulated and measured motion differ, and which unmodelled effect causes it.
 
@@ -126,6 +128,10 @@ def diagnose(
         Seed of the bootstraps.
     journeys : Path or str, optional
         A plan of runs still to come, on which the corrections of causes that cannot be told apart are compared.
+    simulator : Path or str, optional
+        Settings of the user's own simulator, ``SIM.toml``: its command is run, and judged in place of the model.
+    workers : int
+        Runs of the simulator at once.
 
     Returns
     -------
@@ -143,6 +149,8 @@ def diagnose(
     from calib.gap.observations.from_campaign import observations_of
     from calib.gap.plan.plan_file import read_plan
 
+    if simulator is not None:
+        return _diagnose_simulator(campaign, Path(simulator), model or journeys, exclude, seed, workers)
     if exclude:
         check_excluded(exclude, observations_of(campaign), campaign.extra.get("effects", ()))
     believed, effects = (None, ()) if model is None else model_of(Path(model), campaign)
@@ -150,6 +158,24 @@ def diagnose(
     return diagnose_in_full(
         campaign, seed=seed, exclude=tuple(exclude), model=believed, applied=effects, journeys=to_come
     )
+
+
+def _diagnose_simulator(
+    campaign: Campaign,
+    simulator: Path,
+    beside: Path | str | None,
+    exclude: Sequence[str],
+    seed: int,
+    workers: int,
+) -> Diagnosis:
+    """Diagnose the user's own simulator; options of calib's own model are refused beside it."""
+    from calib.gap.simulator.diagnose import diagnose_simulator
+    from calib.gap.simulator.settings import read_settings
+
+    if beside is not None:
+        raise BadInputError(f"found {beside} beside a simulator, which is judged instead of a model; give one of them")
+    settings = read_settings(simulator)
+    return diagnose_simulator(campaign, settings, seed=seed, exclude=tuple(exclude), workers=workers).diagnosis
 
 
 def plan(campaign: Campaign, *, most: int = 5, seed: int = 0) -> Plan:
