@@ -32,6 +32,7 @@ from calib.gap.decision.diagnosis import (
 )
 from calib.gap.decision.evidence import Evidence
 from calib.gap.decision.sentences import blunder_sentence, sentence
+from calib.gap.effects.effect import Family
 from calib.gap.effects.encoder import BLUNDER_MISFIT, misfit
 
 #: verdicts that name no cause
@@ -162,7 +163,8 @@ def _by_family(
     forms_open: dict[str, tuple[str, ...]] = {}
     for group in confounded:
         named = [name for name in group if name in evidence.named]
-        families = {evidence.effects[name].family for name in named}
+        # parameters of a simulator have no family: each is set by itself
+        families = {evidence.effects[name].family for name in named} - {Family.SIMULATOR}
         own = tuple(n for n in group if n not in named and evidence.effects[n].family in families)
         groups.append([name for name in group if name not in own])
         forms_open |= dict.fromkeys(named, own)

@@ -106,6 +106,7 @@ class Fix:
     agreement_on: str = DRIVEN  #: on which runs: ``runs driven`` or ``journeys``
     nothing_else: float = 1.0  #: probability that no further effect of the library is at work
     transfer: tuple[Trial, ...] = ()  #: what it does on runs that it was not fitted on
+    parameters: Mapping[str, float] = field(default_factory=dict)  #: what to set in the user's simulator
 
 
 @dataclass(frozen=True, slots=True)

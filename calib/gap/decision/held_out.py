@@ -16,6 +16,8 @@ from calib.gap.predict import Path, residuals
 from calib.result import plain_fields
 from calib.types import BoolArray, FloatArray, IntArray, StrArray
 
+#: of a closure: no run was held out, the user's simulator ran again with the fix
+RERUN: Final = "none"
 #: resamples of the conditions: the ends of the 95 % interval then vary by a few per cent of its width
 BOOTSTRAPS: Final = 400
 #: folds of conditions or runs: five sixths of the runs stay in each fit
@@ -69,7 +71,7 @@ class Closure:
     #: where the gap is below half the noise level
     fraction: float | None = None
     ci95: tuple[float, float] | None = None  #: its bootstrap interval over conditions
-    held_out: str = "condition"  #: what is held out in turn: ``session``, ``condition`` or ``run``
+    held_out: str = "condition"  #: what is held out in turn: ``session``, ``condition``, ``run``; `RERUN`
     channels: tuple[ChannelClosure, ...] = ()  #: the same by channel
 
     @property
@@ -177,6 +179,41 @@ def measure_closure(
     for number in np.unique(fold):
         out = fold == number
         after[out] = left_out.after(out)[out]
+    stated = before if as_counted is None else as_counted
+    return closure_of(nominal, noise, before, after, rng, floor_factor=floor_factor, stated=stated, by=by)
+
+
+def closure_of(
+    nominal: Path,
+    noise: Noise,
+    before: FloatArray,
+    after: FloatArray,
+    rng: np.random.Generator,
+    *,
+    floor_factor: float = 1.0,
+    stated: FloatArray | None = None,
+    by: str = RERUN,
+) -> HeldOut:
+    """Return how far the gap shrinks from residuals `before` to residuals `after`.
+
+    Parameters
+    ----------
+    nominal : Path
+        The model alone.
+    noise : Noise
+        Covariance of each observation.
+    before, after : array of float, shape (n_units, n_channels)
+        Residuals without and with the causes.
+    rng : numpy.random.Generator
+        For the bootstrap.
+    floor_factor : float
+        Variance of the noise level over that of `noise`.
+    stated : array of float, shape (n_units, n_channels), optional
+        The gap to state in place of `before`.
+    by : str
+        What was held out in turn; by default nothing: the simulator ran again with the fix.
+    """
+    observations, stated = nominal.s, before if stated is None else stated
     usable = observations.usable
     white = whitened_rows(nominal, noise, np.stack([before, after], axis=2))
     unit = np.repeat(np.arange(len(observations))[:, None], N_CHANNELS, axis=1)[usable]
@@ -186,7 +223,6 @@ def measure_closure(
     expected = floor_factor * usable.sum(axis=1).astype(np.float64)
     fraction = _fraction(squares, expected)
     floor = np.where(usable, np.sqrt(floor_factor) * noise.floor, 0.0)
-    stated = before if as_counted is None else as_counted
     channels = []
     for channel in (channel for channel in Channel if usable[:, channel].any()):
         on = usable[:, channel]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 from calib.gap.decision.adequacy import LARGEST_GROUP, RECOMMENDED_PROBABILITY, corrections_agree
 from calib.gap.decision.diagnosis import Cause, Diagnosis, VerdictKind
-from calib.gap.decision.held_out import ChannelClosure
+from calib.gap.decision.held_out import RERUN, ChannelClosure
 from calib.gap.effects.calibration import HIDES_IN
 from calib.gap.effects.library import effect_class, title_of, why_not_transferable
 from calib.gap.inference.local_search import EVEN_PROBABILITY
@@ -201,7 +201,7 @@ def _channels(diagnosis: Diagnosis) -> str:
 
     lines = closure.moved or sorted(closure.channels, key=ratio)[-1:]
     parts = [_channel(line, both=named) for line in lines[:MOST_CHANNELS]]
-    where = ", on held-out runs" if named else ""
+    where = "" if not named else ", which ran again with the fix" if closure.held_out == RERUN else ", on held-out runs"
     return f"Against {diagnosis.against}{where}: {'; '.join(parts)}. " if parts else ""
 
 

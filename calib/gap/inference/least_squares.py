@@ -10,7 +10,15 @@ from typing import Final
 
 import numpy as np
 
-from calib.gap.inference.fit import CALIBRATION_SD, SIZE_SD, Fitted, hypothesis_path, signature_columns, whitened_rows
+from calib.gap.inference.fit import (
+    CALIBRATION_SD,
+    SIZE_SD,
+    Fitted,
+    hypothesis_path,
+    recalibration_columns,
+    signature_columns,
+    whitened_rows,
+)
 from calib.gap.inference.linear_model import LinearSystem
 from calib.gap.inference.noise import Noise
 from calib.gap.observations.arrays import Observations
@@ -226,7 +234,7 @@ class HeldOutFit:
     def derivative(self) -> FloatArray:
         """What each estimate does to the readings, shape (n_units, n_channels, p)."""
         path = self.fitted.path
-        parts = [path.calibration * CALIBRATION_SD, *signature_columns(path, self.fitted.forms)]
+        parts = [recalibration_columns(path), *signature_columns(path, self.fitted.forms)]
         return np.where(path.s.usable[:, :, None], np.concatenate(parts, axis=2), 0.0)
 
     def after(self, out: BoolArray) -> FloatArray:

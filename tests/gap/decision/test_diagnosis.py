@@ -75,6 +75,7 @@ def test_the_fields_are_those_of_the_contract() -> None:
         "agreement_on": "runs driven",
         "nothing_else": 1.0,
         "transfer": [{"left_out": "kind", "value": "square_cw", "before_rms_m": 0.07, "after_rms_m": 0.02}],
+        "parameters": {},
     }
     assert document["recommended"] is document["fix"]["recommended"]
     assert document["judged_against"] == BY_MODEL
