@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
@@ -18,6 +18,11 @@ from calib.types import BoolArray, FloatArray, IntArray, StrArray
 
 #: of a closure: no run was held out, the user's simulator ran again with the fix
 RERUN: Final = "none"
+#: closure on held-out runs below which a fix is not recommended, and an explanation not believed: of the error's
+#: square more than two thirds go, so that the error is at least halved
+ADEQUATE_CLOSURE: Final = 0.7
+#: probability that noise alone exceeds its limit in any of a campaign's trials
+FALSE_ALARM: Final = 0.01
 #: resamples of the conditions: the ends of the 95 % interval then vary by a few per cent of its width
 BOOTSTRAPS: Final = 400
 #: folds of conditions or runs: five sixths of the runs stay in each fit
@@ -40,8 +45,6 @@ FEWEST_UNITS: Final = 2
 MOST_HELD_OUT: Final = 0.6
 #: speeds and loads within this share of the largest are one value
 SAME_VALUE: Final = 0.1
-#: probability that noise alone, its own uncertainty included, exceeds its limit in any of a campaign's trials
-FALSE_ALARM: Final = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +92,24 @@ class Closure:
         )
 
 
+@dataclass(frozen=True, slots=True)
+class Improvement:
+    """What the correction does on held-out runs, each run paired with itself; root mean squares over the noise."""
+
+    before_rms: float  #: of the model alone
+    after_rms: float  #: with the causes
+    #: of the difference, by what noise and unexplained residual make of it
+    improvement_ci95: tuple[float, float]
+    #: the same as a share of the squares above the noise; stated at every signal
+    closed_ci95: tuple[float, float]
+
+    @property
+    def measurable(self) -> bool:
+        """Whether an adequate closure could be told from a poor one: noise alone leaves its interval narrow enough."""
+        low, high = self.closed_ci95
+        return high - low < 2.0 * (1.0 - ADEQUATE_CLOSURE)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldOut:
     """Residuals on held-out runs, each shape (n_units, n_channels)."""
@@ -97,6 +118,7 @@ class HeldOut:
     after: FloatArray  #: of the model with the causes fitted on the other runs
     floor: FloatArray  #: noise level: standard deviation that replicates give each channel
     closure: Closure
+    improvement: Improvement | None = None  #: paired; None where no run was held out
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +135,8 @@ class Trial:
     noise_square: float = field(default=0.0, metadata={"json": False})
     #: whitened squares that noise alone does not exceed
     noise_limit: float = field(default=np.inf, metadata={"json": False})
-    #: growth of the gap in standard deviations of noise and unexplained residual; negative where it shrank
+    #: growth of the gap beyond what an uncertain prediction adds, in standard deviations of noise and unexplained
+    #: residual; negative where it shrank
     growth_sd: float = field(default=0.0, metadata={"json": False})
 
 
@@ -180,7 +203,25 @@ def measure_closure(
         out = fold == number
         after[out] = left_out.after(out)[out]
     stated = before if as_counted is None else as_counted
-    return closure_of(nominal, noise, before, after, rng, floor_factor=floor_factor, stated=stated, by=by)
+    held_out = closure_of(nominal, noise, before, after, rng, floor_factor=floor_factor, stated=stated, by=by)
+    return replace(held_out, improvement=_improvement(left_out, stated, after, noise.dof, floor_factor))
+
+
+def _improvement(
+    left_out: HeldOutFit, before: FloatArray, after: FloatArray, dof: float, floor_factor: float
+) -> Improvement:
+    """Return the paired improvement: what noise both residuals share cancels, but for that along the correction."""
+    from scipy.special import stdtrit
+
+    squares = [float(left_out.squares(values).sum()) for values in (before, after)]
+    expected = floor_factor * float(left_out.observations.usable.sum())
+    every = np.ones(len(left_out.observations), dtype=np.bool_)
+    # of squares r^2 - (r - d)^2 = 2 r d - d^2 the noise of r makes 2 sd(r d)
+    half = 2.0 * float(stdtrit(max(dof, 3.0), 0.975)) * left_out.spread(after - before, every)
+    gain, gap = squares[0] - squares[1], max(squares[0] - expected, 1.0)
+    rms = [float(np.sqrt(square / expected)) for square in squares]
+    ends = [rms[0] - float(np.sqrt(max(squares[0] - end, 0.0) / expected)) for end in (gain - half, gain + half)]
+    return Improvement(rms[0], rms[1], (ends[0], ends[1]), ((gain - half) / gap, (gain + half) / gap))
 
 
 def closure_of(
@@ -307,7 +348,8 @@ def trials(left_out: HeldOutFit, before: FloatArray, dof: float) -> tuple[Trial,
         expected = float(observations.usable[units].sum())
         # squares over an estimated noise level follow F; Bonferroni over the trials
         limit = expected * float(fdtri(expected, max(dof, 3.0), 1.0 - FALSE_ALARM / len(tried)))
-        scatter = max(2.0 * left_out.spread(after - before, units), 1e-9)
+        added, added_variance = left_out.prediction_variance(units)
+        scatter = np.sqrt((2.0 * left_out.spread(after - before, units)) ** 2 + 2.0 * added_variance)
         results.append(
             Trial(
                 left_out=name,
@@ -318,7 +360,7 @@ def trials(left_out: HeldOutFit, before: FloatArray, dof: float) -> tuple[Trial,
                 after_square=float(corrected),
                 noise_square=expected,
                 noise_limit=limit,
-                growth_sd=float((corrected - square) / scatter),
+                growth_sd=float((corrected - square - added) / max(scatter, 1e-9)),
             )
         )
     return tuple(results)

@@ -257,11 +257,19 @@ class HeldOutFit:
 
         Where they do not (a turn's effect without any turn), leaving out says nothing for the correction or against it.
         """
-        covariance = self._without(out)[1]
         on = out[self.weighting.system.blocks.unit]
         correction = self.columns[on] @ self.all_estimates
-        uncertain = np.einsum("np,pq,nq->", self.columns[on], covariance, self.columns[on])
+        uncertain = self.prediction_variance(out)[0]
         return bool(uncertain < MAX_PREDICTION_VARIANCE * float(correction @ correction) + on.sum())
+
+    def prediction_variance(self, out: BoolArray) -> tuple[float, float]:
+        """Return the sum of squares that errors of the estimates add to the prediction of units, and half its variance.
+
+        `out` (shape (n_units,)): the units; the estimates are those without them.
+        """
+        columns = self.columns[out[self.weighting.system.blocks.unit]]
+        spread = (columns.T @ columns) @ self._without(out)[1]
+        return float(np.trace(spread)), float(np.trace(spread @ spread))
 
     def squares(self, residuals: FloatArray) -> FloatArray:
         """Return the whitened squares of each unit, shape (n_units,)."""

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from calib.errors import RefusedError
-from calib.gap.decision.adequacy import ADEQUATE_CLOSURE
 from calib.gap.decision.diagnosis import Cause, Diagnosis, Quantity, VerdictKind
-from calib.gap.decision.held_out import HeldOut, closure_of
+from calib.gap.decision.held_out import ADEQUATE_CLOSURE, HeldOut, closure_of
 from calib.gap.decision.sentences import sentence
 from calib.gap.effects.simulator import SIMULATOR_PREFIX, in_end_frame
 from calib.gap.inference.fit import Fitted, hypothesis_path, whitened_rows
