@@ -67,6 +67,7 @@ def run(
     from calib.campaign.opening import read_or_ingest
     from calib.gap.decision.diagnosis import VerdictKind
     from calib.io import write_json
+    from calib.reporting.next_step import after_diagnosis
     from calib.reporting.source import verdict_document
     from calib.reporting.topics.diagnosis import verdict_content
 
@@ -90,6 +91,7 @@ def run(
         wrote([write_json(into / RESULT_FILE, document, force=force)], target=json)
     _draw(diagnosis, read, html, figures, json=json, force=force)
     emit_json(document, json, force=force)
+    say(after_diagnosis(diagnosis, campaign), target=json)
     return 0 if diagnosis.kind in {VerdictKind.NO_GAP, VerdictKind.EXPLAINED} else 1
 
 
