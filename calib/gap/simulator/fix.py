@@ -15,7 +15,6 @@ from calib.gap.decision.held_out import HeldOut, closure_of
 from calib.gap.decision.sentences import sentence
 from calib.gap.effects.simulator import SIMULATOR_PREFIX, in_end_frame
 from calib.gap.inference.fit import Fitted, hypothesis_path, whitened_rows
-from calib.gap.observations.arrays import N_CHANNELS, Observations
 from calib.gap.predict import residuals
 from calib.gap.simulator.difference import Differences, averaged, difference
 from calib.gap.simulator.runner import Job, SimulatorRunner
@@ -33,23 +32,27 @@ CORRECTION_SD: Final = 30.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Fix:
+class SimulatorFix:
     """Deviations from the nominal parameters, and the simulator's table there."""
 
-    deviation: FloatArray  #: shape (n_parameters,): of the named ones
+    deviation: Mapping[str, float]  #: by parameter, of the named ones
     table: FloatArray  #: shape (n_runs, 4)
+
+
+def named_parameters(diagnosis: Diagnosis, runner: SimulatorRunner) -> dict[str, Declared]:
+    """Return the parameters of the simulator that a diagnosis names, by the id of the cause."""
+    declared = {SIMULATOR_PREFIX + each.name: each for each in runner.settings.parameters}
+    return {cause.effect: declared[cause.effect] for cause in diagnosis.causes if cause.effect in declared}
 
 
 def fixed(
     diagnosis: Diagnosis,
     runner: SimulatorRunner,
     differences: Differences,
-    measured: Observations,
+    found: SimulatorFix,
     rng: np.random.Generator,
 ) -> Diagnosis:
     """Return the diagnosis with what to set and the closure that the simulator shows with it.
-
-    Where no parameter of the simulator is named, the closure stays that of the correction on held-out runs.
 
     Parameters
     ----------
@@ -59,18 +62,14 @@ def fixed(
         Runs the simulator.
     differences : Differences
         The simulator about its nominal parameters.
-    measured : Observations
-        Before the simulator was asked.
+    found : SimulatorFix
+        Of `iterated`.
     rng : numpy.random.Generator
         For the bootstrap.
     """
-    declared = {SIMULATOR_PREFIX + each.name: each for each in runner.settings.parameters}
-    named = {cause.effect: declared[cause.effect] for cause in diagnosis.causes if cause.effect in declared}
-    if not named:
-        return replace(diagnosis, sentence=f"{diagnosis.sentence}{_not_in_simulator(diagnosis)}")
-    found = _iterated(diagnosis, runner, differences, named)
-    values = {each.name: each.nominal + float(d) for each, d in zip(named.values(), found.deviation, strict=True)}
-    held_out = _measured_closure(diagnosis, differences, measured, found, rng)
+    named = named_parameters(diagnosis, runner)
+    values = {each.name: each.nominal + found.deviation[each.name] for each in named.values()}
+    held_out = _measured_closure(diagnosis, differences, found, rng)
     closure = held_out.closure
     assert diagnosis.evidence is not None
     closes = closure.fraction is not None and closure.fraction >= ADEQUATE_CLOSURE
@@ -94,13 +93,12 @@ def parameters_to_set(diagnosis: Diagnosis) -> dict[str, float]:
     return dict(diagnosis.fix.parameters)
 
 
-def _iterated(
-    diagnosis: Diagnosis, runner: SimulatorRunner, differences: Differences, named: Mapping[str, Declared]
-) -> _Fix:
+def iterated(diagnosis: Diagnosis, runner: SimulatorRunner, differences: Differences) -> SimulatorFix:
     """Run the simulator with the fix, and correct it by secant steps until the runs ask for no more.
 
     The derivative is that of the finite differences, brought into line with every further run (Broyden 1965).
     """
+    named = named_parameters(diagnosis, runner)
     fitted, noise = diagnosis.fitted, diagnosis.noise
     path, nominal = fitted.path, diagnosis.nominal
     derivative = np.stack([differences.change[each.name] for each in named.values()], axis=2)
@@ -127,7 +125,9 @@ def _iterated(
         gap = left - _channels(diagnosis, differences, change)
         white = whitened_rows(path, noise, np.where(nominal.s.usable, gap, 0.0)[:, :, None])[:, 0]
         if white @ white < least:
-            best, least = _Fix(deviation, table), float(white @ white)
+            names = (each.name for each in named.values())
+            best = SimulatorFix(dict(zip(names, map(float, deviation), strict=True)), table)
+            least = float(white @ white)
         columns = np.stack(
             [_channels(diagnosis, differences, derivative[:, :, k]) * typical[k] for k in range(len(typical))], axis=2
         )
@@ -163,15 +163,15 @@ def _run(
 
 
 def _measured_closure(
-    diagnosis: Diagnosis, differences: Differences, measured: Observations, found: _Fix, rng: np.random.Generator
+    diagnosis: Diagnosis, differences: Differences, found: SimulatorFix, rng: np.random.Generator
 ) -> HeldOut:
     """Return the gap of the simulator as it is and with the fix set, on all runs."""
     nominal = diagnosis.nominal
     before = residuals(nominal, nominal)
     change = difference(found.table, differences.nominal)
-    by_run = change[differences.rows(measured)]
+    by_run = change[differences.rows(nominal.s)]
     after = before - in_end_frame(nominal, by_run)
-    after = np.where(nominal.s.usable, after, 0.0).reshape(len(measured), N_CHANNELS)
+    after = np.where(nominal.s.usable, after, 0.0)
     return closure_of(nominal, diagnosis.noise, before, after, rng)
 
 
@@ -195,6 +195,11 @@ def _what_to_set(named: Mapping[str, Declared], values: Mapping[str, float]) -> 
         size = f"{100 * abs(off / each.nominal):.2g} %" if each.nominal else f"{abs(off):.3g}{unit}"
         parts.append(f"{each.name} of your simulator is {size} too {way}: set it to {value:.6g}{unit}")
     return f"{'; '.join(parts)}."
+
+
+def without_parameter(diagnosis: Diagnosis) -> Diagnosis:
+    """Return a diagnosis that names no parameter of the simulator, and says so; its closure is on held-out runs."""
+    return replace(diagnosis, sentence=f"{diagnosis.sentence}{_not_in_simulator(diagnosis)}")
 
 
 def _not_in_simulator(diagnosis: Diagnosis) -> str:
