@@ -19,6 +19,17 @@ MODEL = Path(__file__).with_name("agv.xml")
 SETTLE_S = 0.4  # the contacts come to rest under the load before a run
 
 TO_ANGLE_PER_S = 10.0
+#: what is set where the parameters do not say
+NOMINAL = {
+    "wheel_radius_left": 0.1,
+    "wheel_radius_right": 0.1,
+    "track": 0.7,
+    "payload_dx": 0.0,
+    "payload_dy": 0.0,
+    "steering_zero": 0.0,
+    "friction": 0.8,
+    "reference_delay": 0.0,
+}
 
 
 def build(p: Mapping[str, float], payload_kg: float, payload_x_m: float, payload_y_m: float) -> mujoco.MjModel:
@@ -28,7 +39,7 @@ def build(p: Mapping[str, float], payload_kg: float, payload_x_m: float, payload
         spec.geom(f"wheel_{side}").size[0] = p[f"wheel_radius_{side}"]
         spec.body(f"wheel_{side}").pos[1] = sign * 0.5 * p["track"]
     for wheel in ("left", "right", "front"):
-        spec.geom(f"wheel_{wheel}").friction[0] = p.get("friction", 0.8)
+        spec.geom(f"wheel_{wheel}").friction[0] = p["friction"]
     payload = spec.body("payload")
     payload.pos[:2] = payload_x_m + p["payload_dx"], payload_y_m + p["payload_dy"]
     payload.mass = max(payload_kg, 1e-3)
@@ -67,14 +78,14 @@ def end_of(folder: Path, run: Mapping[str, str], rad_per_count: float, p: Mappin
     angles = log[:, 1:] * [rad_per_count, rad_per_count, 1.0] + [0.0, 0.0, p["steering_zero"]]
     model = build(p, *(float(run[name] or 0.0) for name in ("payload_kg", "payload_x_m", "payload_y_m")))
     # a reference that reads late shows where the vehicle was
-    return list(drive(model, log[:, 0], angles, log[-1, 0] - p.get("reference_delay", 0.0)))
+    return list(drive(model, log[:, 0], angles, log[-1, 0] - p["reference_delay"]))
 
 
 def main(campaign: Path, parameters: Path, out: Path) -> None:
     """Simulate every run of a campaign."""
     settings = tomllib.loads((campaign / "campaign.toml").read_text())
     rad_per_count = 2 * np.pi / settings["encoder"]["counts_per_rev"]
-    p = json.loads(parameters.read_text())
+    p = NOMINAL | json.loads(parameters.read_text())
     with out.open("w", newline="") as file, (campaign / "runs.csv").open(newline="") as runs:
         table = csv.writer(file)
         table.writerow(["run_id", "sim_x_m", "sim_y_m", "sim_theta_rad"])

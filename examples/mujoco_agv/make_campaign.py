@@ -12,16 +12,8 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from agv import end_of
+from agv import NOMINAL, end_of
 
-NOMINAL = {
-    "wheel_radius_left": 0.1,
-    "wheel_radius_right": 0.1,
-    "track": 0.7,
-    "payload_dx": 0.0,
-    "payload_dy": 0.0,
-    "steering_zero": 0.0,
-}
 TRACK_M, WHEELBASE_M, RADIUS_M, COUNTS = 0.7, 1.0, 0.1, 65536
 PERIOD_S, ACCELERATE_MPS2, BRAKE_MPS2 = 0.04, 0.8, 3.0
 SIGMA_M, SIGMA_RAD = 0.002, 0.0008
@@ -78,14 +70,19 @@ def log_of(pieces: list[tuple[float, float]], speed_mps: float, stops: bool) -> 
     return np.column_stack([t, np.round(counts), steer])
 
 
-def main(folder: Path, hidden: dict[str, float]) -> None:
-    """Write the campaign."""
+def main(
+    folder: Path,
+    hidden: dict[str, float],
+    payloads_kg: tuple[float, ...] = (0.0, 300.0),
+    kinds: tuple[str, ...] = tuple(ROUTES),
+) -> None:
+    """Write the campaign: each kind under each payload, with a stop and passing the end, in two sessions."""
     (folder / "logs").mkdir(parents=True)
     (folder / "campaign.toml").write_text(SETTINGS)
     rng, rows = np.random.default_rng(0), []
     for session in ("s1", "s2"):
-        for payload_kg in (0.0, 300.0):
-            for kind, pieces in ROUTES.items():
+        for payload_kg in payloads_kg:
+            for kind, pieces in ((kind, ROUTES[kind]) for kind in kinds):
                 for speed_mps, stops in ((0.6, True), (1.0, False)):
                     run = {
                         "run_id": f"r{len(rows):03d}",
