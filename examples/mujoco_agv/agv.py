@@ -48,26 +48,24 @@ def build(p: Mapping[str, float], payload_kg: float, payload_x_m: float, payload
 
 def drive(model: mujoco.MjModel, t_s: np.ndarray, angles: np.ndarray, end_s: float) -> tuple[float, float, float]:
     """Return the pose at `end_s` from the pose at the start, for angles (n, 3) of left and right wheel and steering."""
-    data = mujoco.MjData(model)
-    body, dt = model.body("chassis").id, model.opt.timestep
+    data, dt = mujoco.MjData(model), model.opt.timestep
     wheels = [model.joint(name).qposadr[0] for name in ("left", "right")]
-    rates = np.gradient(angles, t_s, axis=0)
-    start, heading = np.zeros(3), 0.0
-    for step in range(-round(SETTLE_S / dt), round(end_s / dt)):
+    settling = round(SETTLE_S / dt)
+    now = np.maximum(np.arange(-settling, round(end_s / dt)), 0) * dt
+    angle = np.column_stack([np.interp(now, t_s, column) for column in angles.T])
+    rate = np.column_stack([np.interp(now, t_s, column) for column in np.gradient(angles[:, :2], t_s, axis=0).T])
+    rate[:settling] = 0.0
+    poses = np.empty((len(now), 7))
+    for step in range(len(now)):
         # the wheels' servos of speed: the logged rate, and what takes them to the logged angle
-        now = max(step, 0) * dt
-        *angle, steer = (np.interp(now, t_s, column) for column in angles.T)
-        rate = np.array([np.interp(now, t_s, column) for column in rates.T[:2]])
-        data.ctrl[:] = *((step >= 0) * rate + TO_ANGLE_PER_S * (angle - data.qpos[wheels])), steer
+        data.ctrl[:2] = rate[step] + TO_ANGLE_PER_S * (angle[step, :2] - data.qpos[wheels])
+        data.ctrl[2] = angle[step, 2]
         mujoco.mj_step(model, data)
-        w, x, y, z = data.xquat[body]
-        turned = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-        heading += (turned - heading + np.pi) % (2 * np.pi) - np.pi
-        if step < 0:
-            start = np.array([*data.xpos[body, :2], heading])
-    dx, dy = data.xpos[body, :2] - start[:2]
-    c, s = np.cos(start[2]), np.sin(start[2])
-    return c * dx + s * dy, c * dy - s * dx, heading - start[2]
+        poses[step] = data.qpos[:7]
+    w, x, y, z = poses[settling - 1 :, 3:].T
+    heading = np.unwrap(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+    (dx, dy), c, s = poses[-1, :2] - poses[settling - 1, :2], np.cos(heading[0]), np.sin(heading[0])
+    return float(c * dx + s * dy), float(c * dy - s * dx), float(heading[-1] - heading[0])
 
 
 def end_of(folder: Path, run: Mapping[str, str], rad_per_count: float, p: Mapping[str, float]) -> list[float]:
