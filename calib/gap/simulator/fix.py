@@ -25,8 +25,11 @@ if TYPE_CHECKING:
 
 #: runs of the simulator with a fix, at most, a secant step each: one where it is linear, seven where its slope triples
 MOST_RERUNS: Final = 8
-#: a correction of the fix below this share of its standard uncertainties is not worth another run
-CONVERGED: Final = 0.3
+#: a correction of the fix below this share of its standard uncertainties is not worth another run, below the second
+#: one where the gap is at the noise already
+CONVERGED: Final = (0.3, 1.0)
+#: a step shorter than this share of the whole deviation tells the slope less well than the simulator's rounding allows
+SECANT_SHARE: Final = 0.05
 #: prior standard deviation of a correction in typical sizes; wide, it only keeps the solution finite
 CORRECTION_SD: Final = 30.0
 
@@ -80,7 +83,9 @@ def fixed(
         evidence=replace(diagnosis.evidence, held_out=held_out),
         fix=replace(diagnosis.fix, parameters=values, recommended=diagnosis.fix.recommended and closes),
     )
-    return replace(diagnosis, sentence=f"{sentence(diagnosis)} {_what_to_set(named, values)}")
+    beside = _of_library(diagnosis)
+    lacking = f" No parameter of your simulator does what {beside} of the library does." if beside else ""
+    return replace(diagnosis, sentence=f"{sentence(diagnosis)} {_what_to_set(named, values)}{lacking}")
 
 
 def parameters_to_set(diagnosis: Diagnosis) -> dict[str, float]:
@@ -117,7 +122,7 @@ def iterated(diagnosis: Diagnosis, runner: SimulatorRunner, differences: Differe
         table = _run(runner, differences, named, deviation)
         now = difference(table, differences.nominal)
         step = deviation - last
-        if step @ (step / typical**2) > 0.0:
+        if np.linalg.norm(step / typical) > SECANT_SHARE * np.linalg.norm(deviation / typical):
             scaled = step / typical
             miss = now - change - derivative @ step
             derivative = derivative + miss[:, :, None] * (scaled / typical) / (scaled @ scaled)
@@ -134,7 +139,8 @@ def iterated(diagnosis: Diagnosis, runner: SimulatorRunner, differences: Differe
         whole = whitened_rows(path, noise, columns)
         normal = whole.T @ whole + np.eye(len(typical)) / CORRECTION_SD**2
         correction = np.linalg.solve(normal, whole.T @ white)
-        if np.abs(correction * np.sqrt(np.diag(normal))).max() < CONVERGED:
+        at_noise = white @ white <= len(white)
+        if np.abs(correction * np.sqrt(np.diag(normal))).max() < CONVERGED[int(at_noise)]:
             break
         deviation = deviation + correction * typical
     assert best is not None
@@ -207,6 +213,12 @@ def _not_in_simulator(diagnosis: Diagnosis) -> str:
         return ""
     if any(name.startswith(SIMULATOR_PREFIX) for group in diagnosis.groups for name in group.effects):
         return ""
-    library = any(not cause.effect.startswith(SIMULATOR_PREFIX) for cause in diagnosis.causes)
-    can = f"; {diagnosis.causes[0].effect} of the library can" if library else ""
+    able = "can in part" if diagnosis.kind is VerdictKind.PARTLY_EXPLAINED else "can"
+    can = f"; {_of_library(diagnosis)} of the library {able}" if diagnosis.causes else ""
     return f" No parameter of your simulator can do this{can}."
+
+
+def _of_library(diagnosis: Diagnosis) -> str:
+    """Return the named effects of the library, as a list in words; empty where there is none."""
+    *most, last = [c.effect for c in diagnosis.causes if not c.effect.startswith(SIMULATOR_PREFIX)] or [""]
+    return f"{', '.join(most)} and {last}" if most else last
