@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -215,6 +219,29 @@ def test_what_does_not_go_together_is_one_line(
     assert printed.out == ""
     assert len(printed.err.strip().splitlines()) == 1
     assert words in printed.err
+
+
+def test_an_interrupted_diagnosis_says_which_runs_are_kept(
+    small_wheel: tuple[Path, SimulatorDiagnosis], tmp_path: Path
+) -> None:
+    """By a signal, while the third run of the simulator is at work."""
+    held = 'Path("at_work").touch(); time.sleep(60 * (given["track"] != 0.7))'
+    sim = other_settings(
+        tmp_path,
+        f'import time; p["track"] = given["track"]; {held}',
+        '[[parameter]]\nname = "track"\nnominal = 0.7\nstep = 0.01\nlargest = 0.05\n',
+    )
+    call = [sys.executable, "-m", "calib", "diagnose", str(small_wheel[0] / "campaign"), "--simulator", str(sim)]
+    environment = os.environ | {"CALIB_CACHE": str(tmp_path / "cache")}
+    process = subprocess.Popen(call, stderr=subprocess.PIPE, text=True, env=environment)
+    deadline = time.monotonic() + 60.0
+    while len(list(tmp_path.glob("cache/*/*.json"))) < 2 and time.monotonic() < deadline:
+        time.sleep(0.05)
+    time.sleep(0.2)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=20.0)
+    assert process.returncode == 130
+    assert "results of 2 runs of the simulator" in errors
 
 
 def test_no_campaign_gives_a_command(small_wheel: tuple[Path, SimulatorDiagnosis], tmp_path: Path) -> None:
