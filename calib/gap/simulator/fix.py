@@ -14,7 +14,7 @@ from calib.gap.decision.diagnosis import Cause, Diagnosis, Quantity, VerdictKind
 from calib.gap.decision.held_out import HeldOut, closure_of
 from calib.gap.decision.sentences import sentence
 from calib.gap.effects.simulator import SIMULATOR_PREFIX, in_end_frame
-from calib.gap.inference.fit import Fitted, hypothesis_path, whitened_rows
+from calib.gap.inference.fit import Fitted, hypothesis_path, signature_columns, whitened_rows
 from calib.gap.predict import residuals
 from calib.gap.simulator.difference import Differences, averaged, difference
 from calib.gap.simulator.runner import Job, SimulatorRunner
@@ -213,9 +213,27 @@ def _not_in_simulator(diagnosis: Diagnosis) -> str:
         return ""
     if any(name.startswith(SIMULATOR_PREFIX) for group in diagnosis.groups for name in group.effects):
         return ""
+    if _share_together(diagnosis) > ADEQUATE_CLOSURE:
+        beside = f", as {_of_library(diagnosis)} can" if diagnosis.causes else ""
+        return f" No single parameter of your simulator can do this; several together can{beside}."
     able = "can in part" if diagnosis.kind is VerdictKind.PARTLY_EXPLAINED else "can"
     can = f"; {_of_library(diagnosis)} of the library {able}" if diagnosis.causes else ""
     return f" No parameter of your simulator can do this{can}."
+
+
+def _share_together(diagnosis: Diagnosis) -> float:
+    """Return the share of the gap's squares that plausible deviations of all parameters together explain."""
+    nominal, own = diagnosis.nominal, [e for e in diagnosis.effects if e.id.startswith(SIMULATOR_PREFIX)]
+    forms = [form for effect in own for form in effect.forms(nominal.s)]
+    gap = residuals(nominal, nominal)
+    if not forms or not gap.any():
+        return 0.0
+    largest = np.array([parameter.largest / parameter.typical for form in forms for parameter in form.parameters])
+    columns = np.concatenate(signature_columns(nominal, forms), axis=2) * largest
+    whole = whitened_rows(nominal, diagnosis.noise, np.concatenate([columns, gap[:, :, None]], axis=2))
+    a, r = whole[:, :-1], whole[:, -1]
+    left = r - a @ np.linalg.solve(a.T @ a + np.eye(a.shape[1]), a.T @ r)
+    return 1.0 - float(left @ left) / float(r @ r)
 
 
 def _of_library(diagnosis: Diagnosis) -> str:

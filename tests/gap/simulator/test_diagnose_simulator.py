@@ -110,6 +110,32 @@ def test_what_no_parameter_does_is_left_to_the_library(tmp_path: Path) -> None:
     assert full.fix.parameters == {}
 
 
+def test_what_several_parameters_do_together_is_not_said_to_be_lacking(tmp_path: Path) -> None:
+    """A slope for each wheel: to the library one law of the load, to the simulator two parameters."""
+    slopes = {"left": -1.5e-6, "right": -1.2e-6}
+
+    def hidden(number: int) -> dict[str, float]:
+        over_N = 0.5 * 9.81 * (0.0, 200.0)[number // 4 % 2]
+        return {f"wheel_radius_{side}": 0.1 + slope * over_N for side, slope in slopes.items()}
+
+    text = (NUMPY / "simulator.py").read_text()
+    assert 'p["load_slope"]' in text
+    (tmp_path / "two.py").write_text(text.replace('p["load_slope"]', 'p[f"load_slope_{w}"]'))
+    sim = numpy_settings(tmp_path)
+    table = '[[parameter]]\nname = "load_slope_SIDE"\nnominal = 0.0\nstep = 1e-7\nlargest = 5e-6\nunit = "m/N"\n'
+    before, _, after = sim.read_text().partition('[[parameter]]\nname = "load_slope"')
+    start = after.index("[[parameter]]")
+    both = "".join(table.replace("SIDE", side) for side in slopes)
+    sim.write_text((before + both + after[start:]).replace(str(NUMPY / "simulator.py"), "two.py"))
+    full = diagnosed(tmp_path, hidden, sim).diagnosis
+    assert [cause.effect for cause in full.causes] == ["load_radius"]
+    assert "No single parameter of your simulator can do this; several together can" in full.sentence
+    loads = ("load_radius", "load_radius_nonlinear", "payload_mass", "payload_position")
+    alone = diagnosed(tmp_path / "again", hidden, sim, exclude=loads).diagnosis
+    for side, slope in slopes.items():
+        assert alone.fix.parameters[f"load_slope_{side}"] == pytest.approx(slope, rel=0.03)
+
+
 def test_no_gap_is_no_gap(tmp_path: Path) -> None:
     done = diagnosed(tmp_path, {})
     assert done.diagnosis.kind is VerdictKind.NO_GAP
