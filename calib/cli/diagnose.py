@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from calib.cli.options import CampaignOrRecording, Figures, Force, JsonTarget, MappingOption, nearest
-from calib.cli.terminal import emit_json, progress, say, show, waiting, wrote
+from calib.cli.terminal import emit_json, keep, progress, say, show, waiting, wrote
 from calib.errors import BadInputError
 from calib.io import refuse_existing
 
@@ -188,13 +188,26 @@ def _simulated(
     campaign: Campaign, simulator: Path, exclude: tuple[str, ...], seed: int, workers: int, tick: Progress
 ) -> tuple[Diagnosis, str]:
     """Return the diagnosis of the user's simulator, and a sentence on how often it ran."""
+    from calib.campaign.log_reading import cache_folder
     from calib.gap.simulator.diagnose import diagnose_simulator
+    from calib.gap.simulator.runner import RUNS_STAGE
     from calib.gap.simulator.settings import read_settings
     from calib.limits import refuse_workers
 
     refuse_workers(workers)
-    settings = read_settings(simulator)
-    done = diagnose_simulator(campaign, settings, seed=seed, exclude=exclude, workers=workers, progress=tick)
+    settings, finished = read_settings(simulator), 0
+
+    def counted(done: int, total: int, stage: str) -> None:
+        nonlocal finished
+        finished = done if stage == RUNS_STAGE else finished
+        tick(done, total, stage)
+
+    try:
+        done = diagnose_simulator(campaign, settings, seed=seed, exclude=exclude, workers=workers, progress=counted)
+    except KeyboardInterrupt:
+        if finished and cache_folder("simulator") is not None:
+            keep(f"results of {finished} runs of the simulator, which will not run again")
+        raise
     return done.diagnosis, done.runs.sentence
 
 

@@ -8,10 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
+WHEELS = ("left", "right")
 
-def simulate(angles_rad: np.ndarray, load_N: float, p: dict[str, float]) -> tuple[float, float, float]:
-    """Return the end pose for angles (n, 2) of the left and right wheel, each under `load_N`."""
-    radii = np.array([p["wheel_radius_left"], p["wheel_radius_right"]]) - p["load_slope"] * load_N
+
+def simulate(angles_rad: np.ndarray, loads_N: list[float], p: dict[str, float]) -> tuple[float, float, float]:
+    """Return the end pose for angles (n, 2) of the left and right wheel under their loads."""
+    radii = [p[f"wheel_radius_{w}"] + p["load_slope"] * (N - 300.0) for w, N in zip(WHEELS, loads_N, strict=True)]
     travel = np.diff(angles_rad, axis=0) * radii
     turn = (travel[:, 1] - travel[:, 0]) / p["track"]
     heading = np.cumsum(turn) - 0.5 * turn + p["start_yaw"]
@@ -28,8 +30,8 @@ def main(campaign: Path, parameters: Path, out: Path) -> None:
     for run in csv.DictReader((campaign / "runs.csv").read_text().splitlines()):
         log = list(csv.DictReader((campaign / run["log"]).read_text().splitlines()))
         counts = np.array([[float(row["counts_left"]), float(row["counts_right"])] for row in log])
-        load_N = 0.5 * 9.81 * float(run["payload_kg"])
-        x, y, theta = simulate(counts * rad_per_count, load_N, p)
+        loads_N = [float(run[f"load_{wheel}_N"]) for wheel in WHEELS]
+        x, y, theta = simulate(counts * rad_per_count, loads_N, p)
         rows.append(f"{run['run_id']},{x},{x},{y},{theta}")
     out.write_text("\n".join(rows))
 

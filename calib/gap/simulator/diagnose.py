@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
 from typing import Final
@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.errors import BadInputError, RefusedError
-from calib.gap.decision.diagnosis import Diagnosis
+from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
 from calib.gap.diagnose import diagnose_in_full
 from calib.gap.effects.effect import Effect, Form
 from calib.gap.effects.library import check_excluded, library
@@ -22,7 +22,7 @@ from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import Path, predict
 from calib.gap.simulator.cache import run_cache
 from calib.gap.simulator.difference import Differences, differences_of
-from calib.gap.simulator.fix import fixed
+from calib.gap.simulator.fix import fixed, iterated, named_parameters, without_parameter
 from calib.gap.simulator.runner import RunCount, SimulatorRunner
 from calib.gap.simulator.settings import SimulatorSettings
 from calib.types import FloatArray, Progress, silent
@@ -95,20 +95,47 @@ def diagnose_simulator(
     differences = differences_of(runner, _sigma(measured))
     observations = simulated_observations(measured, differences, differences.nominal)
     _refuse_without_channel(observations, settings)
-    candidates, notes = _candidates(observations, differences, settings, exclude, campaign)
-    diagnosis = diagnose_in_full(
-        campaign,
-        seed=seed,
-        exclude=exclude,
-        observations=observations,
-        candidates=candidates,
-        model_name=settings.path.name,
-        plan=False,
-        progress=progress,
-    )
-    diagnosis = replace(diagnosis, notes=(*diagnosis.notes, *notes))
-    diagnosis = fixed(diagnosis, runner, differences, measured, np.random.default_rng(seed))
+
+    def searched(differences: Differences) -> Diagnosis:
+        candidates, notes = _candidates(observations, differences, settings, exclude, campaign)
+        diagnosis = diagnose_in_full(
+            campaign,
+            seed=seed,
+            exclude=exclude,
+            observations=observations,
+            candidates=candidates,
+            model_name=settings.path.name,
+            plan=False,
+            progress=progress,
+        )
+        return replace(diagnosis, notes=(*diagnosis.notes, *notes))
+
+    diagnosis = _confirmed(searched, differences, runner, np.random.default_rng(seed))
     return SimulatorDiagnosis(diagnosis, runner.count)
+
+
+def _confirmed(
+    searched: Callable[[Differences], Diagnosis],
+    differences: Differences,
+    runner: SimulatorRunner,
+    rng: np.random.Generator,
+) -> Diagnosis:
+    """Return the diagnosis with the fix that the simulator was run with.
+
+    What a parameter does is taken for linear at first: where it is not, its curvature may be taken for a further
+    cause. So where there is more than parameters to set, the search is repeated with what the run with the fix showed.
+    """
+    diagnosis = searched(differences)
+    named = named_parameters(diagnosis, runner)
+    if not named:
+        return without_parameter(diagnosis)
+    found = iterated(diagnosis, runner, differences)
+    if diagnosis.kind is not VerdictKind.EXPLAINED or len(diagnosis.causes) > len(named):
+        typical = {each.name: each.parameter.typical for each in named.values()}
+        again = searched(differences.through(found.deviation, found.table, typical))
+        if named_parameters(again, runner).keys() == named.keys():
+            diagnosis = again
+    return fixed(diagnosis, runner, differences, found, rng)
 
 
 def _sigma(measured: Observations) -> FloatArray:

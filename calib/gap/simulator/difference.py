@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -31,6 +31,7 @@ class Differences:
     run_ids: tuple[str, ...]
     nominal: FloatArray  #: shape (n_runs, 4): NaN where it does not predict a channel
     change: Mapping[str, FloatArray]  #: by parameter, shape (n_runs, 4): change per unit, 0 where not predicted
+    size: Mapping[str, float]  #: by parameter: the deviation from nominal over which the change was taken
     scatter: FloatArray  #: shape (4,): standard deviation of one run of the simulator; 0 where it repeats itself
     repeats: int  #: runs at each set of parameters that were averaged
     #: as what it writes distances: 1, along x; 2, from the start as the crow flies; None where it is neither
@@ -38,15 +39,28 @@ class Differences:
 
     def effects(self, settings: SimulatorSettings, nominal: Path) -> list[SimulatorParameter]:
         """Return the parameters as effects on the runs of a path, the model alone."""
-        rows = self.rows(nominal.s)
-        return [
-            SimulatorParameter(
-                each.parameter,
-                carried_by_wheels(nominal, self.change[each.name][rows] * each.step, each.step),
-                each.family,
-            )
-            for each in settings.parameters
-        ]
+        rows, effects = self.rows(nominal.s), []
+        for each in settings.parameters:
+            size = self.size[each.name]
+            carried = carried_by_wheels(nominal, self.change[each.name][rows] * size, size)
+            effects.append(SimulatorParameter(each.parameter, carried, each.family))
+        return effects
+
+    def through(self, deviation: Mapping[str, float], table: FloatArray, typical: Mapping[str, float]) -> Differences:
+        """Return the differences brought into line with a run: linear in the deviations, they then meet its table.
+
+        The least change of the derivatives that does so, sizes in typical ones (Broyden 1965).
+        """
+        change = difference(table, self.nominal)
+        miss = change - sum((self.change[name] * size for name, size in deviation.items()), np.zeros_like(change))
+        square = sum((size / typical[name]) ** 2 for name, size in deviation.items())
+        if not square > 0.0:
+            return self
+        moved = {
+            name: self.change[name] + miss * (size / typical[name] ** 2 / square) for name, size in deviation.items()
+        }
+        sizes = {name: size for name, size in deviation.items() if size != 0.0}
+        return replace(self, change={**self.change, **moved}, size={**self.size, **sizes})
 
     def rows(self, observations: Observations) -> list[int]:
         """Return the row of each observation in the tables."""
@@ -100,7 +114,8 @@ def differences_of(runner: SimulatorRunner, sigma: FloatArray) -> Differences:
         each.name: difference(table, means[0]) / each.step
         for each, table in zip(settings.parameters, means[1:], strict=True)
     }
-    return Differences(tuple(runner.run_ids), means[0], change, scatter, repeats, _distance_axis(means))
+    size = {each.name: each.step for each in settings.parameters}
+    return Differences(tuple(runner.run_ids), means[0], change, size, scatter, repeats, _distance_axis(means))
 
 
 def _distance_axis(tables: list[FloatArray]) -> float | None:

@@ -13,8 +13,7 @@ from calib.gap.decision.diagnosis import Cause, Diagnosis, Quantity, VerdictKind
 from calib.gap.decision.held_out import ADEQUATE_CLOSURE, HeldOut, closure_of
 from calib.gap.decision.sentences import sentence
 from calib.gap.effects.simulator import SIMULATOR_PREFIX, in_end_frame
-from calib.gap.inference.fit import Fitted, hypothesis_path, whitened_rows
-from calib.gap.observations.arrays import N_CHANNELS, Observations
+from calib.gap.inference.fit import Fitted, hypothesis_path, signature_columns, whitened_rows
 from calib.gap.predict import residuals
 from calib.gap.simulator.difference import Differences, averaged, difference
 from calib.gap.simulator.runner import Job, SimulatorRunner
@@ -25,30 +24,37 @@ if TYPE_CHECKING:
 
 #: runs of the simulator with a fix, at most, a secant step each: one where it is linear, seven where its slope triples
 MOST_RERUNS: Final = 8
-#: a correction of the fix below this share of its standard uncertainties is not worth another run
-CONVERGED: Final = 0.3
+#: a correction of the fix below this share of its standard uncertainties is not worth another run, below the second
+#: one where the gap is at the noise already
+CONVERGED: Final = (0.3, 1.0)
+#: a step shorter than this share of the whole deviation tells the slope less well than the simulator's rounding allows
+SECANT_SHARE: Final = 0.05
 #: prior standard deviation of a correction in typical sizes; wide, it only keeps the solution finite
 CORRECTION_SD: Final = 30.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Fix:
+class SimulatorFix:
     """Deviations from the nominal parameters, and the simulator's table there."""
 
-    deviation: FloatArray  #: shape (n_parameters,): of the named ones
+    deviation: Mapping[str, float]  #: by parameter, of the named ones
     table: FloatArray  #: shape (n_runs, 4)
+
+
+def named_parameters(diagnosis: Diagnosis, runner: SimulatorRunner) -> dict[str, Declared]:
+    """Return the parameters of the simulator that a diagnosis names, by the id of the cause."""
+    declared = {SIMULATOR_PREFIX + each.name: each for each in runner.settings.parameters}
+    return {cause.effect: declared[cause.effect] for cause in diagnosis.causes if cause.effect in declared}
 
 
 def fixed(
     diagnosis: Diagnosis,
     runner: SimulatorRunner,
     differences: Differences,
-    measured: Observations,
+    found: SimulatorFix,
     rng: np.random.Generator,
 ) -> Diagnosis:
     """Return the diagnosis with what to set and the closure that the simulator shows with it.
-
-    Where no parameter of the simulator is named, the closure stays that of the correction on held-out runs.
 
     Parameters
     ----------
@@ -58,18 +64,14 @@ def fixed(
         Runs the simulator.
     differences : Differences
         The simulator about its nominal parameters.
-    measured : Observations
-        Before the simulator was asked.
+    found : SimulatorFix
+        Of `iterated`.
     rng : numpy.random.Generator
         For the bootstrap.
     """
-    declared = {SIMULATOR_PREFIX + each.name: each for each in runner.settings.parameters}
-    named = {cause.effect: declared[cause.effect] for cause in diagnosis.causes if cause.effect in declared}
-    if not named:
-        return replace(diagnosis, sentence=f"{diagnosis.sentence}{_not_in_simulator(diagnosis)}")
-    found = _iterated(diagnosis, runner, differences, named)
-    values = {each.name: each.nominal + float(d) for each, d in zip(named.values(), found.deviation, strict=True)}
-    held_out = _measured_closure(diagnosis, differences, measured, found, rng)
+    named = named_parameters(diagnosis, runner)
+    values = {each.name: each.nominal + found.deviation[each.name] for each in named.values()}
+    held_out = _measured_closure(diagnosis, differences, found, rng)
     closure = held_out.closure
     assert diagnosis.evidence is not None
     closes = closure.fraction is not None and closure.fraction >= ADEQUATE_CLOSURE
@@ -80,7 +82,9 @@ def fixed(
         evidence=replace(diagnosis.evidence, held_out=held_out),
         fix=replace(diagnosis.fix, parameters=values, recommended=diagnosis.fix.recommended and closes),
     )
-    return replace(diagnosis, sentence=f"{sentence(diagnosis)} {_what_to_set(named, values)}")
+    beside = _of_library(diagnosis)
+    lacking = f" No parameter of your simulator does what {beside} of the library does." if beside else ""
+    return replace(diagnosis, sentence=f"{sentence(diagnosis)} {_what_to_set(named, values)}{lacking}")
 
 
 def parameters_to_set(diagnosis: Diagnosis) -> dict[str, float]:
@@ -93,13 +97,12 @@ def parameters_to_set(diagnosis: Diagnosis) -> dict[str, float]:
     return dict(diagnosis.fix.parameters)
 
 
-def _iterated(
-    diagnosis: Diagnosis, runner: SimulatorRunner, differences: Differences, named: Mapping[str, Declared]
-) -> _Fix:
+def iterated(diagnosis: Diagnosis, runner: SimulatorRunner, differences: Differences) -> SimulatorFix:
     """Run the simulator with the fix, and correct it by secant steps until the runs ask for no more.
 
     The derivative is that of the finite differences, brought into line with every further run (Broyden 1965).
     """
+    named = named_parameters(diagnosis, runner)
     fitted, noise = diagnosis.fitted, diagnosis.noise
     path, nominal = fitted.path, diagnosis.nominal
     derivative = np.stack([differences.change[each.name] for each in named.values()], axis=2)
@@ -118,7 +121,7 @@ def _iterated(
         table = _run(runner, differences, named, deviation)
         now = difference(table, differences.nominal)
         step = deviation - last
-        if step @ (step / typical**2) > 0.0:
+        if np.linalg.norm(step / typical) > SECANT_SHARE * np.linalg.norm(deviation / typical):
             scaled = step / typical
             miss = now - change - derivative @ step
             derivative = derivative + miss[:, :, None] * (scaled / typical) / (scaled @ scaled)
@@ -126,14 +129,17 @@ def _iterated(
         gap = left - _channels(diagnosis, differences, change)
         white = whitened_rows(path, noise, np.where(nominal.s.usable, gap, 0.0)[:, :, None])[:, 0]
         if white @ white < least:
-            best, least = _Fix(deviation, table), float(white @ white)
+            names = (each.name for each in named.values())
+            best = SimulatorFix(dict(zip(names, map(float, deviation), strict=True)), table)
+            least = float(white @ white)
         columns = np.stack(
             [_channels(diagnosis, differences, derivative[:, :, k]) * typical[k] for k in range(len(typical))], axis=2
         )
         whole = whitened_rows(path, noise, columns)
         normal = whole.T @ whole + np.eye(len(typical)) / CORRECTION_SD**2
         correction = np.linalg.solve(normal, whole.T @ white)
-        if np.abs(correction * np.sqrt(np.diag(normal))).max() < CONVERGED:
+        at_noise = white @ white <= len(white)
+        if np.abs(correction * np.sqrt(np.diag(normal))).max() < CONVERGED[int(at_noise)]:
             break
         deviation = deviation + correction * typical
     assert best is not None
@@ -162,15 +168,15 @@ def _run(
 
 
 def _measured_closure(
-    diagnosis: Diagnosis, differences: Differences, measured: Observations, found: _Fix, rng: np.random.Generator
+    diagnosis: Diagnosis, differences: Differences, found: SimulatorFix, rng: np.random.Generator
 ) -> HeldOut:
     """Return the gap of the simulator as it is and with the fix set, on all runs."""
     nominal = diagnosis.nominal
     before = residuals(nominal, nominal)
     change = difference(found.table, differences.nominal)
-    by_run = change[differences.rows(measured)]
+    by_run = change[differences.rows(nominal.s)]
     after = before - in_end_frame(nominal, by_run)
-    after = np.where(nominal.s.usable, after, 0.0).reshape(len(measured), N_CHANNELS)
+    after = np.where(nominal.s.usable, after, 0.0)
     return closure_of(nominal, diagnosis.noise, before, after, rng)
 
 
@@ -196,11 +202,40 @@ def _what_to_set(named: Mapping[str, Declared], values: Mapping[str, float]) -> 
     return f"{'; '.join(parts)}."
 
 
+def without_parameter(diagnosis: Diagnosis) -> Diagnosis:
+    """Return a diagnosis that names no parameter of the simulator, and says so; its closure is on held-out runs."""
+    return replace(diagnosis, sentence=f"{diagnosis.sentence}{_not_in_simulator(diagnosis)}")
+
+
 def _not_in_simulator(diagnosis: Diagnosis) -> str:
     if diagnosis.kind in {VerdictKind.NO_GAP, VerdictKind.UNDECIDED}:
         return ""
     if any(name.startswith(SIMULATOR_PREFIX) for group in diagnosis.groups for name in group.effects):
         return ""
-    library = any(not cause.effect.startswith(SIMULATOR_PREFIX) for cause in diagnosis.causes)
-    can = f"; {diagnosis.causes[0].effect} of the library can" if library else ""
+    if _share_together(diagnosis) > ADEQUATE_CLOSURE:
+        beside = f", as {_of_library(diagnosis)} can" if diagnosis.causes else ""
+        return f" No single parameter of your simulator can do this; several together can{beside}."
+    able = "can in part" if diagnosis.kind is VerdictKind.PARTLY_EXPLAINED else "can"
+    can = f"; {_of_library(diagnosis)} of the library {able}" if diagnosis.causes else ""
     return f" No parameter of your simulator can do this{can}."
+
+
+def _share_together(diagnosis: Diagnosis) -> float:
+    """Return the share of the gap's squares that plausible deviations of all parameters together explain."""
+    nominal, own = diagnosis.nominal, [e for e in diagnosis.effects if e.id.startswith(SIMULATOR_PREFIX)]
+    forms = [form for effect in own for form in effect.forms(nominal.s)]
+    gap = residuals(nominal, nominal)
+    if not forms or not gap.any():
+        return 0.0
+    largest = np.array([parameter.largest / parameter.typical for form in forms for parameter in form.parameters])
+    columns = np.concatenate(signature_columns(nominal, forms), axis=2) * largest
+    whole = whitened_rows(nominal, diagnosis.noise, np.concatenate([columns, gap[:, :, None]], axis=2))
+    a, r = whole[:, :-1], whole[:, -1]
+    left = r - a @ np.linalg.solve(a.T @ a + np.eye(a.shape[1]), a.T @ r)
+    return 1.0 - float(left @ left) / float(r @ r)
+
+
+def _of_library(diagnosis: Diagnosis) -> str:
+    """Return the named effects of the library, as a list in words; empty where there is none."""
+    *most, last = [c.effect for c in diagnosis.causes if not c.effect.startswith(SIMULATOR_PREFIX)] or [""]
+    return f"{', '.join(most)} and {last}" if most else last

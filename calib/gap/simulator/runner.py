@@ -25,6 +25,8 @@ from calib.types import FloatArray, Progress
 #: of a simulator's own output, what is kept and what an error shows: its last lines say what went wrong
 KEPT_BYTES: Final = 4096
 SHOWN_CHARACTERS: Final = 300
+#: stage of the progress
+RUNS_STAGE: Final = "simulator runs"
 #: how often a run is looked at: an interruption is heeded within this time
 LOOK_S: Final = 0.05
 
@@ -107,7 +109,7 @@ class SimulatorRunner:
                     done, _ = wait(waiting, timeout=LOOK_S, return_when=FIRST_COMPLETED)
                     for future in done:
                         results[waiting.pop(future)] = future.result()
-                    self.progress(len(jobs) - len(waiting), len(jobs), "simulator runs")
+                    self.progress(len(jobs) - len(waiting), len(jobs), RUNS_STAGE)
             except BaseException:
                 self._stop.set()
                 pool.shutdown(wait=True, cancel_futures=True)

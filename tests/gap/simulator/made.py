@@ -61,7 +61,13 @@ def on_disk(folder: Path, made: Campaign, ends: np.ndarray, seed: int = 0) -> Pa
     return folder
 
 
-NOMINAL = {"wheel_radius_left": 0.1, "wheel_radius_right": 0.1, "track": 0.7, "load_slope": 0.0, "start_yaw": 0.0}
+NOMINAL = {
+    "wheel_radius_left": 0.1,
+    "wheel_radius_right": 0.1,
+    "track": 0.7,
+    "load_slope": 0.0,
+    "start_yaw": 0.0,
+}
 Hidden = Callable[[int], dict[str, float]]
 
 
@@ -71,8 +77,8 @@ def numpy_ends(made: Campaign, hidden: Hidden) -> np.ndarray:
     for number in range(len(made.runs)):
         rows = slice(made.logs.offsets[number], made.logs.offsets[number + 1])
         counts = np.column_stack([made.logs.columns[f"counts_{side}"][rows] for side in ("left", "right")])
-        payload = float(made.runs.numbers["payload_kg"][number])
-        x, y, theta = simulate(counts * 2 * np.pi / 4096, 0.5 * 9.81 * payload, NOMINAL | hidden(number))
+        loads = [float(made.runs.numbers[f"load_{side}_N"][number]) for side in ("left", "right")]
+        x, y, theta = simulate(counts * 2 * np.pi / 4096, loads, NOMINAL | hidden(number))
         ends.append((x, x, y, theta))
     return np.array(ends)
 

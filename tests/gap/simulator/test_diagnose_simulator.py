@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -106,6 +110,32 @@ def test_what_no_parameter_does_is_left_to_the_library(tmp_path: Path) -> None:
     assert full.fix.parameters == {}
 
 
+def test_what_several_parameters_do_together_is_not_said_to_be_lacking(tmp_path: Path) -> None:
+    """A slope for each wheel: to the library one law of the load, to the simulator two parameters."""
+    slopes = {"left": -1.5e-6, "right": -1.2e-6}
+
+    def hidden(number: int) -> dict[str, float]:
+        over_N = 0.5 * 9.81 * (0.0, 200.0)[number // 4 % 2]
+        return {f"wheel_radius_{side}": 0.1 + slope * over_N for side, slope in slopes.items()}
+
+    text = (NUMPY / "simulator.py").read_text()
+    assert 'p["load_slope"]' in text
+    (tmp_path / "two.py").write_text(text.replace('p["load_slope"]', 'p[f"load_slope_{w}"]'))
+    sim = numpy_settings(tmp_path)
+    table = '[[parameter]]\nname = "load_slope_SIDE"\nnominal = 0.0\nstep = 1e-7\nlargest = 5e-6\nunit = "m/N"\n'
+    before, _, after = sim.read_text().partition('[[parameter]]\nname = "load_slope"')
+    start = after.index("[[parameter]]")
+    both = "".join(table.replace("SIDE", side) for side in slopes)
+    sim.write_text((before + both + after[start:]).replace(str(NUMPY / "simulator.py"), "two.py"))
+    full = diagnosed(tmp_path, hidden, sim).diagnosis
+    assert [cause.effect for cause in full.causes] == ["load_radius"]
+    assert "No single parameter of your simulator can do this; several together can" in full.sentence
+    loads = ("load_radius", "load_radius_nonlinear", "payload_mass", "payload_position")
+    alone = diagnosed(tmp_path / "again", hidden, sim, exclude=loads).diagnosis
+    for side, slope in slopes.items():
+        assert alone.fix.parameters[f"load_slope_{side}"] == pytest.approx(slope, rel=0.03)
+
+
 def test_no_gap_is_no_gap(tmp_path: Path) -> None:
     done = diagnosed(tmp_path, {})
     assert done.diagnosis.kind is VerdictKind.NO_GAP
@@ -185,7 +215,7 @@ def test_the_command_says_it_and_writes_what_to_set(
     folder, done = small_wheel
     call = ["diagnose", str(folder / "campaign"), "--simulator", str(folder / "SIM.toml")]
     target = tmp_path / "set.json"
-    assert run([*call, "--apply", str(target), "--json", "-", "--html", str(tmp_path / "page.html")]) == 0
+    assert run([*call, "--apply", str(target), "--json", "-"]) == 0
     printed = capsys.readouterr()
     assert json.loads(target.read_text()) == done.diagnosis.fix.parameters
     document = json.loads(printed.out)
@@ -193,7 +223,6 @@ def test_the_command_says_it_and_writes_what_to_set(
     assert document["judged_against"] == "SIM.toml"
     assert document["closure"]["held_out"] == RERUN
     assert document["causes"][0]["effect"] == "simulator:wheel_radius_left"
-    assert (tmp_path / "page.html").stat().st_size > 0
     assert run(call) == 0
     assert "Simulator: 0 runs" in capsys.readouterr().out
 
@@ -216,6 +245,29 @@ def test_what_does_not_go_together_is_one_line(
     assert printed.out == ""
     assert len(printed.err.strip().splitlines()) == 1
     assert words in printed.err
+
+
+def test_an_interrupted_diagnosis_says_which_runs_are_kept(
+    small_wheel: tuple[Path, SimulatorDiagnosis], tmp_path: Path
+) -> None:
+    """By a signal, while the third run of the simulator is at work."""
+    held = 'Path("at_work").touch(); time.sleep(60 * (given["track"] != 0.7))'
+    sim = other_settings(
+        tmp_path,
+        f'import time; p["track"] = given["track"]; {held}',
+        '[[parameter]]\nname = "track"\nnominal = 0.7\nstep = 0.01\nlargest = 0.05\n',
+    )
+    call = [sys.executable, "-m", "calib", "diagnose", str(small_wheel[0] / "campaign"), "--simulator", str(sim)]
+    environment = os.environ | {"CALIB_CACHE": str(tmp_path / "cache")}
+    process = subprocess.Popen(call, stderr=subprocess.PIPE, text=True, env=environment)
+    deadline = time.monotonic() + 60.0
+    while len(list(tmp_path.glob("cache/*/*.json"))) < 2 and time.monotonic() < deadline:
+        time.sleep(0.05)
+    time.sleep(0.2)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=20.0)
+    assert process.returncode == 130
+    assert "results of 2 runs of the simulator" in errors
 
 
 def test_no_campaign_gives_a_command(small_wheel: tuple[Path, SimulatorDiagnosis], tmp_path: Path) -> None:
