@@ -15,7 +15,8 @@ from calib.errors import BadInputError, RefusedError
 from calib.gap.decision.decide import decide
 from calib.gap.decision.diagnosis import BY_MODEL, BY_SIMULATOR, Diagnosis
 from calib.gap.decision.evidence import Evidence, Situation
-from calib.gap.decision.held_out import HeldOut, measure_closure, trials
+from calib.gap.decision.held_out import HeldOut, measure_closure
+from calib.gap.decision.trials import trials
 from calib.gap.effects.applied import with_effects
 from calib.gap.effects.effect import Effect
 from calib.gap.effects.encoder import Blunder, corrected

@@ -40,7 +40,7 @@ def after_geometry(geometry: Geometry, campaign: Path, output: Path | None) -> s
 
 
 def after_diagnosis(diagnosis: Diagnosis, campaign: Path) -> str:
-    """Return what follows a diagnosis, whatever its verdict and whether its fix is recommended."""
+    """Return what follows a diagnosis, by its verdict and whether its fix is recommended."""
     kind = diagnosis.kind.value
     if kind == "no_gap":
         return _next(f"nothing to correct; {_command('diagnose', campaign)} again once tyres, floor or loads change.")

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from typing import Final
 
 from calib.gap.decision.diagnosis import Cause, VerdictKind
-from calib.gap.decision.held_out import ADEQUATE_CLOSURE, Closure, Trial
+from calib.gap.decision.held_out import ADEQUATE_CLOSURE, Closure
+from calib.gap.decision.trials import Trial
 from calib.gap.effects.encoder import BLUNDER_MISFIT
 from calib.gap.inference.model_search import REPORTED_GAP_PROBABILITY
 

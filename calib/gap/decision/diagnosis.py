@@ -11,7 +11,8 @@ import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.gap.decision.evidence import Evidence
-from calib.gap.decision.held_out import Closure, HeldOut, Improvement, Trial
+from calib.gap.decision.held_out import Closure, HeldOut, Improvement
+from calib.gap.decision.trials import Trial
 from calib.gap.effects.effect import Effect
 from calib.gap.inference.fit import Fitted
 from calib.gap.inference.noise import Noise

@@ -9,7 +9,8 @@ from calib.gap.decision import confounding
 from calib.gap.decision.adequacy import SIGNAL_OVER_UNEXPLAINED, SMALL_SHARE, corrections_agree
 from calib.gap.decision.diagnosis import DRIVEN, JOURNEYS, Cause, Fix, Unexplained
 from calib.gap.decision.evidence import Evidence
-from calib.gap.decision.held_out import ADEQUATE_CLOSURE, FALSE_ALARM, Closure, Improvement, Trial
+from calib.gap.decision.held_out import ADEQUATE_CLOSURE, Closure, Improvement
+from calib.gap.decision.trials import FALSE_ALARM, Trial
 from calib.gap.effects.library import why_not_transferable
 from calib.gap.inference.local_search import EVEN_PROBABILITY
 

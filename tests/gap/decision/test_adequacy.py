@@ -9,7 +9,8 @@ import pytest
 from calib.gap.decision.adequacy import kind_of
 from calib.gap.decision.causes import limited_beside
 from calib.gap.decision.diagnosis import Cause, Unexplained, VerdictKind
-from calib.gap.decision.held_out import Closure, Trial
+from calib.gap.decision.held_out import Closure
+from calib.gap.decision.trials import Trial
 
 #: the correction of one certain effect closes the gap on held-out runs
 CLOSED = Closure(fraction=0.98, ci95=(0.95, 1.0), floor_rms_m=0.004)

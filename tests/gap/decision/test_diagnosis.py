@@ -7,7 +7,8 @@ import json
 import pytest
 
 from calib.gap.decision.diagnosis import BY_MODEL, Cause, Diagnosis, Fix, Group, Quantity, Unexplained, VerdictKind
-from calib.gap.decision.held_out import ChannelClosure, Closure, Improvement, Trial
+from calib.gap.decision.held_out import ChannelClosure, Closure, Improvement
+from calib.gap.decision.trials import Trial
 from calib.gap.observations.arrays import Channel
 from calib.gap.plan.identifiability import DetectionLimit
 from calib.gap.plan.planned_runs import PlannedRun

@@ -8,7 +8,8 @@ import pytest
 
 from calib.gap.decision.diagnosis import Cause, Quantity, Unexplained
 from calib.gap.decision.fix import harmed, reasons
-from calib.gap.decision.held_out import Improvement, Trial
+from calib.gap.decision.held_out import Improvement
+from calib.gap.decision.trials import Trial
 
 #: nine tenths of the gap close for certain
 CLOSES = Improvement(5.0, 1.2, (3.5, 4.1), (0.9, 1.0))
