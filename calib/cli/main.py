@@ -78,7 +78,7 @@ def _heed_date() -> None:
         return
     del os.environ["SOURCE_DATE_EPOCH"]
     if given:
-        note(f"SOURCE_DATE_EPOCH: found {given[:40]!r}; expected whole seconds since 1970; left out")
+        note(f"SOURCE_DATE_EPOCH: found {given[:40]!r}; expected whole seconds since 1970; ignored")
 
 
 def _reopen() -> None:
