@@ -9,6 +9,8 @@ from typing import Literal
 
 from calib.api.inputs import CampaignLike, opened, refuse_negative
 from calib.arguments import checked
+from calib.campaign.model import Campaign
+from calib.errors import BadInputError
 from calib.gap.decision.diagnosis import Diagnosis, Plan
 from calib.kinematics.result import Geometry
 from calib.radius.result import Fit
@@ -91,6 +93,8 @@ def diagnose(
     exclude: Sequence[str] = (),
     seed: int = 0,
     journeys: Path | str | None = None,
+    simulator: Path | str | None = None,
+    workers: int = 1,
 ) -> Diagnosis:
     """Find out where simulated and measured motion differ, and which unmodelled effect causes it.
 
@@ -106,6 +110,10 @@ def diagnose(
         Seed of the bootstraps.
     journeys : Path or str, optional
         A plan of runs still to come, on which the corrections of causes that cannot be told apart are compared.
+    simulator : Path or str, optional
+        Settings of the user's own simulator, ``SIM.toml``: its command is run, and judged in place of the model.
+    workers : int
+        Runs of the simulator at once.
 
     Returns
     -------
@@ -125,6 +133,8 @@ def diagnose(
 
     refuse_negative(seed)
     campaign = opened(campaign)
+    if simulator is not None:
+        return _diagnose_simulator(campaign, Path(simulator), model or journeys, exclude, seed, workers)
     if exclude:
         check_excluded(exclude, observations_of(campaign), campaign.extra.get("effects", ()))
     believed, effects = (None, ()) if model is None else model_of(Path(model), campaign)
@@ -132,6 +142,24 @@ def diagnose(
     return diagnose_in_full(
         campaign, seed=seed, exclude=tuple(exclude), model=believed, applied=effects, journeys=to_come
     )
+
+
+def _diagnose_simulator(
+    campaign: Campaign,
+    simulator: Path,
+    beside: Path | str | None,
+    exclude: Sequence[str],
+    seed: int,
+    workers: int,
+) -> Diagnosis:
+    """Diagnose the user's own simulator; options of calib's own model are refused beside it."""
+    from calib.gap.simulator.diagnose import diagnose_simulator
+    from calib.gap.simulator.settings import read_settings
+
+    if beside is not None:
+        raise BadInputError(f"found {beside} beside a simulator, which is judged instead of a model; give one of them")
+    settings = read_settings(simulator)
+    return diagnose_simulator(campaign, settings, seed=seed, exclude=tuple(exclude), workers=workers).diagnosis
 
 
 @checked

@@ -117,18 +117,22 @@ class LogCache:
 
 def log_cache(n_bytes: int) -> LogCache | None:
     """Return the cache for a campaign's logs, or None where they are few bytes or the environment says ``off``."""
+    folder = cache_folder("logs") if n_bytes >= WORTH_BYTES else None
+    return None if folder is None else LogCache(folder)
+
+
+def cache_folder(name: str) -> Path | None:
+    """Return the user's folder for a cache, that of the environment variable itself; None where it says ``off``."""
     chosen = os.environ.get(CACHE, "")
-    if chosen == "off" or n_bytes < WORTH_BYTES:
-        return None
     if chosen:
-        return LogCache(Path(chosen))
+        return None if chosen == "off" else Path(chosen)
     base = os.environ.get("XDG_CACHE_HOME", "")
     if not Path(base).is_absolute():
         try:
             base = str(Path.home() / ".cache")
         except RuntimeError:
             return None
-    return LogCache(Path(base) / "calib" / "logs")
+    return Path(base) / "calib" / name
 
 
 @lru_cache(maxsize=1)

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from calib.cli.options import Force, JsonTarget, MappingOption
-from calib.cli.terminal import answer, progress
+from calib.cli.terminal import answer, progress, say
 
 
 def run(
@@ -30,6 +30,7 @@ def run(
 
     from calib.campaign.check import check_campaign
     from calib.campaign.opening import read_or_ingest
+    from calib.reporting.next_step import after_check
     from calib.reporting.topics.campaign_check import check_content
 
     with progress("checking") as tick:
@@ -43,4 +44,5 @@ def run(
         **{level: [asdict(note) for note in getattr(report, level)] for level in ("wrong", "suspicious", "info")},
     }
     answer(document, check_content(report), json=json, force=force)
+    say(after_check(report.verdict, campaign), target=json)
     return 1 if report.verdict == "wrong" or (strict and report.verdict != "sound") else 0

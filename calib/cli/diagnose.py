@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from calib.cli.options import CampaignOrRecording, Figures, Force, JsonTarget, MappingOption, nearest
-from calib.cli.terminal import emit_json, progress, say, show, waiting, wrote
+from calib.cli.terminal import emit_json, keep, progress, say, show, waiting, wrote
 from calib.errors import BadInputError
 from calib.io import refuse_existing
 
@@ -19,6 +19,11 @@ if TYPE_CHECKING:
     from calib.types import Progress
 
 RESULT_FILE = "diagnosis.json"
+Simulator = Annotated[
+    Path | None,
+    typer.Option(metavar="SIM.toml", help="Your own simulator: its command, which is run, and its parameters."),
+]
+Workers = Annotated[int, typer.Option("--workers", metavar="N", min=1, help="Runs of the simulator at once.")]
 
 
 def run(
@@ -33,7 +38,10 @@ def run(
     seed: Annotated[int, typer.Option(metavar="N", help="Seed of the bootstraps.")] = 0,
     apply: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Write the model with the named effect added, a coefficient file."),
+        typer.Option(
+            metavar="FILE",
+            help="Write the model with the named effect added, a coefficient file; with --simulator what to set, JSON.",
+        ),
     ] = None,
     figures: Figures = None,
     html: Annotated[
@@ -43,6 +51,8 @@ def run(
     journeys: Annotated[
         Path | None, typer.Option(metavar="PLAN", help="Runs to come, to compare the corrections of tied causes on.")
     ] = None,
+    simulator: Simulator = None,
+    workers: Workers = 1,
     mapping: MappingOption = None,
     json: JsonTarget = None,
     force: Force = False,
@@ -57,40 +67,59 @@ def run(
     from calib.campaign.opening import read_or_ingest
     from calib.gap.decision.diagnosis import VerdictKind
     from calib.io import write_json
+    from calib.reporting.next_step import after_diagnosis
     from calib.reporting.source import verdict_document
     from calib.reporting.topics.diagnosis import verdict_content
 
     refuse_existing([apply, html, None if into is None else into / RESULT_FILE, *_pictures(figures)], force=force)
+    effects: tuple[EffectSection, ...] | None = None
+    if simulator is not None:
+        _refuse_together({"--model": model, "--journeys": journeys})
     with progress("diagnosing") as tick:
         read = read_or_ingest(campaign, mapping=mapping, progress=tick)
-        diagnosis, effects = _diagnosed(read, model, tuple(exclude or ()), seed, journeys, tick)
+        if simulator is None:
+            diagnosis, effects = _diagnosed(read, model, tuple(exclude or ()), seed, journeys, tick)
+        else:
+            diagnosis, ran = _simulated(read, simulator, tuple(exclude or ()), seed, workers, tick)
     document = verdict_document(diagnosis)
     show(verdict_content(diagnosis), target=json)
+    if simulator is not None:
+        say(ran, target=json)
     if apply is not None:
         _apply(diagnosis, read, effects, apply, json=json, force=force)
     if into is not None:
         wrote([write_json(into / RESULT_FILE, document, force=force)], target=json)
     _draw(diagnosis, read, html, figures, json=json, force=force)
     emit_json(document, json, force=force)
+    say(after_diagnosis(diagnosis, campaign), target=json)
     return 0 if diagnosis.kind in {VerdictKind.NO_GAP, VerdictKind.EXPLAINED} else 1
 
 
 def _apply(
     diagnosis: Diagnosis,
     campaign: Campaign,
-    effects: tuple[EffectSection, ...],
+    effects: tuple[EffectSection, ...] | None,
     target: Path,
     *,
     json: str | None,
     force: bool,
 ) -> None:
-    """Write the model with its correction, and say so where that is not recommended."""
-    from calib.gap.apply import applied_model
-    from calib.io import write_bytes
+    """Write the model with its correction, and say so where that is not recommended.
 
-    wrote([write_bytes(target, applied_model(diagnosis, campaign, effects).to_bytes(), force=force)], target=json)
+    `effects` are those that the model has already; None for a simulator, of which the parameters to set are written.
+    """
+    from calib.gap.apply import applied_model
+    from calib.gap.simulator.fix import parameters_to_set
+    from calib.io import write_bytes, write_json
+
+    if effects is None:
+        written, what = write_json(target, parameters_to_set(diagnosis), force=force), "parameters are"
+    else:
+        model = applied_model(diagnosis, campaign, effects)
+        written, what = write_bytes(target, model.to_bytes(), force=force), "model is"
+    wrote([written], target=json)
     if not diagnosis.recommended:
-        say("The written model is not recommended: see above what speaks against it.", target=json)
+        say(f"The written {what} not recommended: see above what speaks against it.", target=json)
 
 
 def _pictures(folder: Path | None) -> list[Path]:
@@ -146,6 +175,40 @@ def _diagnosed(
         progress=tick,
     )
     return diagnosis, tuple(effects)
+
+
+def _refuse_together(given: dict[str, Path | None]) -> None:
+    """Refuse the options that are about calib's own model beside --simulator."""
+    for name, value in given.items():
+        if value is not None:
+            raise BadInputError(f"{name}: found it beside --simulator, which is judged instead; give one of them")
+
+
+def _simulated(
+    campaign: Campaign, simulator: Path, exclude: tuple[str, ...], seed: int, workers: int, tick: Progress
+) -> tuple[Diagnosis, str]:
+    """Return the diagnosis of the user's simulator, and a sentence on how often it ran."""
+    from calib.campaign.log_reading import cache_folder
+    from calib.gap.simulator.diagnose import diagnose_simulator
+    from calib.gap.simulator.runner import RUNS_STAGE
+    from calib.gap.simulator.settings import read_settings
+    from calib.limits import refuse_workers
+
+    refuse_workers(workers)
+    settings, finished = read_settings(simulator), 0
+
+    def counted(done: int, total: int, stage: str) -> None:
+        nonlocal finished
+        finished = done if stage == RUNS_STAGE else finished
+        tick(done, total, stage)
+
+    try:
+        done = diagnose_simulator(campaign, settings, seed=seed, exclude=exclude, workers=workers, progress=counted)
+    except KeyboardInterrupt:
+        if finished and cache_folder("simulator") is not None:
+            keep(f"results of {finished} runs of the simulator, which will not run again")
+        raise
+    return done.diagnosis, done.runs.sentence
 
 
 def _check_excluded(exclude: tuple[str, ...], campaign: Campaign) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import signal
@@ -9,6 +10,7 @@ import sys
 import warnings
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,6 +19,7 @@ import typer
 from calib.cli.options import nearest
 from calib.cli.registry import COMMANDS, command_called, options_of, with_default
 from calib.cli.terminal import visible
+from calib.documents import to_json
 from calib.errors import CalibError, ImplausibleError
 
 EXIT_FINE: Final = 0
@@ -36,19 +39,41 @@ def interrupted(kept: list[str]) -> int:
 
 
 def failed(error: Exception, given: list[str]) -> int:
-    """Print in one line what went wrong, and return the exit status for it."""
-    if isinstance(error, ImplausibleError):
-        return _complain(f"{error} ('calib export' and 'calib report' take --accept-implausible REASON)", EXIT_FAILED)
-    if isinstance(error, CalibError):
-        return _complain(as_typed(str(error), _options_given(given)) + _nearest_path(str(error), given))
-    if isinstance(error, typer.TyperException):
-        if type(error).__name__ == "NoArgsIsHelpError":
-            sys.stderr.write(_message(error) + "\n")
-            return EXIT_BAD_INPUT
-        return _complain(_usage(error))
+    """Print in one line what went wrong, and return the exit status for it.
+
+    Where standard output belongs to JSON, it gets the same as ``{"error": ..., "exit_status": ...}``.
+    """
     if isinstance(error, BrokenPipeError):
         return pipe_closed()
-    return _machine_failed(error)
+    if type(error).__name__ == "NoArgsIsHelpError":
+        sys.stderr.write(_message(error) + "\n")
+        return EXIT_BAD_INPUT
+    message, status = _explained(error, given)
+    if _wants_json(given):
+        with suppress(OSError, ValueError):
+            sys.stdout.write(to_json({"error": " ".join(message.split()), "exit_status": status}))
+            sys.stdout.flush()
+    return _complain(message, status)
+
+
+def _wants_json(given: Sequence[str]) -> bool:
+    return "--json=-" in given or ("--json", "-") in pairwise(given)
+
+
+def _explained(error: Exception, given: list[str]) -> tuple[str, int]:
+    """Return what went wrong in one line, and the exit status for it."""
+    if isinstance(error, ImplausibleError):
+        return f"{error} ('calib export' and 'calib report' take --accept-implausible REASON)", EXIT_FAILED
+    if isinstance(error, CalibError):
+        return as_typed(str(error), _options_given(given)) + _nearest_path(str(error), given), EXIT_BAD_INPUT
+    if isinstance(error, typer.TyperException):
+        return _usage(error), EXIT_BAD_INPUT
+    if os.environ.get("CALIB_TRACEBACK"):
+        raise error
+    refused = _machine_refused(error)
+    if refused:
+        return refused, EXIT_BAD_INPUT
+    return f"bug in calib, please report: {type(error).__name__}: {error} (CALIB_TRACEBACK=1 shows where)", EXIT_BUG
 
 
 def _nearest_path(message: str, given: list[str]) -> str:
@@ -63,26 +88,26 @@ def _nearest_path(message: str, given: list[str]) -> str:
     return ""
 
 
-def _machine_failed(error: Exception) -> int:
-    """Report what the machine or the size of a number refused; anything else is a bug."""
-    if os.environ.get("CALIB_TRACEBACK"):
-        raise error
+def _machine_refused(error: Exception) -> str:
+    """Return what the machine or the size of a number refused; empty for anything else, which is a bug."""
     if isinstance(error, UnicodeEncodeError):
         lacking = f"found characters that the encoding {error.encoding} lacks"
-        return _complain(f"output: {lacking}; expected UTF-8; set PYTHONUTF8=1")
+        return f"output: {lacking}; expected UTF-8; set PYTHONUTF8=1"
     if isinstance(error, OverflowError | RecursionError):
         beyond = f"found a number or a nesting beyond all bounds ({error})"
-        return _complain(f"{beyond}; expected numbers of ordinary size; correct the input")
+        return f"{beyond}; expected numbers of ordinary size; correct the input"
     if type(error).__name__ == "LinAlgError":
         beyond = f"found numbers that differ too much in size to compute with ({error})"
-        return _complain(f"{beyond}; expected numbers of ordinary size; hold the campaign against 'calib check'")
-    if isinstance(error, OSError):
-        where = os.fsdecode(error.filename) if isinstance(error.filename, str | bytes) else "output"
-        return _complain(f"{where}: found {error.strerror or error}; expected a place that works; choose another")
-    if isinstance(error, MemoryError):
-        return _complain("out of memory; expected a campaign that fits; give fewer runs or shorter logs")
-    message = f"bug in calib, please report: {type(error).__name__}: {error} (CALIB_TRACEBACK=1 shows where)"
-    return _complain(message, EXIT_BUG)
+        return f"{beyond}; expected numbers of ordinary size; hold the campaign against 'calib check'"
+    if isinstance(error, OSError) and error.errno != errno.ENOMEM:
+        # what a library writes on the way has no name here
+        where = os.fsdecode(error.filename) if isinstance(error.filename, str | bytes) else "a temporary file"
+        return f"{where}: found {error.strerror or error}; expected a place that works; choose another, or more room"
+    if isinstance(error, MemoryError | OSError):
+        return "out of memory; expected a campaign that fits; give fewer or shorter runs, or allow more (ulimit -v)"
+    if isinstance(error, ImportError) and _NO_ROOM.search(str(error)):
+        return f"out of memory; found no room for a library ({error}); allow more address space (ulimit -v)"
+    return ""
 
 
 def _options_given(arguments: Sequence[str]) -> set[str]:
@@ -128,6 +153,8 @@ def _complain(message: str, status: int = EXIT_BAD_INPUT) -> int:
     return status
 
 
+#: what a loader says where address space is short
+_NO_ROOM: Final = re.compile(r"failed to map segment|[Cc]annot allocate memory|cannot apply additional memory")
 _LEADING = re.compile(r"^([a-z][a-z_]*)(?=: )")
 _FLAG = re.compile(r"\bforce=True\b")
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from calib.cli.options import CampaignOrRecording, Figures, Force, JsonTarget, MappingOption
-from calib.cli.terminal import emit_json, progress, show, wants_stdout, wrote
+from calib.cli.terminal import emit_json, progress, say, show, wants_stdout, wrote
 from calib.errors import BadInputError
 from calib.io import refuse_existing
 
@@ -56,6 +56,7 @@ def run(
     from calib.campaign.opening import read_or_ingest
     from calib.radius.fit import fit_campaign
     from calib.radius.result import provenance, write_result
+    from calib.reporting.next_step import after_fit
     from calib.reporting.topics.fit import fit_content
 
     refuse_existing([*_results(into), *_pictures(figures)], force=force)
@@ -76,6 +77,7 @@ def run(
     if figures is not None:
         _draw(fitted, figures, json, force=force)
     emit_json(document, json, force=force)
+    say(after_fit(fitted.passed, campaign), target=json)
     return 0 if fitted.passed else 1
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from calib.cli.options import AcceptImplausible, CampaignOrRecording, Figures, Force, JsonTarget, MappingOption
-from calib.cli.terminal import emit_json, progress, show, wrote
+from calib.cli.terminal import emit_json, progress, say, show, wrote
 from calib.io import refuse_existing
 
 if TYPE_CHECKING:
@@ -53,6 +53,7 @@ def run(
     from calib.campaign.opening import read_or_ingest
     from calib.io import write_bytes, write_json
     from calib.kinematics.estimate import estimate_geometry
+    from calib.reporting.next_step import after_geometry
     from calib.reporting.topics.geometry import geometry_content
 
     way, left_out = _choice("--using", using, USING), _choice("--leave-out", leave_out, LEAVE_OUT)
@@ -74,6 +75,7 @@ def run(
 
         coefficients = from_geometry(estimated, read, accept=accept_implausible.strip())
         wrote([write_bytes(output, coefficients.to_bytes(), force=force)], target=json)
+    say(after_geometry(estimated, campaign, output), target=json)
     return 0 if estimated.passed else 1
 
 

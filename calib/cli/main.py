@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Final
 
 import typer
 
 from calib.cli.failures import EXIT_FINE, failed, overflow_noted, pipe_closed
 from calib.cli.failures import interrupted as interruption
 from calib.cli.registry import build, with_default
-from calib.cli.terminal import INTERRUPTED, KEPT
+from calib.cli.terminal import INTERRUPTED, KEPT, note
 
 #: where the shell asks for completions, and the words typed so far
 _COMPLETE, _COMPLETE_WORDS = "_CALIB_COMPLETE", ("_TYPER_COMPLETE_ARGS", "COMP_WORDS")
@@ -20,6 +21,11 @@ _COMPLETE, _COMPLETE_WORDS = "_CALIB_COMPLETE", ("_TYPER_COMPLETE_ARGS", "COMP_W
 
 #: read by OpenMP, OpenBLAS and MKL when numpy is first imported
 BLAS_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+#: seconds since 1970, before the year 10,000
+_SECONDS: Final = re.compile(r"\d{1,12}")
+LATEST_S: Final = 253_402_300_800
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -39,6 +45,7 @@ def run(
         _reopen()
     # figures go to files only, no matter what window system the environment asks for
     os.environ["MPLBACKEND"] = "agg"
+    _heed_date()
     # thousands of matrices of a few dozen rows: handing each to threads costs more than it saves
     for name in BLAS_THREADS:
         os.environ.setdefault(name, "1")
@@ -62,6 +69,16 @@ def run(
     except Exception as error:
         return interruption(kept) if settle() else failed(error, given)
     return status
+
+
+def _heed_date() -> None:
+    """Leave out a SOURCE_DATE_EPOCH that is no time, which the drawing library would stumble over, with a note."""
+    given = os.environ.get("SOURCE_DATE_EPOCH")
+    if given is None or (_SECONDS.fullmatch(given) and int(given) < LATEST_S):
+        return
+    del os.environ["SOURCE_DATE_EPOCH"]
+    if given:
+        note(f"SOURCE_DATE_EPOCH: found {given[:40]!r}; expected whole seconds since 1970; ignored")
 
 
 def _reopen() -> None:

@@ -15,7 +15,8 @@ from calib.errors import BadInputError, RefusedError
 from calib.gap.decision.decide import decide
 from calib.gap.decision.diagnosis import BY_MODEL, BY_SIMULATOR, Diagnosis
 from calib.gap.decision.evidence import Evidence, Situation
-from calib.gap.decision.held_out import HeldOut, measure_closure, trials
+from calib.gap.decision.held_out import HeldOut, measure_closure
+from calib.gap.decision.trials import trials
 from calib.gap.effects.applied import with_effects
 from calib.gap.effects.effect import Effect
 from calib.gap.effects.encoder import Blunder, corrected
@@ -62,6 +63,7 @@ def diagnose_in_full(
     plan: bool = True,
     model_name: str = "",
     observations: Observations | None = None,
+    candidates: Sequence[Effect] | None = None,
     journeys: Campaign | None = None,
     progress: Progress = silent,
 ) -> Diagnosis:
@@ -88,6 +90,8 @@ def diagnose_in_full(
     observations : Observations, optional
         Replace those of the campaign's own files: planted effects, drawn noise. They hold `model` and `applied`
         already.
+    candidates : sequence of Effect, optional
+        Effects to search, in place of the library's; `model_name` is then what simulated the observations.
     journeys : Campaign, optional
         Runs to come, of `calib.gap.plan.plan_file.read_plan`: the corrections of confounded causes are compared on
         these instead of on the runs driven.
@@ -106,7 +110,7 @@ def diagnose_in_full(
     campaign, observations = situation.campaign, situation.observations
     simulator = BY_SIMULATOR if np.isfinite(observations.simulated).any() else None
     nominal = predict(observations)
-    effects = library(observations, exclude=exclude, declared=declared)
+    effects = library(observations, exclude=exclude, declared=declared) if candidates is None else [*candidates]
     noise, base, searched = _searched(nominal, effects, settings, progress)
     progress(0, 0, "verdict")
     left_out = HeldOutFit(searched.fitted, nominal, noise, searched.weighting)
@@ -114,7 +118,7 @@ def diagnose_in_full(
     shifts = {effect.id: effect.shifts for effect in effects}
     evidence = Evidence(
         situation=situation,
-        judged_against=simulator or model_name or BY_MODEL,
+        judged_against=(candidates is None and simulator) or model_name or BY_MODEL,
         nominal=nominal,
         noise=noise,
         effects={effect.id: effect for effect in effects},

@@ -96,6 +96,11 @@ def _compiled(folder: Path, report: Report, *, system_fonts: bool) -> bytes:
         missing = re.search(r'the text `"(.+?)"` could not be displayed', str(error))
         if missing:
             raise _MissingSign(missing[1]) from error
+        if report.logo is not None and re.search(r"image|svg", str(error), re.IGNORECASE):
+            raise CalibError(
+                f"campaign.toml, report.logo: found a file that cannot be drawn ({error}); expected a picture as its "
+                "name says; save it again as SVG, PNG or JPEG"
+            ) from error
         raise CalibError(
             f"the report's page cannot be set: {error}; expected a page for any content, so please report it"
         ) from error

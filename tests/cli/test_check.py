@@ -50,7 +50,9 @@ def test_the_verdict_of_the_document_is_that_of_the_screen(tmp_path: Path, capsy
         made = write_campaign(campaign(crossed=crossed), tmp_path / str(crossed))
         run(["check", str(made), "--json", str(target)])
         assert json.loads(target.read_text())["verdict"] == verdict
-        assert verdict in " ".join(capsys.readouterr().out.lower().splitlines()[-2:])
+        said, what_next = capsys.readouterr().out.split("\nNext: ")
+        assert verdict in " ".join(said.lower().splitlines()[-2:])
+        assert "'calib fit" in what_next
 
 
 def test_json_on_standard_output_stands_alone(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -52,6 +52,7 @@ ORDER: Mapping[str, tuple[str, ...]] = {
         "decision",
         "diagnose",
         "apply",
+        "simulator",
     ),
 }
 # what stands in a folder's own __init__ is its front door: it may import all that is behind it

@@ -171,11 +171,14 @@ def table(outcomes: Sequence[Outcome]) -> list[str]:
 
 def totals(outcomes: Sequence[Outcome]) -> dict[str, tuple[int, int]]:
     """Return (hits, of how many) of each figure to show."""
+    found = [each for each in outcomes if each.found]
     strong = [each for each in outcomes if each.signal >= STRONG]
     intervals = [interval for each in outcomes for interval in each.intervals]
     return {
         "first or in its family": (sum(each.found for each in outcomes), len(outcomes)),
         "wrong": (sum(each.wrong for each in outcomes), len(outcomes)),
+        "recommended where right": (sum(each.recommended for each in found), len(found)),
+        "recommended where wrong": (sum(each.recommended for each in outcomes if each.wrong), len(outcomes)),
         "no_gap at a signal of 20 and more": (sum(each.verdict == "no_gap" for each in strong), len(strong)),
         "intervals that hold": (sum(low <= truth <= high for _, truth, low, high in intervals), len(intervals)),
     }

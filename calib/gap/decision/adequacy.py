@@ -1,22 +1,18 @@
-"""The rule: which verdict the evidence supports, and whether a correction is good enough to be recommended."""
+"""The rule: which verdict the evidence supports. Whether its fix is recommended: `calib.gap.decision.fix`."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import prod
 from typing import Final
 
-from calib.gap.decision.diagnosis import Cause, Unexplained, VerdictKind
-from calib.gap.decision.held_out import Closure, Trial
+from calib.gap.decision.diagnosis import Cause, VerdictKind
+from calib.gap.decision.held_out import ADEQUATE_CLOSURE, Closure
+from calib.gap.decision.trials import Trial
 from calib.gap.effects.encoder import BLUNDER_MISFIT
 from calib.gap.inference.model_search import REPORTED_GAP_PROBABILITY
 
-#: closure on held-out runs below which a fix is not recommended, and an explanation not believed
-ADEQUATE_CLOSURE: Final = 0.7
-#: low end of its interval from which on a fix can be recommended: half of an adequate closure is then certain
-ADEQUATE_CLOSURE_LOW: Final = 0.5 * ADEQUATE_CLOSURE
-#: closure below which an unexplained residual hides whether anything is explained
-HIDDEN_CLOSURE: Final = 0.3
+#: closure below which an unexplained residual hides whether anything is explained: less than an adequate one leaves
+HIDDEN_CLOSURE: Final = 1.0 - ADEQUATE_CLOSURE
 #: closure below which more of the gap remains than is explained: where that is certain, the most probable causes
 #: imitate the unexplained one (in 8 of 8 verdicts of opened sets, and in 2 of 3 on altered recordings)
 HALF_CLOSURE: Final = 0.5
@@ -28,35 +24,22 @@ SMALL_SHARE: Final = 0.05
 NAMED_PROBABILITY: Final = 0.1
 #: where the unexplained residual hides whether a correction helps, only its own probability supports a cause
 CERTAIN_PROBABILITY: Final = 0.8
-#: all causes of a recommended fix together, and that nothing else is at work, are at least so probable
-RECOMMENDED_PROBABILITY: Final = 0.6
-#: beside a larger unexplained residual a cause needs so many times its signal; half of a weaker one may be the residual
+#: beside a larger unexplained residual a cause of a fix needs so many times its signal: half of a weaker one may be it
 SIGNAL_OVER_UNEXPLAINED: Final = 2.0
-#: corrections that differ by less than this many noise levels agree
-AGREEMENT_OVER_NOISE: Final = 1.0
-#: runs that confound more effects than this do not identify the cause
+#: runs that confound more effects than this do not identify the cause: the verdict lists no more
 LARGEST_GROUP: Final = 6
-#: share of a gap beyond chance that a correction has to close where it was not fitted
-TRANSFERRED_SHARE: Final = 0.6
-#: growth of the gap, in standard deviations of noise and unexplained residual, that is no scatter
-HARM_SD: Final = 2.5
-
-
-def harms(trial: Trial) -> bool:
-    """Return whether the gap grew by more than its scatter where the correction was held out."""
-    return trial.growth_sd > HARM_SD
 
 
 def fails(trial: Trial) -> bool:
     """Return whether there is a gap beyond chance where the correction was held out, and too much of it remains."""
     gap, residual = trial.before_square - trial.noise_square, trial.after_square - trial.noise_square
     beyond_chance = min(trial.before_square, trial.after_square) > trial.noise_limit
-    return beyond_chance and residual > (1.0 - TRANSFERRED_SHARE) * gap
+    return beyond_chance and residual > (1.0 - ADEQUATE_CLOSURE) * gap
 
 
 def corrections_agree(agreement_m: float | None, closure: Closure) -> bool:
     """Return whether the corrections of confounded effects differ by no more than the noise level."""
-    return agreement_m is not None and agreement_m <= AGREEMENT_OVER_NOISE * (closure.floor_rms_m or 0.0)
+    return agreement_m is not None and agreement_m <= (closure.floor_rms_m or 0.0)
 
 
 def hides_causes(closure: Closure, unexplained_share: float | None) -> bool:
@@ -113,46 +96,3 @@ def kind_of(
     if high < FULL_CLOSURE or any(map(fails, trials)) or (unexplained_share or 0.0) > SMALL_SHARE:
         return VerdictKind.PARTLY_EXPLAINED
     return VerdictKind.AMBIGUOUS if tied else VerdictKind.EXPLAINED
-
-
-def recommended(
-    causes: Sequence[Cause],
-    certain: Sequence[float],
-    closure: Closure,
-    *,
-    trials: Sequence[Trial] = (),
-    agreement_m: float | None = None,
-    unexplained: Unexplained | None = None,
-    nothing_else: float = 1.0,
-) -> bool:
-    """Return whether the causes are probable and complete, and their correction helps wherever it is tried.
-
-    Parameters
-    ----------
-    causes : sequence of Cause
-        What is named.
-    certain : sequence of float
-        Of each, the probability that it or an effect that it is confounded with is at work.
-    closure : Closure
-        On held-out runs.
-    trials : sequence of Trial
-        Routes, speeds, loads, directions and sessions held out in turn.
-    agreement_m : float or None
-        Largest difference between the corrections of confounded effects; None where none are confounded.
-    unexplained : Unexplained or None
-        The unexplained residual.
-    nothing_else : float
-        Probability that no further effect is at work.
-    """
-    if not causes or min(prod(certain), nothing_else) < RECOMMENDED_PROBABILITY:
-        return False
-    residual = unexplained.signal if unexplained is not None and unexplained.share > SMALL_SHARE else 0.0
-    if any(cause.share > SMALL_SHARE and cause.signal < SIGNAL_OVER_UNEXPLAINED * residual for cause in causes):
-        return False
-    if closure.fraction is None or closure.fraction < ADEQUATE_CLOSURE:
-        return False
-    if closure.ci95 is None or closure.ci95[0] <= ADEQUATE_CLOSURE_LOW:
-        return False
-    if agreement_m is not None and not corrections_agree(agreement_m, closure):
-        return False
-    return not any(harms(trial) or fails(trial) for trial in trials)

@@ -17,6 +17,7 @@ from calib.gap.inference.least_squares import Weighting, prior_precision
 from calib.gap.inference.linear_model import LinearSystem
 from calib.gap.inference.marginal_likelihood import Nuisance
 from calib.gap.inference.recalibration import PRIOR_SHIFT_ODDS
+from calib.gap.observations.arrays import POSE
 from calib.gap.plan.identifiability import SEPARATION_SD, aliases_of
 from calib.gap.predict import predict
 from calib.types import FloatArray
@@ -127,7 +128,9 @@ class _Correction:
         journeys = evidence.journeys
         if journeys is None:
             about = evidence.fitted.path
-            return hypothesis_path(about.s, self.calibration, self.forms, self.theta, about).end[:, :2]
+            path = hypothesis_path(about.s, self.calibration, self.forms, self.theta, about)
+            # a parameter of the user's simulator moves the readings of its vehicle
+            return path.reading[:, POSE] if about.s.calibration_held else path.end[:, :2]
         sections = [section_of(form, sizes) for form, sizes in zip(self.forms, self.theta, strict=True)]
         # an effect that the journeys do not excite does nothing there
         declared = evidence.situation.campaign.extra.get("effects", ())
@@ -162,18 +165,23 @@ def agreement_m(evidence: Evidence, groups: Sequence[Sequence[str]]) -> float | 
         named = [name for name in group if name in evidence.named]
         exchanged = [_exchanged(evidence, named, other) for other in group if other not in named]
         for alternative in filter(None, exchanged):
-            ends_m = fitted.path.end[:, :2] if evidence.journeys is None else best.ends(evidence)
+            ends_m = best.ends(evidence)
             apart = alternative.ends(evidence) - ends_m
             distances.append(float(np.sqrt(np.mean((apart**2).sum(axis=1)))))
     return max(distances, default=None)
+
+
+def _is_recalibrated(evidence: Evidence, name: str) -> bool:
+    """Return whether a cause is judged with the recalibration, not searched as an effect."""
+    return name in evidence.effects and evidence.effects[name].calibration
 
 
 def _exchanged(evidence: Evidence, named: Sequence[str], other: str) -> _Correction | None:
     """Return the correction with some named causes exchanged for another, refitted; None where it has no form."""
     kept = [form for form in evidence.fitted.forms if form.effect not in named]
     offered = evidence.search.forms.get(other, ())
-    candidates = [kept] if other in NAMES else [[*kept, form] for form in offered]
-    fixed = [NAMES.index(name) for name in named if name in NAMES]
+    candidates = [kept] if _is_recalibrated(evidence, other) else [[*kept, form] for form in offered]
+    fixed = [NAMES.index(name) for name in named if _is_recalibrated(evidence, name)]
     refitted = [_refitted(evidence, forms, fixed) for forms in candidates]
     return min(refitted, key=lambda tried: tried[0])[1] if refitted else None
 
@@ -213,7 +221,7 @@ def effect_probabilities(evidence: Evidence, groups: Sequence[Sequence[str]]) ->
     """
     listed = {name: calibrated(p) for name, p in evidence.search.inclusion().items()}
     shared = _shared_with_aliases(evidence, groups)
-    for name in (name for name in NAMES if name in evidence.effects):
+    for name in (name for name in NAMES if _is_recalibrated(evidence, name)):
         probability = calibrated(evidence.recalibration.probability(name))
         shares = shared.get(name, {})
         listed[name] = probability * (1.0 - sum(shares.values()))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -11,27 +11,22 @@ import numpy as np
 from calib.gap.decision import confounding
 from calib.gap.decision.adequacy import (
     CERTAIN_PROBABILITY,
-    LARGEST_GROUP,
     NAMED_PROBABILITY,
     SMALL_SHARE,
     hides_causes,
     kind_of,
-    recommended,
 )
 from calib.gap.decision.causes import blunder_cause, causes_of, limited_beside, unexplained_of
 from calib.gap.decision.diagnosis import (
-    DRIVEN,
-    JOURNEYS,
-    Cause,
     Diagnosis,
-    Fix,
     Group,
     NoiseSummary,
-    Unexplained,
     VerdictKind,
 )
 from calib.gap.decision.evidence import Evidence
+from calib.gap.decision.fix import fix_of
 from calib.gap.decision.sentences import blunder_sentence, sentence
+from calib.gap.effects.effect import Family
 from calib.gap.effects.encoder import BLUNDER_MISFIT, misfit
 
 #: verdicts that name no cause
@@ -81,7 +76,7 @@ def decide(evidence: Evidence) -> Diagnosis:
         where=evidence.where,
         closure=closure,
         unexplained=None if kind is VerdictKind.NO_GAP and not situation.faults else unexplained,
-        fix=_fix(evidence, confounded, tied, causes, certain, unexplained),
+        fix=fix_of(evidence, confounded, tied, causes, certain, unexplained),
         notes=(*evidence.observations.notes, *situation.notes),
         noise_level=NoiseSummary.about(evidence.noise),
         probabilities=dict(sorted(stated.items(), key=lambda item: -item[1])),
@@ -102,58 +97,6 @@ def _beside_blunder(kind: VerdictKind) -> VerdictKind:
     return VerdictKind.PARTLY_EXPLAINED if kind in NOTHING_NAMED else kind
 
 
-def _fix(
-    evidence: Evidence,
-    confounded: Sequence[Sequence[str]],
-    tied: Sequence[Sequence[str]],
-    causes: Sequence[Cause],
-    certain: Mapping[str, float],
-    unexplained: Unexplained | None,
-) -> Fix:
-    """Return what the correction is worth.
-
-    Parameters
-    ----------
-    evidence : Evidence
-        What was measured.
-    confounded, tied : sequence of sequence of str
-        Confounded effects: of everything fitted, and of the named causes without their own families.
-    causes : sequence of Cause
-        What is named.
-    certain : mapping of str to float
-        Of each effect, the probability that it or an effect that it is confounded with is at work.
-    unexplained : Unexplained or None
-        The unexplained residual.
-    """
-    apart_m = confounding.agreement_m(evidence, tied)
-    nothing_else = confounding.nothing_else_probability(evidence, confounded)
-    concerned = {*evidence.named, *(name for group in tied for name in group)}
-    explained, explained_sd = evidence.explained_share
-    # where the causes certainly explain all but a small share, and are confounded with nothing, a further effect
-    # carries no more than that share
-    complete = not tied and explained - 2.0 * explained_sd >= 1.0 - SMALL_SHARE
-    adequate = recommended(
-        causes,
-        [certain[cause.effect] for cause in causes],
-        evidence.held_out.closure,
-        trials=evidence.trials,
-        agreement_m=apart_m,
-        unexplained=unexplained,
-        nothing_else=1.0 if complete else nothing_else,
-    )
-    # the correction holds all that was fitted, some of which may not be transferable
-    transferable = not any(evidence.effects[name].not_transferable for name in concerned)
-    all_named = {cause.effect for cause in causes}.issuperset(evidence.named)
-    identified = all(len(group) <= LARGEST_GROUP for group in tied)
-    return Fix(
-        recommended=adequate and transferable and all_named and identified,
-        agreement_m=apart_m,
-        agreement_on=DRIVEN if evidence.journeys is None else JOURNEYS,
-        nothing_else=nothing_else,
-        transfer=evidence.trials if causes else (),
-    )
-
-
 def _by_family(
     evidence: Evidence, confounded: Sequence[Sequence[str]]
 ) -> tuple[list[list[str]], dict[str, tuple[str, ...]]]:
@@ -162,7 +105,8 @@ def _by_family(
     forms_open: dict[str, tuple[str, ...]] = {}
     for group in confounded:
         named = [name for name in group if name in evidence.named]
-        families = {evidence.effects[name].family for name in named}
+        # parameters of a simulator have no family: each is set by itself
+        families = {evidence.effects[name].family for name in named} - {Family.SIMULATOR}
         own = tuple(n for n in group if n not in named and evidence.effects[n].family in families)
         groups.append([name for name in group if name not in own])
         forms_open |= dict.fromkeys(named, own)

@@ -11,7 +11,8 @@ import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.gap.decision.evidence import Evidence
-from calib.gap.decision.held_out import Closure, HeldOut, Trial
+from calib.gap.decision.held_out import Closure, HeldOut, Improvement
+from calib.gap.decision.trials import Trial
 from calib.gap.effects.effect import Effect
 from calib.gap.inference.fit import Fitted
 from calib.gap.inference.noise import Noise
@@ -106,6 +107,9 @@ class Fix:
     agreement_on: str = DRIVEN  #: on which runs: ``runs driven`` or ``journeys``
     nothing_else: float = 1.0  #: probability that no further effect of the library is at work
     transfer: tuple[Trial, ...] = ()  #: what it does on runs that it was not fitted on
+    held_out: Improvement | None = None  #: what it does on held-out runs; None without a cause
+    why: tuple[str, ...] = ()  #: what keeps it from being recommended, with figures and what settles it
+    parameters: Mapping[str, float] = field(default_factory=dict)  #: what to set in the user's simulator
 
 
 @dataclass(frozen=True, slots=True)

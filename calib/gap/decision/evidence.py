@@ -9,7 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from calib.campaign.model import Campaign
-from calib.gap.decision.held_out import HeldOut, Trial
+from calib.gap.decision.held_out import HeldOut
+from calib.gap.decision.trials import Trial
 from calib.gap.effects.calibration import DIRECTIONS, NAMES
 from calib.gap.effects.effect import Effect
 from calib.gap.effects.encoder import Blunder

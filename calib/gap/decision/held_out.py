@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
@@ -14,8 +13,13 @@ from calib.gap.inference.noise import Noise
 from calib.gap.observations.arrays import N_CHANNELS, POSE, Channel, Observations
 from calib.gap.predict import Path, residuals
 from calib.result import plain_fields
-from calib.types import BoolArray, FloatArray, IntArray, StrArray
+from calib.types import BoolArray, FloatArray, IntArray
 
+#: of a closure: no run was held out, the user's simulator ran again with the fix
+RERUN: Final = "none"
+#: closure on held-out runs below which a fix is not recommended, and an explanation not believed: of the error's
+#: square more than two thirds go, so that the error is at least halved
+ADEQUATE_CLOSURE: Final = 0.7
 #: resamples of the conditions: the ends of the 95 % interval then vary by a few per cent of its width
 BOOTSTRAPS: Final = 400
 #: folds of conditions or runs: five sixths of the runs stay in each fit
@@ -30,16 +34,6 @@ FEWEST_CONDITIONS: Final = 4
 LEAST_GAP: Final = 0.5
 #: the least gap of a bootstrap sample, as a share of its noise level: keeps its closure finite
 LEAST_RESAMPLED_GAP: Final = 0.05
-#: values of a quantity that are held out one by one; more are joined into so many groups
-MOST_VALUES: Final = 8
-#: a single observation of a value shows nothing
-FEWEST_UNITS: Final = 2
-#: the other observations cannot replace a larger share than this
-MOST_HELD_OUT: Final = 0.6
-#: speeds and loads within this share of the largest are one value
-SAME_VALUE: Final = 0.1
-#: probability that noise alone, its own uncertainty included, exceeds its limit in any of a campaign's trials
-FALSE_ALARM: Final = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +63,7 @@ class Closure:
     #: where the gap is below half the noise level
     fraction: float | None = None
     ci95: tuple[float, float] | None = None  #: its bootstrap interval over conditions
-    held_out: str = "condition"  #: what is held out in turn: ``session``, ``condition`` or ``run``
+    held_out: str = "condition"  #: what is held out in turn: ``session``, ``condition``, ``run``; `RERUN`
     channels: tuple[ChannelClosure, ...] = ()  #: the same by channel
 
     @property
@@ -87,6 +81,24 @@ class Closure:
         )
 
 
+@dataclass(frozen=True, slots=True)
+class Improvement:
+    """What the correction does on held-out runs, each run paired with itself; root mean squares over the noise."""
+
+    before_rms: float  #: of the model alone
+    after_rms: float  #: with the causes
+    #: of the difference, by what noise and unexplained residual make of it
+    improvement_ci95: tuple[float, float]
+    #: the same as a share of the squares above the noise; stated at every signal
+    closed_ci95: tuple[float, float]
+
+    @property
+    def measurable(self) -> bool:
+        """Whether an adequate closure could be told from a poor one: noise alone leaves its interval narrow enough."""
+        low, high = self.closed_ci95
+        return high - low < 2.0 * (1.0 - ADEQUATE_CLOSURE)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldOut:
     """Residuals on held-out runs, each shape (n_units, n_channels)."""
@@ -95,24 +107,7 @@ class HeldOut:
     after: FloatArray  #: of the model with the causes fitted on the other runs
     floor: FloatArray  #: noise level: standard deviation that replicates give each channel
     closure: Closure
-
-
-@dataclass(frozen=True, slots=True)
-class Trial:
-    """The correction on one value that was held out: a route, speed, load, direction or session."""
-
-    left_out: str  #: what was held out
-    value: str  #: which of its values
-    before_rms_m: float | None  #: root mean square of the end positions (else distances) without the correction
-    after_rms_m: float | None  #: and with it
-    #: whitened squares of the model alone, with the correction fitted on the others, and as noise alone leaves
-    before_square: float = field(default=0.0, metadata={"json": False})
-    after_square: float = field(default=0.0, metadata={"json": False})
-    noise_square: float = field(default=0.0, metadata={"json": False})
-    #: whitened squares that noise alone does not exceed
-    noise_limit: float = field(default=np.inf, metadata={"json": False})
-    #: growth of the gap in standard deviations of noise and unexplained residual; negative where it shrank
-    growth_sd: float = field(default=0.0, metadata={"json": False})
+    improvement: Improvement | None = None  #: paired; None where no run was held out
 
 
 def folds(observations: Observations, *, sessions: bool = True) -> tuple[IntArray, str]:
@@ -177,6 +172,59 @@ def measure_closure(
     for number in np.unique(fold):
         out = fold == number
         after[out] = left_out.after(out)[out]
+    stated = before if as_counted is None else as_counted
+    held_out = closure_of(nominal, noise, before, after, rng, floor_factor=floor_factor, stated=stated, by=by)
+    return replace(held_out, improvement=_improvement(left_out, stated, after, noise.dof, floor_factor))
+
+
+def _improvement(
+    left_out: HeldOutFit, before: FloatArray, after: FloatArray, dof: float, floor_factor: float
+) -> Improvement:
+    """Return the paired improvement: what noise both residuals share cancels, but for that along the correction."""
+    from scipy.special import stdtrit
+
+    squares = [float(left_out.squares(values).sum()) for values in (before, after)]
+    expected = floor_factor * float(left_out.observations.usable.sum())
+    every = np.ones(len(left_out.observations), dtype=np.bool_)
+    # of squares r^2 - (r - d)^2 = 2 r d - d^2 the noise of r makes 2 sd(r d)
+    half = 2.0 * float(stdtrit(max(dof, 3.0), 0.975)) * left_out.spread(after - before, every)
+    gain, gap = squares[0] - squares[1], max(squares[0] - expected, 1.0)
+    rms = [float(np.sqrt(square / expected)) for square in squares]
+    ends = [rms[0] - float(np.sqrt(max(squares[0] - end, 0.0) / expected)) for end in (gain - half, gain + half)]
+    return Improvement(rms[0], rms[1], (ends[0], ends[1]), ((gain - half) / gap, (gain + half) / gap))
+
+
+def closure_of(
+    nominal: Path,
+    noise: Noise,
+    before: FloatArray,
+    after: FloatArray,
+    rng: np.random.Generator,
+    *,
+    floor_factor: float = 1.0,
+    stated: FloatArray | None = None,
+    by: str = RERUN,
+) -> HeldOut:
+    """Return how far the gap shrinks from residuals `before` to residuals `after`.
+
+    Parameters
+    ----------
+    nominal : Path
+        The model alone.
+    noise : Noise
+        Covariance of each observation.
+    before, after : array of float, shape (n_units, n_channels)
+        Residuals without and with the causes.
+    rng : numpy.random.Generator
+        For the bootstrap.
+    floor_factor : float
+        Variance of the noise level over that of `noise`.
+    stated : array of float, shape (n_units, n_channels), optional
+        The gap to state in place of `before`.
+    by : str
+        What was held out in turn; by default nothing: the simulator ran again with the fix.
+    """
+    observations, stated = nominal.s, before if stated is None else stated
     usable = observations.usable
     white = whitened_rows(nominal, noise, np.stack([before, after], axis=2))
     unit = np.repeat(np.arange(len(observations))[:, None], N_CHANNELS, axis=1)[usable]
@@ -186,7 +234,6 @@ def measure_closure(
     expected = floor_factor * usable.sum(axis=1).astype(np.float64)
     fraction = _fraction(squares, expected)
     floor = np.where(usable, np.sqrt(floor_factor) * noise.floor, 0.0)
-    stated = before if as_counted is None else as_counted
     channels = []
     for channel in (channel for channel in Channel if usable[:, channel].any()):
         on = usable[:, channel]
@@ -245,89 +292,3 @@ def end_rms_m(values: FloatArray, observations: Observations, units: BoolArray |
     if on[:, Channel.DISTANCE].any():
         return float(np.sqrt(np.mean(values[on[:, Channel.DISTANCE], Channel.DISTANCE] ** 2)))
     return None
-
-
-def trials(left_out: HeldOutFit, before: FloatArray, dof: float) -> tuple[Trial, ...]:
-    """Hold out each value of what varies, and try the correction of the others there.
-
-    Parameters
-    ----------
-    left_out : LeftOut
-        Predicts held-out runs.
-    before : array of float, shape (n_units, n_channels)
-        Residuals of the model alone.
-    dof : float
-        Degrees of freedom of the noise level.
-    """
-    from scipy.special import fdtri
-
-    observations = left_out.observations
-    tried = [(name, value, units) for name, value, units in _values(observations) if left_out.is_predictive(units)]
-    squares_before = left_out.squares(before)
-    results = []
-    for name, value, units in tried:
-        after = left_out.after(units)
-        square, corrected = squares_before[units].sum(), left_out.squares(after)[units].sum()
-        expected = float(observations.usable[units].sum())
-        # squares over an estimated noise level follow F; Bonferroni over the trials
-        limit = expected * float(fdtri(expected, max(dof, 3.0), 1.0 - FALSE_ALARM / len(tried)))
-        scatter = max(2.0 * left_out.spread(after - before, units), 1e-9)
-        results.append(
-            Trial(
-                left_out=name,
-                value=value,
-                before_rms_m=end_rms_m(before, observations, units),
-                after_rms_m=end_rms_m(after, observations, units),
-                before_square=float(square),
-                after_square=float(corrected),
-                noise_square=expected,
-                noise_limit=limit,
-                growth_sd=float((corrected - square) / scatter),
-            )
-        )
-    return tuple(results)
-
-
-def _values(observations: Observations) -> Iterator[tuple[str, str, BoolArray]]:
-    """Yield what varies, each of its values, and the observations that have it, shape (n_units,)."""
-    rolled = 0.5 * (np.abs(observations.travel_left_m) + np.abs(observations.travel_right_m))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        # of the wheels, so that a turn on the spot has one too; weighed by distance, as effects act
-        speed = np.nan_to_num(observations.total(rolled**2 / observations.duration_s) / observations.total(rolled))
-    load = np.nan_to_num(observations.number("load_left_N") + observations.number("load_right_N"))
-    kinds = observations.labels["kind"]
-    if not np.all(kinds != ""):
-        kinds = np.array([f"route {number + 1}" for number in observations.kind])
-    quantities = {
-        "kind": kinds,
-        "speed": _binned(speed, SAME_VALUE * max(float(speed.max()), 1e-3), "{:.2f} m/s"),
-        "load": _binned(load, SAME_VALUE * max(float(load.max()), 1.0), "{:.0f} N"),
-        "direction": observations.labels["direction"],
-        "session": observations.labels["session"],
-    }
-    for name, values in quantities.items():
-        joined = _joined(values)
-        for value in np.unique(joined) if len(np.unique(values)) > 1 else ():
-            units = joined == value
-            if FEWEST_UNITS <= units.sum() <= MOST_HELD_OUT * len(units):
-                yield name, str(value), units
-
-
-def _binned(values: FloatArray, width: float, words: str) -> StrArray:
-    """Name values by the mean of their neighbours: in sorted order, a step above `width` begins another bin."""
-    order = np.argsort(values)
-    group = np.zeros(len(values), dtype=np.int64)
-    group[order] = np.cumsum(np.concatenate(([0], np.diff(values[order]) > width)))
-    means = np.bincount(group, values) / np.bincount(group)
-    return np.array([words.format(mean) for mean in means])[group]
-
-
-def _joined(values: StrArray) -> StrArray:
-    """Join values into `MOST_VALUES` groups where there are more, neighbours in time together."""
-    names, first, index = np.unique(values, return_index=True, return_inverse=True)
-    if len(names) <= MOST_VALUES:
-        return values
-    rank = np.argsort(np.argsort(first))[index]
-    group = rank * MOST_VALUES // len(names)
-    ends = [values[group == k] for k in range(MOST_VALUES)]
-    return np.array([part[0] if part[0] == part[-1] else f"{part[0]} to {part[-1]}" for part in ends])[group]

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from math import isinf, prod
+from math import isinf
 from typing import TYPE_CHECKING, Final
 
-from calib.gap.decision.adequacy import LARGEST_GROUP, RECOMMENDED_PROBABILITY, corrections_agree
+from calib.gap.decision.adequacy import LARGEST_GROUP
 from calib.gap.decision.diagnosis import Cause, Diagnosis, VerdictKind
-from calib.gap.decision.held_out import ChannelClosure
+from calib.gap.decision.held_out import RERUN, ChannelClosure
 from calib.gap.effects.calibration import HIDES_IN
-from calib.gap.effects.library import effect_class, title_of, why_not_transferable
+from calib.gap.effects.library import effect_class, title_of
 from calib.gap.inference.local_search import EVEN_PROBABILITY
 from calib.gap.localise.result import GapLocation, PlaceResult
 
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 #: channels and covariates that a sentence names; the tables have them all
 MOST_CHANNELS: Final = 3
 MOST_COVARIATES: Final = 2
-#: further effects that the advice names
-MOST_FURTHER: Final = 3
 #: metres or radians from which on a gap is not given in thousandths
 LARGE_GAP: Final = 1.0
 
@@ -91,36 +89,7 @@ def advice(diagnosis: Diagnosis) -> str:
         return f"Recommended: the corrections for {groups} agree; apply the fix in either case."
     if diagnosis.recommended:
         return "Recommended: the fix holds on held-out runs."
-    return f"Not recommended: {_reason_against(diagnosis)}."
-
-
-def _reason_against(diagnosis: Diagnosis) -> str:
-    agree = corrections_agree(diagnosis.fix.agreement_m, diagnosis.closure)
-    if diagnosis.groups and (not agree or _confounded(diagnosis) > LARGEST_GROUP):
-        return "other effects explain these runs equally well; drive the runs that 'calib plan' names"
-    if diagnosis.kind is VerdictKind.PARTLY_EXPLAINED:
-        return "part of the gap is unexplained, and the named cause may imitate its cause"
-    doubtful = _joined((f"{cause.effect} ({cause.probability:.2f})" for cause in _doubtful(diagnosis.causes)), "and")
-    if doubtful:
-        return f"the probability is too low: {doubtful}"
-    concerned = {cause.effect for cause in diagnosis.causes}.union(*(group.effects for group in diagnosis.groups))
-    if diagnosis.fix.nothing_else < RECOMMENDED_PROBABILITY:
-        others = [item for item in diagnosis.probabilities.items() if item[0] not in {*concerned, "unknown"}]
-        if others:
-            names = _joined([f"{name} ({probability:.2f})" for name, probability in others[:MOST_FURTHER]], "or")
-            return f"{names} may be at work too"
-    reasons = sorted({why_not_transferable(effect) for effect in concerned} - {""})
-    return "; ".join(reasons) or "held-out runs do not show that the fix holds"
-
-
-def _doubtful(causes: Sequence[Cause]) -> list[Cause]:
-    """Return the least probable causes, without which the others together would be probable enough."""
-    rising = sorted(causes, key=lambda cause: cause.probability)
-    for n in range(len(rising)):
-        # not "at least": a cause without a probability (NaN) is not doubted for it
-        if not prod(cause.probability for cause in rising[n:]) < RECOMMENDED_PROBABILITY:
-            return rising[:n]
-    return rising
+    return f"Not recommended: {'. '.join(f'{reason[0].upper()}{reason[1:]}' for reason in diagnosis.fix.why)}."
 
 
 def _confounded(diagnosis: Diagnosis) -> int:
@@ -201,7 +170,7 @@ def _channels(diagnosis: Diagnosis) -> str:
 
     lines = closure.moved or sorted(closure.channels, key=ratio)[-1:]
     parts = [_channel(line, both=named) for line in lines[:MOST_CHANNELS]]
-    where = ", on held-out runs" if named else ""
+    where = "" if not named else ", which ran again with the fix" if closure.held_out == RERUN else ", on held-out runs"
     return f"Against {diagnosis.against}{where}: {'; '.join(parts)}. " if parts else ""
 
 

@@ -41,6 +41,7 @@ class Family(StrEnum):
     PATH = "path"
     COVARIATE = "covariate"
     OWN = "own"
+    SIMULATOR = "simulator"
 
     @property
     def words(self) -> str:
@@ -62,6 +63,7 @@ _FAMILY_WORDS = {
     Family.FLOOR: "the gap opens at places of the floor",
     Family.PATH: "the path between the ends is other than computed",
     Family.COVARIATE: "the gap correlates with a further column of the run table",
+    Family.SIMULATOR: "a parameter of the simulator is off",
     Family.OWN: "an effect of the user's own is at work",
 }
 

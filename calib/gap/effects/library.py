@@ -36,6 +36,7 @@ from calib.gap.effects.reference import (
     TurnedReference,
     find_turned,
 )
+from calib.gap.effects.simulator import SIMULATOR_PREFIX, simulator_title
 from calib.gap.effects.steering import DriveSlip, SteeringBacklash, SteeringDelay, SteeringScale, SteeringZero
 from calib.gap.effects.turning import BrakingSkid, CurveLoadTransfer, CurveScrub, LoadDependentTrack, SideSlip
 from calib.gap.observations.arrays import Channel, Observations
@@ -104,6 +105,8 @@ def title_of(name: str) -> str:
     """Return the title of an effect by its id; the id in plain words where the effect is the user's own."""
     if name in REGISTRY:
         return REGISTRY[name].title
+    if name.startswith(SIMULATOR_PREFIX):
+        return simulator_title(name.removeprefix(SIMULATOR_PREFIX))
     column = column_of(name)
     return name.replace("_", " ") if column is None else Covariate(column).title
 

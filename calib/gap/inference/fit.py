@@ -103,6 +103,11 @@ def hypothesis_path(
     return predict(s, perturbations)
 
 
+def recalibration_columns(path: Path) -> FloatArray:
+    """Return the derivative by a recalibration of unit prior variance, (n_units, 6, 4); zero where it is held."""
+    return path.calibration * (0.0 if path.s.calibration_held else CALIBRATION_SD)
+
+
 def fit(
     nominal: Path,
     noise: Noise,
@@ -143,6 +148,7 @@ def fit(
     freedom = np.asarray(free, dtype=bool).copy()
     if not s.usable[:, 4:].any():
         freedom[3] = False
+    freedom &= not s.calibration_held
     calibration = np.zeros(4) if start is None else np.where(freedom, start.calibration, 0.0)
     typical = [form.typical for form in forms]
     known = {} if start is None else {id(f): t for f, t in zip(start.forms, start.theta, strict=True)}
@@ -155,7 +161,7 @@ def fit(
     normal = np.diag(precision)
     for _ in range(steps):
         gap = residuals(path, nominal)
-        columns = [path.calibration * CALIBRATION_SD, *signature_columns(path, forms)]
+        columns = [recalibration_columns(path), *signature_columns(path, forms)]
         whole = whitened_rows(path, noise, np.concatenate([*columns, gap[:, :, None]], axis=2))[row_mask]
         a, r = whole[:, :-1], whole[:, -1]
         now = np.concatenate([calibration / CALIBRATION_SD, *(t / u for t, u in zip(theta, typical, strict=True))])

@@ -10,7 +10,15 @@ from typing import Final
 
 import numpy as np
 
-from calib.gap.inference.fit import CALIBRATION_SD, SIZE_SD, Fitted, hypothesis_path, signature_columns, whitened_rows
+from calib.gap.inference.fit import (
+    CALIBRATION_SD,
+    SIZE_SD,
+    Fitted,
+    hypothesis_path,
+    recalibration_columns,
+    signature_columns,
+    whitened_rows,
+)
 from calib.gap.inference.linear_model import LinearSystem
 from calib.gap.inference.noise import Noise
 from calib.gap.observations.arrays import Observations
@@ -226,7 +234,7 @@ class HeldOutFit:
     def derivative(self) -> FloatArray:
         """What each estimate does to the readings, shape (n_units, n_channels, p)."""
         path = self.fitted.path
-        parts = [path.calibration * CALIBRATION_SD, *signature_columns(path, self.fitted.forms)]
+        parts = [recalibration_columns(path), *signature_columns(path, self.fitted.forms)]
         return np.where(path.s.usable[:, :, None], np.concatenate(parts, axis=2), 0.0)
 
     def after(self, out: BoolArray) -> FloatArray:
@@ -249,11 +257,19 @@ class HeldOutFit:
 
         Where they do not (a turn's effect without any turn), leaving out says nothing for the correction or against it.
         """
-        covariance = self._without(out)[1]
         on = out[self.weighting.system.blocks.unit]
         correction = self.columns[on] @ self.all_estimates
-        uncertain = np.einsum("np,pq,nq->", self.columns[on], covariance, self.columns[on])
+        uncertain = self.prediction_variance(out)[0]
         return bool(uncertain < MAX_PREDICTION_VARIANCE * float(correction @ correction) + on.sum())
+
+    def prediction_variance(self, out: BoolArray) -> tuple[float, float]:
+        """Return the sum of squares that errors of the estimates add to the prediction of units, and half its variance.
+
+        `out` (shape (n_units,)): the units; the estimates are those without them.
+        """
+        columns = self.columns[out[self.weighting.system.blocks.unit]]
+        spread = (columns.T @ columns) @ self._without(out)[1]
+        return float(np.trace(spread)), float(np.trace(spread @ spread))
 
     def squares(self, residuals: FloatArray) -> FloatArray:
         """Return the whitened squares of each unit, shape (n_units,)."""

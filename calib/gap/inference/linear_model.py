@@ -14,7 +14,13 @@ from typing import Final
 import numpy as np
 
 from calib.gap.effects.effect import Form
-from calib.gap.inference.fit import CALIBRATION_SD, Fitted, signature_columns, whitened_rows
+from calib.gap.inference.fit import (
+    CALIBRATION_SD,
+    Fitted,
+    recalibration_columns,
+    signature_columns,
+    whitened_rows,
+)
 from calib.gap.inference.lack_of_fit import (
     LACK_OF_FIT_SCALES,
     BlockColumns,
@@ -99,7 +105,7 @@ class LinearSystem:
         self.forms = tuple(forms)
         self.blocks: Blocks = row_blocks(path.s)
         order = self.blocks.order
-        self.calibration = whitened_rows(path, noise, path.calibration * CALIBRATION_SD)[order]
+        self.calibration = whitened_rows(path, noise, recalibration_columns(path))[order]
         self.cuts = np.cumsum([0, *(len(form.parameters) for form in self.forms)])
         self.columns = np.empty((len(order), int(self.cuts[-1])))
         for number, column in enumerate(signature_columns(path, self.forms)):
@@ -265,7 +271,7 @@ class WhitenedSystem:
     def __init__(self, path: Path, nominal: Path, noise: Noise, offered: Sequence[Form] = ()) -> None:
         self.path, self.nominal, self.noise = path, nominal, noise
         self.gap = whitened_rows(path, noise, residuals(path, nominal)[:, :, None])[:, 0]
-        self.calibration = whitened_rows(path, noise, path.calibration * CALIBRATION_SD)
+        self.calibration = whitened_rows(path, noise, recalibration_columns(path))
         usable = path.s.usable
         self.unit: IntArray = np.repeat(np.arange(len(path.s))[:, None], 6, axis=1)[usable]
         self.channel: IntArray = np.repeat(np.arange(6)[None, :], len(path.s), axis=0)[usable]

@@ -155,7 +155,10 @@ def _weighed(local: LocalSearch, settings: SearchSettings, shifts: Mapping[str, 
     total = np.logaddexp.reduce(weight, axis=0)
     likely = [int(n) for n in np.argsort(-total)[:_MAX_LIKELY_MODELS] if total[n] > total.max() - _LIKELY_WINDOW]
     weighting, over_free, as_believed = local.weighting(), dict[int, float](), 1.0
-    for n in {*likely, models.index(local.current)}:
+    if local.system.path.s.calibration_held:
+        # nothing of it can be off beside any model
+        likely, over_free = [], dict.fromkeys(range(len(models)), 0.0)
+    for n in {*likely, models.index(local.current)} - over_free.keys():
         sizes, values = free_estimates(local.system, models[n], weighting)
         subsets = weigh_subsets(local.system, models[n], sizes, values, settings, shifts)
         over_free[n] = subsets.over_free

@@ -251,6 +251,10 @@ def judge_recalibration(
     -------
     Recalibration
     """
+    if nominal.s.calibration_held:
+        held = np.zeros(len(NAMES))
+        subsets = tuple(tuple(NAMES[k] for k in subset) for subset in SUBSETS)
+        return Recalibration(subsets, np.eye(len(SUBSETS))[0], held, held, held)
     system = LinearSystem(fitted, nominal, noise, fitted.forms)
     own = [theta / form.typical for form, theta in zip(fitted.forms, fitted.theta, strict=True)]
     matrix = DIRECTIONS[:, :3].T

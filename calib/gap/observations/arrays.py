@@ -144,6 +144,8 @@ class Observations:
     notes: tuple[str, ...] = ()  #: what had to be omitted or assumed, in sentences
     by_front: bool = False  #: whether the front wheel alone drives the odometry: the two wheels represent it
     aside_m: FloatArray | None = None  #: shape (n_steps,): what mecanum wheels roll to the left in each step
+    #: whether no recalibration is free beside the effects: the parameters of a user's simulator replace it
+    calibration_held: bool = False
     first_unit: int = 0  #: number of the first observation among those of the whole campaign, for a `part` of it
 
     def __len__(self) -> int:

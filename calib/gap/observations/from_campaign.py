@@ -131,12 +131,14 @@ END_TOLERANCE_M = 1e-3
 MIN_REPLICATED = 8
 
 
-def observations_of(campaign: Campaign, model: OdometryModel | None = None) -> Observations:
+def observations_of(
+    campaign: Campaign, model: OdometryModel | None = None, *, whole_runs: bool = False
+) -> Observations:
     """Arrange a campaign for the diagnosis; `model` is what the simulator believes, by default the campaign's own.
 
     Excluded rows are omitted. Recordings with a continuous pose reference are cut into windows where there are fewer
-    than a dozen runs, or where hardly any was driven twice. A run without a log counts with what its row says. Refused
-    where no run has both counts and something measured.
+    than a dozen runs, or where hardly any was driven twice, unless `whole_runs` are asked for. A run without
+    a log counts with what its row says. Refused where no run has both counts and something measured.
     """
     campaign = campaign.included()
     model = model or campaign.model
@@ -149,6 +151,8 @@ def observations_of(campaign: Campaign, model: OdometryModel | None = None) -> O
     setup = Setup(campaign, model, per_rad, poses_are_in_a_map(campaign), stands_in)
     recorded = [_recorded(run, setup) for run in range(len(campaign.runs))]
     with_counts = [run for run in recorded if run is not None]
+    if whole_runs:
+        return _arranged(with_counts, setup, into_windows=False)
     few = len(recorded) < MIN_WHOLE_RUNS
     observations = _arranged(with_counts, setup, into_windows=few)
     if not few and any(run.reference is not None for run in with_counts) and _n_repeated(observations) < MIN_REPLICATED:

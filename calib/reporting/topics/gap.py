@@ -6,6 +6,7 @@ import math
 from typing import Final
 
 from calib.gap.decision.diagnosis import Diagnosis, Quantity
+from calib.gap.decision.held_out import RERUN, Closure
 from calib.gap.decision.sentences import advice, headline
 from calib.gap.localise.result import GapLocation, PlaceResult, RunDeviation
 from calib.gap.observations.arrays import POSE
@@ -133,6 +134,13 @@ def closure_blocks(verdict: Diagnosis) -> list[Block]:
     return blocks
 
 
+def _on_which_runs(closure: Closure) -> str:
+    if closure.held_out == RERUN:
+        return "on all runs; root mean square with the simulator as it is, run again with the fix"
+    in_turn = f"on held-out runs, each {closure.held_out} in turn"
+    return f"{in_turn}; root mean square with the model alone, with the causes added"
+
+
 def _by_channel(verdict: Diagnosis) -> Table:
     closure = verdict.closure
     rows = []
@@ -145,8 +153,8 @@ def _by_channel(verdict: Diagnosis) -> Table:
         ends = (closure.before_rms_m, closure.after_rms_m or 0.0, closure.floor_rms_m or 0.0)
         rows.append(("end position", unit, *(three_digits(factor * value) for value in ends), MISSING))
     return Table(
-        f"How far: the gap by channel on held-out runs, each {closure.held_out} in turn; root mean square with the "
-        "model alone, with the causes added, and of the noise. Closed: share of error variance above noise removed.",
+        f"How far: the gap by channel {_on_which_runs(closure)}, and of the noise. Closed: share of error variance "
+        "above noise removed.",
         (
             text_column("Channel"),
             text_column("Unit"),

@@ -1,16 +1,16 @@
-"""Which verdict it is, and whether the fix is recommended, on findings written by hand: no campaign is needed."""
+"""Which verdict it is, on findings written by hand: no campaign is needed."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import pytest
 
-from calib.gap.decision.adequacy import kind_of, recommended
+from calib.gap.decision.adequacy import kind_of
 from calib.gap.decision.causes import limited_beside
 from calib.gap.decision.diagnosis import Cause, Unexplained, VerdictKind
-from calib.gap.decision.held_out import Closure, Trial
+from calib.gap.decision.held_out import Closure
+from calib.gap.decision.trials import Trial
 
 #: the correction of one certain effect closes the gap on held-out runs
 CLOSED = Closure(fraction=0.98, ci95=(0.95, 1.0), floor_rms_m=0.004)
@@ -121,68 +121,6 @@ def test_a_probable_gap_without_any_cause_is_unknown() -> None:
     """With nothing named, even without a probable residual: that there is a gap is what matters."""
     assert verdict(None, None, gap=0.8, n_named=0) is VerdictKind.UNKNOWN
     assert verdict(None, None, gap=0.2, n_named=0) is VerdictKind.NO_GAP
-
-
-@pytest.mark.parametrize(
-    ("certain", "closure", "expected"),
-    [
-        ([0.9], CLOSED, True),
-        ([0.9, 0.4], CLOSED, False),
-        ([0.8, 0.8, 0.8], CLOSED, False),
-        ([0.9], replace(CLOSED, fraction=0.6, ci95=(0.5, 0.9)), False),
-        ([0.9], replace(CLOSED, ci95=(0.2, 1.0)), False),
-        ([0.9], Closure(), False),
-    ],
-    ids=["clear", "a doubtful cause", "three likely ones", "closes little", "wide interval", "no closure"],
-)
-def test_a_fix_is_recommended_where_its_causes_are_probable_and_it_holds(
-    certain: list[float], closure: Closure, expected: bool
-) -> None:
-    assert recommended([cause()] * len(certain), certain, closure) is expected
-
-
-@pytest.mark.parametrize(
-    ("tried", "expected"),
-    [
-        ([trial(40.0)], True),
-        ([trial(40.0), trial(400.0)], False),
-        ([trial(40.0), trial(66.0, before=69.0)], True),
-        ([trial(40.0), trial(36.0, before=33.0, growth_sd=0.5)], True),
-        ([trial(40.0), trial(90.0, before=33.0, growth_sd=4.0)], False),
-    ],
-    ids=["closes", "leaves most of one kind's gap", "within chance", "no gap there, hardly touched", "makes one"],
-)
-def test_a_fix_has_to_help_wherever_it_is_tried(tried: list[Trial], expected: bool) -> None:
-    assert recommended([cause()], [0.9], CLOSED, trials=tried) is expected
-
-
-def test_confounded_causes_need_corrections_that_agree() -> None:
-    """Within the noise level it does not matter which cause it is; beyond, find out first."""
-    assert recommended([cause()], [0.9], CLOSED, agreement_m=0.002)
-    assert not recommended([cause()], [0.9], CLOSED, agreement_m=0.020)
-
-
-@pytest.mark.parametrize(
-    ("unexplained", "expected"),
-    [
-        (None, True),
-        (Unexplained(share=0.2, signal=4.0), True),
-        (Unexplained(share=0.2, signal=6.0), False),
-        (Unexplained(share=0.01, signal=6.0), True),
-    ],
-)
-def test_beside_an_unexplained_residual_of_half_its_signal_a_cause_is_no_fix(
-    unexplained: Unexplained | None, expected: bool
-) -> None:
-    """A cause that leaves much may imitate the unexplained one; a residual of a small share does not matter."""
-    named = replace(cause(), share=0.8, signal=10.0)
-    assert recommended([named], [0.9], CLOSED, unexplained=unexplained) is expected
-
-
-@pytest.mark.parametrize(("nothing_else", "expected"), [(0.9, True), (0.5, False)])
-def test_where_a_further_effect_is_probable_the_fix_is_not_recommended(nothing_else: float, expected: bool) -> None:
-    """Each cause may be certain while it is not certain that they are all: only the whole is transferable."""
-    assert recommended([cause()], [0.9], CLOSED, nothing_else=nothing_else) is expected
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,8 @@ import json
 import pytest
 
 from calib.gap.decision.diagnosis import BY_MODEL, Cause, Diagnosis, Fix, Group, Quantity, Unexplained, VerdictKind
-from calib.gap.decision.held_out import ChannelClosure, Closure, Trial
+from calib.gap.decision.held_out import ChannelClosure, Closure, Improvement
+from calib.gap.decision.trials import Trial
 from calib.gap.observations.arrays import Channel
 from calib.gap.plan.identifiability import DetectionLimit
 from calib.gap.plan.planned_runs import PlannedRun
@@ -45,7 +46,12 @@ FULL = Diagnosis(
         (ChannelClosure(Channel.HEADING, 0.02, 0.004, 0.003, 0.9), ChannelClosure(Channel.LATERAL, 0.01, 0.01, 0.01)),
     ),
     unexplained=Unexplained(0.04, 9.0, ("kind spin_left",)),
-    fix=Fix(True, 0.002, transfer=(Trial("kind", "square_cw", 0.07, 0.02),)),
+    fix=Fix(
+        True,
+        0.002,
+        transfer=(Trial("kind", "square_cw", 0.07, 0.02),),
+        held_out=Improvement(3.0, 1.1, (1.5, 2.2), (0.9, 1.0)),
+    ),
     next_runs=(PlannedRun("square_ccw", why="tells them apart", payload_kg=0.0, speed_mps=0.3),),
 )
 
@@ -75,6 +81,14 @@ def test_the_fields_are_those_of_the_contract() -> None:
         "agreement_on": "runs driven",
         "nothing_else": 1.0,
         "transfer": [{"left_out": "kind", "value": "square_cw", "before_rms_m": 0.07, "after_rms_m": 0.02}],
+        "held_out": {
+            "before_rms": 3.0,
+            "after_rms": 1.1,
+            "improvement_ci95": [1.5, 2.2],
+            "closed_ci95": [0.9, 1.0],
+        },
+        "why": [],
+        "parameters": {},
     }
     assert document["recommended"] is document["fix"]["recommended"]
     assert document["judged_against"] == BY_MODEL

@@ -1,0 +1,180 @@
+"""The one decision on a fix: it helps on held-out runs beyond noise, harms nowhere beyond noise, and is determined."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from math import prod
+
+from calib.gap.decision import confounding
+from calib.gap.decision.adequacy import SIGNAL_OVER_UNEXPLAINED, SMALL_SHARE, corrections_agree
+from calib.gap.decision.diagnosis import DRIVEN, JOURNEYS, Cause, Fix, Unexplained
+from calib.gap.decision.evidence import Evidence
+from calib.gap.decision.held_out import ADEQUATE_CLOSURE, Closure, Improvement
+from calib.gap.decision.trials import FALSE_ALARM, Trial
+from calib.gap.effects.library import why_not_transferable
+from calib.gap.inference.local_search import EVEN_PROBABILITY
+
+#: what settles most doubts
+PLAN: str = "'calib plan' names the runs that tell"
+
+
+def fix_of(
+    evidence: Evidence,
+    confounded: Sequence[Sequence[str]],
+    tied: Sequence[Sequence[str]],
+    causes: Sequence[Cause],
+    certain: Mapping[str, float],
+    unexplained: Unexplained | None,
+) -> Fix:
+    """Return what the correction is worth, and whether and why not to apply it.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        What was measured.
+    confounded, tied : sequence of sequence of str
+        Confounded effects: of everything fitted, and of the named causes without their own families.
+    causes : sequence of Cause
+        What is named.
+    certain : mapping of str to float
+        Of each effect, the probability that it or an effect that it is confounded with is at work.
+    unexplained : Unexplained or None
+        The unexplained residual.
+    """
+    apart_m = confounding.agreement_m(evidence, tied)
+    on = DRIVEN if evidence.journeys is None else JOURNEYS
+    improvement = evidence.held_out.improvement
+    fix = Fix(
+        agreement_m=apart_m,
+        agreement_on=on,
+        nothing_else=confounding.nothing_else_probability(evidence, confounded),
+        transfer=evidence.trials if causes else (),
+        held_out=improvement if causes else None,
+    )
+    if not causes:
+        return fix
+    # the correction holds all that was fitted
+    unnamed = [name for name in evidence.named if name not in {cause.effect for cause in causes}]
+    concerned = {*evidence.named, *(name for group in tied for name in group)}
+    why = [
+        *reasons(causes, certain, improvement, evidence.trials, unexplained),
+        *_disagreement(apart_m, on, evidence.held_out.closure, tied),
+        *(f"it rests on {name} too, which is not probable enough to be named; {PLAN}" for name in unnamed),
+        *sorted({text for name in concerned if (text := why_not_transferable(name))}),
+    ]
+    return Fix(
+        recommended=not why,
+        agreement_m=fix.agreement_m,
+        agreement_on=on,
+        nothing_else=fix.nothing_else,
+        transfer=fix.transfer,
+        held_out=improvement,
+        why=tuple(why),
+    )
+
+
+def reasons(
+    causes: Sequence[Cause],
+    certain: Mapping[str, float],
+    improvement: Improvement | None,
+    trials: Sequence[Trial] = (),
+    unexplained: Unexplained | None = None,
+) -> list[str]:
+    """Return what keeps a fix of some causes back, each with its figure and what settles it; empty where nothing does.
+
+    Parameters
+    ----------
+    causes : sequence of Cause
+        What is named.
+    certain : mapping of str to float
+        Of each effect, the probability that it or an effect that it is confounded with is at work.
+    improvement : Improvement or None
+        On held-out runs; None where nothing was compared.
+    trials : sequence of Trial
+        Routes, speeds, loads, directions and sessions held out in turn.
+    unexplained : Unexplained, optional
+        The unexplained residual.
+    """
+    sizeless = map(_sizeless, filter(_holds_zero, causes))
+    weak = _outweighed(causes, unexplained)
+    return [*_doubtful(causes, certain), *_unhelpful(improvement), *sizeless, *weak, *_harm(trials)]
+
+
+def _doubtful(causes: Sequence[Cause], certain: Mapping[str, float]) -> Iterator[str]:
+    together = prod(certain.get(cause.effect, cause.probability) for cause in causes)
+    if together < EVEN_PROBABILITY:
+        listed = ", ".join(f"{cause.effect} {certain.get(cause.effect, cause.probability):.2f}" for cause in causes)
+        yield f"the probability that all of its causes are at work is {together:.2f} ({listed}); {PLAN}"
+
+
+def _unhelpful(improvement: Improvement | None) -> Iterator[str]:
+    if improvement is None:
+        yield "no run could be held out; drive each route twice at least"
+        return
+    low, high = improvement.improvement_ci95
+    errors = f"{improvement.before_rms:.3g} to {improvement.after_rms:.3g} times the noise"
+    if low <= 0.0:
+        yield (
+            f"on held-out runs the error goes from {errors}, an improvement of {low:+.2g} to {high:+.2g}: not shown to "
+            "help; repeat the routes with the largest gap"
+        )
+    elif improvement.measurable and improvement.closed_ci95[0] <= ADEQUATE_CLOSURE:
+        closed = [f"{100 * share:.0f}" for share in improvement.closed_ci95]
+        yield (
+            f"on held-out runs it closes {closed[0]} to {closed[1]} % of the gap, where {100 * ADEQUATE_CLOSURE:.0f} % "
+            f"are to be certain ({errors}): the rest has a cause of its own; look where the residual lies"
+        )
+
+
+def _holds_zero(cause: Cause) -> bool:
+    return bool(cause.parameters) and all(
+        low <= 0.0 <= high for low, high in (q.ci95 for q in cause.parameters.values())
+    )
+
+
+def _sizeless(cause: Cause) -> str:
+    sizes = ", ".join(
+        f"{name} {quantity.ci95[0]:.2g} to {quantity.ci95[1]:.2g} {quantity.unit}".rstrip()
+        for name, quantity in cause.parameters.items()
+    )
+    return f"the interval of {cause.effect} holds zero ({sizes}); {PLAN}"
+
+
+def _outweighed(causes: Sequence[Cause], unexplained: Unexplained | None) -> Iterator[str]:
+    if unexplained is None or unexplained.share <= SMALL_SHARE:
+        return
+    for cause in causes:
+        if cause.share > SMALL_SHARE and cause.signal < SIGNAL_OVER_UNEXPLAINED * unexplained.signal:
+            yield (
+                f"{cause.effect} has a signal of {cause.signal:.0f} beside an unexplained residual of "
+                f"{unexplained.signal:.0f}, of which it may be a part; add columns of suspected quantities to runs.csv"
+            )
+
+
+def _harm(trials: Sequence[Trial]) -> Iterator[str]:
+    for trial in harmed(trials):
+        sizes = ""
+        if trial.before_rms_m is not None and trial.after_rms_m is not None:
+            sizes = f" from {1e3 * trial.before_rms_m:.3g} to {1e3 * trial.after_rms_m:.3g} mm"
+        yield (
+            f"held out, {trial.left_out} {trial.value} gets worse{sizes}, {trial.growth_sd:.1f} standard deviations "
+            "beyond noise; drive it again, once slower and once loaded otherwise"
+        )
+
+
+def harmed(trials: Sequence[Trial]) -> list[Trial]:
+    """Return where the gap grew beyond noise when it was held out; chance does so in one of a hundred campaigns."""
+    from scipy.special import ndtri
+
+    limit = float(ndtri(1.0 - FALSE_ALARM / max(len(trials), 1)))
+    return [trial for trial in trials if trial.growth_sd > limit]
+
+
+def _disagreement(apart_m: float | None, on: str, closure: Closure, tied: Sequence[Sequence[str]]) -> Iterator[str]:
+    if apart_m is None or corrections_agree(apart_m, closure):
+        return
+    groups = "; ".join(" or ".join(group) for group in tied)
+    yield (
+        f"these runs cannot tell {groups}, and their corrections differ by {1e3 * apart_m:.3g} mm at the end of the "
+        f"{on} (noise {1e3 * (closure.floor_rms_m or 0.0):.3g} mm); {PLAN}"
+    )

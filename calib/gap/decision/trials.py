@@ -1,0 +1,131 @@
+"""Trials of a correction: each route, speed, load, direction and session held out in turn."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from calib.gap.decision.held_out import end_rms_m
+from calib.gap.inference.least_squares import HeldOutFit
+from calib.gap.observations.arrays import Observations
+from calib.types import BoolArray, FloatArray, StrArray
+
+#: probability that noise alone exceeds its limit in any of a campaign's trials
+FALSE_ALARM: Final = 0.01
+#: values of a quantity that are held out one by one; more are joined into so many groups
+MOST_VALUES: Final = 8
+#: a single observation of a value shows nothing
+FEWEST_UNITS: Final = 2
+#: the other observations cannot replace a larger share than this
+MOST_HELD_OUT: Final = 0.6
+#: speeds and loads within this share of the largest are one value
+SAME_VALUE: Final = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """The correction on one value that was held out: a route, speed, load, direction or session."""
+
+    left_out: str  #: what was held out
+    value: str  #: which of its values
+    before_rms_m: float | None  #: root mean square of the end positions (else distances) without the correction
+    after_rms_m: float | None  #: and with it
+    #: whitened squares of the model alone, with the correction fitted on the others, and as noise alone leaves
+    before_square: float = field(default=0.0, metadata={"json": False})
+    after_square: float = field(default=0.0, metadata={"json": False})
+    noise_square: float = field(default=0.0, metadata={"json": False})
+    #: whitened squares that noise alone does not exceed
+    noise_limit: float = field(default=np.inf, metadata={"json": False})
+    #: growth of the gap beyond what an uncertain prediction adds, in standard deviations of noise and unexplained
+    #: residual; negative where it shrank
+    growth_sd: float = field(default=0.0, metadata={"json": False})
+
+
+def trials(left_out: HeldOutFit, before: FloatArray, dof: float) -> tuple[Trial, ...]:
+    """Hold out each value of what varies, and try the correction of the others there.
+
+    Parameters
+    ----------
+    left_out : LeftOut
+        Predicts held-out runs.
+    before : array of float, shape (n_units, n_channels)
+        Residuals of the model alone.
+    dof : float
+        Degrees of freedom of the noise level.
+    """
+    from scipy.special import fdtri
+
+    observations = left_out.observations
+    tried = [(name, value, units) for name, value, units in _values(observations) if left_out.is_predictive(units)]
+    squares_before = left_out.squares(before)
+    results = []
+    for name, value, units in tried:
+        after = left_out.after(units)
+        square, corrected = squares_before[units].sum(), left_out.squares(after)[units].sum()
+        expected = float(observations.usable[units].sum())
+        # squares over an estimated noise level follow F; Bonferroni over the trials
+        limit = expected * float(fdtri(expected, max(dof, 3.0), 1.0 - FALSE_ALARM / len(tried)))
+        added, added_variance = left_out.prediction_variance(units)
+        scatter = np.sqrt((2.0 * left_out.spread(after - before, units)) ** 2 + 2.0 * added_variance)
+        results.append(
+            Trial(
+                left_out=name,
+                value=value,
+                before_rms_m=end_rms_m(before, observations, units),
+                after_rms_m=end_rms_m(after, observations, units),
+                before_square=float(square),
+                after_square=float(corrected),
+                noise_square=expected,
+                noise_limit=limit,
+                growth_sd=float((corrected - square - added) / max(scatter, 1e-9)),
+            )
+        )
+    return tuple(results)
+
+
+def _values(observations: Observations) -> Iterator[tuple[str, str, BoolArray]]:
+    """Yield what varies, each of its values, and the observations that have it, shape (n_units,)."""
+    rolled = 0.5 * (np.abs(observations.travel_left_m) + np.abs(observations.travel_right_m))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # of the wheels, so that a turn on the spot has one too; weighed by distance, as effects act
+        speed = np.nan_to_num(observations.total(rolled**2 / observations.duration_s) / observations.total(rolled))
+    load = np.nan_to_num(observations.number("load_left_N") + observations.number("load_right_N"))
+    kinds = observations.labels["kind"]
+    if not np.all(kinds != ""):
+        kinds = np.array([f"route {number + 1}" for number in observations.kind])
+    quantities = {
+        "kind": kinds,
+        "speed": _binned(speed, SAME_VALUE * max(float(speed.max()), 1e-3), "{:.2f} m/s"),
+        "load": _binned(load, SAME_VALUE * max(float(load.max()), 1.0), "{:.0f} N"),
+        "direction": observations.labels["direction"],
+        "session": observations.labels["session"],
+    }
+    for name, values in quantities.items():
+        joined = _joined(values)
+        for value in np.unique(joined) if len(np.unique(values)) > 1 else ():
+            units = joined == value
+            if FEWEST_UNITS <= units.sum() <= MOST_HELD_OUT * len(units):
+                yield name, str(value), units
+
+
+def _binned(values: FloatArray, width: float, words: str) -> StrArray:
+    """Name values by the mean of their neighbours: in sorted order, a step above `width` begins another bin."""
+    order = np.argsort(values)
+    group = np.zeros(len(values), dtype=np.int64)
+    group[order] = np.cumsum(np.concatenate(([0], np.diff(values[order]) > width)))
+    means = np.bincount(group, values) / np.bincount(group)
+    return np.array([words.format(mean) for mean in means])[group]
+
+
+def _joined(values: StrArray) -> StrArray:
+    """Join values into `MOST_VALUES` groups where there are more, neighbours in time together."""
+    names, first, index = np.unique(values, return_index=True, return_inverse=True)
+    if len(names) <= MOST_VALUES:
+        return values
+    rank = np.argsort(np.argsort(first))[index]
+    group = rank * MOST_VALUES // len(names)
+    ends = [values[group == k] for k in range(MOST_VALUES)]
+    return np.array([part[0] if part[0] == part[-1] else f"{part[0]} to {part[-1]}" for part in ends])[group]

@@ -1,0 +1,158 @@
+"""Parameters of the user's own simulator as effects: what a step of each changed in its end poses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Path, Perturbation
+from calib.gap.observations.arrays import N_CHANNELS, Channel
+from calib.gap.predict import predict
+from calib.types import FloatArray
+
+SIMULATOR_PREFIX: Final = "simulator:"
+#: Gauss-Newton steps from which wheels reproduce a change; of a per cent the third is at rounding
+_STEPS: Final = 3
+#: wheels carry a change where they leave no more than this share of its squares
+_LEFT_SHARE: Final = 0.1
+
+
+def simulator_title(name: str) -> str:
+    """Return the title of a parameter's effect."""
+    return f"{name} of the simulator"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Carried:
+    """What a step of a parameter does, per unit: as far as wheels can do it a motion, the rest on the readings."""
+
+    run_ids: tuple[str, ...]
+    #: left, right, track: shape (n_obs,): relative change of both wheels' travel and of the track
+    left: FloatArray
+    right: FloatArray
+    track: FloatArray
+    reading: FloatArray  #: shape (n_obs, 4): the rest, of (distance, x, y, heading), in the frame of the run's start
+
+    @property
+    def moves(self) -> FloatArray:
+        """All of it side by side, shape (n_obs, 7)."""
+        return np.column_stack([self.left, self.right, self.track, self.reading])
+
+
+class SimulatorParameter(Effect):
+    """A parameter of the simulator is off: the change of the readings is what the simulator showed for a step of it.
+
+    Parameters
+    ----------
+    parameter : Parameter
+        Named as the simulator calls it; sizes are its deviation from the nominal value, in its unit.
+    carried : Carried
+        What it does on the runs driven.
+    family : Family
+        That of the library's effect which it is declared to stand for.
+    """
+
+    # an instance's own, unlike the class attributes of the other effects
+    id: str  # type: ignore[misc]
+    title: str  # type: ignore[misc]
+    implausible = "a cause that this parameter imitates"
+    family: Family  # type: ignore[misc]
+    needs = "runs whose end the parameter changes in the simulator"
+    separates = "runs whose ends it changes otherwise than what looks alike"
+
+    def __init__(self, parameter: Parameter, carried: Carried, family: Family = Family.SIMULATOR) -> None:
+        self.parameter, self.carried, self.family = parameter, carried, family
+        self.id = SIMULATOR_PREFIX + parameter.name
+        self.title = simulator_title(parameter.name)
+
+    def forms(self, observations: Observations) -> list[Form]:
+        """Return the single form; none where it moves nothing, or on runs that the simulator was not asked for."""
+        carried = self.carried
+        if not carried.moves.any() or tuple(observations.labels["run_id"]) != carried.run_ids:
+            return []
+
+        def pushed(path: Path) -> list[Perturbation]:
+            reading = in_end_frame(path, carried.reading)
+            return [Perturbation(left=carried.left, right=carried.right, track=carried.track, reading=reading)]
+
+        return [Form(self.id, "", (self.parameter,), pushed)]
+
+
+def carried_by_wheels(nominal: Path, change: FloatArray, step: float) -> Carried:
+    """Split what a step of a parameter changed, (n_obs, 4) as `Carried.reading`, into motion and readings.
+
+    A change that wheels make bends the path, so that it is not linear in its size. It is sought as radii and track that
+    are off alike in all runs, then as both wheels off in each run by itself; what explains little of it is omitted.
+    """
+    s = nominal.s
+    on = s.usable[:, :4]
+    sigma = np.stack([s.sigma_distance_m, s.sigma_xy_m, s.sigma_xy_m, s.sigma_theta_rad], axis=1)
+    weight = np.where(on, 1.0 / sigma, 0.0)
+    wheels = np.zeros((len(s), 3))
+    remaining = change
+    for alike in (True, False):
+        found, left = wheels, remaining
+        for _ in range(_STEPS):
+            path = predict(s, [Perturbation(left=found[:, 0], right=found[:, 1], track=found[:, 2])])
+            left = change - (path.reading - nominal.reading)[:, :4]
+            gap = in_end_frame(path, left)[:, :4] * weight
+            columns = path.calibration[:, :4, : 3 if alike else 2] * weight[:, :, None]
+            found = found + _correction(columns, gap, alike=alike)
+        path = predict(s, [Perturbation(left=found[:, 0], right=found[:, 1], track=found[:, 2])])
+        left = change - (path.reading - nominal.reading)[:, :4]
+        before, after = (((part * weight) ** 2).sum(axis=1) for part in (remaining, left))
+        good = np.full(len(s), after.sum() < _LEFT_SHARE * before.sum()) if alike else after < _LEFT_SHARE * before
+        wheels = np.where(good[:, None], found, wheels)
+        remaining = np.where(good[:, None], left, remaining)
+    rest = np.where(on, remaining, 0.0)
+    ids = tuple(s.labels["run_id"])
+    return Carried(ids, wheels[:, 0] / step, wheels[:, 1] / step, wheels[:, 2] / step, rest / step)
+
+
+def _correction(columns: FloatArray, gap: FloatArray, *, alike: bool) -> FloatArray:
+    """Return the change (n_obs, 3) of left, right wheel and track that columns (n_obs, 4, k) ask for of a gap."""
+    normal = np.einsum("nck,ncl->nkl", columns, columns)
+    right = np.einsum("nck,nc->nk", columns, gap)
+    if alike:
+        normal, right = normal.sum(axis=0, keepdims=True), right.sum(axis=0, keepdims=True)
+    k = columns.shape[2]
+    found = np.zeros((len(columns), 3))
+    # of unit prior: what runs do not determine stays at zero
+    found[:, :k] = np.linalg.solve(normal + np.eye(k), right[:, :, None])[:, :, 0]
+    return found
+
+
+def in_end_frame(path: Path, change: FloatArray) -> FloatArray:
+    """Turn changes of (distance, x, y, heading), shape (n_obs, 4), into those of the channels, (n_obs, n_channels)."""
+    reading = np.zeros((len(change), N_CHANNELS))
+    c, s = path.frame_turned
+    reading[:, Channel.DISTANCE], reading[:, Channel.HEADING] = change[:, 0], change[:, 3]
+    reading[:, Channel.ALONG] = c * change[:, 1] + s * change[:, 2]
+    reading[:, Channel.LATERAL] = c * change[:, 2] - s * change[:, 1]
+    return reading
+
+
+class HeldCalibration(Effect):
+    """An effect of the calibration as one among others, where no recalibration is free beside them.
+
+    Parameters
+    ----------
+    effect : Effect
+        One of the calibration's own three.
+    """
+
+    # an instance's own, unlike the class attributes of the other effects
+    id: str  # type: ignore[misc]
+    title: str  # type: ignore[misc]
+    family = Family.CALIBRATION
+
+    def __init__(self, effect: Effect) -> None:
+        self.effect = effect
+        for name in ("id", "title", "implausible", "needs", "separates", "of_rear_wheels"):
+            setattr(self, name, getattr(effect, name))
+
+    def forms(self, observations: Observations) -> list[Form]:
+        """Return the forms of the effect itself."""
+        return self.effect.forms(observations)

@@ -1,0 +1,252 @@
+"""A diagnosis in the parameters of the user's simulator, and a fix that the simulator itself confirms."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path as FilePath
+from typing import Final
+
+import numpy as np
+
+from calib.campaign.model import Campaign
+from calib.errors import BadInputError, RefusedError
+from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
+from calib.gap.diagnose import diagnose_in_full
+from calib.gap.effects.effect import Effect, Form
+from calib.gap.effects.library import check_excluded, library
+from calib.gap.effects.simulator import SIMULATOR_PREFIX, HeldCalibration, SimulatorParameter
+from calib.gap.inference.fit import signature_columns
+from calib.gap.observations.arrays import N_CHANNELS, Observations
+from calib.gap.observations.from_campaign import observations_of
+from calib.gap.predict import Path, predict
+from calib.gap.simulator.cache import run_cache
+from calib.gap.simulator.difference import Differences, differences_of
+from calib.gap.simulator.fix import fixed, iterated, named_parameters, without_parameter
+from calib.gap.simulator.runner import RunCount, SimulatorRunner
+from calib.gap.simulator.settings import SimulatorSettings
+from calib.types import FloatArray, Progress, silent
+
+#: an effect of the calibration that the simulator's parameters reproduce but for this share is theirs to set
+SPANNED_SHARE: Final = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatorDiagnosis:
+    """A diagnosis in the parameters of a simulator, and what it cost."""
+
+    diagnosis: Diagnosis
+    runs: RunCount
+
+
+def diagnose_simulator(
+    campaign: Campaign,
+    settings: SimulatorSettings,
+    *,
+    seed: int = 0,
+    exclude: tuple[str, ...] = (),
+    workers: int = 1,
+    progress: Progress = silent,
+) -> SimulatorDiagnosis:
+    """Diagnose the gap between what was measured and the user's simulator.
+
+    The simulator runs twice at its nominal parameters and once with each of them a step off, and again with the fix;
+    the verdict is among its parameters and the effects of the library.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        What was driven and measured; read from a folder.
+    settings : SimulatorSettings
+        The simulator's command and parameters.
+    seed : int
+        For the bootstrap of intervals.
+    exclude : tuple of str
+        Effects to leave out, of the library or ``simulator:NAME``.
+    workers : int
+        Runs of the simulator at once.
+    progress : callable
+        See `calib.types.Progress`.
+
+    Returns
+    -------
+    SimulatorDiagnosis
+
+    Raises
+    ------
+    CalibError
+        Where the simulator fails, hangs or writes nonsense, or predicts nothing that was measured.
+    """
+    if campaign.root is None or not (campaign.root / "campaign.toml").is_file():
+        raise BadInputError(
+            f"{campaign.name}: found no folder with campaign.toml; expected one, which the simulator reads; "
+            "run 'calib ingest' first"
+        )
+    measured = observations_of(campaign, whole_runs=True)
+    _check_excluded(exclude, measured, settings, campaign)
+    runner = SimulatorRunner(
+        settings,
+        FilePath(campaign.root).resolve(),
+        [str(run) for run in dict.fromkeys(measured.labels["run_id"])],
+        run_cache(settings, campaign.hashes),
+        workers,
+        progress,
+    )
+    differences = differences_of(runner, _sigma(measured))
+    observations = simulated_observations(measured, differences, differences.nominal)
+    _refuse_without_channel(observations, settings)
+
+    def searched(differences: Differences) -> Diagnosis:
+        candidates, notes = _candidates(observations, differences, settings, exclude, campaign)
+        diagnosis = diagnose_in_full(
+            campaign,
+            seed=seed,
+            exclude=exclude,
+            observations=observations,
+            candidates=candidates,
+            model_name=settings.path.name,
+            plan=False,
+            progress=progress,
+        )
+        return replace(diagnosis, notes=(*diagnosis.notes, *notes))
+
+    diagnosis = _confirmed(searched, differences, runner, np.random.default_rng(seed))
+    return SimulatorDiagnosis(diagnosis, runner.count)
+
+
+def _confirmed(
+    searched: Callable[[Differences], Diagnosis],
+    differences: Differences,
+    runner: SimulatorRunner,
+    rng: np.random.Generator,
+) -> Diagnosis:
+    """Return the diagnosis with the fix that the simulator was run with.
+
+    What a parameter does is taken for linear at first: where it is not, its curvature may be taken for a further
+    cause. So where there is more than parameters to set, the search is repeated with what the run with the fix showed.
+    """
+    diagnosis = searched(differences)
+    named = named_parameters(diagnosis, runner)
+    if not named:
+        return without_parameter(diagnosis)
+    found = iterated(diagnosis, runner, differences)
+    if diagnosis.kind is not VerdictKind.EXPLAINED or len(diagnosis.causes) > len(named):
+        typical = {each.name: each.parameter.typical for each in named.values()}
+        again = searched(differences.through(found.deviation, found.table, typical))
+        if named_parameters(again, runner).keys() == named.keys():
+            diagnosis = again
+    return fixed(diagnosis, runner, differences, found, rng)
+
+
+def _sigma(measured: Observations) -> FloatArray:
+    """Return the smallest stated uncertainty of distance, x, y and heading, shape (4,)."""
+    each = (measured.sigma_distance_m, measured.sigma_xy_m, measured.sigma_xy_m, measured.sigma_theta_rad)
+    return np.array([float(np.min(values)) for values in each])
+
+
+def simulated_observations(measured: Observations, differences: Differences, table: FloatArray) -> Observations:
+    """Return the observations with a table of the simulator (n_runs, 4) in place of calib's own model.
+
+    Channels that it does not predict are not compared; its scatter adds to the stated uncertainties.
+    """
+    simulated = np.full((len(measured), N_CHANNELS), np.nan)
+    simulated[:, :4] = table[differences.rows(measured)]
+    # of a heading whole turns do not count
+    turns = np.round((measured.measured[:, 3] - simulated[:, 3]) / (2 * np.pi))
+    simulated[:, 3] += 2 * np.pi * np.nan_to_num(turns)
+    usable = measured.usable & np.isfinite(simulated)
+    axis = differences.axis
+    variance = differences.scatter**2 / differences.repeats
+    return replace(
+        measured,
+        simulated=np.where(usable, simulated, np.nan),
+        usable=usable,
+        calibration_held=True,
+        axis=measured.axis if axis is None else np.where(measured.axis > 0, axis, measured.axis),
+        sigma_distance_m=np.sqrt(measured.sigma_distance_m**2 + variance[0]),
+        sigma_xy_m=np.sqrt(measured.sigma_xy_m**2 + 0.5 * (variance[1] + variance[2])),
+        sigma_theta_rad=np.sqrt(measured.sigma_theta_rad**2 + variance[3]),
+    )
+
+
+def _refuse_without_channel(observations: Observations, settings: SimulatorSettings) -> None:
+    if not observations.usable.any():
+        raise RefusedError(
+            f"{settings.path.name}: the simulator predicts nothing that the campaign measured; write sim_distance_m "
+            "where distance_m was measured, and sim_x_m, sim_y_m, sim_theta_rad where end poses were"
+        )
+
+
+def _check_excluded(
+    exclude: Sequence[str], measured: Observations, settings: SimulatorSettings, campaign: Campaign
+) -> None:
+    own = {SIMULATOR_PREFIX + each.name for each in settings.parameters}
+    unknown = [name for name in exclude if name.startswith(SIMULATOR_PREFIX) and name not in own]
+    if unknown:
+        raise BadInputError(f"--exclude: found {unknown[0]!r}; expected one of: {', '.join(sorted(own))}")
+    others = [name for name in exclude if name not in own]
+    check_excluded(others, measured, campaign.extra.get("effects", ()))
+
+
+def _candidates(
+    observations: Observations,
+    differences: Differences,
+    settings: SimulatorSettings,
+    exclude: Sequence[str],
+    campaign: Campaign,
+) -> tuple[list[Effect], tuple[str, ...]]:
+    """Return the parameters and the effects of the library beside them, with a note on those that do not matter.
+
+    An effect that a parameter is declared to stand for is left to it, as is one of the calibration that the parameters
+    reproduce: there is nothing that could tell them apart, and the parameter is what can be set.
+
+    Parameters
+    ----------
+    observations : Observations
+        With what the simulator predicts.
+    differences : Differences
+        What each parameter changes.
+    settings : SimulatorSettings
+        The parameters.
+    exclude : sequence of str
+        Effects to leave out.
+    campaign : Campaign
+        Has effects of its own.
+    """
+    nominal = predict(observations)
+    own = [effect for effect in differences.effects(settings, nominal) if effect.id not in exclude]
+    idle = [effect.parameter.name for effect in own if not effect.forms(observations)]
+    stands_for = {each.effect for each in settings.parameters if SIMULATOR_PREFIX + each.name not in exclude}
+    every = library(observations, exclude=(*exclude, *stands_for), declared=campaign.extra.get("effects", ()))
+    rivals = [HeldCalibration(effect) if effect.calibration else effect for effect in every]
+    spanned = [rival.id for rival in rivals if isinstance(rival, HeldCalibration) and _is_spanned(rival, own, nominal)]
+    notes = []
+    if idle:
+        notes.append(f"no run of the simulator changes with {', '.join(idle)}: check that it reads them")
+    if spanned:
+        notes.append(f"parameters of the simulator do what {', '.join(spanned)} would: these were not searched")
+    if differences.repeats > 1:
+        notes.append(f"the simulator does not repeat itself: {differences.repeats} runs were averaged each time")
+    return [*own, *(rival for rival in rivals if rival.id not in spanned)], tuple(notes)
+
+
+def _is_spanned(rival: Effect, own: Sequence[SimulatorParameter], nominal: Path) -> bool:
+    """Return whether plausible deviations of the simulator's parameters reproduce an effect."""
+    s = nominal.s
+    offered = [form for effect in own for form in effect.forms(s)]
+    target = rival.forms(s)
+    if not offered or not target:
+        return False
+    sigma = np.stack([s.sigma_distance_m, s.sigma_xy_m, s.sigma_xy_m, s.sigma_theta_rad], axis=1)
+    columns, aim = (_scaled(nominal, forms, sigma) for forms in (offered, target[:1]))
+    wide = np.array([p.largest / p.typical for form in offered for p in form.parameters])
+    normal = (columns * wide).T @ (columns * wide) + np.eye(len(wide))
+    sizes = np.linalg.solve(normal, (columns * wide).T @ aim[:, 0])
+    left = aim[:, 0] - (columns * wide) @ sizes
+    return bool(np.linalg.norm(left) < SPANNED_SHARE * np.linalg.norm(aim[:, 0]))
+
+
+def _scaled(path: Path, forms: Sequence[Form], sigma: FloatArray) -> FloatArray:
+    """Return the signatures of forms over the stated uncertainties, shape (n_rows, n_parameters)."""
+    whole = np.concatenate(signature_columns(path, forms), axis=2)[:, :4] / sigma[:, :, None]
+    return np.asarray(whole[path.s.usable[:, :4]])

@@ -1,0 +1,241 @@
+"""The fix in the simulator's parameters: what to set, measured by running the simulator again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from calib.errors import RefusedError
+from calib.gap.decision.diagnosis import Cause, Diagnosis, Quantity, VerdictKind
+from calib.gap.decision.held_out import ADEQUATE_CLOSURE, HeldOut, closure_of
+from calib.gap.decision.sentences import sentence
+from calib.gap.effects.simulator import SIMULATOR_PREFIX, in_end_frame
+from calib.gap.inference.fit import Fitted, hypothesis_path, signature_columns, whitened_rows
+from calib.gap.predict import residuals
+from calib.gap.simulator.difference import Differences, averaged, difference
+from calib.gap.simulator.runner import Job, SimulatorRunner
+from calib.types import FloatArray
+
+if TYPE_CHECKING:
+    from calib.gap.simulator.settings import Declared
+
+#: runs of the simulator with a fix, at most, a secant step each: one where it is linear, seven where its slope triples
+MOST_RERUNS: Final = 8
+#: a correction of the fix below this share of its standard uncertainties is not worth another run, below the second
+#: one where the gap is at the noise already
+CONVERGED: Final = (0.3, 1.0)
+#: a step shorter than this share of the whole deviation tells the slope less well than the simulator's rounding allows
+SECANT_SHARE: Final = 0.05
+#: prior standard deviation of a correction in typical sizes; wide, it only keeps the solution finite
+CORRECTION_SD: Final = 30.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SimulatorFix:
+    """Deviations from the nominal parameters, and the simulator's table there."""
+
+    deviation: Mapping[str, float]  #: by parameter, of the named ones
+    table: FloatArray  #: shape (n_runs, 4)
+
+
+def named_parameters(diagnosis: Diagnosis, runner: SimulatorRunner) -> dict[str, Declared]:
+    """Return the parameters of the simulator that a diagnosis names, by the id of the cause."""
+    declared = {SIMULATOR_PREFIX + each.name: each for each in runner.settings.parameters}
+    return {cause.effect: declared[cause.effect] for cause in diagnosis.causes if cause.effect in declared}
+
+
+def fixed(
+    diagnosis: Diagnosis,
+    runner: SimulatorRunner,
+    differences: Differences,
+    found: SimulatorFix,
+    rng: np.random.Generator,
+) -> Diagnosis:
+    """Return the diagnosis with what to set and the closure that the simulator shows with it.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+        In the simulator's parameters and the library's effects.
+    runner : SimulatorRunner
+        Runs the simulator.
+    differences : Differences
+        The simulator about its nominal parameters.
+    found : SimulatorFix
+        Of `iterated`.
+    rng : numpy.random.Generator
+        For the bootstrap.
+    """
+    named = named_parameters(diagnosis, runner)
+    values = {each.name: each.nominal + found.deviation[each.name] for each in named.values()}
+    held_out = _measured_closure(diagnosis, differences, found, rng)
+    closure = held_out.closure
+    assert diagnosis.evidence is not None
+    closes = closure.fraction is not None and closure.fraction >= ADEQUATE_CLOSURE
+    diagnosis = replace(
+        diagnosis,
+        causes=tuple(_moved(cause, named, values) for cause in diagnosis.causes),
+        closure=closure,
+        evidence=replace(diagnosis.evidence, held_out=held_out),
+        fix=replace(diagnosis.fix, parameters=values, recommended=diagnosis.fix.recommended and closes),
+    )
+    beside = _of_library(diagnosis)
+    lacking = f" No parameter of your simulator does what {beside} of the library does." if beside else ""
+    return replace(diagnosis, sentence=f"{sentence(diagnosis)} {_what_to_set(named, values)}{lacking}")
+
+
+def parameters_to_set(diagnosis: Diagnosis) -> dict[str, float]:
+    """Return what to set in the simulator, by parameter; RefusedError where none of its parameters is named."""
+    if not diagnosis.fix.parameters:
+        raise RefusedError(
+            f"{diagnosis.campaign}: the verdict names no parameter of the simulator, so there is none to set; "
+            "leave the simulator as it is, or add a parameter for the named effect"
+        )
+    return dict(diagnosis.fix.parameters)
+
+
+def iterated(diagnosis: Diagnosis, runner: SimulatorRunner, differences: Differences) -> SimulatorFix:
+    """Run the simulator with the fix, and correct it by secant steps until the runs ask for no more.
+
+    The derivative is that of the finite differences, brought into line with every further run (Broyden 1965).
+    """
+    named = named_parameters(diagnosis, runner)
+    fitted, noise = diagnosis.fitted, diagnosis.noise
+    path, nominal = fitted.path, diagnosis.nominal
+    derivative = np.stack([differences.change[each.name] for each in named.values()], axis=2)
+    deviation = _sizes(fitted, named)
+    typical = np.array([each.parameter.typical for each in named.values()])
+    # what the fit left, and what it took the parameters to change
+    theta = [
+        np.zeros_like(t) if form.effect in named else t for form, t in zip(fitted.forms, fitted.theta, strict=True)
+    ]
+    without = hypothesis_path(path.s, fitted.calibration, fitted.forms, theta, path)
+    left = fitted.left + in_end_frame(path, (path.reading - without.reading)[:, :4])
+    best, least = None, np.inf
+    change = np.zeros_like(differences.nominal)
+    last = np.zeros_like(deviation)
+    for _ in range(MOST_RERUNS):
+        table = _run(runner, differences, named, deviation)
+        now = difference(table, differences.nominal)
+        step = deviation - last
+        if np.linalg.norm(step / typical) > SECANT_SHARE * np.linalg.norm(deviation / typical):
+            scaled = step / typical
+            miss = now - change - derivative @ step
+            derivative = derivative + miss[:, :, None] * (scaled / typical) / (scaled @ scaled)
+        change, last = now, deviation
+        gap = left - _channels(diagnosis, differences, change)
+        white = whitened_rows(path, noise, np.where(nominal.s.usable, gap, 0.0)[:, :, None])[:, 0]
+        if white @ white < least:
+            names = (each.name for each in named.values())
+            best = SimulatorFix(dict(zip(names, map(float, deviation), strict=True)), table)
+            least = float(white @ white)
+        columns = np.stack(
+            [_channels(diagnosis, differences, derivative[:, :, k]) * typical[k] for k in range(len(typical))], axis=2
+        )
+        whole = whitened_rows(path, noise, columns)
+        normal = whole.T @ whole + np.eye(len(typical)) / CORRECTION_SD**2
+        correction = np.linalg.solve(normal, whole.T @ white)
+        at_noise = white @ white <= len(white)
+        if np.abs(correction * np.sqrt(np.diag(normal))).max() < CONVERGED[int(at_noise)]:
+            break
+        deviation = deviation + correction * typical
+    assert best is not None
+    return best
+
+
+def _sizes(fitted: Fitted, named: Mapping[str, Declared]) -> FloatArray:
+    """Return the fitted deviation of each named parameter, in its unit."""
+    sizes = {form.effect: float(theta[0]) for form, theta in zip(fitted.forms, fitted.theta, strict=True)}
+    return np.array([sizes[name] for name in named])
+
+
+def _channels(diagnosis: Diagnosis, differences: Differences, change: FloatArray) -> FloatArray:
+    """Turn a change of the simulator's table (n_runs, 4) into that of the channels, (n_obs, n_channels)."""
+    path = diagnosis.fitted.path
+    return in_end_frame(path, change[differences.rows(path.s)])
+
+
+def _run(
+    runner: SimulatorRunner, differences: Differences, named: Mapping[str, Declared], deviation: FloatArray
+) -> FloatArray:
+    values = {each.name: each.nominal + float(d) for each, d in zip(named.values(), deviation, strict=True)}
+    what = "the fix " + ", ".join(f"{name} = {value:.6g}" for name, value in values.items())
+    jobs = [Job(runner.settings.nominal | values, what, repeat) for repeat in range(differences.repeats)]
+    return averaged(runner.run(jobs))
+
+
+def _measured_closure(
+    diagnosis: Diagnosis, differences: Differences, found: SimulatorFix, rng: np.random.Generator
+) -> HeldOut:
+    """Return the gap of the simulator as it is and with the fix set, on all runs."""
+    nominal = diagnosis.nominal
+    before = residuals(nominal, nominal)
+    change = difference(found.table, differences.nominal)
+    by_run = change[differences.rows(nominal.s)]
+    after = before - in_end_frame(nominal, by_run)
+    after = np.where(nominal.s.usable, after, 0.0)
+    return closure_of(nominal, diagnosis.noise, before, after, rng)
+
+
+def _moved(cause: Cause, named: Mapping[str, Declared], values: Mapping[str, float]) -> Cause:
+    """Return a cause with its size where the reruns put it; the width of its interval stays."""
+    if cause.effect not in named:
+        return cause
+    each = named[cause.effect]
+    quantity = cause.parameters[each.name]
+    value = values[each.name] - each.nominal
+    low, high = (end - quantity.value + value for end in quantity.ci95)
+    return replace(cause, parameters={each.name: Quantity(value, (low, high), quantity.unit)})
+
+
+def _what_to_set(named: Mapping[str, Declared], values: Mapping[str, float]) -> str:
+    parts = []
+    for each in named.values():
+        value, unit = values[each.name], "" if each.unit == "1" else f" {each.unit}"
+        off = each.nominal - value
+        way = "large" if off > 0.0 else "small"
+        size = f"{100 * abs(off / each.nominal):.2g} %" if each.nominal else f"{abs(off):.3g}{unit}"
+        parts.append(f"{each.name} of your simulator is {size} too {way}: set it to {value:.6g}{unit}")
+    return f"{'; '.join(parts)}."
+
+
+def without_parameter(diagnosis: Diagnosis) -> Diagnosis:
+    """Return a diagnosis that names no parameter of the simulator, and says so; its closure is on held-out runs."""
+    return replace(diagnosis, sentence=f"{diagnosis.sentence}{_not_in_simulator(diagnosis)}")
+
+
+def _not_in_simulator(diagnosis: Diagnosis) -> str:
+    if diagnosis.kind in {VerdictKind.NO_GAP, VerdictKind.UNDECIDED}:
+        return ""
+    if any(name.startswith(SIMULATOR_PREFIX) for group in diagnosis.groups for name in group.effects):
+        return ""
+    if _share_together(diagnosis) > ADEQUATE_CLOSURE:
+        beside = f", as {_of_library(diagnosis)} can" if diagnosis.causes else ""
+        return f" No single parameter of your simulator can do this; several together can{beside}."
+    able = "can in part" if diagnosis.kind is VerdictKind.PARTLY_EXPLAINED else "can"
+    can = f"; {_of_library(diagnosis)} of the library {able}" if diagnosis.causes else ""
+    return f" No parameter of your simulator can do this{can}."
+
+
+def _share_together(diagnosis: Diagnosis) -> float:
+    """Return the share of the gap's squares that plausible deviations of all parameters together explain."""
+    nominal, own = diagnosis.nominal, [e for e in diagnosis.effects if e.id.startswith(SIMULATOR_PREFIX)]
+    forms = [form for effect in own for form in effect.forms(nominal.s)]
+    gap = residuals(nominal, nominal)
+    if not forms or not gap.any():
+        return 0.0
+    largest = np.array([parameter.largest / parameter.typical for form in forms for parameter in form.parameters])
+    columns = np.concatenate(signature_columns(nominal, forms), axis=2) * largest
+    whole = whitened_rows(nominal, diagnosis.noise, np.concatenate([columns, gap[:, :, None]], axis=2))
+    a, r = whole[:, :-1], whole[:, -1]
+    left = r - a @ np.linalg.solve(a.T @ a + np.eye(a.shape[1]), a.T @ r)
+    return 1.0 - float(left @ left) / float(r @ r)
+
+
+def _of_library(diagnosis: Diagnosis) -> str:
+    """Return the named effects of the library, as a list in words; empty where there is none."""
+    *most, last = [c.effect for c in diagnosis.causes if not c.effect.startswith(SIMULATOR_PREFIX)] or [""]
+    return f"{', '.join(most)} and {last}" if most else last

@@ -1,0 +1,221 @@
+"""Runs of the user's simulator: several at once, stopped as a whole, each kept as soon as it is done."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import tempfile
+import threading
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Final
+
+from calib.errors import BadInputError
+from calib.gap.simulator.cache import RunCache
+from calib.gap.simulator.settings import SimulatorSettings
+from calib.gap.simulator.table import BadTableError, read_table
+from calib.types import FloatArray, Progress
+
+#: of a simulator's own output, what is kept and what an error shows: its last lines say what went wrong
+KEPT_BYTES: Final = 4096
+SHOWN_CHARACTERS: Final = 300
+#: stage of the progress
+RUNS_STAGE: Final = "simulator runs"
+#: how often a run is looked at: an interruption is heeded within this time
+LOOK_S: Final = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One run of the simulator."""
+
+    parameters: dict[str, float]
+    what: str  #: what it is for, as an error names it
+    repeat: int = 0  #: number among runs with the same parameters
+
+
+class _Stopped(Exception):
+    """The run was stopped because another failed or the user interrupted."""
+
+
+@dataclass(frozen=True, slots=True)
+class RunCount:
+    """How often a simulator was asked to run, and how long that took."""
+
+    asked: int  #: runs that were asked for
+    ran: int  #: of these, those that were not kept already
+    mean_s: float  #: wall time of one; 0 where none ran
+
+    @property
+    def sentence(self) -> str:
+        """The count in words."""
+        kept = self.asked - self.ran
+        each = f", {self.mean_s:.2g} s each" if self.ran else ""
+        runs = "1 run" if self.ran == 1 else f"{self.ran} runs"
+        return f"Simulator: {runs}{each}; {kept} of {self.asked} results were kept from before."
+
+
+@dataclass(eq=False)
+class SimulatorRunner:
+    """Runs a simulator on a campaign, at most `workers` at once; results that are kept already are not run again.
+
+    Parameters
+    ----------
+    settings : SimulatorSettings
+        The command.
+    campaign : Path
+        Folder of the campaign.
+    run_ids : sequence of str
+        Runs that it has to simulate.
+    cache : RunCache
+        Of results.
+    workers : int
+        Runs at once.
+    progress : callable
+        See `calib.types.Progress`.
+    """
+
+    settings: SimulatorSettings
+    campaign: Path
+    run_ids: Sequence[str]
+    cache: RunCache
+    workers: int
+    progress: Progress
+    asked: int = 0  #: runs that were asked for
+    ran: int = 0  #: of these, those that were not kept already
+    seconds: list[float] = field(default_factory=list)  #: wall time of each that ran
+    _stop: threading.Event = field(default_factory=threading.Event)
+
+    def run(self, jobs: Sequence[Job]) -> list[FloatArray]:
+        """Return what each run simulates, (n_runs, 4); an error or an interruption ends all that is at work."""
+        from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+
+        results = [self.cache.get(job.parameters, job.repeat, self.run_ids) for job in jobs]
+        todo = [number for number, result in enumerate(results) if result is None]
+        self.asked, self.ran = self.asked + len(jobs), self.ran + len(todo)
+        if not todo:
+            return [result for result in results if result is not None]
+        command = self._command()
+        with ThreadPoolExecutor(min(self.workers, len(todo))) as pool:
+            waiting = {pool.submit(self._one, command, jobs[number]): number for number in todo}
+            try:
+                while waiting:
+                    done, _ = wait(waiting, timeout=LOOK_S, return_when=FIRST_COMPLETED)
+                    for future in done:
+                        results[waiting.pop(future)] = future.result()
+                    self.progress(len(jobs) - len(waiting), len(jobs), RUNS_STAGE)
+            except BaseException:
+                self._stop.set()
+                pool.shutdown(wait=True, cancel_futures=True)
+                raise
+        return [result for result in results if result is not None]
+
+    @property
+    def count(self) -> RunCount:
+        """How often it ran so far."""
+        return RunCount(self.asked, self.ran, sum(self.seconds) / len(self.seconds) if self.seconds else 0.0)
+
+    def _command(self) -> list[str]:
+        """Return the command with its program as a path; refused where there is no such program."""
+        name, *rest = self.settings.command
+        folder = self.settings.path.resolve().parent
+        beside = folder / name
+        program = str(beside) if os.sep in name and beside.is_file() else shutil.which(name)
+        if program is None:
+            raise BadInputError(
+                f"{self.settings.path}, command: found no program {name!r}; expected one that runs; give its path"
+            )
+        return [program, *rest]
+
+    def _one(self, command: Sequence[str], job: Job) -> FloatArray:
+        begun = time.monotonic()
+        with tempfile.TemporaryDirectory(prefix="calib-simulator-", ignore_cleanup_errors=True) as folder:
+            parameters, out = Path(folder) / "parameters.json", Path(folder) / "out.csv"
+            parameters.write_text(json.dumps(job.parameters), encoding="utf-8")
+            places = {"{campaign}": str(self.campaign), "{parameters}": str(parameters), "{out}": str(out)}
+            arguments = [_filled(part, places) for part in command]
+            tail = self._finished(arguments, job)
+            try:
+                values = read_table(out, self.run_ids)
+            except BadTableError as error:
+                raise self._failed(job, str(error), tail) from None
+        self.cache.put(job.parameters, job.repeat, self.run_ids, values)
+        self.seconds.append(time.monotonic() - begun)
+        return values
+
+    def _finished(self, arguments: list[str], job: Job) -> bytes:
+        """Run the command to its end and return the last of its output."""
+        if self._stop.is_set():
+            raise _Stopped
+        try:
+            process = subprocess.Popen(
+                arguments,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                cwd=self.settings.path.resolve().parent,
+                # a group of its own, so that what it starts ends with it
+                start_new_session=True,
+            )
+        except OSError as error:
+            raise self._failed(job, f"found that it cannot be started ({error.strerror})", b"") from error
+        kept = bytearray()
+        assert process.stdout is not None
+        reader = threading.Thread(target=_drain, args=(process.stdout, kept), daemon=True)
+        reader.start()
+        deadline = time.monotonic() + self.settings.timeout_s
+        fault = ""
+        while not fault:
+            try:
+                status = process.wait(LOOK_S)
+                break
+            except subprocess.TimeoutExpired:
+                if self._stop.is_set():
+                    fault = "stopped"
+                elif time.monotonic() > deadline:
+                    fault = f"found no end after {self.settings.timeout_s:g} s; expected one, or a larger timeout_s"
+        _kill(process)
+        reader.join(1.0)
+        if fault == "stopped":
+            raise _Stopped
+        if fault or status != 0:
+            raise self._failed(job, fault or f"found exit status {status}; expected 0", bytes(kept))
+        return bytes(kept)
+
+    def _failed(self, job: Job, words: str, tail: bytes) -> BadInputError:
+        text = tail.decode("utf-8", "replace").strip()
+        lines = " | ".join(line.strip() for line in text.splitlines() if line.strip())
+        shown = "".join(sign if sign.isprintable() else "?" for sign in lines)[-SHOWN_CHARACTERS:]
+        output = f"its output ends: {shown}" if shown else "it printed nothing"
+        return BadInputError(f"{self.settings.path}: simulator run with {job.what}: {words}; {output}")
+
+
+def _filled(part: str, places: dict[str, str]) -> str:
+    for place, path in places.items():
+        part = part.replace(place, path)
+    return part
+
+
+def _drain(stream: IO[bytes], kept: bytearray) -> None:
+    """Read a stream to its end and keep the last of it, so that its writer never waits."""
+    with suppress(OSError, ValueError):
+        while data := stream.read1(KEPT_BYTES):  # type: ignore[attr-defined]
+            kept += data
+            del kept[:-KEPT_BYTES]
+
+
+def _kill(process: subprocess.Popen[bytes]) -> None:
+    """End a process and all of its group, whether or not it has ended itself."""
+    with suppress(OSError):
+        if hasattr(os, "killpg"):
+            os.killpg(process.pid, signal.SIGKILL)
+        else:
+            process.kill()
+    with suppress(subprocess.TimeoutExpired):
+        process.wait(5.0)

@@ -1,0 +1,78 @@
+"""A fix is recommended where it helps beyond noise, harms nowhere and is determined; else `why` says what lacks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from calib.gap.decision.diagnosis import Cause, Quantity, Unexplained
+from calib.gap.decision.fix import harmed, reasons
+from calib.gap.decision.held_out import Improvement
+from calib.gap.decision.trials import Trial
+
+#: nine tenths of the gap close for certain
+CLOSES = Improvement(5.0, 1.2, (3.5, 4.1), (0.9, 1.0))
+#: a signal of ten: it helps for certain, and how much it closes cannot be told
+SMALL = Improvement(1.25, 1.02, (0.1, 0.35), (0.4, 1.6))
+
+
+def cause(name: str = "load_radius", low: float = 1.0, high: float = 2.0, signal: float = 30.0) -> Cause:
+    size = {"slope": Quantity(0.5 * (low + high), (low, high), "m/N")}
+    return Cause(name, "", "", 0.9, share=1.0, signal=signal, parameters=size)
+
+
+def trial(growth_sd: float, value: str = "square_cw") -> Trial:
+    return Trial("kind", value, 0.012, 0.019, growth_sd=growth_sd)
+
+
+def test_a_fix_that_helps_and_harms_nowhere_has_nothing_against_it() -> None:
+    for improvement in (CLOSES, SMALL):
+        assert reasons([cause()], {"load_radius": 0.9}, improvement, [trial(-5.0), trial(1.0)]) == []
+
+
+@pytest.mark.parametrize(
+    ("improvement", "words"),
+    [
+        (None, "no run could be held out"),
+        (replace(CLOSES, improvement_ci95=(-0.1, 0.3)), "an improvement of -0.1 to +0.3: not shown to help"),
+        (replace(CLOSES, closed_ci95=(0.5, 0.7)), "closes 50 to 70 % of the gap, where 70 % are to be certain"),
+    ],
+)
+def test_what_does_not_help_enough_is_no_fix(improvement: Improvement | None, words: str) -> None:
+    (why,) = reasons([cause()], {"load_radius": 0.9}, improvement)
+    assert words in why
+
+
+def test_a_size_whose_interval_holds_zero_is_no_fix() -> None:
+    """One parameter of several may hold zero: a lever arm ahead has no part to the side."""
+    (why,) = reasons([cause("wear", -1.0, 2.0)], {"wear": 0.9}, CLOSES)
+    assert "the interval of wear holds zero (slope -1 to 2 m/N)" in why
+    lever = replace(cause(), parameters={**cause().parameters, "y": Quantity(0.0, (-1.0, 1.0), "m")})
+    assert reasons([lever], {"load_radius": 0.9}, CLOSES) == []
+
+
+def test_causes_that_are_rather_not_all_at_work_are_no_fix() -> None:
+    both = [cause("load_radius"), cause("wear")]
+    assert reasons(both, {"load_radius": 0.9, "wear": 0.8}, CLOSES) == []
+    (why,) = reasons(both, {"load_radius": 0.9, "wear": 0.4}, CLOSES)
+    assert "all of its causes are at work is 0.36 (load_radius 0.90, wear 0.40)" in why
+
+
+@pytest.mark.parametrize(("share", "signal", "against"), [(0.2, 4.0, 0), (0.2, 6.0, 1), (0.01, 6.0, 0)])
+def test_beside_an_unexplained_residual_of_half_its_signal_a_cause_is_no_fix(
+    share: float, signal: float, against: int
+) -> None:
+    """It may be a part of that; a residual of a small share does not matter."""
+    found = reasons([cause(signal=10.0)], {"load_radius": 0.9}, CLOSES, unexplained=Unexplained(share, signal))
+    assert len(found) == against
+
+
+def test_harm_beyond_noise_keeps_a_fix_back_and_is_named_with_its_size() -> None:
+    """The limit is that of one false alarm in a hundred campaigns: 2.33 for one trial, 3.09 for ten (normal tables)."""
+    (why,) = reasons([cause()], {"load_radius": 0.9}, CLOSES, [trial(4.2)])
+    assert "kind square_cw gets worse from 12 to 19 mm, 4.2 standard deviations beyond noise" in why
+    assert harmed([trial(2.4)]) and not harmed([trial(2.2)])
+    ten = [trial(3.0), *(trial(0.0, f"route {n}") for n in range(9))]
+    assert not harmed(ten)
+    assert harmed([*ten[1:], trial(3.2)])
