@@ -135,9 +135,15 @@ def three_digits(value: float) -> str:
     return fixed(value, places(abs(value), 3) if value else 0)
 
 
+#: a smaller share would be printed as 0 %
+LEAST_SHARE: Final = 0.005
+
+
 def percent(share: float | None) -> str:
-    """Return a share in whole percent; a dash where there is none."""
-    return MISSING if share is None or not math.isfinite(share) else f"{100 * share:.0f} %".replace("-", "−")
+    """Return a share in whole percent, ``< 1 %`` for what is more than nothing; a dash where there is none."""
+    if share is None or not math.isfinite(share):
+        return MISSING
+    return "< 1 %" if 0.0 < share < LEAST_SHARE else f"{100 * share:.0f} %".replace("-", "−")
 
 
 #: suffix of a name -> unit; and whole names whose unit is not their suffix

@@ -46,7 +46,7 @@ def test_the_page_shows_verdict_map_ranking_aliases_closure_and_next_runs(source
     assert tables["Run"].rows[0][-1] == "tells the two apart"
     text = str([block.to_dict() for block in made.blocks])
     for phrase in ("track_width, curve_scrub", "61 %", "'61.0'", "4.10", "99 %", "m/s²", "suspect latency",
-                   "wear: nothing varies", "r_004: lateral +34.0 mm, 4 times its noise level"):  # fmt: skip
+                   "wear: nothing varies", "r_004: lateral +34.0 mm (4 times its noise level)"):  # fmt: skip
         assert phrase in text, phrase
 
 

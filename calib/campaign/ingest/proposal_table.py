@@ -184,7 +184,8 @@ def name_pattern(stems: Sequence[str]) -> str | None:
             padded = len(widths) == 1 and next(iter(widths)) > 1
             out += f"{{n:{widths.pop():02}}}" if padded else "{n}"
         else:
-            out += cells[0] if len(set(cells)) == 1 else f"{_common_start(cells)}*"
+            # a stamp of the next log may begin otherwise
+            out += cells[0] if len(set(cells)) == 1 else "*" if at % 2 else f"{_common_start(cells)}*"
     return out
 
 

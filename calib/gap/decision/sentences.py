@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 #: channels and covariates that a sentence names; the tables have them all
 MOST_CHANNELS: Final = 3
 MOST_COVARIATES: Final = 2
+#: a quotient below rounds to "1.0 times"
+SMALLER: Final = 1.05
 #: metres or radians from which on a gap is not given in thousandths
 LARGE_GAP: Final = 1.0
 
@@ -222,7 +224,8 @@ def headline(diagnosis: Diagnosis) -> PaperHeadline | None:
     sole = not any(effect in group.effects for group in diagnosis.groups)
     campaign = Improvement(float(before), float(after), before / after if after > 0.0 else None)
     here = f"this campaign: {_metres(before)} m to {_metres(after)} m"
-    here += "" if campaign.ratio is None else f", {campaign.ratio:.3g} times smaller"
+    if campaign.ratio is not None:
+        here += f", {campaign.ratio:.3g} times smaller" if campaign.ratio >= SMALLER else ", hardly smaller"
     here += "" if sole else ", if the load is the cause"
     printed = paper_headline()
     text = (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Final
 
 from calib.gap.decision.diagnosis import Diagnosis, Quantity
@@ -43,9 +44,11 @@ def where_blocks(where: GapLocation) -> list[Block]:
     if where.significant:
         blocks.append(_covariates(where))
     blocks += [Text(prose(_place(line))) for line in where.places[:MAX_LINES]]
-    runs = [line for line in where.runs if abs(line.z) > OUTSTANDING_Z][:MAX_RUNS]
+    outstanding = [line for line in where.runs if abs(line.z) > OUTSTANDING_Z]
+    runs = list(dict.fromkeys(line.run_id for line in outstanding))[:MAX_RUNS]
     if runs:
-        blocks += [Text("Runs with the largest gap:"), Items(tuple(prose(_run(line)) for line in runs))]
+        lines = (prose(_run(run, [line for line in outstanding if line.run_id == run])) for run in runs)
+        blocks += [Text("Runs with the largest gap:"), Items(tuple(lines))]
     return blocks
 
 
@@ -88,10 +91,14 @@ def _covariates(where: GapLocation) -> Table:
     )
 
 
-def _run(line: RunDeviation) -> str:
-    milli = 1e3 * line.value
-    shown = ("+" if milli >= 0 else "−") + three_digits(abs(milli))
-    return f"{line.run_id}: {line.channel.label} {shown} m{line.channel.unit}, {abs(line.z):.0f} times its noise level"
+def _run(run: str, lines: Sequence[RunDeviation]) -> str:
+    """Return a run with all channels in which it stands out."""
+    parts = []
+    for line in lines:
+        milli = 1e3 * line.value
+        shown = ("+" if milli >= 0 else "−") + three_digits(abs(milli))
+        parts.append(f"{line.channel.label} {shown} m{line.channel.unit} ({abs(line.z):.0f} times its noise level)")
+    return f"{run}: {', '.join(parts)}"
 
 
 def _place(line: PlaceResult) -> str:

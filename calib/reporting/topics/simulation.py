@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any, Final
 
+from calib.gap.decision.sentences import SMALLER
 from calib.odometry.law_path import LawPath
 from calib.odometry.load_sweep import LoadSweep
 from calib.odometry.paper import Sweep, paper_headline
@@ -148,8 +149,15 @@ def _path(path: LawPath, route: str) -> list[Block]:
     interval = "" if ends_of_ratio is None else f" (95 % interval {ends_of_ratio[0]:.1f} to {ends_of_ratio[1]:.1f})"
     return [
         Table(f"{route}, {path.loading_text}: end error; ± is 95 % (k = 2).", columns, tuple(rows)),
-        Text(f"Radii that follow the load make the end error {path.ratio:.1f} times smaller{interval}."),
+        Text(f"Radii that follow the load make the end error {times(path.ratio)}{interval}."),
     ]
+
+
+def times(ratio: float) -> str:
+    """Return a quotient of errors, before over after, in words; one that rounds to 1.0 is no change."""
+    if 1.0 / SMALLER < ratio < SMALLER:
+        return f"neither smaller nor larger ({ratio:.2f} times)"
+    return f"{ratio:.1f} times smaller" if ratio > 1.0 else f"{1.0 / ratio:.1f} times larger"
 
 
 def _signed(value: float, decimals: int) -> str:
@@ -186,8 +194,8 @@ def replay_content(replay: Replay) -> tuple[Block, ...]:
     blocks: list[Block] = [
         table,
         Text(
-            f"The correction makes the end error {replay.ratio:.1f} times smaller (95 % interval {low:.1f} to "
-            f"{high:.1f})."
+            f"The correction makes the end error {times(replay.ratio)} (95 % interval of the quotient {low:.2f} to "
+            f"{high:.2f})."
         ),
         Text(
             f"The vehicle's runtime on {check.runs} of these runs, {check.samples} samples: differs from the arrays "

@@ -138,6 +138,7 @@ def test_names_of_logs_may_hold_a_time(wanted: str, name: str, fits: bool) -> No
         (["20260504T091500_TR9", "20260505T091500_TR10"], "{date}T{time}_TR{n}"),
         (["run 01 (take 1)", "run 02 (take 1)"], "run {n:02} (take 1)"),
         (["Lauf_1_am", "Lauf_2_pm"], "Lauf_{n}_*"),
+        (["TR1_1204", "TR2_1207"], "TR{n}_*"),
         (["first", "second"], None),
     ],
 )
