@@ -211,7 +211,15 @@ def _predicted(s: Observations, perturbation: Perturbation) -> Path:
         reading[:, Channel.STEERING] = s.total(steps.turn_rad - front * s.steer_sin / wheelbase)
     if perturbation.reading is not None:
         reading += _in_start_frame(path, perturbation.reading)
+    if perturbation.turned_rad is not None:
+        _turn(reading, perturbation.turned_rad)
     return path
+
+
+def _turn(readings: FloatArray, angle_rad: FloatArray) -> None:
+    """Turn along and lateral (n_obs, n_channels) by an angle (n_obs,), in place."""
+    turned = (readings[:, Channel.ALONG] + 1j * readings[:, Channel.LATERAL]) * np.exp(1j * angle_rad)
+    readings[:, Channel.ALONG], readings[:, Channel.LATERAL] = turned.real, turned.imag
 
 
 def _in_start_frame(path: Path, reading: FloatArray) -> FloatArray:
@@ -252,7 +260,16 @@ def signature(path: Path, perturbation: Perturbation) -> FloatArray:
         for units, of_units in path.parts():
             change[units] += _along_path(of_units, stepwise if path.kept is not None else stepwise.part(units, s))
     if perturbation.reading is not None:
-        change += perturbation.reading
+        reading = perturbation.reading
+        if path.perturbation.turned_rad is not None:
+            reading = reading.copy()
+            _turn(reading, path.perturbation.turned_rad)
+        change += reading
+    if perturbation.turned_rad is not None:
+        c, sn = path.frame_turned
+        x, y = -path.reading[:, Channel.LATERAL], path.reading[:, Channel.ALONG]
+        change[:, Channel.ALONG] += perturbation.turned_rad * (c * x + sn * y)
+        change[:, Channel.LATERAL] += perturbation.turned_rad * (c * y - sn * x)
     return change
 
 
@@ -275,6 +292,8 @@ def _along_path(path: Path, perturbation: Perturbation) -> FloatArray:
     if s.usable[:, Channel.FRONT :].any():
         change[:, Channel.FRONT] = sums[WAY]
         change[:, Channel.STEERING] = sums[TURN]
+    if path.perturbation.turned_rad is not None:
+        _turn(change, path.perturbation.turned_rad)
     return change
 
 

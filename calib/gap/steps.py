@@ -30,6 +30,8 @@ class Perturbation:
     #: shape (n_obs, 6): what is added to the reading of each channel (distance, along, lateral, heading, front,
     #: steering)
     reading: FloatArray | None = None
+    #: shape (n_obs,): angle in rad by which the axes turn that along and lateral are read in, about the start
+    turned_rad: FloatArray | None = None
 
     @classmethod
     def on_readings(cls, observations: Observations, **by_channel: FloatArray | float) -> Perturbation:
@@ -44,8 +46,9 @@ class Perturbation:
         return Perturbation(*(None if part is None else part * factor for part in self.parts()))
 
     def parts(self) -> tuple[FloatArray | None, ...]:
-        """Return the seven fields in order."""
-        return (self.left, self.right, self.track, self.heading_rad, self.along_m, self.lateral_m, self.reading)
+        """Return the fields in order."""
+        wheels = (self.left, self.right, self.track)
+        return (*wheels, self.heading_rad, self.along_m, self.lateral_m, self.reading, self.turned_rad)
 
     def part(self, units: slice, s: Observations) -> Perturbation:
         """Return the perturbation of some observations alone, from one of all observations of `s`."""
@@ -68,7 +71,7 @@ class Perturbation:
 
 def total_perturbation(s: Observations, perturbations: list[Perturbation]) -> Perturbation:
     """Add perturbations up; arrays per observation are spread over the steps where another varies with the step."""
-    summed: list[FloatArray | None] = [None] * 7
+    summed: list[FloatArray | None] = [None] * len(Perturbation().parts())
     n_steps = len(s.unit)
     for perturbation in perturbations:
         for number, part in enumerate(perturbation.parts()):

@@ -81,6 +81,12 @@ def curvature_per_m(observations: Observations) -> FloatArray:
     return np.clip(observations.curvature_per_m, -tightest, tightest)
 
 
+def path_curvature_per_m(path: Path) -> FloatArray:
+    """Return the curvature of each step of a path, as `curvature_per_m`: under the hypothesis, not by the model."""
+    tightest = 2.0 / path.s.model.track_m
+    return np.clip(path.s.curvature_of(path.turn_rad, path.ds_m), -tightest, tightest)
+
+
 def shows_curves(observations: Observations) -> bool:
     """Return whether any observation turns by more than a tenth of a radian in all."""
     return bool((observations.total(np.abs(curvature_per_m(observations) * observations.path_m)) > 0.1).any())

@@ -120,13 +120,10 @@ class ReferenceYaw(Effect):
         parameter = Parameter("yaw", "rad", typical=5e-3, largest=5e-2)
 
         def form(with_heading: float) -> Form:
-            def perturbations(path: Path) -> list[Perturbation]:
-                # turning (x, y) by alpha moves it by alpha (-y, x)
-                along, lateral = start_to_end_frame(path, -path.end[:, 1], path.end[:, 0])
-                return [Perturbation.on_readings(observations, along=along, lateral=lateral, heading=with_heading)]
-
+            heading = Perturbation.on_readings(observations, heading=with_heading) if with_heading else Perturbation()
+            turned = replace(heading, turned_rad=np.ones(len(observations)))
             label = "position and heading" if with_heading else "position alone"
-            return Form(self.id, label, (parameter,), perturbations, tries=2)
+            return Form(self.id, label, (parameter,), lambda _: [turned], tries=2)
 
         return [form(0.0), form(1.0)]
 

@@ -8,6 +8,7 @@ from calib.gap.effects.effect import Effect, Family, Form, Observations, Paramet
 from calib.gap.effects.quantities import (
     curvature_per_m,
     driven_speed_mps,
+    path_curvature_per_m,
     reach,
     shows_curves,
     softness,
@@ -133,7 +134,7 @@ class CurveScrub(Effect):
             return []
 
         def perturbations(path: Path) -> list[Perturbation]:
-            return [Perturbation(track=np.abs(curvature_per_m(path.s)))]
+            return [Perturbation(track=np.abs(path_curvature_per_m(path)))]
 
         # up to 3 % in a turn of the vehicle's own length; of either sign: tracks of real robots narrow in turns, too
         parameter = Parameter(

@@ -288,7 +288,11 @@ class Observations:
     @_KeptIfFew
     def curvature_per_m(self) -> FloatArray:
         """Curvature of each step, smoothed over about half a metre, shape (n_steps,)."""
-        turn, path = self._smooth(self.turn_rad), self._smooth(np.abs(self.path_m))
+        return self.curvature_of(self.turn_rad, self.path_m)
+
+    def curvature_of(self, turn_rad: FloatArray, path_m: FloatArray) -> FloatArray:
+        """Return the curvature of steps of these turns and paths, each shape (n_steps,), smoothed like the model's."""
+        turn, path = self._smooth(turn_rad), self._smooth(np.abs(path_m))
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(path > 1e-6, turn / path, 0.0)
 
