@@ -54,6 +54,11 @@ STEPS_AT_ONCE: Final = 2**16
 #: what follows from the counts alone is kept up to so many steps: some ten values a step, of all and of parts
 KEPT_STEPS: Final = 2**20
 
+#: standard uncertainty of a curvature from whole counts, over that of a turn about one track's length: an effect that
+#: grows with the curvature is then good to a fiftieth in the tightest turns
+CURVATURE_ERROR_PER_TRACK: Final = 0.02
+#: smoothing over more steps would join one turn with the next
+MOST_SMOOTHED_STEPS: Final = 10
 #: a run without a log whose heading changes by less than this is taken as one arc
 STRAIGHT_RAD: Final = 0.35
 
@@ -287,16 +292,32 @@ class Observations:
 
     @_KeptIfFew
     def curvature_per_m(self) -> FloatArray:
-        """Curvature of each step, smoothed over about half a metre, shape (n_steps,)."""
+        """Curvature of each step, smoothed over `_half_window` steps to either side, shape (n_steps,)."""
         return self.curvature_of(self.turn_rad, self.path_m)
 
     def curvature_of(self, turn_rad: FloatArray, path_m: FloatArray) -> FloatArray:
         """Return the curvature of steps of these turns and paths, each shape (n_steps,), smoothed like the model's."""
-        turn, path = self._smooth(turn_rad), self._smooth(np.abs(path_m))
+        half = self._half_window
+        turn, path = self._smooth(turn_rad, half), self._smooth(np.abs(path_m), half)
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(path > 1e-6, turn / path, 0.0)
 
-    def _smooth(self, steps: FloatArray, half: int = 2) -> FloatArray:
+    @cached_property
+    def _half_window(self) -> int:
+        """Steps to either side over which whole counts leave the curvature good to `CURVATURE_ERROR_PER_TRACK`.
+
+        Smoothing over more takes the curvature of an arc's ends into the straights beside it.
+        """
+        step_m = np.abs(self.path_m)
+        rolling = step_m > 1e-6
+        if not rolling.any():
+            return 0
+        count_m = float(np.hypot(*self.count_rad)) * self.vehicle.wheel_radius_m
+        window_m = count_m / np.sqrt(6.0) / CURVATURE_ERROR_PER_TRACK
+        steps = window_m / float(np.median(step_m[rolling]))
+        return int(np.clip(np.ceil(0.5 * (steps - 1.0)), 0, MOST_SMOOTHED_STEPS))
+
+    def _smooth(self, steps: FloatArray, half: int) -> FloatArray:
         """Return a running mean within each observation, shape (n_steps,)."""
         running = np.concatenate(([0.0], np.cumsum(steps)))
         index = np.arange(len(steps))
