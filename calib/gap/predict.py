@@ -18,6 +18,8 @@ from calib.types import BoolArray, FloatArray
 
 #: a run whose wheels turn by less than this in all, to and fro, was guided
 GUIDED_TURN_RAD: Final = 1.0
+#: the derivative by a delay is taken over a typical one: a vehicle that brakes stands at the very end
+DELAY_STEP_S: Final = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,11 +211,39 @@ def _predicted(s: Observations, perturbation: Perturbation) -> Path:
         # what the rear wheels say, less what the front wheel and its steering say of the same (Eqs 12 to 14)
         reading[:, Channel.FRONT] = s.total(steps.ds_m - front * s.steer_cos)
         reading[:, Channel.STEERING] = s.total(steps.turn_rad - front * s.steer_sin / wheelbase)
+    _between_arcs(reading, perturbation, steps)
     if perturbation.reading is not None:
         reading += _in_start_frame(path, perturbation.reading)
     if perturbation.turned_rad is not None:
         _turn(reading, perturbation.turned_rad)
     return path
+
+
+def _between_arcs(reading: FloatArray, perturbation: Perturbation, steps: Steps) -> None:
+    """Move the end of each reading (n_obs, n_channels) along its arc, and see it from the end of the start's, in place.
+
+    Over a delay of 0.3 s in a turn the arc differs from its tangent by centimetres.
+    """
+    place = reading[:, Channel.ALONG] + 1j * reading[:, Channel.LATERAL]
+    if perturbation.end_arc is not None or perturbation.delay_s is not None:
+        way_m, turn = _end_arc(perturbation, steps)
+        place = place + way_m * np.sinc(0.5 * turn / np.pi) * np.exp(1j * (reading[:, Channel.HEADING] + 0.5 * turn))
+        reading[:, Channel.HEADING] += turn
+    if perturbation.start_arc is not None:
+        way_m, turn = perturbation.start_arc.T
+        start = way_m * np.sinc(0.5 * turn / np.pi) * np.exp(0.5j * turn)
+        place = (place - start) * np.exp(-1j * turn)
+        reading[:, Channel.HEADING] -= turn
+    reading[:, Channel.ALONG], reading[:, Channel.LATERAL] = place.real, place.imag
+
+
+def _end_arc(perturbation: Perturbation, steps: Steps) -> tuple[FloatArray, FloatArray]:
+    """Return way along and turn from the end to the pose that was read, each shape (n_obs,)."""
+    way_m, turn = np.zeros((2, len(steps.s))) if perturbation.end_arc is None else perturbation.end_arc.T
+    if perturbation.delay_s is not None:
+        late = steps.motion_before_end(perturbation.delay_s)
+        way_m, turn = way_m - late[0], turn - late[1]
+    return way_m, turn
 
 
 def _turn(readings: FloatArray, angle_rad: FloatArray) -> None:
@@ -265,12 +295,43 @@ def signature(path: Path, perturbation: Perturbation) -> FloatArray:
             reading = reading.copy()
             _turn(reading, path.perturbation.turned_rad)
         change += reading
-    if perturbation.turned_rad is not None:
-        c, sn = path.frame_turned
-        x, y = -path.reading[:, Channel.LATERAL], path.reading[:, Channel.ALONG]
-        change[:, Channel.ALONG] += perturbation.turned_rad * (c * x + sn * y)
-        change[:, Channel.LATERAL] += perturbation.turned_rad * (c * y - sn * x)
+    _add_moved(change, path, perturbation)
     return change
+
+
+def _delay_rates(path: Path) -> tuple[FloatArray, FloatArray]:
+    """Return way along and turn per second of a delay, over `DELAY_STEP_S` beyond the path's own, shape (n_obs,)."""
+
+    def rates(part: Path) -> FloatArray:
+        own = part.perturbation.delay_s
+        before = np.zeros(len(part.s)) if own is None else own
+        motions = (part.steps.motion_before_end(delay_s) for delay_s in (before, before + DELAY_STEP_S))
+        now, later = (np.stack(motion, axis=1) for motion in motions)
+        return np.asarray((now - later) / DELAY_STEP_S)
+
+    way_m, turn = path.of_parts(rates).T
+    return way_m, turn
+
+
+def _add_moved(change: FloatArray, path: Path, perturbation: Perturbation) -> None:
+    """Add what turned axes and arcs at the ends change (n_obs, n_channels), to first order, in place."""
+    c, sn = path.frame_turned
+    moved = np.zeros(len(change), dtype=np.complex128)
+    place = path.reading[:, Channel.ALONG] + 1j * path.reading[:, Channel.LATERAL]
+    if perturbation.turned_rad is not None:
+        moved += 1j * perturbation.turned_rad * place
+    if perturbation.end_arc is not None:
+        change[:, Channel.ALONG] += perturbation.end_arc[:, 0]
+        change[:, Channel.HEADING] += perturbation.end_arc[:, 1]
+    if perturbation.delay_s is not None:
+        way_m, turn = _delay_rates(path)
+        change[:, Channel.ALONG] += perturbation.delay_s * way_m
+        change[:, Channel.HEADING] += perturbation.delay_s * turn
+    if perturbation.start_arc is not None:
+        moved -= perturbation.start_arc[:, 0] + 1j * perturbation.start_arc[:, 1] * place
+        change[:, Channel.HEADING] -= perturbation.start_arc[:, 1]
+    change[:, Channel.ALONG] += c * moved.real + sn * moved.imag
+    change[:, Channel.LATERAL] += c * moved.imag - sn * moved.real
 
 
 def _along_path(path: Path, perturbation: Perturbation) -> FloatArray:

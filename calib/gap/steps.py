@@ -32,6 +32,11 @@ class Perturbation:
     reading: FloatArray | None = None
     #: shape (n_obs,): angle in rad by which the axes turn that along and lateral are read in, about the start
     turned_rad: FloatArray | None = None
+    #: end_arc, start_arc: shape (n_obs, 2): way along and turn of the arc from the end, and from the start, to the pose
+    #: that was read in its place
+    end_arc: FloatArray | None = None
+    start_arc: FloatArray | None = None
+    delay_s: FloatArray | None = None  #: shape (n_obs,): time before the end at which the pose was read
 
     @classmethod
     def on_readings(cls, observations: Observations, **by_channel: FloatArray | float) -> Perturbation:
@@ -48,7 +53,8 @@ class Perturbation:
     def parts(self) -> tuple[FloatArray | None, ...]:
         """Return the fields in order."""
         wheels = (self.left, self.right, self.track)
-        return (*wheels, self.heading_rad, self.along_m, self.lateral_m, self.reading, self.turned_rad)
+        of_steps = (self.heading_rad, self.along_m, self.lateral_m)
+        return (*wheels, *of_steps, self.reading, self.turned_rad, self.end_arc, self.start_arc, self.delay_s)
 
     def part(self, units: slice, s: Observations) -> Perturbation:
         """Return the perturbation of some observations alone, from one of all observations of `s`."""
@@ -92,6 +98,8 @@ def total_perturbation(s: Observations, perturbations: list[Perturbation]) -> Pe
 #: what is summed over an observation: displacement of the end point, turn, distance along the guide line, distance
 X, Y, TURN, LINE, WAY = range(5)
 N_SUMS: Final = 5
+#: a pose read ahead of the counts lies on the motion of their last tenth of a second
+EXTRAPOLATED_S: Final = 0.1
 #: where not even one step in so many has a part, the others are passed over
 SPARSE_SHARE: Final = 4
 
@@ -207,6 +215,20 @@ class Steps:
     def by_slip(self) -> Lever:
         """Of the way to the left, m."""
         return Lever((X, Y), np.stack([-self.sin, self.cos]))
+
+    def motion_before_end(self, delay_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return way along and turn in the last `delay_s` (n_obs,) of each observation, each shape (n_obs,).
+
+        Below zero, what would follow the end if the motion of its last `EXTRAPOLATED_S` went on, with a minus sign.
+        """
+        s = self.s
+        duration = np.nan_to_num(s.duration_s)
+        age_s = s.time_s[s.starts[1:] - 1][s.unit] - s.time_s
+        within = np.where(delay_s < 0.0, EXTRAPOLATED_S, delay_s)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = np.nan_to_num(np.clip(within[s.unit] - age_s, 0.0, duration) / duration)
+            factor = np.where(delay_s < 0.0, delay_s / EXTRAPOLATED_S, 1.0)
+        return factor * s.total(share * self.ds_m), factor * s.total(share * self.turn_rad)
 
     def sums(self, perturbation: Perturbation) -> FloatArray:
         """Return what a perturbation adds to the sums of each observation, to first order, shape (5, n_obs)."""

@@ -162,6 +162,10 @@ def write(case: LargeGap, seed: int, folder: Path) -> float:
         rolled = wheel_angles(way, turn, loads, temperature, case, slope_ratio, rng)
         counts = np.floor(rolled * COUNTS_PER_REV / (2 * np.pi) + rng.uniform(0, 1, 2))
         poses = read_poses(path, case.sizes, bearing, rng)
+        if "reference_latency" in case.sizes and rng.random() < 0.5:
+            # read on the move, before it brakes
+            last = int(np.flatnonzero(np.abs(way - way.max()) < 1e-9)[-1]) - int(rng.integers(3))
+            path, counts, poses, way = path[: last + 1], counts[: last + 1], poses[: last + 1], way[:last]
         name = f"r{run:03d}"
         table = np.column_stack([STEP_S * np.arange(len(path)), counts - counts[0], poses])
         header = "t_s,counts_left,counts_right,ref_x_m,ref_y_m,ref_theta_rad"

@@ -15,6 +15,8 @@ from calib.types import BoolArray, FloatArray, StrArray
 
 #: probability that noise alone exceeds its limit in any of a campaign's trials
 FALSE_ALARM: Final = 0.01
+#: a growth below this share of what noise leaves harms nobody, however surely it is there: 2.5 % of its root mean square
+NEGLIGIBLE_GROWTH: Final = 0.05
 #: values of a quantity that are held out one by one; more are joined into so many groups
 MOST_VALUES: Final = 8
 #: a single observation of a value shows nothing
@@ -80,7 +82,7 @@ def trials(left_out: HeldOutFit, before: FloatArray, dof: float) -> tuple[Trial,
                 after_square=float(corrected),
                 noise_square=expected,
                 noise_limit=limit,
-                growth_sd=float((corrected - square - added) / max(scatter, 1e-9)),
+                growth_sd=float((corrected - square - added - NEGLIGIBLE_GROWTH * expected) / max(scatter, 1e-9)),
             )
         )
     return tuple(results)

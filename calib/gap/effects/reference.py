@@ -157,16 +157,17 @@ class ReferenceLatency(Effect):
 
         def form(label: str, pose: bool, laser: bool) -> Form:
             def perturbations(path: Path) -> list[Perturbation]:
-                read: dict[str, FloatArray] = {}
-                if pose:
-                    # the start lay back by v_0 tau and was turned by omega_0 tau: all is seen from there
-                    x, y = first_speed - first_rate * path.end[:, 1], first_rate * path.end[:, 0]
-                    along, lateral = start_to_end_frame(path, x, y)
-                    read |= {"along": along - speed, "lateral": lateral, "heading": first_rate - rate}
+                late = Perturbation()
                 if laser:
                     # the laser reads a length, which grows in either rolling direction
-                    read["distance"] = np.abs(first_speed) - np.abs(speed)
-                return [Perturbation.on_readings(observations, **read)]
+                    late = Perturbation.on_readings(observations, distance=np.abs(first_speed) - np.abs(speed))
+                if pose:
+                    # the start lay back as well, and all is seen from there
+                    start, end = (-np.stack(edge, axis=1) for edge in ((first_speed, first_rate), (speed, rate)))
+                    logged = observations.from_log
+                    end[logged] = 0.0
+                    late = replace(late, start_arc=start, end_arc=end, delay_s=logged.astype(np.float64))
+                return [late]
 
             return Form(self.id, label, (parameter,), perturbations, tries=tries)
 
