@@ -20,6 +20,9 @@ HALF_CLOSURE: Final = 0.5
 FULL_CLOSURE: Final = 0.9
 #: an unexplained residual, or confounded causes, with a larger share of the gap are part of the verdict
 SMALL_SHARE: Final = 0.05
+#: a cause with less than this share of what the largest one has is a hundredth of its size: no closer is the law of the
+#: largest known, nor its size, and what they leave looks like a small cause of its own
+NEGLIGIBLE_SHARE: Final = 1e-4
 #: probability below which a cause, with all that it is confounded with, is not named
 NAMED_PROBABILITY: Final = 0.1
 #: where the unexplained residual hides whether a correction helps, only its own probability supports a cause

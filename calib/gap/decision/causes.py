@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.gap.decision.adequacy import SMALL_SHARE
+from calib.gap.decision.adequacy import NEGLIGIBLE_SHARE, SMALL_SHARE
 from calib.gap.decision.diagnosis import Cause, Quantity, Unexplained
 from calib.gap.decision.evidence import Evidence
 from calib.gap.effects.calibration import DIRECTIONS, NAMES
@@ -90,6 +90,12 @@ def causes_of(
     ]
     classes = {name: int(np.digitize(probability, PROBABILITY_CLASSES)) for name, probability in certain.items()}
     return sorted(causes, key=lambda cause: (-classes[cause.effect], -cause.signal))
+
+
+def negligible(causes: Sequence[Cause]) -> tuple[str, ...]:
+    """Return the effects whose share is negligible beside that of the largest cause."""
+    largest = max((cause.share for cause in causes), default=0.0)
+    return tuple(cause.effect for cause in causes if cause.share < NEGLIGIBLE_SHARE * largest)
 
 
 def _shares(

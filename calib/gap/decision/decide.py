@@ -16,7 +16,7 @@ from calib.gap.decision.adequacy import (
     hides_causes,
     kind_of,
 )
-from calib.gap.decision.causes import blunder_cause, causes_of, limited_beside, unexplained_of
+from calib.gap.decision.causes import blunder_cause, causes_of, limited_beside, negligible, unexplained_of
 from calib.gap.decision.diagnosis import (
     Diagnosis,
     Group,
@@ -43,7 +43,8 @@ def decide(evidence: Evidence) -> Diagnosis:
     alternatives = {name: {name}.union(*(group for group in confounded if name in group)) for name in evidence.named}
     certain = {name: confounding.any_probability(evidence, names) for name, names in alternatives.items()}
     causes = limited_beside(unexplained, causes_of(evidence, stated, certain, forms_open))
-    causes = [cause for cause in causes if certain[cause.effect] >= NAMED_PROBABILITY]
+    small = negligible(causes)
+    causes = [cause for cause in causes if certain[cause.effect] >= NAMED_PROBABILITY and cause.effect not in small]
     stated |= {cause.effect: cause.probability for cause in causes if cause.effect in stated}
     closure, situation = evidence.held_out.closure, evidence.situation
     gap_probability = confounding.gap_probability(evidence)
@@ -76,8 +77,8 @@ def decide(evidence: Evidence) -> Diagnosis:
         where=evidence.where,
         closure=closure,
         unexplained=None if kind is VerdictKind.NO_GAP and not situation.faults else unexplained,
-        fix=fix_of(evidence, confounded, tied, causes, certain, unexplained),
-        notes=(*evidence.observations.notes, *situation.notes),
+        fix=fix_of(evidence, confounded, tied, causes, certain, unexplained, small),
+        notes=(*evidence.observations.notes, *situation.notes, *_on_small(small if causes else ())),
         noise_level=NoiseSummary.about(evidence.noise),
         probabilities=dict(sorted(stated.items(), key=lambda item: -item[1])),
         judged_against=evidence.judged_against,
@@ -88,6 +89,14 @@ def decide(evidence: Evidence) -> Diagnosis:
     )
     blunder = diagnosis.kind is VerdictKind.UNKNOWN and off >= BLUNDER_MISFIT
     return replace(diagnosis, sentence=blunder_sentence(diagnosis, off) if blunder else sentence(diagnosis))
+
+
+def _on_small(small: Sequence[str]) -> tuple[str, ...]:
+    """Return the note on effects that are too small beside the named causes to be told from what these leave."""
+    if not small:
+        return ()
+    listed = ", ".join(small)
+    return (f"below a hundredth of the largest cause's size, not named: {listed}; correct first, then diagnose again",)
 
 
 def _beside_blunder(kind: VerdictKind) -> VerdictKind:

@@ -25,6 +25,7 @@ def fix_of(
     causes: Sequence[Cause],
     certain: Mapping[str, float],
     unexplained: Unexplained | None,
+    small: Sequence[str] = (),
 ) -> Fix:
     """Return what the correction is worth, and whether and why not to apply it.
 
@@ -40,6 +41,8 @@ def fix_of(
         Of each effect, the probability that it or an effect that it is confounded with is at work.
     unexplained : Unexplained or None
         The unexplained residual.
+    small : sequence of str
+        Effects that were fitted and are negligible.
     """
     apart_m = confounding.agreement_m(evidence, tied)
     on = DRIVEN if evidence.journeys is None else JOURNEYS
@@ -54,8 +57,9 @@ def fix_of(
     if not causes:
         return fix
     # the correction holds all that was fitted
-    unnamed = [name for name in evidence.named if name not in {cause.effect for cause in causes}]
-    concerned = {*evidence.named, *(name for group in tied for name in group)}
+    fitted = [name for name in evidence.named if name not in small]
+    unnamed = [name for name in fitted if name not in {cause.effect for cause in causes}]
+    concerned = {*fitted, *(name for group in tied for name in group)}
     why = [
         *reasons(causes, certain, improvement, evidence.trials, unexplained),
         *_disagreement(apart_m, on, evidence.held_out.closure, tied),
