@@ -66,6 +66,7 @@ class Answer:
     signal: float
     closure: float
     all_named: bool
+    nothing_else: bool  #: no cause is named that is neither at work nor a form or member of the group of one that is
     closed: bool
     recommended: bool
     why: tuple[str, ...]
@@ -75,7 +76,9 @@ def draw(number: int, seed: int) -> LargeGap:
     """Return the effects of a campaign; every sixth is the paper's own case."""
     rng = np.random.default_rng([seed, number, 0])
     if number % 6 == 0:
-        return LargeGap(number, {"load_radius": -_size("load_radius", rng), "track_width": _size("track_width", rng)}, True)
+        return LargeGap(
+            number, {"load_radius": -_size("load_radius", rng), "track_width": _size("track_width", rng)}, True
+        )
     while True:
         chosen = {str(name) for name in rng.choice(list(SIZES), 1 + number % 3, replace=False)}
         if not any(len(chosen & pair) > 1 for pair in ALIKE):
@@ -131,13 +134,13 @@ def read_poses(path: FloatArray, sizes: dict[str, float], bearing: float, rng: n
     arm = abs(sizes.get("reference_lever_arm", 0.0))
     # on the vehicle: up to a metre ahead or behind, less to the sides
     ahead, aside = arm * np.cos(bearing), 0.4 * arm * np.sin(bearing)
-    x, y = x + np.cos(heading) * ahead - np.sin(heading) * aside - ahead, y + np.sin(heading) * ahead + np.cos(heading) * aside - aside
+    place = (x + 1j * y) + (np.exp(1j * heading) - 1.0) * (ahead + 1j * aside)
     start = START_SD_RAD * rng.standard_normal()
     yaw, heading = sizes.get("reference_yaw", 0.0) + start, heading + start
-    x, y = np.cos(yaw) * x - np.sin(yaw) * y, np.sin(yaw) * x + np.cos(yaw) * y
+    place = place * np.exp(1j * yaw)
     noise = rng.standard_normal((len(path), 3)) * [REF_SD_M, REF_SD_M, REF_SD_RAD]
     noise[0] = 0.0
-    return np.column_stack([x, y, heading]) + noise
+    return np.column_stack([place.real, place.imag, heading]) + noise
 
 
 def write(case: LargeGap, seed: int, folder: Path) -> float:
@@ -171,11 +174,9 @@ def write(case: LargeGap, seed: int, folder: Path) -> float:
         header = "t_s,counts_left,counts_right,ref_x_m,ref_y_m,ref_theta_rad"
         np.savetxt(folder / "logs" / f"{name}.csv", table, "%.6g", ",", header=header, comments="")
         distance = path[-1, 0] + LASER_SD_M * rng.standard_normal() if kind == "corridor" else np.nan
-        rows.append(
-            [name, f"s{session}", kind, payload_kg, place_x, place_y, *loads.round(2), speed, round(temperature, 2)]
-            + ["" if np.isnan(distance) else round(distance, 4), *(counts[-1] - counts[0]), *poses[-1].round(5)]
-            + [f"logs/{name}.csv"]
-        )
+        end = [*(counts[-1] - counts[0]), *poses[-1].round(5), f"logs/{name}.csv"]
+        load = [payload_kg, place_x, place_y, *loads.round(2), speed, round(temperature, 2)]
+        rows.append([name, f"s{session}", kind, *load, "" if np.isnan(distance) else round(distance, 4), *end])
         believed = np.diff(counts, axis=0) * 2 * np.pi / COUNTS_PER_REV * RADIUS_M
         own = path_of(believed.mean(axis=1), (believed[:, 1] - believed[:, 0]) / TRACK_M)[-1]
         shifts.append((poses[-1] - own) / [REF_SD_M + 1e-4 * way.sum(), 0.01, 2 * START_SD_RAD])
@@ -243,6 +244,13 @@ def covered(effect: str, verdict: dict[str, Any]) -> bool:
     return effect in named | forms or any(effect in group and group & named for group in groups)
 
 
+def belongs(cause: dict[str, Any], case: LargeGap, verdict: dict[str, Any]) -> bool:
+    """Return whether a named cause is at work, or cannot be told from one that is."""
+    alike = {cause["effect"], *cause.get("forms_open", ())}
+    groups = [set(group) for group in verdict["indistinguishable"] if cause["effect"] in group]
+    return not alike.union(*groups).isdisjoint(case.sizes)
+
+
 def answer(number: int, seed: int) -> Answer:
     """Make a campaign, diagnose it, judge the answer."""
     case = draw(number, seed)
@@ -259,6 +267,7 @@ def answer(number: int, seed: int) -> Answer:
         signal=signal,
         closure=closed,
         all_named=all(covered(effect, verdict) for effect in case.sizes),
+        nothing_else=all(belongs(cause, case, verdict) for cause in verdict["causes"]),
         closed=closed >= CLOSED,
         recommended=bool(verdict["fix"]["recommended"]) if verdict["fix"] else False,
         why=tuple(verdict["fix"]["why"]) if verdict["fix"] else (),
@@ -271,12 +280,14 @@ def table(answers: list[Answer]) -> str:
     for one in answers:
         effects = ", ".join(f"{name} {size:.3g}" for name, size in one.case.sizes.items())
         named = ", ".join(one.named) or "nothing"
+        mark = "" if one.all_named and one.nothing_else else " (!)"
         lines.append(
-            f"| {one.case.number} | {effects} | {one.signal:.0f} | {one.verdict} | {named}{'' if one.all_named else ' (!)'} "
-            f"| {one.closure:.3f} | {'yes' if one.recommended else 'no: ' + '; '.join(one.why)[:160]} |"
+            f"| {one.case.number} | {effects} | {one.signal:.0f} | {one.verdict} | {named}{mark} | {one.closure:.3f} "
+            f"| {'yes' if one.recommended else 'no: ' + '; '.join(one.why)[:160]} |"
         )
     for label, hits in (
         ("all named", [one.all_named for one in answers]),
+        ("nothing else named", [one.nothing_else for one in answers]),
         ("closed", [one.closed for one in answers]),
         ("recommended", [one.recommended for one in answers]),
     ):

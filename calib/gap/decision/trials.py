@@ -15,7 +15,7 @@ from calib.types import BoolArray, FloatArray, StrArray
 
 #: probability that noise alone exceeds its limit in any of a campaign's trials
 FALSE_ALARM: Final = 0.01
-#: a growth below this share of what noise leaves harms nobody, however surely it is there: 2.5 % of its root mean square
+#: a growth below this share of what noise leaves harms nobody, however sure: 2.5 % of its root mean square
 NEGLIGIBLE_GROWTH: Final = 0.05
 #: values of a quantity that are held out one by one; more are joined into so many groups
 MOST_VALUES: Final = 8

@@ -156,20 +156,17 @@ class ReferenceLatency(Effect):
         tries = sum(pair[1] for pair in wanted)
 
         def form(label: str, pose: bool, laser: bool) -> Form:
-            def perturbations(path: Path) -> list[Perturbation]:
-                late = Perturbation()
-                if laser:
-                    # the laser reads a length, which grows in either rolling direction
-                    late = Perturbation.on_readings(observations, distance=np.abs(first_speed) - np.abs(speed))
-                if pose:
-                    # the start lay back as well, and all is seen from there
-                    start, end = (-np.stack(edge, axis=1) for edge in ((first_speed, first_rate), (speed, rate)))
-                    logged = observations.from_log
-                    end[logged] = 0.0
-                    late = replace(late, start_arc=start, end_arc=end, delay_s=logged.astype(np.float64))
-                return [late]
-
-            return Form(self.id, label, (parameter,), perturbations, tries=tries)
+            late = Perturbation()
+            if laser:
+                # the laser reads a length, which grows in either rolling direction
+                late = Perturbation.on_readings(observations, distance=np.abs(first_speed) - np.abs(speed))
+            if pose:
+                # the start lay back as well, and all is seen from there
+                start, end = (-np.stack(edge, axis=1) for edge in ((first_speed, first_rate), (speed, rate)))
+                logged = observations.from_log
+                end[logged] = 0.0
+                late = replace(late, start_arc=start, end_arc=end, delay_s=logged.astype(np.float64))
+            return Form(self.id, label, (parameter,), lambda _: [late], tries=tries)
 
         return [form(label, pose, laser) for label, offered, pose, laser in wanted if offered]
 

@@ -24,6 +24,12 @@ CALIBRATION_SD: Final = np.array([0.03, 0.03, 0.1, 1e-6])
 #: the residual on average, in noise levels, beyond which the search is not begun there: of the scales of lack of fit,
 #: the largest but one, which leaves a margin for the error of the linear model
 _FAR_RMS: Final = 30.0
+#: a step that raises the misfit is halved so often before it is given up: to a thousandth
+_MAX_HALVINGS: Final = 10
+#: squares that differ by less than this share are equal in double precision
+_ROUNDING: Final = 1e-9
+#: a step of a hundredth of every standard uncertainty ends the fit
+_SMALL_STEP: Final = 0.01
 #: Gauss-Newton steps of each trial; an effect that explains the gap is near its size by then
 _TRIAL_STEPS: Final = 4
 #: an effect that leaves more than this share of the squares is not what makes them so many
@@ -108,6 +114,58 @@ def recalibration_columns(path: Path) -> FloatArray:
     return path.calibration * (0.0 if path.s.calibration_held else CALIBRATION_SD)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Misfit:
+    """The squares that a fit makes small, over scaled parameters: calibration over its prior, sizes over typical ones.
+
+    Parameters
+    ----------
+    nominal, noise, forms
+        See `fit`.
+    freedom : array of bool, shape (4,)
+        Which of the calibration may change.
+    prior_sd : array of float, shape (n_parameters,)
+        Prior standard deviation of each scaled parameter.
+    rows : array of bool, shape (n_rows,)
+        Which of the usable (unit, channel) rows count.
+    """
+
+    nominal: Path
+    noise: Noise
+    forms: Sequence[Form]
+    freedom: BoolArray
+    prior_sd: FloatArray
+    rows: BoolArray
+
+    def sizes(self, scaled: FloatArray) -> tuple[FloatArray, list[FloatArray]]:
+        """Return calibration and sizes at scaled parameters."""
+        cuts = np.cumsum([4, *(len(form.parameters) for form in self.forms)])
+        theta = [scaled[a:b] * form.typical for form, a, b in zip(self.forms, cuts[:-1], cuts[1:], strict=True)]
+        return np.where(self.freedom, scaled[:4] * CALIBRATION_SD, 0.0), theta
+
+    def moved(self, path: Path, scaled: FloatArray) -> Path:
+        """Return the path at scaled parameters, perturbations taken about another."""
+        calibration, theta = self.sizes(scaled)
+        return hypothesis_path(self.nominal.s, calibration, self.forms, theta, path)
+
+    def cost(self, path: Path, scaled: FloatArray) -> float:
+        """Return the squares of the whitened residual and of the parameters under their prior."""
+        white = whitened_rows(path, self.noise, residuals(path, self.nominal)[:, :, None])[self.rows, 0]
+        return float(white @ white + np.sum((scaled / self.prior_sd) ** 2))
+
+    def gauss_newton(self, path: Path, scaled: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the normal matrix (n_parameters, n_parameters) about a path and the step (n_parameters,) from it."""
+        gap = residuals(path, self.nominal)
+        columns = [recalibration_columns(path), *signature_columns(path, self.forms), gap[:, :, None]]
+        whole = whitened_rows(path, self.noise, np.concatenate(columns, axis=2))[self.rows]
+        a, r = whole[:, :-1], whole[:, -1]
+        precision = self.prior_sd**-2.0
+        normal = a.T @ a + np.diag(precision)
+        # a small ridge keeps columns exactly alike solvable
+        normal += 1e-11 * np.diag(np.diag(normal))
+        return normal, np.asarray(np.linalg.solve(normal, a.T @ r - precision * scaled), dtype=np.float64)
+
+
 def fit(
     nominal: Path,
     noise: Noise,
@@ -149,38 +207,36 @@ def fit(
     if not s.usable[:, 4:].any():
         freedom[3] = False
     freedom &= not s.calibration_held
-    calibration = np.zeros(4) if start is None else np.where(freedom, start.calibration, 0.0)
-    typical = [form.typical for form in forms]
-    known = {} if start is None else {id(f): t for f, t in zip(start.forms, start.theta, strict=True)}
-    theta = [known.get(id(form), np.zeros(len(t))).copy() for form, t in zip(forms, typical, strict=True)]
-    path = nominal if start is None else hypothesis_path(s, calibration, forms, theta, nominal)
-    n_theta = sum(len(t) for t in typical)
-    precision = np.concatenate([np.where(freedom, 1.0, 1e12), np.full(n_theta, 1.0 / theta_sd**2)])
+    sizes_sd = np.full(sum(len(form.parameters) for form in forms), theta_sd)
     mask = np.ones(len(s), dtype=bool) if use is None else use
     row_mask = np.repeat(mask[:, None], 6, axis=1)[s.usable]
-    normal = np.diag(precision)
+    misfit = _Misfit(nominal, noise, forms, freedom, np.concatenate([np.where(freedom, 1.0, 1e-6), sizes_sd]), row_mask)
+    calibration = np.zeros(4) if start is None else np.where(freedom, start.calibration, 0.0)
+    known = {} if start is None else {id(f): t for f, t in zip(start.forms, start.theta, strict=True)}
+    theta = [known.get(id(form), np.zeros(len(form.parameters))).copy() for form in forms]
+    path = nominal if start is None else hypothesis_path(s, calibration, forms, theta, nominal)
+    now = np.concatenate([calibration / CALIBRATION_SD, *(t / f.typical for t, f in zip(theta, forms, strict=True))])
+    reached, normal = misfit.cost(path, now), np.eye(len(now))
     for _ in range(steps):
-        gap = residuals(path, nominal)
-        columns = [recalibration_columns(path), *signature_columns(path, forms)]
-        whole = whitened_rows(path, noise, np.concatenate([*columns, gap[:, :, None]], axis=2))[row_mask]
-        a, r = whole[:, :-1], whole[:, -1]
-        now = np.concatenate([calibration / CALIBRATION_SD, *(t / u for t, u in zip(theta, typical, strict=True))])
-        normal = a.T @ a + np.diag(precision)
-        # a small ridge keeps columns exactly alike solvable
-        normal += 1e-11 * np.diag(np.diag(normal))
-        step = np.linalg.solve(normal, a.T @ r - precision * now)
-        scale = np.abs(step) * np.sqrt(np.diag(normal))
-        now = now + step
-        calibration = np.where(freedom, now[:4] * CALIBRATION_SD, 0.0)
-        cuts = np.cumsum([4, *(len(t) for t in typical)])
-        theta = [now[a0:b0] * u for a0, b0, u in zip(cuts[:-1], cuts[1:], typical, strict=True)]
-        path = hypothesis_path(s, calibration, forms, theta, path)
-        if scale.max() < 1e-2:
+        normal, step = misfit.gauss_newton(path, now)
+        largest = float((np.abs(step) * np.sqrt(np.diag(normal))).max())
+        lower = np.inf
+        for _ in range(_MAX_HALVINGS):
+            trial = misfit.moved(path, now + step)
+            lower = misfit.cost(trial, now + step)
+            if lower <= reached * (1.0 + _ROUNDING):
+                break
+            step = 0.5 * step
+        else:
             break
+        path, now, reached = trial, now + step, lower
+        if largest < _SMALL_STEP:
+            break
+    calibration, theta = misfit.sizes(now)
     left = residuals(path, nominal)
     white = whitened_rows(path, noise, left[:, :, None])[:, 0]
-    units = np.concatenate([CALIBRATION_SD, *typical]) if typical else CALIBRATION_SD
-    covariance = np.linalg.inv(normal) * np.outer(units, units)
+    units = np.concatenate([CALIBRATION_SD, *(form.typical for form in forms)])
+    covariance = np.asarray(np.linalg.inv(normal) * np.outer(units, units), dtype=np.float64)
     return Fitted(
         forms=tuple(forms),
         theta=tuple(theta),
