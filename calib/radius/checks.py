@@ -7,20 +7,23 @@ from typing import Final
 
 import numpy as np
 
-from calib.radius.law import COVERAGE
-from calib.radius.regression import FAILED, NOTE, OK, Check, WheelFit, distinct_loads, load_groups
+from calib.radius.design_checks import (
+    NOTE_BELOW,
+    UM,
+    design_check,
+    order_check,
+    p_of_f,
+    p_of_t,
+    session_check,
+    session_influence_check,
+    tested,
+)
+from calib.radius.regression import NOTE, OK, Check, WheelFit, load_groups
 from calib.radius.sessions import Groups, breusch_pagan, groups_of
 from calib.types import FloatArray, StrArray
 
-#: p-values below which a check gives a note, and below which the law should not be used as it is. With some nine checks
-#: a wheel the usual 5 % would give a false note in every third campaign.
-NOTE_BELOW: Final = 0.01
-FAIL_BELOW: Final = 1e-4
-UM: Final = 1e6
 #: the reference load may lie this share of the load range outside it without a note
 REFERENCE_MARGIN: Final = 0.02
-#: sessions beyond which no single one is omitted: too many to carry the slope alone
-MAX_INFLUENCE_SESSIONS: Final = 100
 #: runs that the Shapiro-Wilk test takes, by its approximation of the p-value
 SHAPIRO_RUNS: Final = (8, 5000)
 #: a smaller span of temperatures shows nothing of a radius
@@ -56,50 +59,17 @@ def with_checks(fit: WheelFit, session: StrArray, direction: StrArray, run_id: S
     sloped = fit.model == "line" and fit.design != "confounded"
     dof = float(n - sessions.shape[1] - sloped)
     runs = _Residuals(fit, groups, fit.load_N - fit.load_N.mean(), residual, dof, direction, run_id, sessions)
-    checks = [_design(fit, groups), _session(fit, groups)]
+    checks = [design_check(fit, groups), session_check(fit, groups), order_check(fit)]
     if fit.model == "line":
         checks += [
             _range(fit),
             _lack_of_fit(runs),
             _curvature(runs),
             _equal_scatter(runs),
-            _session_influence(fit, groups),
+            session_influence_check(fit, groups),
         ]
     checks += [_influence(runs), _normality(runs), _direction(runs)]
     return replace(fit, checks=tuple(check for check in checks if check is not None))
-
-
-def _tested(
-    name: str, statistic: float, statistic_name: str, p_value: float, sentences: tuple[str, str], *, fails: bool = False
-) -> Check:
-    """Return the check of a test.
-
-    Parameters
-    ----------
-    name, statistic_name : str
-        Of the check and of its statistic.
-    statistic, p_value : float
-        Result of the test.
-    sentences : (str, str)
-        Without and with a finding.
-    fails : bool
-        Whether a clear finding forbids the law; False where the intervals allow for it.
-    """
-    level = FAILED if fails and p_value < FAIL_BELOW else NOTE if p_value < NOTE_BELOW else OK
-    return Check(name, level, sentences[p_value < NOTE_BELOW], float(statistic), statistic_name, p_value)
-
-
-def _p_f(statistic: float, dof_first: float, dof_second: float) -> float:
-    from scipy.special import fdtrc
-
-    return float(fdtrc(dof_first, dof_second, max(statistic, 0.0)))
-
-
-def _p_t(statistic: float, dof: float) -> float:
-    """Return the two-sided probability of a Student's t."""
-    from scipy.special import stdtr
-
-    return float(2 * stdtr(dof, -abs(statistic)))
 
 
 def _squares(design: FloatArray, y: FloatArray) -> tuple[float, int]:
@@ -131,8 +101,8 @@ def _lack_of_fit(runs: _Residuals) -> Check | None:
         "The mean radii at the loads miss the straight line by more than repeats explain: use the law between "
         "neighbouring measured loads only, or look for a load that is misreported.",
     )
-    p_value = _p_f(statistic, dof_levels, dof)
-    return _tested("lack_of_fit", statistic, f"F({dof_levels}, {dof})", p_value, sentences, fails=True)
+    p_value = p_of_f(statistic, dof_levels, dof)
+    return tested("lack_of_fit", statistic, f"F({dof_levels}, {dof})", p_value, sentences, fails=True)
 
 
 def _curvature(runs: _Residuals) -> Check | None:
@@ -157,7 +127,7 @@ def _curvature(runs: _Residuals) -> Check | None:
         f"The radius bends by about {sag:.2g} um in the middle of the load range: a straight law is that far off "
         "there; narrow the load range, or use a look-up table of measured loads.",
     )
-    return _tested("curvature", statistic, f"t({dof})", _p_t(statistic, dof), sentences, fails=True)
+    return tested("curvature", statistic, f"t({dof})", p_of_t(statistic, dof), sentences, fails=True)
 
 
 def _equal_scatter(runs: _Residuals) -> Check:
@@ -173,7 +143,7 @@ def _equal_scatter(runs: _Residuals) -> Check:
             "(HC3) and holds, the prediction band is too narrow at one end."
         )
     sentences = ("The scatter is the same at every load.", finding)
-    return _tested("equal_scatter", statistic, "chi2(1)", p_value, sentences)
+    return tested("equal_scatter", statistic, "chi2(1)", p_value, sentences)
 
 
 def _influence(runs: _Residuals) -> Check | None:
@@ -187,7 +157,7 @@ def _influence(runs: _Residuals) -> Check | None:
     others = np.maximum(total - own, 1e-12 * total) / (dof - 1)
     studentised = np.abs(runs.residual_m) / np.sqrt(others * slack)
     worst = int(np.argmax(studentised))
-    p_value = min(n * _p_t(float(studentised[worst]), dof - 1), 1.0)
+    p_value = min(n * p_of_t(float(studentised[worst]), dof - 1), 1.0)
     cook = float(runs.fit.cook.max())
     if p_value >= NOTE_BELOW and cook > 1:
         pulling = int(np.argmax(runs.fit.cook))
@@ -204,7 +174,7 @@ def _influence(runs: _Residuals) -> Check | None:
         "deviations of the others: look at it with 'calib check', and exclude it with a reason or repeat it.",
     )
     name = f"largest studentised residual of {n}"
-    return _tested("influence", studentised[worst], name, p_value, sentences, fails=True)
+    return tested("influence", studentised[worst], name, p_value, sentences, fails=True)
 
 
 def _normality(runs: _Residuals) -> Check | None:
@@ -219,7 +189,7 @@ def _normality(runs: _Residuals) -> Check | None:
         "The residuals are not normal: the intervals of the coefficients still hold for means of many runs, the "
         "prediction band may not; look for outliers or two groups of runs.",
     )
-    return _tested("normality", statistic, "Shapiro-Wilk W", p_value, sentences)
+    return tested("normality", statistic, "Shapiro-Wilk W", p_value, sentences)
 
 
 def _direction(runs: _Residuals) -> Check | None:
@@ -238,44 +208,7 @@ def _direction(runs: _Residuals) -> Check | None:
         f"Radii driven out are {UM * difference:+.1f} um from those driven back: a zero error of the rangefinder, "
         "a sloping floor or drag in one direction; as many runs out as back cancel it, keep it so.",
     )
-    return _tested("direction", statistic, f"t({dof:.0f})", _p_t(statistic, dof), sentences)
-
-
-def _design(fit: WheelFit, groups: Groups) -> Check:
-    """Say what the plan of loads and sessions allows."""
-    loads = distinct_loads(fit.load_N)
-    few = " There are only two loads: whether the law is straight stays unknown." if loads == 2 else ""
-    level = NOTE
-    if fit.model == "constant":
-        few = ""
-        sentence = (
-            f"All runs have one load ({fit.law.reference_load_N:.0f} N): a constant radius is given, for that load "
-            "only, and no slope; drive two further loads at least."
-        )
-    elif len(groups) == 1:
-        sentence = (
-            "All runs are of one session: what shifts from session to session is not in the intervals; repeat some "
-            "loads on another day."
-        )
-    elif len(groups) == len(fit.load_N):
-        level, sentence = NOTE if few else OK, "Every run is a session of its own: the runs are independent."
-    elif fit.design == "confounded" and fit.estimate.design != "confounded":
-        sentence = (
-            f"Each session has a load of its own and there are only {len(groups)} sessions: the scatter of sessions "
-            "cannot be estimated, so the intervals count every run as independent and are too narrow; drive every load "
-            "in every session."
-        )
-    elif fit.design == "confounded":
-        sentence = (
-            f"Each session has a load of its own: a drift from session to session looks like load. The intervals rest "
-            f"on the {len(groups)} session means ({fit.law.dof:.3g} degrees of freedom) and hold if sessions scatter "
-            "at random; to split the two, drive at least two loads in every session."
-        )
-    else:
-        crossed = "crossed" if fit.design == "crossed" else "partly crossed"
-        level = NOTE if few else OK
-        sentence = f"The loads are {crossed} with the sessions: load and drift between sessions are told apart."
-    return Check("design", level, sentence + few)
+    return tested("direction", statistic, f"t({dof:.0f})", p_of_t(statistic, dof), sentences)
 
 
 def _range(fit: WheelFit) -> Check:
@@ -291,68 +224,6 @@ def _range(fit: WheelFit) -> Check:
         "extrapolated; measure near it, or set reference_load_N in campaign.toml."
     )
     return Check("range", NOTE, sentence)
-
-
-def _session(fit: WheelFit, groups: Groups) -> Check | None:
-    """Say whether sessions scatter beyond their runs, and what counting runs as independent would have claimed."""
-    estimate = fit.estimate
-    if len(groups) < 2 or len(groups) == len(fit.load_N) or estimate.session_f is None or estimate.dof_between < 1:
-        return None
-    confounded = estimate.design == "confounded"
-    p_value = _p_f(estimate.session_f, estimate.dof_between, estimate.dof_within)
-    width_ratio = _against_naive(fit)
-    subject = "Session means leave the line" if confounded else "Sessions differ"
-    cause = (
-        "a bend of the law, or a shift from session to session, which these runs cannot tell apart"
-        if confounded
-        else "temperature, a remounted rangefinder, wear"
-    )
-    sentences = (
-        f"{subject} no more than their runs explain; the intervals allow for sessions all the same.{width_ratio}",
-        f"{subject} by {UM * fit.session_std_m:.2g} um more than their runs explain ({cause}); the intervals allow for "
-        f"it, but look for the cause.{width_ratio}",
-    )
-    name = f"F({estimate.dof_between:.0f}, {estimate.dof_within:.0f})"
-    return _tested("session", estimate.session_f, name, p_value, sentences)
-
-
-def _against_naive(fit: WheelFit) -> str:
-    if fit.naive is None:
-        return ""
-    slope = (0.0, 1.0)
-    aware, naive = (float(estimate.half_width(slope, COVERAGE)) for estimate in (fit.estimate, fit.naive))
-    if naive <= 0 or aware <= 0:
-        return ""
-    return f" Counting every run as independent would give a slope interval {naive / aware:.2g} times as wide."
-
-
-def _session_influence(fit: WheelFit, groups: Groups) -> Check | None:
-    """Say how far the slope moves when one session is omitted."""
-    if not 3 <= len(groups) <= MAX_INFLUENCE_SESSIONS:
-        return None
-    n = groups.sizes
-    x, y = fit.load_N - fit.load_N.mean(), fit.residual_m
-    moments = [np.bincount(groups.index, weights=w, minlength=len(groups)) for w in (x, y, x * x, x * y)]
-    sx, sy, sxx, sxy = (total.sum() - total for total in moments)
-    kept = n.sum() - n
-    spread = sxx - sx**2 / kept
-    usable = spread > 1e-6 * float(x @ x)
-    if not usable.any():
-        return None
-    change = np.where(usable, (sxy - sx * sy / kept) / np.where(usable, spread, 1.0), 0.0)
-    worst = int(np.argmax(np.abs(change)))
-    half = float(fit.estimate.half_width((0.0, 1.0), COVERAGE))
-    ratio = abs(float(change[worst])) / half if half > 0 else 0.0
-    slope, name = fit.law.slope_m_per_N, groups.names[worst]
-    words = f"changes the slope by {100 * change[worst] / slope:+.2g} %" if slope else ""
-    level, sentence = OK, f"No session carries the slope alone: leaving out {name} {words}, within its interval."
-    if ratio > 1:
-        level = NOTE
-        sentence = (
-            f"The slope depends on session {name}: leaving it out {words}, more than the interval's half width; "
-            "repeat its loads."
-        )
-    return Check("session_influence", level, sentence, ratio, "change over half interval")
 
 
 def with_temperature_check(fit: WheelFit, temperature_C: FloatArray, session: StrArray) -> WheelFit:
@@ -384,5 +255,5 @@ def with_temperature_check(fit: WheelFit, temperature_C: FloatArray, session: St
         "alone is off by that on a warmer or colder day; calib diagnose says whether it is the temperature or "
         "something that correlates with it, and corrects it.",
     )
-    check = _tested("temperature", statistic, f"t({dof})", _p_t(statistic, dof), sentences, fails=True)
+    check = tested("temperature", statistic, f"t({dof})", p_of_t(statistic, dof), sentences, fails=True)
     return replace(fit, checks=(*fit.checks, check))

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from calib.errors import RefusedError
 from calib.radius.law import COVERAGE, LineEstimate, WheelLaw
+from calib.radius.order import Autocorrelation, widened
 from calib.radius.sessions import (
     HC3_BELOW,
     HC3_MIN_DOF,
@@ -94,6 +95,8 @@ class WheelFit:
     cook: FloatArray
     #: what an expert would check
     checks: tuple[Check, ...] = ()
+    #: of runs that follow each other; None in a fit read from a file, whose estimate allows for it already
+    autocorrelation: Autocorrelation | None = None
 
     @property
     def model(self) -> str:
@@ -252,7 +255,11 @@ class WheelFit:
             ),
             r_squared=float(value["r_squared"]),
             residual_std_m=residual_std,
-            **{name: np.array(value[name], dtype=np.float64) for name in RUN_ARRAYS},
+            load_N=np.array(value["load_N"], dtype=np.float64),
+            radius_m=np.array(value["radius_m"], dtype=np.float64),
+            residual_m=np.array(value["residual_m"], dtype=np.float64),
+            leverage=np.array(value["leverage"], dtype=np.float64),
+            cook=np.array(value["cook"], dtype=np.float64),
             checks=tuple(from_plain(Check, check) for check in value["checks"]),
         )
 
@@ -336,14 +343,15 @@ def fit_wheel(
     if distinct_loads(load) == 1:
         reference_load_N, x = float(load.mean()), np.zeros_like(load)
         ols = least_squares(None, radius)
-        naive, estimate, design = None, stratified_constant(radius, groups), "constant"
+        naive, estimate = None, stratified_constant(radius, groups)
     else:
         x = load - reference_load_N
         ols = least_squares(x, radius)
         naive = independent_line(ols)
         estimate = (stratified_line(x, radius, groups) if grouped else None) or independent_line(ols, x)
-        # also where there are too few sessions to estimate their scatter
-        design = "confounded" if grouped and estimate.design == "single" else estimate.design
+    estimate, autocorrelation = widened(estimate, x if naive else None, radius, groups)
+    # also where there are too few sessions to estimate their scatter
+    design = "confounded" if grouped and estimate.design == "single" else estimate.design
     leverage, cook = _influence(ols)
     return WheelFit(
         wheel=wheel,
@@ -358,6 +366,7 @@ def fit_wheel(
         residual_m=radius - estimate.coefficients[0] - estimate.coefficients[1] * x,
         leverage=leverage,
         cook=cook,
+        autocorrelation=autocorrelation,
     )
 
 

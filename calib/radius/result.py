@@ -110,6 +110,11 @@ class Fit(Result):
         return all(check.passed for wheel in (self.left, self.right) for check in wheel.checks)
 
     @property
+    def verdict(self) -> str:
+        """``fitted``; ``doubtful`` where a check fails; ``wrong`` beyond the bounds of a vehicle."""
+        return "wrong" if self.implausible else "fitted" if self.passed else "doubtful"
+
+    @property
     def implausible(self) -> tuple[str, ...]:
         """Findings beyond the bounds of a vehicle; such a law is passed on only where the user accepts it."""
         checks = [check for wheel in (self.left, self.right) for check in wheel.checks]
@@ -138,6 +143,7 @@ class Fit(Result):
                 "setup": self.setup,
                 "provenance": self.provenance,
                 "passed": self.passed,
+                "verdict": self.verdict,
             }
         )
         return document | {CHECKSUM_KEY: checksum(document)}

@@ -126,6 +126,7 @@ def line_of_strata(strata: Strata) -> LineEstimate | None:
     between = strata.slope if only_within else float(weight @ (centred * (y_mean - mean_radius))) / info_between
     slope = weight_within * strata.slope + (1 - weight_within) * between if weight_within else between
     between_square = float(weight @ (y_mean - mean_radius - between * centred) ** 2) / dof_between
+    between_square = max(between_square, _least_between(run_variance, sizes, weight, dof_within, dof_between))
 
     lever = np.array([[centre**2, -centre], [-centre, 1.0]])
     cov_between = np.diag([between_square / weight.sum(), 0.0])
@@ -176,6 +177,21 @@ def stratified_line(x: FloatArray, y: FloatArray, groups: Groups) -> LineEstimat
     return replace(estimate, cov_within=estimate.cov_within * (variance * info / estimate.run_variance), hc3=True)
 
 
+def _least_between(
+    run_variance: float, sizes: FloatArray, weight: FloatArray, dof_within: float, dof_between: float
+) -> float:
+    """Return the mean square of two sessions below which they agree better than their runs allow, by chance.
+
+    An interval from there is as wide as that of the runs alone. With more sessions it is rare, and Student's t holds.
+    """
+    from scipy.special import stdtrit
+
+    if dof_between > 1.0:
+        return 0.0
+    of_runs, of_sessions = (float(stdtrit(dof, 0.975)) for dof in (dof_within, dof_between))
+    return run_variance * float(np.mean(1.0 / sizes)) * float(weight.mean()) * (of_runs / of_sessions) ** 2
+
+
 def _session_scatter(mean_variance: float, run_variance: float, sizes: FloatArray) -> tuple[float, float | None]:
     """Return the variance of sessions beyond that of their runs, and the ratio of the two mean squares."""
     explained = run_variance * float(np.mean(1.0 / sizes))
@@ -195,6 +211,8 @@ def stratified_constant(y: FloatArray, groups: Groups) -> LineEstimate:
     weight = 1.0 / (WORKING_RATIO + 1.0 / groups.sizes)
     value = float(weight @ mean / weight.sum())
     between_square = float(weight @ (mean - value) ** 2) / (n_sessions - 1)
+    least = _least_between(run_variance, groups.sizes, weight, float(n - n_sessions), n_sessions - 1.0)
+    between_square = max(between_square, least)
     session_variance, session_f = _session_scatter(between_square / float(weight.mean()), run_variance, groups.sizes)
     return LineEstimate(
         design="constant",

@@ -33,6 +33,8 @@ class Design:
     session_scatter: float
     #: relative scatter of a run against its load, 1 where it is the same everywhere
     growth: float = 1.0
+    #: correlation of the scatter of one run and the next of its session
+    rho: float = 0.0
 
 
 def one_load_a_session(generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -61,6 +63,30 @@ def single(generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     return np.repeat(LOADS_N, 6), np.zeros(30, dtype=int)
 
 
+def drawn(generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    return generator.permutation(np.tile(LOADS_N, 6)), np.repeat(np.arange(3), 10)
+
+
+def ascending(generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    return np.tile(np.repeat(LOADS_N, 2), 3), np.repeat(np.arange(3), 10)
+
+
+def two_sessions(generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    return np.tile([LOADS_N[0], LOADS_N[-1]], 8), np.repeat(np.arange(2), 8)
+
+
+def two_confounded(generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    return np.repeat([LOADS_N[0], LOADS_N[-1]], 8), np.repeat(np.arange(2), 8)
+
+
+def run_scatter(design: Design, session: np.ndarray, generator: np.random.Generator) -> np.ndarray:
+    """Return the relative scatter of each run, autocorrelated within its session."""
+    scatter = generator.normal(0.0, RUN_SCATTER, len(session))
+    for run in np.flatnonzero(np.diff(session) == 0) + 1 if design.rho else ():
+        scatter[run] = design.rho * scatter[run - 1] + np.sqrt(1 - design.rho**2) * scatter[run]
+    return scatter
+
+
 DESIGNS = {
     "confounded": Design("one load a session, sessions alike", one_load_a_session, 0.0),
     "confounded+": Design("one load a session, sessions scatter", one_load_a_session, SESSION_SCATTER),
@@ -72,6 +98,14 @@ DESIGNS = {
     "unbalanced+": Design("random loads, sessions of 4 to 20 runs, scatter", unbalanced, SESSION_SCATTER),
     "any+": Design("any load in every session, sessions scatter", any_load, SESSION_SCATTER),
     "single": Design("one session of 30 runs", single, 0.0),
+    "single+": Design("one session of 30 runs, sessions scatter", single, SESSION_SCATTER),
+    "two-sessions+": Design("two loads in two sessions, sessions scatter", two_sessions, SESSION_SCATTER),
+    "two-confounded+": Design("two sessions of a load each, sessions scatter", two_confounded, SESSION_SCATTER),
+    "drawn": Design("three sessions, loads in random order", drawn, 0.0),
+    "drawn~": Design("the same, runs autocorrelated (0.8)", drawn, 0.0, rho=0.8),
+    "ascending": Design("three sessions, loads ascending", ascending, 0.0),
+    "ascending~": Design("the same, runs autocorrelated (0.8)", ascending, 0.0, rho=0.8),
+    "single~": Design("one session, loads ascending, autocorrelated (0.8)", single, 0.0, rho=0.8),
     "growing+": Design("crossed, scatter grows fourfold with load, sessions scatter", crossed, SESSION_SCATTER, 4.0),
 }
 
@@ -86,7 +120,7 @@ def campaign_of(design: Design, generator: np.random.Generator) -> Campaign:
     for side in ("left", "right"):
         shift = generator.normal(0.0, design.session_scatter, session.max() + 1)[session]
         radius = (RADIUS_M + SLOPE_M_PER_N * (load - REFERENCE_N)) * (
-            1 + shift + growth * generator.normal(0.0, RUN_SCATTER, n)
+            1 + shift + growth * run_scatter(design, session, generator)
         )
         start = generator.uniform(size=n)
         counts[side] = np.floor(start + distance / (2 * np.pi * radius) * 4096)
@@ -140,10 +174,11 @@ def hits(fit: Fit) -> np.ndarray:
 
 
 def coverage(design: Design, n_campaigns: int, seed: int) -> np.ndarray:
-    """Return the shares of intervals that hold the truth, over both wheels, shape (4,); see `hits`."""
+    """Return the shares of intervals that hold the truth, over both wheels, shape (4,), and of doubtful laws, (5,)."""
     generator = np.random.default_rng(seed)
-    found = [hits(fit_campaign(campaign_of(design, generator))) for _ in range(n_campaigns)]
-    return np.mean(np.concatenate(found), axis=0)
+    fits = [fit_campaign(campaign_of(design, generator)) for _ in range(n_campaigns)]
+    held = np.mean(np.concatenate([hits(fit) for fit in fits]), axis=0)
+    return np.append(held, np.mean([fit.verdict == "doubtful" for fit in fits]))
 
 
 def main() -> None:
@@ -155,10 +190,11 @@ def main() -> None:
     n = arguments.campaigns
     print(f"{n} campaigns a design, two wheels each; standard error {100 * (0.95 * 0.05 / n / 2) ** 0.5:.2f} %")  # noqa: T201
     print(f"{'':62}{'session-aware':>16}{'runs as independent':>22}")  # noqa: T201
-    print(f"{'design':60}{'slope':>9}{'radius':>9}{'slope':>11}{'radius':>11}")  # noqa: T201
+    print(f"{'design':60}{'slope':>9}{'radius':>9}{'slope':>11}{'radius':>11}{'doubtful':>11}")  # noqa: T201
     for design in DESIGNS.values():
         shares = 100 * coverage(design, n, arguments.seed)
-        print(f"{design.name:60}{shares[0]:8.2f}%{shares[1]:8.2f}%{shares[2]:10.2f}%{shares[3]:10.2f}%", flush=True)  # noqa: T201
+        law = f"{shares[0]:8.2f}%{shares[1]:8.2f}%{shares[2]:10.2f}%{shares[3]:10.2f}%{shares[4]:10.1f}%"
+        print(f"{design.name:60}{law}", flush=True)  # noqa: T201
 
 
 if __name__ == "__main__":

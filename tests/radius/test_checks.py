@@ -60,7 +60,7 @@ def test_no_sound_campaign_fails() -> None:
         ({"session": 1e-4}, "session", NOTE, "look for the cause"),
         ({"back": 5e-5}, "direction", NOTE, "rangefinder"),
         ({"crossed": False}, "design", NOTE, "drive at least two loads in every session"),
-        ({"sessions": 1}, "design", NOTE, "one session"),
+        ({"sessions": 1}, "design", FAILED, "one session"),
     ],
 )
 def test_a_fault_is_reported_by_its_check(fault: dict[str, float], name: str, level: str, word: str) -> None:

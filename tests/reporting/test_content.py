@@ -223,5 +223,5 @@ def test_page_one_agrees_with_the_diagnosis_of_radii_that_follow_the_temperature
     fit = fit_campaign(read_campaign(project_root / "sample_runs" / "yard"))
     notice = usable_notice(fit)
     assert notice.level == "bad"
-    assert notice.title == "The law should not be used as it is"
+    assert notice.title == "The law is doubtful"
     assert "temperature" in notice.text

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
-from calib.radius.checks import FAIL_BELOW, NOTE_BELOW
+from calib.radius.design_checks import FAIL_BELOW, NOTE_BELOW
 from calib.radius.regression import Check
 from calib.radius.result import Fit
 from calib.reporting.blocks import Column, Items, Notice, Picture, Section, Table, Text, drawn
@@ -76,7 +76,7 @@ def usable_notice(fit: Fit) -> Notice:
     if failed:
         return Notice(
             "bad",
-            "The law should not be used as it is",
+            "The law should not be used as it is" if fit.implausible else "The law is doubtful",
             f"FAILED: {'; '.join(failed)}. The checks say what that means and what to do.",
         )
     remarks = [check for wheel in fit.wheels.values() for check in wheel.checks if check.level == "note"]

@@ -1,0 +1,91 @@
+"""Runs that follow each other and scatter alike: the intervals are widened for it, or the law is doubtful."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calib.radius.checks import with_checks
+from calib.radius.order import widened
+from calib.radius.regression import FAILED, WheelFit, fit_wheel
+from calib.radius.sessions import groups_of, stratified_line
+from calib.types import FloatArray
+
+RADIUS_M, SLOPE_M_PER_N, REFERENCE_N, SCATTER_M = 0.1, 1.3e-6, 300.0, 1.6e-5
+LOADS_N = np.array([300.0, 500.0, 700.0, 900.0, 1100.0])
+RHO = 0.8
+
+
+def series(rng: np.random.Generator, n: int, rho: float) -> FloatArray:
+    """Return a stationary first-order autoregression of unit variance, written out run by run."""
+    values = [rng.normal()]
+    while len(values) < n:
+        values.append(rho * values[-1] + np.sqrt(1 - rho**2) * rng.normal())
+    return np.array(values)
+
+
+def ascending(rng: np.random.Generator, rho: float, n_sessions: int = 3) -> WheelFit:
+    """Return the fit of sessions in each of which the loads ascend."""
+    load = np.tile(np.repeat(LOADS_N, 2), n_sessions)
+    session = np.repeat([f"s{one}" for one in range(n_sessions)], 10)
+    scatter = np.concatenate([series(rng, 10, rho) for _ in range(n_sessions)])
+    radius = RADIUS_M + SLOPE_M_PER_N * (load - REFERENCE_N) + SCATTER_M * scatter
+    fit = fit_wheel("left", load, radius, session, reference_load_N=REFERENCE_N)
+    return with_checks(fit, session, np.full(len(load), ""), np.arange(len(load)).astype(str))
+
+
+def holds(fit: WheelFit) -> bool:
+    interval = fit.slope_ci95_m_per_N
+    assert interval is not None
+    return interval[0] <= SLOPE_M_PER_N <= interval[1]
+
+
+def test_slopes_of_ascending_loads_hold_the_truth_or_are_doubtful() -> None:
+    """Independent intervals hold it in 80 %; widened or marked 95 % within the scatter of 300 wheels (1.3 %)."""
+    rng = np.random.default_rng(1)
+    fits = [ascending(rng, RHO) for _ in range(300)]
+    naive = [
+        fit.naive is not None
+        and abs(fit.naive.coefficients[1] - SLOPE_M_PER_N) < 2.05 * np.sqrt(fit.naive.covariance[1, 1])
+        for fit in fits
+    ]
+    marked = [any(check.name == "order" and check.level == FAILED for check in fit.checks) for fit in fits]
+    assert np.mean(naive) < 0.88
+    assert np.mean([a or b for a, b in zip(map(holds, fits), marked, strict=True)]) > 0.95 - 2 * 0.013
+
+
+def test_independent_runs_are_left_as_they_are() -> None:
+    """The test of size 5 % widens one wheel in twenty, and marks fewer than one in fifty."""
+    rng = np.random.default_rng(2)
+    fits = [ascending(rng, 0.0) for _ in range(300)]
+    found = [fit.autocorrelation for fit in fits]
+    assert all(one is not None for one in found)
+    # binomial, 300 of 5 %: 15 +- 3.8
+    assert sum(one.rho > 0.0 for one in found if one is not None) <= 15 + 2.5 * 3.8
+    assert sum(any(check.name == "order" and check.level == FAILED for check in fit.checks) for fit in fits) <= 8
+
+
+@pytest.mark.parametrize("rho", [0.5, 0.8])
+def test_the_variance_under_autocorrelation_is_that_of_the_closed_form(rho: float) -> None:
+    """The slope's variance is x'Rx over the square of x'x, R written out in full; ``rho`` as it was estimated."""
+    rng = np.random.default_rng(3)
+    load = np.tile(np.repeat(LOADS_N, 8), 2)
+    groups = groups_of(np.repeat(["a", "b"], 40))
+    scatter = np.concatenate([series(rng, 40, rho) for _ in range(2)])
+    radius = RADIUS_M + SLOPE_M_PER_N * (load - REFERENCE_N) + SCATTER_M * scatter
+    x = load - REFERENCE_N
+    plain = stratified_line(x, radius, groups)
+    assert plain is not None
+    wide, found = widened(plain, x, radius, groups)
+    assert found.rho > 0.0
+    n = len(load)
+    apart = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
+    correlation = np.where(np.equal.outer(groups.index, groups.index), found.rho**apart, 0.0)
+    x_within = groups.within(x)
+    project = np.eye(n) - np.column_stack((np.eye(2)[groups.index], x)) @ np.linalg.pinv(
+        np.column_stack((np.eye(2)[groups.index], x))
+    )
+    residual = project @ radius
+    variance = residual @ residual / np.trace(project @ correlation)
+    wanted = variance * (x_within @ correlation @ x_within) / (x_within @ x_within) ** 2
+    assert wide.cov_within[1, 1] == pytest.approx(wanted, rel=1e-9)
