@@ -5,8 +5,6 @@ The checksum is SHA-256 over a canonical form that survives re-indenting and re-
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Iterable, Sequence
 from typing import Any, Final
 
@@ -22,6 +20,8 @@ def to_json(value: Any, *, ascii_only: bool = False) -> str:
     `value`: plain values, numpy scalars included; `ascii_only`: escape all other characters, as is always done where a
     text has no UTF-8 form (an unpaired surrogate). Raises ValueError where a number is NaN or infinite.
     """
+    import json
+
     text = json.dumps(value, indent=2, ensure_ascii=ascii_only, allow_nan=False, default=_python_scalar) + "\n"
     try:
         text.encode("utf-8")
@@ -73,6 +73,8 @@ def canonical_bytes(document: dict[str, Any]) -> bytes:
     decimal that reads back as the same double, so that 4096 and 4096.0 are one number. Raises ValueError,
     OverflowError where a number is not a finite double.
     """
+    import json
+
     body = {key: value for key, value in document.items() if key != CHECKSUM_KEY}
     text = json.dumps(_doubles(body), sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
     return text.encode("ascii")
@@ -80,6 +82,8 @@ def canonical_bytes(document: dict[str, Any]) -> bytes:
 
 def checksum(document: dict[str, Any]) -> str:
     """Return ``sha256:`` and the hexadecimal SHA-256 of the canonical form of `document`."""
+    import hashlib
+
     return "sha256:" + hashlib.sha256(canonical_bytes(document)).hexdigest()
 
 

@@ -35,6 +35,13 @@ from calib.campaign.checks.distances import (
 )
 from calib.campaign.checks.loads import loads_against_payload, wheel_loads
 from calib.campaign.checks.plausible import implausible
+from calib.campaign.checks.settings import (
+    counts_per_revolution,
+    heading_turns,
+    late_logs,
+    log_clock,
+    pose_resolution,
+)
 from calib.campaign.model import Campaign, Note
 from calib.types import BoolArray, FloatArray, Progress, silent, stepped
 
@@ -55,6 +62,11 @@ CHECKS: Final[dict[str, Check]] = {
     "reversed_wheels": reversed_wheels,
     "count_scale": count_scale,
     "counts_against_log": counts_against_log,
+    "late_logs": late_logs,
+    "counts_per_revolution": counts_per_revolution,
+    "log_clock": log_clock,
+    "heading_turns": heading_turns,
+    "pose_resolution": pose_resolution,
     "swapped_wheels": swapped_wheels,
     "turn_direction": turn_direction,
     "clock": clock,

@@ -12,8 +12,10 @@ import numpy as np
 
 from calib.errors import BadFileError
 from calib.types import FloatArray
-from calib.units import SUFFIXES, convertible, split_suffix, unit_named
+from calib.units import GRAVITY_MPS2, SUFFIXES, convertible, split_suffix, unit_named
 
+#: columns of the run table that are often weighed in kilograms
+WHEEL_LOADS: Final = ("load_left_N", "load_right_N")
 _BRACKETS: Final = re.compile(r"(.*?)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]\s*")
 # units that a further column may be converted from; the one-letter ones are left alone, since names end in letters
 _FURTHER: Final = frozenset({"mm", "cm", "km", "um", "deg", "mrad", "kN", "daN", "ms", "us", "ns", "kmh", "mmps"})
@@ -70,6 +72,8 @@ def _recognise(found: str, known: tuple[str, ...], further: bool) -> Recognised:
         wanted_stem, _ = split_suffix(wanted)
         if suffix is not None and stem.lower() == wanted_stem.lower():
             factors = convertible(f"{wanted_stem}_{suffix}", wanted)
+            if factors is None and wanted in WHEEL_LOADS and SUFFIXES[suffix][0] == "kg":
+                factors = SUFFIXES[suffix][1] * GRAVITY_MPS2, 0.0
             if factors is not None:
                 factor, offset = factors
                 change = f"times {factor:.10g}" + (f" plus {offset:.6g}" if offset else "")
@@ -84,6 +88,34 @@ def _recognise(found: str, known: tuple[str, ...], further: bool) -> Recognised:
         renamed = f"{stem}_{target}"
         return Recognised(found, renamed, factor, offset, f"read as {renamed} (times {factor:.10g})")
     return Recognised(found, clean)
+
+
+#: short forms of the words in column names
+_WORDS: Final = {
+    "l": "left",
+    "r": "right",
+    "temp": "temperature",
+    "dist": "distance",
+    "cnt": "counts",
+    "count": "counts",
+}
+#: words that say how or where a value was had, or of what it is, and not what it is
+_BESIDE: Final = frozenset({"weighed", "measured", "wheel", "mean", "avg", "hall", "reported", "raw", "total", "value"})
+
+
+def look_alike(name: str, missing: Iterable[str]) -> str | None:
+    """Return the known column, of those that a table lacks, that an unknown name seems to mean; None for most names."""
+    words = _words(name)
+    return next((wanted for wanted in missing if words == _words(wanted)), None)
+
+
+def _words(name: str) -> tuple[str, ...]:
+    """Return the words of a column name without its unit, in any order, long and in lower case."""
+    stem, _ = split_suffix(re.sub(r"[\s\-.]+", "_", name.strip()))
+    words = re.split(r"_+", re.sub(r"(?<=[a-z])(?=[A-Z])", "_", stem).lower())
+    return tuple(
+        sorted(_WORDS.get(word, word) for word in words if word and word not in _BESIDE and word not in SUFFIXES)
+    )
 
 
 def converted(values: FloatArray, factor: float, offset: float = 0.0) -> FloatArray:

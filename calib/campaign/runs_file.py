@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import unicodedata
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from calib.campaign.columns import Recognised, converted, recognise
+from calib.campaign.columns import Recognised, converted, look_alike, recognise
 from calib.campaign.model import LABEL_COLUMNS, NUMERIC_COLUMNS, Border, RunTable
 from calib.campaign.readers.table import RawTable, comma_evidence, mixed_decimal_marks, numbers
 from calib.errors import BadFileError
@@ -16,6 +18,27 @@ from calib.limits import LABEL_CHARACTERS, RUNS, refuse_beyond
 from calib.types import BoolArray, FloatArray, StrArray
 
 _KNOWN: Final = (*LABEL_COLUMNS, *NUMERIC_COLUMNS, "excluded")
+#: names of rows that sum up the others
+_SUMMARY_NAMES: Final = (
+    "mean",
+    "average",
+    "avg",
+    "sum",
+    "total",
+    "std",
+    "mittel",
+    "mittelwert",
+    "summe",
+    "moyenne",
+    "media",
+)
+#: columns whose mean or sum, to the whole count, no run has by chance in both
+_COUNTED: Final = ("counts_left", "counts_right")
+_LEAST_COUNTED: Final = 2
+#: counts of different runs scatter by more than this
+_LEAST_SPREAD: Final = 5.0
+#: of two runs each is the sum of the others where they are alike
+_LEAST_ROWS: Final = 4
 #: ways along a corridor
 DIRECTIONS: Final = ("out", "back")
 _TRUE: Final = frozenset({"true", "1", "1.0", "yes", "y", "x"})
@@ -45,13 +68,53 @@ def run_table(raw: RawTable, shown: str, border: Border) -> RunTable:
     _check_run_ids(labels["run_id"], line, shown, border)
     if "direction" in labels:
         labels["direction"] = _directions(labels["direction"], labels["run_id"], line, shown, border)
+    if "session" in labels:
+        labels["session"] = _sessions(labels["session"], shown, border)
     excluded = _flags(raw.columns[matched["excluded"].found], shown, line) if "excluded" in matched else None
-    return RunTable(
-        labels=labels,
-        numbers=_numbers(raw, matched, shown, border),
-        excluded=np.zeros(len(line), dtype=np.bool_) if excluded is None else excluded,
-        line=line,
-    )
+    numbers_of_runs = _numbers(raw, matched, shown, border)
+    excluded = np.zeros(len(line), dtype=np.bool_) if excluded is None else excluded
+    summary = _summaries(labels["run_id"], numbers_of_runs, ~excluded)
+    for row in np.flatnonzero(summary):
+        text = f"{str(labels['run_id'][row])!r} is the mean or sum of other rows and no run; it is not used, remove it"
+        border.say(f"{shown}, row {line[row]}", text, "summary_row", level="suspicious")
+    return RunTable(labels=labels, numbers=numbers_of_runs, excluded=excluded | summary, line=line)
+
+
+def _sessions(session: StrArray, shown: str, border: Border) -> StrArray:
+    """Return session labels in which those that differ by case, width, form or as numbers alone are one."""
+    plain: dict[str, str] = {}
+    written: dict[str, set[str]] = {}
+    for label in dict.fromkeys(map(str, session)):
+        key = unicodedata.normalize("NFKC", label).strip().casefold()
+        with suppress(ValueError):
+            key = _plain(float(key))
+        plain.setdefault(key, label)
+        written.setdefault(key, set()).add(label)
+    double = {label: plain[key] for key, labels in written.items() if len(labels) > 1 for label in labels}
+    if double:
+        names = "; ".join(sorted(" and ".join(sorted(labels)) for labels in written.values() if len(labels) > 1))
+        border.say(
+            f"{shown}, column session",
+            f"found {names[:200]}, spelled differently and taken as one session; spell each session in one way",
+            "session_spelling",
+            level="suspicious",
+        )
+    return np.asarray([double.get(label, label) for label in map(str, session)], dtype=np.str_)
+
+
+def _summaries(run_id: StrArray, columns: Mapping[str, FloatArray], used: BoolArray) -> BoolArray:
+    """Return which rows are means or sums of the others, by their name or by what they hold, shape (n_runs,)."""
+    named = used & np.isin(np.char.lower(run_id), _SUMMARY_NAMES)
+    counted = [columns[name] for name in _COUNTED if name in columns and np.isfinite(columns[name]).all()]
+    if len(counted) < _LEAST_COUNTED or used.sum() < _LEAST_ROWS:
+        return np.asarray(named)
+    table = np.stack(counted)
+    n_others = used.sum() - 1
+    others = np.where(used, table, 0.0).sum(axis=1)[:, None] - table
+    # runs that all have the same counts are repeats
+    varied = bool((np.std(table[:, used], axis=1) > _LEAST_SPREAD).all())
+    alike = [varied & (np.abs(table - value) < 0.51) for value in (others, others / n_others)]
+    return np.asarray(named | (used & np.any([each.all(axis=0) for each in alike], axis=0)))
 
 
 def _match(raw: RawTable, shown: str, border: Border) -> dict[str, Recognised]:
@@ -75,6 +138,15 @@ def _match(raw: RawTable, shown: str, border: Border) -> dict[str, Recognised]:
                 f"{shown}, column {found}",
                 f"names no unit and is not used as {match.unitless}; rename it to the unit it is in",
                 "no_unit",
+                level="suspicious",
+            )
+    missing = [name for name in NUMERIC_COLUMNS if name not in matched]
+    for match in matched.values():
+        if match.name not in _KNOWN and not match.unitless and (wanted := look_alike(match.name, missing)):
+            border.say(
+                f"{shown}, column {match.found}",
+                f"looks like {wanted} and is not used as it; rename it to {wanted} if it is, in its unit",
+                "look_alike",
                 level="suspicious",
             )
     return matched

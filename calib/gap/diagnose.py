@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from calib.campaign.checks.plausible import implausible
+from calib.campaign.checks.settings import notes_for_results
 from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
 from calib.errors import BadInputError, RefusedError
@@ -176,9 +178,11 @@ def _observed(
             f"{campaign.name}: no run has a channel that can be compared with the simulation; an end pose needs "
             "ref_x_m and ref_y_m together and a log where the path bends, or give distance_m or ref_theta_rad"
         )
+    said = (*(f"{note.where}: {note.text}." for note in implausible(campaign)), *notes_for_results(campaign))
     if not applied:
-        return observations, ()
-    return with_effects(observations, applied, declared=campaign.extra.get("effects", ()))
+        return observations, said
+    changed, notes = with_effects(observations, applied, declared=campaign.extra.get("effects", ()))
+    return changed, (*said, *notes)
 
 
 def _check_distances(campaign: Campaign, observations: Observations) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from calib.campaign.checks.design import assumed_settings
 from calib.campaign.checks.plausible import factor_reason, implausible, off
+from calib.campaign.checks.settings import notes_for_results
 from calib.campaign.model import Campaign
 from calib.errors import BadInputError, ImplausibleError, RefusedError
 from calib.radius.budget import declared_sources, observed_components, systematic_components, with_systematic
@@ -93,7 +94,7 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -
         right=wheels["right"],
         radii=replace(fit.radii, budget=(*fit.radii.budget, *systematic_components(wheels, radii, sources))),
         static=static,
-        notes=(*fit.notes, *notes),
+        notes=(*notes_for_results(campaign), *fit.notes, *notes),
         setup=Setup(
             vehicle=campaign.vehicle,
             encoder=campaign.encoder,

@@ -10,6 +10,7 @@ import pytest
 
 from calib.campaign.check import CHECKS, check_campaign
 from calib.campaign.model import Campaign, Logs
+from calib.campaign.settings import Encoder
 from tests.campaign.making import campaign, with_log_columns, with_numbers
 
 Fault = Callable[[Campaign], Campaign]
@@ -44,6 +45,26 @@ def _swap(made: Campaign, runs: slice, names: tuple[str, str] = ("counts_left", 
     left, right = (made.runs.number(name).copy() for name in names)
     left[runs], right[runs] = right[runs].copy(), left[runs].copy()
     return with_numbers(made, **dict(zip(names, (left, right), strict=True)))
+
+
+def _late_logs(made: Campaign) -> Campaign:
+    return with_numbers(made, counts_left=made.runs.number("counts_left") + 4.0)
+
+
+def _heading_a_turn_off(made: Campaign) -> Campaign:
+    """Squares of one turn each, and one heading without it."""
+    turn = np.full(len(made.runs), 2 * np.pi)
+    per_rad = made.encoder.counts_per_rev_left / (2 * np.pi)
+    more = turn * made.vehicle.track_m / made.vehicle.wheel_radius_m * per_rad
+    heading = turn.copy()
+    heading[4] = 0.0
+    return with_numbers(made, counts_right=made.runs.number("counts_left") + more, ref_theta_rad=heading)
+
+
+def _single_precision(made: Campaign) -> Campaign:
+    """Positions about a map's origin 5,500 km away, as a log of single precision holds them."""
+    east_m = 5.5e6 + np.linspace(0.0, 7.0, len(made.runs)) ** 2
+    return with_numbers(made, ref_x_m=np.asarray(east_m, dtype=np.float32).astype(np.float64))
 
 
 def _wrapped(made: Campaign) -> Campaign:
@@ -216,6 +237,17 @@ FAULTS: list[tuple[str, str, str, Fault, str]] = [
         "",
     ),
     ("assumed_values", "assumed", "suspicious", lambda m: replace(m, assumed=("vehicle.track_m",)), ""),
+    ("late_logs", "late_logs", "suspicious", _late_logs, ""),
+    (
+        "counts_per_revolution",
+        "counts_per_rev",
+        "suspicious",
+        lambda m: replace(m, encoder=Encoder(m.encoder.counts_per_rev_left + 1.0, m.encoder.counts_per_rev_right)),
+        "",
+    ),
+    ("log_clock", "clock_unit", "suspicious", _log("t_s", lambda t: np.multiply(t, 1000.0, out=t)), ""),
+    ("heading_turns", "heading_turn", "suspicious", _heading_a_turn_off, "r004"),
+    ("pose_resolution", "pose_resolution", "suspicious", _single_precision, ""),
     ("implausible", "implausible", "wrong", _scaled(4), ""),
     ("implausible", "implausible", "wrong", _number("load_left_N", lambda _: -5.0, 4), ""),
     ("assumed_values", "assumed", "info", lambda m: replace(m, assumed=("rangefinder.sigma_m",)), ""),

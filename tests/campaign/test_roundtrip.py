@@ -22,6 +22,8 @@ TEXT = st.text(st.characters(blacklist_categories=("C", "Z")), min_size=1, max_s
 CELL = st.one_of(st.just(np.nan), st.floats(-1e6, 1e6), st.integers(-(2**52), 2**52).map(float))
 # the load columns, counts and distance are filled where they are missing, so they are always given here
 FULL = ("counts_left", "counts_right", "distance_m", "load_left_N", "load_right_N")
+#: sessions that differ by more than case, width or form: those that do not are joined when they are read
+SESSIONS = ("", "mon", "3", "früh; spät", '"quoted"', "\u65e5\u66dc")
 
 
 @st.composite
@@ -69,7 +71,7 @@ def campaigns(draw: st.DrawFn) -> Campaign:
         runs=RunTable(
             labels={
                 "run_id": np.asarray(ids),
-                "session": np.asarray(draw(st.lists(TEXT, min_size=n, max_size=n))),
+                "session": np.asarray(draw(st.lists(st.sampled_from(SESSIONS), min_size=n, max_size=n))),
                 "exclusion_reason": np.asarray(draw(st.lists(TEXT, min_size=n, max_size=n))),
             },
             numbers=numbers,

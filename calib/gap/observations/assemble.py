@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from calib.gap.observations.routes import (
     weave_of_log,
     were_guided,
 )
-from calib.types import BoolArray, FloatArray, IntArray
+from calib.types import BoolArray, FloatArray, IntArray, StrArray
 from calib.vehicle import wheel_loads_N
 
 
@@ -39,6 +39,16 @@ def filled_loads(campaign: Campaign) -> tuple[FloatArray, FloatArray, bool]:
     return np.where(np.isnan(left), by_left, left), np.where(np.isnan(right), by_right, right), known
 
 
+#: columns of the format that are filled like covariates
+FILLED: Final = ("temperature_C", "minutes_under_load")
+#: values beyond these are absurd, with any others
+PLAUSIBLE_VALUES: Final = {"temperature_C": (-50.0, 60.0)}
+#: and values further than this from the median, in widths of the middle half: 30 standard deviations of a normal one
+MOST_SPREADS: Final = 20.0
+#: a few are a fifth at most; more are another matter
+MOST_ODD: Final = 0.2
+#: runs named in a remark
+MOST_LISTED: Final = 5
 _LABELS = ("run_id", "session", "kind", "direction")
 
 
@@ -148,15 +158,22 @@ def _stated(units: Sequence[Observation], name: str, campaign: Campaign) -> Floa
     return np.where(np.isnan(values), getattr(campaign.reference, name), values)
 
 
-def _unwrapped(heading: FloatArray, turn: FloatArray) -> FloatArray:
+def _unwrapped(heading: FloatArray, turn: FloatArray, remarks: list[str]) -> FloatArray:
     """Bring a reference heading that may come wrapped next to the wheels' turn: all then lie within half a turn."""
     known = np.isfinite(heading)
-    if not known.any() or np.abs(heading[known]).max() > np.pi + 0.05:
+    if not known.any():
         return heading
     wraps = 2 * np.pi * np.round((turn - heading) / (2 * np.pi))
     # but only where the two then agree: with swapped or halved counts it is the wheels that are wrong
     with np.errstate(invalid="ignore"):
-        return heading + np.where(np.abs(turn - heading - wraps) < 1.0, wraps, 0.0)
+        wraps = np.where(np.abs(turn - heading - wraps) < 1.0, wraps, 0.0)
+    if np.abs(heading[known]).max() <= np.pi + 0.05:
+        return heading + wraps
+    odd = int(np.count_nonzero(wraps))
+    if not 0 < odd <= MOST_ODD * known.sum():
+        return heading
+    remarks.append(f"the heading of {odd} runs is a whole turn off what the wheels say, and was turned back")
+    return heading + wraps
 
 
 def _measured(
@@ -165,7 +182,7 @@ def _measured(
     """Return what was measured and which channels each observation has, each (n_obs, 6), the front wheel's omitted."""
     measured = np.full((len(units), 6), np.nan)
     measured[:, :4] = [u.measured for u in units]
-    measured[:, 3] = _unwrapped(measured[:, 3], turn)
+    measured[:, 3] = _unwrapped(measured[:, 3], turn, remarks)
     with np.errstate(invalid="ignore"):
         chord = np.hypot(measured[:, 1], measured[:, 2])
         straight = (np.abs(turn) < STRAIGHT_RAD) & ~(chord < 0.9 * np.abs(path))
@@ -245,10 +262,43 @@ def _numbers(campaign: Campaign, index: IntArray, path: FloatArray, remarks: lis
     left, right, known = filled_loads(campaign)
     if not known:
         remarks.append("no payload or wheel load is given: every run is taken as unladen")
-    numbers = {name: campaign.runs.number(name)[index] for name in campaign.runs.numbers}
+    runs = campaign.runs
+    numbers = {name: runs.number(name)[index] for name in runs.numbers}
+    for name in (*FILLED, *runs.covariates):
+        if name in numbers:
+            numbers[name] = _filled(name, numbers[name], runs.label("session")[index], runs.run_id[index], remarks)
     numbers |= {"load_left_N": left[index], "load_right_N": right[index]}
     numbers["travelled_km"] = np.concatenate(([0.0], np.cumsum(np.abs(path))[:-1])) / 1000.0
     return numbers
+
+
+def _filled(name: str, values: FloatArray, session: StrArray, run_id: StrArray, remarks: list[str]) -> FloatArray:
+    """Return a covariate (n_obs,) in which a few missing or absurd values are those of the session, and say so.
+
+    Without them no effect of the covariate could be asked for, on any run.
+    """
+    known = np.isfinite(values)
+    if not known.any():
+        return values
+    middle = float(np.median(values[known]))
+    spread = float(np.diff(np.quantile(values[known], [0.25, 0.75]))[0])
+    low, high = PLAUSIBLE_VALUES.get(name, (-np.inf, np.inf))
+    if spread > 0.0:
+        low, high = max(low, middle - MOST_SPREADS * spread), min(high, middle + MOST_SPREADS * spread)
+    with np.errstate(invalid="ignore"):
+        good = known & (values >= low) & (values <= high)
+    bad = ~good
+    if not bad.any() or bad.sum() > MOST_ODD * len(values):
+        return values
+    filled = values.copy()
+    for number in np.flatnonzero(bad):
+        alike = good & (session == session[number])
+        filled[number] = np.mean(values[alike]) if alike.any() else middle
+    names = ", ".join(dict.fromkeys(map(str, run_id[bad][:MOST_LISTED])))
+    remarks.append(
+        f"{name} is missing or absurd in {int(bad.sum())} runs ({names}): the mean of the session stands for it"
+    )
+    return filled
 
 
 def _common_frame(campaign: Campaign, in_map: bool) -> bool:
