@@ -94,10 +94,8 @@ def log_clock(campaign: Campaign) -> Iterator[Note]:
 
 def odd_lengths(campaign: Campaign) -> Iterator[Note]:
     """Find runs whose distance is far from what their wheels rolled, and logs whose time does not rise."""
-    ratio = (
-        np.nanmean([raw_radius_ratio(campaign, side) for side in SIDES], axis=0) if _has_distances(campaign) else None
-    )
-    if ratio is not None and np.isfinite(ratio).sum() >= LEAST_RUNS:
+    ratio = 0.5 * (raw_radius_ratio(campaign, SIDES[0]) + raw_radius_ratio(campaign, SIDES[1]))
+    if np.isfinite(ratio).sum() >= LEAST_RUNS:
         usual = float(np.nanmedian(ratio))
         with np.errstate(invalid="ignore"):
             odd = (ratio > ODD_RATIO * usual) | (ratio < usual / ODD_RATIO)
@@ -114,12 +112,6 @@ def odd_lengths(campaign: Campaign) -> Iterator[Note]:
         if len(runs):
             names = ", ".join(map(str, campaign.runs.run_id[runs][:5]))
             yield Note("suspicious", "logs, column t_s", f"time runs backwards in {len(runs)} logs ({names})", "clock")
-
-
-def _has_distances(campaign: Campaign) -> bool:
-    """Return whether any run has a distance and both counts."""
-    wanted = ("distance_m", "counts_left", "counts_right")
-    return bool(np.isfinite([campaign.runs.number(name) for name in wanted]).all(axis=0).any())
 
 
 def heading_turns(campaign: Campaign) -> Iterator[Note]:
