@@ -133,6 +133,15 @@ def test_outside_the_range_the_header_follows_the_rule_of_the_file(file: Coeffic
     np.testing.assert_allclose(clamped[:, 7], left * 1e9, rtol=0, atol=0.51)
 
 
+@pytest.mark.parametrize("option", ["-ffast-math", "-ffinite-math-only"])
+def test_the_header_refuses_options_that_take_nan_for_impossible(
+    file: CoefficientFile, tmp_path: Path, option: str
+) -> None:
+    with pytest.raises(AssertionError, match="compile without -ffast-math and -ffinite-math-only"):
+        build(file, tmp_path, option)
+    build(file, tmp_path, "-fno-math-errno")
+
+
 def test_the_header_is_cplusplus_too(file: CoefficientFile, tmp_path: Path) -> None:
     if shutil.which("c++") is None:
         pytest.skip("no C++ compiler here")

@@ -2,8 +2,8 @@
  * From here on the text is the same for every vehicle.
  * ------------------------------------------------------------------------------------------------------------- */
 
-#if defined(__FAST_MATH__)
-#error "compile without -ffast-math: faults are recognised by NaN and infinity"
+#if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__)
+#error "compile without -ffast-math and -ffinite-math-only: faults are recognised by NaN and infinity"
 #endif
 
 #define CALIB_TWO_PI 6.283185307179586476925286766559
