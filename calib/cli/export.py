@@ -12,6 +12,7 @@ from calib.cli.options import AcceptImplausible, Force, JsonTarget
 from calib.cli.terminal import emit_json, emit_text, note, wants_stdout, wrote
 from calib.coefficients.formats import FORMATS
 from calib.io import refuse_existing
+from calib.reporting.exports import FORMATS as OTHER_FORMATS
 
 if TYPE_CHECKING:
     from calib.coefficients.formats import Artifact
@@ -46,7 +47,9 @@ def run(
             metavar="CAMPAIGN|FIT", help="Campaign, result folder of calib fit, its fit.json, or coefficients.json."
         ),
     ],
-    to: Annotated[str, typer.Option(metavar="FORMAT", help=f"{', '.join(FORMATS)}; json is the master.")],
+    to: Annotated[
+        str, typer.Option(metavar="FORMAT", help=f"{', '.join((*FORMATS, *OTHER_FORMATS))}; json is the master.")
+    ],
     output: Annotated[
         Path | None,
         typer.Option(help="File, or folder where several files are made; without it, or '-': standard output."),
@@ -63,7 +66,7 @@ def run(
     json: JsonTarget = None,
     force: Force = False,
 ) -> None:
-    """Write the coefficients as JSON, ROS 2 parameters, C99 header or look-up table.
+    """Write the coefficients as JSON, ROS 2 parameters, C99 header or look-up table, or a calibration certificate.
 
     Example: calib export sample_runs/corridor --to ros2 --load 300 --load 500,700 --output params
     """
@@ -73,6 +76,9 @@ def run(
     # a dash is standard output, as for --json
     output = None if output == Path("-") else output
     refuse_existing([output if output is not None and output.is_file() else None], force=force)
+    if to in OTHER_FORMATS:
+        _export_other(source, to, output, accept_implausible.strip(), json, force=force)
+        return
     coefficients = coefficients_of(source, outside=outside, created=date, accept=accept_implausible.strip())
     options = ExportOptions(
         loads=parse_loads(load or []),
@@ -93,6 +99,14 @@ def run(
         "notes": list(coefficients.notes),
     }
     emit_json(document, json, force=force)
+
+
+def _export_other(source: Path, to: str, output: Path | None, accept: str, json: str | None, *, force: bool) -> None:
+    """Write a format that needs the fit or the runs beside the coefficients."""
+    from calib.reporting.exports import export_from
+
+    artifacts = export_from(source, to, accept=accept)
+    emit_json({"to": to, "files": _written(artifacts, output, json, force=force)}, json, force=force)
 
 
 def _written(

@@ -34,6 +34,8 @@ RUNS_FILE: Final = "runs.csv"
 PLAUSIBLE: Final = "plausible"
 #: what ``calib fit --json`` adds for other programs; nothing here reads it
 _ADDED: Final = ("model_comparison",)
+#: sections of ``campaign.toml`` for report and certificate
+STATED_SECTIONS: Final = ("report", "certificate")
 REMEDY: Final = "make it with 'calib fit CAMPAIGN --into FOLDER'"
 _TEXTS: Final = ("run_id", "session", "direction", "path_source")
 _RUN_COLUMNS: Final = tuple(
@@ -209,7 +211,7 @@ def _check_runs(fit: Fit) -> None:
 
 
 def provenance(campaign: Campaign, *, version: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """Return where a fit comes from: version, arguments, the SHA-256 of every file read, and the ``[report]`` section.
+    """Return where a fit comes from: version, arguments, the SHA-256 of every file read, and what the campaign states.
 
     `campaign`: its ``hashes`` are taken; where it has none, those of ``campaign.toml`` and ``runs.csv`` are computed;
     `arguments`: arguments of the command, plain values.
@@ -220,9 +222,10 @@ def provenance(campaign: Campaign, *, version: str, arguments: Mapping[str, Any]
             if (campaign.root / name).is_file():
                 hashes[name] = sha256_file(campaign.root / name)
     record = {"version": version, "arguments": dict(arguments), "inputs": dict(sorted(hashes.items()))}
-    if "report" in campaign.extra:
-        # dates of TOML become texts
-        record["report"] = json.loads(json.dumps(campaign.extra["report"], default=str))
+    for section in STATED_SECTIONS:
+        if section in campaign.extra:
+            # dates of TOML become texts
+            record[section] = json.loads(json.dumps(campaign.extra[section], default=str))
     return record
 
 
