@@ -39,6 +39,15 @@ OpenLoop = Annotated[
     bool, typer.Option("--open-loop", help="ROS 2: odometry from the commands, not from the encoders.")
 ]
 
+Model = Annotated[
+    Path | None,
+    typer.Option(
+        "--into", metavar="MODEL", help="Your simulator's model, which is copied and patched (mjcf, urdf, sdf)."
+    ),
+]
+Left = Annotated[str, typer.Option(metavar="NAME", help="Joint, body or link of the left rear wheel in MODEL.")]
+Right = Annotated[str, typer.Option(metavar="NAME", help="The same of the right rear wheel.")]
+
 
 def run(
     source: Annotated[
@@ -60,13 +69,16 @@ def run(
     ] = None,
     date: Annotated[str | None, typer.Option(metavar="YYYY-MM-DD", help="Date written into the file.")] = None,
     controller: Controllers = None,
+    into: Model = None,
+    left: Left = "",
+    right: Right = "",
     velocity_feedback: VelocityFeedback = False,
     open_loop: OpenLoop = False,
     accept_implausible: AcceptImplausible = "",
     json: JsonTarget = None,
     force: Force = False,
 ) -> None:
-    """Write the coefficients as JSON, ROS 2 parameters, C99 header or look-up table, or a calibration certificate.
+    """Write the coefficients for a vehicle, a controller, a simulator's model, or a calibration certificate.
 
     Example: calib export sample_runs/corridor --to ros2 --load 300 --load 500,700 --output params
     """
@@ -85,9 +97,13 @@ def run(
         controllers=tuple(controller or ()),
         position_feedback=not velocity_feedback,
         open_loop=open_loop,
+        model=into,
+        left=left,
+        right=right,
     )
     artifacts = export(coefficients.file, to, options=options)
-    for text in coefficients.notes:
+    notes = [*coefficients.notes, *(text for artifact in artifacts for text in artifact.notes)]
+    for text in notes:
         note(text)
     files = _written(artifacts, output, json, force=force)
     document = {
@@ -96,7 +112,7 @@ def run(
         "outside": coefficients.file.outside,
         "simulated": coefficients.file.simulated,
         "files": files,
-        "notes": list(coefficients.notes),
+        "notes": notes,
     }
     emit_json(document, json, force=force)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
@@ -16,6 +17,9 @@ FORMATS: Final[dict[str, str | None]] = {
     "ros2": "ros2",
     "c": "c_header",
     "csv": "csv_table",
+    "mjcf": "mjcf",
+    "urdf": "urdf",
+    "sdf": "sdf",
 }
 #: of a name of the user in a comment
 COMMENT_LENGTH: Final = 120
@@ -27,6 +31,8 @@ class Artifact:
 
     name: str
     data: bytes
+    #: what the format cannot say
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +56,10 @@ class ExportOptions:
     position_feedback: bool = True
     #: whether the controllers integrate commands in place of the encoders
     open_loop: bool = False
+    #: the user's model of the vehicle, and the names of its rear wheels in there
+    model: Path | None = None
+    left: str = ""
+    right: str = ""
 
     @property
     def has_controller_choices(self) -> bool:

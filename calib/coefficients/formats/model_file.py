@@ -1,0 +1,263 @@
+"""A simulator's model file: read safely, and changed in single attributes and texts, every other byte as it was.
+
+Documents with a DOCTYPE are refused: entities could grow without end or name other files.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final, NoReturn
+from xml.parsers import expat
+from xml.sax.saxutils import quoteattr
+
+from calib.errors import BadFileError, BadInputError, RefusedError
+
+#: bytes; a model that is longer has its meshes inside
+LARGEST: Final = 50_000_000
+#: significant digits of a length: a nanometre of a metre
+DIGITS: Final = 9
+#: a wheel's radius in the model beyond this factor of the calibrated one is in another unit, or another wheel
+FACTOR: Final = 2.0
+_ATTRIBUTE: Final = re.compile(rb"""\s+([^\s=]+)\s*=\s*("[^"]*"|'[^']*')""")
+
+
+@dataclass(slots=True, eq=False)
+class Node:
+    """An element of the document, with the bytes that it came from."""
+
+    tag: str
+    attributes: dict[str, str]
+    parent: Node | None
+    #: offsets of its start tag, of the end of that tag, and of its end tag
+    start: int
+    tag_end: int = 0
+    close: int = 0
+    children: list[Node] = field(default_factory=list)
+    text: str = ""
+
+    def walk(self) -> Iterator[Node]:
+        """Yield the element and all below it, in the order of the file."""
+        yield self
+        for child in self.children:
+            yield from child.walk()
+
+    def child(self, tag: str) -> Node | None:
+        """Return the first child of that tag, None where there is none."""
+        return next((child for child in self.children if child.tag == tag), None)
+
+    def ancestors(self) -> Iterator[Node]:
+        """Yield the parents, the nearest first."""
+        node = self.parent
+        while node is not None:
+            yield node
+            node = node.parent
+
+
+class ModelFile:
+    """A document with the changes asked for so far."""
+
+    def __init__(self, path: Path, root_tag: str) -> None:
+        self.path = path
+        try:
+            with path.open("rb") as file:
+                self.data = file.read(LARGEST + 1)
+        except OSError as error:
+            raise BadFileError(path, error.strerror or "no file", "a model file", "give the path of one") from error
+        if len(self.data) > LARGEST:
+            raise BadFileError(path, "more than 50 MB", "a model file", "keep meshes in files of their own")
+        self._changes: dict[tuple[int, int], bytes] = {}
+        self.root = self._parsed()
+        if self.root.tag != root_tag:
+            raise BadFileError(path, f"<{self.root.tag}>", f"<{root_tag}>", "choose the format that --to names")
+
+    def _parsed(self) -> Node:
+        parser = expat.ParserCreate(encoding="utf-8")
+        open_nodes: list[Node] = []
+        roots: list[Node] = []
+
+        def start(tag: str, attributes: dict[str, str]) -> None:
+            at = parser.CurrentByteIndex
+            node = Node(tag, attributes, open_nodes[-1] if open_nodes else None, at, self._tag_end(at))
+            (open_nodes[-1].children if open_nodes else roots).append(node)
+            open_nodes.append(node)
+
+        def end(_tag: str) -> None:
+            open_nodes.pop().close = parser.CurrentByteIndex
+
+        def text(data: str) -> None:
+            if open_nodes:
+                open_nodes[-1].text += data
+
+        def refused(*_args: object) -> NoReturn:
+            raise BadFileError(
+                self.path,
+                "a DOCTYPE, or an entity",
+                "a model file without one",
+                "remove it; a model needs neither",
+                row=parser.CurrentLineNumber,
+            )
+
+        parser.StartElementHandler, parser.EndElementHandler, parser.CharacterDataHandler = start, end, text
+        parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = parser.ExternalEntityRefHandler = refused
+        try:
+            parser.Parse(self.data, True)
+        except expat.ExpatError as error:
+            raise BadFileError(
+                self.path, expat.ErrorString(error.code), "XML in UTF-8", "correct the file", row=error.lineno
+            ) from error
+        return roots[0]
+
+    def _tag_end(self, at: int) -> int:
+        """Return the offset after the attributes of the start tag at `at`, before its ``/>`` or ``>``."""
+        end = at + 1 + len(re.match(rb"[^\s/>]+", self.data[at + 1 : at + 1001]).group())  # type: ignore[union-attr]
+        while match := _ATTRIBUTE.match(self.data, end):
+            end = match.end()
+        return end
+
+    def set_attribute(self, node: Node, name: str, value: str) -> None:
+        """Set an attribute, added at the end of the tag where it is not there."""
+        node.attributes[name] = value
+        at = node.start + 1 + len(node.tag.encode())
+        while match := _ATTRIBUTE.match(self.data, at):
+            if match[1] == name.encode():
+                quote = match[2][:1]
+                self._changes[match.start(2), match.end(2)] = quote + value.encode() + quote
+                return
+            at = match.end()
+        self._insert(node.tag_end, f" {name}={quoteattr(value)}".encode())
+
+    def set_text(self, node: Node, value: str) -> None:
+        """Set the text of an element without children; white space around it stays."""
+        begin = self.data.index(b">", node.tag_end) + 1
+        between = self.data[begin : node.close]
+        if between.strip() != node.text.strip().encode():
+            raise RefusedError(
+                f"{self.path}: found <{node.tag}> with comments or entities in its number; expected a plain number; "
+                "write it so"
+            )
+        node.text = value
+        left = len(between) - len(between.lstrip())
+        right = len(between.rstrip())
+        self._changes[begin + left, begin + right] = value.encode()
+
+    def insert_child(self, node: Node, text: str) -> None:
+        """Insert an element as the first child; `node` has a start tag and an end tag of its own."""
+        self._insert(self.data.index(b">", node.tag_end) + 1, text.encode())
+
+    def _insert(self, at: int, data: bytes) -> None:
+        self._changes[at, at] = self._changes.get((at, at), b"") + data
+
+    def render(self, comment: str) -> bytes:
+        """Return the document with the changes, and a comment as the root's first child."""
+        head = self.data.index(b">", self.root.tag_end) + 1
+        self._insert(head, f"\n  <!-- {comment.replace('--', '- -')} -->".encode())
+        parts, at = [], 0
+        for (begin, end), data in sorted(self._changes.items()):
+            parts += [self.data[at:begin], data]
+            at = end
+        return b"".join([*parts, self.data[at:]])
+
+
+@dataclass(frozen=True, slots=True)
+class Slot:
+    """A number, or a vector, in the model file, and how to write another in its place."""
+
+    values: tuple[float, ...]
+    write: Callable[[tuple[float, ...]], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Wheel:
+    """A wheel of the model: its radius, everywhere that it stands, and where the wheel sits."""
+
+    name: str
+    radius_m: float
+    radii: tuple[Slot, ...]
+    #: x, y, z in the frame `frame`; None where it cannot be moved, and why
+    position: Slot | None
+    frame: object = None
+    why_fixed: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class NewWheels:
+    """What the wheels are set to."""
+
+    left_m: float
+    right_m: float
+    track_m: float
+
+
+def numbers(text: str, where: str, count: int | None = None) -> tuple[float, ...]:
+    """Return the numbers of an attribute or text.
+
+    Raises BadInputError where it has others than finite numbers, as a macro that was not expanded, or not `count`.
+    """
+    parts = text.split()
+    try:
+        values = tuple(float(part) for part in parts)
+    except ValueError:
+        values = ()
+    if (
+        not parts
+        or len(values) != len(parts)
+        or not all(map(math.isfinite, values))
+        or count not in (None, len(values))
+    ):
+        expected = "numbers" if count is None else f"{count} numbers"
+        hint = "; expand the macros first (xacro MODEL > FILE)" if "${" in text else "; correct it"
+        raise BadInputError(f"{where}: found {text[:60]!r}; expected {expected}{hint}")
+    return values
+
+
+def written(values: tuple[float, ...]) -> str:
+    """Return numbers as text."""
+    return " ".join(f"{value:.{DIGITS}g}" for value in values)
+
+
+def set_wheels(left: Wheel, right: Wheel, new: NewWheels) -> tuple[str, ...]:
+    """Write radii, track, and the height of both axles; return what could not be written.
+
+    Each wheel is lowered or raised by the change of its radius, so that the chassis keeps its height and all wheels
+    stay on the floor; both move sideways by the same way until they are a track apart.
+    """
+    for wheel, radius in ((left, new.left_m), (right, new.right_m)):
+        if not 1.0 / FACTOR < wheel.radius_m / radius < FACTOR:
+            raise RefusedError(
+                f"wheel {wheel.name}: found a radius of {wheel.radius_m:g} in the model; expected about {radius:.4g} m; "
+                "give the joints of the calibrated wheels, and a model in metres"
+            )
+        for slot in wheel.radii:
+            slot.write((radius, *slot.values[1:]))
+    notes = [f"{wheel.name}: not moved, {wheel.why_fixed}" for wheel in (left, right) if wheel.position is None]
+    if left.position is None or right.position is None:
+        return (*notes, "track and axle heights: as they were")
+    if left.frame != right.frame:
+        return ("track and axle heights: as they were, since the wheels hang on different parents",)
+    (xl, yl, zl), (xr, yr, zr) = left.position.values, right.position.values
+    apart = math.hypot(xl - xr, yl - yr)
+    if apart == 0.0:
+        return ("track and axle heights: as they were, since both wheels sit at the same place",)
+    grow = 0.5 * (new.track_m - apart) / apart
+    dx, dy = grow * (xl - xr), grow * (yl - yr)
+    left.position.write((xl + dx, yl + dy, zl + new.left_m - left.radius_m))
+    right.position.write((xr - dx, yr - dy, zr + new.right_m - right.radius_m))
+    return ()
+
+
+def named(candidates: dict[str, list[Node]], name: str, path: Path, option: str) -> Node:
+    """Return the element of a name.
+
+    Raises BadInputError where there is none, or more than one.
+    """
+    found = candidates.get(name, [])
+    if len(found) == 1:
+        return found[0]
+    if len(found) > 1:
+        raise BadInputError(f"{path}: found {len(found)} elements named {name!r}; expected one; rename them")
+    listed = ", ".join(sorted(candidates)[:20]) or "none with a name"
+    raise BadInputError(f"{option}: found {name!r}; expected a wheel of {path.name}: {listed}; choose one of them")

@@ -1,0 +1,99 @@
+"""ROS's URDF: radii of the wheels' collisions and visuals, the joints' places, ros2_control and drive plugins."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+from calib.coefficients.file import CoefficientFile
+from calib.coefficients.formats import Artifact, ExportOptions
+from calib.coefficients.formats.model_file import ModelFile, Node, Slot, Wheel, named, numbers, written
+from calib.coefficients.formats.model_wheels import patched
+from calib.errors import RefusedError
+
+#: see `calib.coefficients.formats`
+AXLE_ONLY: Final = True
+ROUND: Final = ("cylinder", "sphere", "capsule")
+
+
+def render(file: CoefficientFile, options: ExportOptions) -> tuple[Artifact, ...]:
+    """Return a copy of the model with the radii, the track and the axles' heights of the coefficient file.
+
+    Raises BadInputError where the model or a wheel's name cannot be used; RefusedError where a wheel has no radius.
+    """
+    return patched(file, options, "robot", _wheel, plugin_parameters)
+
+
+def plugin_parameters(model: ModelFile) -> Iterator[tuple[str, Node]]:
+    """Yield name and element of the parameters of plugins and of ros2_control."""
+    for node in model.root.walk():
+        if node.children or not any(above.tag in ("plugin", "ros2_control") for above in node.ancestors()):
+            continue
+        yield (node.attributes.get("name", "") if node.tag == "param" else node.tag), node
+
+
+def _wheel(model: ModelFile, name: str, option: str) -> Wheel:
+    joints = [node for node in model.root.children if node.tag == "joint"]
+    candidates: dict[str, list[Node]] = {}
+    for node in joints:
+        for known in {node.attributes.get("name", ""), _link(node, "child")} - {""}:
+            candidates.setdefault(known, []).append(node)
+    joint = named(candidates, name, model.path, option)
+    radius, slots = _radii(model, _link(joint, "child"), name)
+    tilted = _tilted(model, joints, _link(joint, "parent"))
+    if tilted:
+        return Wheel(name, radius, slots, None, why_fixed=f"since joint {tilted!r} above it is tilted")
+    origin = joint.child("origin")
+    text = "0 0 0" if origin is None else origin.attributes.get("xyz", "0 0 0")
+    place = numbers(text, f"{model.path}, origin of {name!r}", 3)
+
+    def write(values: tuple[float, ...]) -> None:
+        if origin is None:
+            model.insert_child(joint, f'<origin xyz="{written(values)}"/>')
+        else:
+            model.set_attribute(origin, "xyz", written(values))
+
+    return Wheel(name, radius, slots, Slot(place, write), frame=_link(joint, "parent"))
+
+
+def _link(joint: Node, tag: str) -> str:
+    node = joint.child(tag)
+    return "" if node is None else node.attributes.get("link", "")
+
+
+def _radii(model: ModelFile, link_name: str, name: str) -> tuple[float, tuple[Slot, ...]]:
+    """Return the radius of a link, of its collision where that is round, and all shapes that have the same."""
+    link = next(
+        (node for node in model.root.children if node.tag == "link" and node.attributes.get("name") == link_name), None
+    )
+    found: dict[str, list[Slot]] = {"collision": [], "visual": []}
+    for part in () if link is None else link.children:
+        if part.tag not in found:
+            continue
+        for shape in (node for node in part.walk() if node.tag in ROUND and "radius" in node.attributes):
+            values = numbers(shape.attributes["radius"], f"{model.path}, radius of {name!r}", 1)
+            write = lambda new, shape=shape: model.set_attribute(shape, "radius", written(new))  # noqa: E731
+            found[part.tag].append(Slot(values, write))
+    contact = found["collision"] or found["visual"]
+    if not contact:
+        raise RefusedError(
+            f"{model.path}: found no cylinder, sphere or capsule in link {link_name!r} of {name!r}; expected one with a "
+            "radius; a mesh has none: add a collision cylinder"
+        )
+    radius = max(slot.values[0] for slot in contact)
+    return radius, tuple(slot for slots in found.values() for slot in slots if slot.values[0] == radius)
+
+
+def _tilted(model: ModelFile, joints: list[Node], link: str) -> str:
+    """Return the name of a joint above a link whose frame is rolled or pitched; empty where there is none."""
+    for _ in range(len(joints) + 1):
+        above = next((joint for joint in joints if _link(joint, "child") == link), None)
+        if above is None:
+            return ""
+        origin, name = above.child("origin"), above.attributes.get("name", "")
+        text = "0 0 0" if origin is None else origin.attributes.get("rpy", "0 0 0")
+        roll, pitch, _yaw = numbers(text, f"{model.path}, origin of {name!r}", 3)
+        if roll != 0.0 or pitch != 0.0:
+            return name
+        link = _link(above, "parent")
+    raise RefusedError(f"{model.path}: found joints that form a loop above {link!r}; expected a tree; correct the file")
