@@ -170,7 +170,9 @@ def _unwrapped(heading: FloatArray, turn: FloatArray, remarks: list[str]) -> Flo
     if np.abs(heading[known]).max() <= np.pi + 0.05:
         return heading + wraps
     odd = int(np.count_nonzero(wraps))
-    if not 0 < odd <= MOST_ODD * known.sum():
+    # a few headings are wrong only where all others agree with the wheels
+    disagree = int(np.count_nonzero(np.abs(turn - heading - wraps)[known] >= 1.0))
+    if not 0 < odd <= MOST_ODD * known.sum() or disagree > MOST_ODD * known.sum():
         return heading
     remarks.append(f"the heading of {odd} runs is a whole turn off what the wheels say, and was turned back")
     return heading + wraps

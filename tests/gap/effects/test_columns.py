@@ -174,12 +174,26 @@ def test_a_covariate_is_standardised(s: Observations) -> None:
     assert form.settings["mean"] == pytest.approx(BAR.mean())
 
 
-@pytest.mark.parametrize("column", [np.full(12, 2.2), np.where(np.arange(12) == 3, np.nan, BAR)], ids=["same", "gap"])
-def test_a_column_that_is_constant_or_has_gaps_is_no_candidate(column: np.ndarray) -> None:
+HALF = np.where(np.arange(12) % 2 == 0, np.nan, BAR)
+
+
+@pytest.mark.parametrize("column", [np.full(12, 2.2), HALF], ids=["same", "gaps"])
+def test_a_column_that_is_constant_or_has_many_gaps_is_no_candidate(column: np.ndarray) -> None:
     made = campaign(RUNS)
     numbers = {**made.runs.numbers, "tyre_bar": column}
     s = observations_of(replace(made, runs=replace(made.runs, numbers=numbers)))
     assert next(e for e in library(s) if e.id == "covariate:tyre_bar").forms(s) == []
+
+
+def test_one_gap_of_a_column_is_filled_with_the_mean_of_its_session() -> None:
+    """The other runs speak for the column all the same."""
+    made = campaign(RUNS)
+    numbers = {**made.runs.numbers, "tyre_bar": np.where(np.arange(12) == 3, np.nan, BAR)}
+    s = observations_of(replace(made, runs=replace(made.runs, numbers=numbers)))
+    assert next(e for e in library(s) if e.id == "covariate:tyre_bar").forms(s) != []
+    alike = made.runs.label("session") == made.runs.label("session")[3]
+    alike[3] = False
+    assert s.numbers["tyre_bar"][3] == pytest.approx(BAR[alike].mean())
 
 
 def test_a_declared_column_is_no_candidate_of_its_own_beside_the_declaration(s: Observations) -> None:
