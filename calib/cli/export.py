@@ -39,11 +39,16 @@ OpenLoop = Annotated[
     bool, typer.Option("--open-loop", help="ROS 2: odometry from the commands, not from the encoders.")
 ]
 
+Output = Annotated[
+    Path | None,
+    typer.Option(help="File, or folder where several files are made; without it, or '-': standard output."),
+]
+Outside = Annotated[
+    str | None, typer.Option(metavar="RULE", help="Loads that were not measured: refuse (the default) or clamp.")
+]
 Model = Annotated[
     Path | None,
-    typer.Option(
-        "--into", metavar="MODEL", help="Your simulator's model, which is copied and patched (mjcf, urdf, sdf)."
-    ),
+    typer.Option("--into", metavar="MODEL", help="Your simulator's model; a copy is patched (mjcf, urdf, sdf)."),
 ]
 Left = Annotated[str, typer.Option(metavar="NAME", help="Joint, body or link of the left rear wheel in MODEL.")]
 Right = Annotated[str, typer.Option(metavar="NAME", help="The same of the right rear wheel.")]
@@ -59,17 +64,12 @@ def run(
     to: Annotated[
         str, typer.Option(metavar="FORMAT", help=f"{', '.join((*FORMATS, *OTHER_FORMATS))}; json is the master.")
     ],
-    output: Annotated[
-        Path | None,
-        typer.Option(help="File, or folder where several files are made; without it, or '-': standard output."),
-    ] = None,
+    output: Output = None,
     load: Loads = None,
-    outside: Annotated[
-        str | None, typer.Option(metavar="RULE", help="Loads that were not measured: refuse (the default) or clamp.")
-    ] = None,
+    outside: Outside = None,
     date: Annotated[str | None, typer.Option(metavar="YYYY-MM-DD", help="Date written into the file.")] = None,
     controller: Controllers = None,
-    into: Model = None,
+    model: Model = None,
     left: Left = "",
     right: Right = "",
     velocity_feedback: VelocityFeedback = False,
@@ -97,7 +97,7 @@ def run(
         controllers=tuple(controller or ()),
         position_feedback=not velocity_feedback,
         open_loop=open_loop,
-        model=into,
+        model=model,
         left=left,
         right=right,
     )

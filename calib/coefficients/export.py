@@ -150,6 +150,10 @@ def export(
     if name is None:
         return (Artifact("coefficients.json", file.to_bytes()),)
     module = importlib.import_module(f"{formats.__name__}.{name}")
+    if chosen.has_model and not getattr(module, "PATCHES_MODEL", False):
+        raise BadInputError(
+            f"--into, --left, --right: found them with {to!r}; expected mjcf, urdf or sdf; leave them out"
+        )
     together = file.joint_geometry
     if getattr(module, "AXLE_ONLY", False) and together is not None and together.source != "rear":
         wheels = "the front wheel" if together.source == "front" else "four wheels"

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ import pytest
 from calib.campaign.settings import Encoder
 from calib.coefficients.build import Header, from_law
 from calib.coefficients.file import CoefficientFile
+from calib.coefficients.formats import ExportOptions
 from calib.radius.law import RadiusLaw, WheelLaw
 from calib.vehicle import Vehicle
 
@@ -43,6 +46,20 @@ def file(law: RadiusLaw) -> CoefficientFile:
         load_margin_N=0.0,
         load_table={"empty": (300.0, 301.5), "full": (900.0, 1000.25)},
     )
+
+
+MODELS = Path(__file__).parent / "models"
+#: what a format that patches a model is given; none of it for the others
+OF_FORMAT = {
+    "mjcf": ExportOptions(model=MODELS / "wheels.xml", left="left", right="right"),
+    "urdf": ExportOptions(model=MODELS / "differential.urdf", left="left_joint", right="right_joint"),
+    "sdf": ExportOptions(model=MODELS / "tricycle.sdf", left="left", right="right"),
+}
+
+
+@pytest.fixture(scope="session")
+def options_of() -> Callable[[str], ExportOptions]:
+    return lambda to: OF_FORMAT.get(to, ExportOptions())
 
 
 @pytest.fixture(scope="session")

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from scipy.special import stdtrit
 
 from calib.coefficients.export import export, parse_loads
 from calib.coefficients.file import CoefficientFile
-from calib.coefficients.formats import FORMATS, LoadPair
+from calib.coefficients.formats import FORMATS, ExportOptions, LoadPair
 from calib.errors import BadInputError, RefusedError
 
 
@@ -99,9 +100,9 @@ def test_loads_are_given_for_both_wheels_or_for_each() -> None:
             parse_loads([bad])
 
 
-def test_every_registered_format_can_be_made(file: CoefficientFile) -> None:
+def test_every_registered_format_can_be_made(file: CoefficientFile, options_of: Callable[[str], ExportOptions]) -> None:
     for to in FORMATS:
-        first, second = export(file, to), export(file, to)
+        first, second = (export(file, to, options=options_of(to)) for _ in range(2))
         assert first and first == second
     with pytest.raises(BadInputError, match="expected one of"):
         export(file, "xml")

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 #: name of the format -> module of this package, None for the coefficient file itself; each has
 #: ``render(file, options)``, which returns its files, and states ``AXLE_ONLY = True`` where it knows two wheels on one
-#: axle alone
+#: axle alone, ``PATCHES_MODEL = True`` where it changes a copy of the user's model
 FORMATS: Final[dict[str, str | None]] = {
     "json": None,
     "ros2": "ros2",
@@ -60,6 +60,11 @@ class ExportOptions:
     model: Path | None = None
     left: str = ""
     right: str = ""
+
+    @property
+    def has_model(self) -> bool:
+        """Whether a simulator's model, or one of its wheels, was named."""
+        return self.model is not None or bool(self.left or self.right)
 
     @property
     def has_controller_choices(self) -> bool:

@@ -12,6 +12,7 @@ from calib.errors import RefusedError
 
 #: see `calib.coefficients.formats`
 AXLE_ONLY: Final = True
+PATCHES_MODEL: Final = True
 #: geoms whose first size is their radius
 ROUND: Final = frozenset({"sphere", "capsule", "cylinder"})
 #: attributes that turn a frame
@@ -35,11 +36,11 @@ def _wheel(model: ModelFile, name: str, option: str) -> Wheel:
         hint = "give the included file that holds it" if included else "give a wheel of a sphere, capsule or cylinder"
         raise RefusedError(f"{model.path}: found no round geom in the body of {name!r}; expected one; {hint}")
     radius = max(shape[0] for _, shape in sizes)
-    slots = tuple(
-        Slot(shape, lambda values, geom=geom: model.set_attribute(geom, "size", written(values)))
-        for geom, shape in sizes
-        if shape[0] == radius
-    )
+
+    def slot(geom: Node, shape: tuple[float, ...]) -> Slot:
+        return Slot(shape, lambda values: model.set_attribute(geom, "size", written(values)))
+
+    slots = tuple(slot(geom, shape) for geom, shape in sizes if shape[0] == radius)
     turned = next(
         (node.attributes.get("name", node.tag) for node in body.ancestors() if set(TURNS) & set(node.attributes)), None
     )

@@ -228,8 +228,8 @@ def set_wheels(left: Wheel, right: Wheel, new: NewWheels) -> tuple[str, ...]:
     for wheel, radius in ((left, new.left_m), (right, new.right_m)):
         if not 1.0 / FACTOR < wheel.radius_m / radius < FACTOR:
             raise RefusedError(
-                f"wheel {wheel.name}: found a radius of {wheel.radius_m:g} in the model; expected about {radius:.4g} m; "
-                "give the joints of the calibrated wheels, and a model in metres"
+                f"wheel {wheel.name}: found a radius of {wheel.radius_m:g} in the model; expected about {radius:.4g} "
+                "m; give the joints of the calibrated wheels, and a model in metres"
             )
         for slot in wheel.radii:
             slot.write((radius, *slot.values[1:]))

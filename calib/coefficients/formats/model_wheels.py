@@ -99,10 +99,8 @@ def _beyond(file: CoefficientFile, pair: LoadPair) -> Iterator[str]:
     for side, load in (("left", pair.left_N), ("right", pair.right_N)):
         slope = getattr(file.law, side).slope_m_per_N
         if slope != 0.0:
-            yield (
-                f"not in the model: the {side} radius follows the load by {1e6 * slope:.3g} um/N; the model has that at "
-                f"{load:g} N"
-            )
+            law = f"the {side} radius follows the load by {1e6 * slope:.3g} um/N"
+            yield f"not in the model: {law}; the model has that at {load:g} N"
     for effect in file.effects:
         yield f"not in the model: effect {effect.effect}; calib.runtime adds it to the motion of a simulator's loop"
     together = file.joint_geometry

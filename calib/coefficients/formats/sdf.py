@@ -13,6 +13,7 @@ from calib.errors import RefusedError
 
 #: see `calib.coefficients.formats`
 AXLE_ONLY: Final = True
+PATCHES_MODEL: Final = True
 
 
 def render(file: CoefficientFile, options: ExportOptions) -> tuple[Artifact, ...]:
@@ -64,8 +65,8 @@ def _radii(model: ModelFile, link: Node, name: str) -> tuple[float, tuple[Slot, 
     contact = found["collision"] or found["visual"]
     if not contact:
         raise RefusedError(
-            f"{model.path}: found no cylinder, sphere or capsule in the link of {name!r}; expected one with a radius; a "
-            "mesh has none: add a collision cylinder"
+            f"{model.path}: found no cylinder, sphere or capsule in the link of {name!r}; expected one with "
+            "a radius; a mesh has none: add a collision cylinder"
         )
     radius = max(slot.values[0] for slot in contact)
     return radius, tuple(slot for slots in found.values() for slot in slots if slot.values[0] == radius)
