@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from calib.cli.options import AcceptImplausible, Force, JsonTarget
-from calib.cli.terminal import emit_json, emit_text, note, wants_stdout, wrote
+from calib.cli.terminal import emit_json, emit_text, note, progress, wants_stdout, wrote
 from calib.coefficients.formats import FORMATS
+from calib.errors import BadInputError
 from calib.io import refuse_existing
+from calib.reporting.exports import BINARY
 from calib.reporting.exports import FORMATS as OTHER_FORMATS
 
 if TYPE_CHECKING:
@@ -121,8 +123,15 @@ def _export_other(source: Path, to: str, output: Path | None, accept: str, json:
     """Write a format that needs the fit or the runs beside the coefficients."""
     from calib.reporting.exports import export_from
 
-    artifacts = export_from(source, to, accept=accept)
-    emit_json({"to": to, "files": _written(artifacts, output, json, force=force)}, json, force=force)
+    if to in BINARY and output is None:
+        raise BadInputError(f"--output: found none; expected a file, since {to} is no text; give --output FILE.{to}")
+    with progress(to) as tick:
+        artifacts = export_from(source, to, accept=accept, progress=tick)
+    notes = [text for artifact in artifacts for text in artifact.notes]
+    for text in notes:
+        note(text)
+    files = _written(artifacts, output, json, force=force)
+    emit_json({"to": to, "files": files, "notes": notes}, json, force=force)
 
 
 def _written(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Final
@@ -140,16 +140,8 @@ def observations_of(
     than a dozen runs, or where hardly any was driven twice, unless `whole_runs` are asked for. A run without
     a log counts with what its row says. Refused where no run has both counts and something measured.
     """
-    campaign = campaign.included()
-    model = model or campaign.model
-    stands_in = without_rear_wheels(campaign)
-    if stands_in:
-        # wheels that represent others do not carry a load of their own
-        model = replace(model, slope_left_m_per_N=0.0, slope_right_m_per_N=0.0)
-        campaign = on_one_axle(campaign, model)
-    per_rad = CountsPerRadian.from_encoder(campaign.encoder)
-    setup = Setup(campaign, model, per_rad, poses_are_in_a_map(campaign), stands_in)
-    recorded = [_recorded(run, setup) for run in range(len(campaign.runs))]
+    setup = _setup(campaign, model)
+    recorded = [_recorded(run, setup) for run in range(len(setup.campaign.runs))]
     with_counts = [run for run in recorded if run is not None]
     if whole_runs:
         return _arranged(with_counts, setup, into_windows=False)
@@ -158,6 +150,40 @@ def observations_of(
     if not few and any(run.reference is not None for run in with_counts) and _n_repeated(observations) < MIN_REPLICATED:
         observations = _arranged(with_counts, setup, into_windows=True)
     return observations
+
+
+def _setup(campaign: Campaign, model: OdometryModel | None) -> Setup:
+    campaign = campaign.included()
+    model = model or campaign.model
+    stands_in = without_rear_wheels(campaign)
+    if stands_in:
+        # wheels that represent others do not carry a load of their own
+        model = replace(model, slope_left_m_per_N=0.0, slope_right_m_per_N=0.0)
+        campaign = on_one_axle(campaign, model)
+    per_rad = CountsPerRadian.from_encoder(campaign.encoder)
+    return Setup(campaign, model, per_rad, poses_are_in_a_map(campaign), stands_in)
+
+
+def measured_poses(campaign: Campaign, observations: Observations) -> Iterator[tuple[FloatArray, FloatArray] | None]:
+    """Yield time since its start (n,) and the vehicle's poses (n, 3) by the reference, of each observation.
+
+    None where its log has no poses with headings.
+    """
+    setup = _setup(campaign, observations.model)
+    known: tuple[int, ReferencePoses | None, FloatArray] = (-1, None, np.zeros(0))
+    for number, run in enumerate(observations.run.tolist()):
+        if known[0] != run:
+            log = setup.campaign.logs.of(run)
+            known = (run, reference_poses(log, setup), log.get("t_s", np.zeros(0)))
+        _, reference, time = known
+        first, last = observations.starts[number], observations.starts[number + 1] - 1
+        begin, end = observations.time_s[first] - observations.duration_s[first], observations.time_s[last]
+        if reference is None or reference.course is not None:
+            yield None
+            continue
+        times = time[reference.rows]
+        inside = (times >= begin) & (times <= end)
+        yield (times[inside] - begin, reference.poses[inside]) if inside.sum() > 1 else None
 
 
 def _n_repeated(observations: Observations) -> int:

@@ -25,6 +25,7 @@ from calib.radius.regression import WheelFit
 from calib.radius.result import Fit
 from calib.reporting.exports.certificate import Certificate, Contact, Equipment, certificate_of
 from calib.reporting.source import Source, source_of
+from calib.types import Progress
 
 DCC: Final = "https://ptb.de/dcc"
 SI: Final = "https://ptb.de/si"
@@ -60,14 +61,14 @@ METHOD: Final = (
 )
 
 
-def render(path: Path, accept: str) -> tuple[Artifact, ...]:
+def render(path: Path, accept: str, progress: Progress) -> tuple[Artifact, ...]:
     """Return the certificate of a campaign or a result folder, as one XML file; see `export_from`.
 
     Raises RefusedError where a check failed and no reason is given, or the campaign does not state what a certificate
     needs.
     """
     # the date of issue is not written: it only has to be a date until the end of the measurement is known
-    source, campaign = source_of(path, issued="2000-01-01", accept=accept)
+    source, campaign = source_of(path, issued="2000-01-01", accept=accept, progress=progress)
     fit = source.fit
     section = fit.provenance.get("certificate") if campaign is None else campaign.extra.get("certificate")
     stated = certificate_of(section, str(path / "campaign.toml" if campaign is not None else path))

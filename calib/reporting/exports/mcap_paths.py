@@ -1,0 +1,204 @@
+"""Measured, simulated and corrected path, gap and noise of every run as ROS 2 messages in one MCAP file.
+
+Foxglove and RViz show these messages without set-up: a path and a moving pose for each of the three, numbers to plot, a
+line of log that names the run. The runs follow each other in time, each in the frame of its own start.
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from calib.campaign.model import Campaign
+from calib.campaign.read import read_campaign
+from calib.coefficients.formats import Artifact
+from calib.errors import BadInputError, MissingExtraError
+from calib.gap.decision.diagnosis import Diagnosis
+from calib.gap.diagnose import diagnose_in_full
+from calib.gap.observations.arrays import Channel
+from calib.gap.observations.from_campaign import measured_poses
+from calib.gap.observations.reference_poses import relative_pose
+from calib.gap.predict import Path as PredictedPath
+from calib.radius.result import is_result
+from calib.types import FloatArray, Progress
+
+#: between two runs, so that each can be told in the time line
+PAUSE_S: Final = 2.0
+#: poses of one path; more are thinned evenly
+MOST_POSES: Final = 1000
+#: speed at which a run without a log is shown
+UNKNOWN_SPEED_MPS: Final = 1.0
+#: frame of all poses: the start of the run that is shown
+FRAME: Final = "start"
+#: topic -> message type; numbers: one topic a channel
+PATHS: Final = ("measured", "simulated", "corrected")
+NUMBERS: Final = ("gap", "gap_corrected", "noise")
+INFO: Final = 20
+PATH_TYPE, POSE_TYPE, NUMBER_TYPE, LOG_TYPE = (
+    "nav_msgs/msg/Path",
+    "geometry_msgs/msg/PoseStamped",
+    "std_msgs/msg/Float64",
+    "rcl_interfaces/msg/Log",
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Track:
+    """A path: time since the run's start (n,), and x, y, heading (n, 3)."""
+
+    time_s: FloatArray
+    poses: FloatArray
+
+    def thinned(self) -> Track:
+        """Return at most `MOST_POSES` of the poses, both ends among them."""
+        if len(self.time_s) <= MOST_POSES:
+            return self
+        kept = np.linspace(0, len(self.time_s) - 1, MOST_POSES).round().astype(np.int64)
+        return Track(self.time_s[kept], self.poses[kept])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ShownRun:
+    """What is shown of one observation."""
+
+    label: str
+    duration_s: float
+    paths: dict[str, Track]
+    #: topic -> value, at the run's end
+    numbers: dict[str, float]
+
+
+def render(path: Path, accept: str, progress: Progress) -> tuple[Artifact, ...]:  # noqa: ARG001
+    """Diagnose a campaign and return the recording of its runs; see `export_from`.
+
+    Raises BadInputError where `path` is a result folder, which has no runs; MissingExtraError without ``calib[ros]``.
+    """
+    if is_result(path):
+        raise BadInputError(f"{path}: found the result of a fit; expected a campaign folder, which has runs; give it")
+    campaign = read_campaign(path, progress=progress)
+    diagnosis = diagnose_in_full(campaign, plan=False, progress=progress)
+    named = ", ".join(cause.effect for cause in diagnosis.causes) or "no cause named"
+    notes = (f"corrected: with {named}; gap_corrected: on runs held out",)
+    return (Artifact(f"{campaign.name}.mcap", recording(shown_runs(campaign, diagnosis)), notes),)
+
+
+def shown_runs(campaign: Campaign, diagnosis: Diagnosis) -> Iterator[ShownRun]:
+    """Yield what is shown of each observation, in the order driven."""
+    observations, held_out = diagnosis.observations, diagnosis.held_out
+    sources: dict[str, PredictedPath] = {"simulated": diagnosis.nominal}
+    if diagnosis.causes:
+        sources["corrected"] = diagnosis.fitted.path
+    predicted = {name: _predicted(source) for name, source in sources.items()}
+    tables = dict(zip(NUMBERS, (held_out.before, held_out.after, held_out.floor), strict=True))
+    labels = observations.labels
+    for number, measured in enumerate(measured_poses(campaign, observations)):
+        paths = {name: tracks[number] for name, tracks in predicted.items()}
+        simulated = paths["simulated"]
+        if measured is not None:
+            rows, poses = measured
+            paths["measured"] = Track(rows, np.array([relative_pose(poses[0], pose) for pose in poses]))
+        elif observations.usable[number, Channel.ALONG]:
+            end = np.nan_to_num(observations.measured[number, 1:4])
+            paths["measured"] = Track(simulated.time_s[-1:], end[None, :])
+        numbers = {
+            f"{name}/{channel.label}_{channel.unit}": float(values[number, channel])
+            for name, values in tables.items()
+            for channel in Channel
+            if observations.usable[number, channel]
+        }
+        window = f", window {observations.window[number]}" if observations.windowed else ""
+        label = f"run {labels['run_id'][number]}{window}, {labels['kind'][number]}, session {labels['session'][number]}"
+        yield ShownRun(label, float(simulated.time_s[-1]), paths, numbers)
+
+
+def _predicted(path: PredictedPath) -> list[Track]:
+    """Return the predicted path of each observation: its start, the middle of each step, its end."""
+    s, steps = path.s, path.steps
+    tracks = []
+    for number, (first, last) in enumerate(zip(s.starts[:-1], s.starts[1:], strict=True)):
+        part = slice(int(first), int(last))
+        middle = s.time_s[part] - 0.5 * s.duration_s[part]
+        begin, end = float(s.time_s[part][0] - s.duration_s[part][0]), float(s.time_s[part][-1])
+        if not np.isfinite(middle).all():
+            way = np.cumsum(np.abs(steps.ds_m[part])) / UNKNOWN_SPEED_MPS
+            middle, begin, end = way, 0.0, float(way[-1]) + 1.0
+        times = np.concatenate(([begin], middle, [end])) - begin
+        poses = np.column_stack((steps.x_m[part], steps.y_m[part], steps.mid_rad[part]))
+        tracks.append(Track(times, np.vstack((np.zeros(3), poses, path.end[number]))))
+    return tracks
+
+
+def recording(runs: Iterator[ShownRun]) -> bytes:
+    """Return runs as the bytes of an MCAP file of ROS 2 messages."""
+    try:
+        from rosbags.rosbag2 import StoragePlugin, Writer
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError as error:
+        raise MissingExtraError("an MCAP file", "rosbags", "ros") from error
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    with tempfile.TemporaryDirectory() as folder:
+        bag = Path(folder) / "bag"
+        with Writer(bag, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+            sink = _Sink(writer, store)
+            begin = 0.0
+            for run in runs:
+                sink.show(run, begin)
+                begin += run.duration_s + PAUSE_S
+        (file,) = bag.glob("*.mcap")
+        return file.read_bytes()
+
+
+class _Sink:
+    """A bag being written: its connections by topic, and messages from arrays."""
+
+    def __init__(self, writer: Any, store: Any) -> None:
+        self.writer, self.store = writer, store
+        self.connections: dict[str, Any] = {}
+
+    def show(self, run: ShownRun, begin_s: float) -> None:
+        """Write a run that begins at `begin_s`, its messages in the order of time."""
+        types = self.store.types
+        messages: list[tuple[float, str, str, Any]] = []
+        log = types[LOG_TYPE](self._stamp(begin_s), INFO, "calib", run.label, "", "", 0)
+        messages.append((begin_s, "/run", LOG_TYPE, log))
+        for name in PATHS:
+            track = run.paths.get(name)
+            if track is None:
+                continue
+            track = track.thinned()
+            poses = [self._pose(begin_s + t, *pose) for t, pose in zip(track.time_s, track.poses, strict=True)]
+            path = types[PATH_TYPE](self._header(begin_s), poses)
+            messages.append((begin_s, f"/{name}/path", PATH_TYPE, path))
+            for t, pose in zip(track.time_s, poses, strict=True):
+                messages.append((begin_s + float(t), f"/{name}/pose", POSE_TYPE, pose))
+        for topic, value in run.numbers.items():
+            messages.append((begin_s + run.duration_s, f"/{topic}", NUMBER_TYPE, types[NUMBER_TYPE](value)))
+        for t, topic, kind, message in sorted(messages, key=lambda entry: entry[0]):
+            self._write(t, topic, kind, message)
+
+    def _write(self, t: float, topic: str, kind: str, message: Any) -> None:
+        if topic not in self.connections:
+            self.connections[topic] = self.writer.add_connection(topic, kind, typestore=self.store)
+        data = self.store.serialize_cdr(message, kind)
+        self.writer.write(self.connections[topic], round(t * 1e9), data)
+
+    def _stamp(self, t: float) -> Any:
+        second, nano = divmod(round(t * 1e9), 1_000_000_000)
+        return self.store.types["builtin_interfaces/msg/Time"](sec=int(second), nanosec=int(nano))
+
+    def _header(self, t: float) -> Any:
+        return self.store.types["std_msgs/msg/Header"](stamp=self._stamp(t), frame_id=FRAME)
+
+    def _pose(self, t: float, x: float, y: float, heading: float) -> Any:
+        types = self.store.types
+        point = types["geometry_msgs/msg/Point"](float(x), float(y), 0.0)
+        half = 0.5 * float(heading)
+        turned = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, math.sin(half), math.cos(half))
+        pose = types["geometry_msgs/msg/Pose"](point, turned)
+        return types["geometry_msgs/msg/PoseStamped"](self._header(t), pose)
