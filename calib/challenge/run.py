@@ -42,7 +42,7 @@ def achieved(diagnosis: Diagnosis, fresh: Campaign, exclude: tuple[str, ...] = (
     if forms is None or len(there) != len(diagnosis.observations):
         return None
     nominal = predict(there)
-    fixed = hypothesis_path(there, diagnosis.fitted.calibration, forms, diagnosis.fitted.theta, nominal)
+    fixed = hypothesis_path(there, diagnosis.correction.calibration, forms, diagnosis.correction.theta, nominal)
     before, after = residuals(nominal, nominal), residuals(fixed, nominal)
     white = whitened_rows(nominal, diagnosis.noise, np.stack([before, after], axis=2))
     squares, floor = np.sum(white**2, axis=0), float(len(white))
@@ -67,7 +67,7 @@ def _forms_there(
 
     effects = {e.id: e for e in library(there, exclude=exclude, declared=fresh.extra.get("effects", ()))}
     matches = []
-    for wanted in diagnosis.fitted.forms:
+    for wanted in diagnosis.correction.forms:
         effect = effects.get(wanted.effect)
         offered = [] if effect is None else effect.forms(there)
         alike = [form for form in offered if len(form.parameters) == len(wanted.parameters)]

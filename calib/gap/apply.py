@@ -42,11 +42,11 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[Effe
     law; every other effect is written down by its id, form, settings and parameters. `model_of` and `with_effects` of
     `calib.gap.effects.applied` take them back. Effects that the diagnosed model had already (`given`) are kept.
     """
-    fitted = diagnosis.fitted
+    fitted = diagnosis.correction
     _refuse_without_cause(diagnosis)
     observations = diagnosis.observations
     model = observations.model
-    line, sections = _line_and_sections(model, fitted, diagnosis.causes)
+    line, sections = _line_and_sections(model, fitted, diagnosis.corrected_causes)
     sections = [*given, *sections]
     loads = {side: observations.number(f"load_{side}_N") for side in SIDES}
     scatter = float(diagnosis.noise.scales.get("radius_scatter", 0.0))

@@ -25,6 +25,7 @@ from calib.gap.decision.diagnosis import (
 )
 from calib.gap.decision.evidence import Evidence
 from calib.gap.decision.fix import fix_of
+from calib.gap.decision.part import sure_part
 from calib.gap.decision.sentences import blunder_sentence, sentence
 from calib.gap.effects.effect import Family
 from calib.gap.effects.encoder import BLUNDER_MISFIT, misfit
@@ -68,6 +69,9 @@ def decide(evidence: Evidence) -> Diagnosis:
         causes = [cause for cause in causes if cause.probability >= CERTAIN_PROBABILITY]
     names = {cause.effect for cause in causes}
     tied = [group for group in groups if len(group) > 1 and names.intersection(group)]
+    fix = fix_of(evidence, confounded, tied, causes, certain, unexplained, stated, small)
+    if (causes or situation.faults) and not fix.recommended:
+        fix = sure_part(evidence, tied, causes, certain, unexplained, stated, fix)
     diagnosis = Diagnosis(
         kind=_beside_blunder(kind) if situation.faults else kind,
         sentence="",
@@ -77,7 +81,7 @@ def decide(evidence: Evidence) -> Diagnosis:
         where=evidence.where,
         closure=closure,
         unexplained=None if kind is VerdictKind.NO_GAP and not situation.faults else unexplained,
-        fix=fix_of(evidence, confounded, tied, causes, certain, unexplained, small),
+        fix=fix,
         notes=(*evidence.observations.notes, *situation.notes, *_on_small(small if causes else ())),
         noise_level=NoiseSummary.about(evidence.noise),
         probabilities=dict(sorted(stated.items(), key=lambda item: -item[1])),

@@ -110,6 +110,10 @@ class Fix:
     held_out: Improvement | None = None  #: what it does on held-out runs; None without a cause
     why: tuple[str, ...] = ()  #: what keeps it from being recommended, with figures and what settles it
     parameters: Mapping[str, float] = field(default_factory=dict)  #: what to set in the user's simulator
+    corrects: tuple[str, ...] | None = None  #: the causes that it corrects, blunders apart; None: all that are named
+    leaves: tuple[str, ...] = ()  #: why it leaves the other named causes as they are
+    #: what it corrects by; None where that is the fit of all causes
+    fitted: Fitted | None = field(default=None, metadata={"json": False})
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,6 +200,18 @@ class Diagnosis(Result):
     def fitted(self) -> Fitted:
         """The most probable hypothesis, the recalibration free."""
         return self._arrays.fitted
+
+    @property
+    def correction(self) -> Fitted:
+        """The fit that the fix corrects by: of all named causes, or of the sure ones alone."""
+        return self.fix.fitted or self.fitted
+
+    @property
+    def corrected_causes(self) -> tuple[Cause, ...]:
+        """The named causes that the fix corrects."""
+        wanted = self.fix.corrects
+        blunders = {fault.effect.id for fault in self._arrays.situation.faults}
+        return tuple(c for c in self.causes if wanted is None or c.effect in wanted or c.effect in blunders)
 
     @property
     def held_out(self) -> HeldOut:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from math import prod
 
 from calib.gap.decision import confounding
-from calib.gap.decision.adequacy import SIGNAL_OVER_UNEXPLAINED, SMALL_SHARE, corrections_agree
+from calib.gap.decision.adequacy import NAMED_PROBABILITY, SIGNAL_OVER_UNEXPLAINED, SMALL_SHARE, corrections_agree
 from calib.gap.decision.diagnosis import DRIVEN, JOURNEYS, Cause, Fix, Unexplained
 from calib.gap.decision.evidence import Evidence
 from calib.gap.decision.held_out import ADEQUATE_CLOSURE, Closure, Improvement
@@ -25,6 +25,7 @@ def fix_of(
     causes: Sequence[Cause],
     certain: Mapping[str, float],
     unexplained: Unexplained | None,
+    stated: Mapping[str, float],
     small: Sequence[str] = (),
 ) -> Fix:
     """Return what the correction is worth, and whether and why not to apply it.
@@ -41,6 +42,8 @@ def fix_of(
         Of each effect, the probability that it or an effect that it is confounded with is at work.
     unexplained : Unexplained or None
         The unexplained residual.
+    stated : mapping of str to float
+        Probability of each effect.
     small : sequence of str
         Effects that were fitted and are negligible.
     """
@@ -59,12 +62,11 @@ def fix_of(
     # the correction holds all that was fitted
     fitted = [name for name in evidence.named if name not in small]
     unnamed = [name for name in fitted if name not in {cause.effect for cause in causes}]
-    concerned = {*fitted, *(name for group in tied for name in group)}
     why = [
         *reasons(causes, certain, improvement, evidence.trials, unexplained),
-        *_disagreement(apart_m, on, evidence.held_out.closure, tied),
+        *disagreement(apart_m, on, evidence.held_out.closure, tied),
         *(f"it rests on {name} too, which is not probable enough to be named; {PLAN}" for name in unnamed),
-        *sorted({text for name in concerned if (text := why_not_transferable(name))}),
+        *elsewhere(fitted, tied, stated),
     ]
     return Fix(
         recommended=not why,
@@ -99,9 +101,21 @@ def reasons(
     unexplained : Unexplained, optional
         The unexplained residual.
     """
-    sizeless = map(_sizeless, filter(_holds_zero, causes))
-    weak = _outweighed(causes, unexplained)
-    return [*_doubtful(causes, certain), *_unhelpful(improvement), *sizeless, *weak, *_harm(trials)]
+    single = (text for cause in causes for text in doubts(cause, unexplained))
+    return [*_doubtful(causes, certain), *_unhelpful(improvement), *single, *_harm(trials)]
+
+
+def doubts(cause: Cause, unexplained: Unexplained | None) -> Iterator[str]:
+    """Yield why a single cause is no part of a fix: its size may be zero, or it a part of the unexplained residual."""
+    if _holds_zero(cause):
+        yield _sizeless(cause)
+    if unexplained is None or unexplained.share <= SMALL_SHARE:
+        return
+    if cause.share > SMALL_SHARE and cause.signal < SIGNAL_OVER_UNEXPLAINED * unexplained.signal:
+        yield (
+            f"{cause.effect} has a signal of {cause.signal:.0f} beside an unexplained residual of "
+            f"{unexplained.signal:.0f}, of which it may be a part; add columns of suspected quantities to runs.csv"
+        )
 
 
 def _doubtful(causes: Sequence[Cause], certain: Mapping[str, float]) -> Iterator[str]:
@@ -144,17 +158,6 @@ def _sizeless(cause: Cause) -> str:
     return f"the interval of {cause.effect} holds zero ({sizes}); {PLAN}"
 
 
-def _outweighed(causes: Sequence[Cause], unexplained: Unexplained | None) -> Iterator[str]:
-    if unexplained is None or unexplained.share <= SMALL_SHARE:
-        return
-    for cause in causes:
-        if cause.share > SMALL_SHARE and cause.signal < SIGNAL_OVER_UNEXPLAINED * unexplained.signal:
-            yield (
-                f"{cause.effect} has a signal of {cause.signal:.0f} beside an unexplained residual of "
-                f"{unexplained.signal:.0f}, of which it may be a part; add columns of suspected quantities to runs.csv"
-            )
-
-
 def _harm(trials: Sequence[Trial]) -> Iterator[str]:
     for trial in harmed(trials):
         sizes = ""
@@ -174,7 +177,17 @@ def harmed(trials: Sequence[Trial]) -> list[Trial]:
     return [trial for trial in trials if trial.growth_sd > limit]
 
 
-def _disagreement(apart_m: float | None, on: str, closure: Closure, tied: Sequence[Sequence[str]]) -> Iterator[str]:
+def elsewhere(fitted: Iterable[str], tied: Sequence[Sequence[str]], stated: Mapping[str, float]) -> list[str]:
+    """Return why a correction does not hold for journeys to come: by its causes, and by what they may be instead.
+
+    An alternative that is not probable enough to be named does not count.
+    """
+    instead = {name for group in tied for name in group if stated.get(name, 0.0) >= NAMED_PROBABILITY}
+    return sorted({text for name in {*fitted, *instead} if (text := why_not_transferable(name))})
+
+
+def disagreement(apart_m: float | None, on: str, closure: Closure, tied: Sequence[Sequence[str]]) -> Iterator[str]:
+    """Yield that the corrections of confounded effects differ, where they do."""
     if apart_m is None or corrections_agree(apart_m, closure):
         return
     groups = "; ".join(" or ".join(group) for group in tied)

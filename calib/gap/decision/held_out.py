@@ -161,20 +161,33 @@ def measure_closure(
     -------
     HeldOut
     """
-    observations = nominal.s
-    fold, by = folds(observations, sessions=sessions)
     left_out = left_out or HeldOutFit(fitted, nominal, noise)
-    if by == "session" and not all(left_out.is_predictive(fold == number) for number in np.unique(fold)):
-        # no other session predicts one that alone drove its route
-        fold, by = np.arange(len(observations)) % MOST_FOLDS, "run"
     before = residuals(nominal, nominal)
-    after = np.zeros_like(before)
-    for number in np.unique(fold):
-        out = fold == number
-        after[out] = left_out.after(out)[out]
+    after, by = _after(left_out, sessions=sessions)
     stated = before if as_counted is None else as_counted
     held_out = closure_of(nominal, noise, before, after, rng, floor_factor=floor_factor, stated=stated, by=by)
     return replace(held_out, improvement=_improvement(left_out, stated, after, noise.dof, floor_factor))
+
+
+def _after(left_out: HeldOutFit, *, sessions: bool) -> tuple[FloatArray, str]:
+    """Return the residuals with the correction of the other folds (n_units, n_channels), and what the folds are."""
+    observations = left_out.observations
+    fold, by = folds(observations, sessions=sessions)
+    if by == "session" and not all(left_out.is_predictive(fold == number) for number in np.unique(fold)):
+        # no other session predicts one that alone drove its route
+        fold, by = np.arange(len(observations)) % MOST_FOLDS, "run"
+    after = np.zeros(observations.measured.shape)
+    for number in np.unique(fold):
+        out = fold == number
+        after[out] = left_out.after(out)[out]
+    return after, by
+
+
+def improvement_of(left_out: HeldOutFit, *, sessions: bool, as_counted: FloatArray | None = None) -> Improvement:
+    """Return what a correction does on held-out runs; see `measure_closure`."""
+    after, _ = _after(left_out, sessions=sessions)
+    stated = residuals(left_out.nominal, left_out.nominal) if as_counted is None else as_counted
+    return _improvement(left_out, stated, after, left_out.noise.dof, 1.0)
 
 
 def _improvement(

@@ -209,7 +209,7 @@ class HeldOutFit:
     """
 
     def __init__(self, fitted: Fitted, nominal: Path, noise: Noise, weighting: Weighting | None = None) -> None:
-        self.fitted, self.noise = fitted, noise
+        self.fitted, self.nominal, self.noise = fitted, nominal, noise
         if weighting is None:
             system = LinearSystem(fitted, nominal, noise, fitted.forms)
             weighting = Weighting.from_component(system, -1, 0.0, np.zeros((len(system.gap), 0)))

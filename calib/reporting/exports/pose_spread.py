@@ -1,0 +1,175 @@
+"""What spread of end poses a motion model predicts, and the sizes of its noise that the residuals of runs show.
+
+AMCL's differential motion model (S. Thrun, W. Burgard, D. Fox, Probabilistic Robotics, 2005, section 5.4, as nav2_amcl
+has it) splits the motion between two updates into a turn, a way and a turn, each with a variance of its own::
+
+    turn: alpha1 turn^2 + alpha2 way^2      way: alpha3 way^2 + alpha4 (turn_1^2 + turn_2^2)
+
+so the covariance of an end pose is linear in the four alphas. The same holds of a random walk of distance and heading,
+whose variances grow with the way. Both are estimated by maximum likelihood from end poses of runs that the correction
+has not seen, the uncertainty of the reference beside them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from calib.gap.observations.arrays import Channel
+from calib.gap.predict import Path
+from calib.types import BoolArray, FloatArray
+
+#: motion between two updates of the filter: the defaults of nav2_amcl
+UPDATE_MIN_D_M: Final = 0.25
+UPDATE_MIN_A_RAD: Final = 0.2
+#: a shorter way has no direction: the filter takes the first turn as zero
+SHORTEST_WAY_M: Final = 0.01
+#: end pose: along and left of the final heading, and heading
+POSE: Final = (Channel.ALONG, Channel.LATERAL, Channel.HEADING)
+ALPHAS: Final = ("alpha1", "alpha2", "alpha3", "alpha4")
+WALKS: Final = ("along", "heading")
+#: the value that nav2_amcl has where nothing is stated
+DEFAULT_ALPHA: Final = 0.2
+#: a component that at its usual size adds less than this share to every variance shows nothing
+LEAST_SHARE: Final = 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spread:
+    """Components of the covariance of end poses, (n_components, n_obs, 3, 3), and the reference's (n_obs, 3, 3)."""
+
+    names: tuple[str, ...]
+    components: FloatArray
+    reference: FloatArray
+
+    def covariance(self, sizes: FloatArray) -> FloatArray:
+        """Return the covariance of each end pose (n_obs, 3, 3) for sizes (n_components,)."""
+        return np.asarray(self.reference + np.einsum("c,cuij->uij", sizes, self.components))
+
+
+def _levers(way: FloatArray, end: FloatArray) -> FloatArray:
+    """Return what a turn at poses (n, 3) does to the end pose, in the frame of the end heading, shape (n, 3)."""
+    dx, dy = end[0] - way[:, 0], end[1] - way[:, 1]
+    c, s = math.cos(end[2]), math.sin(end[2])
+    return np.column_stack((-c * dy + s * dx, s * dy + c * dx, np.ones(len(way))))
+
+
+def _directions(heading: FloatArray, end: FloatArray) -> FloatArray:
+    """Return what a metre of way in headings (n,) does to the end pose, in the frame of the end heading."""
+    return np.column_stack((np.cos(heading - end[2]), np.sin(heading - end[2]), np.zeros(len(heading))))
+
+
+def _outer(vectors: FloatArray, weights: FloatArray) -> FloatArray:
+    return np.asarray(np.einsum("n,ni,nj->ij", weights, vectors, vectors))
+
+
+def amcl_components(poses: FloatArray) -> FloatArray:
+    """Return the covariance of the end of a path (n, 3) that each alpha of 1 makes, shape (4, 3, 3)."""
+    knots = poses[_updates(poses)]
+    end = knots[-1]
+    step = np.diff(knots, axis=0)
+    way = np.hypot(step[:, 0], step[:, 1])
+    course = np.arctan2(step[:, 1], step[:, 0])
+    first = np.where(way < SHORTEST_WAY_M, 0.0, _wrapped(course - knots[:-1, 2]))
+    second = _wrapped(step[:, 2] - first)
+    # a vehicle that drives backward has not turned by half a turn
+    turns = [np.minimum(np.abs(turn), np.abs(_wrapped(turn - np.pi))) ** 2 for turn in (first, second)]
+    before, after = _levers(knots[:-1], end), _levers(knots[1:], end)
+    along = _directions(np.where(way < SHORTEST_WAY_M, knots[:-1, 2], course), end)
+    return np.stack(
+        (
+            _outer(before, turns[0]) + _outer(after, turns[1]),
+            _outer(before, way**2) + _outer(after, way**2),
+            _outer(along, way**2),
+            _outer(along, turns[0] + turns[1]),
+        )
+    )
+
+
+def walk_components(poses: FloatArray) -> FloatArray:
+    """Return the covariance of the end of a path (n, 3) that random walks of 1 a metre make, shape (2, 3, 3)."""
+    step = np.diff(poses, axis=0)
+    way = np.hypot(step[:, 0], step[:, 1])
+    middle, end = 0.5 * (poses[:-1] + poses[1:]), poses[-1]
+    return np.stack((_outer(_directions(middle[:, 2], end), way), _outer(_levers(middle, end), way)))
+
+
+def _updates(poses: FloatArray) -> list[int]:
+    """Return where the filter updates: after a way or a turn since the update before; both ends of the path."""
+    kept = [0]
+    for at in range(1, len(poses)):
+        dx, dy, turn = poses[at] - poses[kept[-1]]
+        if math.hypot(dx, dy) >= UPDATE_MIN_D_M or abs(turn) >= UPDATE_MIN_A_RAD:
+            kept.append(at)
+    if kept[-1] != len(poses) - 1:
+        kept.append(len(poses) - 1)
+    return kept
+
+
+def _wrapped(angle: FloatArray) -> FloatArray:
+    return np.asarray((angle + np.pi) % (2.0 * np.pi) - np.pi)
+
+
+def spread_of(path: Path, units: BoolArray, *, walk: bool) -> Spread:
+    """Return the components of AMCL's model, or of random walks, on the paths of some observations (n_obs,)."""
+    s, steps = path.s, path.steps
+    component = walk_components if walk else amcl_components
+    found = []
+    for unit in np.flatnonzero(units).tolist():
+        part = slice(int(s.starts[unit]), int(s.starts[unit + 1]))
+        middle = np.column_stack((steps.x_m[part], steps.y_m[part], steps.mid_rad[part]))
+        found.append(component(np.vstack((np.zeros(3), middle, path.end[unit]))))
+    reference = np.zeros((len(found), 3, 3))
+    reference[:, 0, 0] = reference[:, 1, 1] = s.sigma_xy_m[units] ** 2
+    reference[:, 2, 2] = s.sigma_theta_rad[units] ** 2
+    return Spread(WALKS if walk else ALPHAS, np.stack(found, axis=1), reference)
+
+
+def sizes_of(spread: Spread, residuals: FloatArray) -> FloatArray:
+    """Return the sizes of the components (n_components,), none below zero, that make residuals (n_obs, 3) likeliest."""
+    from scipy.optimize import minimize
+
+    # in the unit that makes each component as large as the residuals: one step of the search fits all
+    mean = np.einsum("cuii->c", spread.components / np.maximum(_scale(residuals), 1e-30)) / residuals.size
+    unit = 1.0 / np.maximum(mean, 1e-30)
+
+    def misfit(sizes: FloatArray) -> tuple[float, FloatArray]:
+        covariance = spread.covariance(sizes * unit)
+        inverse = np.linalg.inv(covariance)
+        whitened = np.einsum("uij,uj->ui", inverse, residuals)
+        value = 0.5 * float(np.sum(np.linalg.slogdet(covariance)[1]) + np.sum(residuals * whitened))
+        gradient = 0.5 * (
+            np.einsum("uij,cuji->c", inverse, spread.components)
+            - np.einsum("ui,cuij,uj->c", whitened, spread.components, whitened)
+        )
+        return value, gradient * unit
+
+    begin = np.full(len(unit), 1.0 / len(unit))
+    found = minimize(misfit, begin, jac=True, method="L-BFGS-B", bounds=[(0.0, None)] * len(unit))
+    return np.asarray(found.x * unit)
+
+
+def _scale(residuals: FloatArray) -> FloatArray:
+    """Return the mean squares of the residuals as a matrix of their products, to scale covariances by."""
+    square = np.mean(residuals**2, axis=0)
+    return np.asarray(np.sqrt(np.outer(square, square)))
+
+
+def undetermined(spread: Spread, sizes: FloatArray) -> tuple[str, ...]:
+    """Return the components that these runs say nothing of: at their usual size they would hardly show."""
+    total = spread.covariance(sizes)
+    names = []
+    for name, component in zip(spread.names, spread.components, strict=True):
+        share = np.einsum("uii->ui", DEFAULT_ALPHA * component) / np.einsum("uii->ui", total)
+        if float(share.max(initial=0.0)) < LEAST_SHARE:
+            names.append(name)
+    return tuple(names)
+
+
+def ratios(spread: Spread, sizes: FloatArray, residuals: FloatArray) -> FloatArray:
+    """Return observed over predicted standard deviation, along, aside and in heading, shape (3,)."""
+    predicted = np.mean(np.einsum("uii->ui", spread.covariance(sizes)), axis=0)
+    return np.asarray(np.sqrt(np.mean(residuals**2, axis=0) / predicted))
