@@ -86,6 +86,10 @@ def advice(diagnosis: Diagnosis) -> str:
     """Return whether the fix is recommended, and if not why; empty without a cause."""
     if not diagnosis.causes:
         return ""
+    if diagnosis.recommended and diagnosis.fix.corrects is not None:
+        part = _joined((cause.effect for cause in diagnosis.corrected_causes), "and")
+        left = "".join(f" {text[0].upper()}{text[1:]}." for text in diagnosis.fix.leaves)
+        return f"Recommended: the correction of {part} alone, which holds on held-out runs.{left}"
     if diagnosis.recommended and diagnosis.groups:
         groups = _joined((_joined(group.effects, "or") for group in diagnosis.groups), "and")
         return f"Recommended: the corrections for {groups} agree; apply the fix in either case."

@@ -89,6 +89,8 @@ def test_the_fields_are_those_of_the_contract() -> None:
         },
         "why": [],
         "parameters": {},
+        "corrects": None,
+        "leaves": [],
     }
     assert document["recommended"] is document["fix"]["recommended"]
     assert document["judged_against"] == BY_MODEL

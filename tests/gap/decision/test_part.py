@@ -1,0 +1,96 @@
+"""A doubtful cause keeps itself out of a fix, not the sure ones; what is written is what was judged."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.campaign.read import read_campaign
+from calib.gap.apply import applied_model
+from calib.gap.decision.diagnosis import Cause, Quantity, Unexplained
+from calib.gap.decision.part import _parted
+from calib.gap.diagnose import diagnose_in_full
+from tests.real import recordings
+from tests.real.manipulations import POSES
+from tests.real.plants import calibrated
+
+LEFT = Unexplained(share=0.2, signal=20.0, where=())
+
+
+def cause(name: str, low: float = 1.0, signal: float = 60.0, share: float = 0.5) -> Cause:
+    return Cause(name, "", "", 0.9, share=share, signal=signal, parameters={"slope": Quantity(1.5, (low, 2.0), "")})
+
+
+@pytest.mark.parametrize(
+    ("weak", "certain", "words"),
+    [
+        (cause("wear", low=-1.0), 0.9, "the interval of wear holds zero"),
+        (cause("wear", signal=30.0), 0.9, "a signal of 30 beside an unexplained residual of 20"),
+        (cause("wear"), 0.4, "wear is at work with a probability of 0.40"),
+    ],
+)
+def test_what_is_not_sure_is_dropped_with_its_reason(weak: Cause, certain: float, words: str) -> None:
+    kept, dropped = _parted([cause("load_radius"), weak], {"load_radius": 0.95, "wear": certain}, LEFT)
+    assert [one.effect for one in kept] == ["load_radius"]
+    assert words in dropped["wear"]
+
+
+def test_the_least_certain_goes_first_and_only_until_the_others_are_rather_at_work() -> None:
+    certain = {"a": 0.9, "b": 0.6, "c": 0.7}
+    kept, dropped = _parted([cause(name) for name in certain], certain, None)
+    assert [one.effect for one in kept] == ["a", "c"]
+    assert set(dropped) == {"b"}
+    assert _parted([cause("a"), cause("c")], certain, None)[1] == {}
+
+
+def test_swapped_counters_alone_are_corrected(project_root: Path) -> None:
+    """A blunder without a further cause has a fix, too, and nothing that speaks against it."""
+    campaign = read_campaign(project_root / "sample_runs" / "yard")
+    swap = {"counts_left": "counts_right", "counts_right": "counts_left"}
+    numbers = {name: campaign.runs.numbers[swap.get(name, name)] for name in campaign.runs.numbers}
+    columns = {name: campaign.logs.columns[swap.get(name, name)] for name in campaign.logs.columns}
+    struck = replace(
+        campaign,
+        runs=replace(campaign.runs, numbers=numbers),
+        logs=replace(campaign.logs, columns=columns),
+    )
+    diagnosis = diagnose_in_full(struck, plan=False)
+    assert diagnosis.causes[0].effect == "encoder_gross"
+    assert diagnosis.recommended and diagnosis.fix.why == ()
+
+
+def test_a_real_recording_gets_the_fix_of_its_sure_cause_alone(shared_data: Path) -> None:
+    """Loaded wheels 1.5 % smaller on a recording that has a rest of its own: the load law is corrected, no more."""
+    base, own, _ = calibrated(recordings.optiodom_differential(shared_data))
+    (payload,) = [one for one in POSES if one.name == "payload, loaded wheels smaller"]
+    campaign = payload.change(base)
+    diagnosis = diagnose_in_full(campaign, plan=False)
+    assert diagnosis.fix.corrects == ("load_radius",)
+    assert len(diagnosis.fix.leaves) == len(diagnosis.causes) - 1
+    written = applied_model(diagnosis, campaign)
+    assert [section.effect for section in written.effects] == []
+    # 1.5 % of the radius under a payload of the vehicle's own mass, half of its weight on each wheel at the most
+    slopes = np.array([written.law.left.slope_m_per_N, written.law.right.slope_m_per_N])
+    assert (slopes != 0.0).all()
+    again = diagnose_in_full(
+        replace(
+            campaign,
+            model=replace(
+                campaign.model,
+                radius_left_m=written.law.left.radius_ref_m,
+                radius_right_m=written.law.right.radius_ref_m,
+                slope_left_m_per_N=slopes[0],
+                slope_right_m_per_N=slopes[1],
+                track_m=written.geometry.track_m,
+                reference_load_N=written.law.left.reference_load_N,
+            ),
+        ),
+        plan=False,
+    )
+    assert "load_radius" not in {one.effect for one in again.causes}
+    # less is left than the recording has of its own, whose scrub the recalibration takes in part
+    assert again.closure.before_rms_m is not None
+    assert again.closure.before_rms_m < own["closure"]["before_rms_m"]
