@@ -6,6 +6,7 @@ import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Final
@@ -36,6 +37,8 @@ BASES: Final[dict[str, tuple[Callable[[Path], Campaign], tuple[Manipulation, ...
 OWN: Final = {"straightline_laser": frozenset({"travel_direction"})}
 #: a planted effect that shows so strongly is never answered by `no_gap`
 STRONG: Final = 20.0
+#: of stated probabilities
+BINS: Final = (0.0, 0.5, 0.8, 0.95, 1.01)
 
 
 @dataclass(frozen=True)
@@ -59,6 +62,9 @@ class Outcome:
         Parameter, truth, low, high.
     outside : bool
         No effect of the library says it: a fix of it would be wrong.
+    stated : tuple of (float, bool)
+        Probability of each named cause that the recording does not have of its own, and whether it is the planted one
+        or tied with it.
     """
 
     recording: str
@@ -71,6 +77,7 @@ class Outcome:
     wrong: bool
     intervals: tuple[tuple[str, float, float, float], ...]
     outside: bool = False
+    stated: tuple[tuple[float, bool], ...] = ()
 
 
 def calibrated(campaign: Campaign) -> tuple[Campaign, dict[str, Any], FloatArray]:
@@ -128,10 +135,16 @@ def outcome_of(
             given = cause["parameters"].get(parameter, {}).get("ci95") if cause["effect"] == effect else None
             if given and None not in given:
                 intervals.append((key, value, float(given[0]), float(given[1])))
+    own_causes = {cause["effect"] for cause in own["causes"]} | OWN.get(recording, frozenset())
+    stated = tuple(
+        (float(cause["probability"]), right(cause["effect"]))
+        for cause in causes
+        if cause["effect"] not in own_causes or cause["effect"] in truth
+    )
     signal = _signal(base, struck, covariance, free=not truth & set(CALIBRATION))
     return Outcome(
         recording, manipulation.name, signal, verdict["verdict"], named, bool(verdict["recommended"]), found, wrong,
-        tuple(intervals), not truth,
+        tuple(intervals), not truth, stated,
     )  # fmt: skip
 
 
@@ -188,6 +201,18 @@ def totals(outcomes: Sequence[Outcome]) -> dict[str, tuple[int, int]]:
     }
 
 
+def bins(outcomes: Sequence[Outcome]) -> list[str]:
+    """Return how often causes stated at a probability were the planted ones, a line each bin."""
+    stated = np.array([pair for each in outcomes for pair in each.stated]).reshape(-1, 2)
+    lines = []
+    for low, high in pairwise(BINS):
+        inside = stated[(stated[:, 0] >= low) & (stated[:, 0] < high)]
+        if len(inside):
+            mean, true = inside.mean(axis=0)
+            lines.append(f"stated {low:.2f} to {min(high, 1.0):.2f}: mean {mean:.2f}, true {true:.2f} of {len(inside)}")
+    return lines
+
+
 def main(folder: str, names: Sequence[str]) -> None:
     """Print the table of every recording named, and the totals."""
     outcomes: list[Outcome] = []
@@ -204,6 +229,7 @@ def main(folder: str, names: Sequence[str]) -> None:
                 sys.stdout.flush()
     for name, (hits, total) in totals(outcomes).items():
         sys.stdout.write(f"{name}: {hits} of {total}\n")
+    sys.stdout.write("".join(f"{line}\n" for line in bins(outcomes)))
 
 
 if __name__ == "__main__":
