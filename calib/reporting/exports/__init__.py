@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 FORMATS: Final[dict[str, str]] = {
     "dcc": "dcc",
     "mcap": "mcap_paths",
+    "nav2": "nav2",
 }
 #: formats that are no text
 BINARY: Final = frozenset({"mcap"})

@@ -6,8 +6,8 @@ has it) splits the motion between two updates into a turn, a way and a turn, eac
     turn: alpha1 turn^2 + alpha2 way^2      way: alpha3 way^2 + alpha4 (turn_1^2 + turn_2^2)
 
 so the covariance of an end pose is linear in the four alphas. The same holds of a random walk of distance and heading,
-whose variances grow with the way. Both are estimated by maximum likelihood from end poses of runs that the correction
-has not seen, the uncertainty of the reference beside them.
+whose variances grow with the way. Both are estimated from end poses of runs that the correction has not seen, the
+uncertainty of the reference beside them.
 """
 
 from __future__ import annotations
@@ -44,6 +44,10 @@ class Spread:
     names: tuple[str, ...]
     components: FloatArray
     reference: FloatArray
+
+    def of(self, units: BoolArray) -> Spread:
+        """Return the same of some observations (n_obs,)."""
+        return Spread(self.names, self.components[:, units], self.reference[units])
 
     def covariance(self, sizes: FloatArray) -> FloatArray:
         """Return the covariance of each end pose (n_obs, 3, 3) for sizes (n_components,)."""
@@ -129,33 +133,28 @@ def spread_of(path: Path, units: BoolArray, *, walk: bool) -> Spread:
 
 
 def sizes_of(spread: Spread, residuals: FloatArray) -> FloatArray:
-    """Return the sizes of the components (n_components,), none below zero, that make residuals (n_obs, 3) likeliest."""
+    """Return the sizes of the components (n_components,), none below zero, that fit the residuals (n_obs, 3) best.
+
+    Likeliest with each of along, aside and heading by itself: what a filter's particles spread over shall be right in
+    each, and runs that scatter as a whole tie aside and heading more closely than noise of every step does.
+    """
     from scipy.optimize import minimize
 
+    components = np.einsum("cuii->cui", spread.components)
+    reference = np.einsum("uii->ui", spread.reference)
+    square = residuals**2
     # in the unit that makes each component as large as the residuals: one step of the search fits all
-    mean = np.einsum("cuii->c", spread.components / np.maximum(_scale(residuals), 1e-30)) / residuals.size
-    unit = 1.0 / np.maximum(mean, 1e-30)
+    unit = 1.0 / np.maximum(np.mean(components / np.mean(square, axis=0), axis=(1, 2)), 1e-30)
 
     def misfit(sizes: FloatArray) -> tuple[float, FloatArray]:
-        covariance = spread.covariance(sizes * unit)
-        inverse = np.linalg.inv(covariance)
-        whitened = np.einsum("uij,uj->ui", inverse, residuals)
-        value = 0.5 * float(np.sum(np.linalg.slogdet(covariance)[1]) + np.sum(residuals * whitened))
-        gradient = 0.5 * (
-            np.einsum("uij,cuji->c", inverse, spread.components)
-            - np.einsum("ui,cuij,uj->c", whitened, spread.components, whitened)
-        )
+        variance = reference + np.einsum("c,cui->ui", sizes * unit, components)
+        value = 0.5 * float(np.sum(np.log(variance) + square / variance))
+        gradient = 0.5 * np.einsum("ui,cui->c", (1.0 - square / variance) / variance, components)
         return value, gradient * unit
 
     begin = np.full(len(unit), 1.0 / len(unit))
     found = minimize(misfit, begin, jac=True, method="L-BFGS-B", bounds=[(0.0, None)] * len(unit))
     return np.asarray(found.x * unit)
-
-
-def _scale(residuals: FloatArray) -> FloatArray:
-    """Return the mean squares of the residuals as a matrix of their products, to scale covariances by."""
-    square = np.mean(residuals**2, axis=0)
-    return np.asarray(np.sqrt(np.outer(square, square)))
 
 
 def undetermined(spread: Spread, sizes: FloatArray) -> tuple[str, ...]:

@@ -1,0 +1,170 @@
+"""Parameters of a navigation stack from the measured noise of the corrected odometry: AMCL's alphas, and covariances.
+
+The residuals of runs that the correction was not fitted on are what AMCL's motion model, and the process behind an
+extended Kalman filter's twist, have to spread over. How each number follows: `calib.reporting.exports.pose_spread`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from calib.campaign.read import read_campaign
+from calib.coefficients.formats import Artifact, ascii_line, number
+from calib.errors import BadInputError, RefusedError
+from calib.gap.decision.diagnosis import Diagnosis
+from calib.gap.diagnose import diagnose_in_full
+from calib.radius.result import is_result
+from calib.reporting.exports.pose_spread import (
+    ALPHAS,
+    DEFAULT_ALPHA,
+    POSE,
+    UPDATE_MIN_A_RAD,
+    UPDATE_MIN_D_M,
+    Spread,
+    ratios,
+    sizes_of,
+    spread_of,
+    undetermined,
+)
+from calib.types import BoolArray, FloatArray, Progress
+
+#: fewer end poses do not show a spread: its standard error is then beyond a sixth
+FEWEST_RUNS: Final = 20
+#: rate and speed at which the variances of a twist are stated
+RATE_HZ: Final = 50.0
+SPEED_MPS: Final = 1.0
+#: digits of a variance
+DIGITS: Final = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MotionNoise:
+    """The noise of the corrected odometry on held-out runs."""
+
+    n_runs: int
+    length_m: float  #: median length of the runs
+    turn_rad: float  #: median of what they turn in all, to and fro
+    alphas: dict[str, float]
+    undetermined: tuple[str, ...]  #: alphas that these runs say nothing of
+    walks: dict[str, float]  #: variance a metre of distance (m) and of heading (rad^2/m)
+    ratios: FloatArray  #: observed over predicted standard deviation, along, aside, heading, shape (3,)
+
+
+def render(path: Path, accept: str, progress: Progress) -> tuple[Artifact, ...]:  # noqa: ARG001
+    """Diagnose a campaign and return the parameters; see `export_from`.
+
+    Raises BadInputError where `path` is a result folder, which has no runs; RefusedError where too few end poses with
+    headings were measured, or the vehicle moves sideways.
+    """
+    if is_result(path):
+        raise BadInputError(f"{path}: found the result of a fit; expected a campaign folder, which has runs; give it")
+    campaign = read_campaign(path, progress=progress)
+    diagnosis = diagnose_in_full(campaign, plan=False, progress=progress)
+    noise = motion_noise(diagnosis)
+    named = ", ".join(cause.effect for cause in diagnosis.corrected_causes) or "nothing"
+    notes = [f"the odometry is taken as corrected by: {named}; on the vehicle, correct it likewise"]
+    if diagnosis.causes and not diagnosis.recommended:
+        notes.append("this correction is not recommended: see calib diagnose")
+    if noise.undetermined:
+        listed = ", ".join(noise.undetermined)
+        notes.append(
+            f"these runs say nothing of {listed}: the default of {DEFAULT_ALPHA:g} stands; drive turns and ways"
+        )
+    lines = _lines(noise, campaign.name, named, simulated=campaign.simulated)
+    return (Artifact("nav2_odometry.yaml", "".join(f"{line}\n" for line in lines).encode(), tuple(notes)),)
+
+
+def motion_noise(diagnosis: Diagnosis) -> MotionNoise:
+    """Return the noise of the odometry corrected by a diagnosis, from the end poses of held-out runs."""
+    observations = diagnosis.observations
+    if observations.aside_m is not None:
+        raise RefusedError(
+            f"{diagnosis.campaign}: found a vehicle that moves sideways; expected two wheels on an axle, whose "
+            "motion model is AMCL's differential one; set the omnidirectional model by hand"
+        )
+    units = np.asarray(observations.usable[:, POSE].all(axis=1))
+    if units.sum() < FEWEST_RUNS:
+        raise RefusedError(
+            f"{diagnosis.campaign}: found {int(units.sum())} end poses with a heading; expected {FEWEST_RUNS} at "
+            "least; a spread needs them: measure ref_x_m, ref_y_m and ref_theta_rad at the end of each run"
+        )
+    residuals = diagnosis.held_out.after[units][:, POSE]
+    path = diagnosis.correction.path
+    amcl, walk = spread_of(path, units, walk=False), spread_of(path, units, walk=True)
+    sizes = sizes_of(amcl, residuals)
+    unknown = undetermined(amcl, sizes)
+    stated = {name: DEFAULT_ALPHA if name in unknown else float(size) for name, size in zip(ALPHAS, sizes, strict=True)}
+    return MotionNoise(
+        n_runs=int(units.sum()),
+        length_m=float(np.median(observations.length_m[units])),
+        turn_rad=_median_turn(diagnosis, units),
+        alphas=stated,
+        undetermined=unknown,
+        walks=dict(zip(walk.names, map(float, sizes_of(walk, residuals)), strict=True)),
+        ratios=_checked(amcl, residuals),
+    )
+
+
+def _checked(spread: Spread, residuals: FloatArray) -> FloatArray:
+    """Return observed over predicted standard deviation, predicted from the other half of the runs, shape (3,)."""
+    halves = []
+    half = np.arange(len(residuals)) % 2 == 0
+    for mine, others in ((half, ~half), (~half, half)):
+        fitted = sizes_of(
+            Spread(spread.names, spread.components[:, others], spread.reference[others]), residuals[others]
+        )
+        kept = Spread(spread.names, spread.components[:, mine], spread.reference[mine])
+        halves.append(ratios(kept, fitted, residuals[mine]))
+    return np.asarray(np.mean(halves, axis=0))
+
+
+def _median_turn(diagnosis: Diagnosis, units: BoolArray) -> float:
+    steps = diagnosis.correction.path.steps
+    return float(np.median(diagnosis.observations.total(np.abs(steps.turn_rad))[units]))
+
+
+def _lines(noise: MotionNoise, campaign: str, corrected: str, *, simulated: bool) -> list[str]:
+    along, aside, heading = noise.ratios
+    growth = noise.walks["along"], noise.walks["heading"]
+    twist = [growth[0] * SPEED_MPS * RATE_HZ, growth[1] * SPEED_MPS * RATE_HZ]
+    lines = [
+        f"# campaign: {ascii_line(campaign)}; odometry corrected by: {ascii_line(corrected)}",
+        f"# from {noise.n_runs} end poses of runs that the correction was not fitted on: {noise.length_m:.3g} m and "
+        f"{noise.turn_rad:.3g} rad in the median; for much longer ways measure longer ones",
+        f"# observed over predicted standard deviation, each half by the other: along {along:.2f}, aside {aside:.2f}, "
+        f"heading {heading:.2f}",
+    ]
+    if simulated:
+        lines.append("# SIMULATED DATA: a program made the measurements behind these numbers")
+    lines += [
+        "# nav2_amcl::DifferentialMotionModel: variance of a turn alpha1 turn^2 + alpha2 way^2, of a way alpha3 way^2",
+        "# + alpha4 (turn_1^2 + turn_2^2), between two updates of the filter; the alphas hold for these update steps",
+        "amcl:",
+        "  ros__parameters:",
+        '    robot_model_type: "nav2_amcl::DifferentialMotionModel"',
+        f"    update_min_d: {number(UPDATE_MIN_D_M)}",
+        f"    update_min_a: {number(UPDATE_MIN_A_RAD)}",
+    ]
+    for name, value in noise.alphas.items():
+        unknown = "  # not determined by these runs: the default" if name in noise.undetermined else ""
+        lines.append(f"    {name}: {number(_rounded(value))}{unknown}")
+    lines += [
+        f"    alpha5: {number(DEFAULT_ALPHA)}  # of sideways motion, which the differential model does not use",
+        "# robot_localization takes covariances from the odometry's messages. A twist read at f Hz that is off by",
+        "# independent errors spreads the way by sigma^2 / f a second: sigma^2 = growth a metre x speed x f, here",
+        f"# way {growth[0]:.3g} m^2/m, heading {growth[1]:.3g} rad^2/m, {SPEED_MPS:g} m/s, {RATE_HZ:g} Hz;",
+        "# odom0_config with vx and vyaw alone. diff_drive_controller publishes this diagonal:",
+        "diff_drive_controller:",
+        "  ros__parameters:",
+        f"    twist_covariance_diagonal: [{number(_rounded(twist[0]))}, 1.0e-9, 1.0e+6, 1.0e+6, 1.0e+6, "
+        f"{number(_rounded(twist[1]))}]",
+    ]
+    return lines
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.{DIGITS}g}")

@@ -1,0 +1,130 @@
+"""AMCL's particles, drawn one by one, spread as the covariance says, and the alphas found spread as the runs do."""
+
+from __future__ import annotations
+
+import shutil
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from calib.cli.main import run
+from calib.errors import RefusedError
+from calib.reporting.exports import export_from
+from calib.reporting.exports.pose_spread import (
+    Spread,
+    _updates,
+    amcl_components,
+    ratios,
+    sizes_of,
+    undetermined,
+    walk_components,
+)
+
+SAMPLES = Path(__file__).parents[3] / "sample_runs"
+ALPHA = (4e-4, 3e-5, 2e-4, 6e-4)
+#: standard error of a variance from this many particles: 1.4 %; five of them
+PARTICLES, SAMPLED = 10_000, 0.07
+#: of a standard deviation from 400 runs: 3.5 %; three of them
+RUNS, SEEN = 400, 0.11
+
+
+def _path(length_m: float, turns: list[tuple[float, float]]) -> np.ndarray:
+    """Straight ahead, and at each (way, curvature) on from there; a pose a centimetre."""
+    way = np.arange(0.0, length_m, 0.01)
+    curvature = np.zeros_like(way)
+    for start, kappa in turns:
+        curvature[way >= start] = kappa
+    heading = np.concatenate(([0.0], np.cumsum(0.01 * curvature)[:-1]))
+    x, y = np.cumsum(0.01 * np.cos(heading)), np.cumsum(0.01 * np.sin(heading))
+    return np.column_stack((x - x[0], y - y[0], heading))
+
+
+PATHS = {"corridor": _path(10.0, []), "square": _path(8.0, [(2.0, 1.2), (3.3, 0.0), (5.0, 1.2), (6.3, 0.0)])}
+
+
+def _particles(poses: np.ndarray, alpha: tuple[float, ...], count: int, rng: np.random.Generator) -> np.ndarray:
+    """Ends of particles that move as the differential motion model draws them, in the frame of the true end."""
+    knots = poses[_updates(poses)]
+    at = np.zeros((count, 3))
+    for old, new in pairwise(knots):
+        way = np.hypot(*(new - old)[:2])
+        first = np.arctan2(new[1] - old[1], new[0] - old[0]) - old[2]
+        second = new[2] - old[2] - first
+        turned = np.sqrt(alpha[0] * np.array([first, second]) ** 2 + alpha[1] * way**2)
+        drawn = first + rng.normal(0.0, turned[0], count), second + rng.normal(0.0, turned[1], count)
+        gone = way + rng.normal(0.0, np.sqrt(alpha[2] * way**2 + alpha[3] * (first**2 + second**2)), count)
+        at[:, 0] += gone * np.cos(at[:, 2] + drawn[0])
+        at[:, 1] += gone * np.sin(at[:, 2] + drawn[0])
+        at[:, 2] += drawn[0] + drawn[1]
+    end = knots[-1]
+    off = at - end
+    c, s = np.cos(end[2]), np.sin(end[2])
+    return np.column_stack((c * off[:, 0] + s * off[:, 1], c * off[:, 1] - s * off[:, 0], off[:, 2]))
+
+
+@pytest.mark.parametrize("name", PATHS)
+def test_the_covariance_is_that_of_particles(name: str) -> None:
+    drawn = _particles(PATHS[name], ALPHA, PARTICLES, np.random.default_rng(1))
+    covariance = np.einsum("c,cij->ij", ALPHA, amcl_components(PATHS[name]))
+    scale = np.sqrt(np.outer(np.diag(covariance), np.diag(covariance)))
+    assert np.abs(np.cov(drawn.T) - covariance) / scale == pytest.approx(0.0, abs=SAMPLED)
+
+
+def test_the_walk_of_a_straight_way_has_its_closed_form() -> None:
+    """Variances a metre a and h: along a L, heading h L, aside h L^3 / 3, aside with heading h L^2 / 2."""
+    length = PATHS["corridor"][-1, 0]
+    along, heading = walk_components(PATHS["corridor"])
+    assert along[0, 0] == pytest.approx(length, rel=1e-9)
+    # a step of a centimetre: its square is missed
+    assert heading[2, 2] == pytest.approx(length, rel=1e-9)
+    assert heading[1, 1] == pytest.approx(length**3 / 3, rel=1e-5)
+    assert heading[1, 2] == pytest.approx(length**2 / 2, rel=1e-5)
+
+
+def test_alphas_found_on_some_runs_spread_as_others_do() -> None:
+    rng = np.random.default_rng(2)
+    names = ["corridor", "square"] * RUNS
+    reference = np.tile(np.diag([1e-3, 1e-3, 5e-4]) ** 2, (len(names), 1, 1))
+    components = {name: amcl_components(path) for name, path in PATHS.items()}
+    spread = Spread(("a", "b", "c", "d"), np.stack([components[name] for name in names], axis=1), reference)
+    ends = {name: _particles(path, ALPHA, RUNS, rng) for name, path in PATHS.items()}
+    residuals = np.array([ends[name][number // 2] for number, name in enumerate(names)])
+    residuals += rng.normal(size=residuals.shape) * [1e-3, 1e-3, 5e-4]
+    half = np.arange(len(names)) < len(names) // 2
+    sizes = sizes_of(spread.of(half), residuals[half])
+    assert ratios(spread.of(~half), sizes, residuals[~half]) == pytest.approx(1.0, abs=SEEN)
+    assert undetermined(spread, sizes) == ()
+
+
+def test_straight_runs_say_nothing_of_turns() -> None:
+    """On an exactly straight path no turn is drawn from alpha1 and alpha4."""
+    component = amcl_components(PATHS["corridor"])[:, None]
+    spread = Spread(("alpha1", "alpha2", "alpha3", "alpha4"), component, 1e-6 * np.eye(3)[None])
+    assert undetermined(spread, np.array([0.0, 1e-5, 1e-5, 0.0])) == ("alpha1", "alpha4")
+
+
+def test_the_file_is_read_by_a_yaml_library_and_says_what_was_observed(capsys: pytest.CaptureFixture[str]) -> None:
+    (artifact,) = export_from(SAMPLES / "corridor_crossed", "nav2")
+    document = yaml.safe_load(artifact.data)
+    amcl = document["amcl"]["ros__parameters"]
+    assert all(amcl[f"alpha{number}"] >= 0.0 for number in (1, 2, 3, 4))
+    assert amcl["robot_model_type"] == "nav2_amcl::DifferentialMotionModel"
+    diagonal = document["diff_drive_controller"]["ros__parameters"]["twist_covariance_diagonal"]
+    assert len(diagonal) == 6 and min(diagonal) > 0.0
+    # observed over predicted spread, each half of the runs predicted by the other
+    words = artifact.data.decode().split("each half by the other: along ")[1].splitlines()[0]
+    found = [float(part.split()[-1]) for part in words.split(",")]
+    assert found == pytest.approx([1.0, 1.0, 1.0], abs=0.1)
+    assert run(["export", str(SAMPLES / "corridor_crossed"), "--to", "nav2"]) == 0
+    assert capsys.readouterr().out == artifact.data.decode()
+
+
+def test_too_few_end_poses_are_refused(tmp_path: Path) -> None:
+    shutil.copytree(SAMPLES / "corridor_crossed", tmp_path / "few")
+    table = tmp_path / "few" / "runs.csv"
+    table.write_text("\n".join(table.read_text().splitlines()[:13]) + "\n")
+    with pytest.raises(RefusedError, match="end poses with a heading; expected 20 at least"):
+        export_from(tmp_path / "few", "nav2")
