@@ -101,7 +101,11 @@ def _machine_refused(error: Exception) -> str:
         return f"{beyond}; expected numbers of ordinary size; hold the campaign against 'calib check'"
     if isinstance(error, OSError) and error.errno != errno.ENOMEM:
         # what a library writes on the way has no name here
-        where = os.fsdecode(error.filename) if isinstance(error.filename, str | bytes) else "a temporary file"
+        where = (
+            os.fsdecode(error.filename)
+            if isinstance(error.filename, str | bytes)
+            else "standard output, or a temporary file"
+        )
         return f"{where}: found {error.strerror or error}; expected a place that works; choose another, or more room"
     if isinstance(error, MemoryError | OSError):
         return "out of memory; expected a campaign that fits; give fewer or shorter runs, or allow more (ulimit -v)"

@@ -172,6 +172,19 @@ def test_a_workbook_with_more_than_may_be_is_refused(tmp_path: Path, monkeypatch
                 check_size(path, "w.xlsx")
 
 
+def test_a_part_that_is_listed_as_many_sheets_counts_as_many(tmp_path: Path) -> None:
+    path = _workbook(tmp_path / "w.xlsx", '<row r="2"><c r="A2"><v>1</v></c></row>')
+    many = "".join(f'<sheet name="s{number}" sheetId="{number}" r:id="rId1"/>' for number in range(1, 20_001))
+    with zipfile.ZipFile(path) as source, zipfile.ZipFile(tmp_path / "many.xlsx", "w") as target:
+        for entry in source.infolist():
+            data = source.read(entry.filename).decode() if entry.filename == "xl/workbook.xml" else ""
+            begin, end = data.find("<sheets>"), data.find("</sheets>")
+            changed = f"{data[: begin + 8]}{many}{data[end:]}".encode()
+            target.writestr(entry.filename, changed if data else source.read(entry.filename))
+    with pytest.raises(BadFileError, match=r"found (20,?000) sheets; expected at most 200"):
+        check_size(tmp_path / "many.xlsx", "many.xlsx")
+
+
 def _settings_text(size: int) -> Callable[[], None]:
     text = "".join(f"[[a{number}]]\nx = {{y = [1.0, 2.0], z = 'q.q'}}\n" for number in range(size))
     return lambda: refuse_hostile_keys(text, "settings")

@@ -35,6 +35,7 @@ from calib.limits import SHEET_CELLS, SHEET_EMPTY, SHEET_UNPACKED_BYTES, SHEETS,
 #: parts of the archive that hold cells and their texts; all others describe, and are small
 _SHEET_PART: Final = re.compile(r"(?i)/?xl/worksheets/[^/]*\.xml")
 _TEXTS_PART: Final = re.compile(r"(?i)/?xl/sharedstrings\.xml")
+_BOOK_PART: Final = re.compile(r"(?i)/?xl/workbook\.xml")
 _OTHER_PART: Final = re.compile(r"(?i).*\.(xml|rels)")
 _OTHER_BYTES: Final = 8 << 20
 #: XML read at once; no element of a sound workbook is as long
@@ -48,6 +49,7 @@ _MERGED: Final = re.compile(
 #: rows in which names, units and columns of numbers are looked for
 _LOOKED_AT: Final = 20
 _ROW: Final = re.compile(rb"<(?:\w{1,20}:)?row\b")
+_LISTED: Final = re.compile(rb"<(?:\w{1,20}:)?sheet\s")
 _TEXT: Final = re.compile(rb"<(?:\w{1,20}:)?si\b")
 _DAMAGE: Final = (zipfile.BadZipFile, zlib.error, ValueError, NotImplementedError, EOFError, RuntimeError)
 _REMEDY: Final = "export the table as CSV or Parquet"
@@ -245,7 +247,10 @@ def _check_parts(archive: zipfile.ZipFile, shown: str) -> int:
     entries = archive.infolist()
     check(sum(entry.file_size for entry in entries), SHEET_UNPACKED_BYTES, "bytes unpacked")
     sheets = [entry for entry in entries if _SHEET_PART.fullmatch(entry.filename)]
-    check(len(sheets), SHEETS, "sheets", "keep the sheet with the table")
+    # a part may be listed as many sheets
+    books = [entry for entry in entries if _BOOK_PART.fullmatch(entry.filename)]
+    listed = sum(len(_LISTED.findall(block)) for entry in books for block in _blocks(archive, entry))
+    check(max(len(sheets), listed), SHEETS, "sheets", "keep the sheet with the table")
     texts = [entry for entry in entries if _TEXTS_PART.fullmatch(entry.filename)]
     others = [entry for entry in entries if _OTHER_PART.fullmatch(entry.filename) and entry not in (*sheets, *texts)]
     check(sum(entry.file_size for entry in others), _OTHER_BYTES, "bytes of styles and the like")

@@ -93,9 +93,14 @@ def causes_of(
 
 
 def negligible(causes: Sequence[Cause]) -> tuple[str, ...]:
-    """Return the effects whose share is negligible beside that of the largest cause."""
+    """Return the effects whose share is negligible beside the largest cause's, or small and rather not at work."""
     largest = max((cause.share for cause in causes), default=0.0)
-    return tuple(cause.effect for cause in causes if cause.share < NEGLIGIBLE_SHARE * largest)
+
+    def too_small(cause: Cause) -> bool:
+        doubtful = cause.share <= SMALL_SHARE * largest and cause.probability < EVEN_PROBABILITY
+        return cause.share < NEGLIGIBLE_SHARE * largest or doubtful
+
+    return tuple(cause.effect for cause in causes if too_small(cause))
 
 
 def _shares(

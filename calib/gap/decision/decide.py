@@ -25,7 +25,7 @@ from calib.gap.decision.diagnosis import (
 )
 from calib.gap.decision.evidence import Evidence
 from calib.gap.decision.fix import fix_of
-from calib.gap.decision.part import sure_part
+from calib.gap.decision.part import is_named_beside, sure_part
 from calib.gap.decision.sentences import blunder_sentence, sentence
 from calib.gap.effects.effect import Family
 from calib.gap.effects.encoder import BLUNDER_MISFIT, misfit
@@ -72,6 +72,7 @@ def decide(evidence: Evidence) -> Diagnosis:
     fix = fix_of(evidence, confounded, tied, causes, certain, unexplained, stated, small)
     if (causes or situation.faults) and not fix.recommended:
         fix = sure_part(evidence, tied, causes, certain, unexplained, stated, fix)
+        causes = [cause for cause in causes if is_named_beside(cause, fix, certain)]
     diagnosis = Diagnosis(
         kind=_beside_blunder(kind) if situation.faults else kind,
         sentence="",
@@ -96,11 +97,11 @@ def decide(evidence: Evidence) -> Diagnosis:
 
 
 def _on_small(small: Sequence[str]) -> tuple[str, ...]:
-    """Return the note on effects that are too small beside the named causes to be told from what these leave."""
+    """Return the note on effects that cannot be told from what the named causes leave, or are rather not at work."""
     if not small:
         return ()
     listed = ", ".join(small)
-    return (f"below a hundredth of the largest cause's size, not named: {listed}; correct first, then diagnose again",)
+    return (f"too small beside the largest cause to be named: {listed}; correct that first, then diagnose again",)
 
 
 def _beside_blunder(kind: VerdictKind) -> VerdictKind:

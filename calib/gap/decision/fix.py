@@ -107,7 +107,7 @@ def reasons(
 
 def doubts(cause: Cause, unexplained: Unexplained | None) -> Iterator[str]:
     """Yield why a single cause is no part of a fix: its size may be zero, or it a part of the unexplained residual."""
-    if _holds_zero(cause):
+    if holds_zero(cause):
         yield _sizeless(cause)
     if unexplained is None or unexplained.share <= SMALL_SHARE:
         return
@@ -136,7 +136,7 @@ def _unhelpful(improvement: Improvement | None) -> Iterator[str]:
             f"on held-out runs the error goes from {errors}, an improvement of {low:+.2g} to {high:+.2g}: not shown to "
             "help; repeat the routes with the largest gap"
         )
-    elif improvement.measurable and improvement.closed_ci95[0] <= ADEQUATE_CLOSURE:
+    elif improvement.leaves_some and improvement.closed_ci95[0] <= ADEQUATE_CLOSURE:
         closed = [f"{100 * share:.0f}" for share in improvement.closed_ci95]
         yield (
             f"on held-out runs it closes {closed[0]} to {closed[1]} % of the gap, where {100 * ADEQUATE_CLOSURE:.0f} % "
@@ -144,7 +144,8 @@ def _unhelpful(improvement: Improvement | None) -> Iterator[str]:
         )
 
 
-def _holds_zero(cause: Cause) -> bool:
+def holds_zero(cause: Cause) -> bool:
+    """Return whether the intervals of all of a cause's parameters hold zero."""
     return bool(cause.parameters) and all(
         low <= 0.0 <= high for low, high in (q.ci95 for q in cause.parameters.values())
     )

@@ -14,7 +14,7 @@ import numpy as np
 from calib.gap.decision import confounding
 from calib.gap.decision.diagnosis import Cause, Fix, Unexplained
 from calib.gap.decision.evidence import Evidence
-from calib.gap.decision.fix import disagreement, doubts, elsewhere, reasons
+from calib.gap.decision.fix import disagreement, doubts, elsewhere, holds_zero, reasons
 from calib.gap.decision.held_out import improvement_of
 from calib.gap.decision.trials import trials
 from calib.gap.effects.calibration import NAMES
@@ -95,6 +95,13 @@ def sure_part(
         leaves=tuple(dropped.values()),
         fitted=fitted,
     )
+
+
+def is_named_beside(cause: Cause, fix: Fix, certain: Mapping[str, float]) -> bool:
+    """Return whether a cause stays named beside the fix of a part: one that is rather not at work does not."""
+    if fix.corrects is None or cause.effect in fix.corrects:
+        return True
+    return certain.get(cause.effect, cause.probability) >= EVEN_PROBABILITY and not holds_zero(cause)
 
 
 def _parted(
