@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from calib.cli.options import AcceptImplausible, Force, JsonTarget
-from calib.cli.terminal import emit_json, emit_text, note, progress, wants_stdout, wrote
+from calib.cli.terminal import emit_json, emit_text, note, progress, say, wants_stdout, wrote
 from calib.coefficients.formats import FORMATS
 from calib.errors import BadInputError
 from calib.io import refuse_existing
@@ -108,6 +108,7 @@ def run(
     for text in notes:
         note(text)
     files = _written(artifacts, output, json, force=force)
+    _tell_next(to, source, output, json)
     document = {
         "to": to,
         "checksum": coefficients.file.checksum,
@@ -131,7 +132,16 @@ def _export_other(source: Path, to: str, output: Path | None, accept: str, json:
     for text in notes:
         note(text)
     files = _written(artifacts, output, json, force=force)
+    _tell_next(to, source, output, json)
     emit_json({"to": to, "files": files, "notes": notes}, json, force=force)
+
+
+def _tell_next(to: str, source: Path, output: Path | None, json: str | None) -> None:
+    """Say what to do with the files; where they went to standard output, nothing is added to them."""
+    from calib.reporting.next_step import after_export
+
+    if output is not None:
+        say(after_export(to, source, output), target=json)
 
 
 def _written(

@@ -56,6 +56,7 @@ def _next(campaign: Path, candidates: Path | None, most: int, seed: int, json: s
     from calib.gap.diagnose import diagnose_in_full
     from calib.gap.plan.next_runs import next_runs
     from calib.gap.plan.plan_file import read_candidates
+    from calib.reporting.next_step import after_plan
     from calib.reporting.topics.effects import next_runs_table
 
     with progress("planning") as tick:
@@ -71,6 +72,7 @@ def _next(campaign: Path, candidates: Path | None, most: int, seed: int, json: s
         ]
     say(f"{diagnosis.campaign}: {diagnosis.sentence}", target=json)
     show([next_runs_table(runs)], target=json)
+    say(after_plan(campaign, len(runs)), target=json)
     document = {
         "verdict": diagnosis.kind.value,
         "indistinguishable": [list(group.effects) for group in diagnosis.groups],

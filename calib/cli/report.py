@@ -56,6 +56,7 @@ def run(
     from calib.io import write_bytes, write_text
     from calib.reporting.content import place_of
     from calib.reporting.figures.style import write_figures
+    from calib.reporting.next_step import after_diagnosis, after_report
     from calib.reporting.pdf import to_pdf
     from calib.reporting.source import issue_date
 
@@ -72,6 +73,8 @@ def run(
     if html is not None:
         write_text(html, page, force=force)
     _tell(report, target, html, f"{len(drawn)} figure files to {figures}" if drawn else "", json)
+    verdict = content.diagnosis
+    say(after_report(report.passed, source) if verdict is None else after_diagnosis(verdict, source), target=json)
     document: dict[str, Any] = {"file": str(target), "figures": [str(path) for path in drawn], **report.to_dict()}
     emit_json(document, json, force=force)
     return 0 if report.passed else 1

@@ -54,6 +54,39 @@ def after_diagnosis(diagnosis: Diagnosis, campaign: Path) -> str:
     return _next(f"{_command('plan', campaign)} names the runs that settle it; drive them, then diagnose again.")
 
 
+def after_plan(campaign: Path, n_runs: int) -> str:
+    """Return what follows a plan of runs to drive next."""
+    if not n_runs:
+        return _next(f"no further run tells causes apart; {_command('diagnose', campaign)} has the verdict.")
+    return _next(f"drive them, add them to runs.csv of the campaign, then {_command('diagnose', campaign)}.")
+
+
+def after_report(passed: bool, source: Path) -> str:
+    """Return what follows a report, whose checks passed or not."""
+    if passed:
+        return _next(f"{_command('export', source, '--to', 'dcc', '--output', 'certificate.xml')} for the certificate.")
+    return _next(f"{_command('plan', source)} names the runs that are missing; drive them, then fit again.")
+
+
+def after_export(to: str, source: Path, output: Path) -> str:
+    """Return what follows an export in a format."""
+    again = _command("diagnose", source, "--simulator", "SIM.toml")
+    simulator = f"run your simulator with it, then {again} for what is left."
+    steps = {
+        "json": f"{_command('diagnose', source, '--model', output)} for what is left.",
+        "ros2": f"pass it after the controllers' own parameter file (--params-file {shlex.quote(str(output))}).",
+        "c": f"cc -fsyntax-only -x c {shlex.quote(str(output))} checks it with your compiler; then include it.",
+        "csv": f"{_command('export', source, '--to', 'json', '--output', 'coefficients.json')} has the law itself.",
+        "mjcf": simulator,
+        "urdf": simulator,
+        "sdf": simulator,
+        "dcc": f"{_command('report', source)} has the same for people; sign both.",
+        "mcap": f"open {shlex.quote(str(output))} in Foxglove.",
+        "nav2": f"pass it after the navigation's own parameter file (--params-file {shlex.quote(str(output))}).",
+    }
+    return _next(steps[to])
+
+
 def _next(text: str) -> str:
     return f"Next: {text}"
 

@@ -69,9 +69,9 @@ def decide(evidence: Evidence) -> Diagnosis:
         causes = [cause for cause in causes if cause.probability >= CERTAIN_PROBABILITY]
     names = {cause.effect for cause in causes}
     tied = [group for group in groups if len(group) > 1 and names.intersection(group)]
-    fix = fix_of(evidence, confounded, tied, causes, certain, unexplained, stated, small)
+    fix = fix_of(evidence, confounded, tied, causes, certain, unexplained, small)
     if (causes or situation.faults) and not fix.recommended:
-        fix = sure_part(evidence, tied, causes, certain, unexplained, stated, fix)
+        fix = sure_part(evidence, tied, causes, certain, unexplained, fix)
         causes = [cause for cause in causes if is_named_beside(cause, fix, certain)]
     diagnosis = Diagnosis(
         kind=_beside_blunder(kind) if situation.faults else kind,

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from math import prod
 
 from calib.gap.decision import confounding
-from calib.gap.decision.adequacy import NAMED_PROBABILITY, SIGNAL_OVER_UNEXPLAINED, SMALL_SHARE, corrections_agree
+from calib.gap.decision.adequacy import SIGNAL_OVER_UNEXPLAINED, SMALL_SHARE, corrections_agree
 from calib.gap.decision.diagnosis import DRIVEN, JOURNEYS, Cause, Fix, Unexplained
 from calib.gap.decision.evidence import Evidence
 from calib.gap.decision.held_out import ADEQUATE_CLOSURE, Closure, Improvement
@@ -25,7 +25,6 @@ def fix_of(
     causes: Sequence[Cause],
     certain: Mapping[str, float],
     unexplained: Unexplained | None,
-    stated: Mapping[str, float],
     small: Sequence[str] = (),
 ) -> Fix:
     """Return what the correction is worth, and whether and why not to apply it.
@@ -42,8 +41,6 @@ def fix_of(
         Of each effect, the probability that it or an effect that it is confounded with is at work.
     unexplained : Unexplained or None
         The unexplained residual.
-    stated : mapping of str to float
-        Probability of each effect.
     small : sequence of str
         Effects that were fitted and are negligible.
     """
@@ -66,7 +63,7 @@ def fix_of(
         *reasons(causes, certain, improvement, evidence.trials, unexplained),
         *disagreement(apart_m, on, evidence.held_out.closure, tied),
         *(f"it rests on {name} too, which is not probable enough to be named; {PLAN}" for name in unnamed),
-        *elsewhere(fitted, tied, stated),
+        *elsewhere(fitted, tied),
     ]
     return Fix(
         recommended=not why,
@@ -102,7 +99,8 @@ def reasons(
         The unexplained residual.
     """
     single = (text for cause in causes for text in doubts(cause, unexplained))
-    return [*_doubtful(causes, certain), *_unhelpful(improvement), *single, *_harm(trials)]
+    helpful = [*unhelpful(improvement), *remaining(improvement)]
+    return [*_doubtful(causes, certain), *helpful, *single, *harm(trials)]
 
 
 def doubts(cause: Cause, unexplained: Unexplained | None) -> Iterator[str]:
@@ -125,23 +123,33 @@ def _doubtful(causes: Sequence[Cause], certain: Mapping[str, float]) -> Iterator
         yield f"the probability that all of its causes are at work is {together:.2f} ({listed}); {PLAN}"
 
 
-def _unhelpful(improvement: Improvement | None) -> Iterator[str]:
+def unhelpful(improvement: Improvement | None) -> Iterator[str]:
+    """Yield that a correction is not shown to help on held-out runs, where it is not."""
     if improvement is None:
         yield "no run could be held out; drive each route twice at least"
         return
     low, high = improvement.improvement_ci95
-    errors = f"{improvement.before_rms:.3g} to {improvement.after_rms:.3g} times the noise"
     if low <= 0.0:
         yield (
-            f"on held-out runs the error goes from {errors}, an improvement of {low:+.2g} to {high:+.2g}: not shown to "
-            "help; repeat the routes with the largest gap"
+            f"on held-out runs the error goes from {_errors(improvement)}, an improvement of {low:+.2g} to "
+            f"{high:+.2g}: not shown to help; repeat the routes with the largest gap"
         )
-    elif improvement.leaves_some and improvement.closed_ci95[0] <= ADEQUATE_CLOSURE:
+
+
+def remaining(improvement: Improvement | None) -> Iterator[str]:
+    """Yield that part of the gap is certainly left, and that it closes too little of it, where that is so."""
+    if improvement is None or improvement.improvement_ci95[0] <= 0.0:
+        return
+    if improvement.leaves_some and improvement.closed_ci95[0] <= ADEQUATE_CLOSURE:
         closed = [f"{100 * share:.0f}" for share in improvement.closed_ci95]
         yield (
             f"on held-out runs it closes {closed[0]} to {closed[1]} % of the gap, where {100 * ADEQUATE_CLOSURE:.0f} % "
-            f"are to be certain ({errors}): the rest has a cause of its own; look where the residual lies"
+            f"are to be certain ({_errors(improvement)}): the rest has a cause of its own; look where the residual lies"
         )
+
+
+def _errors(improvement: Improvement) -> str:
+    return f"{improvement.before_rms:.3g} to {improvement.after_rms:.3g} times the noise"
 
 
 def holds_zero(cause: Cause) -> bool:
@@ -159,7 +167,8 @@ def _sizeless(cause: Cause) -> str:
     return f"the interval of {cause.effect} holds zero ({sizes}); {PLAN}"
 
 
-def _harm(trials: Sequence[Trial]) -> Iterator[str]:
+def harm(trials: Sequence[Trial]) -> Iterator[str]:
+    """Yield where a correction harms beyond noise when that is held out."""
     for trial in harmed(trials):
         sizes = ""
         if trial.before_rms_m is not None and trial.after_rms_m is not None:
@@ -178,13 +187,13 @@ def harmed(trials: Sequence[Trial]) -> list[Trial]:
     return [trial for trial in trials if trial.growth_sd > limit]
 
 
-def elsewhere(fitted: Iterable[str], tied: Sequence[Sequence[str]], stated: Mapping[str, float]) -> list[str]:
+def elsewhere(fitted: Iterable[str], tied: Sequence[Sequence[str]]) -> list[str]:
     """Return why a correction does not hold for journeys to come: by its causes, and by what they may be instead.
 
-    An alternative that is not probable enough to be named does not count.
+    An alternative counts whatever its probability: what these runs cannot tell, only the prior does.
     """
-    instead = {name for group in tied for name in group if stated.get(name, 0.0) >= NAMED_PROBABILITY}
-    return sorted({text for name in {*fitted, *instead} if (text := why_not_transferable(name))})
+    concerned = {*fitted, *(name for group in tied for name in group)}
+    return sorted({text for name in concerned if (text := why_not_transferable(name))})
 
 
 def disagreement(apart_m: float | None, on: str, closure: Closure, tied: Sequence[Sequence[str]]) -> Iterator[str]:

@@ -14,7 +14,7 @@ import numpy as np
 from calib.gap.decision import confounding
 from calib.gap.decision.diagnosis import Cause, Fix, Unexplained
 from calib.gap.decision.evidence import Evidence
-from calib.gap.decision.fix import disagreement, doubts, elsewhere, holds_zero, reasons
+from calib.gap.decision.fix import disagreement, doubts, elsewhere, harm, remaining, unhelpful
 from calib.gap.decision.held_out import improvement_of
 from calib.gap.decision.trials import trials
 from calib.gap.effects.calibration import NAMES
@@ -31,7 +31,6 @@ def sure_part(
     causes: Sequence[Cause],
     certain: Mapping[str, float],
     unexplained: Unexplained | None,
-    stated: Mapping[str, float],
     whole: Fix,
 ) -> Fix:
     """Return the fix of the sure causes where that is recommended, else the whole one with its reasons.
@@ -48,8 +47,6 @@ def sure_part(
         Of each effect, the probability that it or an effect that it is confounded with is at work.
     unexplained : Unexplained or None
         The unexplained residual.
-    stated : mapping of str to float
-        Probability of each effect.
     whole : Fix
         The fix of all causes, which is not recommended.
     """
@@ -67,6 +64,9 @@ def sure_part(
         return whole
     if causes and not dropped and set(evidence.search.effects) <= names:
         return whole
+    # what the dropped causes explain is left by design: the closure is that of all of them
+    if causes and any(True for _ in remaining(whole.held_out)):
+        return whole
     forms = [form for form in evidence.fitted.forms if form.effect in names]
     fitted = fit(evidence.nominal, evidence.noise, forms, start=evidence.fitted)
     left_out = HeldOutFit(fitted, evidence.nominal, evidence.noise, evidence.search.weighting)
@@ -77,9 +77,10 @@ def sure_part(
     concerned = [group for group in tied if names.intersection(group)]
     apart_m = confounding.agreement_m(evidence, concerned)
     why = [
-        *reasons(kept, certain, improvement, tried, unexplained),
+        *unhelpful(improvement),
+        *harm(tried),
         *disagreement(apart_m, whole.agreement_on, evidence.held_out.closure, concerned),
-        *elsewhere(names, concerned, stated),
+        *elsewhere(names, concerned),
     ]
     if why:
         # without a cause beside a blunder there are no reasons yet
@@ -101,7 +102,7 @@ def is_named_beside(cause: Cause, fix: Fix, certain: Mapping[str, float]) -> boo
     """Return whether a cause stays named beside the fix of a part: one that is rather not at work does not."""
     if fix.corrects is None or cause.effect in fix.corrects:
         return True
-    return certain.get(cause.effect, cause.probability) >= EVEN_PROBABILITY and not holds_zero(cause)
+    return certain.get(cause.effect, cause.probability) >= EVEN_PROBABILITY
 
 
 def _parted(
