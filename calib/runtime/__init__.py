@@ -10,14 +10,18 @@ under any name. Example::
 """
 
 from .coefficients import CoefficientError, Coefficients, WheelCoefficients  # noqa: TID252 the folder may be renamed
+from .effects import Effects, Motion, Run  # noqa: TID252
 from .odometer import Odometer, OdometerFault, Pose, Status  # noqa: TID252
 
 __all__ = [
     "CoefficientError",
     "Coefficients",
+    "Effects",
+    "Motion",
     "Odometer",
     "OdometerFault",
     "Pose",
+    "Run",
     "Status",
     "WheelCoefficients",
 ]

@@ -1,0 +1,348 @@
+"""The named effects of a coefficient file on wheel motion, for the loop of any simulator.
+
+Wheel angles in, wheel travel with the effects out::
+
+    effects = Effects.from_file("corrected.json")
+    effects.begin(Run(load_left_N=420.0, load_right_N=380.0, temperature_C=14.0))
+    motion = effects.step(d_angle_left_rad, d_angle_right_rad, dt_s)
+    heading += motion.turn_rad
+
+Effects on readings (a turned or late reference, a rangefinder), at places of the floor, at stops and of the steering do
+not act on the wheels: `Effects.left_out` names those of the file.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from .coefficients import CoefficientError, Coefficients  # noqa: TID252 the folder may be renamed
+
+__all__ = ["Effects", "Motion", "Run"]
+
+#: what an effect does depends a little on the path that it bends: so often it is computed anew, as in a diagnosis
+PASSES = 3
+#: a shorter way has no curvature
+SHORTEST_STEP_M = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """What holds during a run: wheel loads, surroundings, and the numbers that effects act through.
+
+    `speed_mps` is the mean over the run's way; `minutes_under_load` since the payload was put on, at the middle of the
+    run; `direction` is ``out`` or ``back``; `covariates` has further columns of the run table by name.
+    """
+
+    load_left_N: float
+    load_right_N: float
+    payload_kg: float = 0.0
+    temperature_C: float = math.nan
+    speed_mps: float = math.nan
+    travelled_km: float = math.nan
+    minutes_under_load: float = math.nan
+    direction: str = "out"
+    phase_left_rad: float = 0.0
+    phase_right_rad: float = 0.0
+    covariates: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Travel of the wheels, track, and motion to the left and turn beside these, in one step."""
+
+    left_m: float
+    right_m: float
+    track_m: float
+    aside_m: float = 0.0
+    further_turn_rad: float = 0.0
+
+    @property
+    def way_m(self) -> float:
+        """Way of the axle's middle."""
+        return 0.5 * (self.left_m + self.right_m)
+
+    @property
+    def turn_rad(self) -> float:
+        """Change of heading."""
+        return (self.right_m - self.left_m) / self.track_m + self.further_turn_rad
+
+
+@dataclass(slots=True)
+class _Change:
+    """Relative changes of left travel, right travel and track; motion aside and turn beside them."""
+
+    left: float = 0.0
+    right: float = 0.0
+    track: float = 0.0
+    aside_m: float = 0.0
+    turn_rad: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """One step: what an effect may look at."""
+
+    run: Run
+    nominal: Motion  #: without effects
+    motion: Motion  #: with the effects of the pass before
+    angles_rad: tuple[float, float]
+    phases_rad: tuple[float, float]  #: at the end of the step
+    radii_m: tuple[float, float]
+    dt_s: float
+
+    @property
+    def speed_mps(self) -> float:
+        return self.nominal.way_m / self.dt_s if self.dt_s > 0.0 else 0.0
+
+    def curvature_per_m(self, motion: Motion, track_m: float) -> float:
+        """Curvature, no tighter than a turn about one rear wheel."""
+        way = abs(motion.way_m)
+        curvature = motion.turn_rad / way if way > SHORTEST_STEP_M else 0.0
+        return max(-2.0 / track_m, min(2.0 / track_m, curvature))
+
+
+@dataclass(frozen=True, slots=True)
+class _Effect:
+    """A section of the file: its form, its settings and its sizes, and the vehicle's numbers that it needs."""
+
+    name: str
+    form: str
+    settings: dict[str, float]
+    sizes: dict[str, float]
+    cog_z_m: float
+    gravity_mps2: float
+    mass_kg: float
+    track_m: float
+    reference_load_N: float
+
+    def size(self, name: str) -> float:
+        return self.sizes.get(name, 0.0)
+
+    def deviation(self, value: float) -> float:
+        """Return how far a covariate lies from where the effect is zero; 0 where it is not known."""
+        off = (value - self.settings.get("centre", 0.0)) / (self.settings.get("spread", 1.0) or 1.0)
+        return off if math.isfinite(off) else 0.0
+
+
+def _both(change: _Change, value: float) -> None:
+    change.left += value
+    change.right += value
+
+
+def _one(change: _Change, form: str, value: float) -> None:
+    if form.startswith("left"):
+        change.left += value
+    else:
+        change.right += value
+
+
+def _temperature(effect: _Effect, step: _Step, change: _Change) -> None:
+    _both(change, effect.size("alpha") * effect.deviation(step.run.temperature_C))
+
+
+def _speed(effect: _Effect, step: _Step, change: _Change) -> None:
+    _both(change, effect.size("per_mps") * effect.deviation(step.run.speed_mps))
+
+
+def _wear(effect: _Effect, step: _Step, change: _Change) -> None:
+    driven = effect.deviation(step.run.travelled_km)
+    change.left += effect.size("rate_left") * driven
+    change.right += effect.size("rate_right") * driven
+
+
+def _radius_scale(effect: _Effect, _step: _Step, change: _Change) -> None:
+    _both(change, effect.size("relative"))
+
+
+def _unequal(effect: _Effect, _step: _Step, change: _Change) -> None:
+    change.left -= 0.5 * effect.size("relative")
+    change.right += 0.5 * effect.size("relative")
+
+
+def _track_width(effect: _Effect, _step: _Step, change: _Change) -> None:
+    change.track += effect.size("relative")
+
+
+def _load(effect: _Effect, step: _Step, change: _Change) -> None:
+    run, (left, right) = step.run, step.radii_m
+    change.left += effect.size("slope_left") * (run.load_left_N - effect.reference_load_N) / left
+    change.right += effect.size("slope_right") * (run.load_right_N - effect.reference_load_N) / right
+
+
+def _load_curve(effect: _Effect, step: _Step, change: _Change) -> None:
+    exponent = effect.settings["exponent"]
+    reference = effect.settings.get("centre", effect.reference_load_N)
+
+    def shape(load_N: float) -> float:
+        return reference * (math.pow(max(load_N, 0.0) / reference, exponent) - 1.0) / exponent
+
+    change.left += effect.size("slope_left") * shape(step.run.load_left_N) / step.radii_m[0]
+    change.right += effect.size("slope_right") * shape(step.run.load_right_N) / step.radii_m[1]
+
+
+def _creep(effect: _Effect, step: _Step, change: _Change) -> None:
+    gone = math.exp(-step.run.minutes_under_load / effect.settings["tau_min"])
+    zero = effect.settings.get("centre", 0.0)
+    crept = 1.0 - gone if math.isfinite(gone) else 0.0
+    change.left -= effect.size("creep_left") * (step.run.load_left_N - zero) * crept / step.radii_m[0]
+    change.right -= effect.size("creep_right") * (step.run.load_right_N - zero) * crept / step.radii_m[1]
+
+
+def _load_track(effect: _Effect, step: _Step, change: _Change) -> None:
+    over = step.run.load_left_N + step.run.load_right_N - 2.0 * effect.reference_load_N
+    change.track += effect.size("per_N") * over
+
+
+def _scrub(effect: _Effect, step: _Step, change: _Change) -> None:
+    change.track += effect.size("widening") * abs(step.curvature_per_m(step.motion, effect.track_m))
+
+
+def _curve_load(effect: _Effect, step: _Step, change: _Change) -> None:
+    pull_mps2 = step.speed_mps * abs(step.speed_mps) * step.curvature_per_m(step.nominal, effect.track_m)
+    weight_N = effect.gravity_mps2 * (effect.mass_kg + step.run.payload_kg)
+    moved_N = weight_N * pull_mps2 * effect.cog_z_m / (effect.gravity_mps2 * effect.track_m)
+    change.left -= effect.size("slope") * moved_N / step.radii_m[0]
+    change.right += effect.size("slope") * moved_N / step.radii_m[1]
+
+
+def _side_slip(effect: _Effect, step: _Step, change: _Change) -> None:
+    turned = step.curvature_per_m(step.nominal, effect.track_m) * step.nominal.way_m
+    change.aside_m -= effect.size("slip_per_acceleration") * step.speed_mps**2 * turned
+
+
+def _direction(effect: _Effect, step: _Step, change: _Change) -> None:
+    _both(change, effect.size("relative") * (-1.0 if step.run.direction == "back" else 1.0))
+
+
+def _drag(effect: _Effect, step: _Step, change: _Change) -> None:
+    there = step.nominal.way_m >= 0.0 if "rolling" in effect.form else step.run.direction != "back"
+    _one(change, effect.form, effect.size("relative") if there else 0.0)
+
+
+def _lost(effect: _Effect, step: _Step, change: _Change) -> None:
+    over = max(step.run.speed_mps - effect.settings["speed_mps"], 0.0) if "speed_mps" in effect.settings else 1.0
+    _one(change, effect.form, (effect.size("share") + effect.size("share_per_mps")) * over)
+
+
+def _eccentric(effect: _Effect, step: _Step, change: _Change) -> None:
+    for at, side in enumerate(("left", "right")):
+        half = 0.5 * step.angles_rad[at]
+        middle = step.phases_rad[at] - half
+        share = (math.sin(half) / half if half else 1.0) / step.radii_m[at]
+        _one(change, side, effect.size(f"{side}_cos") * math.cos(middle) * share)
+        _one(change, side, -effect.size(f"{side}_sin") * math.sin(middle) * share)
+
+
+def _covariate(effect: _Effect, step: _Step, change: _Change) -> None:
+    off = effect.deviation(step.run.covariates.get(effect.name.partition(":")[2], math.nan))
+    size = effect.size("relative_per_sd") * off
+    if "both" in effect.form:
+        _both(change, size)
+    elif "relative_per_sd" in effect.sizes:
+        _one(change, effect.form, size)
+    change.turn_rad += effect.size("yaw_per_sd") * off * step.nominal.way_m
+
+
+_ACTS: dict[str, Callable[[_Effect, _Step, _Change], None]] = {
+    "temperature_radius": _temperature,
+    "speed_radius": _speed,
+    "wear": _wear,
+    "radius_scale": _radius_scale,
+    "unequal_radii": _unequal,
+    "track_width": _track_width,
+    "load_radius": _load,
+    "load_radius_nonlinear": _load_curve,
+    "load_creep": _creep,
+    "load_dependent_track": _load_track,
+    "curve_scrub": _scrub,
+    "curve_load_transfer": _curve_load,
+    "side_slip": _side_slip,
+    "travel_direction": _direction,
+    "rear_drag": _drag,
+    "lost_counts": _lost,
+    "wheel_eccentricity": _eccentric,
+}
+#: forms that act through what a single run does not know: earlier loads, the number of the session, other routes
+_OTHER_FORMS = ("change of load", "per session", "along the corridor alone", "other routes", "distance")
+
+
+class Effects:
+    """The law and the named effects of a coefficient file, run by run and step by step.
+
+    `coefficients` is what `Coefficients.read` returns, `document` the same file as JSON. `left_out` names the effects
+    of the file that do not act on the motion of the wheels.
+    """
+
+    def __init__(self, coefficients: Coefficients, document: dict[str, Any]) -> None:
+        self.coefficients = coefficients
+        vehicle = document["vehicle"]
+        self._effects: list[tuple[Callable[[_Effect, _Step, _Change], None], _Effect]] = []
+        left_out: list[str] = []
+        for section in document.get("effects", []):
+            name, form = str(section["effect"]), str(section.get("form", ""))
+            acts = _covariate if name.startswith("covariate:") else _ACTS.get(name)
+            if acts is None or any(words in form for words in _OTHER_FORMS):
+                left_out.append(name)
+                continue
+            effect = _Effect(
+                name=name,
+                form=form,
+                settings={key: float(value) for key, value in section.get("settings", {}).items()},
+                sizes={key: float(value["value"]) for key, value in section["parameters"].items()},
+                cog_z_m=float(vehicle["cog_z"]["value"]),
+                gravity_mps2=coefficients.gravity_mps2,
+                mass_kg=coefficients.mass_kg,
+                track_m=coefficients.track_m,
+                reference_load_N=coefficients.left.reference_load_N,
+            )
+            self._effects.append((acts, effect))
+        self.left_out = tuple(left_out)
+        self._run: Run | None = None
+        self._phases = (0.0, 0.0)
+
+    @classmethod
+    def from_file(cls, path: str | Path) -> Effects:
+        """Read and verify the file at `path`; raises CoefficientError where it cannot be used."""
+        coefficients = Coefficients.read(path)
+        document = json.loads(Path(path).read_bytes().decode("utf-8-sig"))
+        try:
+            return cls(coefficients, document)
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise CoefficientError(f"{path}: effects: {type(error).__name__}: {error}") from error
+
+    def begin(self, run: Run) -> None:
+        """Begin a run: its loads and surroundings hold until the next one."""
+        self._run = run
+        self._phases = (run.phase_left_rad, run.phase_right_rad)
+
+    def step(self, d_left_rad: float, d_right_rad: float, dt_s: float) -> Motion:
+        """Return the motion of one step in which the wheels turn by these angles.
+
+        Raises CoefficientError where no run was begun.
+        """
+        run = self._run
+        if run is None:
+            raise CoefficientError("step: found no run; expected begin(Run(...)) before it")
+        file = self.coefficients
+        radii = file.left.radius_m(run.load_left_N), file.right.radius_m(run.load_right_N)
+        self._phases = self._phases[0] + d_left_rad, self._phases[1] + d_right_rad
+        nominal = Motion(d_left_rad * radii[0], d_right_rad * radii[1], file.track_m)
+        motion = nominal
+        for _ in range(PASSES):
+            step = _Step(run, nominal, motion, (d_left_rad, d_right_rad), self._phases, radii, dt_s)
+            change = _Change()
+            for acts, effect in self._effects:
+                acts(effect, step, change)
+            motion = Motion(
+                left_m=nominal.left_m * (1.0 + change.left),
+                right_m=nominal.right_m * (1.0 + change.right),
+                track_m=nominal.track_m * (1.0 + change.track),
+                aside_m=change.aside_m,
+                further_turn_rad=change.turn_rad,
+            )
+        return motion
