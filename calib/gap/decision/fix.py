@@ -190,7 +190,7 @@ def harmed(trials: Sequence[Trial]) -> list[Trial]:
 def elsewhere(fitted: Iterable[str], tied: Sequence[Sequence[str]]) -> list[str]:
     """Return why a correction does not hold for journeys to come: by its causes, and by what they may be instead.
 
-    An alternative counts whatever its probability: what these runs cannot tell, only the prior does.
+    An alternative counts at any probability: what these runs cannot tell, only the prior does.
     """
     concerned = {*fitted, *(name for group in tied for name in group)}
     return sorted({text for name in concerned if (text := why_not_transferable(name))})

@@ -113,9 +113,22 @@ def _by_run(observations: Observations, floor: FloatArray, gap: FloatArray) -> t
             value=float(gap[unit, worst[unit]]),
             floor=float(floor[unit, worst[unit]]),
             z=float(z[unit, worst[unit]]),
+            **_times(observations, int(unit)),
         )
         for unit in np.argsort(-size, kind="stable")[:MAX_LISTED_RUNS]
     )
+
+
+def _times(observations: Observations, unit: int) -> dict[str, float]:
+    """Return when a window of a recording begins and ends; nothing for whole runs."""
+    steps = slice(int(observations.starts[unit]), int(observations.starts[unit + 1]))
+    end, first = (
+        float(observations.time_s[steps][-1]),
+        observations.time_s[steps][0] - observations.duration_s[steps][0],
+    )
+    if not observations.windowed or not np.isfinite([first, end]).all():
+        return {}
+    return {"from_s": float(first), "to_s": end}
 
 
 def holm_corrected(lines: list[CovariateResult]) -> tuple[CovariateResult, ...]:

@@ -69,6 +69,16 @@ class RunDeviation:
     value: float
     floor: float
     z: float
+    #: from_s, to_s: when in the run, where it is a window of a recording; None for a whole run
+    from_s: float | None = None
+    to_s: float | None = None
+
+    @property
+    def name(self) -> str:
+        """The run, and when in it."""
+        if self.from_s is None or self.to_s is None:
+            return self.run_id
+        return f"{self.run_id}, {self.from_s:.1f} s to {self.to_s:.1f} s"
 
     def to_dict(self) -> dict[str, Any]:
         """Return the line as plain JSON values."""

@@ -45,9 +45,9 @@ def where_blocks(where: GapLocation) -> list[Block]:
         blocks.append(_covariates(where))
     blocks += [Text(prose(_place(line))) for line in where.places[:MAX_LINES]]
     outstanding = [line for line in where.runs if abs(line.z) > OUTSTANDING_Z]
-    runs = list(dict.fromkeys(line.run_id for line in outstanding))[:MAX_RUNS]
+    runs = list(dict.fromkeys(line.name for line in outstanding))[:MAX_RUNS]
     if runs:
-        lines = (prose(_run(run, [line for line in outstanding if line.run_id == run])) for run in runs)
+        lines = (prose(_run(run, [line for line in outstanding if line.name == run])) for run in runs)
         blocks += [Text("Runs with the largest gap:"), Items(tuple(lines))]
     return blocks
 

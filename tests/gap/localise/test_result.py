@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import pytest
 
+from calib.gap.diagnose import diagnose_in_full
 from calib.gap.localise.result import ChannelGap, CovariateResult, GapLocation, PlaceResult, RunDeviation
 from calib.gap.observations.arrays import N_CHANNELS, Channel
+from tests.real import recordings
 
 ZONE = PlaceResult(
     "zone",
@@ -69,3 +72,15 @@ def test_channels_and_lines_that_stand_are_looked_up() -> None:
     assert heading is not None and heading.ratio == 2.0
     assert WHERE.channel(Channel.FRONT) is None
     assert [line.name for line in WHERE.significant] == ["turn"]
+
+
+def test_a_window_of_a_recording_is_named_by_its_time(shared_data: Path) -> None:
+    """A recording cut into windows lists its outlying ones by when they were driven, each once."""
+    diagnosis = diagnose_in_full(recordings.mecanum(shared_data, "bag2"), plan=False)
+    assert diagnosis.observations.windowed
+    names = [line.name for line in diagnosis.where.runs]
+    assert len(set(names)) == len(names)
+    for line in diagnosis.where.runs:
+        assert line.from_s is not None and line.to_s is not None
+        assert 0.0 <= line.from_s < line.to_s
+        assert line.name.endswith(f"{line.from_s:.1f} s to {line.to_s:.1f} s")
