@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.gap.decision.adequacy import NEGLIGIBLE_SHARE, SMALL_SHARE
+from calib.gap.decision.adequacy import CERTAIN_PROBABILITY, NEGLIGIBLE_SHARE, SMALL_SHARE
 from calib.gap.decision.diagnosis import Cause, Quantity, Unexplained
 from calib.gap.decision.evidence import Evidence
 from calib.gap.effects.calibration import DIRECTIONS, NAMES
@@ -93,11 +93,12 @@ def causes_of(
 
 
 def negligible(causes: Sequence[Cause]) -> tuple[str, ...]:
-    """Return the effects whose share is negligible beside the largest cause's, or small and rather not at work."""
+    """Return the effects whose share is negligible beside the largest cause's, or small and not nearly certain."""
     largest = max((cause.share for cause in causes), default=0.0)
 
     def too_small(cause: Cause) -> bool:
-        doubtful = cause.share <= SMALL_SHARE * largest and cause.probability < EVEN_PROBABILITY
+        # a small error of the largest cause's law looks like a small cause
+        doubtful = cause.share <= SMALL_SHARE * largest and cause.probability < CERTAIN_PROBABILITY
         return cause.share < NEGLIGIBLE_SHARE * largest or doubtful
 
     return tuple(cause.effect for cause in causes if too_small(cause))

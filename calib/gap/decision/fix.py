@@ -99,7 +99,7 @@ def reasons(
         The unexplained residual.
     """
     single = (text for cause in causes for text in doubts(cause, unexplained))
-    helpful = [*unhelpful(improvement), *remaining(improvement)]
+    helpful = [*unhelpful(improvement), *remaining(improvement, unexplained)]
     return [*_doubtful(causes, certain), *helpful, *single, *harm(trials)]
 
 
@@ -136,11 +136,12 @@ def unhelpful(improvement: Improvement | None) -> Iterator[str]:
         )
 
 
-def remaining(improvement: Improvement | None) -> Iterator[str]:
+def remaining(improvement: Improvement | None, unexplained: Unexplained | None) -> Iterator[str]:
     """Yield that part of the gap is certainly left, and that it closes too little of it, where that is so."""
     if improvement is None or improvement.improvement_ci95[0] <= 0.0:
         return
-    if improvement.leaves_some and improvement.closed_ci95[0] <= ADEQUATE_CLOSURE:
+    left = improvement.leaves_some or (unexplained is not None and unexplained.share > SMALL_SHARE)
+    if left and improvement.closed_ci95[0] <= ADEQUATE_CLOSURE:
         closed = [f"{100 * share:.0f}" for share in improvement.closed_ci95]
         yield (
             f"on held-out runs it closes {closed[0]} to {closed[1]} % of the gap, where {100 * ADEQUATE_CLOSURE:.0f} % "
