@@ -126,7 +126,7 @@ def diagnose(
         Where no run has both counts and something measured.
     """
     from calib.gap.diagnose import diagnose_in_full
-    from calib.gap.effects.applied import model_of
+    from calib.gap.effects.applied import model_of, with_sensor_of
     from calib.gap.effects.library import check_excluded
     from calib.gap.observations.from_campaign import observations_of
     from calib.gap.plan.plan_file import read_plan
@@ -138,6 +138,7 @@ def diagnose(
     if exclude:
         check_excluded(exclude, observations_of(campaign), campaign.extra.get("effects", ()))
     believed, effects = (None, ()) if model is None else model_of(Path(model), campaign)
+    campaign = campaign if model is None else with_sensor_of(Path(model), campaign)
     to_come = None if journeys is None else read_plan(Path(journeys))
     return diagnose_in_full(
         campaign, seed=seed, exclude=tuple(exclude), model=believed, applied=effects, journeys=to_come

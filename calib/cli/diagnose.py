@@ -157,12 +157,13 @@ def _diagnosed(
 ) -> tuple[Diagnosis, tuple[EffectSection, ...]]:
     """Return the diagnosis, and the effects that the model has already."""
     from calib.gap.diagnose import diagnose_in_full
-    from calib.gap.effects.applied import model_of
+    from calib.gap.effects.applied import model_of, with_sensor_of
     from calib.gap.plan.plan_file import read_plan
 
     if exclude:
         _check_excluded(exclude, campaign)
     believed, effects = (None, ()) if model is None else model_of(model, campaign)
+    campaign = campaign if model is None else with_sensor_of(model, campaign)
     name = "" if model is None else model.name
     diagnosis = diagnose_in_full(
         campaign,

@@ -14,17 +14,22 @@ from calib.campaign.settings import OdometryModel
 from calib.gap.effects.effect import Centre, Form
 from calib.gap.effects.encoder import Blunder, corrected
 from calib.gap.effects.library import every_effect
+from calib.gap.effects.reference import ReferenceLatency
 from calib.gap.observations.arrays import Observations
 from calib.gap.predict import Path, predict
 from calib.gap.steps import Perturbation
 from calib.types import FloatArray
 
 if TYPE_CHECKING:
+    from calib.coefficients.file import CoefficientFile
     from calib.coefficients.sections import EffectSection
 
 #: settings that say where a covariate's effect is zero, added to a form's own
 CENTRE: Final = "centre"
 SPREAD: Final = "spread"
+#: parameters of a geometry: where the reference's sensor sits, and by how much it reads late
+PLACE: Final = ("sensor_x_m", "sensor_y_m", "sensor_yaw_rad")
+DELAY: Final = "delay_s"
 
 
 def model_of(path: FilePath | str, campaign: Campaign) -> tuple[OdometryModel, tuple[EffectSection, ...]]:
@@ -35,7 +40,34 @@ def model_of(path: FilePath | str, campaign: Campaign) -> tuple[OdometryModel, t
     from calib.coefficients.file import believed_model, load_coefficients
 
     file = load_coefficients(path)
-    return believed_model(file, campaign.model.reference_load_N), tuple(file.effects)
+    return believed_model(file, campaign.model.reference_load_N), (*file.effects, *_delay_of(file))
+
+
+def with_sensor_of(path: FilePath | str, campaign: Campaign) -> Campaign:
+    """Return the campaign with the reference's sensor where a geometry in a coefficient file found it.
+
+    A file without a geometry, or without the sensor in it, leaves the campaign's own statement.
+    """
+    from calib.coefficients.file import load_coefficients
+
+    together = load_coefficients(path).joint_geometry
+    if together is None:
+        return campaign
+    own = campaign.reference
+    x, y, yaw = (together.values.get(name, getattr(own, name)) for name in PLACE)
+    return replace(campaign, reference=replace(own, sensor_x_m=x, sensor_y_m=y, sensor_yaw_rad=yaw))
+
+
+def _delay_of(file: CoefficientFile) -> tuple[EffectSection, ...]:
+    """Return a delay of the reference that a geometry determined, as an effect of the model; none where it did not."""
+    from calib.coefficients.sections import EffectSection, Quantity
+
+    together = file.joint_geometry
+    determined = together is not None and any(entry.first == DELAY for entry in together.covariance)
+    if together is None or not determined or together.values.get(DELAY, 0.0) == 0.0:
+        return ()
+    latency = {"latency": Quantity(value=together.values[DELAY], unit="s")}
+    return (EffectSection(effect=ReferenceLatency.id, form=ReferenceLatency.OF_POSE, parameters=latency),)
 
 
 def with_effects(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import ClassVar, Final
 
 import numpy as np
 
@@ -140,6 +140,8 @@ class ReferenceLatency(Effect):
     family = Family.REFERENCE
     needs = "readings taken while it rolls"
     separates = "readings after the stop beside readings on the move"
+    #: label of the form of end poses alone
+    OF_POSE: ClassVar[str] = "end pose"
 
     def forms(self, observations: Observations) -> list[Form]:
         """Return forms by instrument (end pose, laser, both); none where every run stands still when it is read."""
@@ -150,7 +152,7 @@ class ReferenceLatency(Effect):
         rolls = (np.abs(speed) > least) | (np.abs(first_speed) > least)
         has_pose = bool((observations.usable[:, 1:4].any(axis=1) & rolls).any())
         has_laser = bool((observations.usable[:, 0] & rolls).any())
-        wanted = [("end pose", has_pose, True, False), ("laser", has_laser, False, True)]
+        wanted = [(self.OF_POSE, has_pose, True, False), ("laser", has_laser, False, True)]
         wanted.append(("end pose and laser", has_pose and has_laser, True, True))
         parameter = Parameter("latency", "s", typical=5e-2, largest=5e-1)
         tries = sum(pair[1] for pair in wanted)
