@@ -63,7 +63,7 @@ def test_it_ends_where_the_odometer_ends(program: Path) -> None:
 
 
 def test_after_a_dropout_it_goes_on_from_the_last_good_pose(program: Path) -> None:
-    """A third of the log is missing: the way in between is given up, said, and no more."""
+    """A third of the log is missing: the motion in between is given up, said, and no more."""
     text, _ = _log()
     lines = text.splitlines()
     cut = [*lines[: len(lines) // 3], *lines[2 * len(lines) // 3 :]]
