@@ -95,7 +95,9 @@ def calibrated(campaign: Campaign) -> tuple[Campaign, dict[str, Any], FloatArray
     )
     base = replace(campaign, model=model)
     again = diagnose_in_full(base, plan=False)
-    return base, again.to_dict(), again.noise.covariance
+    # what the recording has beside radii and track, named with these off or with these right
+    beside = [cause.effect for cause in diagnosis.causes if cause.effect not in CALIBRATION]
+    return base, again.to_dict() | {"beside": beside}, again.noise.covariance
 
 
 def _family(effect: str) -> str:
@@ -135,7 +137,7 @@ def outcome_of(
             given = cause["parameters"].get(parameter, {}).get("ci95") if cause["effect"] == effect else None
             if given and None not in given:
                 intervals.append((key, value, float(given[0]), float(given[1])))
-    own_causes = {cause["effect"] for cause in own["causes"]} | OWN.get(recording, frozenset())
+    own_causes = {cause["effect"] for cause in own["causes"]} | {*own["beside"]} | OWN.get(recording, frozenset())
     stated = tuple(
         (float(cause["probability"]), right(cause["effect"]))
         for cause in causes
