@@ -12,7 +12,7 @@ from calib.errors import BadInputError, RefusedError
 from calib.types import FloatArray
 from calib.units import GRAVITY_MPS2
 
-Drive = Literal["tricycle", "differential", "mecanum"]
+Drive = Literal["tricycle", "differential", "mecanum", "ackermann", "skid"]
 
 #: drives that are known
 DRIVES: Final[tuple[str, ...]] = get_args(Drive)
@@ -41,7 +41,8 @@ class Vehicle:
     #: permissible wheel load
     max_wheel_load_N: float = 5000.0
     #: tricycle: front wheel driven and steered; differential: two rear wheels driven; mecanum: four wheels with rollers
-    #: at 45 degrees
+    #: at 45 degrees; ackermann: front wheels steered, the way counted at the rear axle or the drive shaft; skid: like
+    #: differential, the track an effective one
     drive: Drive = "tricycle"
     #: radius of the front wheel; None where the rear wheels' holds for it too
     front_wheel_radius_m: float | None = None

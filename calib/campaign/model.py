@@ -60,6 +60,12 @@ LOG_COLUMNS: Final = (
     "counts_front_right",
     "counts_rear_left",
     "counts_rear_right",
+    "counts_rear",
+    "speed_left_mps",
+    "speed_right_mps",
+    "speed_rear_mps",
+    "v_mps",
+    "omega_radps",
     "range_m",
     "ref_x_m",
     "ref_y_m",
@@ -71,11 +77,16 @@ LOG_COLUMNS: Final = (
     "load_right_N",
 )
 
-#: what a log needs of the wheels: both rear wheels, or the driven front wheel and its steering, or four (mecanum)
+#: what a log needs of the wheels: both rear wheels, or the driven front wheel and its steering, or four (mecanum), or
+#: the rear axle and the steering (Ackermann); each of the rear as counts or as speeds
 WHEEL_SETS: Final = (
     ("counts_left", "counts_right"),
     ("counts_front", "steer_rad"),
     ("counts_front_left", "counts_front_right", "counts_rear_left", "counts_rear_right"),
+    ("counts_rear", "steer_rad"),
+    ("speed_left_mps", "speed_right_mps"),
+    ("v_mps", "omega_radps"),
+    ("speed_rear_mps", "steer_rad"),
 )
 
 

@@ -16,6 +16,7 @@ from calib.campaign.model import Border, Campaign, Logs, RunTable
 from calib.campaign.readers import READERS, read_table
 from calib.campaign.runs_file import run_table
 from calib.campaign.settings_file import Settings, read_settings
+from calib.campaign.speeds import SPEEDS, with_counts
 from calib.errors import BadFileError
 from calib.io import inside, settle, sha256_file
 from calib.types import BoolArray, FloatArray, Progress, silent
@@ -59,6 +60,8 @@ def read_campaign(folder: Path, *, logs: bool = True, lenient: bool = False, pro
         files = log_files(folder, runs, shown, border)
         found_logs, of_logs = read_logs(files, len(runs), settings.encoder, border, progress=progress)
         hashes |= of_logs
+        if found_logs.columns.keys() & set(SPEEDS):
+            found_logs = with_counts(found_logs, settings.encoder, settings.vehicle, border)
     numbers = _filled_from_logs(runs, found_logs, shown, border)
     numbers = _totals_unwrapped(runs, numbers, found_logs, settings, shown, border)
     numbers = _filled_loads(settings.vehicle, runs, numbers, shown, border)

@@ -8,12 +8,19 @@ from typing import Final, Literal, get_args
 from calib.vehicle import Vehicle
 
 Frame = Literal["start", "map"]
-OdometrySource = Literal["rear", "front", "wheels"]
+OdometrySource = Literal["rear", "front", "wheels", "shaft"]
+EncoderKind = Literal["counts", "speed"]
 
 #: frames that the reference's poses may stand in
 FRAMES: Final[tuple[str, ...]] = get_args(Frame)
+#: what the logs say of the wheels
+ENCODER_KINDS: Final[tuple[str, ...]] = get_args(EncoderKind)
 #: sensors that may drive the vehicle's own odometry
 ODOMETRY_SOURCES: Final[tuple[str, ...]] = get_args(OdometrySource)
+
+
+#: way that a count stands for where the logs have speeds: far below what any reference can tell
+SPEED_COUNT_M: Final = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +34,8 @@ class Encoder:
     wrap_bits: int | None = None
     #: counts a revolution of the front wheel; None where the left wheel's value holds for it too
     counts_per_rev_front: float | None = None
+    #: speed: the logs have speeds in m/s by the nominal radii; they are integrated to counts of `SPEED_COUNT_M`
+    kind: EncoderKind = "counts"
 
     @property
     def front(self) -> float:
@@ -36,17 +45,23 @@ class Encoder:
 
 @dataclass(frozen=True, slots=True)
 class FrontModel:
-    """What the simulator believes of a steered front wheel; the true angle is scale times the sensor's, plus zero."""
+    """What the simulator believes of a steered vehicle; the true angle is scale times the sensor's, plus zero."""
 
+    #: of the wheel that is counted: the front wheel, or with an Ackermann drive the rear wheels
     radius_m: float
     wheelbase_m: float
     zero_rad: float = 0.0
     scale: float = 1.0
+    #: of an Ackermann drive in fast turns: curvature tan(angle) / (L (1 + understeer v^2)), slip angle
+    #: -side_slip v^2 curvature
+    understeer_s2_per_m2: float = 0.0
+    side_slip_s2_per_m: float = 0.0
 
     @staticmethod
     def of(vehicle: Vehicle) -> FrontModel:
-        """Return the nominal front wheel of a vehicle."""
-        return FrontModel(vehicle.front_radius_m, vehicle.wheelbase_m)
+        """Return the nominal counted wheel and wheelbase of a vehicle."""
+        radius_m = vehicle.wheel_radius_m if vehicle.drive == "ackermann" else vehicle.front_radius_m
+        return FrontModel(radius_m, vehicle.wheelbase_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,5 +120,6 @@ class Odometry:
     """What the vehicle's own odometry runs on."""
 
     #: rear: the two rear wheels' encoders; front: the front wheel's encoder and steering angle; wheels: all (mecanum);
-    #: None where unspecified. The key in the file is ``from``
+    #: shaft: the way at the rear axle or drive shaft and the steering angle (Ackermann); None where unspecified.
+    #: The key in the file is ``from``
     source: OdometrySource | None = None

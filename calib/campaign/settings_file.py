@@ -13,9 +13,12 @@ from calib.campaign.columns import recognise
 from calib.campaign.model import Campaign, Logs, Note, RunTable
 from calib.campaign.readers.table import LARGEST_VALUE
 from calib.campaign.settings import (
+    ENCODER_KINDS,
     FRAMES,
     ODOMETRY_SOURCES,
+    SPEED_COUNT_M,
     Encoder,
+    EncoderKind,
     Odometry,
     OdometryModel,
     Rangefinder,
@@ -225,7 +228,7 @@ def parse_settings(document: dict[str, Any], shown: str, default_name: str) -> S
     drive = section.choice("vehicle", "drive", DRIVES)
     geometry: dict[str, Any] = section.numbers("vehicle", _VEHICLE) | ({} if drive is None else {"drive": drive})
     vehicle = Vehicle(**geometry)
-    encoder = _encoder(section, notes, shown)
+    encoder = _encoder(section, notes, shown, vehicle)
     believed = section.numbers("model", _MODEL)
     nominal: dict[str, Any] = {
         "radius_left_m": vehicle.wheel_radius_m,
@@ -257,7 +260,8 @@ def not_stated(document: Mapping[str, Any]) -> list[str]:
     for section, keys in STATED.items():
         part = document.get(section, {})
         given = {recognise(key, keys, further=False).name for key in part} if isinstance(part, Mapping) else set()
-        if section == "encoder" and {"counts_per_rev_left", "counts_per_rev_right"} <= set(part):
+        of_sides = {"counts_per_rev_left", "counts_per_rev_right"} <= set(part)
+        if section == "encoder" and (of_sides or part.get("kind") == "speed"):
             given.add("counts_per_rev")
         missing += [f"{section}.{key}" for key in keys if key not in given]
     return missing
@@ -304,7 +308,7 @@ def load_toml(path: Path, shown: str, *, remedy: str = "") -> dict[str, Any]:
 
 def _check_source(odometry: Odometry, vehicle: Vehicle, shown: str) -> None:
     """Refuse an odometry that the vehicle's drive cannot have."""
-    expected = {"front": ("tricycle",), "wheels": ("mecanum",)}.get(odometry.source or "rear")
+    expected = {"front": ("tricycle",), "wheels": ("mecanum",), "shaft": ("ackermann",)}.get(odometry.source or "rear")
     if expected is not None and vehicle.drive not in expected:
         raise BadFileError(
             shown,
@@ -315,9 +319,12 @@ def _check_source(odometry: Odometry, vehicle: Vehicle, shown: str) -> None:
         )
 
 
-def _encoder(section: Sections, notes: list[Note], shown: str) -> Encoder:
+def _encoder(section: Sections, notes: list[Note], shown: str, vehicle: Vehicle) -> Encoder:
+    kind: EncoderKind = section.choice("encoder", "kind", ENCODER_KINDS) or "counts"
     values = section.numbers("encoder", _ENCODER)
-    both = values.get("counts_per_rev")
+    # speeds have no counts: the way is kept in counts of SPEED_COUNT_M
+    of_speed = 2.0 * math.pi * vehicle.wheel_radius_m / SPEED_COUNT_M if kind == "speed" else None
+    both = values.get("counts_per_rev", of_speed)
     left, right = values.get("counts_per_rev_left", both), values.get("counts_per_rev_right", both)
     if left is None or right is None:
         notes.append(
@@ -338,4 +345,5 @@ def _encoder(section: Sections, notes: list[Note], shown: str) -> Encoder:
         counts_per_rev_right=4096.0 if right is None else right,
         wrap_bits=None if bits is None else int(bits),
         counts_per_rev_front=values.get("counts_per_rev_front"),
+        kind=kind,
     )

@@ -1,7 +1,8 @@
 """Which wheels drive a vehicle's odometry, and the two wheels on one axle that they amount to.
 
 Everything downstream that integrates two wheels on one axle (diagnosis, replay, the runtime's check) reads a vehicle
-whose odometry comes from its front wheel alone, or from four mecanum wheels, through `on_one_axle`.
+whose odometry comes from its front wheel alone, from its drive shaft and steering, or from four mecanum wheels,
+through `on_one_axle`.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from calib.campaign.settings import FrontModel, MecanumModel, Odometry, OdometryModel, OdometrySource
+from calib.campaign.settings import Encoder, FrontModel, MecanumModel, Odometry, OdometryModel, OdometrySource
 from calib.errors import BadInputError
 from calib.types import FloatArray
 
@@ -25,23 +26,35 @@ WHEEL_COLUMNS: Final[dict[str, tuple[str, ...]]] = {
     "rear": ("counts_left", "counts_right"),
     "front": ("counts_front",),
     "wheels": ("counts_front_left", "counts_front_right", "counts_rear_left", "counts_rear_right"),
+    "shaft": ("counts_rear",),
 }
-#: column of a log in memory: way to the left that mecanum wheels rolled since the run's start, in m
+#: odometry that needs the steering angle
+STEERED: Final = ("front", "shaft")
+#: what drives the odometry -> its name in messages
+SOURCE_NAMES: Final = {
+    "rear": "two rear wheels",
+    "front": "the front wheel",
+    "wheels": "four wheels",
+    "shaft": "the drive shaft and the steering",
+}
+#: column of a log in memory: way to the left since the run's start that mecanum wheels rolled or an axle slipped, in m
 ASIDE: Final = "aside_m"
 
 
 def odometry_source(campaign: Campaign) -> OdometrySource:
-    """Return what drives the odometry: ``rear``, ``front`` or ``wheels``; the settings' word, else what was logged."""
+    """Return what drives the odometry, one of `WHEEL_COLUMNS`; the settings' word, else what was logged."""
     stated = campaign.odometry.source
     if stated is not None:
         return stated
     if campaign.vehicle.drive == "mecanum":
         return "wheels"
+    if campaign.vehicle.drive == "ackermann" and _lacks_rear(campaign):
+        return "shaft"
     return "front" if _lacks_rear(campaign) and _logged(campaign.logs, "front") else "rear"
 
 
 def without_rear_wheels(campaign: Campaign) -> bool:
-    """Return whether the odometry runs on the front wheel, or on four wheels, and no rear wheel was counted."""
+    """Return whether the odometry runs on other wheels than two on an axle, and no rear wheel was counted by itself."""
     return odometry_source(campaign) != "rear" and _lacks_rear(campaign)
 
 
@@ -56,9 +69,9 @@ def _lacks_rear(campaign: Campaign) -> bool:
 def on_one_axle(campaign: Campaign, model: OdometryModel | None = None) -> Campaign:
     """Return the campaign with the counts that two wheels on one axle would have had.
 
-    A campaign that has rear wheels is returned as it is. Else the front wheel's way and angle, or the four wheels'
-    turning, are the motion of the axle's middle, and that is written as the counts of a left and a right wheel of the
-    model's radii and track; what mecanum wheels roll to the side stands in the column `ASIDE`.
+    A campaign that has rear wheels is returned as it is. Else the front wheel's or the shaft's way and the steering
+    angle, or the four wheels' turning, are the motion of the axle's middle, and that is written as the counts of a left
+    and a right wheel of the model's radii and track; what mecanum wheels roll to the side stands in the column `ASIDE`.
 
     `model`: what the simulator believes; the campaign's own by default. Its `front` or `mecanum` part, where it has
     one, takes the place of the vehicle's nominal lengths. Raises BadInputError where a mecanum vehicle does not say its
@@ -71,12 +84,13 @@ def on_one_axle(campaign: Campaign, model: OdometryModel | None = None) -> Campa
     n = int(logs.offsets[-1])
     counts = {name: np.full(n, np.nan) for name in WHEEL_COLUMNS["rear"]}
     aside = np.full(n, np.nan)
-    if source == "front":
+    if source in STEERED:
         front = model.front or FrontModel.of(campaign.vehicle)
-        # a count of the wheels that are confounded with it is as fine as one of the front wheel
-        per_m = encoder.front / (2 * np.pi * front.radius_m)
+        # a count of the wheels that are confounded with it is as fine as one of the wheel that is counted
+        per_m = counts_per_rev(encoder, source)[0] / (2 * np.pi * front.radius_m)
         encoder = replace(
             encoder,
+            counts_per_rev_front=counts_per_rev(encoder, source)[0],
             counts_per_rev_left=2 * np.pi * model.radius_left_m * per_m,
             counts_per_rev_right=2 * np.pi * model.radius_right_m * per_m,
         )
@@ -92,7 +106,7 @@ def on_one_axle(campaign: Campaign, model: OdometryModel | None = None) -> Campa
         counts["counts_left"][part] = np.cumsum(ahead - half) * per_m_left
         counts["counts_right"][part] = np.cumsum(ahead + half) * per_m_right
         aside[part] = np.cumsum(left)
-    columns = {**logs.columns, **counts, **({ASIDE: aside} if source == "wheels" else {})}
+    columns = {**logs.columns, **counts, **({ASIDE: aside} if np.any(aside[np.isfinite(aside)] != 0.0) else {})}
     last = np.maximum(logs.offsets[1:] - 1, 0)
     ends = {name: np.where(logs.present, column[last], np.nan) for name, column in counts.items()} if n else {}
     return replace(
@@ -111,11 +125,14 @@ def _motion(
     if not set(WHEEL_COLUMNS[source]) <= log.keys():
         return None
     encoder = campaign.encoder
-    if source == "front":
+    if source in STEERED:
         if "steer_rad" not in log:
             return None
         front = model.front or FrontModel.of(campaign.vehicle)
-        rolled = np.diff(log["counts_front"], prepend=log["counts_front"][:1]) * (2 * np.pi / encoder.front)
+        counts = log[WHEEL_COLUMNS[source][0]]
+        rolled = np.diff(counts, prepend=counts[:1]) * (2 * np.pi / counts_per_rev(encoder, source)[0])
+        if source == "shaft":
+            return shaft_motion(front, rolled, log["steer_rad"], log["t_s"])
         ahead, turn = front_motion(front, rolled, log["steer_rad"])
         return ahead, np.zeros_like(ahead), turn
     wheels = model.mecanum or mecanum_model(campaign)
@@ -130,6 +147,12 @@ def _motion(
         quarter * (-front_left + front_right + rear_left - rear_right),
         quarter * (-front_left + front_right - rear_left + rear_right) / wheels.arm_m,
     )
+
+
+def counts_per_rev(encoder: Encoder, source: str) -> tuple[float, ...]:
+    """Return the counts per revolution of the wheels of `WHEEL_COLUMNS`; of a drive shaft: of the rear wheels."""
+    left, right = encoder.counts_per_rev_left, encoder.counts_per_rev_right
+    return {"rear": (left, right), "front": (encoder.front,), "wheels": (left, right) * 2, "shaft": (left,)}[source]
 
 
 def mecanum_model(campaign: Campaign) -> MecanumModel:
@@ -161,3 +184,46 @@ def front_motion(front: FrontModel, rolled_rad: FloatArray, steer_rad: FloatArra
     travel = front.radius_m * rolled_rad
     ahead = travel * cosine
     return ahead, 0.5 * ahead * (np.tan(before) + np.tan(angle)) / front.wheelbase_m
+
+
+#: time over which a speed is taken: longer than a count, shorter than a change of speed
+SPEED_SPAN_S: Final = 0.2
+
+
+def smoothed_speed_mps(way_m: FloatArray, t_s: FloatArray) -> FloatArray:
+    """Return the speed at the samples, shape (n,), over `SPEED_SPAN_S` about each, or over three samples."""
+    if len(t_s) < 2:
+        return np.zeros(len(t_s))
+    half = max(1, int(np.rint(0.5 * SPEED_SPAN_S / max(float(np.median(np.diff(t_s))), 1e-6))))
+    index = np.arange(len(t_s))
+    before, after = np.maximum(index - half, 0), np.minimum(index + half, len(t_s) - 1)
+    span = t_s[after] - t_s[before]
+    return np.asarray((way_m[after] - way_m[before]) / np.where(span > 0.0, span, np.inf))
+
+
+def lengthening(over: FloatArray) -> FloatArray:
+    """Return the factor on the wheelbase by which understeer, `over` = K v^2, widens turns: 1 + over, never below 0.
+
+    Of oversteer, below 0, it is 1 / (1 - over): the same to first order, and no turn on the spot at any speed.
+    """
+    return np.where(over >= 0.0, 1.0 + np.abs(over), 1.0 / (1.0 - np.minimum(over, 0.0)))
+
+
+def shaft_motion(
+    model: FrontModel, rolled_rad: FloatArray, steer_rad: FloatArray, t_s: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return what the rear axle's middle moves ahead and to the left (m) and turns (rad) in each step, Ackermann drive.
+
+    The axle's middle goes what the rear wheels roll, at the curvature tan(angle) / wheelbase, less by the model's slip.
+
+    `model`: radius of the rear wheels, wheelbase, zero and scale of the steering angle, slip; `rolled_rad` (shape
+    (n,)): angle that the rear wheels rolled since the sample before; `steer_rad`, `t_s` (shape (n,)): steering angle
+    and time at the samples.
+    """
+    tangent = np.tan(model.scale * steer_rad + model.zero_rad)
+    before = np.concatenate((tangent[:1], tangent[:-1]))
+    ahead = model.radius_m * rolled_rad
+    square = smoothed_speed_mps(np.cumsum(ahead), t_s) ** 2
+    longer = model.wheelbase_m * lengthening(model.understeer_s2_per_m2 * square)
+    turn = 0.5 * ahead * (before + tangent) / longer
+    return ahead, -model.side_slip_s2_per_m * square * turn, turn

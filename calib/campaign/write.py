@@ -149,6 +149,8 @@ def _settings(campaign: Campaign) -> dict[str, Any]:
         encoder["wrap_bits"] = campaign.encoder.wrap_bits
     if campaign.encoder.counts_per_rev_front is not None:
         encoder["counts_per_rev_front"] = _short(campaign.encoder.counts_per_rev_front)
+    if campaign.encoder.kind != "counts":
+        encoder["kind"] = campaign.encoder.kind
     document: dict[str, Any] = {
         "format": FORMAT,
         "name": campaign.name,

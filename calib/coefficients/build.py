@@ -54,7 +54,15 @@ SLOPE_STD_PER_N: Final = 1e-5
 #: relative standard deviation of a length that was not measured
 NOMINAL_STD: Final = 0.01
 #: suffix of a parameter -> its unit
-UNITS: Final = {"_m": "m", "_rad": "rad", "_s": "s", "_scale": "1", "_m_per_N": "m/N"}
+UNITS: Final = {
+    "_m": "m",
+    "_rad": "rad",
+    "_s": "s",
+    "_scale": "1",
+    "_m_per_N": "m/N",
+    "_s2_per_m": "s^2/m",
+    "_s2_per_m2": "s^2/m^2",
+}
 
 
 def from_fit(
@@ -295,6 +303,7 @@ def from_geometry(
         "rear": ("radius_left_m", "radius_right_m"),
         "wheels": ("wheel_radius_m", "wheel_radius_m"),
         "front": ("", ""),
+        "shaft": ("rear_radius_m", "rear_radius_m"),
     }[geometry.source]
     law = RadiusLaw(left=_law(geometry, campaign, "left", names[0]), right=_law(geometry, campaign, "right", names[1]))
     track, track_std = _track(geometry, campaign)

@@ -11,6 +11,7 @@ from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from calib.campaign.wheels import SOURCE_NAMES
 from calib.coefficients import formats
 from calib.coefficients.file import FORMAT, CoefficientFile, Outside, load_coefficients
 from calib.coefficients.formats import Artifact, ExportOptions, LoadPair
@@ -156,7 +157,7 @@ def export(
         )
     together = file.joint_geometry
     if getattr(module, "AXLE_ONLY", False) and together is not None and together.source != "rear":
-        wheels = "the front wheel" if together.source == "front" else "four wheels"
+        wheels = SOURCE_NAMES[together.source]
         raise RefusedError(
             f"--to {to}: found odometry from {wheels}; expected two wheels on one axle, which alone this format has; "
             "export to ros2 or json"

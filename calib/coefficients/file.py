@@ -13,6 +13,7 @@ import numpy.typing as npt
 from pydantic import Field, ValidationError, model_validator
 
 from calib.campaign.settings import FrontModel, MecanumModel, OdometryModel
+from calib.campaign.wheels import STEERED
 from calib.coefficients.sections import (
     AcceptedSection,
     EffectSection,
@@ -31,6 +32,7 @@ from calib.coefficients.sections import (
 )
 from calib.documents import checksum, to_json
 from calib.errors import BadFileError, BadInputError, RefusedError
+from calib.kinematics.ackermann import SIDE_SLIP, UNDERSTEER
 from calib.kinematics.drives import STEERING_SCALE
 from calib.radius.law import JOINT, RadiusLaw
 from calib.types import FloatArray
@@ -219,14 +221,16 @@ def sealed(**sections: Any) -> CoefficientFile:
 def believed_model(file: CoefficientFile, reference_load_N: float) -> OdometryModel:
     """Return the odometry's model of a coefficient file.
 
-    `file`: its laws, its track and, where a geometry was estimated, its front wheel or its four wheels;
+    `file`: its laws, its track and, where a geometry was estimated, its steering or its four wheels;
     `reference_load_N`: load on which the model is centred.
     """
     law, together = file.law, file.joint_geometry
     front = mecanum = None
-    if together is not None and together.source == "front":
-        values, names = together.values, ("front_radius_m", "wheelbase_m", "steering_zero_rad", STEERING_SCALE)
-        front = FrontModel(*(values[name] for name in names))
+    if together is not None and together.source in STEERED:
+        radius = "front_radius_m" if together.source == "front" else "rear_radius_m"
+        values, names = together.values, (radius, "wheelbase_m", "steering_zero_rad", STEERING_SCALE)
+        slips = (values.get(name, 0.0) for name in (UNDERSTEER, SIDE_SLIP))
+        front = FrontModel(*(values[name] for name in names), *slips)
     if together is not None and together.source == "wheels":
         values = together.values
         mecanum = MecanumModel(values["wheel_radius_m"], values["half_length_plus_half_width_m"])

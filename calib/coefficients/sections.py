@@ -7,6 +7,7 @@ from typing import Annotated, Any, Final, Generic, Literal, Self, TypeVar, get_a
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from calib.campaign.settings import OdometrySource
 from calib.errors import BadInputError
 from calib.radius.law import WheelLaw
 from calib.vehicle import Drive
@@ -287,7 +288,7 @@ class GeometrySection(Section):
     """
 
     drive: Drive
-    source: Literal["rear", "front", "wheels"]
+    source: OdometrySource
     parameters: dict[str, Quantity]
     covariance: list[CovarianceEntry]
 

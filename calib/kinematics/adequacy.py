@@ -242,7 +242,7 @@ def _implausible(fitted: Fitted) -> list[str]:
         if (
             not free
             or not nominal
-            or not name.startswith(("radius", "front_radius", "wheel_radius", "track", "wheelbase"))
+            or not name.startswith(("radius", "front_radius", "rear_radius", "wheel_radius", "track", "wheelbase"))
         ):
             continue
         bound = PLAUSIBLE_TRACK_CHANGE if name.startswith("track") else PLAUSIBLE_CHANGE

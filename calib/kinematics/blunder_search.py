@@ -108,7 +108,7 @@ def find_blunder(
         States vehicle, encoder and noise of the reference.
     recording : Recording
         As it stands.
-    source : {"rear", "front", "wheels"}
+    source : {"rear", "front", "wheels", "shaft"}
         Which wheels drive the odometry.
     divide : callable
         Cuts a recording into the segments that are compared, by the nominal vehicle of a campaign.

@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from calib.campaign.wheels import STEERED
 from calib.errors import RefusedError
 from calib.kinematics.drives import Drive, Steps
 from calib.kinematics.model import Model
@@ -146,7 +147,7 @@ def factor_faults(nominal: Mapping[str, float], estimated: Mapping[str, float]) 
     for name, factors in (("track_m", TRACK_FACTORS), ("half_length_plus_half_width_m", TRACK_FACTORS)):
         if name in estimated:
             faults += _factor(name, estimated[name] / nominal[name], factors)
-    for name in ("radius_left_m", "radius_right_m", "front_radius_m", "wheel_radius_m"):
+    for name in ("radius_left_m", "radius_right_m", "front_radius_m", "rear_radius_m", "wheel_radius_m"):
         if name in estimated:
             ratio = estimated[name] / nominal[name]
             explained = _factor(name, ratio, RADIUS_FACTORS)
@@ -203,7 +204,7 @@ def put_right(
 ) -> tuple[Recording, tuple[Fault, ...]]:
     """Return the recording with blunders corrected, and these faults.
 
-    `recording`: wheels and reference; `source` ({"rear", "front", "wheels"}); `drive`: with its nominal values. Raises
+    `recording`: wheels and reference; `source` (one of `WHEEL_COLUMNS`); `drive`: with its nominal values. Raises
     RefusedError where the reference's heading is in another unit than radians.
     """
     # first: with a heading of another unit any reading of the wheels that hardly turns would look best
@@ -212,7 +213,7 @@ def put_right(
     nominal = np.array([item.nominal for item in drive.parameters])
     rest = Model(drive, recording, segments).predict(np.concatenate([nominal, np.zeros(4)])).residuals[seen, 2]
     refuse_heading_unit(measured - rest, measured)
-    if source == "front":
+    if source in STEERED:
         return front_faults(recording, segments)
     if source == "wheels":
         return wheels_faults(recording, segments, drive)

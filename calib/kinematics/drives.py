@@ -101,6 +101,8 @@ class Steps:
     steer_rad: FloatArray | None = None
     #: load of the left and right wheel less the reference load, shape (2, n_samples)
     load_offset_N: FloatArray | None = None
+    #: speed of a counted drive shaft by the nominal radius, shape (n_samples,)
+    speed_mps: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,7 +126,8 @@ class Drive(Protocol):
         """Return the motion of the body at parameter `values`, shape (n_parameters,)."""
 
 
-def _length(name: str, nominal_m: float) -> Parameter:
+def length_parameter(name: str, nominal_m: float) -> Parameter:
+    """Return the parameter of a length, within `LENGTH_STD` of its nominal value."""
     return Parameter(name, nominal_m, LENGTH_STD * nominal_m)
 
 
@@ -146,9 +149,9 @@ class Differential:
     def parameters(self) -> tuple[Parameter, ...]:
         """Radii, track and, with loads, the slopes of the radii."""
         base = (
-            _length("radius_left_m", self.radius_left_m),
-            _length("radius_right_m", self.radius_right_m),
-            _length("track_m", self.track_m),
+            length_parameter("radius_left_m", self.radius_left_m),
+            length_parameter("radius_right_m", self.radius_right_m),
+            length_parameter("track_m", self.track_m),
         )
         if not self.slopes:
             return base
@@ -221,8 +224,8 @@ class FrontWheel:
     def parameters(self) -> tuple[Parameter, ...]:
         """Front radius, wheelbase, zero and scale of the steering angle."""
         return (
-            _length("front_radius_m", self.front_radius_m),
-            _length("wheelbase_m", self.wheelbase_m),
+            length_parameter("front_radius_m", self.front_radius_m),
+            length_parameter("wheelbase_m", self.wheelbase_m),
             Parameter("steering_zero_rad", 0.0, STEERING_ZERO_STD_RAD),
             Parameter(STEERING_SCALE, 1.0, STEERING_SCALE_STD),
         )
@@ -256,8 +259,8 @@ class Mecanum:
     def parameters(self) -> tuple[Parameter, ...]:
         """Radius, and half the wheelbase plus half the track."""
         return (
-            _length("wheel_radius_m", self.wheel_radius_m),
-            _length("half_length_plus_half_width_m", self.half_length_plus_half_width_m),
+            length_parameter("wheel_radius_m", self.wheel_radius_m),
+            length_parameter("half_length_plus_half_width_m", self.half_length_plus_half_width_m),
         )
 
     def motion(self, values: FloatArray, steps: Steps) -> Motion:

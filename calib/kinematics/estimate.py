@@ -33,6 +33,8 @@ BLOCKS: Final = (40, 160, 640)
 #: a finer division is taken where its intervals are at most this much wider: a failed measurement then spoils less, and
 #: a standard deviation from some dozens of blocks is itself known to 15 %
 AS_GOOD: Final = 1.25
+#: heading errors beyond this bend the path between two poses by more than a linear model of them allows
+BENT_RAD: Final = 0.1
 #: fits in which each recording's own delay is found, where one for all will not do
 DELAY_ROUNDS: Final = 3
 
@@ -58,7 +60,8 @@ def estimate_geometry(
     kinds : sequence of str
         Kinds of routes to use; none: all.
     sensor : bool, optional
-        Estimate the sensor's pose on the vehicle and its delay; None: with windows.
+        Estimate the sensor's pose on the vehicle and its delay; None: with windows, and of end poses where it takes
+        that to explain them.
     leave_out : {"session", "kind", "run_id"}, optional
         Leave each of these out in turn and say the end position error of the held-out runs, before and after.
     progress : callable
@@ -89,6 +92,9 @@ def estimate_geometry(
         return corrected
     if geometry.misfit:
         geometry = _without_blunder(task, recording) or geometry
+    free = sensor is None and using is None and not task.sensor
+    if free and not (geometry.passed or geometry.faults):
+        geometry = _with_sensor(task, recording, geometry.residual_rms[2]) or geometry
     if leave_out is not None:
         geometry = replace(geometry, transfer=_transfer(campaign, geometry, task.sensor, leave_out, progress))
     return geometry
@@ -121,10 +127,14 @@ def _estimated(task: _Task, recording: Recording, found: tuple[Fault, ...] = ())
     task.progress(0, 0, "fits")
     chosen = fit_parameters(campaign, drive, recording, coarse, task.sensor)
     for number, segments in enumerate(divisions, start=1):
+        if len(recording) >= ENOUGH_RUNS and not _bends(chosen):
+            break
         task.progress(number, 0, "fits")
         # from where the coarser one ended: over short windows a delay of many steps is not found from zero
-        other = fit_parameters(campaign, drive, recording, segments, task.sensor, start=chosen)
-        if other.spread > chosen.spread + np.log(AS_GOOD):
+        bends = _bends(chosen)
+        start = None if bends else chosen
+        other = fit_parameters(campaign, drive, recording, segments, task.sensor, start=start)
+        if not bends and other.spread > chosen.spread + np.log(AS_GOOD):
             break
         chosen = other
     chosen, delays = _with_own_delays(campaign, chosen, task.sensor) if way == "windows" else (chosen, ())
@@ -146,6 +156,29 @@ def _without_blunder(task: _Task, recording: Recording) -> Geometry | None:
         return _estimated(replace(task, campaign=campaign), corrected, (blunder,))
     except RefusedError as error:
         raise RefusedError(f"{error}; {blunder.text}") from error
+
+
+def _with_sensor(task: _Task, recording: Recording, end_heading_rms_rad: float) -> Geometry | None:
+    """Return the geometry with the place of the reference's sensor estimated too; None where that explains no more.
+
+    Along the way, where the reference follows the vehicle: so it is taken in any case where end headings are far off,
+    since end poses of paths that bend otherwise say little.
+    """
+    way: Using = "windows" if recording.continuous else task.way
+    try:
+        geometry = _estimated(replace(task, sensor=True, way=way), recording)
+    except RefusedError:
+        return None
+    bent = way != task.way and end_heading_rms_rad > BENT_RAD
+    return geometry if geometry.passed or bent else None
+
+
+def _bends(fitted: Fitted) -> bool:
+    """Return whether headings in the longest windows are off by more than places bear with: finer windows then tell."""
+    segments = fitted.model.segments
+    longest = (segments.level == 0) & segments.seen[:, 2]
+    rest = fitted.model.predict(fitted.solution.values).residuals[longest, 2]
+    return len(rest) > 0 and float(np.sqrt(np.mean(np.square(rest)))) > BENT_RAD
 
 
 def _with_own_delays(campaign: Campaign, common: Fitted, sensor: bool) -> tuple[Fitted, tuple[Delay, ...]]:
@@ -182,15 +215,12 @@ def _nominal_turn(campaign: Campaign, source: str, recording: Recording) -> Floa
 
 
 def _divisions(recording: Recording, using: Using) -> Iterator[Segments]:
-    """Yield stretches: whole runs, or windows in ever finer divisions."""
+    """Yield stretches: whole runs, or windows in ever finer divisions, of many runs a block each first."""
     if using == "end_poses":
         yield end_pose_segments(recording)
         return
-    if len(recording) >= ENOUGH_RUNS:
-        yield window_segments(recording, len(recording))
-        return
     before = 0
-    for blocks in BLOCKS:
+    for blocks in (len(recording), *BLOCKS) if len(recording) >= ENOUGH_RUNS else BLOCKS:
         segments = window_segments(recording, blocks)
         count = len(np.unique(segments.block))
         if count > before:

@@ -9,6 +9,7 @@ import numpy as np
 
 from calib.campaign.wheels import mecanum_model
 from calib.errors import RefusedError
+from calib.kinematics.ackermann import rear_shaft
 from calib.kinematics.drives import (
     SENSOR,
     Differential,
@@ -119,12 +120,14 @@ class Fitted:
 def drive_of(campaign: Campaign, source: str, recording: Recording) -> Drive:
     """Return the drive with its nominal values.
 
-    `campaign`: its vehicle, and its model of the wheels; `source` ({"rear", "front", "wheels"}); `recording`: says
+    `campaign`: its vehicle, and its model of the wheels; `source` (one of `WHEEL_COLUMNS`); `recording`: says
     whether the loads varied, so that radii have slopes.
     """
     vehicle, model = campaign.vehicle, campaign.model
     if source == "front":
         return FrontWheel(vehicle.front_radius_m, vehicle.wheelbase_m)
+    if source == "shaft":
+        return rear_shaft(vehicle.wheel_radius_m, vehicle.wheelbase_m, recording.steps)
     if source == "wheels":
         wheels = mecanum_model(campaign)
         return Mecanum(wheels.radius_m, wheels.arm_m)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from calib.campaign.wheels import WHEEL_COLUMNS
+from calib.campaign.wheels import STEERED, WHEEL_COLUMNS, counts_per_rev, smoothed_speed_mps
 from calib.errors import RefusedError
 from calib.kinematics.drives import Steps, moved_between
 from calib.types import BoolArray, FloatArray, IntArray, StrArray
@@ -147,7 +147,7 @@ MANY_POSES: Final = 20
 def recording_of(campaign: Campaign, source: str) -> Recording:
     """Return wheels and reference of the runs that are not excluded.
 
-    `campaign`: with logs; a straight run may have its end counts alone; `source` ({"rear", "front", "wheels"}): which
+    `campaign`: with logs; a straight run may have its end counts alone; `source` (one of `WHEEL_COLUMNS`): which
     wheels drive the odometry. Raises RefusedError where no run has both wheels and a reference.
     """
     campaign = campaign.included()
@@ -183,6 +183,7 @@ def recording_of(campaign: Campaign, source: str) -> Recording:
             turned_rad=np.concatenate([piece["turned"] for piece in pieces], axis=1),
             steer_rad=np.concatenate(steer) if all(angles is not None for angles in steer) else None,
             load_offset_N=np.concatenate(loads, axis=1) if all(pair is not None for pair in loads) else None,
+            speed_mps=np.concatenate([piece["speed"] for piece in pieces]) if source == "shaft" else None,
         ),
         reference=np.concatenate([piece["reference"] for piece in pieces], axis=1),
         end_pose=np.stack([piece["end_pose"] for piece in pieces]),
@@ -191,9 +192,7 @@ def recording_of(campaign: Campaign, source: str) -> Recording:
 
 
 def _counts_per_rev(campaign: Campaign, source: str) -> FloatArray:
-    encoder = campaign.encoder
-    left, right = encoder.counts_per_rev_left, encoder.counts_per_rev_right
-    return np.array({"rear": (left, right), "front": (encoder.front,), "wheels": (left, right, left, right)}[source])
+    return np.array(counts_per_rev(campaign.encoder, source))
 
 
 def _piece(campaign: Campaign, row: int, source: str, per_rev: FloatArray) -> dict[str, Any] | str:
@@ -206,8 +205,8 @@ def _piece(campaign: Campaign, row: int, source: str, per_rev: FloatArray) -> di
         return _end_counts(campaign, row, source, per_rev, end)
     counts = np.stack([log[name] for name in names])
     keep: BoolArray = np.asarray(np.isfinite(counts).all(axis=0))
-    steer = log.get("steer_rad") if source == "front" else None
-    if source == "front":
+    steer = log.get("steer_rad") if source in STEERED else None
+    if source in STEERED:
         if steer is None:
             return "its log has no steer_rad"
         keep &= np.isfinite(steer)
@@ -233,6 +232,7 @@ def _piece(campaign: Campaign, row: int, source: str, per_rev: FloatArray) -> di
         "turned": turned,
         "steer": middle,
         "loads": _loads(campaign, row, log, keep),
+        "speed": smoothed_speed_mps(np.cumsum(turned[0]) * campaign.vehicle.wheel_radius_m, log["t_s"][keep]),
         "reference": reference,
         "end_pose": end,
     }

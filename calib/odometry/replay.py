@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from calib.campaign.model import Campaign
-from calib.campaign.wheels import WHEEL_COLUMNS, odometry_source, without_rear_wheels
+from calib.campaign.wheels import STEERED, WHEEL_COLUMNS, odometry_source, without_rear_wheels
 from calib.coefficients.file import CoefficientFile, believed_model
 from calib.errors import RefusedError
 from calib.odometry.integrate import end_poses, loads_in_steps, radii_of_model, radii_under_load, travel_from_counts
@@ -231,9 +231,9 @@ def _usable(campaign: Campaign, law: RadiusLaw) -> tuple[Campaign, dict[str, int
     """Return the runs with log, reference end pose and loads, how many were omitted and why, and what was assumed."""
     campaign, notes = with_loads(with_end_poses(campaign), law)
     runs, logs = campaign.runs, campaign.logs
-    source = odometry_source(campaign)
-    needed = (*WHEEL_COLUMNS[source if without_rear_wheels(campaign) else "rear"], "t_s")
-    needed = (*needed, "steer_rad") if "counts_front" in needed else needed
+    source = odometry_source(campaign) if without_rear_wheels(campaign) else "rear"
+    needed = (*WHEEL_COLUMNS[source], "t_s")
+    needed = (*needed, "steer_rad") if source in STEERED else needed
     posed = np.isfinite(np.stack([runs.number(c) for c in ("ref_x_m", "ref_y_m", "ref_theta_rad")])).all(axis=0)
     loaded = np.isfinite(runs.number("load_left_N")) & np.isfinite(runs.number("load_right_N"))
     counted = logs.present.copy()

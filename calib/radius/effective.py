@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.model import Campaign
-from calib.campaign.wheels import odometry_source, without_rear_wheels
+from calib.campaign.wheels import SOURCE_NAMES, odometry_source, without_rear_wheels
 from calib.errors import RefusedError
 from calib.radius.path_length import correct_paths
 from calib.types import FloatArray, StrArray
@@ -154,10 +154,10 @@ def usable_runs(campaign: Campaign, *, need_load: bool = True) -> tuple[Campaign
 
 
 def _refuse_without_rear_wheels(campaign: Campaign) -> None:
-    """Refuse odometry from a front wheel or from four wheels; say what a law of the load needs."""
+    """Refuse odometry from other wheels than two on an axle; say what a law of the load needs."""
     if not without_rear_wheels(campaign):
         return
-    wheels = "the front wheel" if odometry_source(campaign) == "front" else "four wheels"
+    wheels = SOURCE_NAMES[odometry_source(campaign)]
     raise RefusedError(
         f"{campaign.root or campaign.name}: found odometry from {wheels} alone; expected counts_left and counts_right "
         "of two wheels on one axle, with distance_m and wheel loads; log them for a law of the load, or run "

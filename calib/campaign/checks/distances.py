@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.campaign.checks.terms import LEAST_RUNS, SIDES, cell_note, implausible_note, listed, per_rev, robust_spread
 from calib.campaign.model import Campaign, Note
-from calib.campaign.wheels import WHEEL_COLUMNS, odometry_source, without_rear_wheels
+from calib.campaign.wheels import STEERED, WHEEL_COLUMNS, odometry_source, without_rear_wheels
 from calib.types import BoolArray, FloatArray
 
 
@@ -18,7 +18,7 @@ def missing_values(campaign: Campaign) -> Iterator[Note]:
     """Say which runs lack counts, and which lack both a distance and an end pose."""
     runs = campaign.runs
     source = odometry_source(campaign) if without_rear_wheels(campaign) else "rear"
-    needed = (*WHEEL_COLUMNS[source], *(("steer_rad",) if source == "front" else ()))
+    needed = (*WHEEL_COLUMNS[source], *(("steer_rad",) if source in STEERED else ()))
     logged = [campaign.logs.of(run) for run in range(len(runs))] if source != "rear" else []
     for name in needed:
         lacking = np.asarray([name not in log for log in logged]) if logged else np.isnan(runs.number(name))

@@ -328,8 +328,10 @@ def _steered(replay: Replay, world: World, step: int, true: FloatArray) -> tuple
     The turn comes on top of the one that is read, multiplied alike (Eqs 12 to 14).
     """
     read, way = replay.route.steer_rad[step], replay.route.front_m[step]
-    ahead = np.cos(true) / np.cos(read)
     wheelbase_m = (world.model.front or FrontModel.of(replay.observations.vehicle)).wheelbase_m
+    if replay.observations.by_shaft:
+        return np.ones_like(true), way * (np.tan(true) - np.tan(read)) / wheelbase_m
+    ahead = np.cos(true) / np.cos(read)
     return ahead, way * (np.sin(true) - ahead * np.sin(read)) / wheelbase_m
 
 

@@ -98,8 +98,10 @@ class ReferenceLeverArm(Effect):
             return [perturbation(path, c - 1.0, sn), perturbation(path, -sn, c - 1.0)]
 
         scale = reach(observations)
-        names = ("lever_x", "lever_y")
-        parameters = tuple(Parameter(name, "m", typical=1e-2 * scale, largest=2e-1 * scale) for name in names)
+        # a steered vehicle's wheelbase is stated, and its sensor can sit anywhere between the axles
+        longest = max(2e-1 * scale, observations.vehicle.wheelbase_m if observations.by_front else 0.0)
+        names = (("lever_x", longest), ("lever_y", 2e-1 * scale))
+        parameters = tuple(Parameter(name, "m", typical=1e-2 * scale, largest=most) for name, most in names)
         return [Form(self.id, "", parameters, perturbations)]
 
 

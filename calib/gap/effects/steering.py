@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from calib.campaign.settings import FrontModel
 from calib.gap.effects.effect import Centre, Effect, Family, Form, Observations, Parameter, Path, Perturbation
 from calib.types import BoolArray, FloatArray
 
@@ -26,7 +27,7 @@ def front_travel_m(observations: Observations) -> FloatArray:
     """Return the front wheel's travel of each step, 0 where it was not logged, shape (n_steps,)."""
     return (
         np.where(has_front(observations)[observations.unit], np.nan_to_num(observations.front_roll_rad), 0.0)
-        * observations.vehicle.front_radius_m
+        * FrontModel.of(observations.vehicle).radius_m
     )
 
 
@@ -79,11 +80,14 @@ def error_form(
     settings : dict of str to float, optional
         Quantities of the form that are not fitted.
     """
-    front = front_travel_m(observations)
-    ahead, turn = (
-        -front * observations.steer_sin * error_rad,
-        front * observations.steer_cos * error_rad / observations.vehicle.wheelbase_m,
-    )
+    front, wheelbase_m = front_travel_m(observations), observations.vehicle.wheelbase_m
+    if observations.by_shaft:
+        # the way is counted behind the steering; the curvature is tan(delta) / L
+        ahead = np.zeros_like(front)
+        turn = front * (1.0 + observations.steer_sin**2) * error_rad / wheelbase_m
+    else:
+        ahead = -front * observations.steer_sin * error_rad
+        turn = front * observations.steer_cos * error_rad / wheelbase_m
     perturbations: Sequence[Perturbation] = [excess(observations, ahead, turn)]
     return Form(effect, label, (parameter,), lambda _: perturbations, tries=tries, settings=settings or {})
 
@@ -278,7 +282,7 @@ class DriveSlip(Effect):
     """
 
     id = "drive_slip"
-    title = "slip of the driven front wheel"
+    title = "slip of the driven wheel"
     implausible = "the front wheel's radius"
     family = Family.STEERING
     needs = "the front wheel in the log"
@@ -308,15 +312,19 @@ class DriveSlip(Effect):
             _front_excess(observations, travel) for travel in (front * speeding, front * acceleration, front)
         )
         both = (per_acceleration, rolling)
+        # where the driven wheel drives the odometry, a share in all runs alike is its radius: an effect of its own
+        share_shows = weight_varies or not observations.by_front
         for name, force in forces.items():
             if gains:
                 slips.append((f"{name}, speeding up", force, [with_speeding], (per_acceleration,)))
+            if gains and share_shows:
                 slips.append((f"{name}, speeding up and rolling", force, [with_speeding, with_way], both))
             wide = Centre(0.0, float(np.mean(force))).deviations(force)[observations.unit]
             if (np.abs(observations.total(front * acceleration * wide)) > 1e-2).any():
                 slips.append((f"{name}, speeding up, braking and rolling", force, [with_acceleration, with_way], both))
-            slips.append((f"{name}, rolling", force, [with_way], (rolling,)))
-        if weight_varies:
+            if share_shows:
+                slips.append((f"{name}, rolling", force, [with_way], (rolling,)))
+        if weight_varies and not observations.by_front:
             slips.append(("a constant share, or the front wheel's radius", None, [with_way], (common,)))
 
         def form(

@@ -147,7 +147,10 @@ class Observations:
     guided: BoolArray  #: shape (n_obs,): observations whose heading is that of a guided run, not a measured one
     sigmas_assumed: bool = False  #: whether a program filled in an instrument's uncertainty because nobody stated it
     notes: tuple[str, ...] = ()  #: what had to be omitted or assumed, in sentences
-    by_front: bool = False  #: whether the front wheel alone drives the odometry: the two wheels represent it
+    #: whether the front wheel alone, or the way of the rear axle and the steering, drive the odometry: the two wheels
+    #: represent it
+    by_front: bool = False
+    by_shaft: bool = False  #: whether that is the rear axle's way, under the name of the front wheel's
     aside_m: FloatArray | None = None  #: shape (n_steps,): what mecanum wheels roll to the left in each step
     #: whether no recalibration is free beside the effects: the parameters of a user's simulator replace it
     calibration_held: bool = False
@@ -265,8 +268,11 @@ class Observations:
         """Return what of the front wheel's way the rear wheels go, 1 where no angle is logged, shape (n_steps,).
 
         One over the mean of 1 / cos at the ends of the step: over a whole turn the errors of this mean cancel, wherever
-        between two samples the angle begins and ends to change (Euler and Maclaurin).
+        between two samples the angle begins and ends to change (Euler and Maclaurin). 1 where the rear axle's own way
+        is counted.
         """
+        if self.by_shaft:
+            return np.ones(len(self.unit))
         begin, end = self._steer_ends
         return 1.0 / (0.5 * (1.0 / np.cos(begin) + 1.0 / np.cos(end)))
 

@@ -107,6 +107,7 @@ def assemble(setup: Setup, units: Sequence[Observation], notes: Sequence[str]) -
         sigmas_assumed=_sigmas_assumed(campaign, usable),
         notes=tuple(remarks),
         by_front=stands_in and bool(np.isfinite(front).any()),
+        by_shaft=stands_in and campaign.odometry.source == "shaft",
         aside_m=_aside(units),
     )
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.campaign.model import Campaign, RunTable
 from calib.campaign.settings import Encoder, OdometryModel
-from calib.campaign.wheels import ASIDE
+from calib.campaign.wheels import ASIDE, WHEEL_COLUMNS
 from calib.types import FloatArray, IntArray
 
 #: a log is thinned to so many steps; the arcs between are exact for what the wheels really rolled
@@ -113,10 +113,11 @@ def observation_from_log(
 ) -> Observation:
     """Make a unit of two or more samples of a log, thinned here; nothing is measured yet.
 
-    The front wheel counts where all of its samples are there.
+    The front wheel, or the shaft, counts where all of its samples are there.
     """
     index = thinned(rows)
-    front, steer, aside = (log[name][index] if name in log else None for name in ("counts_front", "steer_rad", ASIDE))
+    counted = "counts_front" if "counts_front" in log else WHEEL_COLUMNS["shaft"][0]
+    front, steer, aside = (log[name][index] if name in log else None for name in (counted, "steer_rad", ASIDE))
     return Observation(
         run=run,
         window=0,

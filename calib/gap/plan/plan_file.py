@@ -18,7 +18,11 @@ from calib.vehicle import Vehicle
 
 FORMAT: Final = "calib-plan/1"
 #: sensors that drive the odometry without rear encoders -> what only a log holds of them
-_IN_LOG_ONLY: Final = {"front": "the front wheel and its angle", "wheels": "the counts of the four wheels"}
+_IN_LOG_ONLY: Final = {
+    "front": "the front wheel and its angle",
+    "wheels": "the counts of the four wheels",
+    "shaft": "the steering angle",
+}
 #: wider than any run: what is beyond is a typing error
 _Size = Annotated[float, Field(ge=-1e6, le=1e6)]
 _NotNegative = Annotated[float, Field(ge=0.0, le=1e6)]

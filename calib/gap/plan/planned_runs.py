@@ -11,7 +11,14 @@ import numpy as np
 
 from calib.campaign.model import LABEL_COLUMNS, Campaign, Logs, RunTable
 from calib.campaign.settings import FrontModel
-from calib.campaign.wheels import WHEEL_COLUMNS, mecanum_model, odometry_source, without_rear_wheels
+from calib.campaign.wheels import (
+    STEERED,
+    WHEEL_COLUMNS,
+    counts_per_rev,
+    mecanum_model,
+    odometry_source,
+    without_rear_wheels,
+)
 from calib.errors import BadInputError
 from calib.limits import PLANNED_SAMPLES
 from calib.odometry.routes import NAMED, Route, arc, straight
@@ -264,9 +271,10 @@ def wheel_counts(
     if not without_rear_wheels(campaign):
         counts = _rear(campaign, distance_m, heading_rad, loads_N)
         return counts | _front(campaign, distance_m, heading_rad, FrontModel.of(campaign.vehicle)) if front else counts
-    if odometry_source(campaign) == "front":
+    source = odometry_source(campaign)
+    if source in STEERED:
         model = campaign.model.front or FrontModel.of(campaign.vehicle)
-        return _front(campaign, distance_m, heading_rad, model)
+        return (_front if source == "front" else _shaft)(campaign, distance_m, heading_rad, model)
     return _mecanum(campaign, distance_m, heading_rad)
 
 
@@ -293,6 +301,17 @@ def _front(
     angle = np.where(roll > 0.0, np.arctan2(model.wheelbase_m * turn, np.abs(ahead)), 0.0)
     steer = (np.concatenate((angle[:1], angle)) - model.zero_rad) / model.scale
     return {"counts_front": counts, "steer_rad": steer}
+
+
+def _shaft(
+    campaign: Campaign, distance_m: FloatArray, heading_rad: FloatArray, model: FrontModel
+) -> dict[str, FloatArray]:
+    ahead, turn = np.diff(distance_m), np.diff(heading_rad)
+    rolling = np.abs(ahead) > 0.0
+    angle = np.where(rolling, np.arctan(model.wheelbase_m * turn / np.where(rolling, ahead, 1.0)), 0.0)
+    steer = (np.concatenate((angle[:1], angle)) - model.zero_rad) / model.scale
+    counts = distance_m / model.radius_m * counts_per_rev(campaign.encoder, "shaft")[0] / (2 * np.pi)
+    return {"counts_rear": counts, "steer_rad": steer}
 
 
 def _mecanum(campaign: Campaign, distance_m: FloatArray, heading_rad: FloatArray) -> dict[str, FloatArray]:
