@@ -126,15 +126,15 @@ def _estimated(task: _Task, recording: Recording, found: tuple[Fault, ...] = ())
     drive = drive_of(campaign, source, recording)
     task.progress(0, 0, "fits")
     chosen = fit_parameters(campaign, drive, recording, coarse, task.sensor)
+    many = len(recording) >= ENOUGH_RUNS
     for number, segments in enumerate(divisions, start=1):
-        if len(recording) >= ENOUGH_RUNS and not _bends(chosen):
+        if many and not _bends(chosen):
             break
         task.progress(number, 0, "fits")
-        # from where the coarser one ended: over short windows a delay of many steps is not found from zero
-        bends = _bends(chosen)
-        start = None if bends else chosen
-        other = fit_parameters(campaign, drive, recording, segments, task.sensor, start=start)
-        if not bends and other.spread > chosen.spread + np.log(AS_GOOD):
+        # from where the coarser one ended: over short windows a delay of many steps is not found from zero; but not
+        # from a fit of paths that bend otherwise
+        other = fit_parameters(campaign, drive, recording, segments, task.sensor, start=None if many else chosen)
+        if not many and other.spread > chosen.spread + np.log(AS_GOOD):
             break
         chosen = other
     chosen, delays = _with_own_delays(campaign, chosen, task.sensor) if way == "windows" else (chosen, ())

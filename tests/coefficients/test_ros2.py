@@ -54,6 +54,23 @@ DECLARED: dict[str, dict[str, Any]] = {
         "open_loop": bool,
         "position_feedback": bool,
     },
+    "bicycle_steering_controller": {
+        "wheelbase": float,
+        "traction_wheel_radius": float,
+        "pose_covariance_diagonal": ARRAY,
+        "twist_covariance_diagonal": ARRAY,
+        "open_loop": bool,
+        "position_feedback": bool,
+    },
+    "ackermann_steering_controller": {
+        "wheelbase": float,
+        "traction_wheels_radius": float,
+        "traction_track_width": float,
+        "pose_covariance_diagonal": ARRAY,
+        "twist_covariance_diagonal": ARRAY,
+        "open_loop": bool,
+        "position_feedback": bool,
+    },
     "mecanum_drive_controller": {
         "kinematics": {"wheels_radius": float, "sum_of_robot_center_projection_on_X_Y_axis": float},
         "pose_covariance_diagonal": ARRAY,

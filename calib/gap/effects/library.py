@@ -37,8 +37,9 @@ from calib.gap.effects.reference import (
     find_turned,
 )
 from calib.gap.effects.simulator import SIMULATOR_PREFIX, simulator_title
-from calib.gap.effects.steering import DriveSlip, SteeringBacklash, SteeringDelay, SteeringScale, SteeringZero
+from calib.gap.effects.steering import SteeringBacklash, SteeringDelay, SteeringScale, SteeringZero
 from calib.gap.effects.turning import BrakingSkid, CurveLoadTransfer, CurveScrub, LoadDependentTrack, SideSlip
+from calib.gap.effects.tyres import DriveSlip, Understeer
 from calib.gap.observations.arrays import Channel, Observations
 from calib.gap.predict import Path, predict, signature
 from calib.limits import COVARIATES, refuse_beyond
@@ -78,6 +79,7 @@ EFFECTS: Final[tuple[type[Effect], ...]] = (
     SteeringBacklash,
     SteeringDelay,
     DriveSlip,
+    Understeer,
     PayloadMass,
     PayloadPosition,
     FloorSlope,

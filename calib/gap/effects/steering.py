@@ -1,15 +1,14 @@
-"""The front wheel: errors of its steering angle, and slip of its drive."""
+"""The front wheel: errors of its steering angle."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from calib.campaign.settings import FrontModel
-from calib.gap.effects.effect import Centre, Effect, Family, Form, Observations, Parameter, Path, Perturbation
+from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Path, Perturbation
 from calib.types import BoolArray, FloatArray
 
 
@@ -265,123 +264,14 @@ class SteeringDelay(Effect):
 
     def forms(self, observations: Observations) -> list[Form]:
         """Return the single form; none where the steering does not move or the log has no times."""
-        rate = _rate_per_s(observations, steer_rad(observations), 1)
+        rate = rate_per_s(observations, steer_rad(observations), 1)
         if not has_front(observations).any() or not (np.abs(rate) > 1e-3).any():
             return []
         parameter = Parameter("delay", "s", typical=1e-1, largest=5e-1)
         return [error_form(observations, self.id, "", parameter, -rate)]
 
 
-class DriveSlip(Effect):
-    """The front wheel counts a share s = F_x / C more than it travels; only the front channels see it.
-
-    A constant share looks the same as a front radius that is off, and is named so.
-
-    The driving force is mass times acceleration (when it speeds up, or also, reversed, when the front wheel brakes) and
-    rolling resistance, in proportion to the weight; the stiffness C is constant or in proportion to the front load.
-    """
-
-    id = "drive_slip"
-    title = "slip of the driven wheel"
-    implausible = "the front wheel's radius"
-    family = Family.STEERING
-    needs = "the front wheel in the log"
-    separates = "several accelerations"
-
-    def forms(self, observations: Observations) -> list[Form]:
-        """Return forms by the force that slips; none without a front wheel in the log."""
-        if not has_front(observations).any():
-            return []
-        # in the sense of rolling
-        acceleration = _rate_per_s(observations, np.abs(observations.speed_mps), 2)
-        speeding = np.maximum(acceleration, 0.0)
-        front = front_travel_m(observations)
-        # a driven wheel turns too much, never too little; a share common to all runs may be the radius, off either way
-        weight_varies = float(np.ptp(_over_mean(observations.weight_N))) > 1e-9
-        per_acceleration = Parameter("slip_per_mps2", "s2/m", typical=1e-2, largest=1e-1, sign=1)
-        common = Parameter("slip_rolling", "1", typical=3e-3, largest=5e-2)
-        rolling = replace(common, sign=1) if weight_varies else common
-        # a run from rest to rest gains and loses the same by acceleration and braking
-        gains = bool((np.abs(observations.total(front * speeding)) > 1e-4).any())
-        forces = _forces_N(observations)
-        # label, the force (None where the load does nothing), the parts that correlate with it, their parameters
-        slips: list[tuple[str, FloatArray | None, list[Perturbation], tuple[Parameter, ...]]] = []
-
-        # of the steps only this is kept by the forms
-        with_speeding, with_acceleration, with_way = (
-            _front_excess(observations, travel) for travel in (front * speeding, front * acceleration, front)
-        )
-        both = (per_acceleration, rolling)
-        # where the driven wheel drives the odometry, a share in all runs alike is its radius: an effect of its own
-        share_shows = weight_varies or not observations.by_front
-        for name, force in forces.items():
-            if gains:
-                slips.append((f"{name}, speeding up", force, [with_speeding], (per_acceleration,)))
-            if gains and share_shows:
-                slips.append((f"{name}, speeding up and rolling", force, [with_speeding, with_way], both))
-            wide = Centre(0.0, float(np.mean(force))).deviations(force)[observations.unit]
-            if (np.abs(observations.total(front * acceleration * wide)) > 1e-2).any():
-                slips.append((f"{name}, speeding up, braking and rolling", force, [with_acceleration, with_way], both))
-            if share_shows:
-                slips.append((f"{name}, rolling", force, [with_way], (rolling,)))
-        if weight_varies and not observations.by_front:
-            slips.append(("a constant share, or the front wheel's radius", None, [with_way], (common,)))
-
-        def form(
-            label: str,
-            force: FloatArray | None,
-            parts: list[Perturbation],
-            parameters: tuple[Parameter, ...],
-            centre: Centre | None = None,
-        ) -> Form:
-            perturbations = parts
-            if force is not None:
-                centre = centre or Centre(0.0, float(np.mean(force)))
-                perturbations = [_shared(observations, part, centre.deviations(force)) for part in parts]
-            return Form(
-                self.id,
-                label,
-                parameters,
-                lambda _: perturbations,
-                tries=len(slips),
-                centre=centre,
-                about=None if centre is None else lambda elsewhere: form(label, force, parts, parameters, elsewhere),
-            )
-
-        return [form(*slip) for slip in slips]
-
-
-def _front_excess(observations: Observations, travel_m: FloatArray) -> Perturbation:
-    """Return the perturbation by excess travel of the front wheel, shape (n_steps,), along its steered direction."""
-    turn = travel_m * observations.steer_sin / observations.vehicle.wheelbase_m
-    return excess(observations, travel_m * observations.steer_cos, turn)
-
-
-def _forces_N(observations: Observations) -> dict[str, FloatArray]:
-    """Return what the slip may depend on, each (n_obs,): the weight and, where it differs, that over the front load."""
-    forces = {"by the force": observations.weight_N}
-    front_N = observations.weight_N - observations.number("load_left_N") - observations.number("load_right_N")
-    over_front = observations.weight_N / np.maximum(front_N, 0.05 * observations.weight_N)
-    if np.isfinite(over_front).all() and np.ptp(_over_mean(over_front) / _over_mean(observations.weight_N)) > 0.02:
-        forces["by the force over the front load"] = over_front
-    return forces
-
-
-def _shared(observations: Observations, perturbation: Perturbation, share: FloatArray) -> Perturbation:
-    """Return a perturbation times a share of each observation, shape (n_obs,)."""
-    if perturbation.reading is not None:
-        return Perturbation(reading=perturbation.reading * share[:, None])
-    assert perturbation.along_m is not None
-    assert perturbation.heading_rad is not None
-    wide = share[observations.unit]
-    return Perturbation(along_m=perturbation.along_m * wide, heading_rad=perturbation.heading_rad * wide)
-
-
-def _over_mean(values: FloatArray) -> FloatArray:
-    return values / np.mean(values)
-
-
-def _rate_per_s(observations: Observations, values: FloatArray, reach: int) -> FloatArray:
+def rate_per_s(observations: Observations, values: FloatArray, reach: int) -> FloatArray:
     """Return the rate of a step quantity over `reach` steps to either side within each run, shape (n_steps,)."""
     index = np.arange(len(values))
     before = np.maximum(index - reach, observations.starts[observations.unit])

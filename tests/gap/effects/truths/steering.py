@@ -92,3 +92,9 @@ def _(run: Run, now: Motion) -> None:
     acceleration = np.where(way < 0.2 * whole, run.speed_mps**2 / (0.4 * whole), 0.0)
     weight = (100.0 + run.numbers["payload_kg"]) / mean(RAMPED, lambda one: 100.0 + one.numbers["payload_kg"])
     now.front = 3e-2 * acceleration * weight
+
+
+# the front wheel is turned further than the curve that is driven, by 5 % at 1 m/s
+@case("understeer", "", 5e-2, runs=WINDING, within=2e-2)
+def _(run: Run, now: Motion) -> None:
+    now.steer_rad = np.arctan((1.0 + 5e-2 * run.speed_mps**2) * now.kappa)
