@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 #: text columns of ``runs.csv``
-LABEL_COLUMNS: Final = ("run_id", "session", "kind", "direction", "log", "exclusion_reason")
+LABEL_COLUMNS: Final = ("run_id", "session", "kind", "direction", "loop", "log", "exclusion_reason")
 
 #: numeric columns of ``runs.csv`` that have a meaning of their own; any further numeric column is a covariate
 NUMERIC_COLUMNS: Final = (
@@ -43,6 +43,8 @@ NUMERIC_COLUMNS: Final = (
     "ref_x_m",
     "ref_y_m",
     "ref_theta_rad",
+    "gyro_theta_rad",
+    "gyro_sigma_rad",
     "sim_x_m",
     "sim_y_m",
     "sim_theta_rad",
@@ -66,6 +68,7 @@ LOG_COLUMNS: Final = (
     "speed_rear_mps",
     "v_mps",
     "omega_radps",
+    "gyro_z_radps",
     "range_m",
     "ref_x_m",
     "ref_y_m",

@@ -14,6 +14,7 @@ from calib.campaign.log_reading import read_logs
 from calib.campaign.logs_file import log_files
 from calib.campaign.model import Border, Campaign, Logs, RunTable
 from calib.campaign.readers import READERS, read_table
+from calib.campaign.references import with_references
 from calib.campaign.runs_file import run_table
 from calib.campaign.settings_file import Settings, read_settings
 from calib.campaign.speeds import SPEEDS, with_counts
@@ -65,9 +66,9 @@ def read_campaign(folder: Path, *, logs: bool = True, lenient: bool = False, pro
     numbers = _filled_from_logs(runs, found_logs, shown, border)
     numbers = _totals_unwrapped(runs, numbers, found_logs, settings, shown, border)
     numbers = _filled_loads(settings.vehicle, runs, numbers, shown, border)
-    return settings.campaign(
-        replace(runs, numbers=numbers), found_logs, root=folder, notes=tuple(border.notes), hashes=hashes
-    )
+    campaign = settings.campaign(replace(runs, numbers=numbers), found_logs, root=folder, hashes=hashes)
+    campaign = with_references(campaign, shown, border)
+    return replace(campaign, notes=tuple(border.notes))
 
 
 def loads_from_payload(vehicle: Vehicle, runs: RunTable) -> tuple[FloatArray, FloatArray]:

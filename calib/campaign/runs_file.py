@@ -68,6 +68,8 @@ def run_table(raw: RawTable, shown: str, border: Border) -> RunTable:
     _check_run_ids(labels["run_id"], line, shown, border)
     if "direction" in labels:
         labels["direction"] = _directions(labels["direction"], labels["run_id"], line, shown, border)
+    if "loop" in labels:
+        labels["loop"] = _loops(labels["loop"], labels["run_id"], line, shown, border)
     if "session" in labels:
         labels["session"] = _sessions(labels["session"], shown, border)
     excluded = _flags(raw.columns[matched["excluded"].found], shown, line) if "excluded" in matched else None
@@ -225,6 +227,16 @@ def _directions(
         expected = "out or back, or an empty cell"
         fault = BadFileError(shown, repr(text[:40]), expected, remedy, row=row, column="direction")
         border.fault(fault, "direction", str(run_ids[index]))
+    return lower
+
+
+def _loops(texts: StrArray, run_ids: StrArray, line: npt.NDArray[np.int64], shown: str, border: Border) -> StrArray:
+    """Return which runs are closed loops, in lower case; any other word is a fault, since end poses rest on it."""
+    lower = np.char.lower(texts)
+    for index in np.flatnonzero(~np.isin(lower, ("", "closed", "open"))):
+        expected, remedy = "closed, open or an empty cell", "write closed where the vehicle ended on its mark"
+        fault = BadFileError(shown, repr(str(texts[index])[:40]), expected, remedy, row=int(line[index]), column="loop")
+        border.fault(fault, "loop", str(run_ids[index]))
     return lower
 
 

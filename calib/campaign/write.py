@@ -203,7 +203,7 @@ def _log_names(campaign: Campaign) -> dict[int, str]:
 
 def _runs_bytes(runs: RunTable, logs: Mapping[int, str]) -> bytes:
     columns: dict[str, list[str]] = {}
-    for name in ("run_id", "session", "kind", "direction"):
+    for name in ("run_id", "session", "kind", "direction", "loop"):
         if name in runs.labels:
             columns[name] = [str(text) for text in runs.labels[name]]
     for name in (*NUMERIC_COLUMNS, *runs.covariates):

@@ -11,6 +11,7 @@ import numpy as np
 
 from calib.adequacy import LACK_OF_FIT, SMALL_SHARE, Level, Residuals, judge
 from calib.kinematics.blunders import Fault
+from calib.kinematics.drives import SENSOR, UNMOVED_SENSOR
 from calib.kinematics.joint_fit import Fitted
 from calib.kinematics.model import Model
 from calib.kinematics.segments import Segments
@@ -171,7 +172,7 @@ def _used(whole: Model, outliers: Sequence[str]) -> BoolArray:
 
 def travelled(model: Model, values: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return way in m and rotation in rad of each segment, shape (n,); a radian on the spot is a tenth of a metre."""
-    body = model.drive.motion(values[: len(values) - 4], model.recording.steps).body
+    body = model.drive.motion(values[: -len(SENSOR)], model.recording.steps).body
     way, rotation = (np.cumsum(part) for part in (np.hypot(body[0], body[1]) + 0.1 * np.abs(body[2]), np.abs(body[2])))
     first, last = model.segments.first, model.segments.last
     return np.asarray(way[last] - way[first]), np.asarray(rotation[last] - rotation[first])
@@ -195,7 +196,7 @@ def _scatter(after: FloatArray, group: IntArray, used: BoolArray) -> float | Non
 def _replicates(whole: Model, path: FloatArray) -> IntArray:
     """Return a number for each segment, the same for those that are replicates by their wheels."""
     measured = whole.segments.measured
-    told = measured - whole.predict(np.concatenate([_nominal(whole), np.zeros(4)])).residuals
+    told = measured - whole.predict(np.concatenate([_nominal(whole), UNMOVED_SENSOR])).residuals
     group = np.full(len(path), -1, dtype=np.int64)
     for at in range(len(path)):
         if group[at] >= 0:

@@ -10,7 +10,7 @@ import numpy as np
 from calib.errors import BadInputError
 from calib.kinematics.adequacy import judged
 from calib.kinematics.blunders import Fault, factor_faults
-from calib.kinematics.drives import MeanHeld
+from calib.kinematics.drives import GYRO_SCALE, GYRO_SCALE_STD, MeanHeld
 from calib.kinematics.joint_fit import NOMINAL_STD, Fitted
 from calib.kinematics.model import Model
 from calib.kinematics.recording import Recording
@@ -141,6 +141,12 @@ def _estimates(fitted: Fitted) -> tuple[tuple[Estimate, ...], FloatArray]:
         covariance = covariance + np.outer(scale, scale)
         # the part that is taken for known adds no doubt about its own size (Welch and Satterthwaite)
         free = dof * np.square(np.diag(covariance) / by_runs)
+    if _gyro_alone(fitted) and "track_m" in names:
+        # a turn that the gyro measures by 1 % too much is a track that is 1 % too short
+        at, by_runs = names.index("track_m"), np.diag(covariance).copy()
+        covariance = covariance.copy()
+        covariance[at, at] += (GYRO_SCALE_STD * values[at]) ** 2
+        free = free * np.square(np.diag(covariance) / by_runs)
     std = np.sqrt(np.diag(covariance))
     half = std * stdtrit(free, 0.975)
     rows = zip(names, nominal, values, std, half, dof, strict=True)
@@ -149,6 +155,11 @@ def _estimates(fitted: Fitted) -> tuple[tuple[Estimate, ...], FloatArray]:
         for name, before, value, sd, wide, own in rows
     )
     return estimates, np.asarray(covariance)
+
+
+def _gyro_alone(fitted: Fitted) -> bool:
+    """Return whether turns rest on a gyro whose scale nothing else tells."""
+    return bool(fitted.model.segments.gyro.any()) and GYRO_SCALE in fitted.dropped
 
 
 def _whole(model: Model) -> Model:
@@ -189,6 +200,11 @@ def _notes(fitted: Fitted) -> tuple[str, ...]:
             f"{what}: the mean radius is not determined and was held at its "
             f"nominal value within {100 * NOMINAL_STD:g} %. The ratio of the radii and the track over the mean radius "
             "are determined; a straight run of known length would determine the scale."
+        )
+    if _gyro_alone(fitted):
+        notes.append(
+            f"Turns rest on the gyro: its scale is not determined, and its {100 * GYRO_SCALE_STD:g} % are in the "
+            "interval of the track. A closed loop, or a turn of known angle, tells the two apart."
         )
     if not fitted.solution.converged:
         notes.append("The search did not settle exactly; the values are good to a small part of their sd.")

@@ -17,7 +17,7 @@ import numpy as np
 from calib.errors import CalibError
 from calib.kinematics.adequacy import FEW_OUTLIERS
 from calib.kinematics.blunders import Fault
-from calib.kinematics.drives import Drive, Parameters, sensor_parameters
+from calib.kinematics.drives import SENSOR, Drive, Parameters, sensor_parameters
 from calib.kinematics.joint_fit import drive_of
 from calib.kinematics.model import Model
 from calib.kinematics.recording import Recording
@@ -150,7 +150,7 @@ def _tried(campaign: Campaign, recording: Recording, drive: Drive, divide: Divid
         with np.errstate(all="ignore"):
             values = solve(model, parameters, parameters.nominal, scales, TRIAL_ROUNDS).values
             residuals = model.predict(values).residuals
-            body = drive.motion(values[:-4], recording.steps).body
+            body = drive.motion(values[: -len(SENSOR)], recording.steps).body
     except (CalibError, np.linalg.LinAlgError, ValueError):
         return Trial(np.inf, False, 0.0)
     path, rotation = (

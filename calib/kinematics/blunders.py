@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.campaign.wheels import STEERED
 from calib.errors import RefusedError
-from calib.kinematics.drives import Drive, Steps
+from calib.kinematics.drives import UNMOVED_SENSOR, Drive, Steps
 from calib.kinematics.model import Model
 from calib.kinematics.recording import Recording
 from calib.kinematics.segments import Segments
@@ -211,7 +211,7 @@ def put_right(
     seen = segments.seen[:, 2]
     measured = segments.measured[seen, 2]
     nominal = np.array([item.nominal for item in drive.parameters])
-    rest = Model(drive, recording, segments).predict(np.concatenate([nominal, np.zeros(4)])).residuals[seen, 2]
+    rest = Model(drive, recording, segments).predict(np.concatenate([nominal, UNMOVED_SENSOR])).residuals[seen, 2]
     refuse_heading_unit(measured - rest, measured)
     if source in STEERED:
         return front_faults(recording, segments)
@@ -229,7 +229,7 @@ def wheels_faults(recording: Recording, segments: Segments, drive: Drive) -> tup
     """
     nominal = np.array([item.nominal for item in drive.parameters])
     # neither sensor nor delay is known yet
-    values = np.concatenate([nominal, np.zeros(4)])
+    values = np.concatenate([nominal, UNMOVED_SENSOR])
 
     def left_by(turned: FloatArray) -> tuple[float, float]:
         return _left(Model(drive, recording.with_turned(turned), segments), values)

@@ -10,11 +10,24 @@ import numpy as np
 
 from calib.types import FloatArray, IntArray
 
-#: pose of the reference's sensor on the vehicle, and the time by which its stamps lag behind the encoders'
-SENSOR: Final = ("sensor_x_m", "sensor_y_m", "sensor_yaw_rad", "delay_s")
+#: factor on the true turn that a gyro measures
+GYRO_SCALE: Final = "gyro_scale"
+#: the gyro's scale, the pose of the reference's sensor on the vehicle, and the time by which its stamps lag behind the
+#: encoders'
+SENSOR: Final = (GYRO_SCALE, "sensor_x_m", "sensor_y_m", "sensor_yaw_rad", "delay_s")
+#: a sensor where the settings' defaults have it
+UNMOVED_SENSOR: Final = (1.0, 0.0, 0.0, 0.0, 0.0)
+#: scale of a gyro of moderate price as its maker states it
+GYRO_SCALE_STD: Final = 0.01
 
 #: how far a lever arm, an angle and a delay may be from what the settings say
-SENSOR_STD: Final = {"sensor_x_m": 0.2, "sensor_y_m": 0.2, "sensor_yaw_rad": 0.5, "delay_s": 0.2}
+SENSOR_STD: Final = {
+    GYRO_SCALE: GYRO_SCALE_STD,
+    "sensor_x_m": 0.2,
+    "sensor_y_m": 0.2,
+    "sensor_yaw_rad": 0.5,
+    "delay_s": 0.2,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +90,7 @@ class Parameters:
 
 def sensor_parameters(x_m: float, y_m: float, yaw_rad: float) -> tuple[Parameter, ...]:
     """Return the parameters of the reference's sensor, centred on what the settings say of it."""
-    nominal = dict(zip(SENSOR, (x_m, y_m, yaw_rad, 0.0), strict=True))
+    nominal = dict(zip(SENSOR, (1.0, x_m, y_m, yaw_rad, 0.0), strict=True))
     return tuple(Parameter(name, nominal[name], SENSOR_STD[name]) for name in SENSOR)
 
 

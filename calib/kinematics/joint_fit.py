@@ -11,6 +11,7 @@ from calib.campaign.wheels import mecanum_model
 from calib.errors import RefusedError
 from calib.kinematics.ackermann import rear_shaft
 from calib.kinematics.drives import (
+    GYRO_SCALE,
     SENSOR,
     Differential,
     Drive,
@@ -160,8 +161,10 @@ def fit_parameters(
     items = (*drive.parameters, *place)
     free = [item.name for item in drive.parameters]
     dropped: list[str] = []
+    if segments.gyro.any():
+        free.append(GYRO_SCALE)
     if sensor:
-        free += list(SENSOR)
+        free += [name for name in SENSOR if name != GYRO_SCALE]
         if float(np.median(np.diff(recording.t_s))) > LONGEST_STEP_S:
             free.remove("delay_s")
             dropped.append("delay_s")

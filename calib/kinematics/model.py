@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.kinematics.drives import Drive, Path, displacement, integrate_motion
+from calib.kinematics.drives import SENSOR, Drive, Path, displacement, integrate_motion
 from calib.kinematics.recording import Recording
 from calib.kinematics.segments import Segments
 from calib.types import FloatArray, IntArray
@@ -28,7 +28,7 @@ class Prediction:
 class Model:
     """A drive, a recording and stretches of it: predicts at any parameter values.
 
-    Parameters are those of the drive, then ``sensor_x_m``, ``sensor_y_m``, ``sensor_yaw_rad``, ``delay_s``.
+    Parameters are those of the drive, then those of `SENSOR`.
     """
 
     drive: Drive
@@ -37,7 +37,7 @@ class Model:
 
     def predict(self, values: FloatArray) -> Prediction:
         """Return residuals and derivatives at `values`, shape (n_parameters,)."""
-        n_drive = len(values) - 4
+        n_drive = len(values) - len(SENSOR)
         path = integrate_motion(self.drive.motion(values[:n_drive], self.recording.steps))
         first, last = self.segments.first, self.segments.last
         delay = float(values[-1])
@@ -45,14 +45,21 @@ class Model:
         moved, derivative = displacement(pose, np.concatenate([by_parameter, by_delay[None]]), first, last)
         seen, by_sensor = _sensor(moved, values[-4:-1])
         rotate = _rotation(-values[-2], len(moved))
+        by_gyro = np.zeros((len(moved), 3, 1))
+        by_gyro[:, 2, 0] = np.where(self.segments.gyro, seen[:, 2], 0.0)
         jacobian = np.concatenate(
             [
                 _through(derivative[:, :, :n_drive], rotate, moved, values[-4:-1]),
+                by_gyro,
                 by_sensor,
                 _through(derivative[:, :, n_drive:], rotate, moved, values[-4:-1]),
             ],
             axis=2,
         )
+        scale = np.where(self.segments.gyro, values[n_drive], 1.0)
+        others = np.arange(len(values)) != n_drive
+        jacobian[:, 2, others] *= scale[:, None]
+        seen[:, 2] *= scale
         residuals = self.segments.measured - seen
         unseen = ~self.segments.seen
         residuals[unseen] = 0.0

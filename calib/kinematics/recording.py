@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from calib.campaign.references import GYRO_TURN
 from calib.campaign.wheels import STEERED, WHEEL_COLUMNS, counts_per_rev, smoothed_speed_mps
 from calib.errors import RefusedError
 from calib.kinematics.drives import Steps, moved_between
@@ -51,6 +52,8 @@ class Recording:
     #: end pose against the start by the reference; NaN where it was not measured. Of a straight run whose length alone
     #: was measured, that is the way ahead, shape (n_runs, 3)
     end_pose: FloatArray
+    #: runs whose turn a gyro measured, shape (n_runs,)
+    by_gyro: BoolArray
     #: runs that cannot be used: id and reason
     left_out: tuple[tuple[str, str], ...] = ()
     #: what each run's delay of the reference adds to the common one; None: nothing, shape (n_runs,)
@@ -187,6 +190,7 @@ def recording_of(campaign: Campaign, source: str) -> Recording:
         ),
         reference=np.concatenate([piece["reference"] for piece in pieces], axis=1),
         end_pose=np.stack([piece["end_pose"] for piece in pieces]),
+        by_gyro=np.array([piece["by_gyro"] for piece in pieces]),
         left_out=tuple(left_out),
     )
 
@@ -224,8 +228,12 @@ def _piece(campaign: Campaign, row: int, source: str, per_rev: FloatArray) -> di
         end = _last_pose(reference)
     if np.isnan(end).all() and not np.isfinite(reference).any():
         end = _straight_end(campaign, row, source, turned.sum(axis=1))
-        if np.isnan(end[0]):
-            return "nothing says where it ended: no ref_ columns, and no distance_m of a straight run"
+    gyro = float(runs.number(GYRO_TURN)[row])
+    by_gyro = bool(np.isnan(end[2]) and np.isfinite(gyro))
+    if by_gyro:
+        end = np.array([end[0], end[1], gyro])
+    if not np.isfinite(reference).any() and np.isnan(end[[0, 2]]).all():
+        return "nothing says where it ended: no ref_ columns, and no distance_m of a straight run"
     middle = None if steer is None else _middle(steer[keep])
     return {
         "t_s": log["t_s"][keep] - log["t_s"][keep][0],
@@ -235,6 +243,7 @@ def _piece(campaign: Campaign, row: int, source: str, per_rev: FloatArray) -> di
         "speed": smoothed_speed_mps(np.cumsum(turned[0]) * campaign.vehicle.wheel_radius_m, log["t_s"][keep]),
         "reference": reference,
         "end_pose": end,
+        "by_gyro": by_gyro,
     }
 
 
@@ -262,6 +271,7 @@ def _end_counts(
         "loads": _loads(campaign, row, {}, np.ones(2, dtype=np.bool_)),
         "reference": np.full((3, 2), np.nan),
         "end_pose": end,
+        "by_gyro": False,
     }
 
 

@@ -32,6 +32,8 @@ class Segments:
     block: IntArray
     #: 0 for the longest windows, shape (n,)
     level: IntArray
+    #: whose turn a gyro measured, shape (n,)
+    gyro: BoolArray
 
     def __len__(self) -> int:
         return len(self.run)
@@ -62,6 +64,7 @@ def end_pose_segments(recording: Recording) -> Segments:
         seen=np.isfinite(measured),
         block=np.arange(len(runs)),
         level=np.zeros(len(runs), dtype=np.int64),
+        gyro=recording.by_gyro[runs],
     )
 
 
@@ -107,7 +110,8 @@ def window_segments(recording: Recording, blocks: int) -> Segments:
         )
     first, last, run_of, block_of, level_of = (np.concatenate(part) for part in zip(*pieces, strict=True))
     measured = moved_between(np.nan_to_num(recording.reference), first, last)
-    return Segments(run_of, first, last, measured, np.concatenate(seen), block_of, level_of)
+    no_gyro = np.zeros(len(first), dtype=np.bool_)
+    return Segments(run_of, first, last, measured, np.concatenate(seen), block_of, level_of, no_gyro)
 
 
 def _nearest(travel: FloatArray, wanted: FloatArray) -> IntArray:

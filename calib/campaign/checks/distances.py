@@ -10,6 +10,7 @@ import numpy as np
 
 from calib.campaign.checks.terms import LEAST_RUNS, SIDES, cell_note, implausible_note, listed, per_rev, robust_spread
 from calib.campaign.model import Campaign, Note
+from calib.campaign.references import GYRO_TURN
 from calib.campaign.wheels import STEERED, WHEEL_COLUMNS, odometry_source, without_rear_wheels
 from calib.types import BoolArray, FloatArray
 
@@ -36,7 +37,8 @@ def missing_values(campaign: Campaign) -> Iterator[Note]:
     trajectory = np.zeros(len(runs), dtype=bool)
     if "ref_x_m" in campaign.logs.columns:
         trajectory = np.asarray(["ref_x_m" in campaign.logs.of(run) for run in range(len(runs))])
-    lacking = np.isnan(runs.number("distance_m")) & np.isnan(runs.number("ref_x_m")) & ~trajectory
+    headed = np.isfinite(runs.number("ref_theta_rad")) | np.isfinite(runs.number(GYRO_TURN))
+    lacking = np.isnan(runs.number("distance_m")) & np.isnan(runs.number("ref_x_m")) & ~trajectory & ~headed
     if lacking.any():
         text = (
             f"{int(lacking.sum())} run(s) have neither a distance nor a reference pose "

@@ -85,6 +85,7 @@ _LOG: Final[Sequence[tuple[str, str]]] = (
     ("range_m", r".*(laser|range|abstand|entfernung|distan[cz]|weg|strecke).*"),
     ("ref_x_m", r"((ref|mocap|pose|pos|tracker)_?)?x(_?true)?"),
     ("ref_y_m", r"((ref|mocap|pose|pos|tracker)_?)?y"),
+    ("gyro_z_radps", r".*(angular_velocity_?z|gyro(_?z)?|yaw_?rate|gierrate|drehrate)"),
     ("ref_theta_rad", r"((ref|mocap|pose|pos|tracker)_?)?(theta|yaw|heading|gier.*)"),
 )
 #: what stands behind the side in the name of a wheel: left_wheel_joint, wheel_left_joint, Enc_L_raw

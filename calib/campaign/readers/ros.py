@@ -237,6 +237,7 @@ MESSAGE_TYPES: Final[Mapping[str, Callable[[Any], Sequence[Part]]]] = {
     "geometry_msgs/msg/TwistStamped": lambda m: [("", _TWIST, _twist(m.twist), m.header)],
     "sensor_msgs/msg/Range": lambda m: [("", ("range",), (_finite(m.range),), m.header)],
     "sensor_msgs/msg/LaserScan": _laser_scan,
+    "sensor_msgs/msg/Imu": lambda m: [("", ("angular_velocity_z",), (_finite(m.angular_velocity.z),), m.header)],
     **dict.fromkeys(
         (
             f"std_msgs/msg/{kind}"
@@ -251,5 +252,5 @@ COLUMN_UNITS: Final[Mapping[str, str]] = {
     **dict.fromkeys(("x", "y", "z", "range", "range_ahead"), "m"),
     **dict.fromkeys(("v_x", "v_y"), "mps"),
     "yaw": "rad",
-    "omega": "rad/s",
+    **dict.fromkeys(("omega", "angular_velocity_z"), "rad/s"),
 }

@@ -28,6 +28,7 @@ from calib.gap.effects.load import LoadCreep, LoadRadius, LoadRadiusNonlinear, P
 from calib.gap.effects.path import IntegrationScheme, PathWeave
 from calib.gap.effects.reference import (
     BeamMisalignment,
+    GyroScale,
     RangefinderOffset,
     RangefinderScale,
     ReferenceLatency,
@@ -67,6 +68,7 @@ EFFECTS: Final[tuple[type[Effect], ...]] = (
     RangefinderScale,
     RangefinderOffset,
     BeamMisalignment,
+    GyroScale,
     ReferenceLeverArm,
     ReferenceYaw,
     ReferenceLatency,

@@ -73,6 +73,34 @@ class BeamMisalignment(Effect):
         return laser_share(observations, self.id, Parameter("excess", "1", typical=5e-4, largest=3.8e-3, sign=1))
 
 
+class GyroScale(Effect):
+    """A gyro measures (1 + k) times the turn: exactly what a track 1 + k times too wide makes of the wheels' turn."""
+
+    id = "gyro_scale"
+    title = "a gyro of wrong scale"
+    implausible = "the track width"
+    family = Family.INSTRUMENT
+    needs = "turns by a gyro"
+    separates = "a closed loop, or a turn of known angle"
+
+    def forms(self, observations: Observations) -> list[Form]:
+        """Return the single form; none where no gyro measured a turn."""
+        measured = observations.by_gyro & observations.usable[:, Channel.HEADING]
+        if not (measured & (np.abs(predict(observations).end[:, 2]) > LEAST_TURN_RAD)).any():
+            return []
+
+        def perturbations(path: Path) -> list[Perturbation]:
+            return [Perturbation.on_readings(path.s, heading=np.where(path.s.by_gyro, path.end[:, 2], 0.0))]
+
+        # a gyro of moderate price is stated within 1 %
+        parameter = Parameter("relative", "1", typical=5e-3, largest=3e-2)
+        return [Form(self.id, "", (parameter,), perturbations)]
+
+
+#: runs that turn by less say nothing of a scale
+LEAST_TURN_RAD: Final = 0.2
+
+
 class ReferenceLeverArm(Effect):
     """A point l = (l_x, l_y) of the vehicle is read instead of its origin: the position moves by R(theta) l - l."""
 

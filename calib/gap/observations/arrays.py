@@ -145,6 +145,7 @@ class Observations:
     start_pose: FloatArray
     common_frame: bool  #: whether places on the floor mean the same in all observations
     guided: BoolArray  #: shape (n_obs,): observations whose heading is that of a guided run, not a measured one
+    by_gyro: BoolArray  #: shape (n_obs,): observations whose turn a gyro measured
     sigmas_assumed: bool = False  #: whether a program filled in an instrument's uncertainty because nobody stated it
     notes: tuple[str, ...] = ()  #: what had to be omitted or assumed, in sentences
     #: whether the front wheel alone, or the way of the rear axle and the steering, drive the odometry: the two wheels

@@ -104,6 +104,7 @@ def assemble(setup: Setup, units: Sequence[Observation], notes: Sequence[str]) -
         start_pose=np.array([u.start_pose for u in units]),
         common_frame=_common_frame(campaign, setup.in_map),
         guided=guided,
+        by_gyro=np.array([u.by_gyro for u in units]),
         sigmas_assumed=_sigmas_assumed(campaign, usable),
         notes=tuple(remarks),
         by_front=stands_in and bool(np.isfinite(front).any()),

@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.model import Campaign
+from calib.campaign.references import GYRO_SIGMA, GYRO_TURN
 from calib.campaign.settings import OdometryModel, Reference
 from calib.campaign.wheels import on_one_axle, without_rear_wheels
 from calib.errors import RefusedError
@@ -237,7 +238,7 @@ def _units(recorded: list[Recorded], setup: Setup, *, into_windows: bool) -> tup
     for run in recorded:
         windows = cut(run, setup, length_m) if into_windows else []
         n_cut += bool(windows)
-        units.extend(windows or [_with_log_pose(run, setup)])
+        units.extend(windows or [_with_gyro(_with_log_pose(run, setup), setup)])
     notes = []
     if n_cut:
         notes.append(f"{n_cut} recordings with a continuous reference were cut into windows of about {length_m:.2g} m")
@@ -261,6 +262,17 @@ def _with_log_pose(run: Recorded, setup: Setup) -> Observation:
         part = observation_from_log(unit.run, run.log, inside, setup.per_rad)
         unit = replace(part, measured=np.full(4, np.nan))
     return whole(unit, reference, setup.campaign.reference)
+
+
+def _with_gyro(unit: Observation, setup: Setup) -> Observation:
+    """Return a run's unit with its turn by the gyro, where nothing else measured the heading at its end."""
+    runs = setup.campaign.runs
+    turn, sigma = (float(runs.number(name)[unit.run]) for name in (GYRO_TURN, GYRO_SIGMA))
+    if not (np.isnan(unit.measured[3]) and np.isfinite(turn)):
+        return unit
+    measured = unit.measured.copy()
+    measured[3] = turn
+    return replace(unit, measured=measured, sigma_theta_rad=sigma, by_gyro=True)
 
 
 def _rolled_outside_m(log: Mapping[str, FloatArray], rows: IntArray, inside: IntArray, setup: Setup) -> float:

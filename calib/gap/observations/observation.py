@@ -80,6 +80,7 @@ class Observation:
     sigma_start_rad: float = 0.0
     #: shape (3,): where the observation starts in the frame common to all runs; NaN where there is none
     start_pose: FloatArray = field(default_factory=lambda: _nan(3))
+    by_gyro: bool = False  #: whether a gyro measured its turn
     guided: bool = False  #: true where the heading is that of a guided run, not a measured one
 
     @property

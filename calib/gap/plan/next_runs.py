@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.model import Campaign
+from calib.campaign.references import CLOSED, GYRO_TURN
 from calib.campaign.settings import OdometryModel
 from calib.gap.effects.applied import matching_form
 from calib.gap.effects.calibration import DIRECTIONS, NAMES
@@ -88,11 +89,12 @@ def next_runs(
     driven = campaign.included()
     if model is not None:
         driven = replace(driven, model=model)
-    candidates = default_candidates(driven) if candidates is None else candidates
+    measured = _measured(driven)
+    candidates = default_candidates(driven, loops=not measured.poses) if candidates is None else candidates
     if not candidates:
         return []
     reference = PlannedRun("corridor", "out", temperature_C=usual_temperature_C(driven))
-    planned = drive(driven, [reference, *candidates], _measured(driven), _corridor_m(driven))
+    planned = drive(driven, [reference, *candidates], measured, _corridor_m(driven))
     observations = observations_of(joined(driven, planned))
     path = predict(observations)
     sizes = _sizes(observations, effects, fitted)
@@ -182,11 +184,14 @@ def _sizes(
 def _measured(campaign: Campaign) -> Measured:
     runs, logs = campaign.runs, campaign.logs
     front = logs.columns.get("counts_front")
+    closed = runs.label("loop") == CLOSED
     return Measured(
         distance=bool(np.isfinite(runs.number("distance_m")).any() or "range_m" in logs.columns),
-        poses=bool(np.isfinite(runs.number("ref_theta_rad")).any() or "ref_theta_rad" in logs.columns),
+        # what a closed loop measures, a mark on the floor does
+        poses=bool((np.isfinite(runs.number("ref_theta_rad")) & ~closed).any() or "ref_theta_rad" in logs.columns),
         front=front is not None and bool(np.isfinite(front).any()),
         log=bool(logs.present.any()),
+        gyro=bool(np.isfinite(runs.number(GYRO_TURN)).any()),
     )
 
 

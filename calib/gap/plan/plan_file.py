@@ -42,6 +42,7 @@ class _MeasuredSection(_Strict):
     poses: bool = True
     front: bool = False
     log: bool = True
+    gyro: bool = False
     corridor_m: float = Field(DEFAULT_CORRIDOR_M, ge=1.0, le=1000.0)
 
 
@@ -55,6 +56,7 @@ class _RunEntry(_Strict):
     count: int = Field(1, ge=1)
     direction: Literal["", "out", "back"] = ""
     session: str = ""
+    loop: Literal["", "closed"] = ""
     payload_kg: _NotNegative = 0.0
     payload_x_m: _Size = 0.0
     payload_y_m: _Size = 0.0

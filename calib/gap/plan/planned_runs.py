@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from calib.campaign.model import LABEL_COLUMNS, Campaign, Logs, RunTable
+from calib.campaign.references import CLOSED, GYRO_SIGMA, GYRO_TURN
 from calib.campaign.settings import FrontModel
 from calib.campaign.wheels import (
     STEERED,
@@ -46,6 +47,8 @@ CONDITIONS: Final = (
 )
 #: numbers that say something at zero too; no stop and a place over the axle's middle need no word
 SHOWN_AT_ZERO: Final = frozenset({"payload_kg", "speed_mps", "temperature_C", "minutes_under_load", "distance"})
+#: routes that end where they begin, heading as they did
+CLOSED_ROUTES: Final = ("square_cw", "square_ccw", "figure8")
 #: routes beside those of `calib simulate`, each with a mirror image to the right
 LEFT_ROUTES: Final = {
     "route_left": (straight(5.0), arc(3.0, 0.5 * np.pi), straight(5.0), arc(1.5, 0.5 * np.pi), straight(3.0)),
@@ -61,6 +64,7 @@ class Measured:
     poses: bool = True  #: reference pose at the end
     front: bool = False  #: counts and steering angle of the front wheel, in the log
     log: bool = True  #: a log at all
+    gyro: bool = False  #: turn of the run by a gyro
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +82,7 @@ class PlannedRun:
     minutes_under_load: float = float("nan")
     read_rolling: bool = False  #: the end is measured while the vehicle still rolls
     stops: int = 0  #: stops between start and end
+    loop: str = ""  #: ``closed``: it ends on the mark where it began
     columns: Mapping[str, float] = field(default_factory=dict)  #: further numeric columns
     why: str = ""  #: what the run would tell, where it is recommended
     #: then: standard deviations between the nearest confounded effects; None where no effects are confounded
@@ -127,11 +132,12 @@ def usual_temperature_C(campaign: Campaign) -> float:
     return float(np.nanmedian(temperature)) if np.isfinite(temperature).any() else float("nan")
 
 
-def default_candidates(campaign: Campaign) -> list[PlannedRun]:
+def default_candidates(campaign: Campaign, *, loops: bool = False) -> list[PlannedRun]:
     """Return candidate runs over routes, directions, payloads and their place, speeds, temperatures and dwell.
 
-    The largest payload is the campaign's own (twice the vehicle's mass where it carried none); temperatures vary by
-    10 K where the campaign records them.
+    `loops`: routes that end where they begin are closed loops, as a lab without a reference of poses measures them with
+    a mark on the floor. The largest payload is the campaign's own (twice the vehicle's mass where it carried none);
+    temperatures vary by 10 K where the campaign records them.
     """
     carried_kg = float(np.nan_to_num(campaign.runs.number("payload_kg")).max(initial=0.0))
     most_kg = carried_kg if carried_kg > 0.0 else 2.0 * campaign.vehicle.mass_kg
@@ -153,6 +159,7 @@ def default_candidates(campaign: Campaign) -> list[PlannedRun]:
             payload_x_m=x,
             payload_y_m=y,
             minutes_under_load=10.0 if payload else 0.0,
+            loop="closed" if loops and kind in CLOSED_ROUTES else "",
         )
         for (kind, direction), (payload, x, y), speed in product(routes, payloads, (0.3, 0.7))
     ]
@@ -186,9 +193,14 @@ def drive(
     numbers |= {name: np.array([log[name][-1] for log in logs]) for name in WHEEL_COLUMNS["rear"] if name in logs[0]}
     if measured.distance:
         numbers["distance_m"] = np.where(corridor, ends[:, 0], np.nan)
-    if measured.poses:
+    closed = np.array([run.loop == CLOSED for run in runs])
+    if measured.poses or closed.any():
         for number, name in enumerate(("ref_x_m", "ref_y_m", "ref_theta_rad")):
-            numbers[name] = ends[:, number]
+            numbers[name] = np.where(closed | measured.poses, ends[:, number], np.nan)
+    if measured.gyro:
+        sigma = campaign.runs.number(GYRO_SIGMA)
+        usual = float(np.nanmedian(sigma)) if np.isfinite(sigma).any() else campaign.reference.sigma_theta_rad
+        numbers |= {GYRO_TURN: ends[:, 2], GYRO_SIGMA: np.full(len(runs), usual)}
     for name in {name for run in runs for name in run.columns}:
         numbers[name] = np.array([float(run.columns.get(name, np.nan)) for run in runs])
     labels = {
@@ -196,6 +208,7 @@ def drive(
         "session": np.array([run.session for run in runs]),
         "kind": np.array([run.kind for run in runs]),
         "direction": np.array([run.direction for run in runs]),
+        "loop": np.array([run.loop for run in runs]),
     }
     table = RunTable(labels, numbers, np.zeros(len(runs), dtype=bool), np.arange(2, len(runs) + 2))
     return replace(campaign, runs=table, logs=_logs_of(logs, measured))

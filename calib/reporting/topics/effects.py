@@ -163,6 +163,7 @@ def next_runs_table(runs: Sequence[Mapping[str, Any]]) -> Table | Text:
 
 def _row(number: int, run: Mapping[str, Any]) -> tuple[str, ...]:
     extra = [f"{run['stops']} stops"] if run.get("stops") else []
+    extra += ["closed loop"] if run.get("loop") else []
     extra += ["read while rolling"] if run.get("read_rolling") else []
     what = " ".join([str(run["kind"]).replace("_", " "), str(run.get("direction", "")), *extra]).strip()
 

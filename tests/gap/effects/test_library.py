@@ -37,7 +37,9 @@ IDS = {name for path in Path(package.__file__).parent.glob("*.py") for name in k
 def rich() -> Observations:
     # every other straight run goes along a second lane
     runs = [replace(run, kind="corridor_b") if number % 6 == 3 else run for number, run in enumerate(rich_runs())]
-    return observations_of(with_outside_simulator(campaign(runs)))
+    made = observations_of(with_outside_simulator(campaign(runs)))
+    # a gyro measured the turns of every fourth
+    return replace(made, by_gyro=np.arange(len(made)) % 4 == 0)
 
 
 def test_every_effect_class_is_registered() -> None:

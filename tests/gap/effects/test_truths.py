@@ -26,8 +26,8 @@ from tests.gap.effects.truths.cases import CASES, ROLLING, RUNS, SLOPED, Case
 for _family in sorted(Path(__file__).with_name("truths").glob("*.py")):
     importlib.import_module(f"tests.gap.effects.truths.{_family.stem}")
 
-#: what is tried elsewhere: below, and in `test_encoder`
-ELSEWHERE = {"integration_scheme", "encoder_gross"}
+#: what is tried elsewhere: below, in `test_encoder` and in `tests.gap.test_unaided`
+ELSEWHERE = {"integration_scheme", "encoder_gross", "gyro_scale"}
 
 
 def form_of(s: Observations, effect: str, label: str = "") -> Form:
