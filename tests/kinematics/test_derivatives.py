@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from calib.kinematics.ackermann import RearShaft
 from calib.kinematics.drives import Differential, Drive, FrontWheel, Mecanum, Steps, integrate_motion
 from calib.kinematics.model import Model
 from calib.kinematics.recording import Recording
@@ -18,6 +21,7 @@ DRIVES = {
     "loaded": (Differential(0.05, 0.051, 0.4, slopes=True, slope_left_m_per_N=1e-6, slope_right_m_per_N=-2e-6), 2),
     "front": (FrontWheel(0.1, 1.1), 1),
     "mecanum": (Mecanum(0.07, 0.37), 4),
+    "shaft": (RearShaft(0.1, 1.1, slips=True), 1),
 }
 
 
@@ -27,19 +31,21 @@ def recording(n_wheels: int) -> Recording:
     turned = rng.uniform(0.02, 0.3, (n_wheels, n))
     offsets = np.array([0, 170, n])
     turned[:, offsets[:-1]] = 0.0
-    steps = Steps(turned, rng.uniform(-0.8, 0.8, n), rng.uniform(-200, 400, (2, n)))
+    steps = Steps(turned, rng.uniform(-0.8, 0.8, n), rng.uniform(-200, 400, (2, n)), rng.uniform(0.0, 2.0, n))
     reference = np.cumsum(rng.normal(size=(3, n)) * 0.1, axis=1)
     labels = np.array(["a", "b"])
     t_s = np.concatenate([np.arange(170), np.arange(130)]) * 0.05
-    return Recording(labels, labels, labels, offsets, t_s, steps, reference, np.full((2, 3), np.nan))
+    return Recording(labels, labels, labels, offsets, t_s, steps, reference, np.full((2, 3), np.nan), np.zeros(2, bool))
 
 
 @pytest.mark.parametrize("name", list(DRIVES))
 def test_the_jacobian_is_the_derivative(name: str) -> None:
     drive, n_wheels = DRIVES[name]
     record = recording(n_wheels)
-    model = Model(drive, record, window_segments(record, 4))
-    values = np.array([*(item.nominal for item in drive.parameters), 0.1, -0.05, 0.3, 0.0])
+    segments = window_segments(record, 4)
+    # a gyro measures the turn of every third
+    model = Model(drive, record, replace(segments, gyro=np.arange(len(segments)) % 3 == 0))
+    values = np.array([*(item.nominal for item in drive.parameters), 1.02, 0.1, -0.05, 0.3, 0.0])
     here = model.predict(values)
     for at in range(len(values) - 1):
         step = np.zeros(len(values))
@@ -56,8 +62,8 @@ def test_a_steady_twist_draws_its_arc(name: str) -> None:
     drive, n_wheels = DRIVES[name]
     values = np.array([item.nominal for item in drive.parameters])
     turned = np.tile(np.linspace(0.05, 0.2, n_wheels)[:, None], (1, 50))
-    steps = Steps(turned, np.full(50, 0.4), np.zeros((2, 50)))
-    fine = Steps(np.repeat(turned, 10, axis=1) / 10, np.full(500, 0.4), np.zeros((2, 500)))
+    steps = Steps(turned, np.full(50, 0.4), np.zeros((2, 50)), np.full(50, 0.5))
+    fine = Steps(np.repeat(turned, 10, axis=1) / 10, np.full(500, 0.4), np.zeros((2, 500)), np.full(500, 0.5))
     coarse_end, fine_end = (integrate_motion(drive.motion(values, one)).pose[:, -1] for one in (steps, fine))
     np.testing.assert_allclose(coarse_end, fine_end, atol=1e-12)
 
