@@ -78,11 +78,12 @@ def geometry(
     RefusedError
         Where no run has both wheels and a reference.
     """
-    from calib.kinematics.estimate import estimate_geometry, paths_of
+    from calib.kinematics.estimate import estimate_geometry
+    from calib.kinematics.traces import traces_of
 
     campaign = opened(campaign)
     estimated = estimate_geometry(campaign, using=using, kinds=kinds, leave_out=leave_out)
-    return replace(estimated, paths=paths_of(campaign, estimated))
+    return replace(estimated, paths=traces_of(campaign, estimated))
 
 
 @checked

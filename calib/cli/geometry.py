@@ -91,9 +91,9 @@ def _choice(option: str, given: str | None, known: dict[str, str]) -> Any:
 
 
 def _draw(estimated: Geometry, read: Campaign, folder: Path, json: str | None, *, force: bool) -> None:
-    from calib.kinematics.estimate import paths_of
-    from calib.reporting.figures.motion import draw_paths
+    from calib.kinematics.traces import traces_of
+    from calib.reporting.figures.geometry import draw_paths
     from calib.reporting.figures.style import write_figures
 
-    figure = draw_paths(paths_of(read, estimated), simulated=estimated.simulated)
+    figure = draw_paths(traces_of(read, estimated), simulated=estimated.simulated)
     wrote(write_figures({PICTURE: figure}, folder, force=force), target=json)

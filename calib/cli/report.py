@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,6 +16,7 @@ from calib.io import refuse_existing
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign
     from calib.gap.decision.diagnosis import Diagnosis
+    from calib.kinematics.result import Geometry
     from calib.reporting.content import Report
     from calib.types import Progress
 
@@ -49,14 +50,14 @@ def run(
 
     The [report] section of campaign.toml states laboratory, customer, vehicle, instruments and dates. Exit status 1
     where a check says that the law should not be used as it is; the report is written all the same and says so.
-    With --diagnosis, runs that allow no law, as loops do, still give a report of the diagnosis.
+    Runs that allow no law, as loops do, give a report of their geometry.
 
     Example: calib report sample_runs/corridor_crossed --into corridor_crossed.pdf --date 2025-03-31
     """
     from calib.io import write_bytes, write_text
     from calib.reporting.content import place_of
     from calib.reporting.figures.style import write_figures
-    from calib.reporting.next_step import after_diagnosis, after_report
+    from calib.reporting.next_step import after_diagnosis, after_geometry, after_report
     from calib.reporting.pdf import to_pdf
     from calib.reporting.source import issue_date
 
@@ -72,23 +73,30 @@ def run(
         write_bytes(target, to_pdf(report, tick), force=force)
     if html is not None:
         write_text(html, page, force=force)
-    _tell(report, target, html, f"{len(drawn)} figure files to {figures}" if drawn else "", json)
-    verdict = content.diagnosis
-    say(after_report(report.passed, source) if verdict is None else after_diagnosis(verdict, source), target=json)
+    _tell(content, target, html, f"{len(drawn)} figure files to {figures}" if drawn else "", json)
+    if content.diagnosis is not None:
+        following = after_diagnosis(content.diagnosis, source)
+    elif content.geometry is not None:
+        following = after_geometry(content.geometry, source, None)
+    else:
+        following = after_report(report.passed, source)
+    say(following, target=json)
     document: dict[str, Any] = {"file": str(target), "figures": [str(path) for path in drawn], **report.to_dict()}
     emit_json(document, json, force=force)
     return 0 if report.passed else 1
 
 
-def _tell(report: Report, target: Path, html: Path | None, drawn: str, json: str | None) -> None:
-    """Say what was written, and whether the law can be used."""
+def _tell(content: _Content, target: Path, html: Path | None, drawn: str, json: str | None) -> None:
+    """Say what was written, and whether the law or the geometry can be used."""
+    report, geometry = content.report, content.geometry
     marked = ", simulated data" if report.simulated else ""
     wrote([], target=json, what=f"{target} (report {report.report_id}{marked})")
     wrote([] if html is None else [html], target=json)
     if drawn:
         wrote([], target=json, what=drawn)
     if not report.passed:
-        say("A check failed: the law should not be used as it is; the report says why.", target=json)
+        what = "law" if geometry is None else "geometry"
+        say(f"A check failed: the {what} should not be used as it is; the report says why.", target=json)
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +106,7 @@ class _Content:
     report: Report
     diagnosis: Diagnosis | None = None
     campaign: Campaign | None = None
+    geometry: Geometry | None = None
 
 
 def _refuse_targets(source: Path, into: Path | None, figures: Path | None, *, force: bool) -> None:
@@ -115,21 +124,15 @@ def _refuse_targets(source: Path, into: Path | None, figures: Path | None, *, fo
 
 
 def _content(path: Path, issued: str, accept: str, seed: int | None, tick: Progress) -> _Content:
-    """Return the report; runs that allow no law give one of the diagnosis alone, where it is asked for by its seed."""
-    from calib.campaign.read import read_campaign
+    """Return the report; runs that allow no law give one of the geometry, with the diagnosis where its seed asks."""
     from calib.gap.diagnose import diagnose_in_full
-    from calib.reporting.content import compose, diagnosis_report
+    from calib.reporting.content import compose
     from calib.reporting.source import source_of
 
     try:
         source, campaign = source_of(path, issued=issued, accept=accept, progress=tick)
     except RefusedError as error:
-        if seed is None:
-            raise
-        read = read_campaign(path, progress=tick)
-        diagnosis = diagnose_in_full(read, seed=seed, progress=tick)
-        why = str(error).removeprefix(f"{path}: ")
-        return _Content(diagnosis_report(read, diagnosis, issued=issued, why=why), diagnosis, read)
+        return _without_law(path, error, issued, accept, seed, tick)
     if seed is None:
         return _Content(compose(source))
     if campaign is None:
@@ -138,6 +141,34 @@ def _content(path: Path, issued: str, accept: str, seed: int | None, tick: Progr
         )
     diagnosis = diagnose_in_full(campaign, seed=seed, progress=tick)
     return _Content(compose(source.with_diagnosis(diagnosis)), diagnosis, campaign)
+
+
+def _without_law(
+    path: Path, refusal: RefusedError, issued: str, accept: str, seed: int | None, tick: Progress
+) -> _Content:
+    """Return the report on runs that allow no law: of their geometry, and of the diagnosis where it is asked for."""
+    from calib.campaign.read import read_campaign
+    from calib.coefficients.build import from_geometry
+    from calib.gap.diagnose import diagnose_in_full
+    from calib.kinematics.estimate import estimate_geometry
+    from calib.kinematics.traces import traces_of
+    from calib.reporting.content import diagnosis_report
+    from calib.reporting.geometry_report import geometry_report
+
+    read = read_campaign(path, progress=tick)
+    diagnosis = None if seed is None else diagnose_in_full(read, seed=seed, progress=tick)
+    why = str(refusal).removeprefix(f"{path}: ")
+    try:
+        estimated = estimate_geometry(read, progress=tick)
+    except RefusedError:
+        if diagnosis is None:
+            raise refusal from None
+        return _Content(diagnosis_report(read, diagnosis, issued=issued, why=why), diagnosis, read)
+    estimated = replace(estimated, paths=traces_of(read, estimated))
+    passed_on = estimated.passed or bool(accept)
+    file = from_geometry(estimated, read, created=issued, accept=accept).to_bytes() if passed_on else None
+    report = geometry_report(read, estimated, issued=issued, why=why, coefficients=file, diagnosis=diagnosis)
+    return _Content(report, diagnosis, read, estimated)
 
 
 def _page(content: _Content, tick: Progress) -> str:

@@ -14,11 +14,10 @@ from calib.kinematics.assemble import geometry_of, of_kinds
 from calib.kinematics.blunder_search import find_blunder
 from calib.kinematics.blunders import Fault, put_right
 from calib.kinematics.delays import Delay, own_delays, sought_delays
-from calib.kinematics.drives import integrate_motion, moved_between
 from calib.kinematics.joint_fit import Fitted, drive_of, fit_parameters
 from calib.kinematics.model import Model
 from calib.kinematics.recording import Recording, recording_of
-from calib.kinematics.result import Geometry, RunPath, Transfer
+from calib.kinematics.result import Geometry, Transfer
 from calib.kinematics.segments import Segments, end_pose_segments, window_segments
 from calib.kinematics.uncertainty import ENOUGH_RUNS
 from calib.types import FloatArray, Progress, silent, stepped
@@ -255,30 +254,3 @@ def _transfer(
         ]
         rows.append(Transfer(str(label), len(tried), errors[0], errors[1]))
     return tuple(rows)
-
-
-def paths_of(campaign: Campaign, geometry: Geometry) -> tuple[RunPath, ...]:
-    """Return the paths of the runs of a campaign.
-
-    `campaign`: the one that was calibrated.
-    """
-    recording, _ = recordings_put_right(campaign, geometry.source)
-    drive = drive_of(campaign, geometry.source, recording)
-    values = geometry.values
-    nominal = np.array([item.nominal for item in drive.parameters])
-    fitted = np.array([values.get(item.name, item.nominal) for item in drive.parameters])
-    poses = [integrate_motion(drive.motion(at, recording.steps)).pose for at in (nominal, fitted)]
-    paths = []
-    for run in range(len(recording)):
-        part = slice(int(recording.offsets[run]), int(recording.offsets[run + 1]))
-        before, after = (_from_start(pose[:, part]) for pose in poses)
-        seen = recording.reference[:, part]
-        seen = seen[:, np.isfinite(seen).all(axis=0)]
-        reference = _from_start(seen) if seen.shape[1] > 1 else recording.end_pose[run : run + 1, :2]
-        paths.append(RunPath(str(recording.run_id[run]), str(recording.kind[run]), before, after, reference))
-    return tuple(paths)
-
-
-def _from_start(pose: FloatArray) -> FloatArray:
-    samples = np.arange(pose.shape[1])
-    return np.asarray(moved_between(pose, np.zeros_like(samples), samples)[:, :2])

@@ -14,7 +14,7 @@ from calib.kinematics.delays import Delay
 from calib.kinematics.umbmark import Umbmark
 from calib.kinematics.uncertainty import Freedom
 from calib.result import Result
-from calib.types import FloatArray
+from calib.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -80,17 +80,28 @@ class Transfer:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RunPath:
-    """One run: its path by nominal and calibrated odometry and by the reference, in its own start frame."""
+class RunTrace:
+    """One run: the sensor's path by nominal and calibrated odometry, and by the reference, laid on one another.
+
+    Along the way the paths are turned and shifted onto the reference as a whole, since its first pose is as noisy as
+    any; of an end pose alone they begin at the start.
+    """
 
     #: labels
     run_id: str
     kind: str
-    #: x and y in m, shape (n_samples, 2)
-    before: FloatArray
-    after: FloatArray
-    #: along the way, or the end pose alone, shape (n_poses, 2)
-    reference: FloatArray
+    #: x and y of the sensor in m, shape (n_samples, 2)
+    before_m: FloatArray
+    after_m: FloatArray
+    #: samples that the reference measured; the last one where it is an end pose, shape (n_poses,)
+    seen: IntArray
+    #: time of these samples, shape (n_poses,)
+    t_s: FloatArray
+    #: x and y of the sensor by the reference, NaN where it measured headings alone, shape (n_poses, 2)
+    reference_m: FloatArray
+    #: measured less predicted: along and to the left of the path in m, heading in rad, shape (n_poses, 3)
+    left_before: FloatArray
+    left_after: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -142,7 +153,7 @@ class Geometry(Result):
     #: path of an input -> its SHA-256
     inputs: Mapping[str, str] = field(default_factory=dict)
     #: paths before and after, for a figure; empty where nobody asked
-    paths: tuple[RunPath, ...] = ()
+    paths: tuple[RunTrace, ...] = ()
     #: degrees of freedom of sums of the estimates; None: those of the estimates themselves hold
     freedom: Freedom | None = None
     #: whether the estimates are to be used, with the figures and reasons; None where nobody judged

@@ -86,7 +86,7 @@ def _fit(fit: Fit) -> Figures:
 
 
 def _geometry(geometry: Geometry) -> Figures:
-    return {"paths": partial(drawn, "motion.draw_paths", geometry.paths, simulated=geometry.simulated)}
+    return {"paths": partial(drawn, "geometry.draw_paths", geometry.paths, simulated=geometry.simulated)}
 
 
 def _diagnosis(diagnosis: Diagnosis) -> Figures:

@@ -30,16 +30,24 @@ _ROUTE: Final = (
 
 def geometry_content(geometry: Geometry) -> tuple[Block, ...]:
     """Return the result as blocks."""
-    blocks: list[Block] = [Text(_heading(geometry)), *items(verdict_sentences(geometry))]
-    parameters = [_cells(estimate) for estimate in geometry.estimates]
-    blocks.append(_table("Parameters, with 95 % intervals.", _HEADER, parameters))
+    blocks: list[Block] = [Text(_heading(geometry)), *items(verdict_sentences(geometry)), parameter_table(geometry)]
     blocks += items(geometry_sentences(geometry))
+    return (*blocks, *route_tables(geometry))
+
+
+def parameter_table(geometry: Geometry) -> Table:
+    """Return the parameters with their intervals."""
+    return _table("Parameters, with 95 % intervals.", _HEADER, [_cells(estimate) for estimate in geometry.estimates])
+
+
+def route_tables(geometry: Geometry) -> tuple[Table, ...]:
+    """Return the residuals by route, and those of held-out runs where there are any."""
     routes = [_route_cells(route) for route in geometry.routes]
-    blocks.append(_table("Residuals by route: root mean square of position and heading.", _ROUTE, routes))
+    tables = [_table("Residuals by route: root mean square of position and heading.", _ROUTE, routes)]
     if geometry.transfer:
         rows = [_transfer_cells(row) for row in geometry.transfer]
-        blocks.append(_table("End position error of held-out runs, in mm.", _TRANSFER, rows))
-    return tuple(blocks)
+        tables.append(_table("End position error of held-out runs, in mm.", _TRANSFER, rows))
+    return tuple(tables)
 
 
 def _table(caption: str, header: tuple[str, ...], rows: list[tuple[str, ...]]) -> Table:
@@ -65,16 +73,18 @@ def verdict_sentences(geometry: Geometry) -> list[str]:
     errors = asdict(geometry.judgement.adequacy)
     parts = [
         f"{what} {before} before, {after} after, {held_out} on held-out runs; noise {noise}"
-        for what, prefix, unit in (("position error", "", "m"), ("heading error", "heading_", "rad"))
+        for what, prefix, unit in (("position error", "", "m"), ("Heading error", "heading_", "rad"))
         if errors[f"{prefix}before_rms_{unit}"]
         for before, after, held_out, noise in [
-            [
-                f"{1e3 * errors[f'{prefix}{at}_rms_{unit}']:.3g} m{unit}"
-                for at in ("before", "after", "held_out", "noise")
-            ]
+            [f"{_milli(errors[f'{prefix}{at}_rms_{unit}'])} m{unit}" for at in ("before", "after", "held_out", "noise")]
         ]
     ]
     return [f"{verdict}: {'. '.join(parts)}.", *(f"{text[0].upper()}{text[1:]}." for text in geometry.why)]
+
+
+def _milli(value: float) -> str:
+    """Return a value in thousandths with three digits, never as a power of ten."""
+    return f"{1e3 * value:.3g}" if value < 1.0 else f"{1e3 * value:.0f}"
 
 
 def geometry_sentences(geometry: Geometry) -> list[str]:

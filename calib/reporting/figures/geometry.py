@@ -1,0 +1,177 @@
+"""Figures of a geometry: paths coloured by error, residuals in time, and how parameters correlate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+
+from calib.kinematics.result import RunTrace
+from calib.reporting.figures.style import (
+    BLUE,
+    GREY,
+    INK,
+    PALETTE,
+    axes_grid,
+    canvas,
+    shared_legend,
+    styled,
+)
+from calib.types import FloatArray
+
+COLUMNS: Final = 3
+PANEL_CM: Final = 5.6
+LONE_PANEL_CM: Final = 8.5
+#: paths drawn a panel; more of one kind lie on one another
+MOST_PATHS: Final = 12
+#: runs with residuals in time drawn in a figure; more say the same
+MOST_RUNS: Final = 6
+#: share of the errors that the colours span: a single failed measurement does not bleach the others
+SPANNED: Final = 98.0
+#: channels of a residual: title, unit, factor
+CHANNELS: Final = (("along", "mm", 1e3), ("lateral", "mm", 1e3), ("heading", "mrad", 1e3))
+
+
+@styled
+def draw_paths(traces: Sequence[RunTrace], *, simulated: bool = False) -> Figure:
+    """Draw the sensor's paths by kind of route: nominal and calibrated odometry, and the reference.
+
+    The calibrated path is coloured by its distance from the reference. `simulated`: say that a program made the data.
+    """
+    kinds = list(dict.fromkeys(trace.kind for trace in traces))
+    rows = -(-len(kinds) // COLUMNS)
+    figure = canvas((PANEL_CM if len(kinds) > 1 else LONE_PANEL_CM) * rows + 1.2)
+    grid = axes_grid(figure, rows, min(COLUMNS, len(kinds))).ravel()
+    errors = [1e3 * np.hypot(*trace.left_after[:, :2].T) for trace in traces]
+    known = np.concatenate([error[np.isfinite(error)] for error in errors]) if errors else np.zeros(0)
+    scale = Normalize(0.0, float(np.percentile(known, SPANNED)) if len(known) else 1.0)
+    handles: dict[str, Any] = {}
+    colours = None
+    for axes, kind in zip(grid, kinds, strict=False):
+        chosen = [(trace, error) for trace, error in zip(traces, errors, strict=True) if trace.kind == kind]
+        for trace, error in chosen[:MOST_PATHS]:
+            (line,) = axes.plot(*trace.before_m.T, color=GREY, lw=0.7, alpha=0.7, label="odometry before")
+            handles.setdefault("odometry before", line)
+            colours = _coloured(axes, trace, error, scale) or colours
+            (line,) = axes.plot(*trace.reference_m.T, color=INK, lw=0.6, ls=":", label="reference")
+            axes.plot(*trace.reference_m[-1:].T, "o", color=INK, ms=2.5)
+            handles.setdefault("reference", line)
+        axes.set_title(f"{kind or 'all runs'} ({len(chosen)})")
+        axes.set_aspect("equal", adjustable="datalim")
+        axes.set(xlabel="x (m)", ylabel="y (m)")
+        axes.autoscale_view()
+    for axes in grid[len(kinds) :]:
+        axes.set_axis_off()
+    if colours is not None:
+        figure.colorbar(colours, ax=list(grid), label="odometry after: distance from the reference (mm)", shrink=0.8)
+    shared_legend(figure, list(handles.values()), list(handles))
+    if simulated:
+        figure.text(0.99, 0.01, "SIMULATED DATA", ha="right", color=GREY)
+    return figure
+
+
+def _coloured(axes: Axes, trace: RunTrace, error_mm: FloatArray, scale: Normalize) -> LineCollection | None:
+    """Draw the calibrated path in the colours of its error; in one colour where only its end was measured."""
+    if len(trace.seen) < 2:
+        axes.plot(*trace.after_m.T, color=BLUE, lw=1.0)
+        axes.scatter(
+            trace.after_m[-1:, 0],
+            trace.after_m[-1:, 1],
+            c=np.nan_to_num(error_mm),
+            norm=scale,
+            cmap="viridis",
+            s=14,
+            zorder=3,
+        )
+        return None
+    points = trace.after_m[trace.seen]
+    pieces = np.stack([points[:-1], points[1:]], axis=1)
+    lines = LineCollection(list(pieces), norm=scale, cmap="viridis", linewidths=1.4)
+    lines.set_array(np.nan_to_num(0.5 * (error_mm[1:] + error_mm[:-1])))
+    axes.add_collection(lines)
+    return lines
+
+
+@styled
+def residuals_in_time(traces: Sequence[RunTrace]) -> Figure:
+    """Draw what is left of each run along the way, before (grey) and after: a row a run, a column a channel."""
+    chosen = [trace for trace in traces if len(trace.seen) > 1][:MOST_RUNS]
+    figure = canvas(1.55 * len(chosen) + 1.6)
+    grid = axes_grid(figure, len(chosen), 3, sharex=True, sharey="col")
+    limits = _limits(chosen)
+    for place, (row, trace) in enumerate(zip(grid, chosen, strict=True)):
+        for number, (axes, (title, unit, factor)) in enumerate(zip(row, CHANNELS, strict=True)):
+            axes.plot(trace.t_s, factor * trace.left_before[:, number], color=GREY, lw=0.6)
+            axes.plot(trace.t_s, factor * trace.left_after[:, number], color=BLUE, lw=0.8)
+            axes.set_ylim(-limits[number], limits[number])
+            if place == 0:
+                axes.set_title(f"{title} ({unit})")
+            if place == len(chosen) - 1:
+                axes.set_xlabel("time (s)")
+        row[0].set_ylabel(trace.run_id)
+    handles = [grid[0, 0].lines[1], grid[0, 0].lines[0]]
+    shared_legend(figure, handles, ["after", "before, cut off where it is larger"])
+    return figure
+
+
+def _limits(traces: Sequence[RunTrace]) -> list[float]:
+    """Return the limit of each channel: what the residuals after need, so that they can be seen."""
+    left = np.concatenate([np.abs(trace.left_after) for trace in traces])
+    limits = []
+    for values, (_, _, factor) in zip(left.T, CHANNELS, strict=True):
+        known = values[np.isfinite(values)]
+        limits.append(1.3 * factor * float(np.percentile(known, 99.5)) if len(known) and known.any() else 1.0)
+    return limits
+
+
+@styled
+def residuals_by_run(traces: Sequence[RunTrace]) -> Figure:
+    """Draw what is left at the end of each run in the order driven, before above and after below, by kind of route."""
+    figure = canvas(9.0)
+    grid = axes_grid(figure, 2, 3, sharex=True)
+    kinds = list(dict.fromkeys(trace.kind for trace in traces))
+    order = np.arange(1, len(traces) + 1)
+    handles: dict[str, Any] = {}
+    for row, word, values in (
+        (grid[0], "before", [trace.left_before[-1] for trace in traces]),
+        (grid[1], "after", [trace.left_after[-1] for trace in traces]),
+    ):
+        table = np.array(values)
+        for number, (axes, (title, unit, factor)) in enumerate(zip(row, CHANNELS, strict=True)):
+            for at, kind in enumerate(kinds):
+                of_kind = np.array([trace.kind == kind for trace in traces])
+                colour = PALETTE[at % len(PALETTE)]
+                (dots,) = axes.plot(order[of_kind], factor * table[of_kind, number], "o", color=colour, ms=2.8)
+                handles.setdefault(kind or "all runs", dots)
+            axes.axhline(0.0, color=INK, lw=0.5)
+            axes.set_title(f"{word}: {title} ({unit})")
+            if word == "after":
+                axes.set_xlabel("run, in the order driven")
+    shared_legend(figure, list(handles.values()), list(handles))
+    return figure
+
+
+@styled
+def correlations(names: Sequence[str], covariance: FloatArray) -> Figure:
+    """Draw the correlation of every two parameters, its number in the cell."""
+    std = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.outer(std, std)
+    size = len(names)
+    figure = canvas(min(0.58 * size + 2.4, 8.6), 12.5)
+    axes = figure.subplots()
+    axes.imshow(np.abs(correlation), cmap="Blues", vmin=0.0, vmax=1.6)
+    for row in range(size):
+        for column in range(size):
+            strong = row != column and abs(correlation[row, column]) > 0.9
+            text = f"{correlation[row, column]:.2f}".replace("-", "\u2212")
+            weight = "bold" if strong else "normal"
+            axes.text(column, row, text, ha="center", va="center", color=INK, fontsize=6.0, fontweight=weight)
+    axes.set_xticks(range(size), names, rotation=45, ha="right")
+    axes.set_yticks(range(size), names)
+    axes.grid(visible=False)
+    return figure

@@ -1,0 +1,204 @@
+"""Report on a geometry: verdict, parameters, what they leave, what was not determined; a diagnosis where asked."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from calib import __version__
+from calib.campaign.checks.design import assumed_settings
+from calib.documents import to_json
+from calib.kinematics.adequacy import GeometryVerdict
+from calib.reporting.blocks import Block, Facts, Items, Notice, Picture, Section, Text, drawn, items
+from calib.reporting.content import Attachment, Report, head_of, number_of
+from calib.reporting.formatting import prose
+from calib.reporting.source import logo_of, signatures_of, stated_of, verdict_document
+from calib.reporting.topics.conditions import assumed_text
+from calib.reporting.topics.geometry import geometry_sentences, parameter_table, route_tables, verdict_sentences
+
+if TYPE_CHECKING:
+    from calib.campaign.model import Campaign
+    from calib.gap.decision.diagnosis import Diagnosis
+    from calib.kinematics.result import Geometry, RunTrace
+
+#: verdict -> level of its notice
+LEVELS: Final = {GeometryVerdict.CALIBRATED: "good", GeometryVerdict.DOUBTFUL: "note", GeometryVerdict.WRONG: "bad"}
+
+
+def geometry_report(
+    campaign: Campaign,
+    geometry: Geometry,
+    *,
+    issued: str,
+    why: str,
+    coefficients: bytes | None = None,
+    diagnosis: Diagnosis | None = None,
+) -> Report:
+    """Return the report on a geometry.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        What was driven.
+    geometry : Geometry
+        Its estimate, with the traces of the runs in ``paths``.
+    issued : str
+        Date of issue, YYYY-MM-DD.
+    why : str
+        Why the runs give no radius law, a sentence without its full stop.
+    coefficients : bytes, optional
+        Coefficient file, attached; None where the geometry is not passed on.
+    diagnosis : Diagnosis, optional
+        Has a section of its own and is attached.
+    """
+    content = {
+        "inputs": dict(campaign.hashes),
+        "campaign": campaign.name,
+        "version": __version__,
+        "geometry": geometry.to_dict(),
+        "gap": None if diagnosis is None else verdict_document(diagnosis),
+    }
+    number = number_of("GR", to_json(content))
+    stated = stated_of(campaign)
+    reason = Section("Radius law", (Notice("note", "These runs give no radius law", prose(why.rstrip(".")) + "."),))
+    sections = [*_sections(geometry), *_diagnosis_sections(diagnosis), reason, _limits(campaign, coefficients)]
+    return Report(
+        report_id=number,
+        title="Geometry of a vehicle: radii, track and sensor",
+        name=campaign.name,
+        issued=issued,
+        simulated=campaign.simulated,
+        passed=geometry.passed,
+        author=stated.get("laboratory", ""),
+        head=head_of(number, issued, stated),
+        signatures=signatures_of(stated),
+        logo=logo_of(campaign),
+        sections=tuple(sections),
+        attachments=_attachments(geometry, coefficients, diagnosis),
+    )
+
+
+def _sections(geometry: Geometry) -> list[Section]:
+    """Return the result, what it leaves, and how the parameters correlate."""
+    verdict = geometry.verdict
+    first, *further = verdict_sentences(geometry)
+    result: list[Block] = [
+        Notice(LEVELS[verdict], f"Geometry {verdict.value}", prose(_capital(first.partition(": ")[2]))),
+        *items(map(prose, further)),
+        Facts(_facts(geometry)),
+        parameter_table(geometry),
+        *items(map(prose, geometry_sentences(geometry))),
+    ]
+    left: list[Block] = [*_path_pictures(geometry.paths), *_residual_pictures(geometry.paths), *route_tables(geometry)]
+    sections = [Section("Result", tuple(result)), Section("What is left", tuple(left))]
+    if len(geometry.estimates) > 1:
+        sections.append(Section("Correlation of the parameters", tuple(_correlation(geometry))))
+    return sections
+
+
+def _capital(sentence: str) -> str:
+    return sentence[:1].upper() + sentence[1:]
+
+
+def _facts(geometry: Geometry) -> tuple[tuple[str, str], ...]:
+    """Return what the estimate was made from."""
+    of, n = geometry.clusters
+    stretches = "end poses of whole runs" if geometry.using == "end_poses" else f"{geometry.n_segments} windows"
+    open_parameters = ", ".join(geometry.undetermined) or "none"
+    return (
+        ("Drive", geometry.drive),
+        ("Runs", f"{geometry.n_runs}, by {stretches}"),
+        ("Intervals", f"95 %, from {n} {of}s"),
+        ("Not determined", open_parameters),
+        ("Outliers", ", ".join(geometry.outliers) or "none"),
+    )
+
+
+def _path_pictures(traces: tuple[RunTrace, ...]) -> list[Picture]:
+    measured = [trace for trace in traces if np.isfinite(trace.reference_m).any()]
+    if not measured:
+        return []
+    largest = max(float(np.nanmax(np.hypot(*trace.left_after[:, :2].T), initial=0.0)) for trace in measured)
+    return [
+        Picture(
+            "geometry-paths",
+            "Paths of the reference's sensor: by the calibrated odometry, coloured by its distance from the reference; "
+            "by the nominal odometry in grey; by the reference, dotted.",
+            f"Paths of {len(measured)} runs; the calibrated ones at most {1e3 * largest:.3g} mm from the reference",
+            partial(drawn, "geometry.draw_paths", measured),
+        )
+    ]
+
+
+def _residual_pictures(traces: tuple[RunTrace, ...]) -> list[Picture]:
+    along = [trace for trace in traces if len(trace.seen) > 1]
+    pictures = []
+    if along:
+        pictures.append(
+            Picture(
+                "geometry-residuals-in-time",
+                "Residuals along the way, measured less predicted, of the first runs; in grey by the nominal odometry.",
+                f"Residuals along, lateral and in heading against time, of {len(along)} runs",
+                partial(drawn, "geometry.residuals_in_time", along),
+            )
+        )
+    if len(traces) > len(along):
+        pictures.append(
+            Picture(
+                "geometry-residuals-by-run",
+                "Residuals at the end of each run, measured less predicted, in the order driven.",
+                f"Residuals of {len(traces)} end poses before and after",
+                partial(drawn, "geometry.residuals_by_run", [trace for trace in traces if len(trace.seen) < 2]),
+            )
+        )
+    return pictures
+
+
+def _correlation(geometry: Geometry) -> list[Block]:
+    names = [estimate.name for estimate in geometry.estimates]
+    return [
+        Text(
+            "Parameters that correlate beyond 0.9, in bold, are known better together than each by itself.", small=True
+        ),
+        Picture(
+            "geometry-correlation",
+            "Correlation of the parameters.",
+            f"Correlation of {', '.join(names)}",
+            partial(drawn, "geometry.correlations", names, geometry.covariance),
+        ),
+    ]
+
+
+def _diagnosis_sections(diagnosis: Diagnosis | None) -> list[Section]:
+    if diagnosis is None:
+        return []
+    from calib.reporting.figures.gap import GapArrays
+    from calib.reporting.topics.diagnosis import gap_section
+
+    return [gap_section(diagnosis, GapArrays.of(diagnosis))]
+
+
+def _limits(campaign: Campaign, coefficients: bytes | None) -> Section:
+    """Return what the report does not cover."""
+    sentences = [
+        "No law of the load is stated: the radii hold for the loads of these runs.",
+        "The estimates hold for the vehicle, floor, speeds and reference of these runs.",
+    ]
+    if coefficients is None:
+        sentences.append("No coefficient file is attached, since the geometry is not passed on.")
+    return Section(
+        "What this report does not cover", (Items(tuple(sentences)), assumed_text(assumed_settings(campaign)))
+    )
+
+
+def _attachments(geometry: Geometry, coefficients: bytes | None, diagnosis: Diagnosis | None) -> tuple[Attachment, ...]:
+    files = [("geometry.json", to_json(geometry.to_dict()).encode(), "Estimates, covariance and verdict")]
+    if coefficients is not None:
+        files.append(
+            ("coefficients.json", coefficients, "Radii, lengths and their covariance, as the vehicle loads it")
+        )
+    if diagnosis is not None:
+        files.append(("diagnosis.json", to_json(verdict_document(diagnosis)).encode(), "Verdict of the diagnosis"))
+    return tuple(Attachment(name, data, "application/json", description) for name, data, description in files)

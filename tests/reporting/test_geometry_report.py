@@ -1,0 +1,125 @@
+"""Report on a geometry: a perfect calibration looks perfect, an imperfect one does not; what the pages say."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.campaign.model import Campaign
+from calib.campaign.write import write_campaign
+from calib.cli.main import run as calib
+from calib.kinematics.estimate import estimate_geometry
+from calib.kinematics.result import Geometry, RunTrace
+from calib.kinematics.traces import traces_of
+from calib.reporting.blocks import Facts, Notice, Picture
+from calib.reporting.content import Report
+from calib.reporting.geometry_report import geometry_report
+from tests.kinematics.campaigns import Leg, Truth, campaign, square
+
+#: noise of the reference
+SIGMA_M, SIGMA_RAD = 5e-4, 5e-4
+TRUTH = Truth(sensor=(0.15, -0.03, 0.2), delay_s=0.05)
+
+
+@pytest.fixture(scope="module")
+def along() -> Campaign:
+    """Ten free recordings by a sensor well off the axle, turned and late."""
+    rng = np.random.default_rng(1)
+    legs: list[list[Leg]] = [[(1.0, turn) for turn in rng.uniform(-1.5, 1.5, 16)] for _ in range(10)]
+    routes = [("free", one) for one in legs]
+    return campaign(routes, TRUTH, rng, sigma=(SIGMA_M, SIGMA_RAD), along=True, samples=400)
+
+
+@pytest.fixture(scope="module")
+def squares() -> Campaign:
+    rng = np.random.default_rng(2)
+    routes = [(f"square{sense}", square(2.0, sense)) for sense in (1, -1) for _ in range(6)]
+    return campaign(routes, Truth(), rng, sigma=(SIGMA_M, SIGMA_RAD))
+
+
+@pytest.fixture(scope="module")
+def estimated(along: Campaign) -> Geometry:
+    found = estimate_geometry(along, using="windows")
+    return replace(found, paths=traces_of(along, found))
+
+
+def rms(traces: tuple[RunTrace, ...], channel: int, *, before: bool = False) -> float:
+    left = np.concatenate([trace.left_before if before else trace.left_after for trace in traces])
+    return float(np.sqrt(np.nanmean(left[:, channel] ** 2)))
+
+
+def test_a_perfect_calibration_looks_perfect(estimated: Geometry) -> None:
+    """What is left along the way is the reference's own noise: of the sensor, at its time, laid on the reference."""
+    assert rms(estimated.paths, 0) == pytest.approx(SIGMA_M, rel=0.15)
+    assert rms(estimated.paths, 1) == pytest.approx(SIGMA_M, rel=0.15)
+    assert rms(estimated.paths, 2) == pytest.approx(SIGMA_RAD, rel=0.15)
+    assert rms(estimated.paths, 0, before=True) > 20.0 * SIGMA_M
+
+
+def test_the_path_of_the_axle_does_not(along: Campaign, estimated: Geometry) -> None:
+    """Without the sensor's place the same radii leave centimetres: the figure can fail."""
+    shifted = tuple(replace(one, value=0.0) if one.name.startswith("sensor") else one for one in estimated.estimates)
+    assert rms(traces_of(along, replace(estimated, estimates=shifted)), 1) > 10.0 * SIGMA_M
+
+
+def report_on(driven: Campaign) -> Report:
+    found = estimate_geometry(driven, using="windows" if "ref_x_m" in driven.logs.columns else None)
+    return geometry_report(
+        driven,
+        replace(found, paths=traces_of(driven, found)),
+        issued="2026-01-01",
+        why="no distance",
+        coefficients=b"{}",
+    )
+
+
+@pytest.mark.parametrize(("name", "residuals"), [("along", "in-time"), ("squares", "by-run")])
+def test_pages_hold_verdict_residuals_paths_and_correlation(
+    name: str, residuals: str, request: pytest.FixtureRequest
+) -> None:
+    report = report_on(request.getfixturevalue(name))
+    blocks = [block for section in report.sections for block in section.blocks]
+    notice = next(block for block in blocks if isinstance(block, Notice))
+    assert notice.title == "Geometry calibrated" and "held-out" in notice.text
+    facts = next(dict(block.rows) for block in blocks if isinstance(block, Facts))
+    assert set(facts) == {"Drive", "Runs", "Intervals", "Not determined", "Outliers"}
+    pictures = [block for block in blocks if isinstance(block, Picture)]
+    assert [one.name for one in pictures] == [
+        "geometry-paths",
+        f"geometry-residuals-{residuals}",
+        "geometry-correlation",
+    ]
+    for one in pictures:
+        assert one.draw().axes
+    assert [one.name for one in report.attachments] == ["geometry.json", "coefficients.json"]
+
+
+def test_runs_without_a_law_give_a_report_of_the_geometry(
+    squares: Campaign, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The command writes the PDF and the page, names what follows, and says that no law is stated."""
+    folder = write_campaign(squares, tmp_path / "c")
+    pdf, page = tmp_path / "report.pdf", tmp_path / "report.html"
+    assert calib(["report", str(folder), "--into", str(pdf), "--html", str(page), "--date", "2026-01-01"]) == 0
+    said = capsys.readouterr().out
+    assert "GR-" in said and "calib geometry" in said
+    assert pdf.read_bytes().startswith(b"%PDF") and b"geometry.json" in pdf.read_bytes()
+    text = page.read_text(encoding="utf-8")
+    assert "These runs give no radius law" in text and "radius_left_m" in text
+
+
+def test_a_doubtful_geometry_has_no_coefficients_without_a_reason(
+    along: Campaign, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Reference positions of another sensor in every second run: wrong, reported, status 1, nothing attached."""
+    moved = np.repeat(np.arange(len(along.runs)) % 2 * 0.3, np.diff(along.logs.offsets))
+    columns = {**along.logs.columns, "ref_x_m": along.logs.columns["ref_x_m"] + moved * along.logs.columns["ref_y_m"]}
+    spoilt = replace(along, logs=replace(along.logs, columns=columns))
+    folder = write_campaign(spoilt, tmp_path / "c")
+    assert calib(["report", str(folder), "--into", str(tmp_path / "r.pdf"), "--json", "-"]) == 1
+    document = json.loads(capsys.readouterr().out)
+    assert [one["name"] for one in document["attachments"]] == ["geometry.json"]
