@@ -76,3 +76,13 @@ def test_the_plan_proposes_a_mark_on_the_floor(tmp_path: Path, capsys: pytest.Ca
     calib(["plan", str(folder), "--json", "-"])
     first = json.loads(capsys.readouterr().out)["next_runs"][0]
     assert first["loop"] == "closed" and "gyro_scale" in first["why"]
+
+
+@pytest.mark.parametrize("truth", [Truth(0.0495, 0.0495, 0.4), Truth(0.05, 0.05, 0.404)])
+def test_closed_loops_alone_group_radius_scale_and_track(truth: Truth) -> None:
+    """Both radii 1 % too small, or a track 1 % too wide: a path that closes looks alike, an open one does not."""
+    rng = np.random.default_rng(SEED)
+    runs = [Drive(f"square{sense}", square(2.0, sense), frozenset({"loop"})) for sense in (1, -1) for _ in range(8)]
+    found = diagnose_in_full(unaided(runs, truth, Gyro(), rng), plan=False).to_dict()
+    assert found["verdict"] == "ambiguous" and not found["recommended"]
+    assert any({"radius_scale", "track_width"} <= set(group) for group in found["indistinguishable"])

@@ -32,6 +32,8 @@ from calib.gap.effects.encoder import BLUNDER_MISFIT, misfit
 
 #: verdicts that name no cause
 NOTHING_NAMED: Final = frozenset({VerdictKind.NO_GAP, VerdictKind.UNKNOWN, VerdictKind.UNDECIDED})
+#: families whose members correct journeys differently: confounded ones are no mere forms of one another
+OWN_CORRECTIONS: Final = frozenset({Family.SIMULATOR, Family.CALIBRATION})
 
 
 def decide(evidence: Evidence) -> Diagnosis:
@@ -119,8 +121,8 @@ def _by_family(
     forms_open: dict[str, tuple[str, ...]] = {}
     for group in confounded:
         named = [name for name in group if name in evidence.named]
-        # parameters of a simulator have no family: each is set by itself
-        families = {evidence.effects[name].family for name in named} - {Family.SIMULATOR}
+        # parameters of a simulator, and radii and track, are set each by itself: other journeys tell them apart
+        families = {evidence.effects[name].family for name in named} - OWN_CORRECTIONS
         own = tuple(n for n in group if n not in named and evidence.effects[n].family in families)
         groups.append([name for name in group if name not in own])
         forms_open |= dict.fromkeys(named, own)
