@@ -44,5 +44,5 @@ def run(
         **{level: [asdict(note) for note in getattr(report, level)] for level in ("wrong", "suspicious", "info")},
     }
     answer(document, check_content(report), json=json, force=force)
-    say(after_check(report.verdict, campaign), target=json)
+    say(after_check(report.verdict, campaign, distances=report.found.distance_m is not None), target=json)
     return 1 if report.verdict == "wrong" or (strict and report.verdict != "sound") else 0

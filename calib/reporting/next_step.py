@@ -12,10 +12,13 @@ if TYPE_CHECKING:
     from calib.kinematics.result import Geometry
 
 
-def after_check(verdict: str, campaign: Path) -> str:
-    """Return what follows a check: ``sound``, ``look at this`` or ``wrong``."""
+def after_check(verdict: str, campaign: Path, *, distances: bool) -> str:
+    """Return what follows a check: ``sound``, ``look at this`` or ``wrong``; `distances`: whether any was measured."""
     if verdict == "wrong":
         return _next(f"correct what is wrong above, then {_command('check', campaign)}.")
+    if not distances:
+        lengths = f"{_command('geometry', campaign)} for radii and lengths"
+        return _next(f"{lengths}, {_command('diagnose', campaign)} for the gap.")
     return _next(
         f"{_command('fit', campaign)} for the law of the load, {_command('geometry', campaign)} for the track."
     )

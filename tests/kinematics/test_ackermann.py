@@ -7,6 +7,7 @@ reference, whole counts.
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,12 +15,14 @@ import numpy as np
 import pytest
 import yaml
 
+from calib.campaign.ingest.describe import describe
 from calib.campaign.read import read_campaign
 from calib.cli.main import run as calib
 from calib.kinematics.ackermann import RearShaft, rear_shaft
 from calib.kinematics.drives import Steps
 from calib.kinematics.estimate import estimate_geometry
 from tests.real.dart import SENSOR_M, SENSOR_YAW_RAD, STEERING_ZERO_RAD, dart
+from tests.real.recordings import available
 
 #: fine steps of the vehicle, and samples of its log
 STEP_S, EVERY = 0.002, 10
@@ -232,6 +235,28 @@ def test_speeds_stand_for_counts(tmp_path: Path, columns: str, kind: str) -> Non
     for name in ("radius_left_m", "radius_right_m"):
         assert abs(found[name].value - 0.99 * RADIUS_M) < WITHIN * found[name].std
     assert abs(found["track_m"].value - TRACK_M) < WITHIN * found["track_m"].std
+
+
+def test_a_real_cars_recordings_are_taken_at_the_first_try(shared_data: Path, tmp_path: Path) -> None:
+    """The proposed mapping finds clock, speed, steering and reference of DART's files; six lengths are filled in."""
+    source = tmp_path / "dart"
+    source.mkdir()
+    for path in sorted(available(shared_data, "dart").glob("*_ramp.csv"))[:2]:
+        shutil.copy(path, source)
+    mapping = describe([source]).to_toml()
+    for line in (
+        'drive = "ackermann"',
+        'kind = "speed"',
+        'speed_rear_mps = {column = "vel encoder"',
+        "ref_theta_rad = {",
+    ):
+        assert line in mapping
+    for key, value in {"track_m": 0.15, "wheelbase_m": 0.1735, "wheel_radius_m": 0.03, "mass_kg": 1.58}.items():
+        mapping = mapping.replace(f"#{key} =", f"{key} = {value}")
+    (tmp_path / "map.toml").write_text(mapping.replace("#cog_x_m =", "cog_x_m = 0.093"))
+    assert calib(["ingest", str(source), "--mapping", str(tmp_path / "map.toml"), "--into", str(tmp_path / "c")]) == 0
+    made = read_campaign(tmp_path / "c")
+    assert made.vehicle.drive == "ackermann" and {"counts_rear", "steer_rad", "ref_x_m"} <= set(made.logs.columns)
 
 
 def test_a_real_car_under_motion_capture(shared_data: Path) -> None:

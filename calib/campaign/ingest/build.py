@@ -50,7 +50,7 @@ BLANK_SETTINGS: Final = """simulated = false          # true: a program made the
 # say so. A unit may differ if the key names it: track_mm = 700.
 
 [vehicle]
-#drive = "tricycle"        # or "differential", "mecanum"
+#drive = "tricycle"        # or "differential", "mecanum", "ackermann", "skid"
 #track_m = 0.700           # between the contact points of the rear wheels
 #wheelbase_m = 1.000       # rear axle to front wheel
 #wheel_radius_m = 0.100    # nominal free radius

@@ -72,6 +72,9 @@ _TABLE: Final[Sequence[tuple[str, str]]] = (
     ),
     ("excluded", r"(excluded|ungueltig|ausschluss|ausgeschlossen)"),
 )
+#: what measures poses from outside, and what a speed is called
+_TRACKER: Final = r"(ref|mocap|pose|pos|tracker|vicon|optitrack|qualisys|motive)"
+_SPEED: Final = r"(vel|velocity|speed|geschwindigkeit)"
 _LOG: Final[Sequence[tuple[str, str]]] = (
     ("t_s", r"(t|time|zeit|timestamp|zeitstempel|stamp|uhrzeit|datum_?zeit|epoch|unix(_?time)?)(_.*)?"),
     ("counts_front_left", r".*(front_?(l|left)|v_?l|vorn.*links)"),
@@ -82,11 +85,12 @@ _LOG: Final[Sequence[tuple[str, str]]] = (
     ("counts_left", r"(" + _COUNTS + r".*_?)?(l|li|links|left)"),
     ("counts_right", r"(" + _COUNTS + r".*_?)?(r|re|rechts|right)"),
     ("steer_rad", r".*(steer|lenk).*"),
+    ("speed_rear_mps", rf"{_SPEED}_?(encoder|enc|rear|shaft|drive|antrieb)|(encoder|rear|shaft|drive)_?{_SPEED}"),
     ("range_m", r".*(laser|range|abstand|entfernung|distan[cz]|weg|strecke).*"),
-    ("ref_x_m", r"((ref|mocap|pose|pos|tracker)_?)?x(_?true)?"),
-    ("ref_y_m", r"((ref|mocap|pose|pos|tracker)_?)?y"),
+    ("ref_x_m", rf"({_TRACKER}_?)?x(_?true)?"),
+    ("ref_y_m", rf"({_TRACKER}_?)?y"),
     ("gyro_z_radps", r".*(angular_velocity_?z|gyro(_?z)?|yaw_?rate|gierrate|drehrate)"),
-    ("ref_theta_rad", r"((ref|mocap|pose|pos|tracker)_?)?(theta|yaw|heading|gier.*)"),
+    ("ref_theta_rad", rf"({_TRACKER}_?)?(theta|yaw|heading|gier.*)"),
 )
 #: what stands behind the side in the name of a wheel: left_wheel_joint, wheel_left_joint, Enc_L_raw
 _BEHIND: Final = re.compile(

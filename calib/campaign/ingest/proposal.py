@@ -55,6 +55,11 @@ _OTHER_WHEELS: Final = {
         ("#front_wheel_radius_m =   # nominal",),
         ("#counts_per_rev_front =   # of the front wheel, where it differs",),
     ),
+    "speed_rear_mps": (
+        'drive = "ackermann"   # one speed of the rear axle; front wheels that steer',
+        (),
+        ('kind = "speed"   # in place of counts_per_rev: the logs have speeds',),
+    ),
 }
 
 
@@ -95,10 +100,13 @@ def _settings_lines(bits: int | None, named: set[str]) -> list[str]:
         remark = "" if lines else "   # state what you know; keys omitted are marked as assumed"
         lines += ["", f"[{section}]{remark}"]
         if section == "vehicle":
-            lines.append(drive or '#drive =   # "tricycle" (assumed), "differential" or "mecanum"')
+            lines.append(drive or '#drive =   # "tricycle" (assumed), "differential", "mecanum", "ackermann", "skid"')
         for key in STATED[section]:
             if key == "track_m" and wheels == "counts_rear_left":
                 lines += vehicle
+                continue
+            if key == "counts_per_rev" and wheels == "speed_rear_mps":
+                lines += encoder
                 continue
             [meaning] = re.findall(rf"^#{key} .*# (.*)", BLANK_SETTINGS, re.MULTILINE)
             lines.append(f"#{key} =   # {meaning}")
@@ -118,10 +126,11 @@ def _missing_lines(named: set[str], logs: Sequence[FileContents]) -> list[str]:
     timed = any(column.kind == "time" for log in logs for column in log.columns)
     if not clocked and not timed and "t_s" not in named:
         lines.append('#t_s = ""   # no column looks like times; every log needs them')
-    if not any(name.startswith("counts_") for name in named):
+    if not any(name.startswith(("counts_", "speed_", "v_mps")) for name in named):
         lines += [
             '#counts_left = ""   # no column looks like a wheel: name those of the encoders (unit = "rad/s", ...',
             '#counts_right = ""   # where it holds no counts); for one wheel in front counts_front and steer_rad',
+            "#   of speeds in m/s: speed_left_mps, speed_right_mps; speed_rear_mps, steer_rad; or v_mps, omega_radps",
         ]
     return lines
 

@@ -107,6 +107,17 @@ def _messages(drive: Drive, store: Any, *, ros1: bool) -> Iterator[tuple[int, st
             types["geometry_msgs/msg/Transform"](vector("Vector3", x, y, 0.0), turn(yaw)),
         )
         out.append((int(time_ns) + 3_000_000, "/odom", "nav_msgs/msg/Odometry", odometry))
+        # a rate that tells each sample from the others: a hundredth of the heading
+        imu = types["sensor_msgs/msg/Imu"](
+            header(int(time_ns), "imu"),
+            turn(yaw),
+            np.zeros(9),
+            vector("Vector3", 0, 0, 0.01 * yaw),
+            np.zeros(9),
+            vector("Vector3", 0, 0, 9.81),
+            np.zeros(9),
+        )
+        out.append((int(time_ns) + 3_000_002, "/imu", "sensor_msgs/msg/Imu", imu))
         out.append((int(time_ns) + 3_000_001, "/tf", _TF[ros1], types[_TF[ros1]]([transform])))
     yield from sorted(out, key=lambda one: one[0])
 

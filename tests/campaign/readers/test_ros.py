@@ -51,6 +51,7 @@ def test_every_container_gives_the_numbers_recorded(recording: Recording, drive:
     np.testing.assert_array_equal(_column(recording, "/joint_states:position.left"), drive.wheels[1] * radians)
     np.testing.assert_array_equal(_column(recording, "/joint_states:position.right"), drive.wheels[2] * radians)
     np.testing.assert_allclose(_column(recording, "/range:range"), drive.range_m[1], atol=SINGLE)
+    np.testing.assert_array_equal(_column(recording, "/imu:angular_velocity_z"), 0.01 * drive.poses[3])
     for stream in ("/odom", "/tf[map>base_link]"):
         np.testing.assert_array_equal(_column(recording, f"{stream}:x"), drive.poses[1])
         np.testing.assert_array_equal(_column(recording, f"{stream}:y"), drive.poses[2])
