@@ -55,6 +55,12 @@ def judge(
     if scattered > WRONG_SHARE and residuals.noise > LACK_OF_FIT * residuals.usual_noise:
         reason = f"{what}: replicates scatter by {noise}, {100 * scattered:.2g} % of the {of}"
         return Level.WRONG, (f"{reason}: more than wheels that roll; look for slip and a bad reference",)
+    unusual = LACK_OF_FIT * residuals.usual_noise
+    if min(residuals.noise, residuals.before) > unusual and residuals.held_out > USELESS_SHARE * residuals.before:
+        reason = (
+            f"{what}: nothing of {before} is explained, and stretches that look alike to the wheels scatter by {noise}"
+        )
+        return Level.DOUBTFUL, (f"{reason}: the wheels, or a steering sensor, do not tell how the vehicle moved",)
     small = max(LACK_OF_FIT * residuals.noise, SMALL_SHARE * residuals.travelled)
     if max(residuals.after, residuals.held_out) <= small:
         return Level.ADEQUATE, ()

@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.campaign.wheels import STEERED
 from calib.errors import RefusedError
-from calib.kinematics.drives import UNMOVED_SENSOR, Drive, Steps
+from calib.kinematics.drives import UNMOVED_SENSOR, Drive
 from calib.kinematics.model import Model
 from calib.kinematics.recording import Recording
 from calib.kinematics.segments import Segments
@@ -128,11 +128,11 @@ def front_faults(recording: Recording, segments: Segments) -> tuple[Recording, t
     seen = segments.seen.all(axis=1)
     if float(np.sum(ahead[seen] * _chord_sense(segments.measured[seen]))) < 0.0:
         faults.append(Fault("reversed_front", "the front counter runs backwards; correct its sign"))
-        steps = Steps(-steps.turned_rad, steer, steps.load_offset_N)
+        steps = replace(steps, turned_rad=-steps.turned_rad)
     aside = _between((steps.turned_rad[0] * np.sin(steer))[None], segments)[0]
     if float(np.sum(aside[seen] * segments.measured[seen, 2])) < 0.0:
         faults.append(Fault("reversed_steering", "the steering angle has the other sign; left turns are positive"))
-        steps = Steps(steps.turned_rad, -steer, steps.load_offset_N)
+        steps = replace(steps, steer_rad=-steer)
     return (replace(recording, steps=steps) if faults else recording), tuple(faults)
 
 

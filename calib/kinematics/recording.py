@@ -129,8 +129,9 @@ class Recording:
         headings = headings[np.isfinite(headings)]
         turned = float(np.max(np.abs(np.add.reduceat(turn_rad, self.offsets[:-1])), initial=0.0))
         if len(headings) > 1 and np.ptp(headings) == 0.0 and turned > TURNS_CLEARLY_RAD:
+            name = "gyro_z_radps" if self.by_gyro.all() else "ref_theta_rad"
             raise RefusedError(
-                f"ref_theta_rad: found {headings[0] + 0.0:.6g} throughout, although the wheels turn by up to "
+                f"{name}: found {headings[0] + 0.0:.6g} throughout, although the wheels turn by up to "
                 f"{turned:.3g} rad; expected the measured heading; leave the column empty where it was not measured"
             )
 

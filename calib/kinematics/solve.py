@@ -299,7 +299,9 @@ def _advance(
 ) -> tuple[FloatArray, Prediction, bool]:
     """Go as far along `step` as lowers the loss; return also whether that was anywhere."""
     values, prediction = here
-    now, part = loss(prediction), min(1.0, LONGEST / float(np.max(np.abs(step / prior))))
+    # a step of nothing is as long as it may be
+    longest = max(float(np.max(np.abs(step / prior))), LONGEST)
+    now, part = loss(prediction), LONGEST / longest
     for _ in range(12):
         tried = values + part * step
         there = model.predict(tried)

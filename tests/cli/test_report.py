@@ -111,20 +111,23 @@ def test_a_diagnosis_needs_the_campaign(sample: Path, tmp_path: Path, capsys: py
     assert "campaign folder" in capsys.readouterr().err
 
 
-def test_runs_without_a_law_still_give_a_report_of_the_diagnosis(
+def test_runs_without_a_law_give_a_report_of_geometry_and_diagnosis(
     project_root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Loops alone: no effective radius, but a gap; without --diagnosis there is nothing to report on."""
+    """Loops alone: no effective radius, but radii and track together, and with --diagnosis the gap."""
     loops = shutil.copytree(project_root / "sample_runs" / "yard", tmp_path / "loops")
     rows = (loops / "runs.csv").read_text(encoding="utf-8").splitlines()
     kept = [row for number, row in enumerate(rows) if number == 0 or "corridor" not in row]
     (loops / "runs.csv").write_text("\n".join(kept) + "\n", encoding="utf-8")
     target = tmp_path / "loops.pdf"
-    assert run(["report", str(loops), "--into", str(target), *DATE]) == 2
-    assert capsys.readouterr().err.count("\n") == 1
-    assert run(["report", str(loops), "--diagnosis", "--into", str(target), *DATE, "--json", "-"]) == 0
+    options = ["--into", str(target), *DATE, "--json", "-", "--force"]
+    assert run(["report", str(loops), *options]) == 0
     titles = [section["title"] for section in json.loads(capsys.readouterr().out)["sections"]]
-    assert titles == ["Radius law", "Diagnosis of the gap", "What this report does not cover"]
+    own = ["Result", "What is left", "Correlation of the parameters"]
+    assert titles == [*own, "Radius law", "What this report does not cover"]
+    assert run(["report", str(loops), "--diagnosis", *options]) == 0
+    titles = [section["title"] for section in json.loads(capsys.readouterr().out)["sections"]]
+    assert titles == [*own, "Diagnosis of the gap", "Radius law", "What this report does not cover"]
     assert target.read_bytes().startswith(b"%PDF")
     assert b"diagnosis.json" in target.read_bytes()
     assert str(tmp_path).encode() not in target.read_bytes()

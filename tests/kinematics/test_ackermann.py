@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 import yaml
 
@@ -133,6 +135,41 @@ def true_values(truth: Truth) -> dict[str, float]:
         "understeer_s2_per_m2": truth.understeer,
         "side_slip_s2_per_m": truth.side_slip,
     }
+
+
+def spoilt(folder: Path, column: str, change: Callable[[np.ndarray], np.ndarray]) -> Path:
+    """Change one column of every log of a campaign."""
+    for path in sorted((folder / "logs").glob("*.csv")):
+        table = pd.read_csv(path)
+        table[column] = change(table[column].to_numpy())
+        table.to_csv(path, index=False)
+    return folder
+
+
+#: column of the log, and what a logger or an export can do to it
+SPOILT = {
+    "steering in degrees": ("steer_rad", np.degrees),
+    "steering of the other sign": ("steer_rad", np.negative),
+    "no steering": ("steer_rad", lambda values: 0.0 * values),
+    "steering at a right angle": ("steer_rad", lambda values: 0.0 * values + np.pi / 2.0),
+    "no counts": ("counts_rear", lambda values: 0 * values),
+    "counts backwards": ("counts_rear", np.negative),
+    "clock backwards": ("t_s", lambda values: values[::-1]),
+    "clock stands": ("t_s", lambda values: 0.0 * values + 1.0),
+}
+
+
+@pytest.mark.parametrize("what", SPOILT)
+def test_spoilt_logs_end_in_words_never_in_a_result(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], what: str
+) -> None:
+    """Geometry is wrong or refused; every command ends with a status of its own, none with a bug."""
+    column, change = SPOILT[what]
+    folder = spoilt(campaign(tmp_path / "car", Truth(), runs=6), column, change)
+    assert calib(["geometry", str(folder), "--json", "-"]) in {1, 2}
+    for command in ("check", "diagnose", "fit", "plan"):
+        assert calib([command, str(folder)]) in {0, 1, 2}, command
+    assert "bug in calib" not in capsys.readouterr().err
 
 
 #: standard deviations within which each of some nine estimates lies; one in a thousand campaigns is beyond
