@@ -135,7 +135,12 @@ def judged(
         np.abs(after[:, 2]) > SMALL_SHARE * np.maximum(rotation_rad, LEAST_ROTATION_RAD)
     )
     named = tuple(faults) if level < Level.WRONG else ()
-    extra = [*impossible, *_at_odds(whole, outliers, large), *_sideways(position, heading)]
+    extra = [
+        *impossible,
+        *_at_odds(whole, outliers, large),
+        *_sideways(position, heading),
+        *_lengths_alone(fitted),
+    ]
     if named or impossible:
         level = Level.WRONG
     elif extra:
@@ -265,6 +270,20 @@ def _sideways(position: Residuals, heading: Residuals) -> list[str]:
         f"position: {1e3 * position.after:.3g} mm are left where the headings and the usual drift make "
         f"{1e3 * rolled:.3g} mm: the vehicle moves as its wheels do not (it strafes or slides sideways), or the "
         "reference's positions are wrong"
+    ]
+
+
+def _lengths_alone(fitted: Fitted) -> list[str]:
+    """Return a sentence where both radii were estimated and nothing but the length of straight runs was measured.
+
+    What then tells the wheels apart is how much a bent path shortens a run: a square, alike to either side.
+    """
+    apart = {"radius_left_m", "radius_right_m"} <= set(fitted.parameters.free_names)
+    if not apart or fitted.model.segments.seen[:, 1:].any():
+        return []
+    return [
+        "lengths of straight runs alone do not tell the wheels apart: neither radius holds by itself; 'calib fit' "
+        "takes the runs for straight, and end headings (ref_theta_rad, a gyro) or closed loops tell the wheels apart"
     ]
 
 

@@ -70,6 +70,16 @@ def test_geometry_holds_what_a_gyro_leaves_open() -> None:
     assert abs(told["gyro_scale"].value - 1.01) < 4.0 * told["gyro_scale"].std < 0.02
 
 
+def test_lengths_alone_give_no_radii_that_look_like_a_result() -> None:
+    """Straights by a tape, nothing else: doubtful, and said why; a gyro beside the tape tells the wheels apart."""
+    rng = np.random.default_rng(SEED)
+    for by, passed in ((frozenset({"tape"}), False), (frozenset({"tape", "gyro"}), True)):
+        runs = [Drive("straight", [(length, 0.0)], by) for length in (1.0, 1.5, 2.0, 8.0) for _ in range(8)]
+        found = estimate_geometry(unaided(runs, Truth(0.047, 0.047, 0.4), Gyro(), rng))
+        assert found.passed is passed
+        assert any("wheels apart" in sentence for sentence in found.why) is not passed
+
+
 def test_the_plan_proposes_a_mark_on_the_floor(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """No pose reference is asked for: the run that tells the two apart is a loop that closes."""
     folder = write_campaign(campaign(*CAUSES["track_width"], loops=0), tmp_path / "c")

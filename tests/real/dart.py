@@ -100,7 +100,7 @@ def held_out(campaign: Campaign) -> pd.DataFrame:
     for run in numbers:
         values = estimate_geometry(campaign.select(numbers != run)).values
         fitted = FrontModel(
-            RADIUS_M * values["rear_radius_m"] / RADIUS_M,
+            values["rear_radius_m"],
             values["wheelbase_m"],
             values["steering_zero_rad"],
             values["steering_scale"],
