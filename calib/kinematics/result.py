@@ -81,10 +81,10 @@ class Transfer:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunTrace:
-    """One run: the sensor's path by nominal and calibrated odometry, and by the reference, laid on one another.
+    """One run: the sensor's path by nominal and calibrated odometry, and by the reference, aligned.
 
-    Along the way the paths are turned and shifted onto the reference as a whole, since its first pose is as noisy as
-    any; of an end pose alone they begin at the start.
+    With a reference along the path, the paths are rotated and shifted as a whole, since its first pose is as noisy as
+    any; with an end pose alone they begin at the start.
     """
 
     #: labels
@@ -100,8 +100,8 @@ class RunTrace:
     #: x and y of the sensor by the reference, NaN where it measured headings alone, shape (n_poses, 2)
     reference_m: FloatArray
     #: measured less predicted: along and to the left of the path in m, heading in rad, shape (n_poses, 3)
-    left_before: FloatArray
-    left_after: FloatArray
+    residual_before: FloatArray
+    residual_after: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

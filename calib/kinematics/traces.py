@@ -1,4 +1,4 @@
-"""What a geometry leaves of each run: paths of the reference's sensor laid on one another, and residuals in time."""
+"""Residuals of a geometry, run by run: aligned paths of the reference sensor, and residuals in time."""
 
 from __future__ import annotations
 
@@ -65,28 +65,28 @@ def _trace(recording: Recording, run: int, paths: list[FloatArray]) -> RunTrace:
     seen = np.flatnonzero(np.isfinite(reference).any(axis=0)).astype(np.int64)
     before, after = paths
     if len(seen) > 1:
-        # the calibrated path stays in its start frame; the reference is laid on it, the nominal one on the reference
+        # the calibrated path stays in its start frame: the reference is aligned with it, the nominal path with that
         every = np.arange(len(seen))
-        measured = _laid_on(reference[:, seen], after[:, seen], every)
-        laid = [_laid_on(before, measured, seen), after]
+        measured = _aligned(reference[:, seen], after[:, seen], every)
+        aligned = [_aligned(before, measured, seen), after]
     else:
         seen = np.array([reference.shape[1] - 1], dtype=np.int64)
-        measured, laid = recording.end_pose[run][:, None], paths
-    left = [_left(path[:, seen], measured) for path in laid]
+        measured, aligned = recording.end_pose[run][:, None], paths
+    residuals = [_residuals(path[:, seen], measured) for path in aligned]
     return RunTrace(
         run_id=str(recording.run_id[run]),
         kind=str(recording.kind[run]),
-        before_m=laid[0][:2].T,
-        after_m=laid[1][:2].T,
+        before_m=aligned[0][:2].T,
+        after_m=aligned[1][:2].T,
         seen=seen,
         t_s=recording.t_s[part][seen],
         reference_m=measured[:2].T,
-        left_before=left[0],
-        left_after=left[1],
+        residual_before=residuals[0],
+        residual_after=residuals[1],
     )
 
 
-def _laid_on(path: FloatArray, onto: FloatArray, seen: IntArray) -> FloatArray:
+def _aligned(path: FloatArray, onto: FloatArray, seen: IntArray) -> FloatArray:
     """Return a path turned and shifted as a whole so that its samples `seen` lie nearest to those of `onto`, (3, n)."""
     good = np.isfinite(path[:2, seen]).all(axis=0) & np.isfinite(onto[:2]).all(axis=0)
     if good.sum() < 2:
@@ -105,7 +105,7 @@ def _laid_on(path: FloatArray, onto: FloatArray, seen: IntArray) -> FloatArray:
     return np.concatenate([place, path[2:] + turn])
 
 
-def _left(path: FloatArray, measured: FloatArray) -> FloatArray:
+def _residuals(path: FloatArray, measured: FloatArray) -> FloatArray:
     """Return measured less predicted along and to the left of the heading, and in the heading, shape (n_poses, 3)."""
     apart = measured - path
     cosine, sine = np.cos(path[2]), np.sin(path[2])

@@ -1,4 +1,4 @@
-"""Report on a geometry: verdict, parameters, what they leave, what was not determined; a diagnosis where asked."""
+"""Report on a geometry: verdict, parameters, residuals, what was not determined; a diagnosis where asked."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def geometry_report(
 
 
 def _sections(geometry: Geometry) -> list[Section]:
-    """Return the result, what it leaves, and how the parameters correlate."""
+    """Return the result, its residuals, and how the parameters correlate."""
     verdict = geometry.verdict
     first, *further = verdict_sentences(geometry)
     result: list[Block] = [
@@ -92,7 +92,7 @@ def _sections(geometry: Geometry) -> list[Section]:
         *items(map(prose, geometry_sentences(geometry))),
     ]
     left: list[Block] = [*_path_pictures(geometry.paths), *_residual_pictures(geometry.paths), *route_tables(geometry)]
-    sections = [Section("Result", tuple(result)), Section("What is left", tuple(left))]
+    sections = [Section("Result", tuple(result)), Section("Residuals", tuple(left))]
     if len(geometry.estimates) > 1:
         sections.append(Section("Correlation of the parameters", tuple(_correlation(geometry))))
     return sections
@@ -120,7 +120,7 @@ def _path_pictures(traces: tuple[RunTrace, ...]) -> list[Picture]:
     measured = [trace for trace in traces if np.isfinite(trace.reference_m).any()]
     if not measured:
         return []
-    largest = max(float(np.nanmax(np.hypot(*trace.left_after[:, :2].T), initial=0.0)) for trace in measured)
+    largest = max(float(np.nanmax(np.hypot(*trace.residual_after[:, :2].T), initial=0.0)) for trace in measured)
     return [
         Picture(
             "geometry-paths",

@@ -123,7 +123,7 @@ def test_runs_without_a_law_give_a_report_of_geometry_and_diagnosis(
     options = ["--into", str(target), *DATE, "--json", "-", "--force"]
     assert run(["report", str(loops), *options]) == 0
     titles = [section["title"] for section in json.loads(capsys.readouterr().out)["sections"]]
-    own = ["Result", "What is left", "Correlation of the parameters"]
+    own = ["Result", "Residuals", "Correlation of the parameters"]
     assert titles == [*own, "Radius law", "What this report does not cover"]
     assert run(["report", str(loops), "--diagnosis", *options]) == 0
     titles = [section["title"] for section in json.loads(capsys.readouterr().out)["sections"]]

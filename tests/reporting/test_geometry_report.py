@@ -48,7 +48,7 @@ def estimated(along: Campaign) -> Geometry:
 
 
 def rms(traces: tuple[RunTrace, ...], channel: int, *, before: bool = False) -> float:
-    left = np.concatenate([trace.left_before if before else trace.left_after for trace in traces])
+    left = np.concatenate([trace.residual_before if before else trace.residual_after for trace in traces])
     return float(np.sqrt(np.nanmean(left[:, channel] ** 2)))
 
 

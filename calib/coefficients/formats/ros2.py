@@ -120,9 +120,7 @@ def _diff_drive(file: CoefficientFile, pair: LoadPair, options: ExportOptions) -
         "wheel_separation_multiplier: 1.0",
         f"left_wheel_radius_multiplier: {number(left / nominal)}",
         f"right_wheel_radius_multiplier: {number(right / nominal)}",
-        *_feedback(file, options),
-        f"open_loop: {str(options.open_loop).lower()}",
-        *_variances(rear_diagonals(file, pair)),
+        *_odometry(file, options, rear_diagonals(file, pair)),
     ]
 
 
@@ -145,9 +143,7 @@ def _tricycle_steering(file: CoefficientFile, pair: LoadPair, options: ExportOpt
         _separation(file),
         f"traction_track_width: {number(file.vehicle.track.value)}",
         f"wheelbase: {number(file.vehicle.wheelbase.value)}",
-        *_feedback(file, options),
-        f"open_loop: {str(options.open_loop).lower()}",
-        *_variances(steered_diagonals(file, pair, traction="rear")),
+        *_odometry(file, options, steered_diagonals(file, pair, traction="rear")),
     ]
 
 
@@ -157,9 +153,7 @@ def _bicycle_steering(file: CoefficientFile, pair: LoadPair, options: ExportOpti
         *_steering_remark(file),
         *_shaft_radius(file, "traction_wheel_radius"),
         f"wheelbase: {number(file.vehicle.wheelbase.value)}",
-        *_feedback(file, options),
-        f"open_loop: {str(options.open_loop).lower()}",
-        *_variances(steered_diagonals(file, pair, traction="shaft")),
+        *_odometry(file, options, steered_diagonals(file, pair, traction="shaft")),
     ]
 
 
@@ -171,9 +165,7 @@ def _ackermann_steering(file: CoefficientFile, pair: LoadPair, options: ExportOp
         _separation(file),
         f"traction_track_width: {number(file.vehicle.track.value)}",
         f"wheelbase: {number(file.vehicle.wheelbase.value)}",
-        *_feedback(file, options),
-        f"open_loop: {str(options.open_loop).lower()}",
-        *_variances(steered_diagonals(file, pair, traction="shaft")),
+        *_odometry(file, options, steered_diagonals(file, pair, traction="shaft")),
     ]
 
 
@@ -233,6 +225,15 @@ OF_DRIVE: Final[dict[str, tuple[str, ...]]] = {
 }
 #: where the front wheel alone drives the odometry, rear wheels were not measured
 OF_FRONT: Final = ("tricycle_controller",)
+
+
+def _odometry(file: CoefficientFile, options: ExportOptions, diagonals: Diagonals) -> list[str]:
+    """Return what the odometry runs on, and its variances."""
+    return [
+        *_feedback(file, options),
+        f"open_loop: {str(options.open_loop).lower()}",
+        *_variances(diagonals),
+    ]
 
 
 def _feedback(file: CoefficientFile, options: ExportOptions) -> list[str]:

@@ -47,7 +47,7 @@ def draw_paths(traces: Sequence[RunTrace], *, simulated: bool = False) -> Figure
     rows = -(-len(kinds) // COLUMNS)
     figure = canvas((PANEL_CM if len(kinds) > 1 else LONE_PANEL_CM) * rows + 1.2)
     grid = axes_grid(figure, rows, min(COLUMNS, len(kinds))).ravel()
-    errors = [1e3 * np.hypot(*trace.left_after[:, :2].T) for trace in traces]
+    errors = [1e3 * np.hypot(*trace.residual_after[:, :2].T) for trace in traces]
     known = np.concatenate([error[np.isfinite(error)] for error in errors]) if errors else np.zeros(0)
     scale = Normalize(0.0, float(np.percentile(known, SPANNED)) if len(known) else 1.0)
     handles: dict[str, Any] = {}
@@ -99,15 +99,15 @@ def _coloured(axes: Axes, trace: RunTrace, error_mm: FloatArray, scale: Normaliz
 
 @styled
 def residuals_in_time(traces: Sequence[RunTrace]) -> Figure:
-    """Draw what is left of each run along the way, before (grey) and after: a row a run, a column a channel."""
+    """Draw the residuals of each run along its path, before (grey) and after: a row a run, a column a channel."""
     chosen = [trace for trace in traces if len(trace.seen) > 1][:MOST_RUNS]
     figure = canvas(1.55 * len(chosen) + 1.6)
     grid = axes_grid(figure, len(chosen), 3, sharex=True, sharey="col")
     limits = _limits(chosen)
     for place, (row, trace) in enumerate(zip(grid, chosen, strict=True)):
         for number, (axes, (title, unit, factor)) in enumerate(zip(row, CHANNELS, strict=True)):
-            axes.plot(trace.t_s, factor * trace.left_before[:, number], color=GREY, lw=0.6)
-            axes.plot(trace.t_s, factor * trace.left_after[:, number], color=BLUE, lw=0.8)
+            axes.plot(trace.t_s, factor * trace.residual_before[:, number], color=GREY, lw=0.6)
+            axes.plot(trace.t_s, factor * trace.residual_after[:, number], color=BLUE, lw=0.8)
             axes.set_ylim(-limits[number], limits[number])
             if place == 0:
                 axes.set_title(f"{title} ({unit})")
@@ -121,7 +121,7 @@ def residuals_in_time(traces: Sequence[RunTrace]) -> Figure:
 
 def _limits(traces: Sequence[RunTrace]) -> list[float]:
     """Return the limit of each channel: what the residuals after need, so that they can be seen."""
-    left = np.concatenate([np.abs(trace.left_after) for trace in traces])
+    left = np.concatenate([np.abs(trace.residual_after) for trace in traces])
     limits = []
     for values, (_, _, factor) in zip(left.T, CHANNELS, strict=True):
         known = values[np.isfinite(values)]
@@ -131,15 +131,15 @@ def _limits(traces: Sequence[RunTrace]) -> list[float]:
 
 @styled
 def residuals_by_run(traces: Sequence[RunTrace]) -> Figure:
-    """Draw what is left at the end of each run in the order driven, before above and after below, by kind of route."""
+    """Draw the residuals at the end of each run in the order driven, before above and after below, by kind of route."""
     figure = canvas(9.0)
     grid = axes_grid(figure, 2, 3, sharex=True)
     kinds = list(dict.fromkeys(trace.kind for trace in traces))
     order = np.arange(1, len(traces) + 1)
     handles: dict[str, Any] = {}
     for row, word, values in (
-        (grid[0], "before", [trace.left_before[-1] for trace in traces]),
-        (grid[1], "after", [trace.left_after[-1] for trace in traces]),
+        (grid[0], "before", [trace.residual_before[-1] for trace in traces]),
+        (grid[1], "after", [trace.residual_after[-1] for trace in traces]),
     ):
         table = np.array(values)
         for number, (axes, (title, unit, factor)) in enumerate(zip(row, CHANNELS, strict=True)):
