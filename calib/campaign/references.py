@@ -31,9 +31,8 @@ class Bias:
     """What a gyro reads at rest."""
 
     radps: float
-    #: standard deviation of one sample, and time at rest with the samples in it
+    #: standard deviation of one sample, and samples at rest
     sample_std_radps: float
-    rest_s: float
     samples: int
 
     @property
@@ -107,16 +106,14 @@ def bias_of(campaign: Campaign, run: int) -> Bias | None:
     moves = np.any([np.diff(wheel) != 0.0 for wheel in wheels], axis=0)
     edges = np.flatnonzero(np.diff(np.concatenate(([True], moves, [True])).astype(np.int8)))
     at_rest = np.zeros(len(t_s), dtype=np.bool_)
-    rest_s = 0.0
     for first, last in edges.reshape(-1, 2):
         begin, end = t_s[first] + SETTLING_S, t_s[last] - SETTLING_S
         if end - begin >= STANDSTILL_S:
             at_rest |= (t_s >= begin) & (t_s <= end)
-            rest_s += float(end - begin)
     values = rate[at_rest & np.isfinite(rate)]
     if len(values) < 3:
         return None
-    return Bias(float(values.mean()), float(values.std(ddof=1)), rest_s, len(values))
+    return Bias(float(values.mean()), float(values.std(ddof=1)), len(values))
 
 
 def _turn(log: dict[str, FloatArray], bias: Bias, more_radps: float) -> tuple[float, float]:
