@@ -34,6 +34,8 @@ FEWEST_BETWEEN_DOF: Final = 2.0
 NODES_FEW_DOF: Final = 64
 NODES_MANY_DOF: Final = 16
 MANY_DOF: Final = 20.0
+#: loads at which a band is compared with the intervals that it holds: a kink between two of them is below 1 %
+BAND_NODES: Final = 129
 #: in place of infinitely many degrees of freedom: Student's t is then normal to six digits
 LARGEST_DOF: Final = 1e6
 
@@ -170,6 +172,38 @@ class LineEstimate:
         factor = stdtrit(np.minimum(self.systematic_dof, LARGEST_DOF), 0.5 + coverage / 2)
         return np.asarray(np.hypot(random, np.sqrt(np.sum((each * factor) ** 2, axis=-1))))
 
+    def band(
+        self,
+        offset_N: npt.ArrayLike,
+        reach_N: tuple[float, float],
+        *,
+        more_within: float = 0.0,
+        more_between: float = 0.0,
+    ) -> FloatArray:
+        """Return the half width of the band about the law, 95 % at each load, shape (...).
+
+        `offset_N`: loads minus the reference load; `reach_N`: the measured ones, lowest and highest. The critical value
+        depends on the share of sessions in the variance, which changes with the load; a band of the intervals
+        themselves has kinks. The band is the narrowest hyperbola about the load of least variance that holds them all.
+        """
+        more = {"more_within": more_within, "more_between": more_between}
+
+        def half(offset: FloatArray) -> FloatArray:
+            contrast = np.stack((np.ones_like(offset), offset), axis=-1)
+            return self.half_width(contrast, COVERAGE, **more)
+
+        offset = np.asarray(offset_N, dtype=np.float64)
+        low, high = reach_N
+        covariance = self.covariance
+        if not (high > low and covariance[1, 1] > 0 and self.cov_between.any() and self.cov_within.any()):
+            return half(offset)
+        centre = float(np.clip(-covariance[0, 1] / covariance[1, 1], low, high))
+        grid = np.linspace(low, high, BAND_NODES)
+        level, rise = covering_line((grid - centre) ** 2, half(grid) ** 2)
+        hyperbola = np.sqrt(level + rise * (offset - centre) ** 2)
+        # beyond the measured loads the intervals may widen faster
+        return np.where((offset < low) | (offset > high), np.maximum(hyperbola, half(offset)), hyperbola)
+
     @property
     def radius_ref_ci95_m(self) -> tuple[float, float]:
         """95 % interval of the radius at the reference load."""
@@ -212,6 +246,23 @@ class LineEstimate:
         document = plain_fields(self)
         unused = () if len(self.systematic) else ("systematic", "systematic_dof")
         return {key: value for key, value in document.items() if key not in unused}
+
+
+def covering_line(x: FloatArray, y: FloatArray) -> tuple[float, float]:
+    """Return level at 0 and slope, at least 0, of the line above all points that is lowest at the mean of `x`.
+
+    `x`, `y` (shape (n,)). It is the side of their upper hull there, so it is exact where the points lie on a line.
+    """
+    middle = float(x.mean())
+    left, right = np.flatnonzero(x <= middle), np.flatnonzero(x > middle)
+    if not len(right):
+        return float(y.max()), 0.0
+    # height at the middle of the line through every pair; the hull's side is the highest
+    weight = (middle - x[left, None]) / (x[right] - x[left, None])
+    first, second = np.unravel_index(np.argmax((1 - weight) * y[left, None] + weight * y[right]), weight.shape)
+    one, other = left[first], right[second]
+    slope = float((y[other] - y[one]) / (x[other] - x[one]))
+    return (float(y[one] - slope * x[one]), slope) if slope > 0 else (float(y.max()), 0.0)
 
 
 @lru_cache(maxsize=64)

@@ -176,8 +176,10 @@ class WheelFit:
 
     def _band(self, load_N: npt.ArrayLike, more_within: float, more_between: float) -> tuple[FloatArray, FloatArray]:
         load = np.asarray(load_N, dtype=np.float64)
-        contrast = np.stack((np.ones_like(load), load - self.reference_load_N), axis=-1)
-        half = self.estimate.half_width(contrast, COVERAGE, more_within=more_within, more_between=more_between)
+        reach = (self.law.load_min_N - self.reference_load_N, self.law.load_max_N - self.reference_load_N)
+        half = self.estimate.band(
+            load - self.reference_load_N, reach, more_within=more_within, more_between=more_between
+        )
         centre = self.law.radius_m(load)
         return centre - half, centre + half
 

@@ -226,7 +226,21 @@ def provenance(campaign: Campaign, *, version: str, arguments: Mapping[str, Any]
         if section in campaign.extra:
             # dates of TOML become texts
             record[section] = json.loads(json.dumps(campaign.extra[section], default=str))
+    if notes := ingest_notes(campaign):
+        record["ingest"] = notes
     return record
+
+
+def ingest_notes(campaign: Campaign) -> list[list[str]]:
+    """Return what the import of a campaign noted, (where, text); empty for one that was not imported."""
+    file = None if campaign.root is None else campaign.root / "ingest.json"
+    if file is None or not file.is_file():
+        return []
+    try:
+        document = json.loads(file.read_text(encoding="utf-8"))
+        return [[str(note["where"]), str(note["text"])] for note in document.get("summary", document["notes"])]
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise BadFileError(file, f"{type(error).__name__}", "what calib ingest wrote", "remove it") from error
 
 
 def write_result(fit: Fit, folder: Path, *, force: bool = False) -> Path:

@@ -116,18 +116,16 @@ def number_of(kind: str, content: str) -> str:
 def head_of(report_id: str, issued: str, stated: Mapping[str, str]) -> tuple[tuple[str, str], ...]:
     """Return the facts under a report's title."""
     facts = [("Report", report_id), ("Date of issue", issued)]
-    facts += [
-        (title, stated[key]) for title, key in (("Replaces report", "replaces"), ("Method", "method")) if key in stated
-    ]
-    for title, key in (
+    titles = (
+        ("Replaces report", "replaces"),
+        ("Method", "method"),
         ("Laboratory", "laboratory"),
         ("Customer", "customer"),
         ("Vehicle", "item"),
         ("Dates of measurement", "measured"),
         ("Authorised by", "authorised"),
-    ):
-        facts.append((title, stated.get(key, "not stated")))
-    return tuple(facts)
+    )
+    return (*facts, *((title, stated[key]) for title, key in titles if key in stated))
 
 
 def compose(source: Source) -> Report:

@@ -11,11 +11,12 @@ from calib import __version__
 from calib.campaign.checks.design import assumed_settings
 from calib.documents import to_json
 from calib.kinematics.adequacy import GeometryVerdict
+from calib.radius.result import ingest_notes
 from calib.reporting.blocks import Block, Facts, Items, Notice, Picture, Section, Text, drawn, items
 from calib.reporting.content import Attachment, Report, head_of, number_of
 from calib.reporting.formatting import prose
 from calib.reporting.source import logo_of, signatures_of, stated_of, verdict_document
-from calib.reporting.topics.conditions import assumed_text
+from calib.reporting.topics.conditions import assumed_text, missing_of, preparation_of
 from calib.reporting.topics.geometry import geometry_sentences, parameter_table, route_tables, verdict_sentences
 
 if TYPE_CHECKING:
@@ -63,7 +64,14 @@ def geometry_report(
     number = number_of("GR", to_json(content))
     stated = stated_of(campaign)
     reason = Section("Radius law", (Notice("note", "These runs give no radius law", prose(why.rstrip(".")) + "."),))
-    sections = [*_sections(geometry), *_diagnosis_sections(diagnosis), reason, _limits(campaign, coefficients)]
+    sections = (
+        *_sections(geometry),
+        *_diagnosis_sections(diagnosis),
+        reason,
+        preparation_of(ingest_notes(campaign)),
+        _limits(campaign, coefficients),
+        missing_of(stated),
+    )
     return Report(
         report_id=number,
         title="Geometry of a vehicle: radii, track and sensor",
@@ -75,7 +83,7 @@ def geometry_report(
         head=head_of(number, issued, stated),
         signatures=signatures_of(stated),
         logo=logo_of(campaign),
-        sections=tuple(sections),
+        sections=tuple(section for section in sections if section is not None),
         attachments=_attachments(geometry, coefficients, diagnosis),
     )
 

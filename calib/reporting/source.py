@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from datetime import date
 from pathlib import Path
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 #: a PDF cannot carry an earlier date of creation
 FIRST_YEAR: Final = 1970
+#: probability from which on a cause is not in doubt
+SURE_FROM: Final = 0.9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,9 +79,9 @@ class Source:
 
         return replace(self, verdict=diagnosis, gap=GapArrays.of(diagnosis))
 
-    def text(self, key: str) -> str:
-        """Return the campaign's text under a key of `STATED`, or ``not stated``."""
-        return self.stated.get(key, "not stated")
+    def facts(self, **titles: str) -> list[tuple[str, str]]:
+        """Return what the campaign states under keys of `STATED`, each with its title; nothing of the others."""
+        return [(title, self.stated[key]) for key, title in titles.items() if key in self.stated]
 
 
 def issue_date(text: str | None) -> str:
@@ -132,9 +134,18 @@ def _verdict_beside(path: Path, name: str) -> tuple[VerdictKind, str] | None:
         document = json.loads(file.read_text(encoding="utf-8"))
         if document["campaign"] != name:
             return None
-        return VerdictKind(document["verdict"]), str(document["sentence"])
+        doubt = doubtful_causes((str(cause["effect"]), float(cause["probability"])) for cause in document["causes"])
+        return VerdictKind(document["verdict"]), f"{document['sentence']} {doubt}".strip()
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise BadFileError(file, f"{type(error).__name__}", "what calib diagnose --into wrote", "remove it") from error
+
+
+def doubtful_causes(causes: Iterable[tuple[str, float]]) -> str:
+    """Return the probabilities of named causes, (effect, probability), where one is below 0.9; else nothing."""
+    named = list(causes)
+    if all(value >= SURE_FROM for _, value in named):
+        return ""
+    return f"Probability: {', '.join(f'{name} {100 * value:.0f} %' for name, value in named)}."
 
 
 def source_of_fit(fit: Fit, *, issued: str, where: Path | str = "fit") -> Source:

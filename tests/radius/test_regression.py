@@ -8,6 +8,7 @@ from scipy import stats
 from statsmodels.regression.linear_model import OLS
 
 from calib.errors import RefusedError
+from calib.radius.law import covering_line
 from calib.radius.regression import distinct_loads, fit_wheel, independent_line, least_squares, t_quantile
 from calib.radius.sessions import breusch_pagan
 
@@ -125,12 +126,33 @@ def test_the_prediction_band_of_sixty_runs_is_several_times_the_band_of_the_mean
     assert 4.6 < width[1] / width[0] < 8.0
 
 
-def test_interval_of_the_radius_is_its_band_at_the_reference_load() -> None:
+def test_the_band_holds_the_interval_at_each_load_has_no_kinks_and_is_narrowest_at_one_load() -> None:
+    load = np.linspace(300.0, 1100.0, 401)
     for crossed in (True, False):
-        load, radius, session = runs(crossed)
-        fit = fit_wheel("left", load, radius, session, reference_load_N=300.0)
-        low, high = fit.mean_band_m(300.0)
-        assert (float(low), float(high)) == pytest.approx(fit.radius_ref_ci95_m, rel=1e-12)  # rounding
+        fit = fit_wheel("left", *runs(crossed), reference_load_N=300.0)
+        contrast = np.stack((np.ones_like(load), load - 300.0), axis=-1)
+        for band, more in (
+            (fit.mean_band_m, (0.0, 0.0)),
+            (fit.prediction_band_m, (fit.estimate.run_variance, fit.estimate.session_variance)),
+        ):
+            interval = fit.estimate.half_width(contrast, 0.95, more_within=more[0], more_between=more[1])
+            half = 0.5 * np.diff(band(load), axis=0)[0]
+            assert (half > interval * (1 - 1e-3)).all()  # between two nodes of the band a kink may stand out
+            assert half.mean() < 1.1 * interval.mean()  # no wider than the kinks are high
+            # a hyperbola: its square bends one way only
+            assert (np.diff(half**2, 2) > -1e-9 * half.max() ** 2).all()  # rounding
+
+
+def test_the_covering_line_is_the_lowest_in_the_mean_of_all_lines_above_the_points() -> None:
+    """Against linear programming."""
+    from scipy.optimize import linprog
+
+    rng = np.random.default_rng(4)
+    for _ in range(50):
+        x, y = rng.uniform(0, 3, 30), rng.normal(2, 1, 30)
+        level, slope = covering_line(x, y)
+        oracle = linprog([1, x.mean()], -np.column_stack((np.ones(30), x)), -y, bounds=((None, None), (0, None)))
+        assert level + slope * x.mean() == pytest.approx(oracle.fun, abs=1e-9)  # the solver's tolerance
 
 
 def test_breusch_pagan_is_n_times_r_squared_of_the_squared_residuals() -> None:

@@ -330,6 +330,7 @@ def _record(work: _Ingestion) -> dict[str, Any]:
     record: dict[str, Any] = {
         "sources": [{"path": name, "sha256": digest} for name, digest in sorted(work.hashes.items())],
         "notes": [{"where": note.where, "text": note.text} for note in work.border.notes],
+        "summary": [{"where": note.where, "text": note.text} for note in merged_notes(work.border.notes)],
     }
     if work.segments:
         record["cuts"] = plain(work.segments)

@@ -38,6 +38,8 @@ ARROW_SHARE: Final = 0.12
 MAP_HEIGHT_CM: Final = 11.5
 #: covariates drawn of one channel: two rows of three
 MAX_PANELS: Final = 6
+#: correlation from which on two covariates make the same picture
+ALIKE: Final = 0.98
 #: pictures of a diagnosis in a report, and figures of ``calib diagnose --figures``
 GAP_PICTURES: Final = ("gap-map", "gap-by-covariate", "gap-before-after")
 GAP_FIGURES: Final = ("gap-map", "before-after", *(f"gap-by-covariate-{channel.label}" for channel in Channel))
@@ -184,7 +186,7 @@ def gap_by_covariate(
     matplotlib.figure.Figure
         One panel a covariate.
     """
-    shown = list(covariates.items())[:MAX_PANELS]
+    shown = [(name, covariates[name]) for name in distinct(covariates)][:MAX_PANELS]
     factor, name = readable(unit, _largest(residual))
     figure, axes = panels(len(shown), 1.6, 4.4, sharey=True)
     names, number = _groups(group, len(residual))
@@ -192,7 +194,8 @@ def gap_by_covariate(
     for axis, (title, values) in zip(axes.flat, shown, strict=False):
         good = np.isfinite(gap) & np.isfinite(values)
         if noise_level is not None:
-            axis.axhspan(-factor * noise_level, factor * noise_level, color=GREY, alpha=0.18, lw=0)
+            # its edges as lines: a band far below the gap would be hidden by the zero line
+            axis.axhspan(-factor * noise_level, factor * noise_level, color=GREY, alpha=0.3, lw=0.5, ec=INK)
         axis.axhline(0.0, color=GREY, lw=0.6)
         for index in range(len(names)):
             on = good & (number == index)
@@ -205,6 +208,12 @@ def gap_by_covariate(
         axis.margins(x=0.06, y=0.08)
         # numbers with many decimals would run into each other
         axis.locator_params(axis="x", nbins=4)
+    # the runs set the limits: the interval of a class of two runs may leave the panel
+    known = gap[np.isfinite(gap)]
+    if len(known):
+        low, high = min(float(known.min()), 0.0), max(float(known.max()), 0.0)
+        margin = 0.08 * max(high - low, factor * (noise_level or 0.0))
+        axes[0, 0].set_ylim(low - margin, high + margin)
     for row in axes:
         row[0].set_ylabel(f"{channel} ({name})")
     group_legend(figure, axes[0, 0], names)
@@ -220,7 +229,7 @@ def before_after(
     `channels`: name and unit (``m`` or ``rad``) of each channel; `before`, `after` (shape (n, n_channels)):
     measured minus simulated without and with the named cause, on held-out runs; NaN where there is none; `noise_level`
     (shape (n, n_channels)): standard deviation that repeats give. One panel a channel that any run has; the dots
-    are runs, the thick bars root mean squares.
+    are runs, the bars their mean and standard deviation, the numbers root mean squares.
     """
     used = [k for k in range(len(channels)) if np.isfinite(before[:, k]).any()]
     figure, axes = panels(len(used), 1.2, 4.8)
@@ -233,14 +242,14 @@ def before_after(
         axis.axhline(0.0, color=GREY, lw=0.6)
         for place, (values, tint) in enumerate(((before[:, k], ORANGE), (after[:, k], BLUE))):
             gaps = factor * values[np.isfinite(values)]
-            # dots beside each other, spread evenly, not by chance
-            spread = 0.26 * (2 * ((np.arange(len(gaps)) * 0.6180339887498949) % 1.0) - 1)
-            axis.plot(place + spread, gaps, "o", ms=2.2, mew=0, color=tint, alpha=0.55, rasterized=len(gaps) > MANY)
-            size = rms(gaps)
-            for sign in (-1.0, 1.0):
-                axis.plot([place - 0.3, place + 0.3], [sign * size, sign * size], color=tint, lw=1.8)
+            # dots beside each other, evenly, not by chance
+            aside = 0.26 * (2 * ((np.arange(len(gaps)) * 0.6180339887498949) % 1.0) - 1)
+            axis.plot(place + aside, gaps, "o", ms=2.2, mew=0, color=tint, alpha=0.55, rasterized=len(gaps) > MANY)
+            mean, spread = (float(gaps.mean()), float(gaps.std())) if len(gaps) else (np.nan, np.nan)
+            axis.errorbar(place, mean, yerr=spread, color=tint, elinewidth=1.4, capsize=9, capthick=1.4)
+            axis.plot([place - 0.3, place + 0.3], [mean, mean], color=tint, lw=2.2)
         sizes = [f"{factor * rms(values[:, k]):.3g} {name}" for values in (before, after)]
-        axis.set_xticks([0, 1], [f"before\n{sizes[0]}", f"after\n{sizes[1]}"])
+        axis.set_xticks([0, 1], [f"before\nrms {sizes[0]}", f"after\nrms {sizes[1]}"])
         axis.set_xlim(-0.5, 1.5)
         axis.grid(visible=False, axis="x")
         axis.set(
@@ -260,7 +269,7 @@ def gap_figures(diagnosis: Diagnosis) -> dict[str, Figure]:
     for k, (channel, unit) in enumerate(gap.channels):
         # covariates of the verdict first, those of this channel before others
         ranked = [line.name for line in lines if line.channel_label == channel] + [line.name for line in lines]
-        names = [name for name in dict.fromkeys([*ranked, *gap.covariates]) if name in gap.covariates][:MAX_PANELS]
+        names = [name for name in dict.fromkeys([*ranked, *gap.covariates]) if name in gap.covariates]
         if names and np.isfinite(gap.before[:, k]).any():
             figures[f"gap-by-covariate-{channel}"] = gap_by_covariate(
                 gap.before[:, k], channel, unit, {name: gap.covariates[name] for name in names},
@@ -268,6 +277,25 @@ def gap_figures(diagnosis: Diagnosis) -> dict[str, Figure]:
             )  # fmt: skip
     figures["before-after"] = before_after(gap.channels, gap.before, gap.after, gap.noise_level)
     return figures
+
+
+def distinct(covariates: Mapping[str, FloatArray]) -> dict[str, list[str]]:
+    """Return the covariates that are worth a panel each, with the later ones that go with it and would look alike."""
+    kept: dict[str, list[str]] = {}
+    for name, values in covariates.items():
+        like = next((other for other in kept if _alike(values, covariates[other])), None)
+        if like is None:
+            kept[name] = []
+        else:
+            kept[like].append(name)
+    return kept
+
+
+def _alike(one: FloatArray, other: FloatArray) -> bool:
+    both = np.isfinite(one) & np.isfinite(other)
+    if both.sum() < 3 or np.ptp(one[both]) == 0 or np.ptp(other[both]) == 0:
+        return False
+    return bool(abs(np.corrcoef(one[both], other[both])[0, 1]) > ALIKE)
 
 
 def _largest(values: FloatArray) -> float:

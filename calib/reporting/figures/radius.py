@@ -7,6 +7,8 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
@@ -33,30 +35,68 @@ from calib.reporting.figures.style import (
 MM: Final = 1e3
 UM: Final = 1e6
 PPM: Final = 1e6
-_RAISED: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 WHEELS: Final = ("left", "right")
+#: a smaller excess is drawn as this one: a hair's breadth over a corridor
+LEAST_EXCESS_PPM: Final = 1e-4
+#: light to dark, told apart in print and by colour-blind readers
+LOAD_COLOURS: Final = "viridis_r"
+#: loads within this share of the largest are one load that scatters
+LOADS_ALIKE: Final = 0.05
 
 
 @styled
 def runs_by_series(radii: EffectiveRadii) -> Figure:
-    """Draw each wheel's radius by run, in the order driven, coloured by session (Fig. 10).
+    """Draw each wheel's radius by run, in the order driven (Fig. 10).
 
-    `radii`: of a fit. One panel a wheel, one vertical scale.
+    `radii`: of a fit. One panel a wheel, one vertical scale; coloured by load where it varies, with lines between the
+    sessions, else by session.
     """
     figure = canvas(8.0)
     axes = axes_grid(figure, 2, 1, sharex=True, sharey=True)[:, 0]
     order = np.arange(1, len(radii) + 1)
     names, group = _sessions(radii.session)
-    sides = ((radii.radius_left_m, radii.std_left_m), (radii.radius_right_m, radii.std_right_m))
-    for axis, wheel, (radius, std) in zip(axes, WHEELS, sides, strict=True):
-        for number, name in enumerate(names):
-            on = group == number
-            _errorbars(axis, order[on], MM * radius[on], MM * std[on], colour(number), name)
+    sides = (
+        (radii.radius_left_m, radii.std_left_m, radii.load_left_N),
+        (radii.radius_right_m, radii.std_right_m, radii.load_right_N),
+    )
+    loads = np.concatenate((radii.load_left_N, radii.load_right_N))
+    span = Normalize(float(loads.min()), float(loads.max())) if varies(loads) else None
+    for axis, wheel, (radius, std, load) in zip(axes, WHEELS, sides, strict=True):
+        if span is None:
+            for number, name in enumerate(names):
+                on = group == number
+                _errorbars(axis, order[on], MM * radius[on], MM * std[on], colour(number), name)
+        else:
+            _errorbars(axis, order, MM * radius, MM * std, GREY, None)
+            axis.scatter(order, MM * radius, c=load, norm=span, cmap=LOAD_COLOURS, s=9, lw=0, zorder=3)
+            _mark_sessions(axis, group, names)
         axis.set(title=f"{wheel.capitalize()} wheel", ylabel="effective radius (mm)")
         axis.margins(x=0.015, y=0.08)
     axes[-1].set_xlabel("run, in the order driven")
-    group_legend(figure, axes[0], names)
+    if span is None:
+        group_legend(figure, axes[0], names)
+    else:
+        figure.colorbar(ScalarMappable(span, LOAD_COLOURS), ax=axes, pad=0.01, aspect=40, label="wheel load (N)")
     return figure
+
+
+def varies(load: npt.NDArray[np.float64]) -> bool:
+    """Return whether loads differ by more than 5 % of the largest, so that colours can order them."""
+    return bool(np.ptp(load) > LOADS_ALIKE * np.abs(load).max())
+
+
+def _mark_sessions(axis: Any, group: npt.NDArray[np.int64], names: list[str]) -> None:
+    """Draw a line where the session changes, and name the sessions where there is room."""
+    changes = np.flatnonzero(np.diff(group)) + 1
+    if len(changes) > len(names) + LEGEND_LIMIT:  # sessions that alternate
+        return
+    for change in changes:
+        axis.axvline(change + 0.5, color=GREY, lw=0.5, ls=(0, (4, 3)))
+    for first in np.concatenate(([0], changes)) if 1 < len(names) <= LEGEND_LIMIT else ():
+        axis.annotate(
+            names[group[first]], (first + 0.7, 1.0), xycoords=("data", "axes fraction"), xytext=(1, -1),
+            textcoords="offset points", fontsize=6, color="#555555", va="top",
+        )  # fmt: skip
 
 
 @styled
@@ -119,7 +159,7 @@ def path_deviation(radii: EffectiveRadii) -> Figure:
     grid = np.geomspace(low, high, 121)
     for number, value in enumerate((2.5, 5.0, 10.0, 20.0, 40.0)):
         shade = str(0.25 + 0.11 * number)
-        excess = 100 * whole_period_excess(grid, value)
+        excess = PPM * whole_period_excess(grid, value)
         chart.plot(grid, excess, color=shade, lw=0.9)
         chart.annotate(
             # the lines run together where the weave is steep: their names are held apart
@@ -128,16 +168,18 @@ def path_deviation(radii: EffectiveRadii) -> Figure:
             va="center", color=shade, annotation_clip=False,
         )  # fmt: skip
     if len(amplitude):
-        excess = 100 * whole_period_excess(amplitude, wavelength)
+        excess = np.maximum(PPM * whole_period_excess(amplitude, wavelength), LEAST_EXCESS_PPM)
         chart.plot(amplitude, excess, ".", ms=4, color=ORANGE, label="runs", rasterized=len(amplitude) > MANY)
         chart.legend(loc="upper left")
-    chart.set(xscale="log", yscale="log", xlabel="amplitude A (m)", ylabel="excess of the path (%)")
+    chart.set(xscale="log", yscale="log", xlabel="amplitude A (m)", ylabel="excess of the path (ppm)")
     chart.set_title("Weave of amplitude A and wavelength λ")
     chart.set_xlim(low, high)
+    chart.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     for axis in (chart.xaxis, chart.yaxis):
-        axis.set_major_formatter(FuncFormatter(_plain))
         axis.set_minor_formatter(NullFormatter())
-    chart.set_yticks(10.0 ** np.arange(*_decades(chart.get_ylim()), 2))
+    chart.set_ylim(bottom=max(chart.get_ylim()[0], 0.5 * LEAST_EXCESS_PPM))
+    decades = np.arange(*_decades(chart.get_ylim()), 2)
+    chart.set_yticks(10.0**decades, [f"{10.0**k:,.{max(-int(k), 0)}f}" for k in decades])
 
     order = np.arange(1, len(radii) + 1)
     for wheel, part, tint, mark in (("left", radii.path_left, BLUE, "o"), ("right", radii.path_right, ORANGE, "s")):
@@ -227,16 +269,11 @@ def _short(name: str, limit: int = 18) -> str:
     return f"\u200b{text}" if text.startswith("_") else text
 
 
-def _plain(value: float, _: int) -> str:
-    """Return a tick of a logarithmic axis as people write it."""
-    return f"{value:g}" if value >= 1e-4 else f"10{str(round(np.log10(value))).translate(_RAISED)}"
-
-
 def _decades(limits: tuple[float, float]) -> tuple[int, int]:
     return int(np.ceil(np.log10(limits[0]))), int(np.floor(np.log10(limits[1]))) + 1
 
 
-def _errorbars(axis: Any, x: Any, y: Any, std: Any, tint: str, label: str) -> None:
+def _errorbars(axis: Any, x: Any, y: Any, std: Any, tint: str, label: str | None) -> None:
     many = len(x) > MANY
     axis.errorbar(
         x, y, yerr=None if many else 2 * np.nan_to_num(std), fmt=".", ms=3.6, color=tint, elinewidth=0.6, label=label,

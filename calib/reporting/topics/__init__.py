@@ -17,6 +17,7 @@ PAGES: Final = (
     "conditions:item_section",
     "conditions:method_section",
     "conditions:conditions_section",
+    "conditions:preparation_section",
     "runs:runs_section",
     "law:regression_section",
     "deviation:deviation_section",
@@ -27,6 +28,7 @@ PAGES: Final = (
     "checks:decision_section",
     "conditions:limits_section",
     "conditions:files_section",
+    "conditions:missing_section",
 )
 
 

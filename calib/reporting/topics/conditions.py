@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from typing import Final
+from typing import Any, Final
 
 from calib import __version__
 from calib.campaign.checks.design import WEIGHTY
@@ -16,13 +16,8 @@ from calib.reporting.source import OPTIONAL, STATED, Source
 def item_section(source: Source) -> Section:
     """Return the vehicle as the campaign states it."""
     setup = source.fit.setup
-    rows = [
-        ("Vehicle", source.text("item")),
-        ("Identification", source.text("item_id")),
-        ("Condition", source.text("item_condition")),
-        ("Received", source.text("received")),
-        ("Campaign", source.fit.name),
-    ]
+    rows = source.facts(item="Vehicle", item_id="Identification", item_condition="Condition", received="Received")
+    rows.append(("Campaign", source.fit.name))
     if setup is not None:
         vehicle, encoder = setup.vehicle, setup.encoder
         per_rev = {encoder.counts_per_rev_left, encoder.counts_per_rev_right}
@@ -36,24 +31,58 @@ def item_section(source: Source) -> Section:
         rows += [
             ("Track", f"{1e3 * vehicle.track_m:.1f} mm between the contact points of the rear wheels"),
             ("Wheelbase", f"{1e3 * vehicle.wheelbase_m:.1f} mm"),
-            ("Nominal wheel radius", f"{1e3 * vehicle.wheel_radius_m:.2f} mm, free"),
+            ("Nominal wheel radius", f"{1e3 * vehicle.wheel_radius_m:.2f} mm, unloaded"),
             ("Mass", f"{vehicle.mass_kg:g} kg without payload, permissible wheel load {vehicle.max_wheel_load_N:g} N"),
             ("Wheel encoders", counts + wrap),
         ]
-    missing = [what for key, what in STATED.items() if key not in source.stated and key not in OPTIONAL]
-    blocks: list[Facts | Text] = [Facts(tuple((name, value or MISSING) for name, value in rows))]
-    blocks.append(
-        Text(
-            "What the campaign states of laboratory, customer, vehicle, instruments and dates is carried over as "
-            "given; geometry and counts a revolution are taken from it and were not measured here.",
-            small=True,
-        )
+    remark = Text(
+        "What the campaign states of laboratory, customer, vehicle, instruments and dates is carried over as given; "
+        "geometry and counts a revolution are taken from it and were not measured here.",
+        small=True,
     )
-    if missing:
-        blocks.append(Text(f"The campaign does not state: {', '.join(missing)}.", small=True))
-    return Section("Item", tuple(blocks))
+    return Section("Item", (Facts(tuple((name, value or MISSING) for name, value in rows)), remark))
 
 
+def missing_section(source: Source) -> Section | None:
+    """Return the list of what the campaign does not state, to be filled in."""
+    return missing_of(source.stated)
+
+
+def missing_of(stated: Mapping[str, str]) -> Section | None:
+    """Return what is missing of the keys of `STATED` that a reader must be told, as a list to be filled in."""
+    rows = tuple((what.capitalize(), key, "") for key, what in STATED.items() if key not in {*stated, *OPTIONAL})
+    if not rows:
+        return None
+    table = Table(
+        "Not stated by the campaign: to be filled in, here or under [report] of campaign.toml.",
+        (text_column("What"), text_column("Key of [report]"), text_column("To be filled in", wide=True)),
+        rows,
+    )
+    return Section("Not stated", (table,))
+
+
+def preparation_section(source: Source) -> Section | None:
+    """Return what the import of laboratory files recognised, converted and omitted."""
+    return preparation_of(source.fit.provenance.get("ingest"))
+
+
+def preparation_of(notes: Any) -> Section | None:
+    """Return notes of an import, (where, text), as a section; None where there are none."""
+    if not isinstance(notes, (list, tuple)) or not notes:
+        return None
+    sentences = tuple(f"{where}: {text}" for where, text in notes[:MOST_NOTES])
+    more = len(notes) - len(sentences)
+    return Section(
+        "Preparation of the data",
+        (
+            Text("The runs were made of the laboratory's files by calib ingest, which noted:"),
+            Items(sentences + ((f"and {more} more, in ingest.json of the campaign",) if more > 0 else ())),
+        ),
+    )
+
+
+#: notes of an import listed in a report
+MOST_NOTES: Final = 20
 _CONDITIONS = {
     "temperature_C": ("Temperature of the hall", "°C", ".1f"),
     "speed_mps": ("Set speed", "m/s", ".3g"),
@@ -72,13 +101,8 @@ def conditions_section(source: Source) -> Section:
     setup, radii = source.fit.setup, source.fit.radii
     sessions = len(set(radii.session.tolist()))
     out, back = int((radii.direction == "out").sum()), int((radii.direction == "back").sum())
-    rows = [
-        ("Place", source.text("place")),
-        ("Floor", source.text("floor")),
-        ("Dates of measurement", source.text("measured")),
-        ("Sessions", str(sessions)),
-        ("Instruments", source.text("instruments")),
-    ]
+    rows = source.facts(place="Place", floor="Floor", measured="Dates of measurement", instruments="Instruments")
+    rows.append(("Sessions", str(sessions)))
     if setup is not None:
         rows.append(
             ("Laser rangefinder", f"standard uncertainty of a distance {1e3 * setup.rangefinder.sigma_m:.2g} mm")
@@ -146,8 +170,8 @@ def method_section(source: Source) -> Section:
     blocks: list[Text | Equation] = [
         Text(
             "The vehicle drives along a straight corridor. A laser rangefinder measures the distance Sₒ of each run, "
-            "the encoders of the free rear wheels count their revolutions n. The effective radius of a wheel in a run "
-            "is"
+            f"the encoders of {_counted_wheels(source)} count their revolutions n. The effective radius of a wheel in "
+            "a run is"
         ),
         Equation("effective_radius"),
         Text(
@@ -168,6 +192,16 @@ def method_section(source: Source) -> Section:
         Text(f"Deviations from the method: {source.stated.get('deviations', 'none stated')}."),
     ]
     return Section("Method", (*blocks, *items(map(prose, fit.notes))))
+
+
+def _counted_wheels(source: Source) -> str:
+    """Return the wheels that are counted, driven where the vehicle's drive drives them."""
+    drive = "" if source.fit.setup is None else source.fit.setup.vehicle.drive
+    return {
+        "tricycle": "the free rear wheels",
+        "differential": "the two driven wheels",
+        "skid": "the driven wheels of either side",
+    }.get(drive, "the rear wheels")
 
 
 def limits_section(source: Source) -> Section:

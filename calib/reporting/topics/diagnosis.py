@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.gap.decision.diagnosis import Diagnosis, Plan, VerdictKind
 from calib.reporting.blocks import Block, Heading, Notice, Picture, Section, Text, drawn, items, simulated_notice
-from calib.reporting.formatting import length, prose
+from calib.reporting.formatting import length, prose, with_unit
 from calib.reporting.source import Source
 from calib.reporting.topics.effects import next_runs_table
 from calib.reporting.topics.gap import (
@@ -101,6 +101,8 @@ def covariate_picture(gap: GapArrays | None, verdict: Diagnosis) -> list[Picture
     """Return the channel furthest above its noise level, against what varied between the runs."""
     if gap is None:
         return []
+    from calib.reporting.figures.gap import MAX_PANELS, distinct
+
     # covariates that explain most come first: the number of panels is limited
     lines = sorted(verdict.where.covariates, key=lambda line: not line.significant)
     rank = {line.name: number for number, line in reversed(list(enumerate(lines)))}
@@ -119,12 +121,14 @@ def covariate_picture(gap: GapArrays | None, verdict: Diagnosis) -> list[Picture
         return []
     channel, unit = gap.channels[worst]
     title, options = effect_name(channel), {"noise_level": levels[worst], "group": gap.labels["kind"]}
+    shown = list(distinct(varied).items())[:MAX_PANELS]
+    alike = [f"{', '.join(map(with_unit, others))} like {with_unit(name)}" for name, others in shown if others]
     return [
         Picture(
             "gap-by-covariate",
             f"The {title} gap against what varied between the runs; squares are means with their 95 % intervals, the "
-            "grey band is the noise level.",
-            f"Gap of the channel {title} against {', '.join(effect_name(name) for name in list(varied)[:6])}",
+            "grey band is the noise level." + (f" Not drawn, since they vary alike: {'; '.join(alike)}." if alike else ""),
+            f"Gap of the channel {title} against {', '.join(effect_name(name) for name, _ in shown)}",
             partial(drawn, "gap.gap_by_covariate", gap.before[:, worst], title, unit, varied, **options),
         )
     ]
@@ -144,7 +148,7 @@ def before_after_picture(gap: GapArrays | None) -> list[Picture]:
         Picture(
             "gap-before-after",
             "The gap of every run before and after the correction, channel by channel, on held-out runs; bars "
-            "are root mean squares, the grey band is the noise level.",
+            "are mean and standard deviation, numbers root mean squares, the grey band is the noise level.",
             "Gap before and after by channel: " + "; ".join(sizes),
             partial(drawn, "gap.before_after", channels, gap.before, gap.after, gap.noise_level),
         )

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from calib.radius.fit import Difference, ModelComparison
 from calib.radius.result import Fit
 from calib.reporting.blocks import Block, Heading, Notice, Picture, Section, Table, Text, items, simulated_notice
 from calib.reporting.formatting import fixed, number_columns, places, plural, prose, text_column, text_columns
+from calib.reporting.source import doubtful_causes
 from calib.reporting.topics.budget import budget_picture, radius_budget
 from calib.reporting.topics.checks import checks_table, residuals_picture, usable_notice
 from calib.reporting.topics.conditions import assumed_notice
@@ -98,7 +100,9 @@ def _gap(source: Source) -> tuple[Notice, ...]:
     from calib.reporting.topics.diagnosis import TITLES, verdict_notice
 
     if source.verdict is not None:
-        return (verdict_notice(source.verdict),)
+        notice = verdict_notice(source.verdict)
+        doubt = doubtful_causes((cause.effect, cause.probability) for cause in source.verdict.causes)
+        return (replace(notice, text=f"{notice.text} {doubt}".strip()),)
     assert source.known_verdict is not None
     kind, sentence = source.known_verdict
     level, title = TITLES[kind]

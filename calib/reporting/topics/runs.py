@@ -152,8 +152,8 @@ def runs_picture(fit: Fit) -> Picture:
         parts.append(f"{name} wheel {low:.3f} to {high:.3f} mm")
     return Picture(
         "runs-by-series",
-        "Effective radius of each run in the order driven; colours are sessions. Bars, where larger than the mark, are "
-        "two standard uncertainties of the instruments.",
+        "Effective radius of each run in the order driven, coloured by wheel load, or by session where all loads are "
+        "alike. Bars, where larger than the mark, are two standard uncertainties of the instruments.",
         f"Radius by run for both wheels, {len(fit.radii)} runs: " + "; ".join(parts),
         partial(drawn, "radius.runs_by_series", fit.radii),
     )
