@@ -221,7 +221,7 @@ def provenance(campaign: Campaign, *, version: str, arguments: Mapping[str, Any]
         for name in ("campaign.toml", "runs.csv"):
             if (campaign.root / name).is_file():
                 hashes[name] = sha256_file(campaign.root / name)
-    record = {"version": version, "arguments": dict(arguments), "inputs": dict(sorted(hashes.items()))}
+    record: dict[str, Any] = {"version": version, "arguments": dict(arguments), "inputs": dict(sorted(hashes.items()))}
     for section in STATED_SECTIONS:
         if section in campaign.extra:
             # dates of TOML become texts

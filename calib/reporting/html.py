@@ -14,6 +14,7 @@ from calib.reporting.blocks import Block, Heading, Picture, Section
 from calib.reporting.content import Report
 from calib.reporting.figures.gap import GAP_PICTURES
 from calib.reporting.figures.style import render
+from calib.reporting.formatting import prose
 from calib.reporting.text import EQUATIONS
 
 if TYPE_CHECKING:
@@ -90,7 +91,11 @@ def diagnosis_page(diagnosis: Diagnosis, campaign: Campaign) -> str:
         title="Gap between measured and simulated motion",
         name=verdict.campaign,
         simulated=verdict.simulated,
-        head=(("Verdict", str(verdict.kind).replace("_", " ")), ("Judged against", verdict.judged_against)),
+        head=(
+            ("Verdict", str(verdict.kind).replace("_", " ")),
+            ("In words", prose(verdict.sentence)),
+            ("Judged against", verdict.judged_against),
+        ),
         sections=(Section("Findings", diagnosis_content(verdict)),),
         footer=f"Campaign {verdict.campaign}",
     )

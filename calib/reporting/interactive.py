@@ -13,10 +13,22 @@ import numpy as np
 from calib.campaign.model import Campaign
 from calib.errors import MissingExtraError
 from calib.gap.decision.diagnosis import Diagnosis
-from calib.gap.localise.along_run import traces_of
-from calib.gap.observations.arrays import Observations
-from calib.reporting.figures.gap import GapArrays, rms
-from calib.reporting.formatting import with_unit
+from calib.reporting.figures.gap import GapArrays
+from calib.reporting.formatting import percent, probability
+from calib.reporting.panel_data import (
+    ALONG,
+    LABELS,
+    PATHS,
+    RUN_AXES,
+    channel_units,
+    covariate_titles,
+    first_channel,
+    gap_along_runs,
+    labels_of,
+    noise_limits,
+    panel_columns,
+    run_paths,
+)
 from calib.types import FloatArray
 
 if TYPE_CHECKING:
@@ -25,17 +37,22 @@ if TYPE_CHECKING:
 
 #: Okabe and Ito's colours, told apart by colour-blind readers
 COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999")
-#: points of a drawn path, and of a gap along a run: more are invisible and make the page heavy
-PATH_POINTS: Final = 60
-TRACE_POINTS: Final = 120
-#: gap along a run -> its column in the arrays of `gap_along_runs`
-ALONG: Final = {"along, mm": 1, "heading, mrad": 2}
+#: stops of the scale for numbers, light to dark (matplotlib's viridis, reversed)
+RAMP: Final = ("#FDE725", "#7AD151", "#22A884", "#2A788E", "#414487", "#440154")
+#: a path's line and mark, and its name in the legend
+PATH_STYLES: Final = {
+    "before": ("dashed", "circle", "simulated"),
+    "after": ("solid", "square", "simulated with the causes"),
+    "reference": ("dotted", "x", "measured"),
+}
 #: confounded effects named beside a cause
 ALIASES_NAMED: Final = 3
-#: opacity of what is not selected, and size of a panel in pixels
+#: opacity of what is not selected, and size of a panel in pixels: two stand beside each other where there is room
 FADED_ALPHA: Final = 0.12
-PANEL_WIDTH: Final = 540
+PANEL_LEAST_WIDTH: Final = 300
 PANEL_HEIGHT: Final = 380
+#: names in a legend
+LEGEND_NAMES: Final = 24
 
 
 def interactive_panels(diagnosis: Diagnosis, campaign: Campaign) -> str:
@@ -46,11 +63,14 @@ def interactive_panels(diagnosis: Diagnosis, campaign: Campaign) -> str:
     """
     try:
         from bokeh.embed import components
+        from bokeh.models import ColumnDataSource
         from bokeh.resources import Resources
     except ImportError as error:
         raise MissingExtraError("an interactive page", "bokeh", "html") from error
     resources = Resources(mode="inline", components=["bokeh", "bokeh-widgets"])
-    layout = _layout(GapArrays.of(diagnosis), gap_along_runs(diagnosis.observations, campaign), diagnosis)
+    gap, along = GapArrays.of(diagnosis), gap_along_runs(diagnosis.observations, campaign)
+    columns = panel_columns(gap, along, run_paths(diagnosis, campaign), COLOURS)
+    layout = _layout(gap, along, ColumnDataSource(columns, name="observations"), diagnosis)
     script, div = components(layout, wrap_script=False)
     packed = "\n".join(map(_packed, [*resources.js_raw, script]))
     return f"{div}\n{packed}\n<script>{_script('unpack')}</script>"
@@ -66,95 +86,38 @@ def _packed(script: str) -> str:
     return f'<script type="application/gzip">{data}</script>'
 
 
-def gap_along_runs(observations: Observations, campaign: Campaign) -> list[FloatArray]:
-    """Return distance (m), gap along (m) and in heading (rad) of each observation, shape (n_samples, 3).
+def _layout(gap: GapArrays, along: list[FloatArray], source: ColumnDataSource, verdict: Diagnosis) -> Model:
+    from bokeh.layouts import column
 
-    Empty for observations without a continuous reference or range; NaN where not measured.
-    """
-    along: list[FloatArray] = [np.zeros((0, 3))] * len(observations)
-    first = {str(name): k for k, name in reversed(list(enumerate(observations.labels["run_id"])))}
-    for trace in traces_of(campaign, observations):
-        step = max(1, len(trace.way_m) // TRACE_POINTS)
-        along[first[trace.run_id]] = np.stack((trace.way_m, trace.along_m, trace.heading_rad), axis=1)[::step]
-    return along
-
-
-def panel_source(gap: GapArrays, along: list[FloatArray]) -> ColumnDataSource:
-    """Return the one table of all panels, a row an observation: a selection in one panel is a selection in all."""
-    from bokeh.models import ColumnDataSource
-
-    _, number = np.unique(gap.labels["kind"], return_inverse=True)
-    columns: dict[str, Any] = {
-        "run": gap.labels["run_id"],
-        "session": gap.labels["session"],
-        "kind": gap.labels["kind"],
-        "colour": [COLOURS[int(k) % len(COLOURS)] for k in number],
-        "by order driven": np.arange(len(gap.before), dtype=np.float64),
-    }
-    columns |= {f"by {name}": values for name, values in gap.covariates.items()}
-    for channel, (name, _) in enumerate(gap.channels):
-        columns[f"before {name}"] = 1e3 * gap.before[:, channel]
-        columns[f"after {name}"] = 1e3 * gap.after[:, channel]
-    first = first_channel(gap)
-    columns["x"] = columns["by order driven"]
-    columns["y"] = columns["b"] = columns[f"before {first}"]
-    columns["a"] = columns[f"after {first}"]
-    if gap.offset_m is not None:
-        thin = [path[:: max(1, len(path) // PATH_POINTS)] for path in gap.paths_m]
-        for k, axis in enumerate("xy"):
-            columns[f"path_{axis}"] = [path[:, k].astype(np.float32) for path in thin]
-            columns[f"end_{axis}"] = np.array([path[-1, k] for path in gap.paths_m])
-            columns[f"off_{axis}"] = gap.offset_m[:, k]
-    if any(len(path) for path in along):
-        columns["way"] = [np.round(path[:, 0], 4) for path in along]
-        columns |= {f"way {name}": [1e3 * path[:, column] for path in along] for name, column in ALONG.items()}
-    return ColumnDataSource(columns, name="observations")
-
-
-def first_channel(gap: GapArrays) -> str:
-    """Return the channel whose gap is largest against its noise level."""
-    ratios = [rms(column) for column in (gap.before / np.where(gap.noise_level > 0, gap.noise_level, np.nan)).T]
-    return gap.channels[int(np.nanargmax(ratios)) if np.isfinite(ratios).any() else 0][0]
-
-
-def channel_units(gap: GapArrays) -> dict[str, str]:
-    """Return the unit that each measured channel is drawn in, by its name."""
-    return {
-        name: "mrad" if unit == "rad" else "mm"
-        for (name, unit), values in zip(gap.channels, gap.before.T, strict=True)
-        if np.isfinite(values).any()
-    }
-
-
-def noise_limits(gap: GapArrays) -> dict[str, float]:
-    """Return two standard deviations of the noise of each measured channel, in mm or mrad, by its name."""
-    limits = {name: 2e3 * rms(column) for (name, _), column in zip(gap.channels, gap.noise_level.T, strict=True)}
-    return {name: limits[name] if np.isfinite(limits[name]) else 0.0 for name in channel_units(gap)}
-
-
-def _layout(gap: GapArrays, along: list[FloatArray], verdict: Diagnosis) -> Model:
-    from bokeh.layouts import column, gridplot, row
-
-    source = panel_source(gap, along)
     after, band = _before_after_panel(gap, source)
     by_covariate, tools = _covariate_panel(gap, source, after, band)
+    legend = _legend(gap)
     figures = [by_covariate, after]
+    tools = [_session_choice(gap, source), _colour_choice(gap, source, legend), *tools]
+    runs = [
+        _along_panel(source, name)
+        for name, place in ALONG.items()
+        if any(np.isfinite(path[:, place]).any() for path in along)
+    ]
     if gap.offset_m is not None:
         plan, slider = _map_panel(gap, source)
-        figures, tools = [plan, *figures], [slider, *tools]
-    for name, place in ALONG.items():
-        if any(np.isfinite(path[:, place]).any() for path in along):
-            figures.append(_along_panel(source, name))
+        figures = [plan, *figures]
+        tools += [slider, _moment_slider(source)]
+    if runs:
+        tools.append(_axis_choice(source, runs))
+    figures += runs
     if verdict.causes:
         figures.append(_cause_panel(verdict))
-    return column(
-        row(_session_choice(gap, source), *tools),
-        _legend(gap),
-        gridplot(
-            [figures[k : k + 2] for k in range(0, len(figures), 2)], merge_tools=False, toolbar_options={"logo": None}
-        ),
-        sizing_mode="stretch_width",
-    )
+    return column(_wrapped(tools), legend, _wrapped(figures), sizing_mode="stretch_width")
+
+
+def _wrapped(children: list[Any]) -> Model:
+    """Return models side by side, in as many rows as the page's width asks for."""
+    from bokeh.layouts import row
+    from bokeh.models import InlineStyleSheet
+
+    sheet = InlineStyleSheet(css=":host { flex-wrap: wrap; gap: 0.6rem; }")
+    return row(*children, sizing_mode="stretch_width", stylesheets=[sheet])
 
 
 def _figure(title: str, x: str, y: str, **further: Any) -> figure:
@@ -164,9 +127,13 @@ def _figure(title: str, x: str, y: str, **further: Any) -> figure:
         title=title,
         x_axis_label=x,
         y_axis_label=y,
-        width=PANEL_WIDTH,
+        min_width=PANEL_LEAST_WIDTH,
         height=PANEL_HEIGHT,
+        sizing_mode="stretch_width",
+        styles={"flex": "1 1 28rem"},
         tools="tap,box_select,pan,wheel_zoom,reset,save",
+        active_scroll=None,
+        toolbar_location="above",
         **further,
     )
     plot.toolbar.logo = None
@@ -194,22 +161,48 @@ def _map_panel(gap: GapArrays, source: ColumnDataSource) -> tuple[figure, Model]
     """Draw the paths from a common start and, at each end, the gap as an arrow, enlarged by the slider."""
     from bokeh.models import CustomJS, Slider
 
-    plot = _figure("Floor plan: predicted paths, and the gap at each end", "x, m", "y, m", match_aspect=True)
-    lines = _lines(plot, "path_x", "path_y", source, line_alpha=0.5)
+    plot = _figure("Floor plan: paths, and the gap at each end", "x (m)", "y (m)", match_aspect=True)
+    data = source.data
+    for which in PATHS:
+        if not any(len(path) for path in data[f"{which}_x"]):
+            continue
+        dash, mark, name = PATH_STYLES[which]
+        lines = _lines(
+            plot, f"{which}_x", f"{which}_y", source, line_alpha=0.6, line_dash=dash, legend_label=f"{name} ({dash})"
+        )
+        plot.scatter(
+            f"now_{which}_x", f"now_{which}_y", source=source, size=6, marker=mark, color="colour",
+            nonselection_alpha=FADED_ALPHA,
+        )  # fmt: skip
+        _hover(plot, lines)
+    plot.legend.click_policy = "hide"
+    plot.legend.label_text_font_size = "11px"
+    plot.legend.background_fill_alpha = 0.6
     assert gap.offset_m is not None
     size = float(np.nanmax(np.hypot(gap.offset_m[:, 0], gap.offset_m[:, 1]), initial=1e-6))
-    extent = max(float(np.ptp(np.concatenate(gap.paths_m), axis=0).max()), 1e-3)
+    ends = np.column_stack((data["end_x"], data["end_y"]))
+    extent = max(float(np.abs(np.concatenate([*data["before_x"], *data["before_y"]])).max()), 1e-3)
     factor = max(1.0, round(0.15 * extent / size))
-    ends = np.array([path[-1] for path in gap.paths_m])
     tips = ends + factor * gap.offset_m
     source.add(list(np.stack((ends[:, 0], tips[:, 0]), axis=1)), "arrow_x")
     source.add(list(np.stack((ends[:, 1], tips[:, 1]), axis=1)), "arrow_y")
     _lines(plot, "arrow_x", "arrow_y", source, line_width=2)
-    plot.scatter("end_x", "end_y", source=source, size=5, color="colour", nonselection_alpha=FADED_ALPHA)
-    _hover(plot, lines)
-    slider = Slider(start=1, end=max(10 * factor, 10), value=factor, step=1, title="gap drawn enlarged by")
+    slider = Slider(start=1, end=max(10 * factor, 10), value=factor, step=1, title="gap drawn enlarged by", width=220)
     slider.js_on_change("value", CustomJS(args={"source": source}, code=_script("enlarge")))
     return plot, slider
+
+
+def _moment_slider(source: ColumnDataSource) -> Model:
+    """Return the slider that moves the marks along the paths to a time since the start of the run."""
+    from bokeh.models import CustomJS, Slider
+
+    longest = max(float(path[-1]) for path in source.data["before_t"])
+    slider = Slider(
+        name="moment", start=0.0, end=longest, value=longest, step=longest / 200, title="time since the start, s",
+        width=220, format="0.0",
+    )  # fmt: skip
+    slider.js_on_change("value", CustomJS(args={"source": source, "paths": PATHS}, code=_script("moment")))
+    return slider
 
 
 def _covariate_panel(
@@ -219,11 +212,11 @@ def _covariate_panel(
     from bokeh.models import CustomJS, Select
 
     first, units = first_channel(gap), channel_units(gap)
-    plot = _figure("The gap against covariates", "order driven", f"{first}, {units[first]}")
+    plot = _figure("The gap against covariates", "order driven", f"{first} ({units[first]})")
     _points(plot, "x", "y", source)
-    names = ["order driven", *gap.covariates]
-    by = Select(title="against", value=names[0], options=names)
-    channel = Select(title="channel", value=first, options=list(units))
+    titles = covariate_titles(gap)
+    by = Select(title="gap against", value="order driven", options=list(titles.items()), width=160)
+    channel = Select(title="channel", value=first, options=list(units), width=120)
     code = CustomJS(
         args={
             "source": source,
@@ -232,7 +225,7 @@ def _covariate_panel(
             "x": plot.xaxis[0],
             "y": plot.yaxis[0],
             "units": units,
-            "labels": {"order driven": "order driven"} | {name: with_unit(name) for name in gap.covariates},
+            "labels": titles,
             "b": after.xaxis[0],
             "a": after.yaxis[0],
             "band": band,
@@ -252,7 +245,7 @@ def _before_after_panel(gap: GapArrays, source: ColumnDataSource) -> tuple[figur
     first = first_channel(gap)
     unit, limit = channel_units(gap)[first], noise_limits(gap)[first]
     plot = _figure(
-        "Before and after the correction, on held-out runs", f"{first} before, {unit}", f"{first} after, {unit}"
+        "Before and after the correction, on held-out runs", f"{first} before ({unit})", f"{first} after ({unit})"
     )
     band = BoxAnnotation(bottom=-limit, top=limit, fill_alpha=0.08, fill_color="#009E73")
     plot.add_layout(band)
@@ -262,21 +255,35 @@ def _before_after_panel(gap: GapArrays, source: ColumnDataSource) -> tuple[figur
 
 
 def _along_panel(source: ColumnDataSource, name: str) -> figure:
-    """Draw how the gap grows with the travelled distance, where the log has a continuous reference or range."""
-    plot = _figure(f"The gap along the run: {name.partition(',')[0]}", "travelled distance, m", name)
-    _hover(plot, _lines(plot, "way", f"way {name}", source, line_alpha=0.6))
+    """Draw how the gap grows along the run, where the log has a continuous reference or range."""
+    plot = _figure(f"The gap along the run: {name.partition(' ')[0]}", next(iter(RUN_AXES)), name)
+    _hover(plot, _lines(plot, "way", f"gap {name}", source, line_alpha=0.6))
     return plot
 
 
+def _axis_choice(source: ColumnDataSource, plots: list[figure]) -> Model:
+    """Return the choice of what the gap along the run is drawn against."""
+    from bokeh.models import CustomJS, Select
+
+    choice = Select(name="axis", title="along the run against", value=next(iter(RUN_AXES)), options=list(RUN_AXES))
+    choice.width = 180
+    axes = [plot.xaxis[0] for plot in plots]
+    choice.js_on_change("value", CustomJS(args={"source": source, "axes": axes}, code=_script("axis")))
+    return choice
+
+
 def _cause_panel(verdict: Diagnosis) -> figure:
-    """Draw each named cause's share of the gap with its 95 % interval."""
+    """Draw each named cause's share of the gap with its 95 % interval, and its probability."""
     from bokeh.models import ColumnDataSource, Whisker
 
     causes = verdict.causes[::-1]
-    labels = [f"{_with_aliases(cause.effect, verdict)}\n(p = {cause.probability:.2f})" for cause in causes]
-    title = "Causes, with the effects confounded with them: share of the gap"
-    plot = _figure(title, "share", "", y_range=labels, x_range=(0.0, 1.05))
-    plot.hbar(y=labels, right=[cause.share for cause in causes], height=0.5, color=COLOURS[0], alpha=0.7)
+    # in words, so that a small share can be read too
+    labels = [
+        f"{_with_aliases(cause.effect, verdict)}\n{percent(cause.share)}, p = {probability(cause.probability)}"
+        for cause in causes
+    ]
+    plot = _figure("Causes: share of the gap", "share of the gap", "", y_range=labels, x_range=(0.0, 1.05))
+    plot.hbar(y=labels, right=[cause.share for cause in causes], height=0.4, color=COLOURS[0], alpha=0.7)
     known = [(label, *cause.share_ci95) for label, cause in zip(labels, causes, strict=True) if cause.share_ci95]
     if known:
         table = ColumnDataSource(dict(zip(("y", "low", "high"), zip(*known, strict=True), strict=True)))
@@ -294,23 +301,40 @@ def _with_aliases(effect: str, verdict: Diagnosis) -> str:
 
 
 def _legend(gap: GapArrays) -> Model:
-    """Return the colours of the kinds in words."""
+    """Return the colours of the kinds in words; another choice of colours rewrites it."""
     from bokeh.models import Div
 
-    names = [str(name) or "(none)" for name in np.unique(gap.labels["kind"])]
-    marks = (
-        f'<span style="color:{COLOURS[number % len(COLOURS)]}">&#9679;</span> {escape(name)}'
-        for number, name in enumerate(names)
-    )
-    return Div(text=" &emsp; ".join(marks), sizing_mode="stretch_width")
+    names = labels_of(gap)["kind"]
+    marks = [
+        f'<span style="color:{COLOURS[number % len(COLOURS)]}">&#9679;</span> {escape(name) or "(none)"}'
+        for number, name in enumerate(names[:LEGEND_NAMES])
+    ]
+    more = [f"and {len(names) - LEGEND_NAMES} more"] if len(names) > LEGEND_NAMES else []
+    return Div(name="legend", text=f"kind: {' &emsp; '.join(marks + more)}", sizing_mode="stretch_width")
+
+
+def _colour_choice(gap: GapArrays, source: ColumnDataSource, legend: Model) -> Model:
+    """Return the choice of the column that colours all panels: a label, or a number on a scale."""
+    from bokeh.models import CustomJS, Select
+
+    titles = covariate_titles(gap)
+    columns = {name: name for name in LABELS} | {f"by {name}": title for name, title in titles.items()}
+    choice = Select(name="colour", title="colour by", value=LABELS[0], options=list(columns.items()), width=160)
+    code = CustomJS(
+        args={"source": source, "legend": legend, "palette": COLOURS, "ramp": RAMP, "titles": columns,
+              "most": LEGEND_NAMES},
+        code=_script("colour"),
+    )  # fmt: skip
+    choice.js_on_change("value", code)
+    return choice
 
 
 def _session_choice(gap: GapArrays, source: ColumnDataSource) -> Model:
     """Return a list of sessions, kinds and runs whose choice highlights their runs in every panel."""
     from bokeh.models import CustomJS, MultiChoice
 
-    labels = (("session", gap.labels["session"]), ("kind", gap.labels["kind"]), ("run", gap.labels["run_id"]))
-    options = [f"{title} {name}" for title, names in labels for name in sorted(set(map(str, names)))]
-    choice = MultiChoice(name="choice", title="highlight", options=options, value=[], width=320)
+    named = labels_of(gap)
+    options = [f"{label} {name}" for label in ("session", "kind", "run") for name in named[label]]
+    choice = MultiChoice(name="choice", title="highlight", options=options, value=[], width=300)
     choice.js_on_change("value", CustomJS(args={"source": source}, code=_script("highlight")))
     return choice

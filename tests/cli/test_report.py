@@ -124,10 +124,10 @@ def test_runs_without_a_law_give_a_report_of_geometry_and_diagnosis(
     assert run(["report", str(loops), *options]) == 0
     titles = [section["title"] for section in json.loads(capsys.readouterr().out)["sections"]]
     own = ["Result", "Residuals", "Correlation of the parameters"]
-    assert titles == [*own, "Radius law", "What this report does not cover"]
+    assert titles == [*own, "Radius law", "What this report does not cover", "Not stated"]
     assert run(["report", str(loops), "--diagnosis", *options]) == 0
     titles = [section["title"] for section in json.loads(capsys.readouterr().out)["sections"]]
-    assert titles == [*own, "Diagnosis of the gap", "Radius law", "What this report does not cover"]
+    assert titles == [*own, "Diagnosis of the gap", "Radius law", "What this report does not cover", "Not stated"]
     assert target.read_bytes().startswith(b"%PDF")
     assert b"diagnosis.json" in target.read_bytes()
     assert str(tmp_path).encode() not in target.read_bytes()

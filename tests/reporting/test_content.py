@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -11,14 +12,16 @@ import pytest
 
 from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
-from calib.errors import CalibError
+from calib.errors import BadFileError, CalibError
 from calib.radius.fit import fit_campaign
-from calib.radius.result import Fit
+from calib.radius.result import Fit, write_result
 from calib.reporting.blocks import Facts, Items, Notice, Section, Table, Text
 from calib.reporting.content import Report, compose
-from calib.reporting.source import STATED, Source, from_campaign, issue_date
+from calib.reporting.source import OPTIONAL, STATED, Source, from_campaign, issue_date, source_of
 from calib.reporting.topics import PAGES
 from calib.reporting.topics.checks import usable_notice
+from calib.reporting.topics.conditions import MOST_NOTES
+from calib.vehicle import Drive
 
 
 def words(section: Section) -> str:
@@ -52,10 +55,12 @@ def test_a_report_has_what_a_calibration_report_must_carry(report: Report) -> No
                    "Path deviation", "Residual checks", "Coefficients", "Uncertainty budget", "Decision rule",
                    "What this report does not cover", "Files"):  # fmt: skip
         assert needed in titles
-    heads = dict(report.head)
-    assert {"Report", "Date of issue", "Laboratory", "Customer", "Vehicle", "Dates of measurement"} <= set(heads)
+    assert {"Report", "Date of issue"} <= set(dict(report.head))
+    # what the campaign does not state is asked for once, as a list to be filled in
+    missing = next(block for block in section(report, "Not stated").blocks if isinstance(block, Table))
+    assert {key for key in STATED if key not in OPTIONAL} == {row[1] for row in missing.rows}
     text = everything(report)
-    for phrase in ("The results relate only to", "coverage of 95 %", "Student's t", "traceability", "not stated",
+    for phrase in ("The results relate only to", "coverage of 95 %", "Student's t", "traceability",
                    "No tolerance on radius or slope was agreed", "may be passed on in full only"):  # fmt: skip
         assert phrase in text, phrase
 
@@ -66,8 +71,32 @@ def test_a_report_never_claims_an_accreditation(report: Report, measured: Source
 
 
 def test_every_page_of_the_registry_speaks(report: Report) -> None:
-    """Without a diagnosis all pages but that one have something to say."""
-    assert len(report.sections) == len(PAGES) - 1
+    """Of a campaign that was not imported and without a diagnosis all pages but these have something to say."""
+    assert len(report.sections) == len(PAGES) - 2
+
+
+def test_what_the_import_did_stands_in_the_report(campaign: Campaign, tmp_path: Path) -> None:
+    """From the record that the import leaves in the campaign, where a result folder is reported, too."""
+    notes = [{"where": f"log{k}.csv", "text": f"{k} repeated samples removed"} for k in range(MOST_NOTES + 2)]
+    (tmp_path / "ingest.json").write_text(json.dumps({"sources": [], "notes": notes}), encoding="utf-8")
+    source = from_campaign(replace(campaign, root=tmp_path), issued="2025-03-31")
+    write_result(source.fit, tmp_path / "result")
+    again, _ = source_of(tmp_path / "result", issued="2025-03-31")
+    for one in (source, again):
+        text = words(section(compose(one), "Preparation of the data"))
+        assert "log3.csv: 3 repeated samples removed" in text
+        assert "and 2 more, in ingest.json" in text
+    (tmp_path / "ingest.json").write_text('{"notes": 3}', encoding="utf-8")
+    with pytest.raises(BadFileError, match=r"ingest\.json"):
+        from_campaign(replace(campaign, root=tmp_path), issued="2025-03-31")
+
+
+@pytest.mark.parametrize(("drive", "wheels"), [("tricycle", "the free rear"), ("differential", "the two driven")])
+def test_a_wheel_is_driven_where_the_drive_drives_it(campaign: Campaign, drive: Drive, wheels: str) -> None:
+    other = replace(campaign, vehicle=replace(campaign.vehicle, drive=drive))
+    assert f"the encoders of {wheels} wheels" in words(
+        section(compose(from_campaign(other, issued="2025-03-31")), "Method")
+    )
 
 
 def test_coefficients_are_those_of_the_fit_with_k_from_students_t(report: Report, source: Source) -> None:

@@ -162,7 +162,7 @@ def test_root_mean_squares_before_and_after_stand_at_the_figure() -> None:
     figure = gap_figures.before_after([("along", "m")], before, after, np.full((2, 1), 1e-3))
     labels = [tick.get_text() for tick in figure.axes[0].get_xticklabels()]
     # sqrt((9 + 16) / 2) = 3.54 mm; NaN is omitted
-    assert labels == ["before\n3.54 mm", "after\n1 mm"]
+    assert labels == ["before\nrms 3.54 mm", "after\nrms 1 mm"]
 
 
 def test_laid_out_once_a_figure_is_the_same_in_every_format() -> None:

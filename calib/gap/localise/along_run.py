@@ -52,6 +52,7 @@ class Trace:
     along_m: FloatArray
     heading_rad: FloatArray
     stops: FloatArray  #: shape (n,): stops on the way so far
+    time_s: FloatArray  #: shape (n,): since the start of the run
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,6 +99,7 @@ def traces_of(campaign: Campaign, observations: Observations) -> list[Trace]:
                 along_m=np.concatenate(([0.0], along)),
                 heading_rad=heading,
                 stops=_stops(np.nan_to_num(speed)),
+                time_s=log["t_s"] - log["t_s"][0],
             )
         )
     return traces

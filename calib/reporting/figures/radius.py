@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Final
 
+import matplotlib as mpl
 import numpy as np
 import numpy.typing as npt
 from matplotlib.cm import ScalarMappable
@@ -61,6 +62,8 @@ def runs_by_series(radii: EffectiveRadii) -> Figure:
     )
     loads = np.concatenate((radii.load_left_N, radii.load_right_N))
     span = Normalize(float(loads.min()), float(loads.max())) if varies(loads) else None
+    # few steps, which stay vectors
+    scale = mpl.colormaps[LOAD_COLOURS].resampled(32)
     for axis, wheel, (radius, std, load) in zip(axes, WHEELS, sides, strict=True):
         if span is None:
             for number, name in enumerate(names):
@@ -68,7 +71,7 @@ def runs_by_series(radii: EffectiveRadii) -> Figure:
                 _errorbars(axis, order[on], MM * radius[on], MM * std[on], colour(number), name)
         else:
             _errorbars(axis, order, MM * radius, MM * std, GREY, None)
-            axis.scatter(order, MM * radius, c=load, norm=span, cmap=LOAD_COLOURS, s=9, lw=0, zorder=3)
+            axis.scatter(order, MM * radius, c=load, norm=span, cmap=scale, s=9, lw=0, zorder=3)
             _mark_sessions(axis, group, names)
         axis.set(title=f"{wheel.capitalize()} wheel", ylabel="effective radius (mm)")
         axis.margins(x=0.015, y=0.08)
@@ -76,7 +79,7 @@ def runs_by_series(radii: EffectiveRadii) -> Figure:
     if span is None:
         group_legend(figure, axes[0], names)
     else:
-        figure.colorbar(ScalarMappable(span, LOAD_COLOURS), ax=axes, pad=0.01, aspect=40, label="wheel load (N)")
+        figure.colorbar(ScalarMappable(span, scale), ax=axes, pad=0.01, aspect=40, label="wheel load (N)")
     return figure
 
 

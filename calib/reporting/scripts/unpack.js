@@ -2,7 +2,7 @@
 (async () => {
   const place = document.currentScript ? document.currentScript.parentNode : document.body;
   if (typeof DecompressionStream === "undefined") {
-    place.append("The panels need a browser of 2023 or later; the results are listed above.");
+    place.append("The panels need a browser of 2023 or later; the results are listed below.");
     return;
   }
   for (const packed of document.querySelectorAll('script[type="application/gzip"]')) {

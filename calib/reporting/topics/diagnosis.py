@@ -123,11 +123,12 @@ def covariate_picture(gap: GapArrays | None, verdict: Diagnosis) -> list[Picture
     title, options = effect_name(channel), {"noise_level": levels[worst], "group": gap.labels["kind"]}
     shown = list(distinct(varied).items())[:MAX_PANELS]
     alike = [f"{', '.join(map(with_unit, others))} like {with_unit(name)}" for name, others in shown if others]
+    aside = f" Not drawn, since they vary alike: {'; '.join(alike)}." if alike else ""
     return [
         Picture(
             "gap-by-covariate",
             f"The {title} gap against what varied between the runs; squares are means with their 95 % intervals, the "
-            "grey band is the noise level." + (f" Not drawn, since they vary alike: {'; '.join(alike)}." if alike else ""),
+            f"grey band is the noise level.{aside}",
             f"Gap of the channel {title} against {', '.join(effect_name(name) for name, _ in shown)}",
             partial(drawn, "gap.gap_by_covariate", gap.before[:, worst], title, unit, varied, **options),
         )

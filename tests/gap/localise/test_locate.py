@@ -224,7 +224,9 @@ def trace(run: int, per_rad: float, rng: np.random.Generator, *, ranged: bool = 
     heading = per_rad * turn + np.concatenate(([0.0], np.cumsum(rng.normal(0, 1e-4, 400))))
     nothing = np.zeros_like(way)
     unknown = np.full_like(way, np.nan)
-    return Trace(f"r{run}", "route", False, way, turn, way, nothing, nothing, unknown if ranged else heading, nothing)
+    return Trace(
+        f"r{run}", "route", False, way, turn, way, nothing, nothing, unknown if ranged else heading, nothing, way
+    )
 
 
 def test_a_gap_that_grows_with_the_turn_is_found_with_its_size() -> None:
