@@ -173,12 +173,24 @@ def hits(fit: Fit) -> np.ndarray:
     return np.array(rows)
 
 
+def band_held(fit: Fit) -> float:
+    """Return at which share of the loads the band of the mean holds the truth, over both wheels."""
+    held = []
+    for wheel in fit.wheels.values():
+        load = np.linspace(wheel.law.load_min_N, wheel.law.load_max_N, 9)
+        low, high = wheel.mean_band_m(load)
+        truth = RADIUS_M + SLOPE_M_PER_N * (load - REFERENCE_N)
+        held.append((low <= truth) & (truth <= high))
+    return float(np.mean(held))
+
+
 def coverage(design: Design, n_campaigns: int, seed: int) -> np.ndarray:
-    """Return the shares of intervals that hold the truth, over both wheels, shape (4,), and of doubtful laws, (5,)."""
+    """Return the shares of intervals that hold the truth, (4,), of doubtful laws and of bands that hold it, (6,)."""
     generator = np.random.default_rng(seed)
     fits = [fit_campaign(campaign_of(design, generator)) for _ in range(n_campaigns)]
     held = np.mean(np.concatenate([hits(fit) for fit in fits]), axis=0)
-    return np.append(held, np.mean([fit.verdict == "doubtful" for fit in fits]))
+    doubtful = np.mean([fit.verdict == "doubtful" for fit in fits])
+    return np.append(held, [doubtful, np.mean([band_held(fit) for fit in fits])])
 
 
 def main() -> None:
@@ -190,10 +202,10 @@ def main() -> None:
     n = arguments.campaigns
     print(f"{n} campaigns a design, two wheels each; standard error {100 * (0.95 * 0.05 / n / 2) ** 0.5:.2f} %")  # noqa: T201
     print(f"{'':62}{'session-aware':>16}{'runs as independent':>22}")  # noqa: T201
-    print(f"{'design':60}{'slope':>9}{'radius':>9}{'slope':>11}{'radius':>11}{'doubtful':>11}")  # noqa: T201
+    print(f"{'design':60}{'slope':>9}{'radius':>9}{'slope':>11}{'radius':>11}{'doubtful':>11}{'band':>9}")  # noqa: T201
     for design in DESIGNS.values():
         shares = 100 * coverage(design, n, arguments.seed)
-        law = f"{shares[0]:8.2f}%{shares[1]:8.2f}%{shares[2]:10.2f}%{shares[3]:10.2f}%{shares[4]:10.1f}%"
+        law = f"{shares[0]:8.2f}%{shares[1]:8.2f}%{shares[2]:10.2f}%{shares[3]:10.2f}%{shares[4]:10.1f}%{shares[5]:8.2f}%"
         print(f"{design.name:60}{law}", flush=True)  # noqa: T201
 
 
