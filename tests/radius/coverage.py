@@ -205,7 +205,7 @@ def main() -> None:
     print(f"{'design':60}{'slope':>9}{'radius':>9}{'slope':>11}{'radius':>11}{'doubtful':>11}{'band':>9}")  # noqa: T201
     for design in DESIGNS.values():
         shares = 100 * coverage(design, n, arguments.seed)
-        law = f"{shares[0]:8.2f}%{shares[1]:8.2f}%{shares[2]:10.2f}%{shares[3]:10.2f}%{shares[4]:10.1f}%{shares[5]:8.2f}%"
+        law = "".join(f"{share:{width}.2f}%" for share, width in zip(shares, (8, 8, 10, 10, 10, 8), strict=True))
         print(f"{design.name:60}{law}", flush=True)  # noqa: T201
 
 
