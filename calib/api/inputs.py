@@ -47,7 +47,7 @@ def read(source: Path | str, *, mapping: Path | str | None = None) -> Campaign:
     BadFileError
         Where a file cannot be used; says where, what was found and what to do.
     """
-    from calib.campaign.opening import read_or_ingest
+    from calib.campaign.read import read_or_ingest
 
     return read_or_ingest(Path(source), mapping=None if mapping is None else Path(mapping))
 

@@ -29,7 +29,7 @@ def run(
     from dataclasses import asdict
 
     from calib.campaign.check import check_campaign
-    from calib.campaign.opening import read_or_ingest
+    from calib.campaign.read import read_or_ingest
     from calib.reporting.next_step import after_check
     from calib.reporting.topics.campaign_check import check_content
 

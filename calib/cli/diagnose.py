@@ -64,7 +64,7 @@ def run(
 
     Example: calib diagnose sample_runs/corridor_crossed --apply coefficients.json
     """
-    from calib.campaign.opening import read_or_ingest
+    from calib.campaign.read import read_or_ingest
     from calib.gap.decision.diagnosis import VerdictKind
     from calib.io import write_json
     from calib.reporting.next_step import after_diagnosis

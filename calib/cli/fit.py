@@ -53,7 +53,7 @@ def run(
     from dataclasses import replace
 
     from calib import __version__
-    from calib.campaign.opening import read_or_ingest
+    from calib.campaign.read import read_or_ingest
     from calib.radius.fit import fit_campaign
     from calib.radius.result import provenance, write_result
     from calib.reporting.next_step import after_fit

@@ -50,7 +50,7 @@ def run(
 
     Example: calib geometry my_squares --figures pictures --output coefficients.json
     """
-    from calib.campaign.opening import read_or_ingest
+    from calib.campaign.read import read_or_ingest
     from calib.io import write_bytes, write_json
     from calib.kinematics.estimate import estimate_geometry
     from calib.reporting.next_step import after_geometry

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from calib.campaign.ingest import ingest
-from calib.campaign.opening import read_or_ingest
-from calib.campaign.read import read_campaign
+from calib.campaign.read import read_campaign, read_or_ingest
 from calib.errors import BadInputError
 from tests.campaign.ingest.continuous import LOGS, Recorded, mapping_text, recorded, write
 
