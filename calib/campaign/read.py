@@ -18,7 +18,7 @@ from calib.campaign.readers import READERS, is_bag_folder, read_table
 from calib.campaign.references import with_references
 from calib.campaign.runs_file import run_table
 from calib.campaign.settings_file import Settings, read_settings
-from calib.campaign.speeds import SPEEDS, with_counts
+from calib.campaign.wheels import SPEEDS, with_counts
 from calib.errors import BadFileError, BadInputError
 from calib.io import inside, settle, sha256_file
 from calib.types import BoolArray, FloatArray, Progress, silent
