@@ -14,9 +14,8 @@ import numpy as np
 from calib.campaign.counters import LogStack, detect_wrap_bits
 from calib.campaign.ingest.logs import MappedLog, read_mapped
 from calib.campaign.ingest.mapping import Mapping, bad_line, read_mapping
-from calib.campaign.ingest.runs import listed_files, mapped_runs, match_logs, names_runs
+from calib.campaign.ingest.runs import listed_files, mapped_runs, match_logs, names_runs, with_lookups
 from calib.campaign.ingest.segmentation import Segment, end_values, from_start, segment_recordings
-from calib.campaign.ingest.sources import with_lookups
 from calib.campaign.model import Border, Campaign, Note, RunTable
 from calib.campaign.readers import RawTable, holds_recording, read_table
 from calib.campaign.readers.table import object_array

@@ -13,7 +13,7 @@ import numpy as np
 from calib.campaign.columns import converted, recognise, second_column
 from calib.campaign.ingest.lags import Lag, continuous_counts, estimate_lags
 from calib.campaign.ingest.mapping import COUNT_UNITS, MappedColumn, Mapping
-from calib.campaign.ingest.sources import resolved, without_unit
+from calib.campaign.ingest.runs import resolved, without_unit
 from calib.campaign.logs_file import log_column, refuse_incomplete
 from calib.campaign.model import LOG_COLUMNS, Border
 from calib.campaign.readers import RawTable, Recording, holds_recording, read_recording, read_table
