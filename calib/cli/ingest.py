@@ -51,7 +51,7 @@ def run(
             "--into: found no campaign folder to make; expected one; give --into FOLDER, or --describe to look first"
         )
     from calib.campaign.ingest import ingest, merged_notes
-    from calib.result import plain
+    from calib.documents import plain
 
     with progress("reading") as tick:
         ingested = ingest(sources, into, mapping=mapping, force=force, dry_run=dry_run, progress=tick)

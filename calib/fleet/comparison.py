@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from calib.documents import plain_fields
 from calib.fleet.population import (
     Difference,
     Population,
@@ -19,7 +20,6 @@ from calib.fleet.population import (
     population,
 )
 from calib.fleet.store import VehicleResult
-from calib.result import plain_fields
 from calib.types import BoolArray, FloatArray
 
 #: fewest vehicles that are judged against each other, and that a label must have in common

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Generic, Protocol, TypeVar
 
+from calib.documents import plain_fields
 from calib.errors import BadInputError
 from calib.io import sweep, temporary_beside
-from calib.result import plain_fields
 
 SUMS: Final = "sums.jsonl"
 #: key of a line's seal: a digest of its other values, so that a damaged line is read anew

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from calib.campaign.model import Campaign
+from calib.documents import plain
 from calib.errors import BadInputError, CalibError, RefusedError
 from calib.fleet.comparison import Quantities, SharedCause, quantities_of, shared_causes
 from calib.fleet.keys import Keys
@@ -18,7 +19,6 @@ from calib.fleet.reading import campaign_of
 from calib.fleet.run import Progress
 from calib.fleet.store import Store, VehicleResult, line_of
 from calib.fleet.workers import run_tasks
-from calib.result import plain
 
 if TYPE_CHECKING:
     from calib.gap.decision.diagnosis import Cause

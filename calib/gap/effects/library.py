@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from calib.documents import plain
 from calib.errors import BadInputError
 from calib.gap.effects.calibration import RadiusScale, TrackWidth, UnequalRadii
 from calib.gap.effects.columns import (
@@ -44,7 +45,6 @@ from calib.gap.effects.tyres import DriveSlip, Understeer
 from calib.gap.observations.arrays import Channel, Observations
 from calib.gap.predict import Path, predict, signature
 from calib.limits import COVARIATES, refuse_beyond
-from calib.result import plain
 from calib.types import FloatArray
 
 #: the effects of the library, in the order of listings; a new one is a class and a line here
