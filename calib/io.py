@@ -21,9 +21,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
+from calib.arguments import refuse_input
 from calib.documents import to_json
 from calib.errors import BadFileError, BadInputError, would_overwrite
-from calib.inputs import refuse_input
 
 #: names of temporary files: .calib-<target's hash or "inside">-<host>-<process>-<random>.tmp
 PREFIX: Final = ".calib-"

@@ -10,8 +10,8 @@ from typing import Any, Final
 import typer
 from typer.core import TyperCommand
 
+from calib.arguments import inputs_kept, refuse_special
 from calib.errors import BadInputError
-from calib.inputs import inputs_kept, refuse_special
 from calib.io import refuse_empty, refuse_existing
 
 #: parameters that say where something is written; every other path is an input
