@@ -15,9 +15,8 @@ from calib.campaign.readers import read_table
 from calib.campaign.runs_file import run_table
 from calib.campaign.settings_file import Settings, read_settings
 from calib.errors import CalibError
-from calib.fleet.keys import Keys
 from calib.fleet.members import Member, Part
-from calib.fleet.store import line_of, unsealed
+from calib.fleet.store import Keys, line_of, unsealed
 from calib.fleet.vehicle import PartSums, VehicleRecord, record_of
 from calib.radius.effective import effective_radii
 from calib.radius.sessions import SessionSums

@@ -11,10 +11,9 @@ from typing import Any
 from calib.documents import plain
 from calib.errors import CalibError
 from calib.fleet.engine import Engine
-from calib.fleet.keys import Keys
 from calib.fleet.members import Member, labels_of, members_of
 from calib.fleet.reading import PieceDone, do_pieces, given_up, pieces_of, size_of
-from calib.fleet.store import SUMS, Store, line_of
+from calib.fleet.store import SUMS, Keys, Store, line_of
 from calib.fleet.vehicle import PartSums, VehicleRecord
 from calib.fleet.view import FleetView, view_of
 from calib.fleet.workers import engine

@@ -13,11 +13,10 @@ from calib.campaign.model import Campaign
 from calib.documents import plain
 from calib.errors import BadInputError, CalibError, RefusedError
 from calib.fleet.comparison import Quantities, SharedCause, quantities_of, shared_causes
-from calib.fleet.keys import Keys
 from calib.fleet.members import Member, labels_of, members_of
 from calib.fleet.reading import campaign_of
 from calib.fleet.run import Progress
-from calib.fleet.store import Store, VehicleResult, line_of
+from calib.fleet.store import Keys, Store, VehicleResult, line_of
 from calib.fleet.workers import run_tasks
 
 if TYPE_CHECKING:
