@@ -24,8 +24,7 @@ from calib.gap.decision.diagnosis import (
     VerdictKind,
 )
 from calib.gap.decision.evidence import Evidence
-from calib.gap.decision.fix import fix_of
-from calib.gap.decision.part import is_named_beside, sure_part
+from calib.gap.decision.fix import fix_of, is_named_beside, sure_part
 from calib.gap.decision.sentences import blunder_sentence, sentence
 from calib.gap.effects.effect import Family
 from calib.gap.effects.encoder import BLUNDER_MISFIT, misfit

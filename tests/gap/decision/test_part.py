@@ -11,7 +11,7 @@ import pytest
 from calib.campaign.read import read_campaign
 from calib.gap.apply import applied_model
 from calib.gap.decision.diagnosis import Cause, Quantity, Unexplained
-from calib.gap.decision.part import _parted
+from calib.gap.decision.fix import _parted
 from calib.gap.diagnose import diagnose_in_full
 from tests.real import recordings
 from tests.real.manipulations import POSES
