@@ -15,8 +15,7 @@ from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
 from calib.errors import BadInputError, RefusedError
 from calib.gap.decision.decide import decide
-from calib.gap.decision.diagnosis import BY_MODEL, BY_SIMULATOR, Diagnosis
-from calib.gap.decision.evidence import Evidence, Situation
+from calib.gap.decision.diagnosis import BY_MODEL, BY_SIMULATOR, Diagnosis, Evidence, Situation
 from calib.gap.decision.held_out import HeldOut, measure_closure
 from calib.gap.decision.trials import trials
 from calib.gap.effects.applied import with_effects

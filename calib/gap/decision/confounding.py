@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.gap.decision.evidence import Evidence
+from calib.gap.decision.diagnosis import Evidence
 from calib.gap.effects.applied import applied_perturbations, section_of
 from calib.gap.effects.calibration import DIRECTIONS, NAMES
 from calib.gap.effects.effect import Form

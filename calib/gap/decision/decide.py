@@ -19,11 +19,11 @@ from calib.gap.decision.adequacy import (
 from calib.gap.decision.causes import blunder_cause, causes_of, limited_beside, negligible, unexplained_of
 from calib.gap.decision.diagnosis import (
     Diagnosis,
+    Evidence,
     Group,
     NoiseSummary,
     VerdictKind,
 )
-from calib.gap.decision.evidence import Evidence
 from calib.gap.decision.fix import fix_of, is_named_beside, sure_part
 from calib.gap.decision.sentences import blunder_sentence, sentence
 from calib.gap.effects.effect import Family
