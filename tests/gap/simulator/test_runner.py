@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 from calib.errors import BadInputError
-from calib.gap.simulator.cache import run_cache
-from calib.gap.simulator.runner import Job, SimulatorRunner
+from calib.gap.simulator.runner import Job, SimulatorRunner, run_cache
 from calib.gap.simulator.settings import read_settings
 
 RUNS = ["a", "b"]
