@@ -32,8 +32,8 @@ from calib.coefficients.sections import (
 )
 from calib.documents import checksum, to_json
 from calib.errors import BadFileError, BadInputError, RefusedError
-from calib.kinematics.ackermann import SIDE_SLIP, UNDERSTEER
 from calib.kinematics.drives import STEERING_SCALE
+from calib.kinematics.model import SIDE_SLIP, UNDERSTEER
 from calib.radius.law import JOINT, RadiusLaw
 from calib.types import FloatArray
 from calib.vehicle import Vehicle

@@ -9,7 +9,6 @@ import numpy as np
 
 from calib.campaign.wheels import mecanum_model
 from calib.errors import RefusedError
-from calib.kinematics.ackermann import rear_shaft
 from calib.kinematics.drives import (
     GYRO_SCALE,
     SENSOR,
@@ -21,7 +20,7 @@ from calib.kinematics.drives import (
     Parameters,
     sensor_parameters,
 )
-from calib.kinematics.model import Model
+from calib.kinematics.model import Model, rear_shaft
 from calib.kinematics.recording import Recording
 from calib.kinematics.segments import Segments
 from calib.kinematics.solve import Solution, solve

@@ -20,9 +20,9 @@ import yaml
 from calib.campaign.ingest.describe import describe
 from calib.campaign.read import read_campaign
 from calib.cli.main import run as calib
-from calib.kinematics.ackermann import RearShaft, rear_shaft
 from calib.kinematics.drives import Steps
 from calib.kinematics.estimate import estimate_geometry
+from calib.kinematics.model import RearShaft, rear_shaft
 from tests.real.dart import SENSOR_M, SENSOR_YAW_RAD, STEERING_ZERO_RAD, dart
 from tests.real.recordings import available
 

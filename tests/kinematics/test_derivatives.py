@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.kinematics.ackermann import RearShaft
 from calib.kinematics.drives import Differential, Drive, FrontWheel, Mecanum, Steps, integrate_motion
-from calib.kinematics.model import Model
+from calib.kinematics.model import Model, RearShaft
 from calib.kinematics.recording import Recording
 from calib.kinematics.segments import window_segments
 
