@@ -49,7 +49,7 @@ def run(
 
     Example: calib loads --payload 100 --x 0.5 --sweep y --from -0.2333 --to 0.2333 --figures loads
     """
-    from calib.odometry.load_sweep import vehicle_of
+    from calib.odometry.law_journey import vehicle_of
 
     meant = vehicle_of(
         vehicle,
@@ -81,7 +81,7 @@ def _loads(
 ) -> None:
     from dataclasses import asdict
 
-    from calib.odometry.load_sweep import sweep_loads
+    from calib.odometry.law_journey import sweep_loads
     from calib.reporting.figures.style import FORMS, write_figures
     from calib.reporting.topics.simulation import loads_content
 

@@ -11,8 +11,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Ellipse, Patch
 from matplotlib.ticker import MaxNLocator
 
+from calib.odometry.law_journey import LoadSweep
 from calib.odometry.law_path import LawPath
-from calib.odometry.load_sweep import LoadSweep
 from calib.odometry.paper import Sweep
 from calib.odometry.pose_covariance import ellipses
 from calib.odometry.poses import COMPONENTS

@@ -6,8 +6,8 @@ import math
 from typing import Any, Final
 
 from calib.gap.decision.sentences import SMALLER
+from calib.odometry.law_journey import LoadSweep
 from calib.odometry.law_path import LawPath
-from calib.odometry.load_sweep import LoadSweep
 from calib.odometry.paper import Sweep, paper_headline
 from calib.odometry.replay import Replay
 from calib.odometry.simulation import LawPart, Simulation
