@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
+from calib.plant.design import PITCH_M, RouteTables, tabulate
 from calib.plant.noise import NoiseDraw
-from calib.plant.routes import PITCH_M, RouteTables, tabulate
 from calib.plant.world import Moment, World
 from calib.types import BoolArray, FloatArray, IntArray
 
