@@ -40,8 +40,15 @@ from calib.gap.effects.reference import (
 )
 from calib.gap.effects.simulator import SIMULATOR_PREFIX, simulator_title
 from calib.gap.effects.steering import SteeringBacklash, SteeringDelay, SteeringScale, SteeringZero
-from calib.gap.effects.turning import BrakingSkid, CurveLoadTransfer, CurveScrub, LoadDependentTrack, SideSlip
-from calib.gap.effects.tyres import DriveSlip, Understeer
+from calib.gap.effects.turning import (
+    BrakingSkid,
+    CurveLoadTransfer,
+    CurveScrub,
+    DriveSlip,
+    LoadDependentTrack,
+    SideSlip,
+    Understeer,
+)
 from calib.gap.observations.arrays import Channel, Observations
 from calib.gap.predict import Path, predict, signature
 from calib.limits import COVARIATES, refuse_beyond
