@@ -16,8 +16,8 @@ from typing import Any, Final
 
 import typer
 
+from calib.cli.guard import COMMANDS, command_called, options_of, with_default
 from calib.cli.options import nearest
-from calib.cli.registry import COMMANDS, command_called, options_of, with_default
 from calib.cli.terminal import visible
 from calib.documents import to_json
 from calib.errors import CalibError, ImplausibleError

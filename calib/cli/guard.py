@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -92,3 +93,125 @@ def _exists(text: str) -> bool:
         return Path(text).exists()
     except (OSError, ValueError):
         return False
+
+
+#: command or group -> its line in ``calib --help``, in this order, so that the list of commands imports none of them
+SUMMARIES: Final[dict[str, str]] = {
+    "check": "Say what a campaign holds and what is wrong.",
+    "init": "Make an empty campaign to fill in.",
+    "ingest": "Make a campaign out of raw lab files.",
+    "fit": "Fit each wheel's radius against its load.",
+    "deviation": "Show what a woven path does to a radius.",
+    "report": "Write the calibration report as PDF.",
+    "export": "Write coefficients for vehicle or controller.",
+    "loads": "Compute static wheel loads from a payload.",
+    "simulate": "Simulate routes and loads; replay logged runs.",
+    "simulate route": "Drive a route with radii other than believed.",
+    "simulate journey": "Drive a route under a fitted law, load by load.",
+    "simulate study": "Run a study of the paper's Section 7.",
+    "simulate replay": "Replay a campaign's logged runs.",
+    "geometry": "Estimate radii, track and sensor together.",
+    "diagnose": "Say why the simulation differs from reality.",
+    "effects": "List the causes that a diagnosis knows.",
+    "plan": "Say which runs to drive next.",
+    "challenge": "Check the diagnosis blind, on sealed cases.",
+    "challenge make": "Make sealed cases.",
+    "challenge own": "Say what your own data would find.",
+    "challenge run": "Diagnose every case.",
+    "challenge score": "Open the truth and score.",
+    "fleet": "Calibrate many vehicles at once.",
+    "fleet run": "Do a task for every vehicle of a folder.",
+    "fleet simulate": "Make a fleet with known truth.",
+}
+
+#: group -> the example that its help shows
+GROUPS: Final[dict[str, str]] = {
+    "simulate": "Example: calib simulate study corrected --law sample_runs/corridor --output section7",
+    "challenge": "Example: calib challenge make --seeds calib/challenge/seeds/ci.toml --into blind",
+    "fleet": "Example: calib fleet vehicles --into fleet --workers 2",
+}
+
+#: commands, those of a group with the group's name before theirs
+COMMANDS: Final = tuple(name for name in SUMMARIES if name not in GROUPS)
+
+
+def module_of(name: str) -> str:
+    """Return the module of a command; the commands of a group share one."""
+    return f"calib.cli.{name.split(maxsplit=1)[0]}"
+
+
+def function_of(name: str) -> Callable[..., Any]:
+    """Return what a command calls: ``run`` of its module, in a group the function that bears its name."""
+    _, _, inner = name.partition(" ")
+    function: Callable[..., Any] = getattr(importlib.import_module(module_of(name)), inner or "run")
+    return function
+
+
+def options_of(name: str) -> set[str]:
+    """Return the options of a command, long and short."""
+    application = Application(add_completion=False)
+    application.command(name)(function_of(name))
+    return {option for parameter in typer.main.get_command(application).params for option in parameter.opts}
+
+
+def command_called(arguments: Sequence[str]) -> str | None:
+    """Return the name of the command that a command line calls."""
+    words = [word for word in arguments if not word.startswith("-")]
+    return next((name for name in COMMANDS if words[: len(name.split())] == name.split()), None)
+
+
+def with_default(arguments: Sequence[str]) -> list[str]:
+    """Return the arguments with a group's default command: ``calib fleet FOLDER`` is ``calib fleet run FOLDER``."""
+    words = list(arguments)
+    if words[:1] == ["fleet"] and len(words) > 1 and words[1] not in {"run", "simulate", "-h", "--help"}:
+        words.insert(1, "run")
+    return words
+
+
+def build(arguments: Sequence[str] | None = None) -> typer.Typer:
+    """Return the application.
+
+    `arguments`: with a command's name in it, only that command is imported; with none, names and summaries alone.
+    Without arguments every command is there in full. Heavy imports happen inside the body of a command.
+    """
+    application = Application(
+        name="calib",
+        no_args_is_help=True,
+        add_completion=True,
+        rich_markup_mode=None,
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
+        help="Calibrate a vehicle's wheel odometry, and find out why its simulation is wrong.",
+    )
+
+    @application.callback(invoke_without_command=True)
+    def root(version: bool = typer.Option(False, "--version", "-V", help="Show the version and exit.")) -> None:
+        if version:
+            from calib import __version__
+
+            typer.echo(f"calib {__version__}")
+            raise typer.Exit
+
+    words = None if arguments is None else [word for word in arguments if not word.startswith("-")]
+    groups: dict[str, Application] = {}
+    for name in COMMANDS:
+        group, _, inner = name.rpartition(" ")
+        parent: typer.Typer = application
+        if group:
+            if group not in groups:
+                groups[group] = _group(group)
+                application.add_typer(groups[group], name=group)
+            parent = groups[group]
+        if words is None or words[: len(name.split())] == name.split():
+            parent.command(inner)(function_of(name))
+        else:
+            parent.command(inner, help=SUMMARIES[name])(_not_imported)
+    return application
+
+
+def _group(name: str) -> Application:
+    return Application(no_args_is_help=True, rich_markup_mode=None, help=SUMMARIES[name], epilog=GROUPS[name])
+
+
+def _not_imported() -> None:
+    """Fill the place of a command that was not called in the list of commands."""

@@ -12,7 +12,7 @@ import typer
 
 from calib.cli.failures import EXIT_FINE, failed, overflow_noted, pipe_closed
 from calib.cli.failures import interrupted as interruption
-from calib.cli.registry import build, with_default
+from calib.cli.guard import build, with_default
 from calib.cli.terminal import INTERRUPTED, KEPT, note
 
 #: where the shell asks for completions, and the words typed so far

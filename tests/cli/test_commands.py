@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import pytest
 
+from calib.cli.guard import COMMANDS, SUMMARIES
 from calib.cli.main import run
-from calib.cli.registry import COMMANDS, SUMMARIES
 
 
 def test_every_command_has_its_line_in_the_list(capsys: pytest.CaptureFixture[str]) -> None:

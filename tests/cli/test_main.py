@@ -11,8 +11,8 @@ import pytest
 
 from calib import __version__
 from calib.cli.failures import as_typed
+from calib.cli.guard import COMMANDS
 from calib.cli.main import run
-from calib.cli.registry import COMMANDS
 
 
 @pytest.mark.parametrize("flag", ["-h", "--help"])

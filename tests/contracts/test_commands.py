@@ -8,8 +8,8 @@ from typing import get_type_hints
 
 import pytest
 
+from calib.cli.guard import COMMANDS, SUMMARIES, function_of, module_of
 from calib.cli.main import run
-from calib.cli.registry import COMMANDS, SUMMARIES, function_of, module_of
 
 CLI = Path(__file__).resolve().parents[2] / "calib" / "cli"
 EVERY = [tuple(name.split()) for name in COMMANDS]
@@ -22,7 +22,7 @@ def _help(arguments: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> str
 
 def test_every_file_of_a_command_is_registered() -> None:
     files = {f"calib.cli.{path.stem}" for path in CLI.glob("*.py") if "Example: calib" in path.read_text("utf-8")}
-    assert files - {"calib.cli.registry"} == {module_of(name) for name in COMMANDS}
+    assert files - {"calib.cli.guard"} == {module_of(name) for name in COMMANDS}
 
 
 def test_a_command_is_a_function_whose_options_all_say_what_they_are() -> None:

@@ -10,8 +10,8 @@ from types import ModuleType
 
 import pytest
 
+from calib.cli.guard import COMMANDS
 from calib.cli.main import run
-from calib.cli.registry import COMMANDS
 
 ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -11,8 +11,7 @@ from pathlib import Path
 
 import typer
 
-from calib.cli.guard import ALSO, OUTPUTS, Application
-from calib.cli.registry import COMMANDS, function_of
+from calib.cli.guard import ALSO, COMMANDS, OUTPUTS, Application, function_of
 from tests.fuzz.answer import Outcome, outcome
 from tests.fuzz.damage import WORDS, damaged, resealed
 from tests.fuzz.quantities import quantity_case

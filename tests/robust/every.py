@@ -23,8 +23,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from calib.cli.guard import COMMANDS
 from calib.cli.main import run
-from calib.cli.registry import COMMANDS
 from calib.documents import spreadsheet_cell
 from tests.fuzz.inputs import options
 from tests.fuzz.sound import prepared

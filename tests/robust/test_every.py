@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from calib.cli.guard import COMMANDS
 from calib.cli.main import run
-from calib.cli.registry import COMMANDS
 from tests.robust import every
 
 
