@@ -6,8 +6,7 @@ from typing import Final
 
 from calib.coefficients.file import CoefficientFile
 from calib.coefficients.formats import Artifact, ExportOptions
-from calib.coefficients.formats.model_file import ModelFile, Node, Slot, Wheel, named, numbers, written
-from calib.coefficients.formats.model_wheels import patched
+from calib.coefficients.formats.model_file import ModelFile, Node, Slot, Wheel, named, numbers, patched, written
 from calib.coefficients.formats.urdf import ROUND, plugin_parameters
 from calib.errors import RefusedError
 

@@ -7,8 +7,7 @@ from typing import Final
 
 from calib.coefficients.file import CoefficientFile
 from calib.coefficients.formats import Artifact, ExportOptions
-from calib.coefficients.formats.model_file import ModelFile, Node, Slot, Wheel, named, numbers, written
-from calib.coefficients.formats.model_wheels import patched
+from calib.coefficients.formats.model_file import ModelFile, Node, Slot, Wheel, named, numbers, patched, written
 from calib.errors import RefusedError
 
 #: see `calib.coefficients.formats`
