@@ -31,7 +31,7 @@ def run(
     from calib.campaign.check import check_campaign
     from calib.campaign.read import read_or_ingest
     from calib.reporting.next_step import after_check
-    from calib.reporting.topics.campaign_check import check_content
+    from calib.reporting.topics.checks import check_content
 
     with progress("checking") as tick:
         report = check_campaign(read_or_ingest(campaign, mapping=mapping, lenient=True, progress=tick), tick)

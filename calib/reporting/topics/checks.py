@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
+from calib.campaign.check import CheckReport
+from calib.campaign.model import Note
 from calib.radius.design_checks import FAIL_BELOW, NOTE_BELOW
 from calib.radius.regression import Check
 from calib.radius.result import Fit
-from calib.reporting.blocks import Column, Items, Notice, Picture, Section, Table, Text, drawn
-from calib.reporting.formatting import probability, prose, text_column, text_columns
+from calib.reporting.blocks import Block, Column, Facts, Heading, Items, Notice, Picture, Section, Table, Text, drawn
+from calib.reporting.formatting import plural, probability, prose, span, text_column, text_columns
 
 if TYPE_CHECKING:
     from calib.reporting.source import Source
+
 
 _LEVELS: Final = {"ok": "passed", "note": "remark", "failed": "FAILED"}
 #: remarks beside the result, a sentence each
@@ -132,3 +136,94 @@ def residuals_picture(fit: Fit) -> Picture:
         ),
         partial(drawn, "radius.residuals", fit.left, fit.right, fit.radii.session),
     )
+
+
+#: entries of a list of names, and runs named for one note
+MAX_NAMES: Final = 12
+MAX_RUNS: Final = 6
+#: lines of one kind of note that differ in their numbers alone; the JSON has them all
+MAX_SIMILAR: Final = 8
+
+
+def check_content(report: CheckReport) -> tuple[Block, ...]:
+    """Return the findings of a check, and its verdict."""
+    blocks: list[Block] = [
+        Heading(f"{report.campaign}{' (simulated)' if report.simulated else ''}"),
+        Facts(tuple(_facts(report))),
+    ]
+    for title, notes in (
+        ("Recognised", report.info),
+        ("Suspicious", report.suspicious),
+        ("Wrong", report.wrong),
+    ):
+        if notes:
+            blocks += [Heading(f"{title} ({len(notes)})"), Items(tuple(_grouped(notes)))]
+    return (*blocks, _verdict(report))
+
+
+def _facts(report: CheckReport) -> list[tuple[str, str]]:
+    contents = report.found
+    rows = [("runs", str(contents.n_runs) + (f", {contents.n_excluded} excluded" if contents.n_excluded else ""))]
+    for title, counted in (("sessions", contents.sessions), ("kinds", contents.kinds)):
+        if counted:
+            names = ", ".join(f"{key} ({count})" for key, count in list(counted.items())[:MAX_NAMES])
+            rows.append((title, f"{len(counted)}: {names}" + (", ..." if len(counted) > MAX_NAMES else "")))
+    if contents.payloads_kg:
+        shown = ", ".join(f"{value:g}" for value in contents.payloads_kg[:MAX_NAMES])
+        rows.append(("payloads", shown + (", ..." if len(contents.payloads_kg) > MAX_NAMES else "") + " kg"))
+    for title, ends, unit in (
+        ("left load", contents.load_left_N, "N"),
+        ("right load", contents.load_right_N, "N"),
+        ("distance", contents.distance_m, "m"),
+        ("speed", contents.speed_mps, "m/s"),
+        ("hall", contents.temperature_C, "°C"),
+    ):
+        if ends:
+            rows.append((title, span(*ends, unit, ".5g")))
+    if contents.n_logs and contents.rate_Hz and contents.duration_s:
+        rows.append(
+            (
+                "logs",
+                f"{contents.n_logs}, {contents.n_samples} samples at {span(*contents.rate_Hz, 'Hz')}, "
+                f"{span(*contents.duration_s, 's')} ({', '.join(contents.log_columns)})",
+            )
+        )
+    if contents.covariates:
+        rows.append(("covariates", ", ".join(contents.covariates)))
+    return rows
+
+
+def _grouped(notes: Sequence[Note]) -> list[str]:
+    """Return one line for notes of the same text on several runs."""
+    by_text: dict[str, list[Note]] = {}
+    for note in notes:
+        by_text.setdefault(note.text, []).append(note)
+    lines = []
+    of_code: dict[str, int] = {}
+    for text, same in by_text.items():
+        code = same[0].code
+        of_code[code] = of_code.get(code, 0) + 1
+        if code and of_code[code] > MAX_SIMILAR:
+            continue
+        runs = list(dict.fromkeys(note.run_id for note in same if note.run_id))
+        where = same[0].where
+        if len(same) > 1:
+            places = list(dict.fromkeys(note.where for note in same))
+            shown = runs or places
+            more = f" and {len(shown) - MAX_RUNS} more" if len(shown) > MAX_RUNS else ""
+            where = f"{plural(len(shown), 'run' if runs else 'place')}, {', '.join(shown[:MAX_RUNS])}{more}"
+        elif runs:
+            where += f" [{runs[0]}]"
+        lines.append(prose(f"{where}: {text}"))
+    hidden = {code: count - MAX_SIMILAR for code, count in of_code.items() if code and count > MAX_SIMILAR}
+    return [*lines, *(f"and {count} more like these: {code.replace('_', ' ')}" for code, count in hidden.items())]
+
+
+def _verdict(report: CheckReport) -> Notice:
+    wrong, suspicious = len(report.wrong), len(report.suspicious)
+    if report.verdict == "wrong":
+        return Notice("bad", f"Wrong: {plural(wrong, 'fault')}", "Correct them before you compute anything.")
+    if report.verdict == "look at this":
+        text = f"No fault, and {plural(suspicious, 'thing')} that may spoil the result; decide before you rely on it."
+        return Notice("note", "Look at this", text)
+    return Notice("good", "Sound", "No fault, and nothing suspicious.")
