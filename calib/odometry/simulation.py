@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from calib.campaign.checks.design import SIDES
 from calib.campaign.checks.plausible import off
-from calib.campaign.checks.terms import SIDES
 from calib.documents import Result
 from calib.errors import BadInputError
 from calib.limits import DRAWN_PIECES, DRAWS, refuse_more

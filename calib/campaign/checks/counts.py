@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.checks.terms import (
+from calib.campaign.checks.design import (
     SIDES,
     cell_note,
     listed,

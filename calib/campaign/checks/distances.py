@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.checks.terms import LEAST_RUNS, SIDES, cell_note, implausible_note, listed, per_rev, robust_spread
+from calib.campaign.checks.design import LEAST_RUNS, SIDES, cell_note, implausible_note, listed, per_rev, robust_spread
 from calib.campaign.model import Campaign, Note
 from calib.campaign.references import GYRO_TURN
 from calib.campaign.wheels import STEERED, WHEEL_COLUMNS, odometry_source, without_rear_wheels

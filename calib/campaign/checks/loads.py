@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.checks.terms import LEAST_RUNS, SIDES, cell_note, implausible_note, listed, meaning, stated
+from calib.campaign.checks.design import LEAST_RUNS, SIDES, cell_note, implausible_note, listed, meaning, stated
 from calib.campaign.model import Campaign, Note
 from calib.campaign.read import loads_from_payload
 from calib.types import BoolArray, FloatArray

@@ -12,9 +12,9 @@ from typing import Final
 
 import numpy as np
 
+from calib.campaign.checks.design import LEAST_RUNS, SIDES, implausible_note, meaning, stated
 from calib.campaign.checks.distances import implausible_poses
 from calib.campaign.checks.loads import implausible_loads
-from calib.campaign.checks.terms import LEAST_RUNS, SIDES, implausible_note, meaning, stated
 from calib.campaign.model import Campaign, Note
 from calib.types import FloatArray
 

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.checks.terms import LEAST_RUNS, SIDES, cell_note, per_rev, raw_radius_ratio
+from calib.campaign.checks.design import LEAST_RUNS, SIDES, cell_note, per_rev, raw_radius_ratio
 from calib.campaign.model import Campaign, Note
 from calib.campaign.read import log_totals
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from calib.campaign.checks.terms import listed
+from calib.campaign.checks.design import listed
 from calib.radius.result import Fit
 from calib.reporting.blocks import Block, Column, Picture, Section, Table, Text, drawn
 from calib.reporting.formatting import fixed, plural, text_column, text_columns
