@@ -13,10 +13,9 @@ import numpy.typing as npt
 
 from calib.campaign.settings import Encoder, OdometryModel
 from calib.errors import BadInputError
-from calib.odometry.blocks import WHOLE, Block, blocks
+from calib.odometry.blocks import WHOLE, Block, Flat, after, before, blocks, cut, lay_flat
 from calib.odometry.numba_loop import compiled_fill, is_installed
 from calib.odometry.poses import Poses
-from calib.odometry.steps import Flat, after, before, cut, lay_flat
 from calib.radius.law import RadiusLaw
 from calib.types import FloatArray, IntArray
 

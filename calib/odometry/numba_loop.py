@@ -15,7 +15,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from calib.odometry.steps import Flat
+from calib.odometry.blocks import Flat
 from calib.types import FloatArray
 
 #: steps at a time

@@ -13,10 +13,10 @@ import numpy.typing as npt
 
 from calib.errors import BadInputError
 from calib.limits import SIMULATED_POSES, refuse_more
+from calib.odometry.blocks import shorten
 from calib.odometry.integrate import integrate
 from calib.odometry.poses import COMPONENTS, POSE, PoseErrors, Poses, pose_errors
 from calib.odometry.routes import Route, find_route
-from calib.odometry.steps import shorten
 from calib.types import FloatArray
 
 #: vehicles a block: the arrays in use stay in the second-level cache

@@ -13,8 +13,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from calib.odometry.blocks import sinc
 from calib.odometry.poses import Poses
-from calib.odometry.steps import sinc
 from calib.radius.law import JOINT, RadiusLaw
 from calib.types import FloatArray
 
