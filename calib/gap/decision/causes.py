@@ -8,8 +8,8 @@ from typing import Final
 
 import numpy as np
 
-from calib.gap.decision.adequacy import CERTAIN_PROBABILITY, NEGLIGIBLE_SHARE, SMALL_SHARE
 from calib.gap.decision.diagnosis import Cause, Evidence, Quantity, Unexplained
+from calib.gap.decision.sentences import CERTAIN_PROBABILITY, NEGLIGIBLE_SHARE, SMALL_SHARE
 from calib.gap.effects.calibration import DIRECTIONS, NAMES
 from calib.gap.effects.effect import Form
 from calib.gap.effects.encoder import Blunder

@@ -9,13 +9,6 @@ from typing import Final
 import numpy as np
 
 from calib.gap.decision import confounding
-from calib.gap.decision.adequacy import (
-    CERTAIN_PROBABILITY,
-    NAMED_PROBABILITY,
-    SMALL_SHARE,
-    hides_causes,
-    kind_of,
-)
 from calib.gap.decision.causes import blunder_cause, causes_of, limited_beside, negligible, unexplained_of
 from calib.gap.decision.diagnosis import (
     Diagnosis,
@@ -25,7 +18,15 @@ from calib.gap.decision.diagnosis import (
     VerdictKind,
 )
 from calib.gap.decision.fix import fix_of, is_named_beside, sure_part
-from calib.gap.decision.sentences import blunder_sentence, sentence
+from calib.gap.decision.sentences import (
+    CERTAIN_PROBABILITY,
+    NAMED_PROBABILITY,
+    SMALL_SHARE,
+    blunder_sentence,
+    hides_causes,
+    kind_of,
+    sentence,
+)
 from calib.gap.effects.effect import Family
 from calib.gap.effects.encoder import BLUNDER_MISFIT, misfit
 

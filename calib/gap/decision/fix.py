@@ -9,9 +9,9 @@ from math import prod
 import numpy as np
 
 from calib.gap.decision import confounding
-from calib.gap.decision.adequacy import SIGNAL_OVER_UNEXPLAINED, SMALL_SHARE, corrections_agree
 from calib.gap.decision.diagnosis import DRIVEN, JOURNEYS, Cause, Evidence, Fix, Unexplained
 from calib.gap.decision.held_out import ADEQUATE_CLOSURE, Closure, Improvement, improvement_of
+from calib.gap.decision.sentences import SIGNAL_OVER_UNEXPLAINED, SMALL_SHARE, corrections_agree
 from calib.gap.decision.trials import FALSE_ALARM, Trial, trials
 from calib.gap.effects.calibration import NAMES
 from calib.gap.effects.effect import Family

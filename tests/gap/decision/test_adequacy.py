@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
-from calib.gap.decision.adequacy import kind_of
 from calib.gap.decision.causes import limited_beside
 from calib.gap.decision.diagnosis import Cause, Unexplained, VerdictKind
 from calib.gap.decision.held_out import Closure
+from calib.gap.decision.sentences import kind_of
 from calib.gap.decision.trials import Trial
 
 #: the correction of one certain effect closes the gap on held-out runs
