@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from calib.campaign.model import Note
-from calib.campaign.readers.lines import tidy, utf8
+from calib.campaign.readers.recording import tidy, utf8
 from calib.campaign.readers.sheets import Heading, heading, table_rows
 from calib.campaign.readers.table import (
     HEADER_ROWS,
