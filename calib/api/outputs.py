@@ -7,8 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calib.api.inputs import CampaignLike, opened, refuse_negative
-from calib.api.results import fit, geometry
+from calib.api.results import CampaignLike, fit, geometry, opened, refuse_negative
 from calib.arguments import checked
 from calib.errors import BadInputError
 from calib.kinematics.result import Geometry
