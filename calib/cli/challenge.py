@@ -7,8 +7,7 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.options import Force, JsonTarget
-from calib.cli.terminal import emit_json, keep, note, progress, say, show, wrote
+from calib.cli.terminal import Force, JsonTarget, emit_json, keep, note, progress, say, show, wrote
 from calib.io import refuse_existing
 
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="A set made by 'calib challenge make'.")]

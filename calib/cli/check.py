@@ -7,8 +7,7 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.options import Force, JsonTarget, MappingOption
-from calib.cli.terminal import answer, progress, say
+from calib.cli.terminal import Force, JsonTarget, MappingOption, answer, progress, say
 
 
 def run(

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from calib.cli.options import Force, JsonTarget
-from calib.cli.terminal import answer, waiting
+from calib.cli.terminal import Force, JsonTarget, answer, waiting
 
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign

@@ -7,8 +7,21 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calib.cli.options import CampaignOrRecording, Figures, Force, JsonTarget, MappingOption, nearest
-from calib.cli.terminal import emit_json, keep, progress, say, show, waiting, wrote
+from calib.cli.terminal import (
+    CampaignOrRecording,
+    Figures,
+    Force,
+    JsonTarget,
+    MappingOption,
+    emit_json,
+    keep,
+    nearest,
+    progress,
+    say,
+    show,
+    waiting,
+    wrote,
+)
 from calib.errors import BadInputError
 from calib.io import refuse_existing
 

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calib.cli.options import Figures, Force, JsonTarget, nearest
-from calib.cli.terminal import emit_json, progress, show, waiting, wrote
+from calib.cli.terminal import Figures, Force, JsonTarget, emit_json, nearest, progress, show, waiting, wrote
 from calib.errors import BadInputError
 from calib.io import refuse_existing
 

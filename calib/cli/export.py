@@ -8,8 +8,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from calib.cli.options import AcceptImplausible, Force, JsonTarget
-from calib.cli.terminal import emit_json, emit_text, note, progress, say, wants_stdout, wrote
+from calib.cli.terminal import (
+    AcceptImplausible,
+    Force,
+    JsonTarget,
+    emit_json,
+    emit_text,
+    note,
+    progress,
+    say,
+    wants_stdout,
+    wrote,
+)
 from calib.coefficients.formats import FORMATS
 from calib.errors import BadInputError
 from calib.io import refuse_existing

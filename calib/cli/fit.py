@@ -7,8 +7,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from calib.cli.options import CampaignOrRecording, Figures, Force, JsonTarget, MappingOption
-from calib.cli.terminal import emit_json, progress, say, show, wants_stdout, wrote
+from calib.cli.terminal import (
+    CampaignOrRecording,
+    Figures,
+    Force,
+    JsonTarget,
+    MappingOption,
+    emit_json,
+    progress,
+    say,
+    show,
+    wants_stdout,
+    wrote,
+)
 from calib.errors import BadInputError
 from calib.io import refuse_existing
 

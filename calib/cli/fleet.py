@@ -7,8 +7,7 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.options import Date, Force, JsonTarget, Seed
-from calib.cli.terminal import answer, emit_json, keep, progress, waiting, wrote
+from calib.cli.terminal import Date, Force, JsonTarget, Seed, answer, emit_json, keep, progress, waiting, wrote
 from calib.io import refuse_existing
 from calib.limits import refuse_workers
 

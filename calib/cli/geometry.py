@@ -7,8 +7,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from calib.cli.options import AcceptImplausible, CampaignOrRecording, Figures, Force, JsonTarget, MappingOption
-from calib.cli.terminal import emit_json, progress, say, show, wrote
+from calib.cli.terminal import (
+    AcceptImplausible,
+    CampaignOrRecording,
+    Figures,
+    Force,
+    JsonTarget,
+    MappingOption,
+    emit_json,
+    progress,
+    say,
+    show,
+    wrote,
+)
 from calib.io import refuse_existing
 
 if TYPE_CHECKING:
@@ -80,7 +91,7 @@ def run(
 
 
 def _choice(option: str, given: str | None, known: dict[str, str]) -> Any:
-    from calib.cli.options import nearest
+    from calib.cli.terminal import nearest
     from calib.errors import BadInputError
 
     if given is not None and given not in known:

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calib.cli.options import Force, JsonTarget
-from calib.cli.terminal import emit_json, emit_text, progress, say, waiting, wants_stdout
+from calib.cli.terminal import Force, JsonTarget, emit_json, emit_text, progress, say, waiting, wants_stdout
 
 if TYPE_CHECKING:
     from calib.campaign.ingest import Ingested

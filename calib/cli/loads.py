@@ -7,8 +7,7 @@ from typing import Annotated, Any, Final
 
 import typer
 
-from calib.cli.options import Figures, Force, JsonTarget, nearest, numbers
-from calib.cli.terminal import answer, wants_stdout, wrote
+from calib.cli.terminal import Figures, Force, JsonTarget, answer, nearest, numbers, wants_stdout, wrote
 from calib.errors import BadInputError
 from calib.io import refuse_existing
 

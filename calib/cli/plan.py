@@ -7,8 +7,7 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.options import Force, JsonTarget
-from calib.cli.terminal import emit_json, progress, say, show, wrote
+from calib.cli.terminal import Force, JsonTarget, emit_json, progress, say, show, wrote
 from calib.errors import BadInputError
 from calib.io import refuse_existing
 

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from calib.cli.options import AcceptImplausible, Date, Figures, Force, JsonTarget
-from calib.cli.terminal import emit_json, progress, say, wrote
+from calib.cli.terminal import AcceptImplausible, Date, Figures, Force, JsonTarget, emit_json, progress, say, wrote
 from calib.errors import BadInputError, RefusedError
 from calib.io import refuse_existing
 

@@ -9,8 +9,19 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from calib.cli.options import Force, JsonTarget, Seed, nearest, numbers, pairs
-from calib.cli.terminal import emit_json, show, waiting, wants_stdout, wrote
+from calib.cli.terminal import (
+    Force,
+    JsonTarget,
+    Seed,
+    emit_json,
+    nearest,
+    numbers,
+    pairs,
+    show,
+    waiting,
+    wants_stdout,
+    wrote,
+)
 from calib.errors import BadInputError
 from calib.io import refuse_existing
 

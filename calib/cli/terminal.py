@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import difflib
 import json
+import math
 import os
 import re
 import sys
@@ -11,12 +13,15 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
 from shutil import get_terminal_size
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
+
+import typer
 
 from calib.errors import BadInputError
 
 if TYPE_CHECKING:
     from calib.reporting.blocks import Block, Section
+
 
 #: what the command at work has written so far, for the line after an interruption
 KEPT: Final[ContextVar[list[str]]] = ContextVar("kept")
@@ -234,3 +239,58 @@ def _write(stream: Any, text: str) -> None:
         stream.write(text + "\n")
     except UnicodeEncodeError:
         stream.write(text.translate(_ASCII).encode("ascii", "replace").decode("ascii") + "\n")
+
+
+JsonTarget = Annotated[
+    str | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON to FILE; '-' is standard output.")
+]
+MappingOption = Annotated[
+    Path | None,
+    typer.Option("--mapping", metavar="FILE", help="TOML that maps a recording or table, read as if ingested."),
+]
+CampaignOrRecording = Annotated[
+    Path, typer.Argument(metavar="CAMPAIGN", help="Folder with campaign.toml and runs.csv, or a recording.")
+]
+Figures = Annotated[
+    Path | None, typer.Option("--figures", metavar="FOLDER", help="Write the figures there as PNG, SVG and PDF.")
+]
+Date = Annotated[
+    str | None,
+    typer.Option("--date", metavar="YYYY-MM-DD", help="Date of issue; without it: today. Fixes the bytes of the PDF."),
+]
+Force = Annotated[bool, typer.Option("--force", help="Replace existing output files.")]
+AcceptImplausible = Annotated[
+    str,
+    typer.Option(
+        "--accept-implausible",
+        metavar="REASON",
+        help="Pass on a law that is beyond the bounds of its vehicle; the reason is written into the file.",
+    ),
+]
+Seed = Annotated[int, typer.Option("--seed", metavar="N", help="Seed of everything that is drawn.")]
+
+
+def numbers(text: str, count: int | None, name: str) -> tuple[float, ...]:
+    """Return the numbers of a text such as ``300,1100``.
+
+    `count`: how many are expected; None: one or more. Raises BadInputError where the text holds something else.
+    """
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        values = ()
+    if not values or (count is not None and len(values) != count) or not all(map(math.isfinite, values)):
+        wanted = f"{count} numbers" if count else "numbers"
+        raise BadInputError(f"{name}: found {text!r:.60}; expected {wanted} separated by commas; write them as 1.5,2")
+    return values
+
+
+def pairs(texts: Iterable[str] | None, name: str) -> list[tuple[float, float]]:
+    """Return the pairs of numbers of texts such as ``300,1100``; `name` is the option, for the message."""
+    return [(left, right) for left, right in (numbers(text, 2, name) for text in texts or ())]
+
+
+def nearest(word: str, known: Iterable[str]) -> str:
+    """Return ``; did you mean 'x'?`` for the known words that are near, else an empty text."""
+    near = difflib.get_close_matches(word, list(known), n=3, cutoff=0.5)
+    return f"; did you mean {' or '.join(repr(name) for name in near)}?" if near else ""
