@@ -151,7 +151,7 @@ def write_fleet(fleet: Fleet, into: Path, heads: Heads | None = None) -> list[Pa
 
     `into`: result folder; `heads`: for ``fleet.pdf`` and ``fleet.html``; without it they are not written.
     """
-    from calib.reporting.figures.fleet import fleet_distribution, fleet_drift
+    from calib.reporting.figures.challenge import fleet_distribution, fleet_drift
     from calib.reporting.figures.style import render_all
 
     document = fleet.to_dict()

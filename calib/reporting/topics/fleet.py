@@ -98,7 +98,7 @@ def _drifting(fleet: Fleet) -> Table:
 
 
 def _pictures(fleet: Fleet) -> list[Picture]:
-    from calib.reporting.figures.fleet import fleet_distribution, fleet_drift
+    from calib.reporting.figures.challenge import fleet_distribution, fleet_drift
 
     pictures = [
         Picture(
