@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.campaign.columns import OdometryModel
 from calib.campaign.model import Campaign
+from calib.campaign.settings import OdometryModel
 from calib.campaign.write import write_campaign
 from calib.plant.design import Design
 from calib.plant.effects.form import Cause

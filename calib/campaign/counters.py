@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.columns import Encoder
 from calib.campaign.model import LOG_COLUMNS, Border, Logs
+from calib.campaign.settings import Encoder
 from calib.types import FloatArray, IntArray
 
 #: widths that are looked for where the settings name none

@@ -19,12 +19,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from calib.campaign.columns import Encoder
 from calib.campaign.counters import LogStack
 from calib.campaign.logs_file import LogFile, Renames, read_log, wanted_in_log
 from calib.campaign.model import Border, Logs, Note
 from calib.campaign.readers.delimited import NUMPY_BYTES, read_batch
 from calib.campaign.readers.table import RawTable
+from calib.campaign.settings import Encoder
 from calib.errors import BadFileError, CalibError
 from calib.io import sha256_file, write_bytes
 from calib.types import FloatArray, Progress, silent, stepped

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from calib.campaign.columns import Encoder, Odometry, OdometryModel, Rangefinder, Reference
+from calib.campaign.settings import Encoder, Odometry, OdometryModel, Rangefinder, Reference
 from calib.errors import BadFileError, BadInputError
 from calib.types import BoolArray, FloatArray, IntArray, StrArray
 from calib.vehicle import Vehicle

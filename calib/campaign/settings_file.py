@@ -9,7 +9,10 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Final
 
-from calib.campaign.columns import (
+from calib.campaign.columns import recognise
+from calib.campaign.model import Campaign, Logs, Note, RunTable
+from calib.campaign.readers.table import LARGEST_VALUE
+from calib.campaign.settings import (
     ENCODER_KINDS,
     FRAMES,
     ODOMETRY_SOURCES,
@@ -20,10 +23,7 @@ from calib.campaign.columns import (
     OdometryModel,
     Rangefinder,
     Reference,
-    recognise,
 )
-from calib.campaign.model import Campaign, Logs, Note, RunTable
-from calib.campaign.readers.table import LARGEST_VALUE
 from calib.errors import BadFileError
 from calib.limits import (
     LABEL_CHARACTERS,

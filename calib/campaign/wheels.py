@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from calib.campaign.columns import Encoder, FrontModel, MecanumModel, Odometry, OdometryModel, OdometrySource
 from calib.campaign.model import Border, Logs
+from calib.campaign.settings import Encoder, FrontModel, MecanumModel, Odometry, OdometryModel, OdometrySource
 from calib.errors import BadInputError
 from calib.types import FloatArray
 from calib.vehicle import Vehicle

@@ -8,8 +8,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from calib.campaign.columns import OdometryModel
 from calib.campaign.model import Campaign
+from calib.campaign.settings import OdometryModel
 from calib.challenge.ceiling import ceiling_of, ceiling_of_truth
 from calib.challenge.recipe import Recipe
 from calib.plant.design import Design

@@ -32,8 +32,8 @@ from calib.units import GRAVITY_MPS2
 from calib.vehicle import Vehicle
 
 if TYPE_CHECKING:
-    from calib.campaign.columns import Encoder
     from calib.campaign.model import Campaign
+    from calib.campaign.settings import Encoder
     from calib.kinematics.result import Geometry
     from calib.radius.result import Fit
 

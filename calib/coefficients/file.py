@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, ValidationError, model_validator
 
-from calib.campaign.columns import FrontModel, MecanumModel, OdometryModel
+from calib.campaign.settings import FrontModel, MecanumModel, OdometryModel
 from calib.campaign.wheels import STEERED
 from calib.coefficients.sections import (
     AcceptedSection,

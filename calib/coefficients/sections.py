@@ -7,7 +7,7 @@ from typing import Annotated, Any, Final, Generic, Literal, Self, TypeVar, get_a
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from calib.campaign.columns import OdometrySource
+from calib.campaign.settings import OdometrySource
 from calib.errors import BadInputError
 from calib.radius.law import WheelLaw
 from calib.vehicle import Drive

@@ -11,8 +11,8 @@ import numpy as np
 
 from calib.campaign.checks.plausible import implausible
 from calib.campaign.checks.settings import notes_for_results
-from calib.campaign.columns import OdometryModel
 from calib.campaign.model import Campaign
+from calib.campaign.settings import OdometryModel
 from calib.errors import BadInputError, RefusedError
 from calib.gap.decision.decide import decide
 from calib.gap.decision.diagnosis import BY_MODEL, BY_SIMULATOR, Diagnosis, Evidence, Situation

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from calib.campaign.columns import Encoder, OdometryModel
+from calib.campaign.settings import Encoder, OdometryModel
 from calib.errors import BadInputError
 from calib.odometry.blocks import WHOLE, Block, Flat, after, before, blocks, cut, lay_flat
 from calib.odometry.numba_loop import compiled_fill, is_installed

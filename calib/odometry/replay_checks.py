@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.columns import OdometryModel
 from calib.campaign.model import Campaign
+from calib.campaign.settings import OdometryModel
 from calib.campaign.wheels import ASIDE, on_one_axle, without_rear_wheels
 from calib.coefficients.file import CoefficientFile
 from calib.odometry.integrate import integrate, loads_in_steps, radii_under_load, travel_from_counts

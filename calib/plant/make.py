@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from calib.campaign.columns import OdometryModel
 from calib.campaign.model import Campaign
+from calib.campaign.settings import OdometryModel
 from calib.plant.design import Design
 from calib.plant.drive import drive
 from calib.plant.effects.form import Cause

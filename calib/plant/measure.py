@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.campaign.columns import Encoder, Rangefinder, Reference
 from calib.campaign.model import Campaign, Logs, RunTable
+from calib.campaign.settings import Encoder, Rangefinder, Reference
 from calib.plant.drive import Record
 from calib.plant.noise import Noise, NoiseDraw
 from calib.plant.world import World, wheel_loads

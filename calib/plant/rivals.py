@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.campaign.columns import OdometryModel
+from calib.campaign.settings import OdometryModel
 from calib.plant.design import Design, lacks
 from calib.plant.effects.form import Cause
 from calib.plant.effects.registry import ALL

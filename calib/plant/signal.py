@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.columns import OdometryModel
+from calib.campaign.settings import OdometryModel
 from calib.plant.design import Design
 from calib.plant.drive import Record, drive
 from calib.plant.effects.form import Cause

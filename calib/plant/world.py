@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from calib.campaign.columns import OdometryModel
+from calib.campaign.settings import OdometryModel
 from calib.plant.design import Design
 from calib.types import FloatArray
 from calib.units import GRAVITY_MPS2

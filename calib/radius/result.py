@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from calib.campaign.columns import Encoder, OdometryModel, Rangefinder, Reference
 from calib.campaign.model import Campaign
+from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
 from calib.documents import CHECKSUM_KEY, Result, checksum, csv_text, plain, to_json
 from calib.errors import BadFileError, BadInputError, CalibError
 from calib.io import settle, sha256_file, write_files

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.campaign.columns import Encoder, OdometryModel, Rangefinder, Reference
 from calib.campaign.model import Campaign, Logs, RunTable
+from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
 from calib.vehicle import Vehicle, wheel_loads_N
 
 PAYLOADS_KG = (0.0, 50.0, 100.0, 150.0, 200.0)

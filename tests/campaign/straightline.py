@@ -17,8 +17,8 @@ from typing import Literal
 
 import numpy as np
 
-from calib.campaign.columns import Encoder, OdometryModel, Rangefinder, Reference
 from calib.campaign.model import Campaign, Logs, RunTable
+from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
 from calib.campaign.write import write_campaign
 from calib.vehicle import Vehicle
 

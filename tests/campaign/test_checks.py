@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from calib.campaign.check import CHECKS, check_campaign
-from calib.campaign.columns import Encoder
 from calib.campaign.model import Campaign, Logs
+from calib.campaign.settings import Encoder
 from tests.campaign.making import campaign, with_log_columns, with_numbers
 
 Fault = Callable[[Campaign], Campaign]

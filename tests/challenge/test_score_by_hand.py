@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from calib.campaign.columns import OdometryModel
+from calib.campaign.settings import OdometryModel
 from calib.challenge.cases import Truth
 from calib.challenge.judge import judge
 from calib.challenge.recipe import Recipe

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.campaign.columns import Encoder
+from calib.campaign.settings import Encoder
 from calib.coefficients.build import Header, from_law
 from calib.coefficients.file import CoefficientFile
 from calib.coefficients.formats import ExportOptions

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from calib.campaign.columns import Encoder
+from calib.campaign.settings import Encoder
 from calib.coefficients.build import Header, from_law, load_points
 from calib.coefficients.file import CoefficientFile, load_coefficients
 from calib.coefficients.sections import EffectSection

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.campaign.columns import Encoder, Odometry, OdometryModel, OdometrySource, Rangefinder, Reference
 from calib.campaign.model import Campaign, Logs, RunTable
+from calib.campaign.settings import Encoder, Odometry, OdometryModel, OdometrySource, Rangefinder, Reference
 from calib.campaign.wheels import WHEEL_COLUMNS
 from calib.vehicle import Vehicle
 

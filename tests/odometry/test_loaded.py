@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.campaign.columns import Encoder
+from calib.campaign.settings import Encoder
 from calib.errors import BadInputError
 from calib.odometry.integrate import end_poses, loads_in_steps, radii_under_load, travel_from_counts
 from calib.radius.law import RadiusLaw, WheelLaw

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.campaign.columns import OdometryModel
+from calib.campaign.settings import OdometryModel
 from calib.plant.design import Design
 from calib.plant.drive import drive
 from calib.plant.effects.form import Cause

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.campaign.columns import Encoder, OdometryModel, Rangefinder, Reference
 from calib.campaign.model import Campaign, Logs, RunTable
+from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
 from calib.vehicle import Vehicle
 
 COUNTS_PER_REV = 4096.0

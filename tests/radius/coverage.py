@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.campaign.columns import Encoder, OdometryModel, Rangefinder, Reference
 from calib.campaign.model import Campaign, Logs, RunTable
+from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
 from calib.radius.fit import fit_campaign
 from calib.radius.result import Fit
 from calib.vehicle import Vehicle

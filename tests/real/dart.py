@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from calib.campaign.columns import SPEED_COUNT_M, Encoder, FrontModel, OdometryModel, Reference
 from calib.campaign.model import Campaign
+from calib.campaign.settings import SPEED_COUNT_M, Encoder, FrontModel, OdometryModel, Reference
 from calib.campaign.wheels import shaft_motion
 from calib.kinematics.estimate import estimate_geometry
 from calib.kinematics.model import SIDE_SLIP, UNDERSTEER

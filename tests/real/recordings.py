@@ -15,8 +15,8 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
-from calib.campaign.columns import Encoder, Odometry, OdometryModel, Rangefinder, Reference
 from calib.campaign.model import Campaign, Logs, RunTable
+from calib.campaign.settings import Encoder, Odometry, OdometryModel, Rangefinder, Reference
 from calib.campaign.wheels import WHEEL_COLUMNS
 from calib.types import FloatArray
 from calib.vehicle import Vehicle

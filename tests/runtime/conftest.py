@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.campaign.columns import Encoder
+from calib.campaign.settings import Encoder
 from calib.coefficients.build import Header, from_law
 from calib.coefficients.export import export
 from calib.coefficients.file import CoefficientFile

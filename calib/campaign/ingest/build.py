@@ -11,7 +11,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from calib.campaign.columns import Encoder
 from calib.campaign.counters import LogStack, detect_wrap_bits
 from calib.campaign.ingest.logs import MappedLog, read_mapped
 from calib.campaign.ingest.mapping import Mapping, bad_line, read_mapping
@@ -20,6 +19,7 @@ from calib.campaign.ingest.segmentation import Segment, end_values, from_start, 
 from calib.campaign.model import Border, Campaign, Note, RunTable
 from calib.campaign.readers import RawTable, holds_recording, read_table
 from calib.campaign.readers.table import object_array
+from calib.campaign.settings import Encoder
 from calib.campaign.settings_file import FORMAT, Settings, parse_settings
 from calib.campaign.write import to_toml, write_campaign
 from calib.documents import plain, to_json

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.columns import FrontModel
+from calib.campaign.settings import FrontModel
 from calib.gap.observations.arrays import Observations
 from calib.plant.design import Design
 from calib.plant.world import Moment, World, build_world

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from calib.campaign.columns import OdometryModel
 from calib.campaign.model import Campaign
+from calib.campaign.settings import OdometryModel
 from calib.gap.effects.effect import Centre, Form
 from calib.gap.effects.encoder import Blunder, corrected
 from calib.gap.effects.library import every_effect

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.columns import FrontModel
+from calib.campaign.settings import FrontModel
 from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Path, Perturbation
 from calib.types import BoolArray, FloatArray
 

@@ -12,7 +12,7 @@ from typing import Any, Final, Generic, TypeVar, cast
 import numpy as np
 import numpy.typing as npt
 
-from calib.campaign.columns import OdometryModel
+from calib.campaign.settings import OdometryModel
 from calib.types import BoolArray, FloatArray, IntArray, StrArray
 from calib.units import GRAVITY_MPS2
 from calib.vehicle import Vehicle

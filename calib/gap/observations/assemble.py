@@ -7,8 +7,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from calib.campaign.columns import OdometryModel
 from calib.campaign.model import Campaign
+from calib.campaign.settings import OdometryModel
 from calib.gap.observations.arrays import STRAIGHT_RAD, Channel, Observations
 from calib.gap.observations.observation import Observation, Setup
 from calib.gap.observations.routes import (

@@ -9,9 +9,9 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.columns import OdometryModel, Reference
 from calib.campaign.model import Campaign
 from calib.campaign.references import GYRO_SIGMA, GYRO_TURN
+from calib.campaign.settings import OdometryModel, Reference
 from calib.campaign.wheels import on_one_axle, without_rear_wheels
 from calib.errors import RefusedError
 from calib.gap.observations.arrays import Observations

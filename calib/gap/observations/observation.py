@@ -9,8 +9,8 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.columns import Encoder, OdometryModel
 from calib.campaign.model import Campaign, RunTable
+from calib.campaign.settings import Encoder, OdometryModel
 from calib.campaign.wheels import ASIDE, WHEEL_COLUMNS
 from calib.types import FloatArray, IntArray
 

@@ -8,8 +8,8 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.columns import Reference
 from calib.campaign.model import Campaign
+from calib.campaign.settings import Reference
 from calib.gap.observations.observation import Setup, log_rows
 from calib.types import FloatArray, IntArray
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from calib.campaign.columns import Encoder, OdometryModel, Rangefinder, Reference
 from calib.campaign.model import Campaign, Logs, RunTable
+from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
 from calib.campaign.settings_file import load_toml, parse_settings
 from calib.coefficients.build import Header, PoseNoise, from_law, load_points
 from calib.coefficients.file import CoefficientFile

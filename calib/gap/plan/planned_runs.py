@@ -9,9 +9,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from calib.campaign.columns import FrontModel
 from calib.campaign.model import LABEL_COLUMNS, Campaign, Logs, RunTable
 from calib.campaign.references import CLOSED, GYRO_SIGMA, GYRO_TURN
+from calib.campaign.settings import FrontModel
 from calib.campaign.wheels import (
     STEERED,
     WHEEL_COLUMNS,

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from calib.campaign.columns import Encoder, OdometryModel, Rangefinder, Reference
 from calib.campaign.model import Campaign, Logs, RunTable
+from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
 from calib.gap.observations.arrays import Observations
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import predict

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.campaign.columns import Reference
+from calib.campaign.settings import Reference
 from calib.gap.inference.noise import Noise, estimate_noise, window_growth
 from calib.gap.inference.repeatability import Basis, Replicates, neighbours, thinned_replicates
 from calib.gap.observations.arrays import Observations

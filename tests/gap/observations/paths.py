@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calib.campaign.columns import Encoder, OdometryModel, Rangefinder, Reference
 from calib.campaign.model import Campaign, Logs, RunTable
+from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
 from calib.vehicle import Vehicle
 
 TRACK_M, RADIUS_M, COUNTS = 0.5, 0.1, 1e6

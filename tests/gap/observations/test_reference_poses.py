@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.campaign.columns import Reference
+from calib.campaign.settings import Reference
 from calib.gap.effects.floor import common_frame, far_end_m, floor_place, map_heading_rad
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import predict

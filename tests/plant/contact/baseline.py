@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.campaign.columns import OdometryModel
+from calib.campaign.settings import OdometryModel
 from calib.types import FloatArray
 from tests.plant.contact.driver import Belief
 from tests.plant.contact.machine import Machine, Payload

@@ -10,8 +10,8 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.columns import OdometryModel
 from calib.campaign.model import Campaign
+from calib.campaign.settings import OdometryModel
 from calib.errors import BadInputError
 from calib.vehicle import wheel_loads_N
 from tests.plant.contact.baseline import Baseline, baseline, belief_of

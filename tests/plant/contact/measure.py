@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calib.campaign.columns import Encoder, OdometryModel, Rangefinder, Reference
 from calib.campaign.model import Campaign, Logs, RunTable
+from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
 from calib.types import FloatArray
 from tests.plant.contact.machine import Payload
 from tests.plant.contact.ride import COUNTS_PER_REV, Ride, Track

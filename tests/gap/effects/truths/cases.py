@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.campaign.columns import OdometryModel
+from calib.campaign.settings import OdometryModel
 from tests.gap.effects.making import MODEL, RADIUS_M, TRACK_M, Run, Truth, rich_runs
 
 G = 9.81
