@@ -121,7 +121,7 @@ def _apply(
 
     `effects` are those that the model has already; None for a simulator, of which the parameters to set are written.
     """
-    from calib.gap.plan.plan_file import applied_model
+    from calib.gap.apply import applied_model
     from calib.gap.simulator.fix import parameters_to_set
     from calib.io import write_bytes, write_json
 

@@ -11,11 +11,11 @@ import pytest
 from calib.campaign.model import Campaign
 from calib.coefficients.sections import EffectSection, Quantity
 from calib.errors import RefusedError
+from calib.gap.apply import applied_model
 from calib.gap.decision.diagnosis import VerdictKind
 from calib.gap.diagnose import diagnose_in_full
 from calib.gap.effects.applied import applied_perturbations, model_of, with_effects
 from calib.gap.observations.from_campaign import observations_of
-from calib.gap.plan.plan_file import applied_model
 from calib.gap.predict import predict, residuals
 from calib.io import write_bytes
 from calib.plant.effects.registry import find

@@ -17,10 +17,10 @@ from calib.campaign.model import Campaign
 from calib.coefficients.build import from_geometry
 from calib.coefficients.file import CoefficientFile
 from calib.errors import CalibError
+from calib.gap.apply import applied_model
 from calib.gap.diagnose import diagnose_in_full
 from calib.gap.effects.applied import model_of, with_effects, with_sensor_of
 from calib.gap.observations.from_campaign import observations_of
-from calib.gap.plan.plan_file import applied_model
 from calib.gap.predict import predict, residuals
 from calib.kinematics.estimate import estimate_geometry
 from tests.real import recordings

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from calib.campaign.read import read_campaign
+from calib.gap.apply import applied_model
 from calib.gap.decision.diagnosis import Cause, Quantity, Unexplained
 from calib.gap.decision.fix import _parted
 from calib.gap.diagnose import diagnose_in_full
-from calib.gap.plan.plan_file import applied_model
 from tests.real import recordings
 from tests.real.manipulations import POSES
 from tests.real.plants import calibrated
