@@ -11,10 +11,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from calib.campaign.columns import Recognised, converted, recognise, second_column
 from calib.campaign.model import LOG_COLUMNS, WHEEL_SETS, Border, RunTable
 from calib.campaign.readers import READERS, Layout, read_table
 from calib.campaign.readers.table import RawTable, Wanted
+from calib.campaign.settings import Recognised, converted, recognise, second_column
 from calib.errors import BadFileError
 from calib.io import inside
 from calib.types import FloatArray, IntArray

@@ -10,9 +10,9 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from calib.campaign.columns import Recognised, converted, look_alike, recognise
 from calib.campaign.model import LABEL_COLUMNS, NUMERIC_COLUMNS, Border, RunTable
 from calib.campaign.readers.table import RawTable, comma_evidence, mixed_decimal_marks, numbers
+from calib.campaign.settings import Recognised, converted, look_alike, recognise
 from calib.errors import BadFileError
 from calib.limits import LABEL_CHARACTERS, RUNS, refuse_beyond
 from calib.types import BoolArray, FloatArray, StrArray

@@ -2,9 +2,17 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final, Literal, get_args
 
+import numpy as np
+
+from calib.errors import BadFileError
+from calib.types import FloatArray
+from calib.units import GRAVITY_MPS2, SUFFIXES, convertible, split_suffix, unit_named
 from calib.vehicle import Vehicle
 
 Frame = Literal["start", "map"]
@@ -123,3 +131,133 @@ class Odometry:
     #: shaft: the way at the rear axle or drive shaft and the steering angle (Ackermann); None where unspecified.
     #: The key in the file is ``from``
     source: OdometrySource | None = None
+
+
+#: columns of the run table that are often weighed in kilograms
+WHEEL_LOADS: Final = ("load_left_N", "load_right_N")
+_BRACKETS: Final = re.compile(r"(.*?)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]\s*")
+# units that a further column may be converted from; the one-letter ones are left alone, since names end in letters
+_FURTHER: Final = frozenset({"mm", "cm", "km", "um", "deg", "mrad", "kN", "daN", "ms", "us", "ns", "kmh", "mmps"})
+
+
+@dataclass(frozen=True, slots=True)
+class Recognised:
+    """A column found: its name in the file, its name in calib, the conversion, and what to say about it.
+
+    ``value = factor * cell + offset``; `said` is empty where the name was exact; `unitless` names the known column that
+    a name without a unit might have meant.
+    """
+
+    found: str
+    name: str
+    factor: float = 1.0
+    offset: float = 0.0
+    said: str = ""
+    unitless: str = ""
+
+
+def spelled(found: str) -> str:
+    """Return a column name with blanks as underscores and a unit in brackets as its suffix."""
+    name = found.strip()
+    if match := _BRACKETS.fullmatch(name):
+        unit = unit_named(match[2])
+        name = f"{match[1]}_{unit}" if unit else match[1] if match[2] in {"", "-", "1"} else name
+    return re.sub(r"[\s\-]+", "_", name.strip())
+
+
+def recognise(found: str, known: Sequence[str] | Iterable[str], *, further: bool = True) -> Recognised:
+    """Match one column name against the known ones.
+
+    `found`: name as it stands in the file, for example ``distance [mm]`` or ``Load_Left_kN``; `known`: names with
+    calib's unit suffixes; `further`: convert an unknown name that ends in a unit (``static_radius_mm``) to its SI name
+    too. With ``name`` equal to `found` (cleaned of blanks) where nothing matches.
+    """
+    return _recognise(found, tuple(known), further)
+
+
+@lru_cache(maxsize=1024)
+def _recognise(found: str, known: tuple[str, ...], further: bool) -> Recognised:
+    # tables of a fleet, and logs of a campaign, have the same names over and over
+    name = found.strip()
+    if name in known:
+        return Recognised(found, name)
+    clean = spelled(name)
+    if clean in known:
+        return Recognised(found, clean, said=f"read as {clean}")
+    stem, suffix = split_suffix(clean)
+    for wanted in known:
+        if clean.lower() == wanted.lower():
+            return Recognised(found, wanted, said=f"read as {wanted}")
+        wanted_stem, _ = split_suffix(wanted)
+        if suffix is not None and stem.lower() == wanted_stem.lower():
+            factors = convertible(f"{wanted_stem}_{suffix}", wanted)
+            if factors is None and wanted in WHEEL_LOADS and SUFFIXES[suffix][0] == "kg":
+                factors = SUFFIXES[suffix][1] * GRAVITY_MPS2, 0.0
+            if factors is not None:
+                factor, offset = factors
+                change = f"times {factor:.10g}" + (f" plus {offset:.6g}" if offset else "")
+                return Recognised(found, wanted, factor, offset, f"read as {wanted} ({change})")
+    if suffix is None:
+        for wanted in known:
+            wanted_stem, wanted_suffix = split_suffix(wanted)
+            if wanted_suffix is not None and clean.lower() == wanted_stem.lower():
+                return Recognised(found, clean, unitless=wanted)
+    if further and suffix in _FURTHER:
+        target, factor, offset = SUFFIXES[suffix]
+        renamed = f"{stem}_{target}"
+        return Recognised(found, renamed, factor, offset, f"read as {renamed} (times {factor:.10g})")
+    return Recognised(found, clean)
+
+
+#: short forms of the words in column names
+_WORDS: Final = {
+    "l": "left",
+    "r": "right",
+    "temp": "temperature",
+    "dist": "distance",
+    "cnt": "counts",
+    "count": "counts",
+}
+#: words that say how or where a value was had, or of what it is, and not what it is
+_BESIDE: Final = frozenset({"weighed", "measured", "wheel", "mean", "avg", "hall", "reported", "raw", "total", "value"})
+
+
+def look_alike(name: str, missing: Iterable[str]) -> str | None:
+    """Return the known column, of those that a table lacks, that an unknown name seems to mean; None for most names."""
+    words = _words(name)
+    return next((wanted for wanted in missing if words == _words(wanted)), None)
+
+
+def _words(name: str) -> tuple[str, ...]:
+    """Return the words of a column name without its unit, in any order, long and in lower case."""
+    stem, _ = split_suffix(re.sub(r"[\s\-.]+", "_", name.strip()))
+    words = re.split(r"_+", re.sub(r"(?<=[a-z])(?=[A-Z])", "_", stem).lower())
+    return tuple(
+        sorted(_WORDS.get(word, word) for word in words if word and word not in _BESIDE and word not in SUFFIXES)
+    )
+
+
+def converted(values: FloatArray, factor: float, offset: float = 0.0) -> FloatArray:
+    """Return ``factor * values + offset`` as decimal arithmetic would give it: 0.4348 kN is 434.8 N, not 434.79999999.
+
+    `factor`, `offset`: the conversion. Rounded to 15 significant digits, which is more than any decimal number in a
+    file holds.
+    """
+    if factor == 1.0 and not offset:
+        return values
+    out = factor * values + offset
+    with np.errstate(divide="ignore", invalid="ignore"):
+        scale = 10.0 ** np.clip(14 - np.floor(np.log10(np.abs(out))), -22, 22)
+        rounded = np.rint(out * scale) / scale
+    usable: FloatArray = np.where(np.isfinite(rounded), rounded, out)
+    return usable
+
+
+def second_column(match: Recognised, column: str, shown: str) -> BadFileError:
+    """Return the error of a column that means what another one of the same file means already.
+
+    `column`: its name in the file.
+    """
+    return BadFileError(
+        shown, f"a second column for {match.name}", "one", "remove or rename one of them", row=1, column=column
+    )

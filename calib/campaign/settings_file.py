@@ -9,7 +9,6 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Final
 
-from calib.campaign.columns import recognise
 from calib.campaign.model import Campaign, Logs, Note, RunTable
 from calib.campaign.readers.table import LARGEST_VALUE
 from calib.campaign.settings import (
@@ -23,6 +22,7 @@ from calib.campaign.settings import (
     OdometryModel,
     Rangefinder,
     Reference,
+    recognise,
 )
 from calib.errors import BadFileError
 from calib.limits import (

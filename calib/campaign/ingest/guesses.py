@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from typing import Final
 from unicodedata import combining, normalize
 
-from calib.campaign.columns import recognise, spelled
 from calib.campaign.ingest.mapping import COUNT_UNITS, TABLE_COLUMNS, unit_spelled
 from calib.campaign.model import LOG_COLUMNS
+from calib.campaign.settings import recognise, spelled
 from calib.units import SUFFIXES, split_suffix
 
 _COUNTS: Final = (

@@ -10,7 +10,6 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.columns import converted, recognise, second_column
 from calib.campaign.ingest.lags import Lag, continuous_counts, estimate_lags
 from calib.campaign.ingest.mapping import COUNT_UNITS, MappedColumn, Mapping
 from calib.campaign.ingest.runs import resolved, without_unit
@@ -19,7 +18,7 @@ from calib.campaign.model import LOG_COLUMNS, Border
 from calib.campaign.readers import RawTable, Recording, holds_recording, read_recording, read_table
 from calib.campaign.readers.recording import Stream, WantedColumns, check_not_empty, interpolated
 from calib.campaign.readers.table import NS_PER_S
-from calib.campaign.settings import Encoder
+from calib.campaign.settings import Encoder, converted, recognise, second_column
 from calib.errors import BadFileError
 from calib.types import FloatArray
 

@@ -8,13 +8,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-from calib.campaign.columns import recognise
 from calib.campaign.ingest.build import BLANK_SETTINGS
 from calib.campaign.ingest.contents import ColumnContents, FileContents, StreamContents
 from calib.campaign.ingest.guesses import guessed_log_column, stem_and_unit
 from calib.campaign.ingest.proposal_table import QUOTED, entry, file_lines, table_lines, unit_remark
 from calib.campaign.ingest.wheels import Wheel, settled
 from calib.campaign.model import LOG_COLUMNS
+from calib.campaign.settings import recognise
 from calib.campaign.settings_file import STATED
 from calib.units import SUFFIXES, split_suffix
 

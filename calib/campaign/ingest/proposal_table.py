@@ -9,12 +9,12 @@ from itertools import takewhile
 from pathlib import Path
 from typing import Final
 
-from calib.campaign.columns import recognise
 from calib.campaign.ingest.contents import ColumnContents, FileContents
 from calib.campaign.ingest.guesses import DIRECTION_WORDS, guessed_table_column, plain_text, stem_and_unit
 from calib.campaign.ingest.mapping import TABLE_COLUMNS, units_for
 from calib.campaign.ingest.runs import run_number
 from calib.campaign.model import LABEL_COLUMNS
+from calib.campaign.settings import recognise
 from calib.campaign.write import to_toml
 from calib.units import split_suffix
 

@@ -12,12 +12,12 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from calib.campaign.columns import converted, recognise
 from calib.campaign.ingest.mapping import TABLE_COLUMNS, LogSection, MappedColumn, Mapping, bad_line
 from calib.campaign.model import Border, RunTable
 from calib.campaign.readers import READERS, Layout, RawTable, is_bag_folder, read_table
 from calib.campaign.readers.table import filled_cells, object_array
 from calib.campaign.runs_file import run_table
+from calib.campaign.settings import converted, recognise
 from calib.errors import BadFileError, BadInputError
 from calib.io import sha256_file
 

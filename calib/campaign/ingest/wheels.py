@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from calib.campaign.columns import recognise
 from calib.campaign.ingest.contents import BEHAVIOURS, RISES, ColumnContents
 from calib.campaign.ingest.guesses import count_unit, side_of
 from calib.campaign.model import LOG_COLUMNS
 from calib.campaign.readers.sheets import UNNAMED
+from calib.campaign.settings import recognise
 
 #: wheels at four corners, by their sides, front first
 _CORNERS: Final = {
