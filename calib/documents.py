@@ -1,4 +1,4 @@
-"""JSON and CSV text as calib writes it, and the checksum of its own files.
+"""Results as plain values, JSON and CSV as calib writes them, and the checksum of its own files.
 
 The checksum is SHA-256 over a canonical form that survives re-indenting and re-ordering.
 """

@@ -1,4 +1,4 @@
-"""From a campaign to results: `fit`, `geometry`, `diagnose`, `plan`."""
+"""From a campaign, a folder or a file to results: `read`, `fit`, `geometry`, `diagnose`, `plan`."""
 
 from __future__ import annotations
 

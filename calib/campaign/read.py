@@ -1,4 +1,4 @@
-"""Read a campaign folder: settings, run table, logs, and what follows from them."""
+"""Read a campaign folder: settings, run table, logs, and what follows; a file becomes a campaign on the way."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `campaign.toml` says: encoder, rangefinder, reference, odometry, and the model that the simulator believes."""
+"""What `campaign.toml` says: instruments, odometry, the simulator's model; and the columns of the run table."""
 
 from __future__ import annotations
 

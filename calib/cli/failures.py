@@ -16,7 +16,7 @@ from typing import Any, Final
 
 import typer
 
-from calib.cli.guard import COMMANDS, command_called, options_of, with_default
+from calib.cli.commands import COMMANDS, command_called, options_of, with_default
 from calib.cli.terminal import nearest, visible
 from calib.documents import to_json
 from calib.errors import CalibError, ImplausibleError

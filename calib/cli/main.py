@@ -10,9 +10,9 @@ from typing import Any, Final
 
 import typer
 
+from calib.cli.commands import build, with_default
 from calib.cli.failures import EXIT_FINE, failed, overflow_noted, pipe_closed
 from calib.cli.failures import interrupted as interruption
-from calib.cli.guard import build, with_default
 from calib.cli.terminal import INTERRUPTED, KEPT, note
 
 #: where the shell asks for completions, and the words typed so far

@@ -1,4 +1,4 @@
-"""Blocks on the terminal: as wide as it is, coloured only where it is one."""
+"""Options that commands share, and blocks on the terminal: as wide as it is, coloured only where it is one."""
 
 from __future__ import annotations
 

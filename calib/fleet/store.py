@@ -1,4 +1,4 @@
-"""What was read of a fleet, kept line by line: an interrupted run goes on, and new journeys alone are read."""
+"""What was read of a fleet, kept by content, line by line: an interrupted run goes on, only new journeys are read."""
 
 from __future__ import annotations
 

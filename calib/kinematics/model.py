@@ -1,4 +1,4 @@
-"""What a vehicle of given parameters would have done to the sensor in each stretch, against what was measured."""
+"""Motion of the sensor in each stretch by a vehicle of given parameters; parameters of an Ackermann drive."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Steps gone through block by block, so that the arrays in use stay in the processor's cache.
+"""Steps of odometry, gone through block by block, so that the arrays in use stay in the processor's cache.
 
 Sums run within a block and are carried from block to block, which keeps their rounding below that of a
 sample-by-sample loop. Sine and cosine both come from the tangent of half the angle: one vectorised function instead of

@@ -1,4 +1,4 @@
-"""What is driven: the runs of a campaign, before anything has moved."""
+"""What is driven: the runs of a campaign and their routes, before anything has moved."""
 
 from __future__ import annotations
 

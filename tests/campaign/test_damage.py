@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from calib.campaign.write import write_campaign
-from calib.cli.guard import COMMANDS
+from calib.cli.commands import COMMANDS
 from calib.cli.main import run
 from tests.campaign.damage import DAMAGES
 from tests.campaign.making import campaign

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from calib.cli.guard import COMMANDS, SUMMARIES
+from calib.cli.commands import COMMANDS, SUMMARIES
 from calib.cli.main import run
 
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from calib import __version__
+from calib.cli.commands import COMMANDS
 from calib.cli.failures import as_typed
-from calib.cli.guard import COMMANDS
 from calib.cli.main import run
 
 
@@ -111,16 +111,16 @@ def test_an_interruption_that_a_library_let_pass_is_heeded(
     project_root: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """As a bare ``except`` around an import does: nothing is printed, one line, 130."""
-    from calib.campaign import opening
+    from calib.campaign import read
 
     stopped: list[bool] = []
-    once = opening.read_or_ingest
+    once = read.read_or_ingest
 
     def let_pass(*given: object, **named: object) -> object:
         stopped.append(True)
         return once(*given, **named)
 
-    monkeypatch.setattr(opening, "read_or_ingest", let_pass)
+    monkeypatch.setattr(read, "read_or_ingest", let_pass)
     arguments = ["check", str(project_root / "sample_runs/corridor")]
     assert run(arguments, settle=lambda: bool(stopped), interrupted=lambda: bool(stopped)) == 130
     shown = capsys.readouterr()

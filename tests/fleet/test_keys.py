@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from calib.fleet import keys
+from calib.fleet import store
 from calib.fleet.run import fit_fleet
 from calib.fleet.store import SUMS
 from calib.fleet.survey import survey_fleet
@@ -81,7 +81,7 @@ def test_a_new_time_alone_reads_nothing_again(fleet: Path, tmp_path: Path) -> No
 
 def test_another_version_reads_anew(fleet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fit_fleet(fleet, tmp_path / "out")
-    monkeypatch.setattr(keys, "VERSION", "0.0.1")
+    monkeypatch.setattr(store, "VERSION", "0.0.1")
     assert fit_fleet(fleet, tmp_path / "out").n_read == 2
 
 

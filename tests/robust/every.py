@@ -23,7 +23,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from calib.cli.guard import COMMANDS
+from calib.cli.commands import COMMANDS
 from calib.cli.main import run
 from calib.documents import spreadsheet_cell
 from tests.fuzz.inputs import options

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from calib.cli.guard import COMMANDS
+from calib.cli.commands import COMMANDS
 from calib.cli.main import run
 from tests.robust import every
 

@@ -1,4 +1,4 @@
-"""The results: a diagnosis with its causes, its confounded effects and what its fix is worth; and the runs to drive."""
+"""The results: a diagnosis with its causes, confounded effects and fix, what was weighed, and the runs to drive."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The diagnosis in sentences: the verdict, whether to apply the fix, and the paper's figures beside the campaign's."""
+"""The verdict and its sentences: its kind, whether to apply the fix, and the paper's figures beside the campaign's."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Scrub, slip and load transfer in turns, and skidding at stops."""
+"""Scrub, slip, understeer and load transfer in turns, and skidding at stops."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Runs of the user's simulator: several at once, stopped as a whole, each kept as soon as it is done."""
+"""Runs of the user's simulator: several at once, stopped as a whole, cached by content; the table that each leaves."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The score as pictures."""
+"""The score of a challenge, and the radii of a fleet, as pictures."""
 
 from __future__ import annotations
 

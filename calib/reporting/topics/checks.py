@@ -1,4 +1,4 @@
-"""Checks of the fit's residuals, the decision rule, and whether the law can be used."""
+"""Checks of the campaign and of the fit's residuals, the decision rule, and whether the law can be used."""
 
 from __future__ import annotations
 

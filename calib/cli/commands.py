@@ -1,4 +1,4 @@
-"""What stands around every command: its inputs are kept from being written over, and are files, no devices."""
+"""The commands, each in a module that is imported when it is called; for all of them: inputs are never written."""
 
 from __future__ import annotations
 
