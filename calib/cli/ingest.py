@@ -50,7 +50,7 @@ def run(
             "--into: found no campaign folder to make; expected one; give --into FOLDER, or --describe to look first"
         )
     from calib.campaign.ingest import ingest, merged_notes
-    from calib.documents import plain
+    from calib.result import plain
 
     with progress("reading") as tick:
         ingested = ingest(sources, into, mapping=mapping, force=force, dry_run=dry_run, progress=tick)

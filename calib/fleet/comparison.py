@@ -9,7 +9,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from calib.documents import plain_fields
 from calib.fleet.population import (
     Difference,
     Population,
@@ -20,6 +19,7 @@ from calib.fleet.population import (
     population,
 )
 from calib.fleet.store import VehicleResult
+from calib.result import plain_fields
 from calib.types import BoolArray, FloatArray
 
 #: fewest vehicles that are judged against each other, and that a label must have in common

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from calib.documents import plain
 from calib.errors import CalibError
 from calib.fleet.engine import Engine
 from calib.fleet.members import Member, labels_of, members_of
@@ -17,6 +16,7 @@ from calib.fleet.store import SUMS, Keys, Store, line_of
 from calib.fleet.vehicle import PartSums, VehicleRecord
 from calib.fleet.view import FleetView, view_of
 from calib.fleet.workers import engine
+from calib.result import plain
 
 #: called with the number of files done and the number to do
 Progress = Callable[[int, int], None]

@@ -11,9 +11,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Generic, Protocol, TypeVar
 
-from calib.documents import VERSION, plain_fields
+from calib.documents import VERSION
 from calib.errors import BadInputError, CalibError
 from calib.io import sha256_file, sweep, temporary_beside
+from calib.result import plain_fields
 
 if TYPE_CHECKING:
     from calib.fleet.members import Member, Part

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from calib.campaign.model import Campaign
-from calib.documents import plain
 from calib.errors import BadInputError, CalibError, RefusedError
 from calib.fleet.comparison import Quantities, SharedCause, quantities_of, shared_causes
 from calib.fleet.members import Member, labels_of, members_of
@@ -18,6 +17,7 @@ from calib.fleet.reading import campaign_of
 from calib.fleet.run import Progress
 from calib.fleet.store import Keys, Store, VehicleResult, line_of
 from calib.fleet.workers import run_tasks
+from calib.result import plain
 
 if TYPE_CHECKING:
     from calib.gap.decision.diagnosis import Cause

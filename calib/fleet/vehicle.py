@@ -8,8 +8,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from calib.documents import plain_fields
 from calib.radius.sessions import SessionSums, line_from_sums
+from calib.result import plain_fields
 
 WHEELS: Final = ("left", "right")
 COVERAGE: Final = 0.95

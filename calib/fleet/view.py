@@ -8,10 +8,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from calib.documents import plain_fields
 from calib.fleet.comparison import FEWEST_COMPARED
 from calib.fleet.population import Population, any_false, difference_of, false_discovery, outlying, population
 from calib.fleet.vehicle import WHEELS, VehicleRecord
+from calib.result import plain_fields
 from calib.types import FloatArray
 
 #: relative change of a radius from which on a vehicle is due for recalibration: the share by which the deviation check

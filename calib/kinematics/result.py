@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from calib.documents import Result
 from calib.kinematics.adequacy import GeometryVerdict, Judgement
 from calib.kinematics.blunders import Fault
 from calib.kinematics.delays import Delay
 from calib.kinematics.umbmark import Umbmark
 from calib.kinematics.uncertainty import Freedom
+from calib.result import Result
 from calib.types import FloatArray, IntArray
 
 if TYPE_CHECKING:

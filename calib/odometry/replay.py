@@ -15,7 +15,6 @@ import numpy as np
 from calib.campaign.model import Campaign
 from calib.campaign.wheels import STEERED, WHEEL_COLUMNS, odometry_source, without_rear_wheels
 from calib.coefficients.file import CoefficientFile, believed_model
-from calib.documents import Result
 from calib.errors import RefusedError
 from calib.odometry.integrate import end_poses, loads_in_steps, radii_of_model, radii_under_load, travel_from_counts
 from calib.odometry.poses import PoseErrors, Poses, pose_errors
@@ -29,6 +28,7 @@ from calib.odometry.replay_checks import (
     with_loads,
 )
 from calib.radius.law import RadiusLaw
+from calib.result import Result
 from calib.types import BoolArray, FloatArray, StrArray
 
 if TYPE_CHECKING:

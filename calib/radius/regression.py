@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from calib.documents import plain
 from calib.errors import RefusedError
 from calib.radius.law import COVERAGE, LineEstimate, WheelLaw
 from calib.radius.order import Autocorrelation, widened
@@ -23,6 +22,7 @@ from calib.radius.sessions import (
     stratified_constant,
     stratified_line,
 )
+from calib.result import plain
 from calib.types import FloatArray, IntArray
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""Words and figures of each result: where `calib.documents.Result` meets its topic."""
+"""Words and figures of each result: where `calib.result.Result` meets its topic."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
-from calib.documents import Result
 from calib.errors import BadInputError
 from calib.reporting.blocks import drawn
+from calib.result import Result
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from unittest import mock
 
-from calib.cli import failures, main, registry
+from calib.cli import commands, failures, main
 
 ALLOWED = {0, 1, 2, 130}
 LONGEST_S = 10.0
@@ -58,7 +58,7 @@ def built_once() -> Iterator[None]:
     """Keep the parsers of commands, which are the same for every call and take longer to make than most calls."""
 
     def command(arguments: list[str]) -> object:
-        name = registry.command_called(arguments)
+        name = commands.command_called(arguments)
         return _command(tuple((name or " ".join(arguments[:1])).split()))
 
     with mock.patch.object(main, "command_of", command), mock.patch.object(failures, "options_of", _OPTIONS):

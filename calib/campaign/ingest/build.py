@@ -22,9 +22,10 @@ from calib.campaign.readers.table import object_array
 from calib.campaign.settings import Encoder
 from calib.campaign.settings_file import FORMAT, Settings, parse_settings
 from calib.campaign.write import to_toml, write_campaign
-from calib.documents import plain, to_json
+from calib.documents import to_json
 from calib.errors import BadInputError, would_overwrite
 from calib.io import refuse_existing, sha256_file, write_text
+from calib.result import plain
 from calib.types import FloatArray, Progress, silent, stepped
 
 RECORD: Final = "ingest.json"

@@ -12,8 +12,8 @@ from calib.campaign.ingest.contents import FileContents, described, file_content
 from calib.campaign.ingest.guesses import guessed_log_column, guessed_table_column
 from calib.campaign.ingest.proposal import mapping_lines
 from calib.campaign.ingest.runs import listed_files
-from calib.documents import plain
 from calib.errors import BadInputError
+from calib.result import plain
 
 #: files of one kind that are read to the end; of more, the first and the last
 _ALL_READ: Final = 40

@@ -8,7 +8,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from calib.documents import plain
 from calib.errors import BadInputError
 from calib.gap.effects.calibration import RadiusScale, TrackWidth, UnequalRadii
 from calib.gap.effects.columns import (
@@ -52,6 +51,7 @@ from calib.gap.effects.turning import (
 from calib.gap.observations.arrays import Channel, Observations
 from calib.gap.predict import Path, predict, signature
 from calib.limits import COVARIATES, refuse_beyond
+from calib.result import plain
 from calib.types import FloatArray
 
 #: the effects of the library, in the order of listings; a new one is a class and a line here
