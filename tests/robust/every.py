@@ -2,7 +2,8 @@
 
 Each command runs in a forked process of its own. The worlds: standard output that is closed, that nobody reads, that
 is full, that takes ASCII alone; paths that are no UTF-8; JSON to a FIFO; FIFOs and devices in the place of each input;
-each output aimed at each input, under four spellings; tables for spreadsheets out of hostile data.
+each output aimed at each input, under four spellings; tables for spreadsheets out of hostile data; and those of
+`tests.robust.hard_worlds`. It prints how many commands were started, so that it cannot silently test nothing.
 """
 
 from __future__ import annotations
@@ -20,7 +21,6 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 from calib.cli.commands import COMMANDS
@@ -28,113 +28,11 @@ from calib.cli.main import run
 from calib.documents import spreadsheet_cell
 from tests.fuzz.inputs import options
 from tests.fuzz.sound import prepared
+from tests.robust.ending import LONGEST_S, SOUND, TRIED, ended, forces, told, worded
+from tests.robust.hard_worlds import HARD_WORLDS, HINDERING
 
-#: a sound call of each command on the inputs below the working folder; what it writes goes below ``out``
-SOUND: dict[str, str] = {
-    "check": "check C",
-    "init": "init out/new",
-    "ingest": "ingest C/runs.csv C/logs --into out/ingested --mapping mapping.toml",
-    "fit": "fit C --into out/result",
-    "deviation": "deviation C",
-    "report": "report result --into out/r.pdf --date 2025-01-01",
-    "export": "export result --to csv",
-    "loads": "loads --vehicle coefficients.json --payload 20",
-    "simulate route": "simulate route route.toml --real 0.1,0.099",
-    "simulate journey": "simulate journey route.toml --law coefficients.json --load 400,500 --draws 200",
-    "simulate study": "simulate study corrected --law coefficients.json --draws 200",
-    "simulate replay": "simulate replay C --law coefficients.json",
-    "geometry": "geometry C",
-    "diagnose": "diagnose C --model coefficients.json",
-    "effects": "effects",
-    "plan": "plan --from plan.toml",
-    "challenge make": "challenge make --seeds seeds.toml --into out/made --workers 1",
-    "challenge own": "challenge own C --effects unequal_radii --planted 1 --workers 1",
-    "challenge run": "challenge run set --workers 1",
-    "challenge score": "challenge score set",
-    "fleet run": "fleet run fleet --into out/fleet",
-    "fleet simulate": "fleet simulate --into out/vehicles --vehicles 1 --runs 6 --seed 1",
-}  # fmt: skip
 #: names and labels that a spreadsheet, a terminal or an encoding could take for more than text
 HOSTILE = ("=1+1", "@SUM(A1)", "+cmd|' /C calc'!A0", "-2+3", "[/red]", "中文", "Ωμέγα")
-LONGEST_S = 600.0
-
-
-@dataclass
-class End:
-    """How a command ended."""
-
-    status: int
-    out: bytes
-    error: str
-    seconds: float
-
-    @property
-    def one_line(self) -> bool:
-        """Whether standard error holds one line beside notes, and no traceback."""
-        lines = [line for line in self.error.splitlines() if line and not line.startswith("calib: note:")]
-        return len(lines) <= 1 and "Traceback" not in self.error and "bug in calib" not in self.error
-
-
-def ended(words: list[str], stdout: int | None = None, *, closed: bool = False, encoding: str = "utf-8") -> End:
-    """Run a command in a forked process and return how it ended.
-
-    Parameters
-    ----------
-    words : list of str
-        The command line.
-    stdout : int, optional
-        A descriptor for standard output; without it what is written is returned.
-    closed : bool
-        Standard output is closed.
-    encoding : str
-        Of standard output.
-    """
-    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as error:
-        started = time.monotonic()
-        child = os.fork()
-        if not child:
-            os.dup2(out.fileno() if stdout is None else stdout, 1)
-            os.dup2(error.fileno(), 2)
-            sys.stderr = open(2, "w", encoding="utf-8", errors="backslashreplace", closefd=False)  # noqa: SIM115
-            if closed:
-                os.close(1)
-                sys.stdout = None  # type: ignore[assignment]
-            else:
-                sys.stdout = open(1, "w", encoding=encoding, closefd=False)  # noqa: SIM115
-            _run_to_the_end(words)
-        status = _waited_for(child)
-        for stream in (out, error):
-            stream.seek(0)
-        return End(status, out.read(), error.read().decode("utf-8", "replace"), time.monotonic() - started)
-
-
-def _run_to_the_end(words: list[str]) -> None:
-    """End this process as ``python -m calib`` would."""
-    from calib.__main__ import main
-
-    sys.argv = ["calib", *words]
-    try:
-        main()
-    except SystemExit as ending:
-        status = ending.code if isinstance(ending.code, int) else int(ending.code is not None)
-    except BaseException as error:
-        sys.stderr.write(f"Traceback: {error!r}\n")
-        status = 70
-    # the command line flushes its output itself, so that the interpreter has nothing left to do
-    sys.stderr.flush()
-    os._exit(status)
-
-
-def _waited_for(child: int) -> int:
-    until = time.monotonic() + LONGEST_S
-    while time.monotonic() < until:
-        done, status = os.waitpid(child, os.WNOHANG)
-        if done:
-            return os.waitstatus_to_exitcode(status)
-        time.sleep(0.01)
-    os.kill(child, 9)
-    os.waitpid(child, 0)
-    return -9
 
 
 def made(base: Path) -> Path:
@@ -153,43 +51,34 @@ def _fresh() -> None:
     Path("out").mkdir()
 
 
-def _worded(command: str, *more: str) -> list[str]:
-    return [*SOUND[command].split(), *more]
-
-
-def _told(what: str, end: End, allowed: set[int]) -> Iterator[str]:
-    if end.status not in allowed or not end.one_line:
-        yield f"{what}: status {end.status}, {end.seconds:.1f} s: {end.error[-300:]!r}"
-
-
 def closed(command: str, usual: int) -> Iterator[str]:
     """``>&-``: what it would be, or 141."""
-    yield from _told(command, ended(_worded(command), closed=True), {usual, 0, 141})
+    yield from told(command, ended(worded(command), closed=True), {usual, 0, 141})
 
 
 def unread(command: str, usual: int) -> Iterator[str]:
     """A pipe whose reader has gone."""
     reading, writing = os.pipe()
     os.close(reading)
-    yield from _told(command, ended(_worded(command), writing), {usual, 0, 141})
+    yield from told(command, ended(worded(command), writing), {usual, 0, 141})
     os.close(writing)
 
 
 def full(command: str, usual: int) -> Iterator[str]:
     """``/dev/full``: 2 and one line; what prints nothing is not hindered."""
     with Path("/dev/full").open("wb") as stream:
-        yield from _told(command, ended(_worded(command), stream.fileno()), {2} if _prints(command) else {usual})
+        yield from told(command, ended(worded(command), stream.fileno()), {2} if _prints(command) else {usual})
 
 
 def _prints(command: str) -> bool:
     _fresh()
-    return bool(ended(_worded(command)).out)
+    return bool(ended(worded(command)).out)
 
 
 def ascii_only(command: str, usual: int) -> Iterator[str]:
     """An output that takes ASCII alone, and names beyond it."""
-    end = ended(_worded(command), encoding="ascii")
-    yield from _told(command, end, {usual})
+    end = ended(worded(command), encoding="ascii")
+    yield from told(command, end, {usual})
     if not end.out.isascii():
         yield f"{command}: bytes beyond ASCII"
 
@@ -203,10 +92,10 @@ def odd_names(command: str, usual: int) -> Iterator[str]:
         if place != odd:
             (shutil.copytree if place.is_dir() else shutil.copy)(place, odd / place.name)
     # the first word is the command, no matter what folder is called alike
-    first, *further = _worded(command)
+    first, *further = worded(command)
     paths = [str(odd / word) if word.startswith("out/") or Path(word).exists() else word for word in further]
     end = ended([first, *paths])
-    yield from _told(command, end, {usual})
+    yield from told(command, end, {usual})
     if b"\x1b" in end.out or "\x1b" in end.error:
         yield f"{command}: an escape sequence was sent"
     shutil.rmtree(odd)
@@ -218,8 +107,8 @@ def json_to_a_fifo(command: str, usual: int) -> Iterator[str]:
     read: list[bytes] = []
     reader = threading.Thread(target=lambda: read.append(Path("out/fifo").read_bytes()), daemon=True)
     reader.start()
-    end = ended(_worded(command, "--json", "out/fifo", "--force"))
-    yield from _told(command, end, {usual})
+    end = ended(worded(command, "--json", "out/fifo", "--force"))
+    yield from told(command, end, {usual})
     reader.join(timeout=5.0)
     if not Path("out/fifo").is_fifo():
         yield f"{command}: the FIFO was replaced"
@@ -246,10 +135,10 @@ def no_files(command: str, usual: int) -> Iterator[str]:
             path.rename(kept)
             os.mkfifo(path) if kind == "fifo" else path.symlink_to(kind)
             _fresh()
-            end = ended(_worded(command))
+            end = ended(worded(command))
             path.unlink()
             kept.rename(path)
-            yield from _told(f"{command}, {path} a {kind}", end, {2, 1, usual})
+            yield from told(f"{command}, {path} a {kind}", end, {2, 1, usual})
             if end.seconds > LONGEST_S / 2:
                 yield f"{command}, {path} a {kind}: {end.seconds:.0f} s"
 
@@ -262,20 +151,16 @@ def sacred(command: str, usual: int) -> Iterator[str]:
                 _fresh()
                 target = _spelt(path, spelling)
                 before = _hashes()
-                words = _worded(command)
+                words = worded(command)
                 if option in words:
                     at = words.index(option)
                     words[at : at + 2] = []
-                end = ended([*words, option, str(target), *(["--force"] if _forces(command) else [])])
+                end = ended([*words, option, str(target), *(["--force"] if forces(command) else [])])
                 changed = {name for name, value in before.items() if _hashes().get(name) != value}
                 if changed:
                     yield f"{command} {option} {target} ({spelling}): status {end.status}, changed {sorted(changed)}"
                 if end.status not in {0, 1, 2} or not end.one_line:
                     yield f"{command} {option} {target}: status {end.status}: {end.error[-200:]!r}"
-
-
-def _forces(command: str) -> bool:
-    return any(name == "--force" for name, _, _ in options(command))
 
 
 def _spelt(path: Path, spelling: str) -> Path:
@@ -301,12 +186,12 @@ def _hashes() -> dict[str, str]:
 
 def formulas(command: str, usual: int) -> Iterator[str]:
     """No cell of a table that it writes begins like a formula, unless it is a number."""
-    words = _worded(command)
+    words = worded(command)
     for name, _, is_output in options(command):
         if is_output and name not in words and name not in {"--json", "--apply", "--html", "--truth", "--plot"}:
             words += [name, f"out/{name.strip('-')}"]
     end = ended(words)
-    yield from _told(command, end, {usual, 0, 1})
+    yield from told(command, end, {usual, 0, 1})
     tables = [*Path("out").rglob("*.csv")]
     if command == "export" and end.out:
         Path("out/export.csv").write_bytes(end.out)
@@ -332,6 +217,7 @@ WORLDS: dict[str, Callable[[str, int], Iterator[str]]] = {
     "no-files": no_files,
     "sacred": sacred,
     "formulas": formulas,
+    **HARD_WORLDS,
 }
 
 
@@ -352,11 +238,16 @@ def spoil_labels(folder: Path) -> None:
 
 def faults_of(world: str, commands: list[str]) -> Iterator[str]:
     """Yield what is wrong with the answers of some commands in a world; the working folder is one that `made` made."""
+    hindered = 0
     for command in commands:
         _fresh()
-        usual = ended(_worded(command)).status
+        usual = ended(worded(command)).status
         _fresh()
+        before = len(TRIED)
         yield from WORLDS[world](command, usual)
+        hindered += any(status != usual for status in TRIED[before:])
+    if world in HINDERING and not hindered:
+        yield f"{world}: no command was hindered, so the world does not work"
 
 
 def main() -> int:
@@ -367,6 +258,8 @@ def main() -> int:
     asked = parser.parse_args()
     commands, count = asked.only or list(SOUND), 0
     with tempfile.TemporaryDirectory() as folder:
+        # others may read it, in the world without rights
+        Path(folder).chmod(0o755)
         base = made(Path(folder) / "base")
         hostile = Path(folder) / "hostile"
         spoil_labels(shutil.copytree(base, hostile) / "C")
@@ -382,7 +275,10 @@ def main() -> int:
             for fault in faults:
                 sys.stdout.write(f"  {fault}\n")
             seconds = time.monotonic() - started
-            sys.stdout.write(f"{world}: {len(commands)} commands, {len(faults)} faults, {seconds:.0f} s\n")
+            runs, TRIED[:] = len(TRIED), []
+            sys.stdout.write(
+                f"{world}: {len(commands)} commands, {runs} starts, {len(faults)} faults, {seconds:.0f} s\n"
+            )
             sys.stdout.flush()
     return int(count > 0)
 
