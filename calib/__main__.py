@@ -44,7 +44,13 @@ def _status(run: Callable[..., int]) -> Any:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         return bool(interruptions)
 
+    def unraisable(ignored: Any) -> None:
+        # one that falls into a callback of the interpreter is heeded by `interrupted`, and need not be shown
+        if not issubclass(ignored.exc_type, KeyboardInterrupt):
+            sys.__unraisablehook__(ignored)
+
     try:
+        sys.unraisablehook = unraisable
         signal.signal(signal.SIGINT, interrupt)
         return run(settle=settle, interrupted=lambda: bool(interruptions))
     except SystemExit as error:

@@ -17,8 +17,8 @@ from calib.io import refuse_empty, refuse_existing
 
 #: parameters that say where something is written; every other path is an input
 OUTPUTS: Final = frozenset({"into", "output", "json", "json_target", "figures", "apply", "html", "tum", "plot"})
-#: commands with further outputs: what one makes, another reads
-ALSO: Final[dict[str, frozenset[str]]] = {"make": frozenset({"truth"})}
+#: commands with further outputs: what one makes, another reads, and the folder that it makes
+ALSO: Final[dict[str, frozenset[str]]] = {"init": frozenset({"folder"}), "make": frozenset({"truth"})}
 
 
 class Guarded(TyperCommand):

@@ -39,6 +39,8 @@ def test_what_stands_there_is_not_replaced(tmp_path: Path, capsys: pytest.Captur
     assert run(["init", str(tmp_path / "c")]) == 2
     assert "--force" in capsys.readouterr().err
     assert (tmp_path / "c" / "runs.csv").read_text() == "run_id\na\n"
+    assert run(["init", str(tmp_path / "c"), "--force"]) == 0
+    assert (tmp_path / "c" / "runs.csv").read_text() != "run_id\na\n"
 
 
 @pytest.mark.parametrize(

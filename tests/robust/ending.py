@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import tempfile
 import time
@@ -99,6 +100,8 @@ def ended(
             return replace(end, out=stream.read())
     with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as error:
         started = time.monotonic()
+        # a signal that comes before the command has begun waits for it
+        kept = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM, signal.SIGHUP})
         child = os.fork()
         if not child:
             os.dup2(out.fileno() if stdout is None else stdout, 1)
@@ -110,6 +113,7 @@ def ended(
             else:
                 sys.stdout = open(1, "w", encoding=encoding, closefd=False)  # noqa: SIM115
             _run_to_the_end(words, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, kept)
         second = None if beside is None else ended(beside)
         if signalled is not None:
             time.sleep(signalled[1])
@@ -130,7 +134,10 @@ def _run_to_the_end(words: list[str], before: Callable[[], None] | None) -> None
     try:
         if before is not None:
             before()
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, signal.SIGTERM, signal.SIGHUP})
         main()
+    except KeyboardInterrupt:
+        status = 130
     except SystemExit as ending:
         status = ending.code if isinstance(ending.code, int) else int(ending.code is not None)
     except BaseException as error:

@@ -12,6 +12,7 @@ import argparse
 import contextlib
 import csv
 import hashlib
+import importlib
 import io
 import json
 import os
@@ -257,6 +258,9 @@ def main() -> int:
     parser.add_argument("--only", action="append", choices=list(COMMANDS), help="a command; again for more")
     asked = parser.parse_args()
     commands, count = asked.only or list(SOUND), 0
+    # a user without rights may not be able to read the interpreter's own folder
+    for module in ("plistlib", "importlib.readers", "matplotlib.font_manager", "matplotlib.backends.backend_svg"):
+        importlib.import_module(module)
     with tempfile.TemporaryDirectory() as folder:
         # others may read it, in the world without rights
         Path(folder).chmod(0o755)

@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from calib.fleet.store import SUMS
 from tests.robust.ending import ended, forced, told, worded
 
 #: address space beyond what the process has when the command begins
@@ -49,6 +50,8 @@ def small_files(command: str, usual: int) -> Iterator[str]:
     end = ended(worded(command), before=limit, piped=True)
     yield from told(command, end, {usual, 2})
     yield from _left_behind(command)
+    # the lines of a fleet's store are sealed one by one: what was cut off is read again
+    yield from told(f"{command}, again", ended(forced(command)), {usual})
 
 
 def no_rights(command: str, usual: int) -> Iterator[str]:
@@ -121,7 +124,7 @@ def _names() -> set[str]:
 
 def _left_behind(command: str) -> Iterator[str]:
     for path in Path("out").rglob("*"):
-        if path.is_file() and path.stat().st_size == SMALL_FILE_B:
+        if path.is_file() and path.name != SUMS and path.stat().st_size == SMALL_FILE_B:
             yield f"{command}: half of {path} was left"
 
 

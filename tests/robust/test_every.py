@@ -26,7 +26,7 @@ def _imported() -> None:
         assert run(["loads", "--payload", "20"]) == 0
 
 
-@pytest.mark.parametrize("world", ["closed", "unread", "full", "ascii", "fifo"])
+@pytest.mark.parametrize("world", ["closed", "unread", "full", "ascii", "fifo", "bare", "clock"])
 def test_a_quick_command_in_an_odd_world(world: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """No input but its options: ends as usual, as 141, or in one line."""
     monkeypatch.chdir(tmp_path)
@@ -41,3 +41,13 @@ def test_a_fault_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     Path("out").mkdir()
     [fault] = every.closed("loads", 0)
     assert "loads: status 2" in fault
+
+
+def test_a_world_that_hinders_nothing_is_a_fault(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A command that writes nothing is not hindered by small files: the world must say that it showed nothing."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(every.SOUND, "loads", "loads --payload 20")
+    [fault] = every.faults_of("small-files", ["loads"])
+    assert "no command was hindered" in fault
+    monkeypatch.setitem(every.SOUND, "init", "init out/new")
+    assert list(every.faults_of("small-files", ["init"])) == []
