@@ -90,7 +90,7 @@ def ended(
     beside : list of str, optional
         A second command line, started at the same time.
     piped : bool
-        Standard output is a pipe, whatever hinders files.
+        Standard output is a pipe, even where files are hindered.
     """
     if piped:
         reading, writing = os.pipe()
