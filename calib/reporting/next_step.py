@@ -79,6 +79,7 @@ def after_export(to: str, source: Path, output: Path) -> str:
         "json": f"{_command('diagnose', source, '--model', output)} for what is left.",
         "ros2": f"pass it after the controllers' own parameter file (--params-file {shlex.quote(str(output))}).",
         "c": f"cc -fsyntax-only -x c {shlex.quote(str(output))} checks it with your compiler; then include it.",
+        "c_effects": f"include it in your simulator's loop, then {again} for what is left.",
         "csv": f"{_command('export', source, '--to', 'json', '--output', 'coefficients.json')} has the law itself.",
         "mjcf": simulator,
         "urdf": simulator,

@@ -137,3 +137,12 @@ def test_the_header_of_a_campaign_compiles(coefficients: Path, tmp_path: Path) -
 def test_help_shows_an_example(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["export", "--help"]) == 0
     assert "Example: calib export" in capsys.readouterr().out
+
+
+def test_each_format_says_what_to_do_next() -> None:
+    from calib.coefficients.formats import FORMATS
+    from calib.reporting.exports import FORMATS as FROM_CAMPAIGNS
+    from calib.reporting.next_step import after_export
+
+    for name in (*FORMATS, *FROM_CAMPAIGNS):
+        assert after_export(name, Path("campaign"), Path("file")).startswith("Next: ")

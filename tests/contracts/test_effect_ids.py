@@ -26,6 +26,8 @@ EXEMPT = {
     "kinematics/drives.py",
     # the same effects without the library: the folder stands alone, tests/runtime/test_effects.py holds both together
     "runtime/effects.py",
+    # the same in C: tests/coefficients/test_c_effects.py
+    "coefficients/formats/c_effects.py",
 }
 PLANT = PACKAGE / "plant"
 

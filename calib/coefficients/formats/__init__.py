@@ -16,6 +16,7 @@ FORMATS: Final[dict[str, str | None]] = {
     "json": None,
     "ros2": "ros2",
     "c": "c_header",
+    "c_effects": "c_effects",
     "csv": "csv_table",
     "mjcf": "mjcf",
     "urdf": "urdf",
