@@ -30,6 +30,7 @@ from calib.campaign.checks.distances import (
     distance_against_log,
     distance_against_pose,
     distance_span,
+    mirrored_ends,
     missing_values,
     track_against_bows,
 )
@@ -76,6 +77,7 @@ CHECKS: Final[dict[str, Check]] = {
     "pasted_rows": pasted_rows,
     "wheel_loads": wheel_loads,
     "loads_against_payload": loads_against_payload,
+    "mirrored_ends": mirrored_ends,
     "track_against_bows": track_against_bows,
     "load_and_session": load_and_session,
     "few_loads": few_loads,

@@ -151,10 +151,15 @@ def _ranged(made: Campaign, *, cut: float) -> Campaign:
     return with_log_columns(made, range_m=share * np.repeat(made.runs.number("distance_m"), lengths) * cut)
 
 
-def _wandering(made: Campaign, *, track_m: float = 0.7, seed: int = 3) -> Campaign:
+def _mirrored(made: Campaign) -> Campaign:
+    return with_numbers(made, ref_y_m=-made.runs.number("ref_y_m"))
+
+
+def _wandering(made: Campaign, *, track_m: float = 0.7, seed: int = 3, turned: float = 0.0) -> Campaign:
     """Nearly straight runs of a vehicle of this track, with end poses; wheels that differ anew in every run.
 
-    The heading is ``A sin(pi s / d)`` with another A in every run, and the wheels' difference is in the counts alone.
+    The heading is ``A sin(pi s / d)`` with another A in every run, and the wheels' difference is in the counts alone;
+    `turned`: standard deviation of a turn to the end, rad.
     """
     rng = np.random.default_rng(seed)
     runs, logs = made.runs, made.logs
@@ -165,6 +170,8 @@ def _wandering(made: Campaign, *, track_m: float = 0.7, seed: int = 3) -> Campai
         here = slice(logs.offsets[run], logs.offsets[run + 1])
         along = np.linspace(0.0, distance, logs.lengths[run])
         heading = 0.02 * rng.standard_normal() * np.sin(np.pi * along / distance)
+        if turned:
+            heading += turned * rng.standard_normal() * along / distance
         middle = (heading[1:] + heading[:-1]) / 2
         pose[:, run] = np.sum(np.diff(along) * np.cos(middle)), np.sum(np.diff(along) * np.sin(middle)), heading[-1]
         apart = track_m * heading + 1e-3 * rng.standard_normal() * along
@@ -195,6 +202,7 @@ FAULTS: list[tuple[str, str, str, Fault, str]] = [
     ("distance_against_log", "distance_span", "suspicious", lambda m: _ranged(m, cut=1000), "r000"),
     ("distance_against_pose", "distance_against_pose", "suspicious", _longer, ""),
     ("track_against_bows", "track_against_bows", "suspicious", lambda m: _wandering(m, track_m=0.64), ""),
+    ("mirrored_ends", "mirrored_ends", "suspicious", lambda m: _mirrored(_wandering(m, turned=0.01)), ""),
     ("reversed_wheels", "reversed_wheels", "suspicious", _number("counts_left", lambda c: -c), ""),
     ("reversed_wheels", "reversed_wheels", "suspicious", _number("counts_left", lambda c: -c, 4), "r004"),
     ("count_scale", "count_scale", "suspicious", _scaled(2), ""),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -125,34 +126,73 @@ def distance_against_pose(campaign: Campaign) -> Iterator[Note]:
         yield Note("suspicious", "runs, column distance_m", text, "distance_against_pose")
 
 
-def track_against_bows(campaign: Campaign) -> Iterator[Note]:
-    """Compare how far nearly straight runs bow out by their logs with how far the reference saw them bow.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Bows:
+    """How far nearly straight runs bow out: the end's offset less half the end's heading times the distance.
 
-    A bow is the end's offset less half the end's heading times the distance. Wheels of unequal radius, which scatter
-    from run to run, turn a run in proportion to the distance and leave its bow alone; what is left is turned by the
-    track.
+    Wheels of unequal radius, which scatter from run to run, turn a run in proportion to the distance and leave its bow
+    alone; what is left is turned by the track.
     """
+
+    offset_m: FloatArray  #: end to the side by the reference, shape (n,)
+    turned_m: FloatArray  #: half the end's heading times the distance
+    counted_m: FloatArray  #: bow by the log
+
+    @property
+    def slope(self) -> tuple[float, float]:
+        """Measured bow over the counted one, and its standard error."""
+        return _slope(self.counted_m, self.offset_m - self.turned_m)
+
+    @property
+    def mirrored_slope(self) -> tuple[float, float]:
+        """The same with the reference's y of the other sign."""
+        return _slope(self.counted_m, -self.offset_m - self.turned_m)
+
+
+def _bows(campaign: Campaign) -> _Bows | None:
+    """Return the bows of the straight runs, None where too few were measured and logged."""
     runs, logs = campaign.runs, campaign.logs
     theta = runs.number("ref_theta_rad")
-    used = _straight(campaign) & np.isfinite(theta) & (np.abs(theta) < 0.3) & (logs.lengths >= 20)
-    if used.sum() < _LEAST_STRAIGHT_RUNS or not {"counts_left", "counts_right"} <= set(logs.columns):
-        return
+    used = np.flatnonzero(_straight(campaign) & np.isfinite(theta) & (np.abs(theta) < 0.3) & (logs.lengths >= 20))
+    if len(used) < _LEAST_STRAIGHT_RUNS or not {"counts_left", "counts_right"} <= set(logs.columns):
+        return None
+    used = used[:_MOST_STRAIGHT_RUNS]
     sensor = campaign.reference
     offset = runs.number("ref_y_m") - sensor.sensor_x_m * np.sin(theta) - sensor.sensor_y_m * (np.cos(theta) - 1.0)
     distance = runs.number("distance_m")
-    measured = offset - 0.5 * distance * theta
-    counted = np.full(len(runs), np.nan)
-    for run in np.flatnonzero(used):
-        counted[run] = _bow(campaign, int(run), float(distance[run]))
-    good = used & np.isfinite(counted)
-    if good.sum() < _LEAST_STRAIGHT_RUNS:
+    counted = np.array([_bow(campaign, int(run), float(distance[run])) for run in used])
+    kept = np.isfinite(counted)
+    if kept.sum() < _LEAST_STRAIGHT_RUNS:
+        return None
+    used = used[kept]
+    return _Bows(offset[used], 0.5 * (distance * theta)[used], counted[kept])
+
+
+def mirrored_ends(campaign: Campaign) -> Iterator[Note]:
+    """Find a y of the other sign: ends that neither headings nor counts explain, and do with the sign changed."""
+    bows = _bows(campaign)
+    if bows is None:
         return
-    ratio, error = _slope(counted[good], measured[good])
+    (_, error), (mirrored, mirrored_error) = bows.slope, bows.mirrored_slope
+    if mirrored_error < _CLEARER * error and abs(mirrored - 1.0) < max(0.1, _SIGMAS * mirrored_error):
+        text = (
+            f"the ends of {len(bows.offset_m)} straight runs lie to a side that neither their headings nor their "
+            "counts say; expected y positive to the left; check the sign of ref_y_m"
+        )
+        yield Note("suspicious", "runs, column ref_y_m", text, "mirrored_ends")
+
+
+def track_against_bows(campaign: Campaign) -> Iterator[Note]:
+    """Compare how far nearly straight runs bow out by their logs with how far the reference saw them bow."""
+    bows = _bows(campaign)
+    if bows is None:
+        return
+    ratio, error = bows.slope
     if error > 0.1 or abs(ratio - 1.0) < max(_TRACK_TOLERANCE, _SIGMAS * error):
         return
     track = campaign.vehicle.track_m
     text = (
-        f"{int(good.sum())} straight runs bow out {ratio:.3g} times as far as their counts say with a track of "
+        f"{len(bows.offset_m)} straight runs bow out {ratio:.3g} times as far as their counts say with a track of "
         f"{track:g} m (standard error {error:.2g}); expected the same within {100 * _TRACK_TOLERANCE:g} %; "
         + (f"is the track {track / ratio:.3g} m?" if 0.5 < ratio < 2.0 else "check track_m and the reference's frame")
     )
@@ -197,6 +237,10 @@ def _slope(counted: FloatArray, measured: FloatArray) -> tuple[float, float]:
     return slope, math.sqrt(spread / max(float(counted[kept] @ counted[kept]), 1e-300))
 
 
+#: straight runs whose bows are looked at: more tell no more, and large campaigns need not wait
+_MOST_STRAIGHT_RUNS: Final = 200
+#: a mirrored y leaves less than this share of the scatter where it is mirrored back
+_CLEARER: Final = 0.5
 #: share of the runs that must agree
 _AGREEING_SHARE: Final = 0.8
 #: nearly straight runs turn against their counts beyond doubt: so many standard errors, and at least so many times

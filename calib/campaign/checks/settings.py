@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.checks.design import LEAST_RUNS, SIDES, cell_note, per_rev, raw_radius_ratio
+from calib.campaign.checks.distances import mirrored_ends
 from calib.campaign.model import Campaign, Note
 from calib.campaign.read import log_totals
 
@@ -176,6 +177,14 @@ _OF_READING: Final = frozenset({"no_unit", "look_alike", "summary_row", "session
 def notes_for_results(campaign: Campaign) -> tuple[str, ...]:
     """Return what a fit or a diagnosis says of its data first: each changes the answer, and the answer shows none."""
     found = [note for note in campaign.notes if note.code in _OF_READING]
-    for check in (counts_per_revolution, late_logs, log_clock, heading_turns, pose_resolution, odd_lengths):
+    for check in (
+        counts_per_revolution,
+        late_logs,
+        log_clock,
+        heading_turns,
+        pose_resolution,
+        odd_lengths,
+        mirrored_ends,
+    ):
         found.extend(check(campaign))
     return tuple(f"{note.where}: {note.text}." for note in found)
