@@ -32,6 +32,10 @@ _ROUNDING: Final = 1e-9
 _SMALL_STEP: Final = 0.01
 #: Gauss-Newton steps of each trial; an effect that explains the gap is near its size by then
 _TRIAL_STEPS: Final = 4
+#: of these, those after which trials are dropped that leave so many times the squares of the best one: a step from far
+#: away leaves a share of an effect's gap that the further steps take away, but not a hundred times what another leaves
+_FIRST_STEPS: Final = 2
+_HOPELESS: Final = 100.0
 #: an effect that leaves more than this share of the squares is not what makes them so many
 _MAX_RESIDUAL_SHARE: Final = 0.5
 
@@ -214,7 +218,12 @@ def fit(
     calibration = np.zeros(4) if start is None else np.where(freedom, start.calibration, 0.0)
     known = {} if start is None else {id(f): t for f, t in zip(start.forms, start.theta, strict=True)}
     theta = [known.get(id(form), np.zeros(len(form.parameters))).copy() for form in forms]
-    path = nominal if start is None else hypothesis_path(s, calibration, forms, theta, nominal)
+    if start is None:
+        path = nominal
+    elif np.array_equal(calibration, start.calibration) and {id(f) for f in start.forms} <= {id(f) for f in forms}:
+        path = start.path
+    else:
+        path = hypothesis_path(s, calibration, forms, theta, nominal)
     now = np.concatenate([calibration / CALIBRATION_SD, *(t / f.typical for t, f in zip(theta, forms, strict=True))])
     reached, normal = misfit.cost(path, now), np.eye(len(now))
     for _ in range(steps):
@@ -303,10 +312,16 @@ def continuation_start(nominal: Path, noise: Noise, base: Fitted, forms: Sequenc
     while is_far(fitted) and len(fitted.forms) < most_effects:
         held = {form.effect for form in fitted.forms}
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            trials = [
-                fit(nominal, noise, (*fitted.forms, form), start=fitted, steps=_TRIAL_STEPS)
+            begun = [
+                fit(nominal, noise, (*fitted.forms, form), start=fitted, steps=_FIRST_STEPS)
                 for form in forms
                 if form.effect not in held
+            ]
+            least = min((trial.chi_square for trial in begun), default=0.0)
+            trials = [
+                fit(nominal, noise, trial.forms, start=trial, steps=_TRIAL_STEPS - _FIRST_STEPS)
+                for trial in begun
+                if trial.chi_square <= _HOPELESS * least
             ]
         trials = [trial for trial in trials if trial.chi_square <= _MAX_RESIDUAL_SHARE * fitted.chi_square]
         if not trials:

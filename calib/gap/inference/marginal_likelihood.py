@@ -20,8 +20,10 @@ FLOOR_DOF: Final = 20.0
 SCALE_CHOICE_COST: Final = float(np.log(4.0))
 #: hypotheses weighed at a time
 _BATCH_SIZE: Final = 400
+#: numbers of all their scalar products at a time: 32 MB
+_BATCH_ENTRIES: Final = 4_000_000
 #: classes of width, in columns
-_WIDTH_CLASSES: Final = (0, 1, 2, 3, 4, 6, 8, 12, 20)
+_WIDTH_CLASSES: Final = (0, 1, 2, 3, 4, 6, 8, 12, 20, 40, 80, 160, 320)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -187,8 +189,11 @@ def log_weights(sums: Sums, columns: FormPriors, models: Sequence[tuple[int, ...
     group = np.searchsorted(_WIDTH_CLASSES, widths)
     for number in np.unique(group):
         places = np.flatnonzero(group == number)
-        for first in range(0, len(places), _BATCH_SIZE):
-            some = places[first : first + _BATCH_SIZE]
+        # an effect of every session has hundreds of columns: fewer such models at a time keep the memory bounded
+        entries = len(sums.square) * max(int(widths[places].max()), 1) ** 2
+        size = int(np.clip(_BATCH_ENTRIES // entries, 1, _BATCH_SIZE))
+        for first in range(0, len(places), size):
+            some = places[first : first + size]
             value[:, some] = _batch(sums, columns, [models[k] for k in some])
     return value
 
@@ -251,11 +256,14 @@ def log_sign_probability(gram: FloatArray, right: FloatArray, variance: FloatArr
 
     root = np.sqrt(variance)
     inner, size = _inner(gram, root)
-    inverse = np.linalg.inv(inner)
+    # columns with a sign are few among the hundreds that an effect of every session has
+    signed = np.flatnonzero((sign != 0).reshape(-1, sign.shape[-1]).any(axis=0))
+    inverse = np.linalg.solve(inner, np.eye(sign.shape[-1])[:, signed])
     # both times the prior scale over the scaling
-    mean = (inverse @ (root * right / size)[..., None])[..., 0]
-    spread = np.sqrt(np.diagonal(inverse, axis1=-2, axis2=-1))
-    return np.asarray(np.where(sign != 0, log_ndtr(sign * mean / spread), 0.0).sum(axis=-1))
+    mean = np.einsum("...kc,...k->...c", inverse, root * right / size)
+    spread = np.sqrt(inverse[..., signed, np.arange(len(signed))])
+    held = sign[..., signed]
+    return np.asarray(np.where(held != 0, log_ndtr(held * mean / spread), 0.0).sum(axis=-1))
 
 
 def _inner(gram: FloatArray, root: FloatArray) -> tuple[FloatArray, FloatArray]:
