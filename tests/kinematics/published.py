@@ -28,7 +28,7 @@ def published(turned: np.ndarray, moved: np.ndarray) -> dict[str, float]:
     kept = np.ones(len(turned), dtype=bool)
     for _ in range(ROUNDS):
         values = _solved(turned[kept], moved[kept])
-        rest = moved - _predicted(values, turned)
+        rest = moved - predicted(values, turned)
         heading, place = np.abs(rest[:, 2]), np.hypot(rest[:, 0], rest[:, 1])
         limits = [_limit(error[kept]) for error in (heading, place)]
         kept &= (heading <= limits[0]) & (place <= limits[1])
@@ -67,7 +67,8 @@ def _solved(turned: np.ndarray, moved: np.ndarray) -> np.ndarray:
     return np.array([-rates[0] * axle, rates[1] * axle, axle, x, y, np.arctan2(direction[1], direction[0])])
 
 
-def _predicted(values: np.ndarray, turned: np.ndarray) -> np.ndarray:
+def predicted(values: np.ndarray, turned: np.ndarray) -> np.ndarray:
+    """Return the displacement (n, 3) that wheels of these radii, axle and laser pose give for each tuple."""
     left, right, axle, x, y, yaw = values
     turn = (right * turned[:, 1] - left * turned[:, 0]) / axle
     way = 0.5 * (right * turned[:, 1] + left * turned[:, 0])
