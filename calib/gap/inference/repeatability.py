@@ -219,15 +219,17 @@ class ScaleLikelihood:
         self.grouped, self.shapes = grouped, shapes.select(units)
         self.active = shapes.active
         self.usable = self.shapes.usable
-        design, self.prior = _group_design(path, gap)
+        design, self.prior = _group_design(path, gap, grouped)
         trends = np.zeros((len(path.s), 6, 0)) if trend is None else trend
         self.k = trends.shape[2]
+        self.own = path.calibration[units, :, :3]
         self.columns = np.concatenate([design, trends, gap[:, :, None]], axis=2)[units]
 
     @cached_property
     def dof(self) -> float:
-        """Degrees of freedom that are left for the noise."""
-        used = _rank(self.columns[:, :, :_N_GROUP_COLUMNS], self.grouped, self.usable)
+        """Degrees of freedom left for the noise, at most: counted with the own derivatives of each unit."""
+        design = np.concatenate([self.own, self.columns[:, :, 3:_N_GROUP_COLUMNS]], axis=2)
+        used = _rank(design, self.grouped, self.usable)
         return float(max(self.usable.sum() - used - self.k, 0))
 
     def _whitened(self, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -300,6 +302,16 @@ class ScaleLikelihood:
         weight: FloatArray = reach / np.maximum(square, reach)
         return weight
 
+    @cached_property
+    def weighted_share(self) -> FloatArray:
+        """Share of its variance that normal noise keeps under the weights, shape (n,)."""
+        from scipy.special import chdtr, chdtri
+
+        dim = np.maximum(self.usable.sum(axis=1), 1)
+        reach = chdtri(dim, OUTLIER_PROBABILITY)
+        share: FloatArray = chdtr(dim + 2, reach) + OUTLIER_PROBABILITY * reach / dim
+        return share
+
 
 def most_likely_scales(likelihood: ScaleLikelihood, start: FloatArray) -> FloatArray:
     """Return the logarithms of the most likely scales, units far from their repeats weighing less.
@@ -329,18 +341,19 @@ def most_likely_scales(likelihood: ScaleLikelihood, start: FloatArray) -> FloatA
             bounds=bounds,
             options={"maxiter": 30, "ftol": 1e-6},
         ).x
-        fresh = likelihood.weights(best)
+        # without the share that the weights take from normal noise too, the scales come out smaller by it
+        fresh = likelihood.weights(best) / likelihood.weighted_share
         if np.abs(fresh - weight).max() < 0.05:
             break
         weight = fresh
     return np.asarray(best)
 
 
-def _group_design(path: Path, gap: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _group_design(path: Path, gap: FloatArray, grouped: Replicates) -> tuple[FloatArray, FloatArray]:
     """Return what each group may have of its own, shape (n_units, 6, 9), and its prior precision, shape (9,)."""
     observations = path.s
     design = np.zeros((len(observations), 6, _N_GROUP_COLUMNS))
-    design[:, :, :3] = path.calibration[:, :, :3]
+    design[:, :, :3] = _of_their_route(path, grouped)
     # on a straight the turn by the wheels is the noise itself
     design[path.guided, :, 2] = 0.0
     design[:, np.arange(6), 3 + np.arange(6)] = 1.0
@@ -348,6 +361,21 @@ def _group_design(path: Path, gap: FloatArray) -> tuple[FloatArray, FloatArray]:
     size = np.maximum(np.sqrt((gap**2).mean(axis=0)), 1e-6)
     prior = 1.0 / np.concatenate(([0.03, 0.03, 0.1], 30 * size)) ** 2
     return design, prior
+
+
+def _of_their_route(path: Path, grouped: Replicates) -> FloatArray:
+    """Return the calibration derivatives (n_units, 6, 3), within a group their mean over its units.
+
+    Each unit's own derivatives differ by its own scatter: by them a group's calibration takes up noise, in squares a
+    quarter of that of the radii. Groups that drive no way along keep their own.
+    """
+    own: FloatArray = path.calibration[:, :, :3].copy()
+    size = np.diff(np.append(grouped.first, len(grouped.units)))
+    mean = grouped.summed(own[grouped.units]) / size[:, None, None]
+    along = grouped.summed(np.abs(path.way_m[grouped.units])) > 0
+    on = along[grouped.group]
+    own[grouped.units[on]] = mean[grouped.group[on]]
+    return own
 
 
 def _rank(design: FloatArray, grouped: Replicates, usable: BoolArray) -> int:
