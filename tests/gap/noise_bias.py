@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from itertools import product
@@ -60,7 +61,7 @@ def runs_of(kinds: list[str], n_runs: int) -> list[Run]:
     return runs
 
 
-def truth_of(scatter: str, rng: np.random.Generator):  # type: ignore[no-untyped-def]
+def truth_of(scatter: str, rng: np.random.Generator) -> Callable[[Run, Motion], None]:
     """Return what happens to a run: the instruments' noise, and one kind of scatter."""
     sessions: dict[str, FloatArray] = {}
 

@@ -105,8 +105,8 @@ def estimate_noise(path: Path, gap: FloatArray, *, start: Noise | None = None) -
 
     These are units of one cell where there are enough of them; else of one condition, with a trend on temperature,
     dwell, session and further columns removed; else neighbours in the order driven; else runs of one route with their
-    loads and speeds as trends; at last the stated sigmas stand alone. Where the first of these supports no floor,
-    repeats with fewer degrees of freedom do, if there are any.
+    loads and speeds as trends; at last the stated sigmas stand alone. The first of these that supports a floor
+    is taken; where none does, the first that has the degrees of freedom.
 
     Parameters
     ----------
@@ -138,9 +138,9 @@ def estimate_noise(path: Path, gap: FloatArray, *, start: Noise | None = None) -
             continue
         log_scale, weight = _scales(path, gap, shapes, grouped, support, whole, begin)
         noise = _noise(path, shapes, log_scale, weight, support.basis, whole.dof)
-        if noise.supported and (first is None or support.basis is Basis.REPEATS):
+        if noise.supported:
             return noise
-        # many units are worth nothing where what they differ by cannot be told from a gap: then repeats alone count
+        # many units are worth nothing where what they differ by cannot be told from a gap: the next support is tried
         first = first or noise
     return first or _noise(path, shapes, np.log(PRIOR_MEDIANS), np.ones(len(gap)), Basis.STATED, 0.0)
 

@@ -19,8 +19,8 @@ COMPONENTS: Final[tuple[tuple[str, float, float], ...]] = (
     ("heading", 1.0, 0.4),  # times the reference's stated sigma
     ("heading_walk", 2e-4, 1.0),  # rad per sqrt(m)
     ("along_walk", 2e-4, 1.0),  # m per sqrt(m)
-    ("radius_scatter", 2e-5, 1.0),  # relative, both wheels, from run to run
-    ("yaw_scatter", 2e-5, 1.0),  # relative, right against left, from run to run
+    ("radius_scatter", 5e-5, 1.5),  # relative, both wheels, from run to run
+    ("yaw_scatter", 5e-5, 1.5),  # relative, right against left, from run to run
     ("start_heading", 3e-4, 1.0),  # rad, from run to run
     ("front_walk", 5e-4, 1.0),  # m per sqrt(m)
     ("steering_walk", 1e-3, 1.0),  # rad per sqrt(m)
