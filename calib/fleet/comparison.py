@@ -1,4 +1,4 @@
-"""What many vehicles show together: spread of their quantities, vehicles apart, labels that differ, shared findings."""
+"""What many vehicles show together: spread of their quantities, outliers, labels that differ, shared findings."""
 
 from __future__ import annotations
 
@@ -27,9 +27,12 @@ FEWEST_COMPARED: Final = 5
 #: fewest vehicles that share a finding before it is reported of them together
 FEWEST_SHARING: Final = 3
 
+#: column of ``vehicles.csv`` -> label of each vehicle that has one
+Labels = Mapping[str, Mapping[str, str]]
+
 
 @dataclass(frozen=True, slots=True)
-class QuantityOutlier:
+class Outlier:
     """A vehicle that stands apart in a quantity, `z` standard deviations from the fleet's mean."""
 
     vehicle: str = field(metadata={"json": "id"})
@@ -42,7 +45,7 @@ class QuantityOutlier:
     def why(self) -> str:
         """What a person reads."""
         name, scale, unit = shown_quantity(self.quantity)
-        away = f"{scale * self.value:.4g} {unit}, {scale * (self.value - self.fleet):+.3g} from the fleet"
+        away = f"{scale * self.value:.6g} {unit}, {scale * (self.value - self.fleet):+.3g} from the fleet"
         return f"{name}: {away} ({abs(self.z):.1f} standard deviations)"
 
     def to_dict(self) -> dict[str, Any]:
@@ -61,15 +64,19 @@ class LabelDifference:
     difference: Difference = field(metadata={"json": False})
 
     @property
+    def what(self) -> str:
+        """The difference in words."""
+        name, scale, unit = shown_quantity(self.quantity)
+        return f"{name} {scale * self.difference.size:+.3g} {unit} from the others'"
+
+    @property
     def sentence(self) -> str:
         """What a person reads."""
-        name, scale, unit = shown_quantity(self.quantity)
-        by = f"{scale * self.difference.size:+.3g} {unit} from the others'"
-        return f"{self.difference.n_showing} of {self.n_vehicles} vehicles with {self.label} {self.value}: {name} {by}"
+        return f"{self.difference.n_showing} of {self.n_vehicles} vehicles with {self.label} {self.value}: {self.what}"
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON values."""
-        return plain_fields(self, **plain_fields(self.difference), sentence=self.sentence)
+        return plain_fields(self, what=self.what, **plain_fields(self.difference), sentence=self.sentence)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,25 +86,27 @@ class Quantities:
     Parameters
     ----------
     populations : mapping of str to Population
-        By quantity; vehicles apart omitted, what a label's vehicles share taken off.
-    outliers : tuple of QuantityOutlier
+        By quantity, for example ``slope_left_m_per_N``; outliers and drifting vehicles omitted, differences of labels
+        removed.
+    outliers : tuple of Outlier
         One a vehicle: what is farthest off; farthest first.
-    differences : tuple of LabelDifference
+    common : tuple of LabelDifference
         Strongest first.
     """
 
     populations: Mapping[str, Population]
-    outliers: tuple[QuantityOutlier, ...]
-    differences: tuple[LabelDifference, ...] = field(metadata={"json": "common"})
+    outliers: tuple[Outlier, ...]
+    common: tuple[LabelDifference, ...]
 
 
 def quantities_of(
     vehicles: Sequence[str],
     values: Mapping[str, FloatArray],
     std: Mapping[str, FloatArray],
-    labels: Mapping[str, Mapping[str, str]],
+    labels: Labels,
+    drifting: frozenset[str] = frozenset(),
 ) -> Quantities:
-    """Return what a fleet shows in quantities that most of its vehicles have.
+    """Return what a fleet shows in its vehicles' quantities.
 
     Parameters
     ----------
@@ -107,22 +116,24 @@ def quantities_of(
         By quantity, NaN where a vehicle does not have it; `std` its standard uncertainty.
     labels : mapping of str to mapping of str to str
         For each kind of label, that of each vehicle.
+    drifting : frozenset of str
+        Vehicles named as drifting: that they have moved is no second finding.
     """
-    names = [name for name, column in values.items() if np.isfinite(column).sum() >= FEWEST_COMPARED]
-    differences = _differences(vehicles, {name: values[name] for name in names}, labels)
-    own = {name: values[name].copy() for name in names}
-    for difference in reversed(differences):
-        inside = _with(vehicles, labels[difference.label], difference.value)
-        own[difference.quantity][inside] = values[difference.quantity][inside] - difference.difference.size
-    outliers = _apart(vehicles, own, values, std)
-    usual = ~np.isin(vehicles, [outlier.vehicle for outlier in outliers])
+    compared = [name for name, column in values.items() if np.isfinite(column).sum() >= FEWEST_COMPARED]
+    common = _differences(vehicles, {name: values[name] for name in compared}, labels)
+    own = {name: column.copy() for name, column in values.items()}
+    for cause in reversed(common):
+        inside = _with(vehicles, labels[cause.label], cause.value)
+        own[cause.quantity][inside] = values[cause.quantity][inside] - cause.difference.size
+    apart = _apart(vehicles, {name: own[name] for name in compared}, values, std)
+    usual = ~np.isin(vehicles, [*(outlier.vehicle for outlier in apart), *drifting])
     populations = {}
-    for name in names:
-        known = usual & np.isfinite(own[name])
-        found = population(own[name][known], std[name][known])
+    for name, column in own.items():
+        known = usual & np.isfinite(column)
+        found = population(column[known], std[name][known])
         if found is not None:
             populations[name] = found
-    return Quantities(populations, outliers, differences)
+    return Quantities(populations, tuple(one for one in apart if one.vehicle not in drifting), common)
 
 
 def _with(vehicles: Sequence[str], of_vehicle: Mapping[str, str], value: str) -> BoolArray:
@@ -130,7 +141,7 @@ def _with(vehicles: Sequence[str], of_vehicle: Mapping[str, str], value: str) ->
 
 
 def _differences(
-    vehicles: Sequence[str], values: Mapping[str, FloatArray], labels: Mapping[str, Mapping[str, str]]
+    vehicles: Sequence[str], values: Mapping[str, FloatArray], labels: Labels
 ) -> tuple[LabelDifference, ...]:
     candidates = []
     for label, of_vehicle in sorted(labels.items()):
@@ -139,11 +150,9 @@ def _differences(
             for name, column in values.items():
                 known = np.isfinite(column)
                 inside = with_label[known]
-                if min(inside.sum(), (~inside).sum()) < FEWEST_COMPARED or inside.sum() > (~inside).sum():
-                    # what the larger part has in common is the fleet's own
-                    continue
-                difference = difference_of(column[known], inside)
-                candidates.append(LabelDifference(label, value, name, int(inside.sum()), difference))
+                if FEWEST_COMPARED <= inside.sum() <= (~inside).sum():  # what the larger part shares is the fleet's own
+                    difference = difference_of(column[known], inside)
+                    candidates.append(LabelDifference(label, value, name, int(inside.sum()), difference))
     stands = any_false(np.array([candidate.difference.p_value for candidate in candidates]))
     kept = [candidate for candidate, stand in zip(candidates, stands, strict=True) if stand]
     return tuple(sorted(kept, key=lambda one: (one.difference.p_value, one.label, one.value, one.quantity)))
@@ -154,9 +163,7 @@ def _apart(
     own: Mapping[str, FloatArray],
     values: Mapping[str, FloatArray],
     std: Mapping[str, FloatArray],
-) -> tuple[QuantityOutlier, ...]:
-    if not own:
-        return ()
+) -> tuple[Outlier, ...]:
     names = list(own)
     z, p_value = np.zeros((len(vehicles), len(names))), np.full((len(vehicles), len(names)), np.nan)
     for k, name in enumerate(names):
@@ -167,8 +174,7 @@ def _apart(
         k = int(np.argmax(np.abs(z[row])))
         name = names[k]
         value, shift = float(values[name][row]), float(values[name][row] - own[name][row])
-        usual = float(np.nanmedian(own[name])) + shift
-        outliers.append(QuantityOutlier(vehicles[row], name, value, usual, float(z[row, k])))
+        outliers.append(Outlier(vehicles[row], name, value, float(np.nanmedian(own[name])) + shift, float(z[row, k])))
     return tuple(sorted(outliers, key=lambda one: (-abs(one.z), one.vehicle)))
 
 
@@ -176,7 +182,7 @@ def shown_quantity(quantity: str) -> tuple[str, float, str]:
     """Return a quantity's name for people, the factor to its unit there, and that unit."""
     for suffix, scale, unit in (("_m_per_N", 1e9, "nm/N"), ("_m", 1e3, "mm"), ("_rad", 1e3, "mrad"), ("_s", 1e3, "ms")):
         if quantity.endswith(suffix):
-            return quantity.removesuffix(suffix).replace("_", " "), scale, unit
+            return quantity.removesuffix(suffix).removesuffix("_ref").replace("_", " "), scale, unit
     return quantity.replace("_", " "), 1.0, ""
 
 
@@ -214,15 +220,10 @@ class SharedCause:
         return plain_fields(self, sentence=self.sentence)
 
 
-def shared_causes(records: Sequence[VehicleResult], labels: Mapping[str, Mapping[str, str]]) -> tuple[SharedCause, ...]:
+def shared_causes(records: Sequence[VehicleResult], labels: Labels) -> tuple[SharedCause, ...]:
     """Return what many vehicles share, the whole fleet first, then labels that stand out (Fisher's exact test).
 
-    Parameters
-    ----------
-    records : sequence of VehicleResult
-        Of all vehicles; those that failed are omitted.
-    labels : mapping of str to mapping of str to str
-        For each kind of label, that of each vehicle.
+    `records`: of all vehicles; those that failed are omitted.
     """
     done = [record for record in records if record.status == "done"]
     names = [record.name for record in done]
@@ -232,15 +233,12 @@ def shared_causes(records: Sequence[VehicleResult], labels: Mapping[str, Mapping
         SharedCause(what, "", "", count, len(done)) for what, count in counted.most_common() if count >= FEWEST_SHARING
     ]
     by_label: list[SharedCause] = []
-    for what, count in sorted(counted.items()):
-        if count < FEWEST_SHARING:
-            continue
+    for what in sorted(cause.what for cause in whole):
         shows = np.array([what in found for found in findings])
         for label, of_vehicle in sorted(labels.items()):
-            mine = np.array([of_vehicle.get(name, "") for name in names])
-            values = np.unique(mine[mine != ""])
-            by_label += [_compared(what, label, str(value), shows, mine == value) for value in values]
-    stands = false_discovery(np.array([cause.p_value for cause in by_label])) if by_label else ()
+            values = sorted({of_vehicle.get(name, "") for name in names} - {""})
+            by_label += [_compared(what, label, value, shows, _with(names, of_vehicle, value)) for value in values]
+    stands = false_discovery(np.array([cause.p_value for cause in by_label]))
     special = [cause for cause, stand in zip(by_label, stands, strict=True) if stand]
     return (*whole, *sorted(special, key=lambda cause: (cause.p_value, cause.what, cause.value)))
 
@@ -254,18 +252,17 @@ def _findings(records: Sequence[VehicleResult]) -> list[set[str]]:
         found = {str(code) for level in ("wrong", "suspicious") for code in values.get(level, ())}
         for cause in values.get("causes", ()):
             effect = str(cause["effect"])
-            place = next((text for centre, text in places.get(effect, ()) if _within(cause, centre)), "")
-            found.add(effect.replace("_", " ") + place if place else effect)
+            near = (
+                x_m for x_m in places.get(effect, ()) if "x_m" in cause and abs(cause["x_m"] - x_m) <= cause["size_m"]
+            )
+            x_m = next(near, None)
+            found.add(effect if x_m is None else f"{effect.replace('_', ' ')} at x = {x_m:g} m")
         findings.append(found)
     return findings
 
 
-def _within(cause: Mapping[str, Any], centre: float) -> bool:
-    return "x_m" in cause and abs(float(cause["x_m"]) - centre) <= float(cause["size_m"])
-
-
-def _places(records: Sequence[VehicleResult]) -> dict[str, list[tuple[float, str]]]:
-    """Return, for each effect that lies at a place, the places where several vehicles have it: x and its words.
+def _places(records: Sequence[VehicleResult]) -> dict[str, list[float]]:
+    """Return, for each effect that lies at a place, the x of the places where several vehicles have it.
 
     The floor is asked about in cells; one zone may show in neighbouring cells. Places are taken where most vehicles
     name them first, each with all that lie within a cell of it.
@@ -275,18 +272,14 @@ def _places(records: Sequence[VehicleResult]) -> dict[str, list[tuple[float, str
         for cause in record.values.get("causes", ()):
             if "x_m" in cause:
                 named.setdefault(str(cause["effect"]), []).append((float(cause["x_m"]), float(cause["size_m"])))
-    places: dict[str, list[tuple[float, str]]] = {}
+    places: dict[str, list[float]] = {}
     for effect, found in named.items():
         x, size = np.array(found).T
+        near = np.abs(x[:, None] - x) <= size[:, None]
         left = np.ones(len(x), dtype=np.bool_)
-        while left.sum() >= FEWEST_SHARING:
-            near = np.abs(x[:, None] - x) <= size[:, None]
-            near &= left
-            middle = int(np.argmax(np.where(left, near.sum(axis=1), 0)))
-            if near[middle].sum() < FEWEST_SHARING:
-                break
-            centre = float(x[middle])
-            places.setdefault(effect, []).append((centre, f" at x = {centre:g} m"))
+        while (counts := np.where(left, (near & left).sum(axis=1), 0)).max() >= FEWEST_SHARING:
+            middle = int(np.argmax(counts))
+            places.setdefault(effect, []).append(float(x[middle]))
             left &= ~near[middle]
     return places
 
@@ -294,9 +287,6 @@ def _places(records: Sequence[VehicleResult]) -> dict[str, list[tuple[float, str
 def _compared(what: str, label: str, value: str, shows: BoolArray, inside: BoolArray) -> SharedCause:
     from scipy.stats import fisher_exact
 
-    table = [
-        [int((shows & inside).sum()), int((~shows & inside).sum())],
-        [int((shows & ~inside).sum()), int((~shows & ~inside).sum())],
-    ]
+    table = [[int((shows & side).sum()), int((~shows & side).sum())] for side in (inside, ~inside)]
     p_value = float(fisher_exact(table, alternative="greater").pvalue)
     return SharedCause(what, label, value, table[0][0], int(inside.sum()), p_value)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
@@ -58,21 +58,9 @@ class Member:
 def members_of(folder: Path) -> tuple[Member, ...]:
     """Return the vehicles of a fleet, by id.
 
-    Parameters
-    ----------
-    folder : Path
-        Either one campaign folder a vehicle, or a Parquet dataset: ``campaign.toml``, which holds for all, beside
-        folders ``vehicle=ID`` (with or without ``month=YYYY-MM`` within) of ``.parquet`` files whose columns are those
-        of ``runs.csv``.
-
-    Returns
-    -------
-    tuple of Member
-
-    Raises
-    ------
-    BadFileError
-        Where the folder holds no vehicle.
+    `folder`: either one campaign folder a vehicle, or a Parquet dataset: ``campaign.toml``, which holds for all, beside
+    folders ``vehicle=ID`` (with or without ``month=YYYY-MM`` within) of ``.parquet`` files whose columns are those of
+    ``runs.csv``. Raises BadFileError where the folder holds no vehicle.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -114,7 +102,7 @@ def _part(folder: Path, name: str, settings: Path, day: float | None = None) -> 
     try:
         return Part(name, inside(folder, name, named_in=folder), settings, day)
     except CalibError as error:
-        return Part(name, folder / name, settings, day, " ".join(str(error).split()))
+        return Part(name, folder / name, settings, day, one_line(error))
 
 
 def _dataset(folder: Path) -> tuple[Member, ...]:
@@ -167,40 +155,34 @@ def any_simulated(folder: Path) -> bool:
     return False
 
 
-def labels_of(folder: Path, vehicles: tuple[str, ...]) -> dict[str, dict[str, str]]:
-    """Return what is known of the vehicles beside their journeys: hall, type, ...
+def labels_of(folder: Path, members: Sequence[Member]) -> dict[str, dict[str, str]]:
+    """Return what is known of vehicles beside their journeys (hall, type, ...): column -> label of each that has one.
 
-    Parameters
-    ----------
-    folder : Path
-        May hold ``vehicles.csv``: a column ``vehicle`` and any further columns of labels.
-    vehicles : tuple of str
-        Ids.
-
-    Returns
-    -------
-    dict of str to dict of str to str
-        For each column, the label of each vehicle that has one.
+    `folder`: may hold ``vehicles.csv``, a column ``vehicle`` and further columns of labels.
     """
     path = Path(folder) / LABELS
     if not path.is_file():
         return {}
-    table = read_table(path, LABELS)
-    if "vehicle" not in table.columns:
+    columns = dict(read_table(path, LABELS).columns)
+    if "vehicle" not in columns:
         raise BadFileError(
             LABELS,
-            found=f"the columns {', '.join(table.columns)[:80]}",
+            found=f"the columns {', '.join(columns)[:80]}",
             expected="a column vehicle",
             remedy="name the vehicles as their folders are named",
         )
-    ids = [str(cell) for cell in table.columns["vehicle"]]
-    known = set(vehicles)
+    ids = [str(cell) for cell in columns.pop("vehicle")]
+    known = {member.vehicle for member in members}
     return {
         name: {
             vehicle: str(cell)
             for vehicle, cell in zip(ids, cells, strict=True)
             if vehicle in known and cell not in (None, "")
         }
-        for name, cells in table.columns.items()
-        if name != "vehicle"
+        for name, cells in columns.items()
     }
+
+
+def one_line(error: Exception) -> str:
+    """Return what an error says on one line."""
+    return " ".join(str(error).split())

@@ -15,7 +15,7 @@ from calib.campaign.readers import read_table
 from calib.campaign.runs_file import run_table
 from calib.campaign.settings_file import Settings, read_settings
 from calib.errors import CalibError
-from calib.fleet.members import Member, Part
+from calib.fleet.members import Member, Part, one_line
 from calib.fleet.store import Keys, line_of, unsealed
 from calib.fleet.vehicle import PartSums, VehicleRecord, record_of
 from calib.radius.effective import effective_radii
@@ -29,19 +29,9 @@ MOST_FILES: Final = 64
 
 
 def sums_of_parts(parts: Sequence[Part]) -> list[PartSums]:
-    """Read files of journeys and add the runs of each up by session.
+    """Read files of journeys and add the runs of each up by session; settings that several share are read once.
 
     Never raises for bad input: what is wrong is in `why`, so that one vehicle's data never stop the fleet.
-
-    Parameters
-    ----------
-    parts : sequence of Part
-        The files. Settings that several of them share are read once.
-
-    Returns
-    -------
-    list of PartSums
-        One a file.
     """
     settings: dict[Path, Settings] = {}
     keys = Keys()
@@ -55,34 +45,19 @@ def _sums_of_part(part: Part, settings: dict[Path, Settings], keys: Keys) -> Par
         campaign = campaign_of(part, settings)
         radii = effective_radii(campaign)
     except (CalibError, OSError) as error:
-        return PartSums(part.name, key, 0.0, 0.0, None, None, " ".join(str(error).split()))
+        return PartSums(part.name, key, 0.0, 0.0, None, None, one_line(error))
     day = _days(campaign, radii.run_id, part)
     reference, nominal = campaign.model.reference_load_N, campaign.vehicle.wheel_radius_m
     session = np.where(radii.session == "", part.name, radii.session)
-    left, right = (
-        SessionSums.from_runs(session, load - reference, radius - nominal, day)
-        for load, radius in (
-            (radii.load_left_N, radii.radius_left_m),
-            (radii.load_right_N, radii.radius_right_m),
-        )
-    )
+    left = SessionSums.from_runs(session, radii.load_left_N - reference, radii.radius_left_m - nominal, day)
+    right = SessionSums.from_runs(session, radii.load_right_N - reference, radii.radius_right_m - nominal, day)
     return PartSums(part.name, key, reference, nominal, left, right)
 
 
 def campaign_of(part: Part, settings: dict[Path, Settings] | None = None) -> Campaign:
     """Return the campaign of a file of journeys; tables of a dataset take the fleet's settings and have no logs.
 
-    Parameters
-    ----------
-    part : Part
-        The file.
-    settings : dict of Path to Settings, optional
-        Settings read before, by folder; those read now are added.
-
-    Raises
-    ------
-    CalibError
-        Where something cannot be used.
+    `settings`: those read before, by folder; those read now are added. Raises CalibError where it cannot be used.
     """
     if part.path.parent == part.settings:
         return read_campaign(part.settings)
@@ -127,26 +102,20 @@ class Piece:
     lines: tuple[str, ...] = ()
     whole: bool = True
 
+    def __len__(self) -> int:
+        return len(self.new)
+
 
 @dataclass(frozen=True)
 class PieceDone:
     """The result of a piece: the line of each file read, by the file's name, and the record of a whole vehicle."""
 
-    n_files: int
     lines: Mapping[str, str]
     record: VehicleRecord | None
 
 
 def pieces_of(member: Member, kept: Mapping[str, str]) -> Iterator[Piece]:
-    """Yield the pieces of a vehicle's work.
-
-    Parameters
-    ----------
-    member : Member
-        The vehicle.
-    kept : mapping of str to str
-        Lines of files that need not be read, by the files' names.
-    """
+    """Yield the pieces of a vehicle's work; `kept`: lines of files that need not be read, by the files' names."""
     new = tuple(part for part in member.parts if part.name not in kept)
     if len(new) <= MOST_FILES:
         yield Piece(member.vehicle, new, tuple(kept[part.name] for part in member.parts if part.name in kept))
@@ -155,24 +124,8 @@ def pieces_of(member: Member, kept: Mapping[str, str]) -> Iterator[Piece]:
         yield Piece(member.vehicle, new[first : first + MOST_FILES], whole=False)
 
 
-def size_of(piece: Piece) -> int:
-    """Return how many files a piece reads."""
-    return len(piece.new)
-
-
 def do_pieces(pieces: Sequence[Piece]) -> list[PieceDone]:
-    """Do some pieces; never raises for bad input: what is wrong is in the sums and in the record.
-
-    Parameters
-    ----------
-    pieces : sequence of Piece
-        Settings that their files share are read once.
-
-    Returns
-    -------
-    list of PieceDone
-        One a piece.
-    """
+    """Do some pieces, settings read once; never raises for bad input: what is wrong is in the sums and the record."""
     read = iter(sums_of_parts([part for piece in pieces for part in piece.new]))
     return [_done(piece, [next(read) for _ in piece.new]) for piece in pieces]
 
@@ -180,13 +133,11 @@ def do_pieces(pieces: Sequence[Piece]) -> list[PieceDone]:
 def _done(piece: Piece, new: Sequence[PartSums]) -> PieceDone:
     lines = {part.name: line_of(part) for part in new}
     if not piece.whole:
-        return PieceDone(len(new), lines, None)
+        return PieceDone(lines, None)
     before = [PartSums.from_dict(unsealed(line)) for line in piece.lines]
-    return PieceDone(len(new), lines, record_of(piece.vehicle, [*before, *new]))
+    return PieceDone(lines, record_of(piece.vehicle, [*before, *new]))
 
 
 def given_up(piece: Piece, why: str) -> PieceDone:
     """Return the result of a piece that took its worker down; its files are tried again by the next run."""
-    lines = {part.name: line_of(PartSums(part.name, "", 0.0, 0.0, None, None, why)) for part in piece.new}
-    record = VehicleRecord(piece.vehicle, 0, 0.0, None, None, why) if piece.whole else None
-    return PieceDone(len(piece.new), lines, record)
+    return _done(piece, [PartSums(part.name, "", 0.0, 0.0, None, None, why) for part in piece.new])

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from calib.errors import CalibError
-from calib.fleet.engine import Engine
 from calib.fleet.members import Member, labels_of, members_of
-from calib.fleet.reading import PieceDone, do_pieces, given_up, pieces_of, size_of
+from calib.fleet.reading import PieceDone, do_pieces, given_up, pieces_of
 from calib.fleet.store import SUMS, Keys, Store, line_of
 from calib.fleet.vehicle import PartSums, VehicleRecord
 from calib.fleet.view import FleetView, view_of
-from calib.fleet.workers import engine
+from calib.fleet.workers import Engine, engine
 from calib.result import plain
 
 #: called with the number of files done and the number to do
@@ -86,9 +83,10 @@ def fit_fleet(
     # workers start while this process lists the files
     with engine(workers, scheduler) as opened:
         members = members_of(folder)
-        lines = {name: line_of(part) for name, part in _still_valid(members, store.read()).items()}
-        n_kept = len(lines)
-        n_new = sum(len(member.parts) for member in members) - n_kept
+        kept, keys = store.read(), Keys()
+        parts = [part for member in members for part in member.parts]
+        lines = {part.name: line_of(kept[part.name]) for part in parts if keys.hold(kept.get(part.name), part)}
+        n_kept, n_new = len(lines), len(parts) - len(lines)
         records: dict[str, VehicleRecord] = {}
         with store.adding() as add:
             for done in _done(opened, members, lines):
@@ -100,28 +98,14 @@ def fit_fleet(
                     progress(len(lines) - n_kept, n_new)
         store.rewrite(lines)
     by_id = tuple(records[member.vehicle] for member in members)
-    labels = labels_of(folder, tuple(member.vehicle for member in members))
-    return Fleet(by_id, view_of(by_id, labels), n_new, n_kept)
+    return Fleet(by_id, view_of(by_id, labels_of(folder, members)), n_new, n_kept)
 
 
 def _done(opened: Engine, members: tuple[Member, ...], lines: Mapping[str, str]) -> Iterator[PieceDone]:
     """Yield what comes of the pieces; `lines` grows meanwhile; vehicles of many new files have their record last."""
     before = dict(lines)
     pieces = [piece for member in members for piece in pieces_of(member, before)]
-    yield from opened.run(do_pieces, pieces, given_up, size_of)
+    yield from opened.run(do_pieces, pieces, given_up, len)
     in_parts = {piece.vehicle for piece in pieces if not piece.whole}
     rest = [piece for member in members if member.vehicle in in_parts for piece in pieces_of(member, lines)]
-    yield from opened.run(do_pieces, rest, given_up, size_of)
-
-
-def _still_valid(members: tuple[Member, ...], kept: dict[str, PartSums]) -> dict[str, PartSums]:
-    """Return the kept sums whose files, logs and settings are there and unchanged."""
-    valid = {}
-    keys = Keys()
-    for member in members:
-        for part in member.parts:
-            have = kept.get(part.name)
-            with suppress(CalibError, OSError):
-                if have is not None and have.key and have.key == keys.of(part):
-                    valid[part.name] = have
-    return valid
+    yield from opened.run(do_pieces, rest, given_up, len)

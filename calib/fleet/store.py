@@ -6,19 +6,16 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Generic, Protocol, TypeVar
+from typing import Any, Final, Generic, Protocol, TypeVar
 
 from calib.documents import VERSION
 from calib.errors import BadInputError, CalibError
-from calib.io import sha256_file, sweep, temporary_beside
-from calib.result import plain_fields
-
-if TYPE_CHECKING:
-    from calib.fleet.members import Member, Part
-
+from calib.fleet.members import SETTINGS, Member, Part
+from calib.io import sha256_file, write_text
+from calib.result import plain
 
 SUMS: Final = "sums.jsonl"
 #: key of a line's seal: a digest of its other values, so that a damaged line is read anew
@@ -26,7 +23,7 @@ SEAL: Final = "seal"
 
 
 class Kept(Protocol):
-    """What can be kept: something with a name of its own and a key by which its source is known again."""
+    """What can be kept: a dataclass with a name of its own and a key by which its source is known again."""
 
     @property
     def name(self) -> str:
@@ -36,25 +33,10 @@ class Kept(Protocol):
     def key(self) -> str:
         """Key of the source's state; empty where it shall be done anew."""
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return it as plain JSON values."""
-
 
 @dataclass(frozen=True, slots=True)
 class VehicleResult:
-    """Result of a task for one vehicle.
-
-    Parameters
-    ----------
-    name : str
-        Its id.
-    key : str
-        By which its files are known again.
-    values : mapping
-        Plain JSON values of the result.
-    why : str
-        One line; empty where the task could be done.
-    """
+    """Result of a task for one vehicle: its id, the key of its files, plain JSON values; `why` it failed, one line."""
 
     name: str
     key: str
@@ -66,28 +48,14 @@ class VehicleResult:
         """``done`` or ``failed``."""
         return "failed" if self.why else "done"
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return it as plain JSON values."""
-        return plain_fields(self)
-
-    @staticmethod
-    def from_dict(value: Mapping[str, Any]) -> VehicleResult:
-        """Return what `to_dict` wrote."""
-        return VehicleResult(str(value["name"]), str(value["key"]), dict(value["values"]), str(value["why"]))
-
 
 Record = TypeVar("Record", bound=Kept)
 
 
 class Store(Generic[Record]):
-    """A file of records in a fleet's result folder: one line each, appended as they come.
+    """A file of records in a fleet's result folder, which it makes: one line each, appended as they come.
 
-    Parameters
-    ----------
-    path : Path
-        The file; its folder is made where it is missing.
-    from_dict : callable
-        Makes a record of what its `to_dict` wrote.
+    `from_dict` makes a record of its kept values.
     """
 
     def __init__(self, path: Path, from_dict: Callable[[Mapping[str, Any]], Record]) -> None:
@@ -129,19 +97,12 @@ class Store(Generic[Record]):
 
     def rewrite(self, lines: Mapping[str, str]) -> None:
         """Put all lines in order of their names, each once; the same bytes in any order of arrival."""
-        sweep(self.path)
-        temporary = temporary_beside(self.path)
-        try:
-            with temporary.open("x", encoding="utf-8") as stream:
-                stream.writelines(lines[name] for name in sorted(lines))
-            temporary.replace(self.path)
-        finally:
-            temporary.unlink(missing_ok=True)
+        write_text(self.path, "".join(lines[name] for name in sorted(lines)), force=True)
 
 
 def line_of(record: Kept) -> str:
     """Return the line that is kept of a record, with its seal."""
-    values = record.to_dict()
+    values = plain(record)
     return json.dumps({**values, SEAL: _seal(values)}, ensure_ascii=False) + "\n"
 
 
@@ -163,7 +124,6 @@ def _ends_whole(path: Path) -> bool:
         return stream.read(1) == b"\n"
 
 
-SETTINGS: Final = "campaign.toml"
 #: bytes of a digest in a key: chance makes two alike in no fleet
 DIGEST_BYTES: Final = 16
 
@@ -198,6 +158,13 @@ class Keys:
     def of_member(self, member: Member) -> str:
         """Return the key of all files of a vehicle."""
         return "|".join(f"{part.name}:{self.of(part)}" for part in member.parts)
+
+    def hold(self, kept: Kept | None, source: Part | Member) -> bool:
+        """Return whether a record is there and its source is unchanged."""
+        with suppress(CalibError, OSError):
+            key = self.of(source) if isinstance(source, Part) else self.of_member(source)
+            return kept is not None and kept.key != "" and kept.key == key
+        return False
 
 
 def _lines(folder: Path) -> Iterator[str]:

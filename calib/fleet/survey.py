@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.errors import BadInputError, CalibError, RefusedError
-from calib.fleet.comparison import Quantities, SharedCause, quantities_of, shared_causes
-from calib.fleet.members import Member, labels_of, members_of
+from calib.fleet.comparison import Labels, Quantities, SharedCause, quantities_of, shared_causes
+from calib.fleet.members import Member, labels_of, members_of, one_line
 from calib.fleet.reading import campaign_of
 from calib.fleet.run import Progress
 from calib.fleet.store import Keys, Store, VehicleResult, line_of
 from calib.fleet.workers import run_tasks
 from calib.result import plain
-
-if TYPE_CHECKING:
-    from calib.gap.decision.diagnosis import Cause
 
 #: what a vehicle's task weighs beside the reading of one file: from ten times as long (a check) to a thousand times
 WEIGHT: Final = 64
@@ -84,13 +81,14 @@ def survey_fleet(
     if what not in TASKS:
         raise BadInputError(f"what: found {what!r}; expected fit or one of {', '.join(TASKS)}; choose one")
     members = members_of(folder)
-    store = Store(Path(into) / f"{what}.jsonl", VehicleResult.from_dict)
-    before = store.read()
-    keys = Keys()
-    kept = {member.vehicle: before[member.vehicle] for member in members if _valid(member, before, keys)}
+    store = Store(Path(into) / f"{what}.jsonl", lambda values: VehicleResult(**values))
+    before, keys = store.read(), Keys()
+    kept = {
+        member.vehicle: before[member.vehicle] for member in members if keys.hold(before.get(member.vehicle), member)
+    }
     todo = [member for member in members if member.vehicle not in kept]
     n_kept = len(kept)
-    results = run_tasks(TASKS[what], todo, _given_up, _weight, workers=workers, scheduler=scheduler)
+    results = run_tasks(TASKS[what], todo, _given_up, lambda _member: WEIGHT, workers=workers, scheduler=scheduler)
     with store.adding() as add:
         for number, record in enumerate(results, 1):
             add({record.name: line_of(record)})
@@ -99,42 +97,26 @@ def survey_fleet(
                 progress(number, len(todo))
     store.rewrite({name: line_of(record) for name, record in kept.items()})
     records = tuple(kept[member.vehicle] for member in members)
-    labels = labels_of(folder, tuple(member.vehicle for member in members))
-    shared = shared_causes(records, labels)
-    return Survey(what, records, shared, len(todo), n_kept, _quantities(records, labels))
-
-
-def _valid(member: Member, kept: Mapping[str, VehicleResult], keys: Keys) -> bool:
-    """Return whether a vehicle's record is there and its files are unchanged."""
-    record = kept.get(member.vehicle)
-    try:
-        return record is not None and record.key != "" and record.key == keys.of_member(member)
-    except (CalibError, OSError):
-        return False
-
-
-def _weight(_member: Member) -> int:
-    return WEIGHT
+    labels = labels_of(folder, members)
+    return Survey(what, records, shared_causes(records, labels), len(todo), n_kept, _quantities(records, labels))
 
 
 def _given_up(member: Member, why: str) -> VehicleResult:
     return VehicleResult(member.vehicle, "", why=why)
 
 
-def _quantities(records: Sequence[VehicleResult], labels: Mapping[str, Mapping[str, str]]) -> Quantities | None:
+def _quantities(records: Sequence[VehicleResult], labels: Labels) -> Quantities | None:
     """Return what the fleet shows in the vehicles' estimates; None where the task makes none."""
     done = [record for record in records if "estimates" in record.values]
     if not done:
         return None
-    names = list(dict.fromkeys(name for record in done for name in record.values["estimates"]))
-    table = {
-        key: {
-            name: np.array([record.values["estimates"].get(name, {}).get(key, np.nan) for record in done])
-            for name in names
-        }
+    estimates = [record.values["estimates"] for record in done]
+    names = list(dict.fromkeys(name for one in estimates for name in one))
+    values, std = (
+        {name: np.array([one.get(name, {}).get(key, np.nan) for one in estimates]) for name in names}
         for key in ("value", "sd")
-    }
-    return quantities_of([record.name for record in done], table["value"], table["sd"], labels)
+    )
+    return quantities_of([record.name for record in done], values, std, labels)
 
 
 def _campaign(member: Member) -> Campaign:
@@ -165,20 +147,11 @@ def _diagnose(member: Member) -> dict[str, Any]:
     from calib.gap.diagnose import diagnose_in_full
 
     verdict = diagnose_in_full(_campaign(member), plan=False)
-    return {
-        "verdict": str(verdict.kind),
-        "sentence": verdict.sentence,
-        "causes": [
-            {"effect": cause.effect, "probability": cause.probability}
-            | ({"x_m": cause.settings["x_m"], "size_m": cause.settings["size_m"]} if _has_place(cause) else {})
-            for cause in verdict.causes
-        ],
-    }
-
-
-def _has_place(cause: Cause) -> bool:
-    """Return whether a cause lies at a place on the floor."""
-    return {"x_m", "size_m"} <= set(cause.settings)
+    causes = []
+    for cause in verdict.causes:
+        place = {key: cause.settings[key] for key in ("x_m", "size_m") if key in cause.settings}
+        causes.append({"effect": cause.effect, "probability": cause.probability} | (place if len(place) == 2 else {}))
+    return {"verdict": str(verdict.kind), "sentence": verdict.sentence, "causes": causes}
 
 
 def _geometry(member: Member) -> dict[str, Any]:
@@ -202,7 +175,7 @@ def _run(task: Callable[[Member], dict[str, Any]], members: Sequence[Member]) ->
             key = keys.of_member(member)
             records.append(VehicleResult(member.vehicle, key, task(member)))
         except (CalibError, OSError) as error:
-            records.append(VehicleResult(member.vehicle, key, why=" ".join(str(error).split())))
+            records.append(VehicleResult(member.vehicle, key, why=one_line(error)))
     return records
 
 

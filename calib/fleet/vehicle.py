@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import reduce
 from typing import Any, Final
 
 import numpy as np
 
 from calib.radius.sessions import SessionSums, line_from_sums
-from calib.result import plain_fields
 
 WHEELS: Final = ("left", "right")
 COVERAGE: Final = 0.95
@@ -37,31 +37,22 @@ class PartSums:
     key: str
     reference_load_N: float
     radius_m: float
-    left: SessionSums | None = field(metadata={"json": False})
-    right: SessionSums | None = field(metadata={"json": False})
+    left: SessionSums | None
+    right: SessionSums | None
     why: str = ""
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return it as plain JSON values."""
-        return plain_fields(self, wheels={"left": self.left, "right": self.right})
 
     @staticmethod
     def from_dict(value: Mapping[str, Any]) -> PartSums:
-        """Return what `to_dict` wrote."""
-        left, right = (_sums(value["wheels"][name]) for name in WHEELS)
-        reference, nominal = float(value["reference_load_N"]), float(value["radius_m"])
-        return PartSums(str(value["name"]), str(value["key"]), reference, nominal, left, right, str(value["why"]))
+        """Return what was kept."""
+        return PartSums(**{**value, **{side: _sums(value[side]) for side in WHEELS}})
 
 
 def _sums(value: Mapping[str, Any] | None) -> SessionSums | None:
     if value is None:
         return None
-    return SessionSums(
-        np.array(value["session"], dtype=np.str_),
-        np.array(value["table"], dtype=np.float64).reshape(-1, 8),
-        float(value["load_min_N"]),
-        float(value["load_max_N"]),
-    )
+    table = np.array(value["table"], dtype=np.float64).reshape(-1, 8)
+    labels = np.array(value["session"], dtype=np.str_)
+    return SessionSums(labels, table, float(value["load_min_N"]), float(value["load_max_N"]))
 
 
 @dataclass(frozen=True)
@@ -158,28 +149,20 @@ def record_of(vehicle: str, parts: Sequence[PartSums]) -> VehicleRecord:
         Failed where a file could not be used, files count from different origins, or the runs carry no line.
     """
     parts = sorted(parts, key=lambda part: part.name)
-    wrong = next((part.why for part in parts if part.why), "") or ("" if parts else "it has no file of journeys")
+    wrong = next((part.why for part in parts if part.why), "" if parts else "it has no file of journeys")
     origins = {(part.reference_load_N, part.radius_m) for part in parts}
     if not wrong and len(origins) > 1:
         wrong = "its files have different reference loads or nominal radii; expected one campaign.toml for all"
     if wrong:
         return VehicleRecord(vehicle, 0, 0.0, None, None, wrong)
     reference, nominal = next(iter(origins))
-    lines = []
-    n_runs = 0
-    for side in WHEELS:
-        whole: SessionSums | None = None
-        for part in parts:
-            sums = getattr(part, side)
-            whole = sums if whole is None else whole.added(sums)
-        assert whole is not None
-        n_runs = int(whole.n_runs)
-        line = _line(whole, nominal)
-        if line is None:
-            why = f"{n_runs} runs carry no line; expected three or more, at two loads or more"
-            return VehicleRecord(vehicle, n_runs, reference, None, None, why)
-        lines.append(line)
-    return VehicleRecord(vehicle, n_runs, reference, lines[0], lines[1])
+    sums = [reduce(SessionSums.added, (getattr(part, side) for part in parts)) for side in WHEELS]
+    n_runs = int(sums[0].n_runs)
+    left, right = (_line(of_side, nominal) for of_side in sums)
+    if left is None or right is None:
+        why = f"{n_runs} runs carry no line; expected three or more, at two loads or more"
+        return VehicleRecord(vehicle, n_runs, reference, None, None, why)
+    return VehicleRecord(vehicle, n_runs, reference, left, right)
 
 
 def _line(sums: SessionSums, nominal_m: float) -> WheelLine | None:

@@ -1,31 +1,40 @@
-"""Where the tasks of a fleet run: in this process, in processes of this machine, or on a Dask scheduler."""
+"""What runs the tasks of a fleet: this process, processes of this machine, or the workers of a Dask scheduler."""
 
 from __future__ import annotations
 
+import re
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, Final
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
-from calib.errors import RefusedError
-from calib.fleet.dask import DaskEngine
-from calib.fleet.engine import (
-    SHARED_MODULES,
-    WORKER_MODULES,
-    Engine,
-    Item,
-    Outcome,
-    Result,
-    Task,
-    equal_weight,
-    import_modules,
-)
+from calib.errors import BadInputError, MissingExtraError, RefusedError
 
 if TYPE_CHECKING:
-    from concurrent.futures import Future, ProcessPoolExecutor
+    from concurrent.futures import ProcessPoolExecutor
 
-#: pieces of work in a batch, least and most: a file takes 3 ms or more and a hand-over to a process 2 ms
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+Task = Callable[[Sequence[Item]], list[Result]]
+
+#: a batch is at most this part of a worker's share of the remaining work: the last ones are small, so that all workers
+#: end together
+PARTS_OF_A_SHARE: Final = 2
+#: pieces of work in a batch, least and most. Here: between two progress reports. In processes: a file takes 3 ms or
+#: more and a hand-over 2 ms. By Dask: a task costs client, scheduler and worker 8 ms together
+SERIAL_BATCH: Final = (1, 16)
 PROCESS_BATCH: Final = (4, 64)
+DASK_BATCH: Final = (8, 256)
+#: what nearly every task needs and the parent too: imported before processes are made of it
+SHARED_MODULES: Final = ("calib.fleet.reading", "scipy.special")
+#: what nearly every task needs and what starts threads: imported by each worker
+WORKER_MODULES: Final = ("pyarrow.parquet",)
+#: how long a scheduler may take to answer and to close, and how long nothing may come back before it is asked
+ANSWER_S: Final = 10.0
+CLOSE_S: Final = 2.0
+QUIET_S: Final = 20.0
+_ADDRESS: Final = re.compile(r"(tcp|tls)://([^\s/:]+|\[[0-9a-fA-F:]+\]):\d{1,5}")
 
 
 @contextmanager
@@ -33,7 +42,8 @@ def engine(workers: int = 1, scheduler: str = "") -> Iterator[Engine]:
     """Open an engine: this process, processes of this machine, or the workers of a Dask scheduler.
 
     `workers`: processes; 1 is this process. `scheduler`: address of a Dask scheduler (``tcp://host:port``), in place of
-    `workers`. Raises MissingExtraError where Dask is not installed, RefusedError where the scheduler does not answer.
+    `workers`. Raises BadInputError for what is no address, MissingExtraError where Dask is not installed, RefusedError
+    where the scheduler does not answer, at the start or later.
     """
     opened = DaskEngine(scheduler) if scheduler else ProcessEngine(workers) if workers > 1 else Engine()
     try:
@@ -46,7 +56,7 @@ def run_tasks(
     task: Task[Item, Result],
     items: Sequence[Item],
     given_up: Callable[[Item, str], Result],
-    weigh: Callable[[Item], int] = equal_weight,
+    weigh: Callable[[Item], int] = lambda _item: 1,
     *,
     workers: int = 1,
     scheduler: str = "",
@@ -56,20 +66,154 @@ def run_tasks(
         yield from opened.run(task, items, given_up, weigh)
 
 
+def batches(
+    items: Sequence[Item], weigh: Callable[[Item], int], largest: int, workers: int = 1, smallest: int = 1
+) -> list[Sequence[Item]]:
+    """Cut items into batches in their order.
+
+    Parameters
+    ----------
+    items, weigh : sequence, callable
+        What to do, and how many pieces of work an item stands for.
+    largest, smallest : int
+        Pieces of work in a batch, at most (a single item may stand for more) and at least (but for the last).
+    workers : int
+        How many share them.
+
+    Returns
+    -------
+    list of sequence
+        None of them empty.
+    """
+    weights = [max(weigh(item), 1) for item in items]
+    remaining = sum(weights)
+    cut: list[Sequence[Item]] = []
+    first = filled = 0
+    for number, weight in enumerate(weights):
+        share = max(smallest, remaining // (PARTS_OF_A_SHARE * workers))
+        if filled and filled + weight > min(largest, share):
+            cut.append(items[first:number])
+            remaining -= filled
+            first, filled = number, 0
+        filled += weight
+    if filled:
+        cut.append(items[first:])
+    return cut
+
+
+class Engine:
+    """Runs tasks in this process; the engines below submit to others, whose workers stay between two calls."""
+
+    #: least and most pieces of work in a batch
+    batch: tuple[int, int] = SERIAL_BATCH
+    #: batches submitted at once
+    most_submitted: int = 1
+
+    @property
+    def workers(self) -> int:
+        """How many batches run at once."""
+        return 1
+
+    def close(self) -> None:
+        """End the workers."""
+
+    def submit(self, task: Task[Item, Result], batch: Sequence[Item]) -> Future[list[Result]]:
+        """Begin a batch; raises BrokenExecutor where no worker is left."""
+        future: Future[list[Result]] = Future()
+        future.set_result(task(batch))
+        return future
+
+    def result(self, future: Future[list[Result]]) -> list[Result] | None:
+        """Return a batch's results; None where its worker died."""
+        try:
+            return future.result()
+        except BrokenExecutor:
+            return None
+
+    def renew(self) -> None:
+        """Replace the workers after one has died."""
+
+    def ask(self) -> None:
+        """Raise RefusedError where no worker is there any more; called when nothing comes back for `QUIET_S`."""
+
+    def run(
+        self,
+        task: Task[Item, Result],
+        items: Sequence[Item],
+        given_up: Callable[[Item, str], Result],
+        weigh: Callable[[Item], int],
+    ) -> Iterator[Result]:
+        """Run a task on all items, a few at a time, and yield the results as they come.
+
+        A worker that dies costs its own batches: their items are tried again one by one, so that the one that kills its
+        worker is found and the others go through.
+
+        Parameters
+        ----------
+        task : callable
+            Takes some items and returns a result for each; a module's function, since it is sent to others by name.
+        items : sequence
+            What to do.
+        given_up : callable
+            Makes the result of an item that took its worker down twice, from the item and the reason.
+        weigh : callable
+            Pieces of work that an item stands for, so that batches are alike.
+
+        Yields
+        ------
+        Result
+            One an item.
+        """
+        smallest, largest = self.batch
+        suspects: list[Item] = []
+        cut = batches(items, weigh, largest, self.workers, smallest)
+        for batch, results in self._completed(task, cut, self.most_submitted):
+            if results is None:
+                suspects += batch
+            else:
+                yield from results
+        for (item,), results in self._completed(task, [[item] for item in suspects], 1):
+            if results is None:
+                yield given_up(item, "its worker died twice; expected one that ends; read it alone")
+            else:
+                yield from results
+
+    def _completed(
+        self, task: Task[Item, Result], cut: Sequence[Sequence[Item]], at_once: int
+    ) -> Iterator[tuple[Sequence[Item], list[Result] | None]]:
+        """Yield batches with their results as they are done, None where the worker died; others then go on."""
+        queue, running, broken = deque(cut), dict[Future[list[Result]], Sequence[Item]](), False
+        while queue or running:
+            while queue and not broken and len(running) < at_once:
+                try:
+                    running[self.submit(task, queue[0])] = queue[0]
+                    queue.popleft()
+                except BrokenExecutor:  # between two tasks: nothing of this batch was begun
+                    broken = True
+            done = wait(running, QUIET_S, FIRST_COMPLETED).done if running else set()
+            if running and not done:
+                self.ask()
+            for future in done:
+                batch, results = running.pop(future), self.result(future)
+                broken = broken or results is None
+                yield batch, results
+            if broken and not running:
+                self.renew()
+                broken = False
+
+
 class ProcessEngine(Engine):
     """Processes of this machine, started at once: they import what they need while their parent lists the work."""
 
     batch = PROCESS_BATCH
 
     def __init__(self, workers: int) -> None:
-        self._workers = workers
-        self._pool: ProcessPoolExecutor | None = None
+        self._workers, self.most_submitted = workers, 2 * workers
         if _may_fork():
             import_modules(SHARED_MODULES)
-            # the first task makes the workers, as long as this process has no other thread
-            self._opened().submit(int)
-        else:
-            _server()
+        self._pool = self._started()
+        # the first task makes the workers, as long as this process has no other thread
+        self._pool.submit(int)
 
     @property
     def workers(self) -> int:
@@ -78,72 +222,30 @@ class ProcessEngine(Engine):
 
     def close(self) -> None:
         """End the processes."""
-        if self._pool is not None:
-            self._pool.shutdown(cancel_futures=True)
-            self._pool = None
+        self._pool.shutdown(cancel_futures=True)
 
-    def completed(self, task: Task[Item, Result], cut: Sequence[Sequence[Item]]) -> Iterator[Outcome[Item, Result]]:
-        """Yield the batches as they are done; when a worker dies, those at work yield None and a new pool goes on."""
-        from concurrent.futures import FIRST_COMPLETED, wait
-        from concurrent.futures.process import BrokenProcessPool
+    def submit(self, task: Task[Item, Result], batch: Sequence[Item]) -> Future[list[Result]]:
+        """Begin a batch in a process; raises BrokenExecutor where one has died."""
+        return self._pool.submit(task, batch)
 
-        queue, running, broken = deque(cut), dict[Any, Sequence[Item]](), False
-        while queue or running:
-            while queue and not broken and len(running) < 2 * self._workers:
-                try:
-                    running[self._opened().submit(task, queue[0])] = queue[0]
-                    queue.popleft()
-                except BrokenProcessPool:  # between two tasks: nothing of this batch was begun
-                    broken = True
-            done: set[Future[list[Result]]] = wait(running, return_when=FIRST_COMPLETED).done if running else set()
-            for future in done:
-                batch = running.pop(future)
-                try:
-                    yield batch, future.result()
-                except BrokenProcessPool:
-                    broken = True
-                    yield batch, None
-            if broken and not running:
-                self.close()
-                _refuse_unless_it_starts(self._opened())
-                broken = False
-
-    def alone(self, task: Task[Item, Result], item: Item) -> list[Result] | None:
-        """Return the result of an item in a process of its own; None where that dies."""
-        from concurrent.futures.process import BrokenProcessPool
-
+    def renew(self) -> None:
+        """Start other processes; raises RefusedError where they die before their first task: no item is to blame."""
         self.close()
-        pool = self._opened(1)
-        _refuse_unless_it_starts(pool)
+        self._pool = self._started()
         try:
-            return pool.submit(task, [item]).result()
-        except BrokenProcessPool:
-            return None
-        finally:
-            self.close()
+            self._pool.submit(int).result()
+        except BrokenExecutor as error:
+            raise RefusedError(
+                "workers: found processes that end before their first task; expected some that can start; "
+                "use one worker, and import calib in a process of its own to see what it lacks"
+            ) from error
 
-    def _opened(self, workers: int | None = None) -> ProcessPoolExecutor:
+    def _started(self) -> ProcessPoolExecutor:
         from concurrent.futures import ProcessPoolExecutor
         from multiprocessing import get_context
 
-        if self._pool is None:
-            context = get_context("fork") if _may_fork() else _server()
-            count = self._workers if workers is None else workers
-            self._pool = ProcessPoolExecutor(count, mp_context=context, initializer=_begin_worker)
-        return self._pool
-
-
-def _refuse_unless_it_starts(pool: ProcessPoolExecutor) -> None:
-    """Refuse a pool whose workers die before they are given anything: no item is to blame for that."""
-    from concurrent.futures.process import BrokenProcessPool
-
-    try:
-        pool.submit(int).result()
-    except BrokenProcessPool as error:
-        raise RefusedError(
-            "workers: found processes that end before their first task; expected some that can start; "
-            "use one worker, and import calib in a process of its own to see what it lacks"
-        ) from error
+        context = get_context("fork") if _may_fork() else _server()
+        return ProcessPoolExecutor(self._workers, mp_context=context, initializer=_begin_worker)
 
 
 def _may_fork() -> bool:
@@ -163,11 +265,8 @@ def _server() -> Any:
 
     if "forkserver" not in get_all_start_methods():
         return get_context("spawn")
-    from multiprocessing.forkserver import ensure_running
-
     server = get_context("forkserver")
     server.set_forkserver_preload(["__main__", *SHARED_MODULES, *WORKER_MODULES])
-    ensure_running()
     return server
 
 
@@ -184,9 +283,120 @@ def _begin_worker() -> None:
 def _end_with_parent() -> None:
     import os
     from multiprocessing import parent_process
-    from multiprocessing.connection import wait
+    from multiprocessing.connection import wait as wait_for
 
     parent = parent_process()
     if parent is not None:
-        wait([parent.sentinel])
+        wait_for([parent.sentinel])
         os._exit(1)
+
+
+def import_modules(modules: Sequence[str]) -> None:
+    """Import modules, so that the first task need not; those that are not installed are skipped."""
+    import importlib
+
+    for module in modules:
+        # an extra that is not installed: the task reports it where it needs it
+        with suppress(ImportError):
+            importlib.import_module(module)
+
+
+class DaskEngine(Engine):
+    """The workers of a Dask scheduler, which moves the tasks of a worker that dies to another."""
+
+    batch = DASK_BATCH
+    most_submitted = 1_000_000
+
+    def __init__(self, scheduler: str) -> None:
+        import logging
+
+        if not _ADDRESS.fullmatch(scheduler):
+            raise BadInputError(
+                f"scheduler: found {scheduler!r}; expected tcp://host:port or tls://host:port; "
+                "give the address that the scheduler prints at its start"
+            )
+        try:
+            from distributed import Client, fire_and_forget
+        except ImportError as error:
+            raise MissingExtraError("a Dask scheduler", "distributed", "fleet") from error
+        # what goes wrong is said once, by the error
+        for name in [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]:
+            logging.getLogger(name).setLevel(logging.CRITICAL)
+        self._address = scheduler
+        try:
+            _identify(scheduler)
+            self._client = Client(scheduler, timeout=ANSWER_S, set_as_default=False)
+        except (OSError, TimeoutError, ValueError) as error:
+            raise self._lost(error) from error
+        # the workers import what they need while this process lists the work
+        modules = (*SHARED_MODULES, *WORKER_MODULES)
+        for worker in self._client.nthreads():
+            fire_and_forget(
+                self._client.submit(import_modules, modules, workers=[worker], allow_other_workers=True, pure=False)
+            )
+        self._executor = self._client.get_executor(pure=False)
+
+    @property
+    def workers(self) -> int:
+        """How many threads the scheduler's workers have together."""
+        threads: int = sum(self._client.nthreads().values())
+        return max(1, threads)
+
+    def close(self) -> None:
+        """Leave the scheduler, even one that no longer answers."""
+        with suppress(OSError, TimeoutError, CancelledError, RuntimeError):
+            self._client.close(timeout=CLOSE_S)
+
+    def submit(self, task: Task[Item, Result], batch: Sequence[Item]) -> Future[list[Result]]:
+        """Give a batch to the scheduler, as bytes: it need not know what it passes on."""
+        from distributed.protocol import serialize
+
+        future: Future[list[Result]] = self._executor.submit(_unpacked, *serialize((task, batch)))
+        return future
+
+    def result(self, future: Future[list[Result]]) -> list[Result] | None:
+        """Return a batch's results; None where the scheduler blames it for a worker's death."""
+        from distributed import KilledWorker
+
+        try:
+            return future.result(ANSWER_S)
+        except KilledWorker:
+            return None
+        except (CancelledError, OSError, TimeoutError) as error:
+            raise self._lost(error) from error
+
+    def ask(self) -> None:
+        """Raise RefusedError where the scheduler does not answer."""
+        try:
+            self._client.sync(self._client.scheduler.identity, callback_timeout=ANSWER_S)
+        except (OSError, TimeoutError) as error:
+            raise self._lost(error) from error
+
+    def _lost(self, error: BaseException) -> RefusedError:
+        why = " ".join(str(error).split())[:100] or type(error).__name__
+        return RefusedError(
+            f"scheduler {self._address}: found no answer ({why}); expected a Dask scheduler; start one, or leave the "
+            "scheduler away; what was done before is kept"
+        )
+
+
+def _identify(address: str) -> None:
+    """Ask an address for its identity as a scheduler; a client that waits in vain could not be closed."""
+    import asyncio
+
+    from distributed import rpc
+
+    async def identity() -> None:
+        async with rpc(address, timeout=ANSWER_S) as scheduler:
+            await asyncio.wait_for(scheduler.identity(), ANSWER_S)
+
+    asyncio.run(identity())
+
+
+def _unpacked(header: Any, frames: Any) -> list[Any]:
+    """Run a task on items that came as bytes."""
+    from distributed.protocol import deserialize
+
+    task, items = deserialize(header, frames)
+    results: list[Any] = task(items)
+    return results

@@ -49,10 +49,10 @@ class Score:
         named = {
             "outliers": {outlier.vehicle for outlier in view.outliers},
             "drifting": {drifting.vehicle for drifting in view.drifting},
-            "common": {f"{cause.label} {cause.value} {' '.join(cause.what.split()[:2])}" for cause in view.common},
+            "common": {f"{cause.label} {cause.value} {cause.quantity}" for cause in view.common},
         }
         truth = fleet.truth
-        hall = {"hall B right radius"} if truth.common else set()
+        hall = {"hall B radius_right_ref_m"} if truth.common else set()
         planted = {"outliers": set(truth.outliers), "drifting": set(truth.drifting), "common": hall}
         for kind, vehicles in planted.items():
             self.planted[kind] += len(vehicles)

@@ -14,7 +14,7 @@ import pytest
 
 from calib.cli.main import run
 from calib.errors import BadInputError, RefusedError
-from calib.fleet import dask as engine_module
+from calib.fleet import workers as engine_module
 from calib.fleet.workers import engine, run_tasks
 from tests.fleet.slow import doubled
 

@@ -83,7 +83,7 @@ def test_geometry_of_a_fleet_has_populations_and_what_a_hall_shares(
     survey = survey_fleet(fleet, tmp_path / "out", "geometry")
     assert survey.quantities is not None
     assert [outlier.vehicle for outlier in survey.quantities.outliers] == ["v05"]
-    shared = [(one.label, one.value, one.quantity) for one in survey.quantities.differences]
+    shared = [(one.label, one.value, one.quantity) for one in survey.quantities.common]
     assert shared == [("hall", "A", "track_m"), ("hall", "B", "track_m")]
     low, high = survey.quantities.populations["radius_left_m"].mean_ci95
     assert low < 0.1 < high
@@ -92,7 +92,7 @@ def test_geometry_of_a_fleet_has_populations_and_what_a_hall_shares(
     assert written["geometry.pdf"].read_bytes().startswith(b"%PDF")
     text = written["geometry.html"].read_text(encoding="utf-8")
     assert "v05, radius left" in text
-    assert all(escape(difference.sentence) in text for difference in survey.quantities.differences)
+    assert all(escape(difference.sentence) in text for difference in survey.quantities.common)
 
 
 def test_the_geometry_of_a_vehicle_is_that_of_its_campaign(fleet: Path, tmp_path: Path) -> None:

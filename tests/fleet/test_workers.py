@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.fleet.engine import batches
+from calib.fleet.workers import batches
 
 LARGEST = 16
 

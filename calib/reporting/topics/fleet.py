@@ -62,7 +62,7 @@ def _population_table(populations: Mapping[str, Population]) -> Table:
         low, high = (scale * end for end in population.spread_ci95)
         rows.append(
             (
-                shown.removesuffix(" ref"),
+                shown,
                 f"{scale * population.mean:.{digits}f} ± {scale * half:.{digits}f}",
                 f"{scale * population.spread:.{digits}f}",
                 f"{low:.{digits}f} to {high:.{digits}f}",
@@ -139,7 +139,7 @@ def survey_content(survey: Survey, *, page: bool = False) -> tuple[Block, ...]:
         apart = [f"{outlier.vehicle}, {outlier.why}" for outlier in quantities.outliers]
         blocks += _counted("Outlying vehicles", apart)
     shared = [cause.sentence for cause in survey.shared]
-    shared += [difference.sentence for difference in quantities.differences] if quantities is not None else []
+    shared += [difference.sentence for difference in quantities.common] if quantities is not None else []
     if shared:
         blocks += [Heading("Common to many vehicles"), Items(tuple(shared[:MAX_ROWS]))]
     return (*blocks, *_counted("Failed", [f"{record.name}: {record.why}" for record in failed]))
