@@ -143,7 +143,7 @@ class Engine:
         given_up: Callable[[Item, str], Result],
         weigh: Callable[[Item], int],
     ) -> Iterator[Result]:
-        """Run a task on all items, a few at a time, and yield the results as they come.
+        """Run a task on all items, a few at a time, and yield the results as they come, one an item.
 
         A worker that dies costs its own batches: their items are tried again one by one, so that the one that kills its
         worker is found and the others go through.
@@ -158,11 +158,6 @@ class Engine:
             Makes the result of an item that took its worker down twice, from the item and the reason.
         weigh : callable
             Pieces of work that an item stands for, so that batches are alike.
-
-        Yields
-        ------
-        Result
-            One an item.
         """
         smallest, largest = self.batch
         suspects: list[Item] = []
