@@ -75,7 +75,7 @@ def describe(sources: Sequence[Path | str]) -> Description:
     BadInputError
         Where a source cannot be read.
     """
-    from calib.campaign.ingest import describe as described
+    from calib.campaign.ingest.describe import describe as described
 
     return described([Path(source) for source in sources])
 
@@ -107,7 +107,7 @@ def ingest(
     BadInputError
         Where a source cannot be used, the mapping names a column that is not there, or the target exists.
     """
-    from calib.campaign.ingest import ingest as ingested
+    from calib.campaign.ingest.build import ingest as ingested
     from calib.campaign.read import read_campaign
 
     made = ingested(

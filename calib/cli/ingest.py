@@ -10,7 +10,7 @@ import typer
 from calib.cli.terminal import Force, JsonTarget, emit_json, emit_text, progress, say, waiting, wants_stdout
 
 if TYPE_CHECKING:
-    from calib.campaign.ingest import Ingested
+    from calib.campaign.ingest.build import Ingested
 
 #: runs cut out of a recording that are listed
 _LISTED_RUNS = 8
@@ -49,7 +49,7 @@ def run(
         raise BadInputError(
             "--into: found no campaign folder to make; expected one; give --into FOLDER, or --describe to look first"
         )
-    from calib.campaign.ingest import ingest, merged_notes
+    from calib.campaign.ingest.build import ingest, merged_notes
     from calib.result import plain
 
     with progress("reading") as tick:
@@ -75,7 +75,7 @@ def run(
 
 
 def _describe(sources: list[Path], json: str | None, force: bool) -> None:
-    from calib.campaign.ingest import describe
+    from calib.campaign.ingest.describe import describe
 
     with waiting("looking"):
         description = describe(sources)

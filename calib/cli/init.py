@@ -21,7 +21,7 @@ def run(
 
     Example: calib init hall3
     """
-    from calib.campaign.ingest.build import write_blank
+    from calib.campaign.ingest.describe import write_blank
 
     written = write_blank(folder, force=force)
     emit_json({"campaign": str(folder), "written": [str(path) for path in written]}, json, force=force)

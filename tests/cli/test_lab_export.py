@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.campaign.ingest import describe
+from calib.campaign.ingest.describe import describe
 from calib.cli.main import run
 from calib.runtime import Coefficients, Odometer, Status
 from tests.campaign.ingest.lab import N_RUNS, SWAPPED, Lab, german, plain

@@ -13,13 +13,19 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.campaign.counters import detect_wrap_bits
-from calib.campaign.ingest.guesses import count_unit, guessed_table_column, stem_and_unit
+from calib.campaign.ingest.guesses import (
+    behaviour,
+    count_unit,
+    guessed_table_column,
+    rises_evenly,
+    stem_and_unit,
+    usual_step,
+)
 from calib.campaign.readers import Layout, RawTable, holds_recording, read_recording, read_table
-from calib.campaign.readers.recording import Stream, check_not_empty
+from calib.campaign.readers.recording import StreamContents, check_not_empty
 from calib.campaign.readers.table import FORMAT_NAMES, comma_evidence, filled_cells, numbers, time_format
-from calib.campaign.readers.workbook import sheet_names
 from calib.errors import BadFileError
-from calib.types import FloatArray, IntArray
+from calib.types import IntArray
 
 #: different texts of a column that are listed
 _LISTED_TEXTS: Final = 6
@@ -31,14 +37,6 @@ _LISTED_PROPERTIES: Final = 12
 _LISTED_SHEET: Final = 200
 #: characters of a remark's line
 _WIDTH: Final = 78
-#: share of all steps that a column rises by in the end, where it rises without a break
-_RISES: Final = 0.98
-#: shares of a turn: a jump back of an angle, and its span with rounding
-_JUMP, _ONE_TURN = 0.75, 1.001
-#: how far a clock's step is from the usual one, as a share of it, and the share of steps that are so
-_EVEN, _MOSTLY = 0.05, 0.9
-#: least correlation of a counter's steps with the next: a smooth drive has nearly 1, noise on a speed -0.5
-_ALIKE: Final = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,41 +88,6 @@ class ColumnContents:
 
 
 @dataclass(frozen=True, slots=True)
-class StreamContents:
-    """A stream of a recording, with what its clock shows; zeros where it has none."""
-
-    name: str
-    kind: str
-    n_samples: int
-    clock: str
-    columns: tuple[str, ...]
-    span_s: float = 0.0
-    rate_Hz: float = 0.0
-    n_gaps: int = 0
-    longest_gap_s: float = 0.0
-    start_ns: int | None = None
-    behind_arrival_s: float | None = None
-
-    @staticmethod
-    def of(stream: Stream) -> StreamContents:
-        """Return the contents of a stream as read."""
-        contents = StreamContents(stream.name, stream.kind, len(stream), stream.clock, tuple(stream.columns))
-        report = stream.report()
-        if report is not None:
-            names = ("span_s", "rate_Hz", "n_gaps", "longest_gap_s", "start_ns")
-            contents = replace(contents, **{name: getattr(report, name) for name in names})
-        return replace(contents, behind_arrival_s=stream.behind_arrival_s)
-
-    def words(self) -> str:
-        """Return the stream in words."""
-        text = f"{self.name} ({self.kind}): {self.n_samples} samples"
-        if self.start_ns is None:
-            return text + ", without a clock"
-        text += f" over {self.span_s:.5g} s at {self.rate_Hz:.4g} Hz, clock: {self.clock}"
-        return text + (f", {self.n_gaps} gap(s) up to {self.longest_gap_s:.3g} s" if self.n_gaps else "")
-
-
-@dataclass(frozen=True, slots=True)
 class FileContents:
     """A file."""
 
@@ -159,7 +122,11 @@ def file_contents(path: Path) -> FileContents:
     shown = str(path)
     if holds_recording(path):
         return _recording_contents(path, shown)
-    names = sheet_names(path, shown) if path.suffix.lower() == ".xlsx" else []
+    names: list[str] = []
+    if path.suffix.lower() == ".xlsx":
+        from calib.campaign.readers.workbook import sheet_names
+
+        names = sheet_names(path, shown)
     if len(names) < 2:
         return _table_contents(path, shown, "")
     sheets: dict[str, FileContents] = {}
@@ -168,7 +135,7 @@ def file_contents(path: Path) -> FileContents:
         with suppress(BadFileError):
             sheets[name] = _table_contents(path, shown, name)
     usual = [name for name, sheet in sheets.items() if len(sheet.columns) > 1 and sheet.n_rows]
-    runs = [name for name in usual if any(_names_runs(column.name) for column in sheets[name].columns)]
+    runs = [name for name in usual if any(guessed_table_column(one.name) == "run_id" for one in sheets[name].columns)]
     chosen = next(iter(runs or usual), None)
     if chosen is None:
         return _table_contents(path, shown, "")
@@ -177,10 +144,6 @@ def file_contents(path: Path) -> FileContents:
     if contents.columns == sheets[chosen].columns:
         return replace(contents, others=others)
     return replace(sheets[chosen], sheet=chosen, others=others)
-
-
-def _names_runs(name: str) -> bool:
-    return (guessed_table_column(name) or ("",))[0] == "run_id"
 
 
 def _table_contents(path: Path, shown: str, sheet: str) -> FileContents:
@@ -237,58 +200,9 @@ def _column_contents(
         wrap_bits=bits,
         whole=whole,
         does="" if bits or len(known) <= _FEW_ROWS else behaviour(known, whole=whole),
-        step=_usual_step(known),
-        even=_rises_evenly(known),
+        step=usual_step(known),
+        even=rises_evenly(known),
     )
-
-
-def _rises_evenly(values: FloatArray) -> bool:
-    steps = np.diff(values)
-    usual = float(np.median(steps)) if len(steps) > 1 else 0.0
-    return usual > 0 and bool((steps >= 0).all() and np.mean(np.abs(steps - usual) < _EVEN * usual) > _MOSTLY)
-
-
-def _usual_step(values: FloatArray) -> float:
-    steps = np.abs(np.diff(values))
-    return float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
-
-
-#: what a plain counter does, and an angle without end
-RISES: Final = "rises without a break"
-#: what the numbers of a wheel do -> the unit that they are in then
-BEHAVIOURS: Final = {
-    "increments, a count a sample": "counts/sample",
-    "an angle that starts again after 2 pi": "rad",
-    "an angle that starts again after 360": "deg",
-    RISES: "",
-}
-
-
-def behaviour(values: FloatArray, *, whole: bool) -> str:
-    """Return what a column's numbers do, of `BEHAVIOURS`; empty where they do nothing that a wheel does.
-
-    `values` (shape (n_rows,)): finite; `whole`: whether all are integers.
-    """
-    steps, span = np.diff(values), float(np.ptp(values))
-    total = float(np.abs(steps).sum())
-    if not span:
-        return ""
-    if abs(values[-1] - values[0]) > _RISES * total:
-        return RISES
-    for turn, words in (
-        (2 * np.pi, "an angle that starts again after 2 pi"),
-        (360.0, "an angle that starts again after 360"),
-    ):
-        jumps = np.abs(steps) > _JUMP * turn
-        if (
-            _JUMP * turn < span <= _ONE_TURN * turn
-            and jumps.any()
-            and np.abs(steps[~jumps]).max(initial=0.0) < 0.5 * turn
-        ):
-            return words
-    # what moves goes on: the steps of a counter are alike from one to the next, those of increments are not
-    alike = float(np.sum(steps[1:] * steps[:-1])) / float(np.sum(steps * steps))
-    return "increments, a count a sample" if whole and alike < _ALIKE else ""
 
 
 def _recording_contents(path: Path, shown: str) -> FileContents:
@@ -302,7 +216,7 @@ def _recording_contents(path: Path, shown: str) -> FileContents:
             columns.append(replace(contents, unit=stream.units.get(name, contents.unit)))
     longest = max((len(stream) for stream in recording.streams), default=0)
     remarks = tuple(note.text for note in recording.notes)
-    streams = tuple(map(StreamContents.of, recording.streams))
+    streams = tuple(stream.contents() for stream in recording.streams)
     return FileContents(shown, True, longest, tuple(columns), remarks, streams, recording.properties)
 
 
@@ -315,7 +229,8 @@ def described(group: Sequence[FileContents], *, is_run_table: bool) -> list[str]
     count = f"{min(rows)}" if min(rows) == max(rows) else f"{min(rows)} to {max(rows)}"
     lines = wrapped(f"{title}: {what}, {count} {'samples' if file.recording else 'rows'}", "# ")
     properties = [f"{key} = {value}" for key, value in list(file.properties.items())[:_LISTED_PROPERTIES]]
-    for text in (*dict.fromkeys(file.remarks), *properties, *(stream.words() for stream in file.streams)):
+    streams = [f"{stream.name} ({stream.kind}): {stream.words()}" for stream in file.streams]
+    for text in (*dict.fromkeys(file.remarks), *properties, *streams):
         lines += wrapped(text, "#   ")
     for sheet, columns in file.others.items():
         lines += wrapped(f"sheet {sheet!r}: {', '.join(column.name for column in columns)[:_LISTED_SHEET]}", "#   ")

@@ -1,4 +1,4 @@
-"""Describe files and propose a mapping for them, as commented TOML that ingest reads back."""
+"""Describe files and propose a mapping for them, as commented TOML that ingest reads back; write a blank campaign."""
 
 from __future__ import annotations
 
@@ -10,15 +10,81 @@ from typing import Any, Final
 
 from calib.campaign.ingest.contents import FileContents, described, file_contents, wrapped
 from calib.campaign.ingest.guesses import guessed_log_column, guessed_table_column
-from calib.campaign.ingest.proposal import mapping_lines
+from calib.campaign.ingest.proposal_log import log_lines
+from calib.campaign.ingest.proposal_table import QUOTED, file_lines, table_lines
 from calib.campaign.ingest.runs import listed_files
-from calib.errors import BadInputError
+from calib.campaign.model import LOG_COLUMNS
+from calib.campaign.settings import recognise
+from calib.campaign.settings_file import FORMAT, STATED
+from calib.campaign.write import to_toml
+from calib.errors import BadInputError, would_overwrite
+from calib.io import write_text
 from calib.result import plain
 
 #: files of one kind that are read to the end; of more, the first and the last
 _ALL_READ: Final = 40
 #: rows of a run table to a log: means, remarks and runs without a log stand among them
 MOST_ROWS_A_LOG: Final = 2
+#: sections whose keys only the laboratory knows
+_STATED_SECTIONS: Final = ("vehicle", "encoder", "rangefinder")
+#: keys of a vehicle without encoders on its rear wheels, by what is counted instead, and what it drives on
+_OTHER_WHEELS: Final = {
+    "counts_rear_left": (
+        'drive = "mecanum"   # four wheels are counted',
+        ("#half_length_plus_half_width_m =   # half the wheelbase plus half the track",),
+        (),
+    ),
+    "counts_front": (
+        'drive = "tricycle"   # no rear wheel is counted, the front wheel is',
+        ("#front_wheel_radius_m =   # nominal",),
+        ("#counts_per_rev_front =   # of the front wheel, where it differs",),
+    ),
+    "speed_rear_mps": (
+        'drive = "ackermann"   # one speed of the rear axle; front wheels that steer',
+        (),
+        ('kind = "speed"   # in place of counts_per_rev: the logs have speeds',),
+    ),
+}
+
+#: columns of an empty run table; those that do not apply may be taken out
+RUNS_HEADER: Final = (
+    "run_id,session,kind,direction,payload_kg,payload_x_m,payload_y_m,speed_mps,distance_m,"
+    "counts_left,counts_right,log,excluded,exclusion_reason"
+)
+
+#: settings of an empty campaign: every key with an example and a remark
+BLANK_SETTINGS: Final = """simulated = false          # true: a program made the data; every report then says so
+
+# Take out the '#' before a key and give your own value. What stays out is assumed, and 'calib check' and every report
+# say so. A unit may differ if the key names it: track_mm = 700.
+
+[vehicle]
+#drive = "tricycle"        # or "differential", "mecanum", "ackermann", "skid"
+#track_m = 0.700           # between the contact points of the rear wheels
+#wheelbase_m = 1.000       # rear axle to front wheel
+#wheel_radius_m = 0.100    # nominal free radius
+#mass_kg = 100.0           # without payload
+#cog_x_m = 0.388           # centre of mass ahead of the rear axle
+#cog_y_m = 0.0             # left positive
+
+[encoder]
+#counts_per_rev = 4096     # counts a wheel revolution, gear and quadrature included
+#wrap_bits = 16            # width of the counter, where it overflows
+
+[rangefinder]
+#sigma_m = 0.0015          # standard uncertainty of one distance
+
+#[reference]               # end poses or trajectories, where there are any
+#sigma_xy_m = 0.002
+#sigma_theta_rad = 0.0008
+#frame = "start"           # poses in each run's own start frame, or "map": one frame for all runs
+
+#[model]                   # what the simulator believes; without it the nominal vehicle above
+#radius_left_m = 0.100
+#radius_right_m = 0.100
+#track_m = 0.700
+#reference_load_N = 300.0
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +146,7 @@ def describe(sources: Sequence[Path]) -> Description:
     files = [file_contents(path) for path in chosen]
     table = _run_table(files, len(paths))
     logs = [file for file in files if file is not table]
-    lines = mapping_lines(table, logs)
+    lines = _mapping_lines(table, logs)
     # the table has to be named first, also where it was found in a folder
     given = [str(source) for source in sources]
     ordered = given if table is None else [table.name, *(source for source in given if source != table.name)]
@@ -104,8 +170,8 @@ def _run_table(files: Sequence[FileContents], n_files: int) -> FileContents | No
     """
     best, best_score = None, 0
     for file in files:
-        guesses = {guess[0] for column in file.columns if (guess := guessed_table_column(column.name))}
-        timed = any((guess := guessed_log_column(column.name)) and guess[0] == "t_s" for column in file.columns)
+        guesses = {guessed_table_column(column.name) for column in file.columns} - {None}
+        timed = any(guessed_log_column(column.name) == "t_s" for column in file.columns)
         score = len(guesses) + 3 - 4 * timed
         if not file.recording and "run_id" in guesses and score > best_score:
             best, best_score = file, score
@@ -114,3 +180,76 @@ def _run_table(files: Sequence[FileContents], n_files: int) -> FileContents | No
         if len(worded) == 1 and len(files) > 1 and n_files - 1 <= worded[0].n_rows <= MOST_ROWS_A_LOG * (n_files - 1):
             return worded[0]
     return best
+
+
+def _mapping_lines(table: FileContents | None, logs: Sequence[FileContents]) -> list[str]:
+    """Return the lines of the mapping; `table`: the run table, where there is one."""
+    lines = [f"name = {QUOTED.encode(Path((table or logs[0]).name).stem)}"]
+    bits = next((column.wrap_bits for log in logs for column in log.columns if column.wrap_bits), None)
+    own = log_lines(logs) if logs else []
+    named = {recognise(column.name, LOG_COLUMNS).name for log in logs for column in log.columns}
+    named |= {line.partition(" ")[0] for line in own}
+    lines += _settings_lines(bits, named)
+    if "ref_x_m" in named:
+        lines += ["", "[reference]", "#sigma_xy_m =   # standard uncertainty of a position"]
+        lines += ["#sigma_theta_rad =   # standard uncertainty of a heading"]
+    if table is not None:
+        lines += ["", "[table]" + " " * 20 + "# calib's column = the table's column", *table_lines(table)]
+    if logs:
+        lines += ["", "[log]" + " " * 22 + "# the same for logs and recordings", *file_lines(table, logs)]
+        lines += own
+    recordings = [log for log in logs if log.recording]
+    if len(recordings) > 1 and table is None:
+        lines += ["", "#[cut]" + " " * 21 + "# each recording is a run; where one holds many: ", '#by = "stops"']
+    elif recordings and (table is None or len(logs) == 1):
+        lines += ["", "[cut]" + " " * 22 + "# one recording holds many runs", 'by = "stops"', "min_stop_s = 1.0"]
+        lines += ['#by = "times"', '#times = [[0.0, 41.5], [60.0, 101.0]]   # or "length", "column"']
+    return lines
+
+
+def _settings_lines(bits: int | None, named: set[str]) -> list[str]:
+    """Return the sections of vehicle and instruments, each key a remark, with those of wheels other than two rear ones.
+
+    `bits`: the counters' width where it shows; `named`: calib's columns that the logs have.
+    """
+    wheels = next((name for name in _OTHER_WHEELS if name in named and "counts_left" not in named), "")
+    drive, vehicle, encoder = _OTHER_WHEELS.get(wheels, ("", (), ()))
+    lines: list[str] = []
+    for section in _STATED_SECTIONS:
+        remark = "" if lines else "   # state what you know; keys omitted are marked as assumed"
+        lines += ["", f"[{section}]{remark}"]
+        if section == "vehicle":
+            lines.append(drive or '#drive =   # "tricycle" (assumed), "differential", "mecanum", "ackermann", "skid"')
+        for key in STATED[section]:
+            if key == "track_m" and wheels == "counts_rear_left":
+                lines += vehicle
+                continue
+            if key == "counts_per_rev" and wheels == "speed_rear_mps":
+                lines += encoder
+                continue
+            [meaning] = re.findall(rf"^#{key} .*# (.*)", BLANK_SETTINGS, re.MULTILINE)
+            lines.append(f"#{key} =   # {meaning}")
+            if key == "wheel_radius_m" and wheels == "counts_front":
+                lines += vehicle
+            elif key == "counts_per_rev":
+                lines += encoder
+        if section == "encoder" and bits:
+            lines.append(f"wrap_bits = {bits}   # found in the jumps of the counters")
+    return lines
+
+
+def write_blank(folder: Path, *, force: bool = False) -> tuple[Path, ...]:
+    """Write an empty campaign: ``campaign.toml`` with remarks, ``runs.csv`` with its header, and ``logs``.
+
+    `folder`: the campaign to make; its name becomes the campaign's. Raises BadInputError where a campaign exists there
+    and `force` is False.
+    """
+    settings, runs = folder / "campaign.toml", folder / "runs.csv"
+    for path in (settings, runs):
+        if path.exists() and not force:
+            raise would_overwrite(path)
+    head = to_toml({"format": FORMAT, "name": folder.resolve().name})
+    write_text(settings, head + BLANK_SETTINGS, force=force)
+    write_text(runs, RUNS_HEADER + "\n", force=force)
+    (folder / "logs").mkdir(exist_ok=True)
+    return settings, runs, folder / "logs"

@@ -1,4 +1,4 @@
-"""What columns may mean, by what laboratories and robots call things: English, German, French, Italian, Spanish."""
+"""What columns may mean: by their names in English, German, French, Italian, Spanish; by what their numbers do."""
 
 from __future__ import annotations
 
@@ -7,10 +7,14 @@ from collections.abc import Sequence
 from typing import Final
 from unicodedata import combining, normalize
 
-from calib.campaign.ingest.mapping import COUNT_UNITS, TABLE_COLUMNS, unit_spelled
+import numpy as np
+
+from calib.campaign.ingest.mapping import TABLE_COLUMNS, units_for
 from calib.campaign.model import LOG_COLUMNS
+from calib.campaign.readers.sheets import COUNT_UNITS, unit_spelled
 from calib.campaign.settings import recognise, spelled
-from calib.units import SUFFIXES, split_suffix
+from calib.types import FloatArray
+from calib.units import split_suffix
 
 _COUNTS: Final = (
     r"(impuls|count|enc|geber|tick|inkrement|increment|zaehl|pulse|wheel|rad_|joint|drehgeber|quad|q|odo|motor|raw)"
@@ -98,61 +102,18 @@ _BEHIND: Final = re.compile(
 )
 #: first letters of a robot's wheels: fl, rear_right_drive; 'rear' of two wheels is no axle of its own
 _AXLE_FIRST: Final = re.compile(r"(?:^|_)(fl|fr|rl|rr|bl|br)$")
-_CORNERS: Final = {
-    **dict.fromkeys(("fl",), "counts_front_left"),
-    **dict.fromkeys(("fr",), "counts_front_right"),
-    **dict.fromkeys(("rl", "bl"), "counts_rear_left"),
-    **dict.fromkeys(("rr", "br"), "counts_rear_right"),
-}
+_AXLES: Final = {"f": "front", "r": "rear", "b": "rear"}
 _SIDES: Final = {
     "left": re.compile(r"(?:^|_)(l|li|left|links|linkes|linker|lhs)(?=_|$)"),
     "right": re.compile(r"(?:^|_)(r|re|right|rechts|rechtes|rechter|rhs)(?=_|$)"),
 }
 
-#: names of directions along a corridor -> out or back
-DIRECTION_WORDS: Final = {
-    **dict.fromkeys(
-        (
-            "out",
-            "hin",
-            "vor",
-            "vorwaerts",
-            "hinfahrt",
-            "hinweg",
-            "forward",
-            "fwd",
-            "there",
-            "outbound",
-            "a",
-            "ab",
-            "a->b",
-            "aller",
-            "ida",
-            "andata",
-            ">",
-            "+",
-        ),
-        "out",
-    ),
-    **dict.fromkeys(
-        (
-            "back",
-            "zurueck",
-            "rueck",
-            "rueckwaerts",
-            "rueckfahrt",
-            "rueckweg",
-            "her",
-            "return",
-            "ret",
-            "inbound",
-            "retour",
-        ),
-        "back",
-    ),
-    **dict.fromkeys(("retour", "vuelta", "ritorno"), "back"),
-    **dict.fromkeys(("backward", "backwards", "bwd", "reverse", "b", "ba", "b->a", "<"), "back"),
-}
+#: directions along a corridor, in words: plain, or as `plain_text` gives them
+_DIRECTIONS: Final = (
+    ("out", r"out|hin(fahrt|weg)?|vor(waerts)?|forward|fwd|there|outbound|a|ab|a->b|aller|ida|andata|>|\+"),
+    ("back", r"backward(s)?|bwd|back|(zu)?rueck(waerts|fahrt|weg)?|her|ret(urn|our)?|inbound|vuelta|ritorno|reverse"),
+    ("back", r"b|ba|b->a|<"),
+)
 
 _UMLAUTS: Final = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss"})
 _UNIT: Final = re.compile(r"(.+?)\s*[\[(]([^\[\]()]*)[\])]\s*")
@@ -162,6 +123,11 @@ def plain_text(text: str) -> str:
     """Return a text in lower case with umlauts spelt out and without accents."""
     spelt = text.strip().lower().translate(_UMLAUTS).replace("°", "")
     return "".join(sign for sign in normalize("NFKD", spelt) if not combining(sign))
+
+
+def direction_of(text: str) -> str | None:
+    """Return ``out`` or ``back`` where a text names a direction along a corridor."""
+    return next((way for way, pattern in _DIRECTIONS if re.fullmatch(pattern, plain_text(text))), None)
 
 
 def stem_and_unit(name: str) -> tuple[str, str | None]:
@@ -184,49 +150,45 @@ def count_unit(name: str) -> str | None:
     return unit if unit in COUNT_UNITS else None
 
 
-def _guessed(name: str, words: Sequence[tuple[str, str]], known: Sequence[str]) -> tuple[str, str | None] | None:
-    exact = recognise(name, known).name
-    if exact in known:
-        return exact, None
-    stem, unit = stem_and_unit(name)
-    if known is LOG_COLUMNS:
-        if corner := _AXLE_FIRST.search(_BEHIND.sub("", stem)):
-            return _CORNERS[corner[1]], None
-        if (short := _BEHIND.sub("", stem)) != stem and (guess := _matching(short, None, words)):
-            # only wheels: pose_x_raw is none
-            return guess if guess[0].startswith("counts_") else _matching(stem, unit, words)
-    return _matching(stem, unit, words)
+def guessed_table_column(name: str) -> str | None:
+    """Return the column of the run table that a name may mean, or None."""
+    exact = recognise(name, TABLE_COLUMNS).name
+    return exact if exact in TABLE_COLUMNS else _matching(*stem_and_unit(name), _TABLE)
 
 
-def _matching(stem: str, unit: str | None, words: Sequence[tuple[str, str]]) -> tuple[str, str | None] | None:
-    for target, pattern in words:
-        if re.fullmatch(pattern, stem):
-            if target.startswith("load_") and unit is None and not re.search(r"las|loa|^f", stem):
-                # a side alone is a wheel of any kind
-                continue
-            suffix = split_suffix(target)[1]
-            if unit is None or target.startswith("counts_"):
-                return target, None
-            of_kind = suffix is not None and SUFFIXES[unit][0]
-            if of_kind == suffix or (target.startswith("load_") and of_kind == "kg"):
-                return target, unit
-    return None
-
-
-def guessed_table_column(name: str) -> tuple[str, str | None] | None:
-    """Return the column of the run table that a name may mean, and its unit, or None."""
-    return _guessed(name, _TABLE, TABLE_COLUMNS)
-
-
-def guessed_log_column(name: str) -> tuple[str, str | None] | None:
-    """Return the column of a log that a name may mean, and its unit, or None.
+def guessed_log_column(name: str) -> str | None:
+    """Return the column of a log that a name may mean, or None.
 
     `name`: as found; of a recording's ``stream:column`` or ``group/channel`` the last part counts first.
     """
-    last = re.split(r"[:/]", name)[-1]
-    last = re.sub(r"^(position|velocity|effort)\.", "", last)
+    last = re.sub(r"^(position|velocity|effort)\.", "", re.split(r"[:/]", name)[-1])
     whole = re.sub(r"[:/.]+", "_", name).strip("_")
-    return _guessed(last, _LOG, LOG_COLUMNS) or _guessed(whole, _LOG, LOG_COLUMNS)
+    return _guessed_in_log(last) or _guessed_in_log(whole)
+
+
+def _guessed_in_log(name: str) -> str | None:
+    exact = recognise(name, LOG_COLUMNS).name
+    if exact in LOG_COLUMNS:
+        return exact
+    stem, unit = stem_and_unit(name)
+    short = _BEHIND.sub("", stem)
+    if corner := _AXLE_FIRST.search(short):
+        return f"counts_{_AXLES[corner[1][0]]}_{'left' if corner[1][1] == 'l' else 'right'}"
+    wheel = _matching(short, None, _LOG) if short != stem else None
+    # only wheels: pose_x_raw is none
+    return wheel if wheel and wheel.startswith("counts_") else _matching(stem, unit, _LOG)
+
+
+def _matching(stem: str, unit: str | None, words: Sequence[tuple[str, str]]) -> str | None:
+    for target, pattern in words:
+        if not re.fullmatch(pattern, stem):
+            continue
+        if target.startswith("load_") and unit is None and not re.search(r"las|loa|^f", stem):
+            # a side alone is a wheel of any kind
+            continue
+        if unit is None or target.startswith("counts_") or unit in units_for(target):
+            return target
+    return None
 
 
 def side_of(name: str) -> str | None:
@@ -237,3 +199,58 @@ def side_of(name: str) -> str | None:
         if pattern.search(stem):
             return side
     return None
+
+
+def rises_evenly(values: FloatArray) -> bool:
+    """Return whether values of shape (n_rows,) rise in even steps, as a clock does."""
+    steps = np.diff(values)
+    usual = float(np.median(steps)) if len(steps) > 1 else 0.0
+    return usual > 0 and bool((steps >= 0).all() and np.mean(np.abs(steps - usual) < _EVEN * usual) > _MOSTLY)
+
+
+def usual_step(values: FloatArray) -> float:
+    """Return the median step between rows, of the steps other than 0."""
+    steps = np.abs(np.diff(values))
+    return float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+
+
+#: share of all steps that a column rises by in the end, where it rises without a break
+_RISES: Final = 0.98
+#: shares of a turn: a jump back of an angle, and its span with rounding
+_JUMP, _ONE_TURN = 0.75, 1.001
+#: how far a clock's step is from the usual one, as a share of it, and the share of steps that are so
+_EVEN, _MOSTLY = 0.05, 0.9
+#: least correlation of a counter's steps with the next: a smooth drive has nearly 1, noise on a speed -0.5
+_ALIKE: Final = 0.2
+#: what a plain counter does, and an angle without end
+RISES: Final = "rises without a break"
+#: turn at which an angle starts again -> what it does then
+_TURNS: Final = {2 * np.pi: "an angle that starts again after 2 pi", 360.0: "an angle that starts again after 360"}
+#: what the numbers of a wheel do -> the unit that they are in then
+BEHAVIOURS: Final = {
+    "increments, a count a sample": "counts/sample",
+    _TURNS[2 * np.pi]: "rad",
+    _TURNS[360.0]: "deg",
+    RISES: "",
+}
+
+
+def behaviour(values: FloatArray, *, whole: bool) -> str:
+    """Return what a column's numbers do, of `BEHAVIOURS`; empty where they do nothing that a wheel does.
+
+    `values` (shape (n_rows,)): finite; `whole`: whether all are integers.
+    """
+    steps, span = np.diff(values), float(np.ptp(values))
+    total = float(np.abs(steps).sum())
+    if not span:
+        return ""
+    if abs(values[-1] - values[0]) > _RISES * total:
+        return RISES
+    for turn, words in _TURNS.items():
+        jumps = np.abs(steps) > _JUMP * turn
+        steady = np.abs(steps[~jumps]).max(initial=0.0) < 0.5 * turn
+        if _JUMP * turn < span <= _ONE_TURN * turn and jumps.any() and steady:
+            return words
+    # what moves goes on: the steps of a counter are alike from one to the next, those of increments are not
+    alike = float(np.sum(steps[1:] * steps[:-1])) / float(np.sum(steps * steps))
+    return "increments, a count a sample" if whole and alike < _ALIKE else ""

@@ -33,9 +33,7 @@ Columns that already carry calib's names, with any known unit, need no line.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping as MappingType
 from dataclasses import dataclass
-from math import pi
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeVar
 
@@ -43,41 +41,14 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from calib.campaign.model import LABEL_COLUMNS, LOG_COLUMNS, NUMERIC_COLUMNS
 from calib.campaign.readers import Layout
+from calib.campaign.readers.sheets import COUNT_UNITS, unit_spelled
 from calib.campaign.settings_file import load_toml
 from calib.errors import BadFileError
 from calib.io import inside
-from calib.units import GRAVITY_MPS2, SUFFIXES, split_suffix, unit_named
+from calib.units import GRAVITY_MPS2, SUFFIXES, split_suffix
 
 TABLE_COLUMNS: Final = (*LABEL_COLUMNS, *NUMERIC_COLUMNS, "excluded")
 
-#: unit of a wheel's column -> what its numbers are, and how many turns (or counts) one of its units makes
-COUNT_UNITS: Final[MappingType[str, tuple[str, float]]] = {
-    "counts": ("counts", 1.0),
-    "counts/sample": ("increments", 1.0),
-    "counts/s": ("count_rate", 1.0),
-    "turns": ("angle", 1.0),
-    "rad": ("angle", 1.0 / (2.0 * pi)),
-    "deg": ("angle", 1.0 / 360.0),
-    "turns/s": ("rate", 1.0),
-    "rad/s": ("rate", 1.0 / (2.0 * pi)),
-    "deg/s": ("rate", 1.0 / 360.0),
-    "rpm": ("rate", 1.0 / 60.0),
-    "rad/min": ("rate", 1.0 / (60.0 * 2.0 * pi)),
-}
-#: how people write the units of wheels, in lower case -> as in `COUNT_UNITS`
-_COUNT_SPELLINGS: Final[MappingType[str, str]] = {
-    **dict.fromkeys(
-        ("count", "cnt", "cnts", "tick", "ticks", "pulse", "pulses", "impulse", "impulses", "inc", "ink", "imp"),
-        "counts",
-    ),
-    **dict.fromkeys(("increments", "cnt/sample", "ticks/sample", "counts/step"), "counts/sample"),
-    **dict.fromkeys(("cnt/s", "ticks/s", "impulse/s"), "counts/s"),
-    **dict.fromkeys(("turn", "rev", "revs", "revolutions", "umdrehungen"), "turns"),
-    **dict.fromkeys(("rev/s", "u/s"), "turns/s"),
-    **dict.fromkeys(("°/s", "degrees/s", "grad/s"), "deg/s"),
-    **dict.fromkeys(("1/min", "u/min", "rev/min"), "rpm"),
-    **dict.fromkeys(("radians/s", "rads/s"), "rad/s"),
-}
 _COLUMN: Final = 'a column name, or {column = "...", unit = "...", factor = 1}'
 _TIMES: Final = "pairs of start and end, as [[0, 41.5], [60, 101]]"
 _LOG_FILE: Final = (
@@ -86,12 +57,6 @@ _LOG_FILE: Final = (
 )
 _BRACKET: Final = re.compile(r"(.+?)\s*[\[(]([^\[\]()]*)[\])]\s*")
 _NOT_NEGATIVE: Final = "a number, not below 0"
-
-
-def unit_spelled(text: str) -> str:
-    """Return a unit as calib writes it, where calib knows it: ``mm/s`` is ``mmps``, ``ticks`` are ``counts``."""
-    clean = text.strip()
-    return clean if clean in COUNT_UNITS else _COUNT_SPELLINGS.get(clean.lower()) or unit_named(clean) or clean
 
 
 def units_for(name: str) -> tuple[str, ...]:

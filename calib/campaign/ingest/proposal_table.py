@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from calib.campaign.ingest.contents import ColumnContents, FileContents
-from calib.campaign.ingest.guesses import DIRECTION_WORDS, guessed_table_column, plain_text, stem_and_unit
+from calib.campaign.ingest.guesses import direction_of, guessed_table_column, plain_text, stem_and_unit
 from calib.campaign.ingest.mapping import TABLE_COLUMNS, units_for
 from calib.campaign.ingest.runs import run_number
 from calib.campaign.model import LABEL_COLUMNS
@@ -58,18 +58,20 @@ def table_lines(table: FileContents) -> list[str]:
     lines, own, unused = [], [], []
     if table.sheet:
         lines.append(f"sheet = {QUOTED.encode(table.sheet)}")
-    sessions = [column for column in table.columns if _guess_of(column) == "session"]
-    dates = [column for column in sessions if _is_date(column)]
+    sessions = [column for column in table.columns if guessed_table_column(column.name) == "session"]
+    dates = [column for column in sessions if stem_and_unit(column.name)[0] in {"datum", "date", "messdatum"}]
     # a date is the session where nothing else is
     passed_over = dates if len(sessions) > len(dates) else []
     named: set[str] = set()
     for column in table.columns:
-        guess = None if column in passed_over else _guess(column)
-        if guess is None or guess[0] in named or not _may_be(guess[0], column):
+        directions = [direction_of(text) for text in column.texts]
+        is_direction = 0 < len(directions) <= 2 and all(directions)
+        name = "direction" if is_direction else guessed_table_column(column.name)
+        if column in passed_over or name is None or name in named or not _may_be(name, column):
             unused.append(column.name)
             continue
-        named.add(guess[0])
-        line = _column_line(column, *guess)
+        named.add(name)
+        line = _column_line(column, name)
         if line:
             lines.append(line)
         else:
@@ -86,43 +88,24 @@ def table_lines(table: FileContents) -> list[str]:
     return lines
 
 
-def _meanings(column: ColumnContents) -> dict[str, str | None]:
-    return {text: DIRECTION_WORDS.get(plain_text(text)) for text in column.texts}
-
-
-def _guess(column: ColumnContents) -> tuple[str, str | None] | None:
-    directions = _meanings(column)
-    if directions and len(directions) <= 2 and all(directions.values()):
-        return "direction", None
-    return guessed_table_column(column.name)
-
-
-def _column_line(column: ColumnContents, name: str, unit: str | None) -> str:
-    """Return the line for a column; empty where its name alone is recognised."""
-    further: dict[str, object] = {}
+def _column_line(column: ColumnContents, name: str, further: dict[str, object] | None = None) -> str:
+    """Return the line for a column, with `further` keys; empty where its name alone is recognised."""
+    further = dict(further or {})
     remark = ""
     if name == "direction" and set(column.texts) - {"out", "back"}:
-        directions = _meanings(column)
-        free = iter([way for way in ("out", "back") if way not in directions.values()])
-        further["values"] = {text: meaning or next(free, "out") for text, meaning in directions.items()}
-        remark = "" if all(directions.values()) else '   # "out" or "back"'
+        meanings = {text: direction_of(text) for text in column.texts}
+        free = iter([way for way in ("out", "back") if way not in meanings.values()])
+        further["values"] = {text: meaning or next(free, "out") for text, meaning in meanings.items()}
+        remark = "" if all(meanings.values()) else '   # "out" or "back"'
     if name == "session" and column.n_empty:
         further["fill_down"] = True
         remark = "   # an empty cell means the one above"
     if recognise(column.name, TABLE_COLUMNS).name == name and not further:
         return ""
-    needs = split_suffix(name)[1]
-    if needs and stem_and_unit(column.name)[1] is None:
+    needs, unit = split_suffix(name)[1], stem_and_unit(column.name)[1]
+    if needs and unit is None:
         unit, remark = needs, unit_remark(name)
     return entry(name, column, unit, further) + remark
-
-
-def _guess_of(column: ColumnContents) -> str:
-    return (guessed_table_column(column.name) or ("", None))[0]
-
-
-def _is_date(column: ColumnContents) -> bool:
-    return stem_and_unit(column.name)[0] in {"datum", "date", "messdatum"}
 
 
 def _may_be(target: str, column: ColumnContents) -> bool:
@@ -136,27 +119,19 @@ def _lookup_lines(table: FileContents, named: set[str]) -> list[str]:
     """Return lines for columns of other sheets whose labels the run table holds, and add their names to `named`."""
     lines = []
     for sheet, columns in table.others.items():
-        by, key = next(
-            ((by, key) for by in table.columns for key in columns if _same_labels(by, key)),
-            (None, None),
-        )
-        if by is None or key is None:
+        pairs = [(by, key) for by in table.columns for key in columns if _same_labels(by, key)]
+        if not pairs:
             continue
+        by, key = pairs[0]
+        looked_up: dict[str, object] = {"sheet": sheet, "by": by.name}
+        if stem_and_unit(key.name)[0] != stem_and_unit(by.name)[0]:
+            looked_up["key"] = key.name
         for column in columns:
-            guess = guessed_table_column(column.name)
-            if column is key or guess is None or guess[0] in named or not _may_be(guess[0], column):
-                continue
-            name, unit = guess
-            if name in LABEL_COLUMNS:
+            name = guessed_table_column(column.name)
+            if column is key or name is None or name in {*named, *LABEL_COLUMNS} or not _may_be(name, column):
                 continue
             named.add(name)
-            further: dict[str, object] = {"sheet": sheet, "by": by.name}
-            if stem_and_unit(key.name)[0] != stem_and_unit(by.name)[0]:
-                further["key"] = key.name
-            needs, remark = split_suffix(name)[1], ""
-            if needs and unit is None:
-                unit, remark = needs, unit_remark(name)
-            lines.append(entry(name, column, unit, further) + remark)
+            lines.append(_column_line(column, name, looked_up))
     return lines
 
 
@@ -172,7 +147,7 @@ def file_lines(table: FileContents | None, logs: Sequence[FileContents]) -> list
     """Return the pattern of the logs' names, where the runs' names do not say them."""
     if table is None or len(logs) < 2:
         return []
-    column = next((part for part in table.columns if _guess_of(part) == "run_id"), None)
+    column = next((part for part in table.columns if guessed_table_column(part.name) == "run_id"), None)
     stems = [Path(log.name).stem for log in logs]
     run_ids = column.texts if column is not None and column.kind == "text" else ()
     if run_ids and run_ids[0] in stems:

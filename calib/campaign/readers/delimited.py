@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import io
 import itertools
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from calib.campaign.model import Note
-from calib.campaign.readers.recording import tidy, utf8
-from calib.campaign.readers.sheets import Heading, heading, table_rows
+from calib.campaign.readers.sheets import LOOKED_AT, finished, heading, table_rows, tidy
 from calib.campaign.readers.table import (
     HEADER_ROWS,
     LARGEST_VALUE,
@@ -24,7 +24,6 @@ from calib.campaign.readers.table import (
     check_header,
     find_header,
     is_number,
-    to_numbers,
 )
 from calib.errors import BadFileError
 from calib.types import FloatArray
@@ -39,8 +38,6 @@ _HEAD_BYTES: Final = 1 << 16
 #: as two hundred such logs
 NUMPY_BYTES: Final = 1 << 16
 _NUMBER_BYTES: Final = b"0123456789+-.eE\n"
-#: rows in which names, units and columns of numbers are looked for
-_LOOKED_AT: Final = 20
 #: rows that suffice to show a header in the first of them
 _FEW_ROWS: Final = 8
 #: what keeps a file out of a batch: quotes, other ends of lines, other delimiters, no text, and a zero with a sign,
@@ -74,7 +71,7 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
         notes.append(Note("info", shown, f"columns are separated by {_DELIMITERS[delimiter]}", "delimiter"))
     above = _split([data[:start].decode("utf-8").splitlines()[-1]], delimiter)[0] if skipped and layout.lab else ()
     if wanted is not None and data.find(b'"', start) < 0:
-        first = data[start : start + _HEAD_BYTES].decode("utf-8", errors="ignore").splitlines()[:_LOOKED_AT]
+        first = data[start : start + _HEAD_BYTES].decode("utf-8", errors="ignore").splitlines()[:LOOKED_AT]
         head = heading(_split(first, delimiter), range(skipped + 1, skipped + 1 + len(first)), layout, shown, above)
         _check_names(head.names, shown, skipped + 1)
         end = start
@@ -83,18 +80,12 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
         fast = _read_numeric(data[end:], head.names, delimiter, wanted)
         if fast is not None:
             columns, rows, comma = fast
-            notes += [*_header_notes(head, skipped, shown), *head.notes]
+            notes += head.notes
             if comma:
                 notes.append(Note("info", shown, "decimal commas were read as decimal points", "decimal_comma"))
             lines = skipped + 1 + head.n_rows
             return RawTable(columns, np.arange(lines, lines + rows, dtype=np.int64), tuple(notes))
     return _read_cells(data[start:].decode("utf-8"), shown, delimiter, wanted, notes, skipped, layout, above)
-
-
-def _header_notes(head: Heading, skipped: int, shown: str) -> list[Note]:
-    if not skipped or not head.n_rows:
-        return []
-    return [Note("info", shown, f"the header was found in row {skipped + 1}", "preamble")]
 
 
 def read_batch(files: Sequence[tuple[Path, str]], wanted: Wanted) -> list[RawTable | None]:
@@ -340,10 +331,10 @@ def _read_cells(
     except csv.Error as error:
         found, at = f"text that is no table ({error})", reader.line_num + skipped
         raise BadFileError(shown, found, "rows of separated cells", "export the file again", row=at) from error
-    head = heading(rows[:_LOOKED_AT], lines[:_LOOKED_AT], layout, shown, above)
+    head = heading(rows[:LOOKED_AT], lines[:LOOKED_AT], layout, shown, above)
     names = head.names
     _check_names(names, shown, skipped + 1)
-    notes += [*_header_notes(head, skipped, shown), *head.notes]
+    notes += head.notes
     rows, lines = rows[head.n_rows :], lines[head.n_rows :]
     if layout.lab:
         rows, lines, omitted = table_rows(names, rows, lines, shown)
@@ -360,15 +351,8 @@ def _read_cells(
     table = np.empty((len(rows), len(names)), dtype=object)
     for index, cells in enumerate(rows):
         table[index] = cells
-    line = np.asarray(lines, dtype=np.int64)
-    columns: dict[str, np.ndarray[Any, Any]] = {
-        name: table[:, index] for index, name in enumerate(names) if name and (wanted is None or wanted(name))
-    }
-    epochs: dict[str, int] = {}
-    if wanted is not None:
-        number_notes, epochs = to_numbers(columns, shown, line)
-        notes += number_notes
-    return RawTable(columns, line, tuple(notes), epochs)
+    columns = {name: table[:, index] for index, name in enumerate(names) if name and (wanted is None or wanted(name))}
+    return finished(columns, lines, wanted, notes, shown)
 
 
 def _remedy(cells: Sequence[str], names: list[str], delimiter: str) -> str:
@@ -380,3 +364,34 @@ def _remedy(cells: Sequence[str], names: list[str], delimiter: str) -> str:
     if delimiter == "," and len(cells) > len(names):
         return "export with semicolons where commas are decimal, or quote the cell; name header_row if it stands lower"
     return "complete or remove the row; the file may have been cut"
+
+
+def utf8(data: bytes, shown: str) -> tuple[bytes, list[Note]]:
+    """Return the file as UTF-8 without a byte order mark, with line feeds only, and notes of what was changed."""
+    notes: list[Note] = []
+    encoding = None
+    if data.startswith(codecs.BOM_UTF8):
+        data = data[3:]
+        notes.append(Note("info", shown, "a UTF-8 byte order mark was skipped", "encoding"))
+    elif data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        encoding = "utf-16"
+    elif b"\0" in data[:2000]:
+        even, odd = data[0:2000:2].count(0), data[1:2000:2].count(0)
+        encoding = "utf-16-le" if odd > 20 * (even + 1) else "utf-16-be" if even > 20 * (odd + 1) else None
+    try:
+        if encoding:
+            data = data.decode(encoding).encode("utf-8")
+            notes.append(Note("info", shown, "the text is UTF-16", "encoding"))
+        elif not data.isascii():
+            data.decode("utf-8")
+    except UnicodeError:
+        if encoding:
+            raise BadFileError(shown, "broken UTF-16 text", "whole characters", "export the file again") from None
+        data = data.decode("latin-1").encode("utf-8")
+        notes.append(Note("info", shown, "the text is not UTF-8; it was read as Latin-1", "encoding"))
+    if b"\0" in data:
+        row = data[: data.index(b"\0")].count(b"\n") + 1
+        raise BadFileError(shown, "a NUL byte", "text", "export the file again; it is damaged or binary", row=row)
+    if b"\r" in data and b"\n" not in data:
+        data = data.replace(b"\r", b"\n")
+    return data, notes

@@ -5,7 +5,6 @@ A TUM trajectory (``.tum``) has lines of ``timestamp tx ty tz qx qy qz qw``, wit
 
 from __future__ import annotations
 
-import codecs
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -16,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.campaign.model import Note
-from calib.campaign.readers.table import HEADER_ROWS, NS_PER_S, Layout, RawTable, is_number
+from calib.campaign.readers.table import NS_PER_S, RawTable
 from calib.errors import BadFileError
 from calib.types import FloatArray, IntArray
 
@@ -31,31 +30,32 @@ _LEAST_QUATERNION: Final = 0.25
 
 
 @dataclass(frozen=True, slots=True)
-class ClockReport:
-    """What a stream's clock shows."""
+class StreamContents:
+    """What a stream holds and its clock shows; zeros where it has no clock."""
 
+    name: str
+    kind: str
     n_samples: int
-    #: first and last time, nanoseconds as recorded
-    start_ns: int
-    end_ns: int
-    #: median step
-    period_s: float
-    #: steps longer than five usual ones
-    n_gaps: int
-    #: the longest of them, 0 where there is none
-    longest_gap_s: float
-    #: steps backward in time
-    n_backward: int
+    clock: str
+    columns: tuple[str, ...]
+    #: time from the first to the last sample
+    span_s: float = 0.0
+    #: samples a second, from the median step
+    rate_Hz: float = 0.0
+    #: steps longer than five usual ones, and the longest of them
+    n_gaps: int = 0
+    longest_gap_s: float = 0.0
+    #: first time, nanoseconds as recorded
+    start_ns: int | None = None
+    behind_arrival_s: float | None = None
 
-    @property
-    def span_s(self) -> float:
-        """Time from the first to the last sample."""
-        return (self.end_ns - self.start_ns) / NS_PER_S
-
-    @property
-    def rate_Hz(self) -> float:
-        """Samples a second, from the median step; 0 where there is none."""
-        return 1.0 / self.period_s if self.period_s > 0 else 0.0
+    def words(self) -> str:
+        """Return samples, span, rate and gaps in words."""
+        text = f"{self.n_samples} samples"
+        if self.start_ns is None:
+            return text + ", without a clock"
+        text += f" over {self.span_s:.6g} s at {self.rate_Hz:.4g} Hz, clock: {self.clock}"
+        return text + (f", {self.n_gaps} gap(s) up to {self.longest_gap_s:.3g} s" if self.n_gaps else "")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,21 +80,28 @@ class Stream:
     def __len__(self) -> int:
         return len(next(iter(self.columns.values()))) if self.columns else 0
 
-    def report(self) -> ClockReport | None:
-        """Return span, rate and gaps; None without a clock or samples."""
-        if self.time_ns is None or not len(self.time_ns):
-            return None
-        steps = np.diff(self.time_ns)
-        usual = float(np.median(steps)) / NS_PER_S if len(steps) else 0.0
-        gaps = steps[steps > GAP_STEPS * usual * NS_PER_S] if usual > 0 else steps[:0]
-        return ClockReport(
-            n_samples=len(self.time_ns),
-            start_ns=int(self.time_ns.min()),
-            end_ns=int(self.time_ns.max()),
-            period_s=usual,
-            n_gaps=len(gaps),
-            longest_gap_s=float(gaps.max()) / NS_PER_S if len(gaps) else 0.0,
-            n_backward=int((steps < 0).sum()),
+    def contents(self) -> StreamContents:
+        """Return what the stream holds, with span, rate and gaps of its clock."""
+        clock: dict[str, Any] = {}
+        if self.time_ns is not None and len(self.time_ns):
+            steps_s = np.diff(self.time_ns) / NS_PER_S
+            usual_s = float(np.median(steps_s)) if len(steps_s) else 0.0
+            gaps_s = steps_s[steps_s > GAP_STEPS * usual_s] if usual_s > 0 else steps_s[:0]
+            clock = {
+                "span_s": float(np.ptp(self.time_ns)) / NS_PER_S,
+                "rate_Hz": 1.0 / usual_s if usual_s > 0 else 0.0,
+                "n_gaps": len(gaps_s),
+                "longest_gap_s": float(gaps_s.max(initial=0.0)),
+                "start_ns": int(self.time_ns.min()),
+            }
+        return StreamContents(
+            self.name,
+            self.kind,
+            len(self),
+            self.clock,
+            tuple(self.columns),
+            behind_arrival_s=self.behind_arrival_s,
+            **clock,
         )
 
 
@@ -119,19 +126,16 @@ class Recording:
         return tuple(name for stream in self.streams for name in stream.columns)
 
 
-@dataclass(frozen=True, slots=True)
-class WantedColumns:
+class WantedColumns(frozenset[str]):
     """Names of the columns to keep, so that a reader can pass over whole topics unread."""
-
-    names: frozenset[str]
 
     def __call__(self, name: str) -> bool:
         """Return whether the column is to be kept."""
-        return name in self.names
+        return name in self
 
     def of_topic(self, topic: str) -> bool:
         """Return whether a column of the topic may be wanted; names of frames and joints follow the topic's."""
-        return any(name.startswith((f"{topic}:", f"{topic}[", f"{topic}#")) for name in self.names)
+        return any(name.startswith((f"{topic}:", f"{topic}[", f"{topic}#")) for name in self)
 
 
 def interpolated(stream: Stream, column: str, at_ns: IntArray, *, shift_ns: int = 0) -> FloatArray:
@@ -161,25 +165,32 @@ def interpolated(stream: Stream, column: str, at_ns: IntArray, *, shift_ns: int 
     return out
 
 
-def joined_table(recording: Recording) -> RawTable:
-    """Return the recording as one table on the times of the stream with most samples, the others interpolated.
+def joined_table(
+    recording: Recording, base: Stream | None = None, shifts_s: Mapping[str, float] | None = None, clock: bool = True
+) -> RawTable:
+    """Return the recording as one table on the times of one stream, the others interpolated.
 
-    The columns under their names and, where there is a clock, ``t_s`` from the first sample.
+    `base`: that stream; the one with most samples where it is None. `shifts_s`: column -> time that it lags behind,
+    taken off. `clock`: whether `base` has the clock; else columns of its length are taken as they are. The columns
+    under their names and, where there is a clock, ``t_s`` from the first sample with its epoch.
     """
     if not recording.streams:
         return RawTable({}, np.zeros(0, dtype=np.int64), recording.notes)
-    base = max(recording.streams, key=len)
+    base = base or max(recording.streams, key=len)
     columns: dict[str, npt.NDArray[Any]] = {}
-    time = base.time_ns
+    epochs: dict[str, int] = {}
+    time = base.time_ns if clock else None
     if time is not None and len(time) and "t_s" not in recording.column_names:
         columns["t_s"] = (time - time[0]) / NS_PER_S
+        epochs["t_s"] = int(time[0])
     for stream in recording.streams:
         for name, values in stream.columns.items():
-            if stream is base or (len(values) == len(base) and stream.time_ns is None):
+            if stream is base or (len(values) == len(base) and (stream.time_ns is None or time is None)):
                 columns[name] = values
             elif time is not None and stream.time_ns is not None:
-                columns[name] = interpolated(stream, name, time)
-    return RawTable(columns, np.arange(1, len(base) + 1, dtype=np.int64), recording.notes)
+                shift_ns = round((shifts_s or {}).get(name, 0.0) * NS_PER_S)
+                columns[name] = interpolated(stream, name, time, shift_ns=shift_ns)
+    return RawTable(columns, np.arange(1, len(base) + 1, dtype=np.int64), recording.notes, epochs)
 
 
 def check_not_empty(recording: Recording, shown: str) -> None:
@@ -255,107 +266,3 @@ def decimal_ns(text: str) -> int:
     digits = (match[3] or "")[:10].ljust(10, "0")
     nanoseconds = int(match[2]) * NS_PER_S + (int(digits) + 5) // 10
     return -nanoseconds if match[1] == "-" else nanoseconds
-
-
-_REMARK: Final = re.compile(rb"(?m)^[ \t]*#[^\n]*")
-_BLANKS: Final = re.compile(rb"[ \t]+")
-#: bytes in which it is seen how the cells are separated
-_HEAD_BYTES: Final = 1 << 16
-#: lines of numbers that show that blanks separate the cells
-_LEAST_LINES: Final = 2
-
-
-def tidy(data: bytes, layout: Layout, shown: str) -> tuple[bytes, list[Note]]:
-    """Return a text file with the lines that hold no cells emptied, so that rows keep their numbers, and notes.
-
-    Lines that begin with ``#`` are remarks, but for the one right above the numbers where it names as many columns.
-    Runs of blanks become tabs where nothing else separates the cells.
-    """
-    notes: list[Note] = []
-    if layout.skip_rows:
-        lines = data.split(b"\n")
-        for row in layout.skip_rows:
-            lines[row - 1 : row] = [b""] * len(lines[row - 1 : row])
-        data = b"\n".join(lines)
-    if _REMARK.search(data):
-        data, n_remarks = _without_remarks(data)
-        text = f"{n_remarks} line(s) that begin with # are remarks"
-        notes += [Note("info", shown, text, "remarks")] if n_remarks else []
-    if _by_blanks(data):
-        data = b"\n".join(_BLANKS.sub(b"\t", line.strip()) for line in data.split(b"\n"))
-        notes.append(Note("info", shown, "columns are separated by blanks", "delimiter"))
-    return data.rstrip(b"\n") + b"\n" if data.strip() else data, notes
-
-
-def _without_remarks(data: bytes) -> tuple[bytes, int]:
-    head = data[:_HEAD_BYTES].decode("utf-8", errors="ignore").split("\n")
-    first = next((at for at, line in enumerate(head) if line.strip() and not line.lstrip().startswith("#")), None)
-    names = None
-    if first:
-        above = max((at for at, line in enumerate(head[:first]) if line.strip()), default=None)
-        if above is not None and _names(head[above], head[first]):
-            names = above
-    remarks = _REMARK.findall(data)
-    if names is None:
-        return _REMARK.sub(b"", data), len(remarks)
-    lines = data.split(b"\n", names + 1)
-    text = lines[names].lstrip()[1:].lstrip(b" ") + b"\n"
-    before = _REMARK.sub(b"", b"\n".join(lines[:names]) + (b"\n" if names else b""))
-    return before + text + _REMARK.sub(b"", lines[-1]), len(remarks) - 1
-
-
-def _names(remark: str, below: str) -> bool:
-    """Return whether a remark names the columns of the line below it."""
-    for separator in (";", "\t", ",", None):
-        cells = [cell.strip() for cell in remark.strip()[1:].strip().split(separator)]
-        numbers = [cell.strip() for cell in below.strip().split(separator)]
-        if len(cells) == len(numbers) > 1 and any(map(is_number, numbers)):
-            return not any(is_number(cell) for cell in cells if cell)
-    return False
-
-
-def _by_blanks(data: bytes) -> bool:
-    """Return whether nothing but blanks separates the cells: numbers, as many in every line."""
-    lines = data[:_HEAD_BYTES].decode("utf-8", errors="ignore").split("\n")
-    if len(data) > _HEAD_BYTES:
-        lines.pop()
-    lines = [line.strip() for line in lines if line.strip()][-HEADER_ROWS:]
-    lines = lines[-max(_LEAST_LINES, len(lines) // 2) :]
-    if len(lines) < _LEAST_LINES or any(mark in line for line in lines for mark in (";", "\t", '"')):
-        return False
-    rows = [line.split() for line in lines]
-    widths = {len(row) for row in rows}
-    return (
-        widths != {1} and len(widths) == 1 and all(is_number(cell) and cell[-1] != "," for row in rows for cell in row)
-    )
-
-
-def utf8(data: bytes, shown: str) -> tuple[bytes, list[Note]]:
-    """Return the file as UTF-8 without a byte order mark, with line feeds only, and notes of what was changed."""
-    notes: list[Note] = []
-    encoding = None
-    if data.startswith(codecs.BOM_UTF8):
-        data = data[3:]
-        notes.append(Note("info", shown, "a UTF-8 byte order mark was skipped", "encoding"))
-    elif data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        encoding = "utf-16"
-    elif b"\0" in data[:2000]:
-        even, odd = data[0:2000:2].count(0), data[1:2000:2].count(0)
-        encoding = "utf-16-le" if odd > 20 * (even + 1) else "utf-16-be" if even > 20 * (odd + 1) else None
-    try:
-        if encoding:
-            data = data.decode(encoding).encode("utf-8")
-            notes.append(Note("info", shown, "the text is UTF-16", "encoding"))
-        elif not data.isascii():
-            data.decode("utf-8")
-    except UnicodeError:
-        if encoding:
-            raise BadFileError(shown, "broken UTF-16 text", "whole characters", "export the file again") from None
-        data = data.decode("latin-1").encode("utf-8")
-        notes.append(Note("info", shown, "the text is not UTF-8; it was read as Latin-1", "encoding"))
-    if b"\0" in data:
-        row = data[: data.index(b"\0")].count(b"\n") + 1
-        raise BadFileError(shown, "a NUL byte", "text", "export the file again; it is damaged or binary", row=row)
-    if b"\r" in data and b"\n" not in data:
-        data = data.replace(b"\r", b"\n")
-    return data, notes

@@ -8,41 +8,53 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import pi
 from typing import Any, Final
 
-from calib.campaign.model import Note
-from calib.campaign.readers.table import EMPTY, Layout, filled_cells, is_number
-from calib.errors import BadFileError
-from calib.units import unit_named
+import numpy as np
+import numpy.typing as npt
 
-#: units of counters and rates, which no suffix of a column names, and signs of no unit
-_COUNT_WORDS: Final = frozenset(
-    {"rpm", "rad/s", "deg/s", "counts", "count", "cnt", "cnts", "ticks", "inc", "ink", "imp", "impulse"}
+from calib.campaign.model import Note
+from calib.campaign.readers.table import (
+    EMPTY,
+    HEADER_ROWS,
+    Layout,
+    RawTable,
+    Wanted,
+    filled_cells,
+    is_number,
+    to_numbers,
 )
-#: units of what calib does not use, in lower case: they show a row of units, and their numbers are not converted
-_OTHER_UNITS: Final = frozenset(
-    {
-        "v",
-        "mv",
-        "a",
-        "ma",
-        "w",
-        "kw",
-        "hz",
-        "khz",
-        "%",
-        "bar",
-        "mbar",
-        "pa",
-        "hpa",
-        "kpa",
-        "nm",
-        "h",
-        "min",
-        "d",
-        "m/s²",
-    }
+from calib.errors import BadFileError
+from calib.units import SUFFIXES, unit_named
+
+#: unit of a wheel's column -> what its numbers are, and how many turns (or counts) one of its units makes
+COUNT_UNITS: Final[Mapping[str, tuple[str, float]]] = {
+    "counts": ("counts", 1.0),
+    "counts/sample": ("increments", 1.0),
+    "counts/s": ("count_rate", 1.0),
+    "turns": ("angle", 1.0),
+    "rad": ("angle", 1.0 / (2.0 * pi)),
+    "deg": ("angle", 1.0 / 360.0),
+    "turns/s": ("rate", 1.0),
+    "rad/s": ("rate", 1.0 / (2.0 * pi)),
+    "deg/s": ("rate", 1.0 / 360.0),
+    "rpm": ("rate", 1.0 / 60.0),
+    "rad/min": ("rate", 1.0 / (60.0 * 2.0 * pi)),
+}
+#: how people write the units of wheels, in lower case
+_COUNT_SPELLINGS: Final = (
+    ("counts", r"counts?|cnts?|ticks?|(im)?pulses?|in[ck]|imp"),
+    ("counts/sample", r"increments|(cnt|ticks)/sample|counts/step"),
+    ("counts/s", r"(cnt|ticks|impulse)/s"),
+    ("turns", r"turn|revs?|revolutions|umdrehungen"),
+    ("turns/s", r"(rev|u)/s"),
+    ("deg/s", r"(°|degrees|grad)/s"),
+    ("rpm", r"(1|u|rev)/min"),
+    ("rad/s", r"(radian|rad)s/s"),
 )
+#: units of what calib does not use: they show a row of units, and their numbers are not converted
+_OTHER_UNITS: Final = re.compile(r"m?v|m?a|k?w|k?hz|%|m?bar|[hk]?pa|nm|h|min|d|m/s²", re.IGNORECASE)
 #: forms of dates and times: hh:mm:ss,f, dd.mm.yyyy
 _CLOCK_FORM: Final = re.compile(r"[dmyhsfjt]{1,4}([.:/, \-]+[dmyhsfjt]{1,4})+", re.IGNORECASE)
 _NO_UNIT: Final = frozenset({"", "-", "–", "1"})
@@ -52,8 +64,8 @@ _SHORT: Final = 8
 _TEXT_SHARE: Final = 0.6
 #: header rows at most: groups, names, further names, units
 _HEADER_ROWS: Final = 4
-#: rows whose cells tell which columns hold numbers
-_LOOKED_AT: Final = 20
+#: rows in which names, units and columns of numbers are looked for
+LOOKED_AT: Final = 20
 #: columns that a table has at least where a row of one text is a remark
 _LEAST_COLUMNS: Final = 3
 #: what columns are called that no row names
@@ -72,7 +84,7 @@ class Heading:
 
     names: list[str]
     n_rows: int
-    notes: tuple[Note, ...] = ()
+    notes: list[Note]
 
 
 def heading(
@@ -99,23 +111,23 @@ def heading(
         Names as found; ``column 1``, ``column 2``, ... where no row names them.
     """
     first = _texts(rows[0])
+    found = [Note("info", shown, f"the header was found in row {lines[0]}", "preamble")] if lines[0] > 1 else []
     if not layout.lab:
         units = _texts(rows[1]) if len(rows) > 1 else []
         if not units or not _all_known(units):
-            return Heading(first, 1)
+            return Heading(first, 1, found)
         names, note = _with_units(first, units, shown)
-        return Heading(names, 2, (note,))
+        return Heading(names, 2, [*found, note])
     if layout.header_row is None and len(filled_cells(first)) > 1 and all(map(is_number, filled_cells(first))):
         text = "no row names the columns; they are called column 1, column 2, ..."
-        return Heading(
-            [f"column {number + 1}" for number in range(len(first))], 0, (Note("info", shown, text, "names"),)
-        )
+        names = [f"column {number + 1}" for number in range(len(first))]
+        return Heading(names, 0, [Note("info", shown, text, "names")])
     n_rows = _header_rows(rows, fixed=layout.header_row is not None)
     units_at = n_rows - 1 if n_rows > 1 and looks_like_units(rows[n_rows - 1]) else None
     if layout.units_row is not None:
         if layout.units_row not in lines:
-            found, expected = f"rows {lines[0]} to {lines[-1]} at the head of the table", "the row of units among them"
-            raise BadFileError(shown, found, expected, "correct units_row of the mapping", row=layout.units_row)
+            head, expected = f"rows {lines[0]} to {lines[-1]} at the head of the table", "the row of units among them"
+            raise BadFileError(shown, head, expected, "correct units_row of the mapping", row=layout.units_row)
         units_at = list(lines).index(layout.units_row)
         n_rows = max(n_rows, units_at + 1)
     block = [_texts(row) for number, row in enumerate(rows[:n_rows]) if number != units_at]
@@ -124,9 +136,9 @@ def heading(
     groups = [_texts(above), *block[:-1]] if _is_group(above) else block[:-1]
     names = _joined(block[-1], groups)
     if units_at is None:
-        return Heading(names, n_rows)
+        return Heading(names, n_rows, found)
     names, note = _with_units(names, _texts(rows[units_at]), shown)
-    return Heading(names, n_rows, (note,))
+    return Heading(names, n_rows, [*found, note])
 
 
 def looks_like_units(row: Sequence[Any]) -> bool:
@@ -139,6 +151,15 @@ def looks_like_units(row: Sequence[Any]) -> bool:
     return 2 * known >= len(cells) or (known > 0 and all(len(cell) <= _SHORT for cell in cells))
 
 
+def unit_spelled(text: str) -> str:
+    """Return a unit as calib writes it, where calib knows it: ``mm/s`` is ``mmps``, ``ticks`` are ``counts``."""
+    clean = text.strip()
+    if clean in COUNT_UNITS:
+        return clean
+    counted = (unit for unit, pattern in _COUNT_SPELLINGS if re.fullmatch(pattern, clean.lower()))
+    return next(counted, None) or unit_named(clean) or clean
+
+
 def bare(unit: str) -> str:
     """Return a unit without its brackets."""
     return unit.strip().strip("[]()").strip()
@@ -146,11 +167,11 @@ def bare(unit: str) -> str:
 
 def _is_unit(text: str) -> bool:
     word = bare(text)
-    return unit_named(word) is not None or word.lower() in _COUNT_WORDS or word in _NO_UNIT
+    return unit_spelled(word) in {*COUNT_UNITS, *SUFFIXES} or word in _NO_UNIT
 
 
 def _is_other(word: str) -> bool:
-    return word.lower() in _OTHER_UNITS or _CLOCK_FORM.fullmatch(word) is not None
+    return bool(_OTHER_UNITS.fullmatch(word) or _CLOCK_FORM.fullmatch(word))
 
 
 def _all_known(units: Sequence[str]) -> bool:
@@ -169,7 +190,7 @@ def _is_group(row: Sequence[Any]) -> bool:
 
 def _header_rows(rows: Sequence[Sequence[Any]], *, fixed: bool) -> int:
     """Return how many rows from the first are header: texts over columns of numbers, or units."""
-    body = list(rows[_HEADER_ROWS - 1 : _LOOKED_AT]) or list(rows[1:])
+    body = list(rows[_HEADER_ROWS - 1 : LOOKED_AT]) or list(rows[1:])
     width = max(map(len, rows))
     numeric = []
     for column in range(width):
@@ -195,22 +216,17 @@ def _header_rows(rows: Sequence[Sequence[Any]], *, fixed: bool) -> int:
 
 def _joined(names: Sequence[str], groups: Sequence[Sequence[str]]) -> list[str]:
     """Return names, those that are empty, there twice or a side only with the group above them."""
-    spread: list[str] = []
+    spread, own = [""] * len(names), [""] * len(names)
     for group in groups:
         last = ""
-        for column in range(len(names)):
-            cell = group[column] if column < len(group) else ""
+        for at, cell in enumerate(group[: len(names)]):
             last = cell or last
-            if column == len(spread):
-                spread.append("")
-            spread[column] = last or spread[column]
-    own = [
-        next((group[at] for group in reversed(groups) if at < len(group) and group[at]), "") for at in range(len(names))
-    ]
+            spread[at] = last or spread[at]
+            own[at] = cell or own[at]
     out = []
     for at, name in enumerate(names):
         unclear = not name or names.count(name) > 1 or _SIDE.fullmatch(name)
-        group = (spread[at] if name else own[at]) if spread and unclear else ""
+        group = (spread[at] if name else own[at]) if unclear else ""
         out.append(" ".join(part for part in (group, name) if part))
     return out
 
@@ -230,6 +246,34 @@ def _with_units(names: Sequence[str], units: Sequence[str], shown: str) -> tuple
     if unknown:
         text += f"; not known, so their numbers are not converted: {', '.join(unknown)[:200]}"
     return out, Note("info", shown, text, "unit_row")
+
+
+def finished(
+    columns: dict[str, npt.NDArray[Any]], lines: Sequence[int], wanted: Wanted | None, notes: Sequence[Note], shown: str
+) -> RawTable:
+    """Return a table of cells as read, its columns made numeric where they are wanted.
+
+    Parameters
+    ----------
+    columns : dict of str to array, shape (n_rows,)
+        Cells as read, of the wanted columns.
+    lines : sequence of int
+        The row of each in the file, counted from 1.
+    wanted : callable, optional
+        As `calib.campaign.readers.read_table` takes it.
+    notes : sequence of Note
+        What was recognised so far.
+    shown : str
+        The file's name in messages.
+
+    Returns
+    -------
+    RawTable
+        The table.
+    """
+    line = np.asarray(lines, dtype=np.int64)
+    further, epochs = to_numbers(columns, shown, line) if wanted is not None else ([], {})
+    return RawTable(columns, line, (*notes, *further), epochs)
 
 
 def table_rows(
@@ -276,3 +320,76 @@ def _shapes(rows: Sequence[Sequence[Any]]) -> dict[int, set[str]]:
             for at, cell in enumerate(row):
                 out.setdefault(at, set()).add(_shape(str(cell).strip()))
     return out
+
+
+_REMARK: Final = re.compile(rb"(?m)^[ \t]*#[^\n]*")
+_BLANKS: Final = re.compile(rb"[ \t]+")
+#: bytes in which it is seen how the cells are separated
+_HEAD_BYTES: Final = 1 << 16
+#: lines of numbers that show that blanks separate the cells
+_LEAST_LINES: Final = 2
+
+
+def tidy(data: bytes, layout: Layout, shown: str) -> tuple[bytes, list[Note]]:
+    """Return a text file with the lines that hold no cells emptied, so that rows keep their numbers, and notes.
+
+    Lines that begin with ``#`` are remarks, but for the one right above the numbers where it names as many columns.
+    Runs of blanks become tabs where nothing else separates the cells.
+    """
+    notes: list[Note] = []
+    if layout.skip_rows:
+        lines = data.split(b"\n")
+        for row in layout.skip_rows:
+            lines[row - 1 : row] = [b""] * len(lines[row - 1 : row])
+        data = b"\n".join(lines)
+    if _REMARK.search(data):
+        data, n_remarks = _without_remarks(data)
+        text = f"{n_remarks} line(s) that begin with # are remarks"
+        notes += [Note("info", shown, text, "remarks")] if n_remarks else []
+    if _by_blanks(data):
+        data = b"\n".join(_BLANKS.sub(b"\t", line.strip()) for line in data.split(b"\n"))
+        notes.append(Note("info", shown, "columns are separated by blanks", "delimiter"))
+    return data.rstrip(b"\n") + b"\n" if data.strip() else data, notes
+
+
+def _without_remarks(data: bytes) -> tuple[bytes, int]:
+    head = data[:_HEAD_BYTES].decode("utf-8", errors="ignore").split("\n")
+    first = next((at for at, line in enumerate(head) if line.strip() and not line.lstrip().startswith("#")), None)
+    names = None
+    if first:
+        above = max((at for at, line in enumerate(head[:first]) if line.strip()), default=None)
+        if above is not None and _names(head[above], head[first]):
+            names = above
+    remarks = _REMARK.findall(data)
+    if names is None:
+        return _REMARK.sub(b"", data), len(remarks)
+    lines = data.split(b"\n", names + 1)
+    text = lines[names].lstrip()[1:].lstrip(b" ") + b"\n"
+    before = _REMARK.sub(b"", b"\n".join(lines[:names]) + (b"\n" if names else b""))
+    return before + text + _REMARK.sub(b"", lines[-1]), len(remarks) - 1
+
+
+def _names(remark: str, below: str) -> bool:
+    """Return whether a remark names the columns of the line below it."""
+    for separator in (";", "\t", ",", None):
+        cells = [cell.strip() for cell in remark.strip()[1:].strip().split(separator)]
+        numbers = [cell.strip() for cell in below.strip().split(separator)]
+        if len(cells) == len(numbers) > 1 and any(map(is_number, numbers)):
+            return not any(is_number(cell) for cell in cells if cell)
+    return False
+
+
+def _by_blanks(data: bytes) -> bool:
+    """Return whether nothing but blanks separates the cells: numbers, as many in every line."""
+    lines = data[:_HEAD_BYTES].decode("utf-8", errors="ignore").split("\n")
+    if len(data) > _HEAD_BYTES:
+        lines.pop()
+    lines = [line.strip() for line in lines if line.strip()][-HEADER_ROWS:]
+    lines = lines[-max(_LEAST_LINES, len(lines) // 2) :]
+    if len(lines) < _LEAST_LINES or any(mark in line for line in lines for mark in (";", "\t", '"')):
+        return False
+    rows = [line.split() for line in lines]
+    widths = {len(row) for row in rows}
+    return (
+        widths != {1} and len(widths) == 1 and all(is_number(cell) and cell[-1] != "," for row in rows for cell in row)
+    )

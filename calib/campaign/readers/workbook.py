@@ -15,10 +15,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
 from calib.campaign.model import Note
-from calib.campaign.readers.sheets import heading, table_rows
+from calib.campaign.readers.sheets import LOOKED_AT, finished, heading, table_rows
 from calib.campaign.readers.table import (
     HEADER_ROWS,
     Layout,
@@ -27,7 +25,6 @@ from calib.campaign.readers.table import (
     check_header,
     find_header,
     object_array,
-    to_numbers,
 )
 from calib.errors import BadFileError
 from calib.limits import SHEET_CELLS, SHEET_EMPTY, SHEET_UNPACKED_BYTES, SHEETS, refuse_beyond
@@ -46,8 +43,6 @@ _CELL: Final = re.compile(rb"<(?:\w{1,20}:)?c\s[^<>]*?\br=[\"']([A-Z]{1,3})([0-9
 _MERGED: Final = re.compile(
     rb"<(?:\w{1,20}:)?mergeCell\s[^<>]*?\bref=[\"']([A-Z]{1,3})([0-9]{1,7}):[A-Z]{1,3}([0-9]{1,7})[\"']"
 )
-#: rows in which names, units and columns of numbers are looked for
-_LOOKED_AT: Final = 20
 _ROW: Final = re.compile(rb"<(?:\w{1,20}:)?row\b")
 _LISTED: Final = re.compile(rb"<(?:\w{1,20}:)?sheet\s")
 _TEXT: Final = re.compile(rb"<(?:\w{1,20}:)?si\b")
@@ -69,29 +64,23 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
         raise BadFileError(shown, found="no cells", expected="a header line and rows", remedy="export the table again")
     at, rows, lines = sheet.header_at, sheet.rows, sheet.lines
     above = rows[at - 1] if at and lines[at - 1] == lines[at] - 1 else ()
-    head = heading(rows[at : at + _LOOKED_AT], lines[at : at + _LOOKED_AT], layout, shown, above)
+    head = heading(rows[at : at + LOOKED_AT], lines[at : at + LOOKED_AT], layout, shown, above)
     header = list(head.names)
     while header and not header[-1]:
         header.pop()
     check_header(header, shown, row=lines[at])
-    if lines[at] > 1:
-        notes.append(Note("info", shown, f"the header was found in row {lines[at]}", "preamble"))
     notes += [*head.notes, *sheet.notes]
     rows, lines = rows[at + head.n_rows :], lines[at + head.n_rows :]
     if layout.lab:
         rows, lines, omitted = table_rows(header, rows, lines, shown)
         notes += omitted
     notes += _beside(rows, lines, len(header), shown, layout, sheet.lines[at])
-    line = np.asarray(lines, dtype=np.int64)
-    columns: dict[str, Any] = {}
-    for index, name in enumerate(header):
-        if name and (wanted is None or wanted(name)):
-            columns[name] = object_array(_dated([row[index] if index < len(row) else None for row in rows]))
-    epochs: dict[str, int] = {}
-    if wanted is not None:
-        number_notes, epochs = to_numbers(columns, shown, line)
-        notes += number_notes
-    return RawTable(columns, line, tuple(notes), epochs)
+    columns = {
+        name: object_array(_dated([row[index] if index < len(row) else None for row in rows]))
+        for index, name in enumerate(header)
+        if name and (wanted is None or wanted(name))
+    }
+    return finished(columns, lines, wanted, notes, shown)
 
 
 def sheet_names(path: Path, shown: str) -> list[str]:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from calib.campaign.check import check_campaign
-from calib.campaign.ingest import ingest
+from calib.campaign.ingest.build import ingest
 from calib.campaign.ingest.mapping import LogSection
 from calib.campaign.ingest.runs import expected_name
 from calib.campaign.read import read_campaign

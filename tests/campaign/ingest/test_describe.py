@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.campaign.ingest import describe, ingest
+from calib.campaign.ingest.build import ingest
+from calib.campaign.ingest.describe import describe
 from calib.errors import CalibError
 
 

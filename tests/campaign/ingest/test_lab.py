@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from calib.campaign.check import check_campaign
-from calib.campaign.ingest import Description, Ingested, describe, ingest, merged_notes
+from calib.campaign.ingest.build import Ingested, ingest, merged_notes
+from calib.campaign.ingest.describe import Description, describe
 from calib.campaign.read import read_campaign
 from calib.errors import BadInputError
 from tests.campaign.ingest.lab import MISSING, N_RUNS, SWAPPED, TWICE, Lab, german, plain

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.campaign.ingest import describe, ingest
+from calib.campaign.ingest.build import ingest
+from calib.campaign.ingest.describe import describe
 from calib.campaign.read import read_campaign
 
 VEHICLE = '\n[vehicle]\ndrive = "differential"\ntrack_m = 0.5\nwheel_radius_m = 0.1\nmass_kg = 100.0\n'

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.campaign.ingest import ingest
+from calib.campaign.ingest.build import ingest
 from calib.campaign.read import read_campaign, read_or_ingest
 from calib.errors import BadInputError
 from tests.campaign.ingest.continuous import LOGS, Recorded, mapping_text, recorded, write

@@ -73,12 +73,11 @@ def test_stamps_are_kept_to_the_nanosecond(recording: Recording, drive: Drive) -
 
 def test_span_rate_gaps_and_delay_of_arrival_are_reported(recording: Recording, drive: Drive) -> None:
     wheels = next(one for one in recording.streams if one.name == "/joint_states")
-    report = wheels.report()
-    assert report is not None
-    assert report.start_ns == int(drive.wheels[0][0])
-    assert report.end_ns == int(drive.wheels[0][-1])
-    assert (report.n_samples, report.n_gaps, report.n_backward) == (len(drive.wheels[0]), 0, 0)
-    assert report.rate_Hz == pytest.approx(50.0)
+    found = wheels.contents()
+    assert found.start_ns == int(drive.wheels[0][0])
+    assert found.span_s == pytest.approx(int(drive.wheels[0][-1] - drive.wheels[0][0]) / 1e9, rel=1e-12)
+    assert (found.n_samples, found.n_gaps, found.longest_gap_s) == (len(drive.wheels[0]), 0, 0.0)
+    assert found.rate_Hz == pytest.approx(50.0)
     assert wheels.behind_arrival_s == pytest.approx(0.001)
 
 

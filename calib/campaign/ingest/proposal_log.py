@@ -1,0 +1,245 @@
+"""The lines proposed for logs and recordings: clock, wheels (both sides or neither), reference, rangefinder."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+from calib.campaign.ingest.contents import ColumnContents, FileContents
+from calib.campaign.ingest.guesses import BEHAVIOURS, RISES, count_unit, guessed_log_column, side_of, stem_and_unit
+from calib.campaign.ingest.proposal_table import entry, unit_remark
+from calib.campaign.model import LOG_COLUMNS
+from calib.campaign.readers.recording import StreamContents
+from calib.campaign.readers.sheets import UNNAMED
+from calib.campaign.settings import recognise
+from calib.units import SUFFIXES, split_suffix
+
+#: letters of a name that alone is no evidence of a wheel: l, r, li, re
+_SHORT_NAME: Final = 2
+#: characters of a remark that lists files
+_LISTED_FILES: Final = 110
+#: message types whose poses measure from outside, best first; wheel odometry is no reference
+_POSES: Final = (
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "geometry_msgs/msg/TransformStamped",
+    "poses",
+    "tf2_msgs/msg/TFMessage",
+    "tf/msg/tfMessage",
+)
+_ODOMETRY: Final = "nav_msgs/msg/Odometry"
+#: streams whose kind does not say what they measure: only names do
+_UNTYPED: Final = ("channels", "variables")
+#: part of the name of a joint's rate
+_RATE: Final = ":velocity."
+#: numbers above it count from 1970 -> their unit, each thousand times the one before
+_EPOCHS: Final = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (1e8, "s"))
+#: least step of times in whole numbers -> their unit; loggers sample at 1 Hz to 1 kHz
+_STEPS: Final = ((1e6, "ns"), (1e3, "us"), (1.5, "ms"))
+_PAIR: Final = ("counts_left", "counts_right")
+#: wheels at four corners, by their sides, front first
+_CORNERS: Final = {
+    "counts_left": ("counts_front_left", "counts_rear_left"),
+    "counts_right": ("counts_front_right", "counts_rear_right"),
+}
+#: share of its span by which two wheels of a side differ at most that are coupled: they slip, they do not steer
+_COUPLED: Final = 0.02
+_SKID_STEER: Final = "   # both wheels of this side turn alike: skid steer; of a mecanum drive name all four"
+
+
+def log_lines(logs: Sequence[FileContents]) -> list[str]:
+    """Return the lines for the columns of the recording, or the widest log, and remarks on what no column looks like.
+
+    `logs`: all logs and recordings; the width of a counter counts where any log alike shows it.
+    """
+    log = max(logs, key=lambda file: (file.recording, len(file.columns)))
+    alike = [other for other in logs if other.alike(log)]
+    columns = [
+        replace(column, wrap_bits=next((one.columns[at].wrap_bits for one in alike if one.columns[at].wrap_bits), None))
+        for at, column in enumerate(log.columns)
+    ]
+    streams = {name: stream for stream in log.streams for name in stream.columns}
+    kinds = {stream.kind: stream for stream in reversed(log.streams)}
+    reference = next((kinds[kind] for kind in (*_POSES, _ODOMETRY) if kind in kinds), None)
+    found: dict[str, ColumnContents] = {}
+    # a joint's rate is taken where there is no position of it
+    for column in sorted(columns, key=lambda column: _RATE in column.name):
+        target = guessed_log_column(column.name)
+        if target and target not in found and _may_be(target, column, streams.get(column.name), reference):
+            found[target] = column
+    names = {column.name for column in found.values()}
+    clock = next((column for column in columns if column.even and column.name not in names), None)
+    clocked = any(stream.start_ns is not None for stream in log.streams) or any(c.kind == "time" for c in columns)
+    lines = []
+    if "t_s" not in found and clock is not None and not log.recording and not clocked:
+        lines.append(entry("t_s", clock, _time_unit(clock)) + "   # rises in even steps; s, ms, us, ns")
+        columns.remove(clock)
+    for target, column in found.items():
+        if target == "ref_x_m" and reference is not None and reference.kind == _ODOMETRY:
+            lines.append("# wheel odometry is no reference: keep these lines only if it measures from outside")
+        if not target.startswith("counts_") and (log.recording or recognise(column.name, LOG_COLUMNS).name != target):
+            lines.append(_line(target, column, log))
+    lines += _wheel_lines(found, columns, streams)
+    # times first
+    return [*sorted(lines, key=lambda line: not line.startswith("t_s")), *_missing(lines, found, logs), *_kinds(logs)]
+
+
+def _may_be(
+    target: str, column: ColumnContents, stream: StreamContents | None, reference: StreamContents | None
+) -> bool:
+    """Return whether a column is what its name makes it look like, by its cells and by the kind of its stream."""
+    joint = stream is not None and stream.kind.endswith("JointState")
+    is_wheel = target.startswith("counts_")
+    if is_wheel and not joint and len(stem_and_unit(column.name)[0]) <= _SHORT_NAME and not column.whole:
+        # a letter alone: `r` may as well be a range
+        return False
+    if stream is None:
+        return column.kind == "number" or (target == "t_s" and column.kind == "time")
+    name = column.name
+    if ":effort." in name or ".velocity" in name or (_RATE in name and not is_wheel):
+        return False
+    if target.startswith("ref_") and stream is not reference and stream.kind not in _UNTYPED:
+        return False
+    return target != "t_s" or stream.start_ns is None
+
+
+def _line(target: str, column: ColumnContents, log: FileContents) -> str:
+    """Return the line for what is no wheel, with the unit that its name, the file or its numbers give."""
+    needs, remark = split_suffix(target)[1], ""
+    named = stem_and_unit(column.name)[1]
+    unit = named or (column.unit if column.unit in SUFFIXES and column.unit != needs else None)
+    if needs and unit is None and column.unit != needs and column.kind != "time":
+        unit, remark = needs, unit_remark(target)
+        if target == "t_s":
+            unit = _time_unit(column)
+    return entry(target, column, unit, {"from_start": True} if log.recording and target == "range_m" else None) + remark
+
+
+def _time_unit(column: ColumnContents) -> str:
+    """Return the unit of times that name none, by their size where they count from 1970, else by their steps."""
+    for least, unit in _EPOCHS:
+        if column.high is not None and column.high > least:
+            return unit
+    return next((unit for least, unit in _STEPS if column.whole and column.step > least), "s")
+
+
+def _wheel_lines(
+    found: dict[str, ColumnContents], columns: Sequence[ColumnContents], streams: dict[str, StreamContents]
+) -> list[str]:
+    """Return the lines for the wheels; `found` is changed to what is proposed, both sides or neither."""
+    taken = {column.name for name, column in found.items() if not name.startswith("counts_")}
+    corners = [name for pair in _CORNERS.values() for name in pair if name in found]
+    own = any(recognise(found[name].name, LOG_COLUMNS).name == name for name in corners)
+    remark, lines = "", []
+    if corners and not own and not set(_PAIR) & set(found):
+        remark = _folded(found, corners)
+    elif len(set(_PAIR) & set(found)) < 2 and not corners and "counts_front" not in found:
+        remark = _by_behaviour(found, [column for column in columns if column.name not in taken])
+    one = [name for name in _PAIR if name in found]
+    if len(one) == 1 and "counts_front" not in found:
+        [name] = one
+        other = _PAIR[1 - _PAIR.index(name)]
+        lines.append(f'#{name} = "{found.pop(name).name}"   # looks like a wheel, but no column looks like {other}')
+    for wheel in (name for name in LOG_COLUMNS if name.startswith("counts_") and name in found):
+        column, stream = found[wheel], streams.get(found[wheel].name)
+        unit, why = _wheel_unit(column, stream)
+        line = entry(wheel, column, unit or None)
+        if column.kind == "number" and column.low == column.high:
+            lines.append(f"#{line}   # never changes")
+        elif stream is not None or unit or recognise(column.name, LOG_COLUMNS).name != wheel:
+            lines.append(line + (why if stream is not None and remark != _SKID_STEER and why else remark or why))
+    return lines
+
+
+def _folded(found: dict[str, ColumnContents], corners: Sequence[str]) -> str:
+    """Make two wheels of corners that are a pair, or are coupled on each side (skid steer), in place; what to say."""
+    for axle in (0, 1):
+        names = [pair[axle] for pair in _CORNERS.values()]
+        if sorted(corners) == sorted(names):
+            for side, name in zip(_PAIR, names, strict=True):
+                found[side] = found.pop(name)
+            return ""
+    if len(corners) == 4 and all(_coupled(*(found[name] for name in pair)) for pair in _CORNERS.values()):
+        for side, (front, rear) in _CORNERS.items():
+            found[side] = found.pop(front)
+            del found[rear]
+        return _SKID_STEER
+    return ""
+
+
+def _coupled(front: ColumnContents, rear: ColumnContents) -> bool:
+    if front.low is None or front.high is None or rear.low is None or rear.high is None:
+        return False
+    span = max(front.high - front.low, rear.high - rear.low)
+    return max(abs(front.low - rear.low), abs(front.high - rear.high)) <= _COUPLED * span
+
+
+def _by_behaviour(found: dict[str, ColumnContents], columns: Sequence[ColumnContents]) -> str:
+    """Find two counters by what they do, in place: they overflow, or rise in whole steps; returns what to check."""
+    counters = [column for column in columns if column.whole and column.wrap_bits]
+    what = "overflows"
+    if not counters:
+        counters = [column for column in columns if column.whole and column.does == RISES and not column.even]
+        what = "rises in whole numbers"
+    if not counters and all(UNNAMED.fullmatch(column.name) for column in columns):
+        counters = [column for column in columns if column.does == RISES]
+        what = "rises"
+    if len(counters) != 2:
+        return ""
+    sides = [side_of(column.name) for column in counters]
+    if sides == ["right", "left"] or (None in sides and (sides[0] == "right" or sides[1] == "left")):
+        counters.reverse()
+    found |= dict(zip(_PAIR, counters, strict=True))
+    unclear = None in sides or sides[0] == sides[1]
+    return f"   # {what}, as a counter does; which side it is on is not said: check" if unclear else ""
+
+
+def _wheel_unit(column: ColumnContents, stream: StreamContents | None) -> tuple[str, str]:
+    """Return a wheel's unit where its name does not say it, empty for counts, and a remark on it."""
+    if _RATE in column.name:
+        return "rad/s", "   # a rate, in rad/s where the driver keeps ROS's units"
+    if stream is not None and stream.kind.endswith("JointState"):
+        return "" if column.whole else "rad", ""
+    unit = BEHAVIOURS.get(column.does, "")
+    if count_unit(column.name) not in {None, "counts"} or (column.unit == "counts" and unit != "counts/sample"):
+        return "", ""
+    if unit:
+        return unit, f"   # {column.does}"
+    if column.kind == "number" and not column.whole and not column.wrap_bits:
+        if column.does:
+            return "rad", "   # no whole numbers: an angle; rad, deg or turns"
+        return "rad/s", "   # neither whole nor rising: a rate; or rad, an angle"
+    return "", ""
+
+
+def _missing(lines: Sequence[str], found: dict[str, ColumnContents], logs: Sequence[FileContents]) -> list[str]:
+    """Return remarks on what every log needs and no column looks like: wheels, and a clock."""
+    named = {line.partition(" ")[0] for line in lines} | set(found)
+    named |= {recognise(column.name, LOG_COLUMNS).name for log in logs for column in log.columns}
+    out = []
+    clocked = any(stream.start_ns is not None for log in logs for stream in log.streams)
+    timed = any(column.kind == "time" for log in logs for column in log.columns)
+    if not clocked and not timed and "t_s" not in named:
+        out.append('#t_s = ""   # no column looks like times; every log needs them')
+    if not any(name.startswith(("counts_", "speed_", "v_mps")) for name in named):
+        out += [
+            '#counts_left = ""   # no column looks like a wheel: name those of the encoders (unit = "rad/s", ...',
+            '#counts_right = ""   # where it holds no counts); for one wheel in front counts_front and steer_rad',
+            "#   of speeds in m/s: speed_left_mps, speed_right_mps; speed_rear_mps, steer_rad; or v_mps, omega_radps",
+        ]
+    return out
+
+
+def _kinds(logs: Sequence[FileContents]) -> list[str]:
+    """Return remarks on logs of other columns than the one mapped: a run's log is one file."""
+    kinds = {tuple(column.name for column in log.columns): log for log in logs if not log.recording}
+    if len(kinds) < 2:
+        return []
+    names = ", ".join(Path(log.name).name for log in kinds.values())[:_LISTED_FILES]
+    return [
+        f"# {len(kinds)} kinds of logs ({names}): one file a run is read.",
+        "# Where each holds a part of a run, join them by time first, or record them in one bag, TDMS or .mat file:",
+        "# the streams of a recording are joined on the wheels' times.",
+    ]
