@@ -50,6 +50,10 @@ _LEAST_LAG_SAMPLES: Final = 20
 _POSE_SPACING_S: Final = 0.1
 
 
+#: calib's column -> its source
+Lines = MappingType[str, MappedColumn]
+
+
 @dataclass(frozen=True, slots=True)
 class Lag:
     """By how much a stream lags behind another."""
@@ -100,7 +104,7 @@ def read_mapped(path: Path, mapping: Mapping, encoder: Encoder, border: Border) 
         recording, bits = _unwrapped(recording, lines, base, bits)
         if base.time_ns is not None:
             _note_clocks(recording, base, shown, border)
-            lags = estimate_lags(recording, lines, base, shown, border)
+            lags = _estimate_lags(recording, lines, base, shown, border)
         raw = _joined(recording, base, lines, lags if mapping.log.lag == "remove" else {}, shown)
         border.notes.extend(recording.notes)
     else:
@@ -127,7 +131,7 @@ def read_mapped(path: Path, mapping: Mapping, encoder: Encoder, border: Border) 
     return MappedLog(shown, columns, round(start * NS_PER_S) if epoch is None else epoch, lags, bits)
 
 
-def _check_columns(names: Sequence[str], lines: MappingType[str, MappedColumn], path: Path, mapping: str) -> None:
+def _check_columns(names: Sequence[str], lines: Lines, path: Path, mapping: str) -> None:
     """Refuse a file without a column that the mapping names, listing those it has."""
     shown, is_recording = str(path), holds_recording(path)
     missing = [name for name, line in lines.items() if line.column not in names]
@@ -145,7 +149,7 @@ def _check_columns(names: Sequence[str], lines: MappingType[str, MappedColumn], 
         raise BadFileError(shown, found, "the column that the mapping names", remedy, row=row, column=name)
 
 
-def _wheel_stream(recording: Recording, lines: MappingType[str, MappedColumn], shown: str) -> Stream:
+def _wheel_stream(recording: Recording, lines: Lines, shown: str) -> Stream:
     """Return the stream whose times the log takes: the wheels'."""
     for name in LOG_COLUMNS:
         if name.startswith("counts_") and name in lines:
@@ -156,29 +160,22 @@ def _wheel_stream(recording: Recording, lines: MappingType[str, MappedColumn], s
     return max(recording.streams, key=len)
 
 
-def _unwrapped(
-    recording: Recording, lines: MappingType[str, MappedColumn], base: Stream, bits: int | None
-) -> tuple[Recording, int | None]:
-    """Undo overflows of counters before they are interpolated."""
+def _unwrapped(recording: Recording, lines: Lines, base: Stream, bits: int | None) -> tuple[Recording, int | None]:
+    """Undo overflows of the counters that are not in the wheels' stream, before they are interpolated."""
+    counters = {
+        line.column for name, line in lines.items() if name.startswith("counts_") and line.unit_kind == "counts"
+    }
     streams = []
     for stream in recording.streams:
         columns = dict(stream.columns)
-        for name, line in lines.items():
-            is_counter = name.startswith("counts_") and line.wheel_unit == "counts"
-            if is_counter and line.column in columns and stream is not base:
-                columns[line.column], width = continuous_counts(columns[line.column], bits)
-                bits = width or bits
-        streams.append(stream if stream is base else replace(stream, columns=columns))
+        for name in counters & set(columns) if stream is not base else ():
+            columns[name], width = continuous_counts(columns[name], bits)
+            bits = width or bits
+        streams.append(replace(stream, columns=columns))
     return replace(recording, streams=tuple(streams)), bits
 
 
-def _joined(
-    recording: Recording,
-    base: Stream,
-    lines: MappingType[str, MappedColumn],
-    removed: MappingType[str, Lag],
-    shown: str,
-) -> RawTable:
+def _joined(recording: Recording, base: Stream, lines: Lines, removed: MappingType[str, Lag], shown: str) -> RawTable:
     """Return the mapped columns at the wheels' times, their lags taken off."""
     clock = "t_s" not in lines
     if clock and base.time_ns is None and "t_s" not in base.columns:
@@ -192,22 +189,20 @@ def _joined(
     return joined_table(recording, base, shifts_s, clock)
 
 
-def _renamed(
-    raw: RawTable, lines: MappingType[str, MappedColumn], shown: str, border: Border
-) -> tuple[dict[str, FloatArray], int | None]:
+def _renamed(raw: RawTable, lines: Lines, shown: str, border: Border) -> tuple[dict[str, FloatArray], int | None]:
     """Return columns under calib's names in SI units, mapped ones first, then those recognised; the clock's start."""
     columns: dict[str, FloatArray] = {}
     time_column = "t_s"
     for name, line in lines.items():
-        if line.column not in raw.columns:
+        cells = raw.columns.get(line.column)
+        if cells is None:
             continue
-        if name == "t_s":
-            time_column = line.column
+        time_column = line.column if name == "t_s" else time_column
         if name == CUT_COLUMN or (name == "t_s" and line.column in raw.epochs):
-            columns[name] = np.asarray(raw.columns[line.column], dtype=np.float64)
-            continue
-        match = recognise(line.target(name), LOG_COLUMNS, further=False)
-        columns[name] = converted(raw.columns[line.column], match.factor * line.scale(name), match.offset)
+            columns[name] = np.asarray(cells, dtype=np.float64)
+        else:
+            match = recognise(line.target(name), LOG_COLUMNS, further=False)
+            columns[name] = converted(cells, match.factor * line.scale(name), match.offset)
     mapped = {line.column for line in lines.values()}
     for column, cells in raw.columns.items():
         match = log_column(column)
@@ -217,15 +212,13 @@ def _renamed(
             raise second_column(match, column, shown)
         if match.said:
             border.say(f"{shown}, column {column}", match.said, "unit" if match.factor != 1.0 else "name")
-        if match.name == "t_s":
-            time_column = column
+        time_column = column if match.name == "t_s" else time_column
         columns[match.name] = converted(cells, match.factor, match.offset)
-    order: tuple[str, ...] = (*LOG_COLUMNS, CUT_COLUMN)
-    ordered = {name: columns[name] for name in order if name in columns}
-    return ordered, raw.epochs.get(time_column)
+    order = [name for name in (*LOG_COLUMNS, CUT_COLUMN) if name in columns]
+    return {name: columns[name] for name in order}, raw.epochs.get(time_column)
 
 
-def _to_counts(columns: dict[str, FloatArray], lines: MappingType[str, MappedColumn], encoder: Encoder) -> None:
+def _to_counts(columns: dict[str, FloatArray], lines: Lines, encoder: Encoder) -> None:
     """Turn angles, rates and increments of the wheels into counts, in place."""
     time = columns["t_s"]
     for name in [name for name in columns if name.startswith("counts_") and name in lines]:
@@ -283,35 +276,16 @@ def continuous_counts(counts: FloatArray, bits: int | None = None) -> tuple[Floa
     return (counts, None) if width is None else (unwrap(counts, offsets, width)[0], width)
 
 
-def estimate_lags(
-    recording: Recording, lines: MappingType[str, MappedColumn], base: Stream, shown: str, border: Border
-) -> dict[str, Lag]:
+def _estimate_lags(recording: Recording, lines: Lines, base: Stream, shown: str, border: Border) -> dict[str, Lag]:
     """Estimate by how much the reference and the rangefinder lag behind the wheels, and note it.
 
-    Parameters
-    ----------
-    recording : Recording
-        With the columns that the mapping names.
-    lines : mapping of str to MappedColumn
-        Calib's column -> the recording's.
-    base : Stream
-        The wheels' stream.
-    shown : str
-        The recording's name in messages.
-    border : Border
-        Takes the notes.
-
-    Returns
-    -------
-    dict of str to Lag
-        ``reference`` and ``range_m`` -> the lag, where there is one.
+    `lines`: calib's column -> the recording's; `base`: the wheels' stream. Returns ``reference`` and ``range_m`` -> the
+    lag, where there is one.
     """
     wheels = [
         base.columns[line.column]
         for name, line in lines.items()
-        if name.startswith("counts_")
-        and line.column in base.columns
-        and COUNT_UNITS[line.wheel_unit][0] in {"counts", "angle"}
+        if name.startswith("counts_") and line.column in base.columns and line.unit_kind in {"counts", "angle"}
     ]
     if not wheels or base.time_ns is None:
         return {}

@@ -139,6 +139,11 @@ class MappedColumn(_Model):
         """Unit of a wheel's column, of `COUNT_UNITS`."""
         return self.unit_for("counts_left") or "counts"
 
+    @property
+    def unit_kind(self) -> str:
+        """What the numbers of a wheel's column are: counts, increments, an angle or a rate."""
+        return COUNT_UNITS[self.wheel_unit][0]
+
     def target(self, name: str) -> str:
         """Return calib's column `name` in the source's unit (``t_ms``), as the recognition of columns reads it."""
         unit = self.unit_for(name)
