@@ -215,21 +215,18 @@ def _run_table(path: Path, work: _Ingestion) -> RawTable | None:
 
 def _without_logs(runs: RunTable, missing: MappingType[int, str], shown: str, border: Border) -> RunTable:
     """Note the runs whose log is missing; one without counts in the table is excluded."""
-    counted = ~np.isnan(runs.number("counts_left")) & ~np.isnan(runs.number("counts_right"))
+    counted = np.isfinite(runs.number("counts_left") + runs.number("counts_right"))
     excluded = runs.excluded.copy()
     reasons = runs.label("exclusion_reason").astype(object)
     for index, name in missing.items():
         text = f"no log {name} was found for this run"
         if not counted[index] and not excluded[index]:
-            excluded[index] = True
-            reasons[index] = f"no log {name} was found"
+            excluded[index], reasons[index] = True, f"no log {name} was found"
             text += "; it stays in the table, excluded"
         where = f"{shown}, row {int(runs.line[index])}"
         border.say(where, text, "no_log", level="suspicious", run_id=str(runs.run_id[index]))
-    labels = dict(runs.labels)
-    if missing and excluded.any():
-        labels["exclusion_reason"] = reasons.astype(np.str_)
-    return replace(runs, labels=labels, excluded=excluded)
+    reason = {"exclusion_reason": reasons.astype(np.str_)} if missing and excluded.any() else {}
+    return replace(runs, labels={**runs.labels, **reason}, excluded=excluded)
 
 
 def _exchange_wheels(runs: RunTable, logs: dict[int, MappedLog], work: _Ingestion) -> None:
@@ -248,14 +245,13 @@ def _exchange_wheels(runs: RunTable, logs: dict[int, MappedLog], work: _Ingestio
 def _with_ends(runs: RunTable, logs: MappingType[int, MappedLog]) -> RunTable:
     """Fill distances and end poses that the table lacks from logs whose range and poses count from their start."""
     numbers = dict(runs.numbers)
-    filled: set[str] = set()
-    for index, log in logs.items():
-        for name, value in end_values(log.columns).items() if log.from_start else ():
-            if name not in filled:
-                numbers[name] = numbers[name].copy() if name in numbers else np.full(len(runs), np.nan)
-                filled.add(name)
-            if np.isnan(numbers[name][index]):
-                numbers[name][index] = round(value, 9)
+    ends = {index: end_values(log.columns) for index, log in logs.items() if log.from_start}
+    for name in dict.fromkeys(name for values in ends.values() for name in values):
+        column = runs.number(name).copy()
+        for index, values in ends.items():
+            if np.isnan(column[index]):
+                column[index] = round(values.get(name, np.nan), 9)
+        numbers[name] = column
     return replace(runs, numbers=numbers)
 
 
@@ -264,12 +260,11 @@ def _with_wrap_bits(logs: MappingType[int, MappedLog], work: _Ingestion) -> Enco
     encoder = work.settings.encoder
     if encoder.wrap_bits is not None:
         return encoder
-    widths = {log.wrap_bits for log in logs.values()}
+    widths = [log.wrap_bits for log in logs.values()]
     for name in {name for log in logs.values() for name in log.columns if name.startswith("counts_")}:
         counts = [log.columns[name] for log in logs.values() if name in log.columns]
-        offsets = np.cumsum([0, *map(len, counts)])
-        widths.add(detect_wrap_bits(np.concatenate(counts), offsets))
-    bits = max((width for width in widths if width is not None), default=None)
+        widths.append(detect_wrap_bits(np.concatenate(counts), np.cumsum([0, *map(len, counts)])))
+    bits = max(filter(None, widths), default=None)
     if bits is None:
         return encoder
     text = f"counters overflow at {bits} bits, by their jumps; wrap_bits = {bits} is written into campaign.toml"

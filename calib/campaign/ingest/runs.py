@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Sequence
 from collections.abc import Mapping as MappingType
 from dataclasses import replace
 from pathlib import Path
@@ -31,18 +31,18 @@ def without_unit(name: str) -> str:
     return _UNIT.sub("", name).strip()
 
 
-def resolved(lines: MappingType[str, MappedColumn], names: Iterable[str]) -> dict[str, MappedColumn]:
+def whole_name(column: str, names: Collection[str]) -> str:
+    """Return the name in the file that a mapping gives without the unit in brackets; `column` where none is like it."""
+    alike = [name for name in names if without_unit(name) == column.strip()]
+    return alike[0] if len(alike) == 1 and column not in names else column
+
+
+def resolved(lines: MappingType[str, MappedColumn], names: Collection[str]) -> dict[str, MappedColumn]:
     """Return lines with the columns' whole names, where a line names one without the unit that the file gives it."""
-    short: dict[str, list[str]] = {}
-    for name in names:
-        short.setdefault(without_unit(name), []).append(name)
-    known = {name for group in short.values() for name in group}
-    out = {}
-    for target, line in lines.items():
-        group = short.get(line.column.strip(), [])
-        whole = line.column and line.column not in known and len(group) == 1
-        out[target] = line.model_copy(update={"column": group[0]}) if whole else line
-    return out
+    return {
+        target: line.model_copy(update={"column": whole_name(line.column, names)}) if line.column else line
+        for target, line in lines.items()
+    }
 
 
 def with_lookups(raw: RawTable, mapping: Mapping, path: Path, border: Border) -> tuple[RawTable, Mapping]:
@@ -54,24 +54,23 @@ def with_lookups(raw: RawTable, mapping: Mapping, path: Path, border: Border) ->
     lines = dict(mapping.table.columns)
     lines |= resolved({target: line for target, line in lines.items() if not line.sheet}, raw.columns)
     columns = dict(raw.columns)
-    sheets: dict[str, RawTable] = {}
+    wanted = {line.sheet for line in lines.values() if line.sheet}
+    sheets = {name: read_table(path, shown, None, Layout(sheet=name, lab=True)) for name in sorted(wanted)}
     for target, line in lines.items():
         if line.sheet:
-            if line.sheet not in sheets:
-                sheets[line.sheet] = read_table(path, shown, None, Layout(sheet=line.sheet, lab=True))
             sheet = sheets[line.sheet]
-            whole = resolved({target: line}, sheet.columns)[target]
-            name = whole.column if whole.column not in raw.columns else f"{line.sheet}: {whole.column}"
-            columns[name] = _looked_up(
-                raw, sheet, whole, f"{shown}, sheet {line.sheet!r}", f"{mapping.shown}, {target}"
-            )
-            lines[target] = whole.model_copy(
-                update={"column": name, "sheet": "", "by": "", "unit": whole.unit_for(target)}
-            )
+            column = whole_name(line.column, sheet.columns)
+            line = line.model_copy(update={"column": column})
+            cells = _looked_up(raw, sheet, line, f"{shown}, sheet {line.sheet!r}", f"{mapping.shown}, {target}")
+            name = column if column not in raw.columns else f"{line.sheet}: {column}"
+            columns[name] = cells
+            plain = {"column": name, "sheet": "", "by": "", "unit": line.unit_for(target)}
+            lines[target] = line.model_copy(update=plain)
         elif line.fill_down and line.column in columns:
             columns[line.column] = _filled_down(columns[line.column])
     session = lines["session"].column if "session" in lines else "session"
-    _note_empty("session", columns.get(session), raw, shown, border)
+    if session in columns:
+        _note_empty_sessions(columns[session], raw, shown, border)
     table = mapping.table.model_copy(update={"columns": lines})
     return replace(raw, columns=columns), replace(mapping, table=table)
 
@@ -82,26 +81,21 @@ def _looked_up(raw: RawTable, sheet: RawTable, line: MappedColumn, shown: str, w
     def refused(column: str, found: str, expected: str) -> BadFileError:
         return BadFileError(shown, found, expected, f"correct {where}, or complete the sheet", column=column)
 
-    def whole(name: str, table: RawTable) -> str:
-        return resolved({"": MappedColumn(column=name)}, table.columns)[""].column
-
-    by = whole(line.by, raw)
+    by = whole_name(line.by, raw.columns)
     if by not in raw.columns:
         raise refused(line.by, f"only {', '.join(raw.columns)[:200]} in the run table", "the column that `by` names")
     alike = [name for name in sheet.columns if without_unit(name) == without_unit(by)]
-    key = whole(line.key or next(iter(alike), next(iter(sheet.columns))), sheet)
+    key = whole_name(line.key, sheet.columns) if line.key else [*alike, *sheet.columns][0]
     for name in (key, line.column):
         if name not in sheet.columns:
             raise refused(name, f"only {', '.join(sheet.columns)[:200]}", "the column that the mapping names")
-    values = {_label(cell): value for cell, value in zip(sheet.columns[key], sheet.columns[line.column], strict=True)}
-    out = []
-    for cell, row in zip(raw.columns[by], raw.line, strict=True):
-        label = _label(cell)
+    labels = [_label(cell) for cell in raw.columns[by]]
+    values = dict(zip(map(_label, sheet.columns[key]), sheet.columns[line.column], strict=True))
+    for label, row in zip(labels, raw.line, strict=True):
         if label and label not in values:
             known = ", ".join(str(cell).strip() for cell in sheet.columns[key][:_LISTED])
             raise refused(key, f"no label {label!r:.40}, which row {int(row)} of the run table has", f"one of {known}")
-        out.append(values.get(label) if label else None)
-    return object_array(out)
+    return object_array([values.get(label) if label else None for label in labels])
 
 
 def _label(cell: Any) -> str:
@@ -118,27 +112,23 @@ def _filled_down(cells: npt.NDArray[Any]) -> npt.NDArray[Any]:
     return object_array(out)
 
 
-def _note_empty(target: str, cells: npt.NDArray[Any] | None, raw: RawTable, shown: str, border: Border) -> None:
+def _note_empty_sessions(cells: npt.NDArray[Any], raw: RawTable, shown: str, border: Border) -> None:
     """Note the rows that name no session where others do."""
-    if cells is None:
-        return
-    empty = np.asarray([not filled_cells([cell]) for cell in cells], dtype=np.bool_)
-    if not empty.any() or empty.all():
-        return
-    rows = ", ".join(str(int(row)) for row in raw.line[empty][:_LISTED]) + (" ..." if empty.sum() > _LISTED else "")
-    text = (
-        f"{int(empty.sum())} of {len(empty)} rows name no {target}; they count as one of their own: name it, or write "
-        f'{target} = {{column = "...", fill_down = true}} where an empty cell means the one above'
-    )
-    border.say(f"{shown}, rows {rows}", text, f"no_{target}", level="suspicious")
+    rows = [str(int(row)) for cell, row in zip(cells, raw.line, strict=True) if not filled_cells([cell])]
+    if 0 < len(rows) < len(cells):
+        text = (
+            f"{len(rows)} of {len(cells)} rows name no session; they count as one of their own: name it, or write "
+            'session = {column = "...", fill_down = true} where an empty cell means the one above'
+        )
+        listed = ", ".join(rows[:_LISTED]) + (" ..." if len(rows) > _LISTED else "")
+        border.say(f"{shown}, rows {listed}", text, "no_session", level="suspicious")
 
 
 def names_runs(raw: RawTable, mapping: Mapping) -> bool:
     """Return whether a table names runs, by the mapping or by calib's own name."""
     line = mapping.table.columns.get("run_id")
-    if line is not None and line.column in raw.columns:
-        return True
-    return any(recognise(name, TABLE_COLUMNS).name == "run_id" for name in raw.columns)
+    own = any(recognise(name, TABLE_COLUMNS).name == "run_id" for name in raw.columns)
+    return own or (line is not None and line.column in raw.columns)
 
 
 def mapped_runs(raw: RawTable, mapping: Mapping, shown: str, border: Border) -> RunTable:
@@ -176,8 +166,7 @@ def _without_end(raw: RawTable, lines: MappingType[str, MappedColumn], shown: st
     last = max((at for at, cell in enumerate(names) if filled_cells([cell])), default=-1)
     for row in raw.line[last + 1 :] if last >= 0 else ():
         border.say(f"{shown}, row {int(row)}", "names no run, at the end of the table; omitted", "remark")
-    keep = slice(0, last + 1) if last >= 0 else slice(None)
-    return replace(raw, columns={name: cells[keep] for name, cells in raw.columns.items()}, line=raw.line[keep])
+    return raw.select(slice(0, last + 1)) if last >= 0 else raw
 
 
 def _cells(raw: RawTable, name: str, line: MappedColumn, mapping: Mapping, shown: str) -> npt.NDArray[Any]:
@@ -194,16 +183,14 @@ def _cells(raw: RawTable, name: str, line: MappedColumn, mapping: Mapping, shown
     cells = raw.columns[line.column]
     if not line.values:
         return cells
-    meanings = {found.strip().lower(): str(meaning) for found, meaning in line.values.items()}
+    meanings = {_label(found): str(meaning) for found, meaning in line.values.items()}
     texts: list[str | None] = []
-    for index, cell in enumerate(cells):
-        whole = isinstance(cell, float) and cell.is_integer()
-        text = "" if cell is None else str(int(cell)) if whole else str(cell).strip()
-        if text and text.lower() not in meanings and text not in meanings.values():
-            place = f"{shown}, row {int(raw.line[index])}"
-            expected = f"a line for {text!r:.40} too, found in {place}"
+    for cell, row in zip(cells, raw.line, strict=True):
+        text = _label(cell)
+        if text and text not in meanings and str(cell).strip() not in meanings.values():
+            expected = f"a line for {str(cell).strip()!r:.40} too, found in {shown}, row {int(row)}"
             raise bad_line(mapping.shown, "table", f"{name}.values", list(line.values), expected)
-        texts.append(meanings.get(text.lower(), text) or None)
+        texts.append(meanings.get(text, str(cell).strip()) if text else None)
     return object_array(texts)
 
 
@@ -218,22 +205,16 @@ def _constant(name: str, line: MappedColumn, n_runs: int, mapping: Mapping) -> n
 
 
 def without_repeats(raw: RawTable, shown: str, border: Border) -> RawTable:
-    """Return the table without rows that repeat an earlier one cell by cell.
-
-    `border`: takes a note on each row dropped.
-    """
+    """Return the table without rows that repeat an earlier one cell by cell, each of them noted."""
     first: dict[tuple[str, ...], int] = {}
     keep = np.ones(len(raw.line), dtype=np.bool_)
-    for index, row in enumerate(zip(*raw.columns.values(), strict=True)):
-        key = tuple("" if cell is None else str(cell).strip() for cell in row)
-        if key in first:
+    for index, (line, *row) in enumerate(zip(raw.line.tolist(), *raw.columns.values(), strict=True)):
+        earlier = first.setdefault(tuple("" if cell is None else str(cell).strip() for cell in row), line)
+        if earlier != line:
             keep[index] = False
-            text = f"repeats row {first[key]} in every cell and was dropped"
-            border.say(f"{shown}, row {int(raw.line[index])}", text, "repeated_row")
-        first.setdefault(key, int(raw.line[index]))
-    if keep.all():
-        return raw
-    return replace(raw, columns={name: cells[keep] for name, cells in raw.columns.items()}, line=raw.line[keep])
+            text = f"repeats row {earlier} in every cell and was dropped"
+            border.say(f"{shown}, row {line}", text, "repeated_row")
+    return raw.select(keep)
 
 
 def listed_files(sources: Sequence[Path]) -> list[Path]:
@@ -246,15 +227,14 @@ def listed_files(sources: Sequence[Path]) -> list[Path]:
         if is_bag_folder(source) or source.is_file():
             files.append(source)
         elif source.is_dir():
-            inside = sorted(source.iterdir())
-            files += [path for path in inside if is_bag_folder(path) or _is_readable_file(path)]
+            files += [
+                path
+                for path in sorted(source.iterdir())
+                if is_bag_folder(path) or (path.is_file() and path.suffix.lower() in READERS)
+            ]
         else:
             raise BadInputError(f"{source}: found no such file; expected a log or a folder of logs; correct the path")
     return files
-
-
-def _is_readable_file(path: Path) -> bool:
-    return path.is_file() and path.suffix.lower() in READERS
 
 
 def run_number(run_id: str, pattern: str | None) -> int | None:
@@ -340,13 +320,10 @@ def match_logs(
     matched: dict[int, Path] = {}
     missing: dict[int, str] = {}
     for index, run_id in enumerate(map(str, runs.run_id)):
-        wanted = expected_name(log, run_id) if named is None else str(named[index])
-        if wanted == "" and named is not None:
+        wanted = (expected_name(log, run_id) or "") if named is None else str(named[index])
+        if not wanted and named is not None:
             continue
-        if wanted:
-            fitting = [path for path in files if fits_name(path.name, wanted)]
-        else:
-            fitting = [path for path in files if path.stem == run_id]
+        fitting = [path for path in files if (fits_name(path.name, wanted) if wanted else path.stem == run_id)]
         if len(fitting) > 1:
             raise unmatched(index, f"{len(fitting)} source files named {wanted or run_id!r}")
         if fitting:
@@ -362,10 +339,10 @@ def match_logs(
 
 def _note_unused(used: set[Path], files: Sequence[Path], border: Border) -> None:
     unused = [path for path in files if path not in used]
-    digests = {sha256_file(path): path for path in used if path.is_file()} if unused else {}
+    digests = {sha256_file(path): path.name for path in used if path.is_file()} if unused else {}
     for path in unused:
         twin = digests.get(sha256_file(path)) if path.is_file() else None
         if twin is not None:
-            border.say(str(path), f"holds the same bytes as {twin.name} and was omitted", "repeated_log")
+            border.say(str(path), f"holds the same bytes as {twin} and was omitted", "repeated_log")
         else:
             border.say(str(path), "belongs to no run of the table and was omitted", "unused_source")

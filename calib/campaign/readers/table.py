@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
@@ -13,7 +13,7 @@ import numpy.typing as npt
 from calib.campaign.model import Note
 from calib.errors import BadFileError
 from calib.limits import COLUMNS, refuse_beyond
-from calib.types import FloatArray, IntArray
+from calib.types import BoolArray, FloatArray, IntArray
 
 Wanted = Callable[[str], bool]
 
@@ -82,6 +82,11 @@ class RawTable:
     #: for a column that was written as times of the clock and holds seconds since its first cell: that first time, in
     #: nanoseconds since 1970 (or since midnight)
     epochs: Mapping[str, int] = field(default_factory=dict)
+
+    def select(self, keep: slice | BoolArray) -> RawTable:
+        """Return the rows that `keep` picks."""
+        columns = {name: cells[keep] for name, cells in self.columns.items()}
+        return replace(self, columns=columns, line=self.line[keep])
 
 
 def object_array(cells: Sequence[Any]) -> npt.NDArray[Any]:
