@@ -269,9 +269,12 @@ def expected_name(log: LogSection, run_id: str) -> str | None:
     if "{n" not in name:
         return name
     number = run_number(run_id, log.run)
-    if number is None:
-        return None
-    return re.sub(r"\{n(?::0?(\d+))?\}", lambda match: str(number).zfill(int(match[1] or 0)), name)
+    return None if number is None else with_number(name, number)
+
+
+def with_number(pattern: str, number: int) -> str:
+    """Return a pattern with its ``{n}`` or ``{n:03}`` replaced by a number."""
+    return re.sub(r"\{n(?::0?(\d+))?\}", lambda match: str(number).zfill(int(match[1] or 0)), pattern)
 
 
 def fits_name(name: str, wanted: str) -> bool:

@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.campaign.ingest.logs import CUT_COLUMN, MappedLog, continuous_counts
 from calib.campaign.ingest.mapping import Mapping, Segmentation
-from calib.campaign.ingest.runs import mapped_runs
+from calib.campaign.ingest.runs import mapped_runs, with_number
 from calib.campaign.model import Border, RunTable
 from calib.campaign.readers import RawTable
 from calib.campaign.readers.table import NS_PER_S, moment_ns, object_array
@@ -145,11 +145,7 @@ def _columns_of(columns: MappingType[str, FloatArray], part: slice) -> dict[str,
 
 def _numbered(cut: Segmentation, names: list[str], mapping: Mapping, border: Border) -> RunTable:
     """Return a table of numbered runs, a session a recording unless the mapping says otherwise."""
-    run_ids = [
-        cut.run_id.replace("{n:03}", f"{number:03}").replace("{n:02}", f"{number:02}").replace("{n}", str(number))
-        for number in range(1, len(names) + 1)
-    ]
-    columns: dict[str, Any] = {"run_id": object_array(run_ids)}
+    columns = {"run_id": object_array([with_number(cut.run_id, number) for number in range(1, len(names) + 1)])}
     if "session" not in mapping.table.columns:
         columns["session"] = object_array(names)
     raw = RawTable(columns, np.arange(2, len(names) + 2, dtype=np.int64))
