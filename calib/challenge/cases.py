@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
-from calib.challenge.ceiling import ceiling_of, ceiling_of_truth
+from calib.challenge.ceiling import Ceiling, ceiling_of, ceiling_of_truth
 from calib.challenge.recipe import Recipe
 from calib.plant.design import Design
 from calib.plant.effects.form import Cause
@@ -20,7 +20,6 @@ from calib.plant.noise import Noise, random_noise
 from calib.plant.plans import good_design, poor_design
 from calib.plant.rivals import rivals, signatures, whitened
 from calib.plant.signal import is_calibration, to_signal
-from calib.types import FloatArray
 
 _UNSIGNED: Final = ("encoder_gross", "integration_scheme")
 #: effects of which only positive sizes have a meaning
@@ -79,21 +78,12 @@ class Truth:
     @staticmethod
     def from_dict(data: Mapping[str, Any]) -> Truth:
         """Return what `to_dict` said."""
-        recipe = dict(data["recipe"])
-        for key in ("effects", "aliases"):
-            recipe[key] = tuple(recipe[key])
-        recipe["targets"] = tuple(float("nan") if item is None else float(item) for item in recipe["targets"])
-        noise = dict(data["noise"])
-        noise["tail"] = float("inf") if noise["tail"] is None else noise["tail"]
-        changed: dict[str, Any] = {name: tuple(data[name]) for name in ("typical", "signals", "beside")} | {
-            "recipe": Recipe(**recipe),
-            "causes": tuple(Cause(**item) for item in data["causes"]),
-            "rivals": tuple((name, distance) for name, distance in data["rivals"]),
-            "noise": Noise(**noise),
-            "model": OdometryModel(**data["model"]),
-        }
-        changed |= {name: tuple(data[name]) for name in ("ceiling", "own_ceiling") if data.get(name) is not None}
-        return Truth(**{**data, **changed})
+        from pydantic import TypeAdapter
+
+        recipe, noise = dict(data["recipe"]), dict(data["noise"])
+        recipe["targets"] = [np.nan if target is None else target for target in recipe["targets"]]
+        noise["tail"] = np.inf if noise["tail"] is None else noise["tail"]
+        return TypeAdapter(Truth).validate_python({**data, "recipe": recipe, "noise": noise})
 
 
 def case_design(recipe: Recipe, seed: int, max_runs: int, redraw: int = 0) -> Design:
@@ -144,24 +134,15 @@ def _draw(recipe: Recipe, seed: int, max_runs: int, redraw: int) -> Truth:
     for cause in as_causes({name: float("nan") for name in recipe.effects}, design, rng):
         sign = 1.0 if cause.effect in (*_UNSIGNED, *ONE_SIGN) else float(rng.choice([-1.0, 1.0]))
         causes.append(replace(cause, size=sign * cause.size))
-    gross = any(cause.effect in _UNSIGNED for cause in causes)
-    signals: tuple[float | None, ...] = tuple(None for _ in causes)
-    beside = signals
-    near: tuple[tuple[str, float], ...] = ()
-    best: tuple[float, float] | None = None
-    own: tuple[float, float] | None = None
-    if causes and not gross:
-        scaled, noise, shown = to_signal(design, model, noise, causes, recipe.targets)
-        causes = scaled
+    signals: tuple[float | None, ...] = (None,) * len(causes)
+    beside, near, best, own = signals, tuple[tuple[str, float], ...](), None, None
+    if causes and not any(cause.effect in _UNSIGNED for cause in causes):
+        causes, noise, shown = to_signal(design, model, noise, causes, recipe.targets)
         signals, beside = tuple(round(v, 3) for v in shown.alone), tuple(round(v, 3) for v in shown.beside)
         if len(causes) == 1 and not causes[0].effect.startswith("outside:") and recipe.group != "natural":
             near = tuple((r.effect, r.distance) for r in rivals(design, model, noise, causes[0])[:8])
         if recipe.group == "single":
-            drawn = np.random.default_rng([seed, recipe.number, 3])
-            known = signatures(design, model, noise)
-            reached = ceiling_of(known, recipe.targets[0], drawn, one_sign=ONE_SIGN)
-            best = None if reached is None else (round(reached.free, 3), round(reached.gated, 3))
-            own = _own_ceiling(known, design, model, noise, causes[0], recipe, seed)
+            best, own = _ceilings(design, model, noise, causes[0], recipe, seed)
     return Truth(
         recipe=recipe,
         seed=seed,
@@ -180,28 +161,27 @@ def _draw(recipe: Recipe, seed: int, max_runs: int, redraw: int) -> Truth:
     )
 
 
-def _own_ceiling(
-    known: Mapping[str, Sequence[FloatArray]],
-    design: Design,
-    model: OdometryModel,
-    noise: Noise,
-    cause: Cause,
-    recipe: Recipe,
-    seed: int,
-) -> tuple[float, float] | None:
+def _ceilings(
+    design: Design, model: OdometryModel, noise: Noise, cause: Cause, recipe: Recipe, seed: int
+) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
+    """Return what the best rule reaches on the runs of a case, for any effect and for the true one."""
+
+    def rounded(ceiling: Ceiling | None) -> tuple[float, float] | None:
+        return None if ceiling is None else (round(ceiling.free, 3), round(ceiling.gated, 3))
+
+    known, signal = signatures(design, model, noise), recipe.targets[0]
+    drawn = np.random.default_rng([seed, recipe.number, 3])
+    best = rounded(ceiling_of(known, signal, drawn, one_sign=ONE_SIGN))
     if is_calibration(cause):
-        return None
-    drawn = np.random.default_rng([seed, recipe.number, 4])
-    left = whitened(design, model, noise, [cause])[0]
-    reached = ceiling_of_truth(known, cause.effect, left, recipe.targets[0], drawn, one_sign=ONE_SIGN)
-    return round(reached.free, 3), round(reached.gated, 3)
+        return best, None
+    drawn, left = np.random.default_rng([seed, recipe.number, 4]), whitened(design, model, noise, [cause])[0]
+    return best, rounded(ceiling_of_truth(known, cause.effect, left, signal, drawn, one_sign=ONE_SIGN))
 
 
 def campaigns_of(truth: Truth) -> tuple[Campaign, Campaign]:
     """Return the campaign of a case, and a fresh one: the same truth driven again with other noise."""
     recipe = truth.recipe
     design = case_design(recipe, truth.seed, truth.max_runs, truth.redraw)
-
     rng = np.random.default_rng([truth.seed, recipe.number, 2, truth.redraw])
     # both are called what the case is called: a name must not tell them apart
     names = (recipe.case, recipe.case)

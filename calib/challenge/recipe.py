@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final, Literal, get_args
 
 import numpy as np
+from pydantic import Field, TypeAdapter, ValidationError
 
 from calib.campaign.settings_file import load_toml
 from calib.errors import BadFileError
@@ -15,12 +15,18 @@ from calib.limits import CASES, refuse_beyond
 from calib.plant.effects.registry import ALL, forms_of
 from calib.plant.signal import CALIBRATION
 
-GROUPS: Final = ("empty", "calibration", "single", "natural", "pair", "outside", "alias", "deleted", "crowded")
+Group = Literal["empty", "calibration", "single", "natural", "pair", "outside", "alias", "deleted", "crowded"]
+GROUPS: Final[tuple[Group, ...]] = get_args(Group)
 SEEDS: Final = Path(__file__).parent / "seeds"
 SIGNALS: Final = (3.0, 5.0, 10.0, 25.0)
 _FORMAT: Final = "calib-challenge-seeds/1"
+_EXPECTED: Final = f"a whole number as seed, max_runs of 20 or more, and in [cases] counts of {', '.join(GROUPS)}"
+_REMEDY: Final = "compare with calib/challenge/seeds/development.toml"
 _GROSS: Final = ("encoder_gross", "integration_scheme")
 
+_OUTSIDE: Final = [form.effect for form in ALL if form.effect.startswith("outside:")]
+#: designs of the empty cases that have no good one
+_EMPTY_POOR: Final = ("load_a_session", "corridor_only", "squares_one_load", "few_repeats")
 #: for pairs: effects that leave different things behind
 _PAIRED: Final = (
     "load_radius",
@@ -55,12 +61,12 @@ _ALIASES: Final[tuple[tuple[str, str, tuple[str, ...]], ...]] = (
 
 @dataclass(frozen=True, slots=True)
 class Seeds:
-    """A seeds file."""
+    """A seeds file; pydantic holds it against these types and bounds."""
 
     purpose: str  #: ``development``, ``scoring`` or ``ci``
-    seed: int  #: of everything
-    cases: Mapping[str, int]  #: how many cases of each of `GROUPS`
-    max_runs: int = 160  #: most runs of a case
+    seed: Annotated[int, Field(strict=True, ge=0)]  #: of everything
+    cases: dict[Group, Annotated[int, Field(strict=True, ge=0)]]  #: how many cases of each of `GROUPS`
+    max_runs: Annotated[int, Field(strict=True, ge=20)] = 160  #: most runs of a case
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,31 +84,21 @@ class Recipe:
 
 
 def read_seeds(path: Path) -> Seeds:
-    """Read a seeds file."""
-    data: dict[str, Any] = load_toml(Path(path), str(path), remedy="give one of calib/challenge/seeds")
-    cases, seed, most = data.get("cases"), data.get("seed"), data.get("max_runs", 160)
-    if data.get("format") != _FORMAT or not isinstance(seed, int) or seed < 0 or not isinstance(cases, dict):
+    """Read a seeds file; raises BadFileError where an entry is missing or is none that can be made."""
+    data = load_toml(Path(path), str(path), remedy="give one of calib/challenge/seeds")
+    if data.pop("format", None) != _FORMAT:
+        raise BadFileError(path, column="format", found="another format", expected=_FORMAT, remedy=_REMEDY)
+    try:
+        seeds = TypeAdapter(Seeds).validate_python({"purpose": "", **data})
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"] if part != "[key]")
         raise BadFileError(
-            path,
-            found=f"format {data.get('format')!r}, seed {seed!r}",
-            expected=f"format {_FORMAT!r}, a whole number as seed and a table [cases]",
-            remedy="compare with calib/challenge/seeds/development.toml",
-        )
-    for group, count in cases.items():
-        if group not in GROUPS or not isinstance(count, int) or isinstance(count, bool) or count < 0:
-            raise BadFileError(
-                path,
-                column=f"cases.{group}",
-                found=repr(count),
-                expected=f"a count of one of {', '.join(GROUPS)}",
-                remedy="correct the table",
-            )
-    refuse_beyond(sum(cases.values()), CASES, shown=str(path), what="cases", remedy="make several sets", column="cases")
-    if not isinstance(most, int) or most < 20:
-        raise BadFileError(
-            path, column="max_runs", found=repr(most), expected="20 or more", remedy="correct or leave out the entry"
-        )
-    return Seeds(str(data.get("purpose", "")), seed, dict(cases), most)
+            path, column=where, found=f"{first['input']!r:.80}", expected=_EXPECTED, remedy=_REMEDY
+        ) from error
+    total = sum(seeds.cases.values())
+    refuse_beyond(total, CASES, shown=str(path), what="cases", remedy="make several sets", column="cases")
+    return seeds
 
 
 def _library() -> list[str]:
@@ -134,60 +130,43 @@ def _singles(count: int, rng: np.random.Generator) -> list[tuple[str, float]]:
 
 
 def _of_group(group: str, count: int, rng: np.random.Generator) -> list[dict[str, Any]]:
-    nan = float("nan")
-    if group == "empty":
-        poor = ("load_a_session", "corridor_only", "squares_one_load", "few_repeats")
-        return [{"design": "good" if n % 5 < 3 else poor[(n // 5 * 2 + n % 5 - 3) % 4]} for n in range(count)]
-    if group == "calibration":
-        return [
-            {"effects": (CALIBRATION[n % 3],), "targets": ((5.0, 10.0, 25.0, 100.0, 250.0)[n // 3 % 5],)}
-            for n in range(count)
-        ]
+    """Return what is special to each of `count` cases of a group."""
     if group == "single":
         return [{"effects": (name,), "targets": (signal,)} for name, signal in _singles(count, rng)]
-    if group == "natural":
-        names = list(map(str, rng.permutation(_library())))
-        return [{"effects": (names[n % len(names)],), "targets": (nan,)} for n in range(count)]
-    if group == "pair":
-        pairs = []
-        for n in range(count):
-            pair = rng.choice(_PAIRED, 2, replace=False)
-            pairs.append({"effects": tuple(map(str, pair)), "targets": ((15.0, 15.0), (25.0, 12.0))[n % 2]})
-        return pairs
-    if group == "outside":
-        strange = [form.effect for form in ALL if form.effect.startswith("outside:")]
-        return [
-            {"effects": (strange[n % len(strange)],), "targets": ((25.0, 10.0)[n // len(strange) % 2],)}
-            for n in range(count)
-        ]
-    if group == "alias":
-        return [
-            {
-                "effects": (name,),
-                "targets": ((25.0, 12.0)[n // len(_ALIASES) % 2],),
-                "design": design,
-                "aliases": others,
-            }
-            for n, (name, design, others) in ((n, _ALIASES[n % len(_ALIASES)]) for n in range(count))
-        ]
-    if group == "crowded":
-        return [_crowd(n, rng) for n in range(count)]
-    names = [*_library(), *CALIBRATION]
-    if count < len(names):
+    names = [*_library(), *CALIBRATION] if group == "deleted" else _library()
+    if group == "natural" or (group == "deleted" and count < len(names)):
         names = list(map(str, rng.permutation(names)))
-    return [
-        {"effects": (names[n % len(names)],), "targets": (25.0,), "deleted": names[n % len(names)]}
-        for n in range(count)
-    ]
+
+    def case(n: int) -> dict[str, Any]:
+        if group == "empty":
+            return {"design": "good" if n % 5 < 3 else _EMPTY_POOR[(n // 5 * 2 + n % 5 - 3) % 4]}
+        if group == "calibration":
+            return {"effects": (CALIBRATION[n % 3],), "targets": ((5.0, 10.0, 25.0, 100.0, 250.0)[n // 3 % 5],)}
+        if group == "natural":
+            return {"effects": (names[n % len(names)],), "targets": (float("nan"),)}
+        if group == "pair":
+            pair = rng.choice(_PAIRED, 2, replace=False)
+            return {"effects": tuple(map(str, pair)), "targets": ((15.0, 15.0), (25.0, 12.0))[n % 2]}
+        if group == "outside":
+            return {"effects": (_OUTSIDE[n % len(_OUTSIDE)],), "targets": ((25.0, 10.0)[n // len(_OUTSIDE) % 2],)}
+        if group == "alias":
+            name, design, others = _ALIASES[n % len(_ALIASES)]
+            target = (25.0, 12.0)[n // len(_ALIASES) % 2]
+            return {"effects": (name,), "targets": (target,), "design": design, "aliases": others}
+        if group == "crowded":
+            return _crowd(n, rng)
+        name = names[n % len(names)]
+        return {"effects": (name,), "targets": (25.0,), "deleted": name}
+
+    return [case(n) for n in range(count)]
 
 
 def _crowd(number: int, rng: np.random.Generator) -> dict[str, Any]:
     """Return three to six effects of the library at signals of 5 to 100, and an outside one at 5 to 15."""
     drawn = rng.choice([*_PAIRED, "unequal_radii", "track_width"], 3 + number % 4, replace=False)
     signals = np.exp(rng.uniform(np.log(5.0), np.log(100.0), len(drawn)))
-    strange = [form.effect for form in ALL if form.effect.startswith("outside:")]
     return {
-        "effects": (*map(str, drawn), strange[number % len(strange)]),
+        "effects": (*map(str, drawn), _OUTSIDE[number % len(_OUTSIDE)]),
         "targets": (*(round(float(signal), 1) for signal in signals), float(rng.choice([5.0, 10.0, 15.0]))),
     }
 

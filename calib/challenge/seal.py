@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import json
-import os
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from multiprocessing import get_context
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -16,7 +13,8 @@ from calib.campaign.write import write_campaign
 from calib.challenge.cases import Truth, campaigns_of, truth_of
 from calib.challenge.recipe import Recipe, read_seeds, recipes
 from calib.documents import to_json
-from calib.errors import BadFileError
+from calib.errors import BadFileError, RefusedError
+from calib.fleet.workers import run_tasks
 from calib.io import refuse_existing, sha256_file, write_text
 from calib.limits import refuse_workers
 
@@ -24,6 +22,9 @@ PUBLIC: Final = "challenge.json"
 HASH: Final = "truth.sha256"
 _PUBLIC_FORMAT: Final = "calib-challenge/1"
 TRUTH_FORMAT: Final = "calib-challenge-truth/1"
+
+#: pieces of work that a case counts as beside the reading of a file: a batch has one
+WEIGHT: Final = 64
 
 Tick = Callable[[str, int, int], None]
 T = TypeVar("T")
@@ -46,60 +47,34 @@ def truth_path(folder: Path) -> Path:
     return folder.with_name(folder.name + ".truth.json")
 
 
-@contextmanager
-def workers_of(workers: int) -> Iterator[ProcessPoolExecutor]:
-    """Give a pool of processes with one thread each."""
-    refuse_workers(workers)
-    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-    before = {name: os.environ.get(name) for name in names}
-    os.environ.update(dict.fromkeys(names, "1"))
-    pool = ProcessPoolExecutor(max_workers=workers, mp_context=get_context("spawn"))
-    try:
-        yield pool
-    except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
-        raise
-    else:
-        pool.shutdown()
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
-
-
 def each(work: Callable[[T], R], items: Sequence[T], workers: int, tick: Callable[[int], None]) -> list[R]:
     """Return the work on each item, in order; `tick` gets how many are done."""
-    if workers <= 1:
-        results = []
-        for number, item in enumerate(items):
-            results.append(work(item))
-            tick(number + 1)
-        return results
-    with workers_of(workers) as pool:
-        waiting = {pool.submit(work, item): number for number, item in enumerate(items)}
-        by_place: dict[int, R] = {}
-        for future in as_completed(waiting):
-            by_place[waiting[future]] = future.result()
-            tick(len(by_place))
-    return [by_place[number] for number in range(len(items))]
+    refuse_workers(workers)
+    results: dict[int, R] = {}
+    numbered = list(enumerate(items))
+    for number, result in run_tasks(partial(_worked, work), numbered, _died, lambda _item: WEIGHT, workers=workers):
+        results[number] = result
+        tick(len(results))
+    return [results[number] for number in range(len(items))]
+
+
+def _worked(work: Callable[[T], R], items: Sequence[tuple[int, T]]) -> list[tuple[int, R]]:
+    return [(number, work(item)) for number, item in items]
+
+
+def _died(item: tuple[int, T], why: str) -> tuple[int, R]:
+    raise RefusedError(f"item {item[0] + 1}: {why}")
 
 
 def _draw_one(job: tuple[Recipe, int, int]) -> dict[str, Any]:
     return truth_of(*job).to_dict()
 
 
-def _write_one(job: tuple[dict[str, Any], str]) -> str:
-    data, folder = job
+def _write_one(folder: Path, data: dict[str, Any]) -> None:
     truth = Truth.from_dict(data)
-    campaign, fresh = campaigns_of(truth)
-    case = truth.recipe.case
     digits = {"t_s": 3, "steer_rad": 4, "ref_x_m": 5, "ref_y_m": 5, "ref_theta_rad": 5}
-    write_campaign(campaign, Path(folder) / "cases" / case, force=True, log_decimals=digits)
-    if fresh is not None:
-        write_campaign(fresh, Path(folder) / "fresh" / case, force=True, log_decimals=digits)
-    return case
+    for kind, campaign in zip(("cases", "fresh"), campaigns_of(truth), strict=True):
+        write_campaign(campaign, folder / kind / truth.recipe.case, force=True, log_decimals=digits)
 
 
 def make(
@@ -145,12 +120,8 @@ def make(
     seeds = read_seeds(seeds_file)
     wanted = recipes(seeds, limit)
     report: Tick = tick or (lambda _stage, _done, _total: None)
-    truths = each(
-        _draw_one,
-        [(item, seeds.seed, seeds.max_runs) for item in wanted],
-        workers,
-        lambda done: report("truths", done, len(wanted)),
-    )
+    drawn = [(item, seeds.seed, seeds.max_runs) for item in wanted]
+    truths = each(_draw_one, drawn, workers, lambda done: report("truths", done, len(wanted)))
     content = {
         "format": TRUTH_FORMAT,
         "purpose": seeds.purpose,
@@ -161,21 +132,9 @@ def make(
     write_text(folder / HASH, f"{digest}  {truth_file.name}\n", force=True)
     if sealed is not None:
         sealed(digest)
-    each(
-        _write_one,
-        [(item, str(folder)) for item in truths],
-        workers,
-        lambda done: report("campaigns", done, len(wanted)),
-    )
-    public = {
-        "format": _PUBLIC_FORMAT,
-        "purpose": seeds.purpose,
-        "truth_sha256": digest,
-        "cases": {
-            item["recipe"]["case"]: {"exclude": [item["recipe"]["deleted"]] if item["recipe"]["deleted"] else []}
-            for item in truths
-        },
-    }
+    each(partial(_write_one, folder), truths, workers, lambda done: report("campaigns", done, len(wanted)))
+    cases = {recipe.case: {"exclude": [recipe.deleted] if recipe.deleted else []} for recipe in wanted}
+    public = {"format": _PUBLIC_FORMAT, "purpose": seeds.purpose, "truth_sha256": digest, "cases": cases}
     write_text(folder / PUBLIC, to_json(public), force=True)
     return Sealed(folder, truth_file, digest, len(truths))
 

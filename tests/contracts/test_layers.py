@@ -36,7 +36,7 @@ ALLOWED: dict[str, set[str]] = {
     "fleet": GROUND | {"campaign", "radius", "kinematics", "gap"},
     "runtime": set(),
     "plant": GROUND | {"campaign"},
-    "challenge": GROUND | {"__init__", "campaign", "plant", "gap"},
+    "challenge": GROUND | {"__init__", "campaign", "plant", "gap", "fleet"},
     "api": GROUND
     | {"__init__", "arguments", "campaign", "radius", "kinematics", "coefficients", "odometry", "gap", "reporting"},
     "cli": {"*"},

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -26,12 +26,12 @@ class Answer:
     first: bool  #: the planted effect is named first
     in_group: bool  #: it is named, stands in a group with a named one, or its family is named
     open: bool  #: the verdict leaves a rest open: ``unknown``, or ``partly_explained``
-    wrong: bool  #: causes are named, and neither it nor its group is among them
-    recommended: bool  #: a fix is recommended
-    seconds: float  #: what the diagnosis took
+    wrong: (
+        bool  #: causes are named, and neither it nor its group is among them; of an outside one: a fix is recommended
+    )
 
 
-def answer_of(effect: str, family: str, verdict: Mapping[str, Any], seconds: float) -> Answer:
+def answer_of(effect: str, family: str, verdict: Mapping[str, Any]) -> Answer:
     """Hold a verdict in the shape of ``calib diagnose --json`` against what was planted.
 
     `effect` is empty where nothing was planted, or a cause outside the library.
@@ -43,19 +43,15 @@ def answer_of(effect: str, family: str, verdict: Mapping[str, Any], seconds: flo
     groups += [{str(cause["effect"]), *cause.get("forms_open", ())} for cause in causes]
     families = {str(cause.get("family", "")) for cause in causes[:1]} - set(NO_FAMILY)
     together = effect in named or family in families or any(effect in g and g & set(named) for g in groups)
-    recommended = bool(verdict.get("recommended", False))
-    left_open = word in ("unknown", "partly_explained")
     named_wrongly = bool(named) and word not in SILENT and not together
     return Answer(
         verdict=word,
         seen=word not in UNSEEN,
         first=named[:1] == [effect],
         in_group=together,
-        open=left_open,
+        open=word in ("unknown", "partly_explained"),
         # of an outside cause no name is right: wrong is what would be acted upon
-        wrong=named_wrongly if effect else recommended,
-        recommended=recommended,
-        seconds=seconds,
+        wrong=named_wrongly if effect else bool(verdict.get("recommended", False)),
     )
 
 
@@ -68,49 +64,28 @@ ALLOWED: Final = 0.05
 class Found:
     """What was found of one effect at one size."""
 
-    #: effect, form, unit: what was planted
-    effect: str
-    form: str
-    unit: str
-    outside: bool  #: whether no library holds it
-    #: size, signal: how large, and how strongly it shows beside the noise
-    size: float
-    signal: float
-    #: planted, seen, first, in_group, left_open, wrong: how often: in all; a gap was seen; it was named first; named,
-    #: in a group with a named one or by its family; the verdict left a rest open; something else was named (of an
-    #: outside cause: a fix was recommended)
-    planted: int
-    seen: int
-    first: int
-    in_group: int
-    left_open: int
-    wrong: int
+    plant: Plant
+    answers: tuple[Answer, ...]
+
+    def times(self, what: str) -> int:
+        """Return how often an answer says so: ``seen``, ``first``, ``in_group``, ``open`` or ``wrong``."""
+        return sum(getattr(answer, what) for answer in self.answers)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it as plain JSON values."""
-        common = {"size": self.size, "unit": self.unit, "signal": round(self.signal, 2), "planted": self.planted}
-        if self.outside:
-            return {**common, "seen": self.seen, "left_open": self.left_open, "wrong": self.wrong}
-        return {**common, "form": self.form, "seen": self.seen, "first": self.first, "in_group": self.in_group,
-                "left_open": self.left_open, "wrong": self.wrong}  # fmt: skip
-
-
-def found_of(plant: Plant, answers: Sequence[Answer]) -> Found:
-    """Return what the answers say of a plant."""
-    return Found(
-        effect=plant.effect,
-        form=plant.form,
-        unit=plant.unit,
-        outside=plant.outside,
-        size=plant.size,
-        signal=plant.signal,
-        planted=len(answers),
-        seen=sum(answer.seen for answer in answers),
-        first=sum(answer.first for answer in answers),
-        in_group=sum(answer.in_group for answer in answers),
-        left_open=sum(answer.open for answer in answers),
-        wrong=sum(answer.wrong for answer in answers),
-    )
+        """Return it as plain JSON values; no effect of the library can be first, or in a group, of an outside cause."""
+        plant = self.plant
+        document: dict[str, Any] = {
+            "size": plant.size,
+            "unit": plant.unit,
+            "signal": round(plant.signal, 2),
+            "planted": len(self.answers),
+            "seen": self.times("seen"),
+            "left_open": self.times("open"),
+            "wrong": self.times("wrong"),
+        }
+        if plant.outside:
+            return document
+        return document | {"form": plant.form, "first": self.times("first"), "in_group": self.times("in_group")}
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,12 +116,12 @@ class Own:
     @property
     def wrong(self) -> int:
         """Plants of which something else was named."""
-        return sum(found.wrong for found in self.found)
+        return sum(found.times("wrong") for found in self.found)
 
     @property
     def planted(self) -> int:
         """Campaigns with something planted."""
-        return sum(found.planted for found in self.found)
+        return sum(len(found.answers) for found in self.found)
 
     @property
     def trusted(self) -> bool:
@@ -160,7 +135,9 @@ class Own:
         """Return it as plain JSON values."""
         tables: dict[str, dict[str, list[dict[str, Any]]]] = {"effects": {}, "outsiders": {}}
         for found in self.found:
-            tables["outsiders" if found.outside else "effects"].setdefault(found.effect, []).append(found.to_dict())
+            tables["outsiders" if found.plant.outside else "effects"].setdefault(found.plant.effect, []).append(
+                found.to_dict()
+            )
         low, high = clopper_pearson(self.raised, len(self.empty))
         return {
             "format": FORMAT,

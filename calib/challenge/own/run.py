@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -13,8 +13,8 @@ import numpy as np
 from calib.campaign.model import Campaign, Logs
 from calib.challenge.own.plants import Plant, Size, parse_sizes, plants_of
 from calib.challenge.own.replay import OwnNoise, Replay, own_noise
-from calib.challenge.own.result import Answer, Found, Own, answer_of, found_of
-from calib.challenge.seal import workers_of
+from calib.challenge.own.result import Answer, Found, Own, answer_of
+from calib.challenge.seal import each
 from calib.errors import RefusedError
 from calib.gap.decision.diagnosis import Diagnosis
 from calib.gap.diagnose import diagnose_in_full
@@ -99,8 +99,14 @@ def challenge_own(campaign: Campaign, asked: Asked | None = None, tick: Tick | N
     bench = _bench(campaign, diagnosis)
     families = {effect.id: effect.family.value for effect in diagnosis.effects}
     jobs = list(_jobs(plants, families, asked, len(diagnosis.observations)))
-    answers = _answered(bench, jobs, asked, began, tick or (lambda _done, _total: None))
-    founds, raised = _counted(plants, jobs, answers)
+    report = tick or (lambda _done, _total: None)
+    report(0, len(jobs))
+    work = partial(_diagnosed, bench, began + asked.seconds)
+    answers = each(work, jobs, asked.workers, lambda done: report(done, len(jobs)))
+    by_plant: dict[int, list[Answer]] = {}
+    for job, answer in zip(jobs, answers, strict=True):
+        if answer is not None:
+            by_plant.setdefault(job.plant, []).append(answer)
     return Own(
         campaign=campaign.name,
         simulated=campaign.simulated,
@@ -108,8 +114,8 @@ def challenge_own(campaign: Campaign, asked: Asked | None = None, tick: Tick | N
         runs=len(campaign.included().runs),
         units=len(diagnosis.observations),
         units_with_repeats=int(bench.noise.repeated.sum()),
-        found=tuple(founds),
-        empty=tuple(raised),
+        found=tuple(Found(plant, tuple(by_plant.get(number, ()))) for number, plant in enumerate(plants)),
+        empty=tuple(by_plant.get(-1, ())),
         left_out=left_out,
         asked=len(jobs),
         done=sum(answer is not None for answer in answers),
@@ -142,9 +148,10 @@ def _jobs(plants: Sequence[Plant], families: dict[str, str], asked: Asked, n_uni
             yield _Job(place, effect, families.get(effect, ""), change, (asked.seed, plant.key, turn))
 
 
-def _diagnosed(bench: _Bench, job: _Job) -> Answer:
-    """Plant one cause with one draw of the noise, and diagnose."""
-    began = time.perf_counter()
+def _diagnosed(bench: _Bench, until_s: float, job: _Job) -> Answer | None:
+    """Plant one cause with one draw of the noise, and diagnose; None where the time is up."""
+    if time.monotonic() > until_s:
+        return None
     observed = with_readings(bench.observations, bench.readings + job.change, bench.noise, job.seeds)
     try:
         verdict = diagnose_in_full(bench.campaign, seed=job.seeds[-1], plan=False, observations=observed)
@@ -153,7 +160,7 @@ def _diagnosed(bench: _Bench, job: _Job) -> Answer:
         document: dict[str, object] = {"verdict": "undecided"}
     else:
         document = verdict.to_dict()
-    return answer_of(job.effect, job.family, document, time.perf_counter() - began)
+    return answer_of(job.effect, job.family, document)
 
 
 def with_readings(
@@ -168,43 +175,3 @@ def with_readings(
     measured[:, 1] = readings[:, 1] + cos * drawn[:, 1] - sin * drawn[:, 2]
     measured[:, 2] = readings[:, 2] + sin * drawn[:, 1] + cos * drawn[:, 2]
     return replace(observations, measured=np.where(observations.usable, measured, np.nan))
-
-
-def _answered(bench: _Bench, jobs: Sequence[_Job], asked: Asked, began: float, tick: Tick) -> list[Answer | None]:
-    """Return the answers in the order of the jobs, None for those that the time was not enough for."""
-    answers: list[Answer | None] = [None] * len(jobs)
-    tick(0, len(jobs))
-    if asked.workers <= 1:
-        for number, job in enumerate(jobs):
-            if time.monotonic() - began > asked.seconds:
-                break
-            answers[number] = _diagnosed(bench, job)
-            tick(number + 1, len(jobs))
-        return answers
-    with workers_of(asked.workers) as pool:
-        waiting: dict[Future[Answer], int] = {}
-        ahead, done = 0, 0
-        while ahead < len(jobs) or waiting:
-            # few in advance, so that the end of the time is the end of the work
-            while ahead < len(jobs) and len(waiting) <= asked.workers and time.monotonic() - began <= asked.seconds:
-                waiting[pool.submit(_diagnosed, bench, jobs[ahead])] = ahead
-                ahead += 1
-            if not waiting:
-                break
-            finished, _ = wait(waiting, return_when=FIRST_COMPLETED)
-            for future in finished:
-                answers[waiting.pop(future)] = future.result()
-                done += 1
-                tick(done, len(jobs))
-    return answers
-
-
-def _counted(
-    plants: Sequence[Plant], jobs: Sequence[_Job], answers: Sequence[Answer | None]
-) -> tuple[list[Found], list[Answer]]:
-    """Return what was found of each plant, and the answers on empty campaigns."""
-    by_plant: dict[int, list[Answer]] = {}
-    for job, answer in zip(jobs, answers, strict=True):
-        if answer is not None:
-            by_plant.setdefault(job.plant, []).append(answer)
-    return [found_of(plant, by_plant.get(n, [])) for n, plant in enumerate(plants)], by_plant.get(-1, [])

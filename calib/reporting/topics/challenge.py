@@ -139,17 +139,12 @@ def own_content(own: Own) -> list[Block]:
         Column("Times"),
         Column("Seen"),
     )
-    effects, outside = (
-        tuple(
-            (f.effect, f"{f.size:.3g}", f.unit, f"{f.signal:.1f}", str(f.planted), str(f.seen), *rest(f), str(f.wrong))
-            for f in own.found
-            if f.outside == which
-        )
-        for which, rest in (
-            (False, lambda f: (str(f.first), str(f.in_group))),
-            (True, lambda f: (str(f.left_open),)),
-        )
-    )
+    rows: dict[bool, list[tuple[str, ...]]] = {False: [], True: []}
+    for found in own.found:
+        plant = found.plant
+        counted = ("open", "wrong") if plant.outside else ("first", "in_group", "wrong")
+        counts = (str(len(found.answers)), *(str(found.times(what)) for what in ("seen", *counted)))
+        rows[plant.outside].append((plant.effect, f"{plant.size:.3g}", plant.unit, f"{plant.signal:.1f}", *counts))
     columns = (*head, Column("First"), Column("In group"), Column("Wrong"))
     low, high = (f"{bound:.0%}" for bound in clopper_pearson(own.raised, len(own.empty)))
     sentences = [
@@ -160,8 +155,8 @@ def own_content(own: Own) -> list[Block]:
     ]
     if own.done < own.asked:
         sentences.append(f"Diagnosed {own.done} of {own.asked}: the time was up.")
-    blocks: list[Block] = [Table(f"Planted on {own.campaign}'s own noise and route.", columns, effects)]
-    if outside:
+    blocks: list[Block] = [Table(f"Planted on {own.campaign}'s own noise and route.", columns, tuple(rows[False]))]
+    if rows[True]:
         open_columns = (*head, Column("Left open"), Column("Fix recommended"))
-        blocks.append(Table("Causes that no library holds.", open_columns, outside))
+        blocks.append(Table("Causes that no library holds.", open_columns, tuple(rows[True])))
     return [*blocks, Items((*sentences, *(f"Not planted: {name}: {why}." for name, why in own.left_out.items())))]

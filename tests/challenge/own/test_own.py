@@ -189,7 +189,7 @@ def test_an_answer_is_first_in_its_group_or_wrong(
     planted: str, family: str, verdict: dict[str, object], expected: tuple[bool, bool, bool]
 ) -> None:
     """By hand: named first; in its group or family; something else named (of an outsider: a fix recommended)."""
-    answer = answer_of(planted, family, verdict, 1.0)
+    answer = answer_of(planted, family, verdict)
     assert (answer.first, answer.in_group, answer.wrong) == expected
 
 
