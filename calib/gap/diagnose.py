@@ -20,9 +20,9 @@ from calib.gap.decision.held_out import HeldOut, measure_closure
 from calib.gap.decision.trials import trials
 from calib.gap.effects.applied import with_effects
 from calib.gap.effects.effect import Effect
-from calib.gap.effects.encoder import Blunder, corrected
-from calib.gap.effects.library import blunder_before_search, library, turned_before_search
-from calib.gap.effects.reference import TurnedReference
+from calib.gap.effects.encoder import Blunder, EncoderBlunder, corrected, find_blunder
+from calib.gap.effects.library import library
+from calib.gap.effects.reference import ReferenceYaw, TurnedReference, find_turned
 from calib.gap.inference.fit import Fitted, fit
 from calib.gap.inference.least_squares import HeldOutFit
 from calib.gap.inference.linear_model import WhitenedSystem
@@ -153,13 +153,13 @@ def _situation(
     notes: tuple[str, ...] = ()
     if observations is None:
         observations, notes = _observed(campaign, model, applied)
-        turned = turned_before_search(predict(observations), exclude)
+        turned = None if ReferenceYaw.id in exclude else find_turned(predict(observations))
         if turned is not None:
             faults.append(turned)
             campaign = turned.correct(campaign)
             observations, notes = _observed(campaign, model, applied)
     nominal = predict(observations)
-    fault = blunder_before_search(observations, nominal, exclude)
+    fault = None if EncoderBlunder.id in exclude else find_blunder(observations, nominal)
     if fault is None:
         return Situation(campaign, observations, notes, tuple(faults))
     as_counted = residuals(nominal, nominal)

@@ -12,7 +12,7 @@ import numpy as np
 from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
 from calib.gap.effects.effect import Centre, Form
-from calib.gap.effects.encoder import Blunder, corrected
+from calib.gap.effects.encoder import Blunder, EncoderBlunder, corrected
 from calib.gap.effects.library import every_effect
 from calib.gap.effects.reference import ReferenceLatency
 from calib.gap.observations.arrays import Observations
@@ -63,8 +63,7 @@ def _delay_of(file: CoefficientFile) -> tuple[EffectSection, ...]:
     from calib.coefficients.sections import EffectSection, Quantity
 
     together = file.joint_geometry
-    determined = together is not None and any(entry.first == DELAY for entry in together.covariance)
-    if together is None or not determined or together.values.get(DELAY, 0.0) == 0.0:
+    if together is None or not together.values.get(DELAY) or all(entry.first != DELAY for entry in together.covariance):
         return ()
     latency = {"latency": Quantity(value=together.values[DELAY], unit="s")}
     return (EffectSection(effect=ReferenceLatency.id, form=ReferenceLatency.OF_POSE, parameters=latency),)
@@ -80,24 +79,22 @@ def with_effects(
     the ``[[effects]]`` tables of the campaign.
     """
     notes: list[str] = []
-    rest: list[EffectSection] = []
     for section in sections:
-        if section.effect != Blunder.effect.id:
-            rest.append(section)
-            continue
-        factors = {name: quantity.value for name, quantity in section.parameters.items()}
-        fault = Blunder.from_factors(section.form, factors)
-        if fault is None:
-            notes.append("the model's encoder fault lacks its factors and was omitted")
-        else:
-            observations = corrected(observations, fault)
-    if not rest:
+        if section.effect == EncoderBlunder.id:
+            factors = {name: quantity.value for name, quantity in section.parameters.items()}
+            fault = Blunder.from_factors(section.form, factors)
+            if fault is None:
+                notes.append("the model's encoder fault lacks its factors and was omitted")
+            else:
+                observations = corrected(observations, fault)
+    others = [section for section in sections if section.effect != EncoderBlunder.id]
+    if not others:
         return observations, tuple(notes)
-    perturbations, left_out = applied_perturbations(observations, rest, declared=declared)
-    notes += left_out
+    perturbations, left_out = applied_perturbations(observations, others, declared=declared)
     path = predict(observations, perturbations)
     own = observations.usable & ~np.isfinite(observations.simulated)
-    return replace(observations, simulated=np.where(own, path.reading, observations.simulated)), tuple(notes)
+    simulated = np.where(own, path.reading, observations.simulated)
+    return replace(observations, simulated=simulated), (*notes, *left_out)
 
 
 def applied_perturbations(
@@ -116,12 +113,12 @@ def applied_perturbations(
         effect = effects.get(section.effect)
         form = None if effect is None else matching_form(effect.forms(observations), section.form, section.settings)
         if form is None:
-            notes.append(
-                f"the model's effect {section.effect} ({section.form or 'its only form'}) has nothing to act on in "
-                "these runs and was omitted"
-            )
+            which = f"{section.effect} ({section.form or 'its only form'})"
+            notes.append(f"the model's effect {which} has nothing to act on in these runs and was omitted")
             continue
-        chosen.append((section, form.centred_at(_centre_of(section))))
+        stated = section.settings
+        centre = Centre(stated[CENTRE], stated.get(SPREAD, 1.0) or 1.0) if CENTRE in stated else None
+        chosen.append((section, form.centred_at(centre)))
     if path is not None:
         return _perturbations(chosen, path), notes
     # what an effect does depends a little on the path that it itself bends
@@ -155,19 +152,10 @@ def section_of(form: Form, theta: FloatArray) -> EffectSection:
     return EffectSection(effect=form.effect, form=form.label, settings=settings, parameters=parameters)
 
 
-def _centre_of(section: EffectSection) -> Centre | None:
-    if CENTRE not in section.settings:
-        return None
-    return Centre(section.settings[CENTRE], section.settings.get(SPREAD, 1.0) or 1.0)
-
-
 def matching_form(forms: Sequence[Form], label: str, settings: Mapping[str, float]) -> Form | None:
     """Return the form of a label, where several bear it the one with the nearest settings; None where there is none."""
-    same = [form for form in forms if form.label == label]
-    if not same:
-        return None
 
     def off(form: Form) -> float:
         return sum(abs(form.settings[key] - settings[key]) for key in form.settings.keys() & settings.keys())
 
-    return min(same, key=off)
+    return min((form for form in forms if form.label == label), key=off, default=None)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
-from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Path, Perturbation, varies
+from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Path, Perturbations, varies
 from calib.gap.effects.floor import common_frame, map_heading_rad
 from calib.gap.predict import predict
+from calib.gap.steps import Perturbation
 from calib.types import FloatArray
 
 
@@ -38,19 +40,19 @@ class RearDrag(Effect):
             forward, label = observations.heading_sign > 0.0, "going out"
         else:
             return []
-        parameter = Parameter("relative", "1", typical=5e-4, largest=5e-3)
+        parameters = (Parameter("relative", "1", typical=5e-4, largest=5e-3),)
 
-        def form(side: str) -> Form:
-            def perturbations(path: Path) -> list[Perturbation]:
-                observations = path.s
-                part = np.asarray(
-                    observations.path_m >= 0.0 if forward is None else observations.here(forward), dtype=np.float64
-                )
-                return [Perturbation(left=part) if side == "left" else Perturbation(right=part)]
+        def takes_part(path: Path) -> FloatArray:
+            return np.asarray(path.s.path_m >= 0.0 if forward is None else path.s.here(forward), dtype=np.float64)
 
-            return Form(self.id, f"{side} wheel, {label}", (parameter,), perturbations, tries=2, by_parts=True)
-
-        return [form("left"), form("right")]
+        wheels: dict[str, Perturbations] = {
+            "left": lambda path: [Perturbation(left=takes_part(path))],
+            "right": lambda path: [Perturbation(right=takes_part(path))],
+        }
+        return [
+            Form(self.id, f"{side} wheel, {label}", parameters, perturbations, tries=2, by_parts=True)
+            for side, perturbations in wheels.items()
+        ]
 
 
 class TravelDirection(Effect):
@@ -72,13 +74,16 @@ class TravelDirection(Effect):
         labelled = np.isin(observations.labels["direction"], ("out", "back"))
         parameter = Parameter("relative", "1", typical=1e-3, largest=5e-3)
 
-        def form(label: str, way: FloatArray, tries: int) -> Form:
-            return Form(self.id, label, (parameter,), lambda _: [Perturbation(left=way, right=way)], tries=tries)
-
+        senses = {"along the corridor alone": np.where(labelled, sigma, 0.0), "other routes as out": sigma}
         if labelled.all():
-            return [form("", sigma, 1)]
-        along = form("along the corridor alone", np.where(labelled, sigma, 0.0), 2)
-        return [along, form("other routes as out", sigma, 2)]
+            senses = {"": sigma}
+
+        def form(label: str, sense: FloatArray) -> Form:
+            return Form(
+                self.id, label, (parameter,), lambda _: [Perturbation(left=sense, right=sense)], tries=len(senses)
+            )
+
+        return [form(*each) for each in senses.items()]
 
 
 class FloorSlope(Effect):
@@ -108,34 +113,27 @@ class FloorSlope(Effect):
             return []
         radii = Parameter("radii", "1", typical=2e-4, largest=2e-3)
         pull = Parameter("pull", "rad/m", typical=2e-4, largest=5e-3)
-        sided = bool((np.abs(across) > 0.02).any()) or bool(
-            (observations.total(way * np.abs(np.sin(heading))) > 0.2).any()
-        )
+        sided = bool((np.abs(across) > 0.02).any() or (observations.total(way * np.abs(np.sin(heading))) > 0.2).any())
 
-        def by_cos(path: Path) -> Perturbation:
-            part: FloatArray = np.cos(map_heading_rad(path))
-            return Perturbation(left=part, right=part)
+        def radii_by(part: Callable[[FloatArray], FloatArray], path: Path) -> Perturbation:
+            share = part(map_heading_rad(path))
+            return Perturbation(left=share, right=share)
 
-        def any_way(path: Path) -> list[Perturbation]:
-            part: FloatArray = np.sin(map_heading_rad(path))
-            return [by_cos(path), Perturbation(left=part, right=part)]
+        def pull_by(part: Callable[[FloatArray], FloatArray], path: Path) -> Perturbation:
+            return Perturbation(heading_rad=np.abs(path.s.path_m) * part(map_heading_rad(path)))
 
-        def by_sin(path: Path) -> Perturbation:
-            return Perturbation(heading_rad=np.abs(path.s.path_m) * np.sin(map_heading_rad(path)))
+        def with_pull(path: Path) -> list[Perturbation]:
+            return [radii_by(np.cos, path), pull_by(np.sin, path)]
 
-        def crosswise(path: Path) -> Perturbation:
-            return Perturbation(heading_rad=np.abs(path.s.path_m) * np.cos(map_heading_rad(path)))
+        def any_direction(path: Path) -> list[Perturbation]:
+            return [radii_by(np.cos, path), radii_by(np.sin, path)]
 
-        tries = 4 if sided else 2
-        forms = [
-            Form(self.id, "along x, radii alone", (radii,), lambda path: [by_cos(path)], tries=tries, by_parts=True),
-            Form(self.id, "across, pull alone", (pull,), lambda path: [crosswise(path)], tries=tries, by_parts=True),
+        offered: list[tuple[str, tuple[Parameter, ...], Perturbations]] = [
+            ("along x, radii alone", (radii,), lambda path: [radii_by(np.cos, path)]),
+            ("across, pull alone", (pull,), lambda path: [pull_by(np.cos, path)]),
         ]
         if sided:
-            along_and_pull = ("along x, radii and pull", (radii, pull))
             both = (replace(radii, name="radii_x"), replace(radii, name="radii_y"))
-            forms.append(
-                Form(self.id, *along_and_pull, lambda path: [by_cos(path), by_sin(path)], tries=tries, by_parts=True)
-            )
-            forms.append(Form(self.id, "any direction, radii alone", both, any_way, tries=tries, by_parts=True))
-        return forms
+            offered.append(("along x, radii and pull", (radii, pull), with_pull))
+            offered.append(("any direction, radii alone", both, any_direction))
+        return [Form(self.id, *each, tries=len(offered), by_parts=True) for each in offered]

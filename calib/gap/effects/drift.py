@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.gap.effects.effect import Centre, Effect, Family, Form, Observations, Parameter, Perturbation, varies
-from calib.gap.effects.quantities import driven_speed_mps, sessions
+from calib.gap.effects.effect import Centre, Effect, Family, Form, Parameter, Perturbations, Proportional, varies
+from calib.gap.effects.quantities import driven_speed_mps, numbered_sessions, sessions
+from calib.gap.observations.arrays import Observations
+from calib.gap.steps import Perturbation
 from calib.types import FloatArray
 
 
-class TemperatureRadius(Effect):
+class TemperatureRadius(Proportional):
     """dr / r = alpha (T - T_0) for both wheels, T_0 the campaign's mean temperature."""
 
     id = "temperature_radius"
@@ -19,22 +21,13 @@ class TemperatureRadius(Effect):
     needs = "temperature_C that varies"
     separates = "cold and warm runs within one session"
     shifts = ("radius_scale",)
+    # 0.05 to 0.2 % per 20 K
+    parameter = Parameter("alpha", "1/K", typical=5e-5, largest=3e-4)
+    varies_by = 0.5
 
-    def forms(self, observations: Observations) -> list[Form]:
-        """Return the single form; none where the temperature is not known or does not vary."""
-        temperature = observations.number("temperature_C")
-        if not varies(temperature, 0.5):
-            return []
-        # 0.05 to 0.2 % per 20 K
-        parameter = Parameter("alpha", "1/K", typical=5e-5, largest=3e-4)
-
-        def form(centre: Centre) -> Form:
-            over = centre.deviations(temperature)
-            return Form(
-                self.id, "", (parameter,), lambda _: [Perturbation(left=over, right=over)], centre=centre, about=form
-            )
-
-        return [form(Centre.of(temperature))]
+    def quantity(self, observations: Observations) -> FloatArray:
+        """Return the temperature in degrees Celsius."""
+        return observations.number("temperature_C")
 
 
 class Wear(Effect):
@@ -51,33 +44,26 @@ class Wear(Effect):
 
     def forms(self, observations: Observations) -> list[Form]:
         """Return a form per km and, with two sessions and more, one per session."""
-        measures: list[tuple[str, str, FloatArray, float, float]] = []
+        measures: list[tuple[str, FloatArray, float]] = []
         km = observations.number("travelled_km")
         if varies(km, 1e-3):
-            measures.append(("per km", "1/km", km, 1e-5, 1e-4))
-        session = sessions(observations)
-        names, first, of = np.unique(session, return_index=True, return_inverse=True)
-        if len(names) > 1:
-            rank = np.argsort(np.argsort(first))
-            measures.append(("per session", "1/session", rank[of].astype(np.float64), 1e-4, 1e-3))
+            measures.append(("km", km, 1e-5))
+        number, count = numbered_sessions(observations)
+        if count > 1:
+            measures.append(("session", number.astype(np.float64), 1e-4))
+        return [self._form(*measure, tries=len(measures)) for measure in measures]
 
-        def form(
-            label: str, unit: str, driven: FloatArray, typical: float, largest: float, centre: Centre | None = None
-        ) -> Form:
-            parameters = tuple(Parameter(f"rate_{side}", unit, typical, largest, sign=-1) for side in ("left", "right"))
-            centre = centre or Centre.of(driven)
+    def _form(self, per: str, driven: FloatArray, typical: float, *, tries: int) -> Form:
+        parameters = tuple(
+            Parameter(f"rate_{side}", f"1/{per}", typical, 10.0 * typical, sign=-1) for side in ("left", "right")
+        )
+
+        def about(centre: Centre) -> Perturbations:
             grows = centre.deviations(driven)
-            return Form(
-                self.id,
-                label,
-                parameters,
-                lambda _: [Perturbation(left=grows), Perturbation(right=grows)],
-                tries=len(measures),
-                centre=centre,
-                about=lambda elsewhere: form(label, unit, driven, typical, largest, elsewhere),
-            )
+            return lambda _: [Perturbation(left=grows), Perturbation(right=grows)]
 
-        return [form(*measure) for measure in measures]
+        centre = Centre.of(driven)
+        return Form(self.id, f"per {per}", parameters, about(centre), tries=tries, centre=centre, about=about)
 
 
 class SessionStep(Effect):
@@ -95,22 +81,20 @@ class SessionStep(Effect):
 
     def forms(self, observations: Observations) -> list[Form]:
         """Return the single form, a left and a right step a session but the first; none with one session."""
-        session = sessions(observations)
-        names, first = np.unique(session, return_index=True)
-        names = names[np.argsort(first)]
-        if len(names) < 2:
-            return []
+        number, count = numbered_sessions(observations)
+        names = sessions(observations)
         parameters: list[Parameter] = []
         perturbations: list[Perturbation] = []
-        for name in names[1:]:
-            inside = (session == name).astype(np.float64)
+        for later in range(1, count):
+            inside = number == later
             step = inside - inside.mean()
+            name = names[inside][0]
             parameters += [Parameter(f"{side}_{name}", "1", typical=5e-4, largest=1e-2) for side in ("left", "right")]
             perturbations += [Perturbation(left=step), Perturbation(right=step)]
-        return [Form(self.id, "", tuple(parameters), lambda _: perturbations)]
+        return [Form(self.id, "", tuple(parameters), lambda _: perturbations)] if parameters else []
 
 
-class SpeedRadius(Effect):
+class SpeedRadius(Proportional):
     """dr / r = k (v - v_0) for both wheels, v_0 the campaign's mean speed; the speed of a run is its driven mean."""
 
     id = "speed_radius"
@@ -120,18 +104,9 @@ class SpeedRadius(Effect):
     family = Family.SPEED
     needs = "two speeds"
     separates = "one route at several speeds, read after the stop"
+    parameter = Parameter("per_mps", "s/m", typical=3e-4, largest=3e-4)
+    varies_by = 0.02
 
-    def forms(self, observations: Observations) -> list[Form]:
-        """Return the single form; none where all runs were replicated."""
-        speed = driven_speed_mps(observations)
-        if not varies(speed, 0.02):
-            return []
-        parameter = Parameter("per_mps", "s/m", typical=3e-4, largest=3e-4)
-
-        def form(centre: Centre) -> Form:
-            over = centre.deviations(speed)
-            return Form(
-                self.id, "", (parameter,), lambda _: [Perturbation(left=over, right=over)], centre=centre, about=form
-            )
-
-        return [form(Centre.of(speed))]
+    def quantity(self, observations: Observations) -> FloatArray:
+        """Return the driven speed in m/s."""
+        return driven_speed_mps(observations)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import ClassVar
 
@@ -26,49 +26,46 @@ class Family(StrEnum):
     straight runs, and are families apart, because what is to be done about them differs.
     """
 
-    CALIBRATION = "calibration"
-    LOAD = "load"
-    TURNING = "turning"
-    SPEED = "speed"
+    words: str  #: what is sure where only the family is, as a clause
+
+    def __new__(cls, value: str, words: str) -> Family:
+        """Make a member of its name in files and its clause."""
+        member = str.__new__(cls, value)
+        member._value_, member.words = value, words
+        return member
+
+    CALIBRATION = "calibration", "radii or track are other than believed"
+    LOAD = "load", "the radii follow the load"
+    TURNING = "turning", "turns come out other than the wheels say"
+    SPEED = "speed", "the way correlates with the speed or with stopping"
     # temperature belongs here: it rises with the day as wear and sessions do, and is told from them by the same runs
-    DRIFT = "drift"
-    DIRECTION = "direction"
-    COUNTS = "counts"
-    STEERING = "steering"
-    INSTRUMENT = "instrument"
-    REFERENCE = "reference"
-    FLOOR = "floor"
-    PATH = "path"
-    COVARIATE = "covariate"
-    OWN = "own"
-    SIMULATOR = "simulator"
-
-    @property
-    def words(self) -> str:
-        """What is sure where only the family is, as a clause."""
-        return _FAMILY_WORDS[self]
+    DRIFT = "drift", "the radii drift over the campaign"
+    DIRECTION = "direction", "one direction of travel differs from the other"
+    COUNTS = "counts", "the encoders count wrongly"
+    STEERING = "steering", "the front wheel disagrees with the rear wheels"
+    INSTRUMENT = "instrument", "the distance instrument reads wrongly"
+    REFERENCE = "reference", "the pose reference reads another place or time"
+    FLOOR = "floor", "the gap opens at places of the floor"
+    PATH = "path", "the path between the ends is other than computed"
+    COVARIATE = "covariate", "the gap correlates with a further column of the run table"
+    OWN = "own", "an effect of the user's own is at work"
+    SIMULATOR = "simulator", "a parameter of the simulator is off"
 
 
-_FAMILY_WORDS = {
-    Family.CALIBRATION: "radii or track are other than believed",
-    Family.LOAD: "the radii follow the load",
-    Family.TURNING: "turns come out other than the wheels say",
-    Family.SPEED: "the way correlates with the speed or with stopping",
-    Family.DRIFT: "the radii drift over the campaign",
-    Family.DIRECTION: "one direction of travel differs from the other",
-    Family.COUNTS: "the encoders count wrongly",
-    Family.STEERING: "the front wheel disagrees with the rear wheels",
-    Family.INSTRUMENT: "the distance instrument reads wrongly",
-    Family.REFERENCE: "the pose reference reads another place or time",
-    Family.FLOOR: "the gap opens at places of the floor",
-    Family.PATH: "the path between the ends is other than computed",
-    Family.COVARIATE: "the gap correlates with a further column of the run table",
-    Family.SIMULATOR: "a parameter of the simulator is off",
-    Family.OWN: "an effect of the user's own is at work",
-}
-
-
-__all__ = ["Centre", "Effect", "Family", "Form", "Observations", "Parameter", "Path", "Perturbation", "varies"]
+__all__ = [
+    "Centre",
+    "Effect",
+    "Family",
+    "Form",
+    "Observations",
+    "Parameter",
+    "Path",
+    "Perturbation",
+    "Perturbations",
+    "Proportional",
+    "acting_on",
+    "varies",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +97,9 @@ class Centre:
         return np.asarray(np.nan_to_num((values - self.mean) / self.spread))
 
 
+Perturbations = Callable[[Path], Sequence[Perturbation]]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Form:
     """One form of an effect on one campaign: its parameters and what each of them perturbs."""
@@ -107,16 +107,15 @@ class Form:
     effect: str  #: id of the effect
     label: str  #: which form, for example ``exponent 0.7``; empty where there is one only
     parameters: tuple[Parameter, ...]  #: the parameters that the data choose
-    perturbations: Callable[
-        [Path], Sequence[Perturbation]
-    ]  #: path -> one `Perturbation` a parameter, per unit of the parameter
+    #: path -> one `Perturbation` a parameter, per unit of the parameter
+    perturbations: Perturbations
     #: quantities of the form that are not fitted linearly (an exponent, a time constant, a place)
     settings: dict[str, float] = field(default_factory=dict)
     tries: int = 1  #: how many forms were searched over; the evidence pays for the search
     #: where the effect is zero, for a form that takes the deviation of a covariate from its mean on the campaign
     centre: Centre | None = None
-    #: centre -> the same form with the effect zero there; each form with a centre has it
-    about: Callable[[Centre], Form] | None = None
+    #: centre -> `perturbations` with the effect zero there; each form with a centre has it
+    about: Callable[[Centre], Perturbations] | None = None
     #: Whether `perturbations` takes everything per step from the path that it is given, which may then be that of some
     #: observations alone (`Observations.here` selects from arrays of all). Else it is given the whole path, and arrays
     #: per step are held for all observations at once: too much for a large campaign.
@@ -124,7 +123,9 @@ class Form:
 
     def centred_at(self, centre: Centre | None) -> Form:
         """Return the form with the effect zero at a centre, itself where it has none or none is given."""
-        return self if self.about is None or centre is None or centre == self.centre else self.about(centre)
+        if self.about is None or centre is None or centre == self.centre:
+            return self
+        return replace(self, perturbations=self.about(centre), centre=centre)
 
     @property
     def typical(self) -> FloatArray:
@@ -179,3 +180,56 @@ class Effect(ABC):
 def varies(values: FloatArray, by: float = 0.0) -> bool:
     """Return whether a covariate is known everywhere and takes more than one value (further apart than `by`)."""
     return bool(np.isfinite(values).all() and np.ptp(values) > by)
+
+
+def acting_on(path: Path, target: str, values: FloatArray) -> Perturbation:
+    """Return what a quantity (n_obs,) of all observations does on a path, per unit, to the radii, track, yaw or laser.
+
+    `target`: ``left``, ``right``, ``both``, ``difference`` (half on each, left negative) and ``track`` are relative
+    changes, ``yaw`` is in rad per metre, ``distance`` in m of the laser's distance.
+    """
+    here = path.s.here(values)
+    if target == "distance":
+        return Perturbation.on_readings(path.s, distance=here)
+    if target == "yaw":
+        return Perturbation(heading_rad=here[path.s.unit] * path.s.path_m)
+    if target == "track":
+        return Perturbation(track=here)
+    if target == "difference":
+        return Perturbation(left=-0.5 * here, right=0.5 * here)
+    return Perturbation(left=None if target == "right" else here, right=None if target == "left" else here)
+
+
+class Proportional(Effect):
+    """An effect that grows with a quantity of each observation, counted from its mean on the campaign.
+
+    An effect of this shape is a declaration: its parameter, the quantity, and what that acts on.
+    """
+
+    parameter: ClassVar[Parameter]
+    acts_on: ClassVar[str] = "both"  #: see `acting_on`
+    varies_by: ClassVar[float] = 0.0  #: no form where the quantity varies by no more than this
+
+    @abstractmethod
+    def quantity(self, observations: Observations) -> FloatArray:
+        """Return the quantity, shape (n_obs,); NaN where it is not known."""
+
+    def centre(self, values: FloatArray) -> Centre:
+        """Return where the effect is zero, for the values (n_obs,) of its quantity."""
+        return Centre.of(values)
+
+    def forms(self, observations: Observations) -> list[Form]:
+        """Return the single form; none where the quantity is not known everywhere or does not vary."""
+        values = self.quantity(observations)
+        return [self.form(values, self.acts_on)] if varies(values, self.varies_by) else []
+
+    def form(self, values: FloatArray, acts_on: str, parameter: Parameter | None = None, label: str = "") -> Form:
+        """Return a form by which the values (n_obs,) act on something, about their centre."""
+
+        def about(centre: Centre) -> Perturbations:
+            over = centre.deviations(values)
+            return lambda path: [acting_on(path, acts_on, over)]
+
+        centre = self.centre(values)
+        parameters = (parameter or self.parameter,)
+        return Form(self.id, label, parameters, about(centre), centre=centre, about=about, by_parts=acts_on == "yaw")

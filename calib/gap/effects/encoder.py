@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Path, Perturbation, varies
+from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Path, acting_on, varies
 from calib.gap.effects.quantities import driven_speed_mps, wheel_size
 from calib.gap.predict import predict, residuals
-from calib.types import BoolArray, FloatArray
+from calib.gap.steps import Perturbation
+from calib.types import FloatArray
 
 
 class WheelEccentricity(Effect):
@@ -35,47 +36,38 @@ class WheelEccentricity(Effect):
         if not observations.from_log.any():
             return []
 
-        def relative(
-            observations: Observations, angle: FloatArray, roll: FloatArray, radius: FloatArray
-        ) -> tuple[FloatArray, FloatArray]:
-            """Return the relative change of each step's travel per metre of e cos(phi_0) and of e sin(phi_0)."""
-            middle, half = angle - 0.5 * roll, 0.5 * roll
-            # sin(a) - sin(b) = 2 cos(middle) sin(half), so the quotient by the roll stays finite at rest
-            share = (
-                np.where(observations.from_log[observations.unit], np.sinc(half / np.pi), 0.0)
-                / radius[observations.unit]
-            )
-            return np.cos(middle) * share, -np.sin(middle) * share
+        kept: WeakKeyDictionary[Path, dict[str, list[Perturbation]]] = WeakKeyDictionary()
 
-        kept: WeakKeyDictionary[Path, tuple[list[Perturbation], list[Perturbation]]] = WeakKeyDictionary()
-
-        def sides(path: Path) -> tuple[list[Perturbation], list[Perturbation]]:
-            """Return the perturbations of the left and of the right wheel; kept, as two forms ask for each."""
+        def perturbations(path: Path, sides: Sequence[str]) -> list[Perturbation]:
+            """Return the perturbations of wheels; kept, as two forms ask for each."""
             if path not in kept:
                 s = path.s
-                lefts = relative(s, s.phase_left_rad, s.roll_left_rad, s.radius_left_m)
-                rights = relative(s, s.phase_right_rad, s.roll_right_rad, s.radius_right_m)
-                kept[path] = [Perturbation(left=part) for part in lefts], [Perturbation(right=part) for part in rights]
-            return kept[path]
+                lefts = _eccentric(s, s.phase_left_rad, s.roll_left_rad, s.radius_left_m)
+                rights = _eccentric(s, s.phase_right_rad, s.roll_right_rad, s.radius_right_m)
+                kept[path] = {
+                    "left": [Perturbation(left=part) for part in lefts],
+                    "right": [Perturbation(right=part) for part in rights],
+                }
+            return [perturbation for side in sides for perturbation in kept[path][side]]
 
-        scale = wheel_size(observations)
+        typical = 2e-4 * wheel_size(observations)
 
-        def parameters(side: str) -> tuple[Parameter, ...]:
-            names = (f"{side}_cos", f"{side}_sin")
-            return tuple(Parameter(name, "m", typical=2e-4 * scale, largest=2e-3 * scale) for name in names)
+        def form(label: str, sides: Sequence[str]) -> Form:
+            names = [f"{side}_{part}" for side in sides for part in ("cos", "sin")]
+            parameters = tuple(Parameter(name, "m", typical=typical, largest=10.0 * typical) for name in names)
+            return Form(self.id, label, parameters, lambda path: perturbations(path, sides), tries=3, by_parts=True)
 
-        return [
-            Form(self.id, "left wheel", parameters("left"), lambda path: sides(path)[0], tries=3, by_parts=True),
-            Form(self.id, "right wheel", parameters("right"), lambda path: sides(path)[1], tries=3, by_parts=True),
-            Form(
-                self.id,
-                "both wheels",
-                parameters("left") + parameters("right"),
-                lambda path: [perturbation for side in sides(path) for perturbation in side],
-                tries=3,
-                by_parts=True,
-            ),
-        ]
+        return [form("left wheel", ["left"]), form("right wheel", ["right"]), form("both wheels", ["left", "right"])]
+
+
+def _eccentric(
+    s: Observations, angle: FloatArray, roll: FloatArray, radius_m: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the relative change of each step's travel (n_steps,) per metre of e cos(phi_0) and of e sin(phi_0)."""
+    middle, half = angle - 0.5 * roll, 0.5 * roll
+    # sin(a) - sin(b) = 2 cos(middle) sin(half), so the quotient by the roll stays finite at rest
+    share = np.where(s.from_log[s.unit], np.sinc(half / np.pi), 0.0) / radius_m[s.unit]
+    return np.cos(middle) * share, -np.sin(middle) * share
 
 
 class LostCounts(Effect):
@@ -104,19 +96,14 @@ class LostCounts(Effect):
             for v_0 in (float(speed.min()), float(np.median(speed))):
                 over = np.maximum(speed - v_0, 0.0)
                 if varies(over, 0.02):
-                    label = f"share growing above {v_0:.2f} m/s"
-                    shapes.append((label, over, growing, {"speed_mps": v_0}))
+                    shapes.append((f"share growing above {v_0:.2f} m/s", over, growing, {"speed_mps": v_0}))
 
         def form(side: str, label: str, part: FloatArray, parameter: Parameter, settings: dict[str, float]) -> Form:
-            perturbation = Perturbation(left=part) if side == "left" else Perturbation(right=part)
-            return Form(
-                self.id,
-                f"{side} wheel, {label}",
-                (parameter,),
-                lambda _: [perturbation],
-                settings=settings,
-                tries=2 * len(shapes),
-            )
+            def perturbations(path: Path) -> list[Perturbation]:
+                return [acting_on(path, side, part)]
+
+            label, tries = f"{side} wheel, {label}", 2 * len(shapes)
+            return Form(self.id, label, (parameter,), perturbations, settings, tries)
 
         return [form(side, *shape) for shape in shapes for side in ("left", "right")]
 
@@ -187,27 +174,30 @@ class Blunder:
 def _candidates() -> list[Blunder]:
     faults = [Blunder(_SWAPPED, 1.0, 1.0, swapped=True)]
     for label, factor in FACTORS.items():
-        faults.append(Blunder(f"both wheels' counts are to be multiplied by {label}", factor, factor))
-        faults.append(Blunder(f"the left wheel's counts are to be multiplied by {label}", factor, 1.0))
-        faults.append(Blunder(f"the right wheel's counts are to be multiplied by {label}", 1.0, factor))
-    faults.append(Blunder("the left wheel counts backwards", -1.0, 1.0))
-    faults.append(Blunder("the right wheel counts backwards", 1.0, -1.0))
-    faults.append(Blunder("both wheels count backwards", -1.0, -1.0))
-    faults.append(Blunder(f"{_SWAPPED}, both counting backwards", -1.0, -1.0, swapped=True))
-    return faults
+        for whose, left, right in (
+            ("both wheels'", factor, factor),
+            ("the left wheel's", factor, 1.0),
+            ("the right wheel's", 1.0, factor),
+        ):
+            faults.append(Blunder(f"{whose} counts are to be multiplied by {label}", left, right))
+    return [
+        *faults,
+        Blunder("the left wheel counts backwards", -1.0, 1.0),
+        Blunder("the right wheel counts backwards", 1.0, -1.0),
+        Blunder("both wheels count backwards", -1.0, -1.0),
+        Blunder(f"{_SWAPPED}, both counting backwards", -1.0, -1.0, swapped=True),
+    ]
 
 
 def corrected(observations: Observations, fault: Blunder) -> Observations:
-    """Return the situation with the counts corrected."""
-    roll = [observations.roll_left_rad, observations.roll_right_rad]
-    phase = [observations.phase_left_rad, observations.phase_right_rad]
-    left, right = (1, 0) if fault.swapped else (0, 1)
+    """Return the observations with the counts corrected."""
+    left, right = ("right", "left") if fault.swapped else ("left", "right")
     return replace(
         observations,
-        roll_left_rad=roll[left] * fault.left,
-        roll_right_rad=roll[right] * fault.right,
-        phase_left_rad=phase[left] * fault.left,
-        phase_right_rad=phase[right] * fault.right,
+        roll_left_rad=getattr(observations, f"roll_{left}_rad") * fault.left,
+        roll_right_rad=getattr(observations, f"roll_{right}_rad") * fault.right,
+        phase_left_rad=getattr(observations, f"phase_{left}_rad") * fault.left,
+        phase_right_rad=getattr(observations, f"phase_{right}_rad") * fault.right,
     )
 
 
@@ -223,18 +213,13 @@ def misfit(path: Path) -> FloatArray:
         np.hypot(observations.measured[:, 1], observations.measured[:, 2]), np.nan_to_num(observations.measured[:, 0])
     )
     length = np.where(np.isfinite(length) & (length > 0.5), length, np.maximum(observations.length_m, 0.5))
-    straight = _straight(observations)
+    # measured to end ahead, headed as at the beginning
+    measured, usable = observations.measured, observations.usable
+    aside = usable[:, 2] & ~(np.abs(measured[:, 2]) < _STRAIGHT_ANGLE_RAD * np.abs(measured[:, 1]))
+    straight = ~aside & ~(usable[:, 3] & ~(np.abs(measured[:, 3]) < _STRAIGHT_ANGLE_RAD))
     ways = np.where(straight, gap[:, :2].max(axis=1), gap[:, :3].max(axis=1)) / length
     per_turn = np.where(straight, observations.model.track_m / length, 1.0)
     return np.asarray(np.minimum(np.maximum(ways, per_turn * gap[:, 3]), 1.0))
-
-
-def _straight(observations: Observations) -> BoolArray:
-    """Return which observations were measured to end ahead, headed as at their beginning, shape (n_obs,)."""
-    measured, usable = observations.measured, observations.usable
-    aside = usable[:, 2] & ~(np.abs(measured[:, 2]) < _STRAIGHT_ANGLE_RAD * np.abs(measured[:, 1]))
-    turned = usable[:, 3] & ~(np.abs(measured[:, 3]) < _STRAIGHT_ANGLE_RAD)
-    return np.asarray(~aside & ~turned)
 
 
 def find_blunder(observations: Observations, nominal: Path) -> Blunder | None:
@@ -246,9 +231,6 @@ def find_blunder(observations: Observations, nominal: Path) -> Blunder | None:
         return None
     # a front wheel that drives the odometry has no other side
     candidates = [c for c in _candidates() if not observations.by_front or (c.left == c.right and not c.swapped)]
-    tried = [
-        (float(np.mean(misfit(predict(corrected(observations, fault))))), number)
-        for number, fault in enumerate(candidates)
-    ]
-    best, number = min(tried)
-    return candidates[number] if best < BLUNDER_RESIDUAL_SHARE * now and best < BLUNDER_MISFIT else None
+    left = [float(np.mean(misfit(predict(corrected(observations, fault))))) for fault in candidates]
+    best = min(left)
+    return candidates[left.index(best)] if best < min(BLUNDER_RESIDUAL_SHARE * now, BLUNDER_MISFIT) else None

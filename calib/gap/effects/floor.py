@@ -8,7 +8,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Path, Perturbation, varies
-from calib.gap.observations.arrays import STRAIGHT_RAD
+from calib.gap.observations.arrays import STRAIGHT_RAD, Channel
 from calib.gap.observations.routes import ROUTE_LENGTH_SHARE, lane_names
 from calib.gap.predict import GUIDED_TURN_RAD, predict
 from calib.types import BoolArray, FloatArray, IntArray
@@ -32,10 +32,8 @@ def far_end_m(observations: Observations) -> FloatArray:
 
     The length is the median measured one of the runs out of about the same length (else of those back).
     """
-    length = np.where(
-        np.isfinite(observations.measured[:, 0]), observations.measured[:, 0], np.abs(observations.measured[:, 1])
-    )
-    length = np.where(np.isfinite(length), length, observations.length_m)
+    distance, along = observations.measured[:, Channel.DISTANCE], np.abs(observations.measured[:, Channel.ALONG])
+    length = np.where(np.isfinite(distance), distance, np.where(np.isfinite(along), along, observations.length_m))
     straight = np.abs(observations.total(observations.turn_rad)) < GUIDED_TURN_RAD
     back, out = straight & (observations.heading_sign < 0), straight & (observations.labels["direction"] == "out")
     start = np.zeros(len(observations))
@@ -50,12 +48,9 @@ def far_end_m(observations: Observations) -> FloatArray:
 
 def lanes(observations: Observations) -> IntArray:
     """Return the lane of each observation: 0, or a number for each ending of the kind of route (``_b``, ``_2``)."""
-    names = lane_names(observations.labels["kind"])
-    others = [name for name in np.unique(names) if name]
-    number = np.zeros(len(observations), dtype=np.int64)
-    for place, name in enumerate(others, start=1):
-        number[names == name] = place
-    return number
+    # the empty name sorts first: without one in any kind, the first ending is 1 all the same
+    _, number = np.unique(np.append(lane_names(observations.labels["kind"]), ""), return_inverse=True)
+    return np.asarray(number[:-1], dtype=np.int64)
 
 
 def map_heading_rad(path: Path) -> FloatArray:
@@ -71,16 +66,12 @@ def floor_place(path: Path, far_end_m: FloatArray) -> tuple[FloatArray, FloatArr
     In a map observations start where they were seen. Else runs out start at the origin
     heading along x; runs back head the other way, in a corridor from its far end (`far_end_m`).
     """
-    observations = path.s
-    known = np.isfinite(observations.start_pose).all(axis=1)
-    x, y = (
-        np.where(known, observations.start_pose[:, 0], far_end_m),
-        np.where(known, observations.start_pose[:, 1], 0.0),
-    )
-    heading = np.where(known, observations.start_pose[:, 2], np.pi * is_back(observations))
-    unit, steps = observations.unit, path.steps
-    c, sn = np.cos(heading)[unit], np.sin(heading)[unit]
-    return x[unit] + c * steps.x_m - sn * steps.y_m, y[unit] + sn * steps.x_m + c * steps.y_m
+    s, steps = path.s, path.steps
+    assumed = np.stack([far_end_m, np.zeros(len(s)), np.pi * is_back(s)], axis=1)
+    known = np.isfinite(s.start_pose).all(axis=1, keepdims=True)
+    x, y, heading = np.where(known, s.start_pose, assumed)[s.unit].T
+    c, sn = np.cos(heading), np.sin(heading)
+    return x + c * steps.x_m - sn * steps.y_m, y + sn * steps.x_m + c * steps.y_m
 
 
 CELL_M: Final = 2.0
@@ -129,33 +120,28 @@ class FloorZone(Effect):
         cosine = np.cos(map_heading_rad(nominal))
         cells = _cells(observations, lane[observations.unit], *floor_place(nominal, far_end), cosine)
         along = Parameter("along", "1", typical=1e-3, largest=2e-2)
-        turn = Parameter("turn", "rad/m", typical=1e-3, largest=2e-2)
-        turn_by_heading = Parameter("turn_by_heading", "rad/m", typical=1e-3, largest=2e-2)
+        turns = tuple(Parameter(name, "rad/m", typical=1e-3, largest=2e-2) for name in ("turn", "turn_by_heading"))
 
         def form(number: int, x: float, y: float, both_ways: bool) -> Form:
-            strip = number < 0
+            strip = number == _STRIP_LANE
 
             def perturbations(path: Path) -> list[Perturbation]:
                 at_x, at_y, cosine = place(path)
-                observations = path.s
                 inside = np.flatnonzero(np.abs(at_x - x) < 0.5 * CELL_M)
                 if not strip:
                     inside = inside[np.abs(at_y[inside] - y) < 0.5 * CELL_M]
-                    inside = inside[observations.here(lane)[observations.unit[inside]] == number]
-                share, way, *by_heading = np.zeros((3 if both_ways else 2, len(at_x)))
-                share[inside], way[inside] = 1.0, np.abs(observations.path_m[inside])
-                for way_by_heading in by_heading:
-                    way_by_heading[inside] = way[inside] * cosine[inside]
-                return [
-                    Perturbation(left=share, right=share),
-                    *(Perturbation(heading_rad=part) for part in (way, *by_heading)),
-                ]
+                    inside = inside[path.s.here(lane)[path.s.unit[inside]] == number]
+                share, way, by_heading = np.zeros((3, len(at_x)))
+                share[inside], way[inside] = 1.0, np.abs(path.s.path_m[inside])
+                by_heading[inside] = way[inside] * cosine[inside]
+                pulls = (way, by_heading) if both_ways else (way,)
+                return [Perturbation(left=share, right=share), *(Perturbation(heading_rad=pull) for pull in pulls)]
 
             where = ", whole width" if strip else f", y {y:g} m" + (f", lane {number + 1}" if lane.max() > 0 else "")
-            label = f"x {x:g} m{where}"
-            parameters = (along, turn, turn_by_heading) if both_ways else (along, turn)
+            parameters = (along, *turns) if both_ways else (along, turns[0])
             settings = {"x_m": x, "y_m": y, "lane": float(number), "size_m": CELL_M}
-            return Form(self.id, label, parameters, perturbations, settings=settings, tries=len(cells), by_parts=True)
+            label, tries = f"x {x:g} m{where}", len(cells)
+            return Form(self.id, label, parameters, perturbations, settings, tries, by_parts=True)
 
         return [form(*cell) for cell in cells]
 
@@ -187,31 +173,25 @@ def _grid(
     way = np.where(observations.from_log[observations.unit], np.abs(observations.path_m), 0.0)
     column = np.floor(x / CELL_M + 0.5 - shift).astype(np.int64)
     row = np.floor(y / CELL_M + 0.5).astype(np.int64)
-    code = (
-        (lane + 1) * _GRID_WIDTH + np.clip(column, -_GRID_WIDTH // 4, _GRID_WIDTH // 4) + _GRID_WIDTH // 2
-    ) * _GRID_WIDTH
-    code += np.clip(row, -_GRID_WIDTH // 4, _GRID_WIDTH // 4) + _GRID_WIDTH // 2
-    codes, cell = np.unique(code, return_inverse=True)
-    n_units, n_cells = len(observations), len(codes)
-    flat = observations.unit * n_cells + cell
-    in_cell = np.bincount(flat, way, n_units * n_cells).reshape(n_units, n_cells)
-    heading = np.bincount(flat, way * cosine, n_units * n_cells).reshape(n_units, n_cells)
-    logged = observations.from_log
+    code = lane + 1
+    for place in (column, row):
+        code = code * _GRID_WIDTH + np.clip(place, -_GRID_WIDTH // 4, _GRID_WIDTH // 4) + _GRID_WIDTH // 2
+    _, firsts, cell = np.unique(code, return_index=True, return_inverse=True)
+    shape = (len(observations), len(firsts))
+    flat = observations.unit * shape[1] + cell
+    in_cell, heading = (np.bincount(flat, part, shape[0] * shape[1]).reshape(shape) for part in (way, way * cosine))
     visits = in_cell > 0.25 * CELL_M
-    lateral = bool(observations.usable[:, 2].any())
+    lateral = bool(observations.usable[:, Channel.LATERAL].any())
     zones = []
     for number in np.flatnonzero(visits.sum(axis=0) >= MIN_RUNS_IN_CELL):
-        seen = visits[:, number]
-        cosines = heading[seen, number] / in_cell[seen, number]
-        both_ways = bool(np.ptp(cosines) > 1.0)
-        spread = float(np.std(in_cell[logged, number]))
-        alike = spread < 0.05 * float(np.mean(in_cell[logged, number]))
-        if alike and not (both_ways and lateral):
+        seen, ways = visits[:, number], in_cell[observations.from_log, number]
+        both_ways = bool(np.ptp(heading[seen, number] / in_cell[seen, number]) > 1.0)
+        spread, mean = float(np.std(ways)), float(np.mean(ways))
+        if spread < 0.05 * mean and not (both_ways and lateral):
             continue
-        first = int(np.flatnonzero(cell == number)[0])
+        first = firsts[number]
         centre = (float(column[first] + shift) * CELL_M, float(row[first]) * CELL_M)
-        worth = spread + (float(np.mean(in_cell[logged, number])) if both_ways else 0.0)
-        zones.append((worth, (int(lane[first]), *centre, both_ways)))
+        zones.append((spread + (mean if both_ways else 0.0), (int(lane[first]), *centre, both_ways)))
     return zones
 
 
@@ -234,20 +214,16 @@ class FloorUndulation(Effect):
     def forms(self, observations: Observations) -> list[Form]:
         """Return a form for each lane: the values of a column ``lane`` where there is one, else the kinds of route."""
         lane = observations.number("lane")
-        groups: list[tuple[str, BoolArray]]
+        groups: list[tuple[str, BoolArray]] = []
         if varies(lane):
-            values = np.unique(lane)
-            groups = [(f"lane {value:g}", lane == value) for value in values]
+            groups = [(f"lane {value:g}", lane == value) for value in np.unique(lane)]
         elif common_frame(observations):
             # only routes that run straight along the hall are lanes
-            kind = observations.labels["kind"]
-            bent = (observations.total(np.abs(observations.turn_rad)) > MAX_LANE_TURN_RAD) | (
-                np.abs(observations.total(observations.turn_rad)) > STRAIGHT_RAD
-            )
+            kind, turn = observations.labels["kind"], observations.turn_rad
+            swings = observations.total(np.abs(turn)) > MAX_LANE_TURN_RAD
+            bent = swings | (np.abs(observations.total(turn)) > STRAIGHT_RAD)
             names = [name for name in np.unique(kind) if not bent[kind == name].any()]
             groups = [(f"route {name}", kind == name) for name in names]
-        else:
-            groups = []
         if not 1 < len(groups) <= MAX_LANES:
             return []
         parameter = Parameter("excess", "1", typical=2.5e-4, largest=2e-3, sign=1)

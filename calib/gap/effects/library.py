@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from calib.errors import BadInputError
-from calib.gap.effects.calibration import RadiusScale, TrackWidth, UnequalRadii
+from calib.gap.effects import calibration, direction, drift, encoder, floor, load, path, reference, steering, turning
 from calib.gap.effects.columns import (
     Covariate,
     Declared,
@@ -19,83 +19,57 @@ from calib.gap.effects.columns import (
     entry_point_effects,
     entry_point_origins,
 )
-from calib.gap.effects.direction import FloorSlope, RearDrag, TravelDirection
-from calib.gap.effects.drift import SessionStep, SpeedRadius, TemperatureRadius, Wear
 from calib.gap.effects.effect import Effect, Form
-from calib.gap.effects.encoder import Blunder, EncoderBlunder, LostCounts, WheelEccentricity, find_blunder
-from calib.gap.effects.floor import FloorUndulation, FloorZone
-from calib.gap.effects.load import LoadCreep, LoadRadius, LoadRadiusNonlinear, PayloadMass, PayloadPosition
-from calib.gap.effects.path import IntegrationScheme, PathWeave
-from calib.gap.effects.reference import (
-    BeamMisalignment,
-    GyroScale,
-    RangefinderOffset,
-    RangefinderScale,
-    ReferenceLatency,
-    ReferenceLeverArm,
-    ReferenceYaw,
-    TurnedReference,
-    find_turned,
-)
 from calib.gap.effects.simulator import SIMULATOR_PREFIX, simulator_title
-from calib.gap.effects.steering import SteeringBacklash, SteeringDelay, SteeringScale, SteeringZero
-from calib.gap.effects.turning import (
-    BrakingSkid,
-    CurveLoadTransfer,
-    CurveScrub,
-    DriveSlip,
-    LoadDependentTrack,
-    SideSlip,
-    Understeer,
-)
-from calib.gap.observations.arrays import Channel, Observations
+from calib.gap.observations.arrays import POSE, Channel, Observations
 from calib.gap.predict import Path, predict, signature
+from calib.gap.steps import Perturbation
 from calib.limits import COVARIATES, refuse_beyond
 from calib.result import plain
 from calib.types import FloatArray
 
 #: the effects of the library, in the order of listings; a new one is a class and a line here
 EFFECTS: Final[tuple[type[Effect], ...]] = (
-    RadiusScale,
-    UnequalRadii,
-    TrackWidth,
-    LoadRadius,
-    LoadRadiusNonlinear,
-    LoadCreep,
-    WheelEccentricity,
-    CurveLoadTransfer,
-    LoadDependentTrack,
-    BrakingSkid,
-    SpeedRadius,
-    TemperatureRadius,
-    Wear,
-    SessionStep,
-    LostCounts,
-    EncoderBlunder,
-    RangefinderScale,
-    RangefinderOffset,
-    BeamMisalignment,
-    GyroScale,
-    ReferenceLeverArm,
-    ReferenceYaw,
-    ReferenceLatency,
-    RearDrag,
-    TravelDirection,
-    SideSlip,
-    CurveScrub,
-    SteeringZero,
-    SteeringScale,
-    SteeringBacklash,
-    SteeringDelay,
-    DriveSlip,
-    Understeer,
-    PayloadMass,
-    PayloadPosition,
-    FloorSlope,
-    FloorZone,
-    FloorUndulation,
-    PathWeave,
-    IntegrationScheme,
+    calibration.RadiusScale,
+    calibration.UnequalRadii,
+    calibration.TrackWidth,
+    load.LoadRadius,
+    load.LoadRadiusNonlinear,
+    load.LoadCreep,
+    encoder.WheelEccentricity,
+    turning.CurveLoadTransfer,
+    turning.LoadDependentTrack,
+    turning.BrakingSkid,
+    drift.SpeedRadius,
+    drift.TemperatureRadius,
+    drift.Wear,
+    drift.SessionStep,
+    encoder.LostCounts,
+    encoder.EncoderBlunder,
+    reference.RangefinderScale,
+    reference.RangefinderOffset,
+    reference.BeamMisalignment,
+    reference.GyroScale,
+    reference.ReferenceLeverArm,
+    reference.ReferenceYaw,
+    reference.ReferenceLatency,
+    direction.RearDrag,
+    direction.TravelDirection,
+    turning.SideSlip,
+    turning.CurveScrub,
+    steering.SteeringZero,
+    steering.SteeringScale,
+    steering.SteeringBacklash,
+    steering.SteeringDelay,
+    turning.DriveSlip,
+    turning.Understeer,
+    load.PayloadMass,
+    load.PayloadPosition,
+    direction.FloorSlope,
+    floor.FloorZone,
+    floor.FloorUndulation,
+    path.PathWeave,
+    path.IntegrationScheme,
 )
 #: id -> class
 REGISTRY: Final = {effect.id: effect for effect in EFFECTS}
@@ -155,16 +129,6 @@ def check_excluded(exclude: Collection[str], observations: Observations, declare
             raise BadInputError(f"exclude: found {name!r}; expected an effect of the library; choose of: {near}")
 
 
-def blunder_before_search(observations: Observations, nominal: Path, exclude: Collection[str] = ()) -> Blunder | None:
-    """Return the encoder blunder to be corrected before the search; None where there is none."""
-    return None if Blunder.effect.id in exclude else find_blunder(observations, nominal)
-
-
-def turned_before_search(nominal: Path, exclude: Collection[str] = ()) -> TurnedReference | None:
-    """Return the large yaw of the reference's sensor to be corrected before the search; None where there is none."""
-    return None if TurnedReference.effect.id in exclude else find_turned(nominal)
-
-
 def _all(observations: Observations, declared: object) -> tuple[list[Effect], list[Covariate], list[Effect]]:
     """Return the registered effects, the columns' and the user's own."""
     registered = [kind() for kind in EFFECTS]
@@ -198,36 +162,34 @@ class EffectSignature:
     def rms_by_kind(self) -> dict[str, FloatArray]:
         """Return the root mean square change of each channel, shape (n_channels,), by kind of run."""
         kinds = self.enlarged.s.labels["kind"]
-        changes = {}
-        for kind in np.unique(kinds):
-            square = self.change[kinds == kind] ** 2
-            known = np.isfinite(square)
-            mean = np.where(known, square, 0.0).sum(axis=0) / np.where(known.any(axis=0), known.sum(axis=0), np.nan)
-            changes[str(kind)] = np.sqrt(mean)
-        return changes
+
+        def rms(square: FloatArray) -> FloatArray:
+            known = np.isfinite(square).sum(axis=0)
+            return np.sqrt(np.where(known > 0, np.nansum(square, axis=0) / np.maximum(known, 1), np.nan))
+
+        return {str(kind): rms(self.change[kinds == kind] ** 2) for kind in np.unique(kinds)}
 
 
 def signature_of(effect: Effect, nominal: Path) -> EffectSignature | None:
     """Return the signature of an effect on the runs of a path; None where it has no form there."""
     observations = nominal.s
-    best: tuple[float, Form, FloatArray] | None = None
+    best: tuple[float, Form, list[Perturbation], FloatArray] | None = None
     for form in effect.forms(observations):
-        perturbations = form.perturbations(nominal)
-        changes = [signature(nominal, part) * size for part, size in zip(perturbations, form.typical, strict=True)]
-        change = np.where(observations.usable, np.sum(changes, axis=0), np.nan)
+        pairs = zip(form.perturbations(nominal), form.typical, strict=True)
+        typical = [perturbation.scaled(size) for perturbation, size in pairs]
+        change = np.sum([signature(nominal, perturbation) for perturbation in typical], axis=0)
+        change = np.where(observations.usable, change, np.nan)
         size = float(np.sqrt(np.nansum(change**2)))
         if best is None or size > best[0]:
-            best = size, form, change
+            best = size, form, typical, change
     if best is None:
         return None
-    _, form, change = best
-    away = float(np.nanmax(np.abs(change[:, 1:3]), initial=0.0))
+    _, form, typical, change = best
+    away = float(np.nanmax(np.abs(change[:, POSE]), initial=0.0))
     extent = float(np.max(np.hypot(nominal.x_m, nominal.y_m), initial=1.0))
     factor = float(np.clip(DRAWN_SHARE * extent / away, 1.0, MAX_ENLARGEMENT)) if away > 0 else 1.0
-    enlarged = [
-        part.scaled(factor * size) for part, size in zip(form.perturbations(nominal), form.typical, strict=True)
-    ]
-    return EffectSignature(effect, form, change, predict(observations, enlarged), factor)
+    enlarged = predict(observations, [perturbation.scaled(factor) for perturbation in typical])
+    return EffectSignature(effect, form, change, enlarged, factor)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -237,23 +199,17 @@ class Entry:
     effect: Effect
     #: where it comes from: the library, a column of the run table, ``campaign.toml``, or an installed package
     origin: str
-    signature: (
-        EffectSignature | None
-    )  #: its signature on the runs at its typical size; None where they do not excite it
+    #: its signature on the runs at its typical size; None where they do not excite it
+    signature: EffectSignature | None
     #: shape (n_channels,): root mean square change of each channel by kind of run, NaN where a kind lacks the channel
     changes: Mapping[str, FloatArray]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry as plain JSON values; sizes in SI units."""
         form = None if self.signature is None else self.signature.form
-        return {
-            "id": self.effect.id,
-            "title": self.effect.title,
+        texts = ("id", "title", "family", "needs", "separates", "implausible")
+        return {name: str(getattr(self.effect, name)) for name in texts} | {
             "origin": self.origin,
-            "family": str(self.effect.family),
-            "needs": self.effect.needs,
-            "separates": self.effect.separates,
-            "implausible": self.effect.implausible,
             "shows": form is not None,
             "form": "" if form is None else form.label,
             "parameters": [] if form is None else plain(form.parameters),

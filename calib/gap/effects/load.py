@@ -7,8 +7,10 @@ from typing import Final
 
 import numpy as np
 
-from calib.gap.effects.effect import Centre, Effect, Family, Form, Observations, Parameter, Path, Perturbation, varies
-from calib.gap.effects.quantities import reach, softness
+from calib.gap.effects.effect import Centre, Effect, Family, Form, Observations, Parameter, Path, Perturbations, varies
+from calib.gap.effects.quantities import loads_vary, mean_radius_m, reach, softness
+from calib.gap.observations.arrays import Channel
+from calib.gap.steps import Perturbation
 from calib.types import BoolArray, FloatArray
 from calib.units import GRAVITY_MPS2
 from calib.vehicle import wheel_loads_N
@@ -17,14 +19,13 @@ from calib.vehicle import wheel_loads_N
 NOMINAL_PER_N: Final = 1e-5
 
 
-def slope_parameters(observations: Observations) -> tuple[Parameter, ...]:
-    """Return the slopes of the left and right radius against load in m/N, as an effect's parameters.
+def slope_parameters(observations: Observations, *names: str) -> tuple[Parameter, ...]:
+    """Return slopes of a radius against load in m/N, as an effect's parameters of these names.
 
     0.1 to 1.5 % per kN on a wheel of 0.1 m is 1e-7 to 1.5e-6 m/N; more on lighter vehicles.
     """
-    radius = 0.5 * (observations.model.radius_left_m + observations.model.radius_right_m) * softness(observations)
-    names = ("slope_left", "slope_right")
-    return tuple(Parameter(name, "m/N", typical=1e-5 * radius, largest=6e-5 * radius) for name in names)
+    soft_m = mean_radius_m(observations) * softness(observations)
+    return tuple(Parameter(name, "m/N", typical=1e-5 * soft_m, largest=6e-5 * soft_m) for name in names)
 
 
 def radius_slopes_m_per_N(path: Path, use: BoolArray | None = None) -> tuple[float, float]:
@@ -40,20 +41,17 @@ def radius_slopes_m_per_N(path: Path, use: BoolArray | None = None) -> tuple[flo
     if model.slope_left_m_per_N != 0.0 or model.slope_right_m_per_N != 0.0:
         return model.slope_left_m_per_N, model.slope_right_m_per_N
     keep = np.ones(len(observations), dtype=bool) if use is None else use
-    slopes = []
-    for rolled, load, radius in zip(
-        path.rolling_radii_m.T,
-        (observations.number("load_left_N"), observations.number("load_right_N")),
-        (model.radius_left_m, model.radius_right_m),
-        strict=True,
-    ):
+
+    def slope(rolled: FloatArray, load: FloatArray, radius: float) -> float:
         good = keep & np.isfinite(rolled) & np.isfinite(load)
-        slope = 0.0
+        found = 0.0
         if good.sum() > 1 and np.ptp(load[good]) > 20.0:
             over = load[good] - load[good].mean()
-            slope = float(over @ rolled[good] / (over @ over))
-        slopes.append(slope if abs(slope) > 0.1 * nominal_per_N * radius else nominal_per_N * radius)
-    return slopes[0], slopes[1]
+            found = float(over @ rolled[good] / (over @ over))
+        return found if abs(found) > 0.1 * nominal_per_N * radius else nominal_per_N * radius
+
+    loads, rolled = observations.wheel_loads_N, path.rolling_radii_m.T
+    return slope(rolled[0], loads[0], model.radius_left_m), slope(rolled[1], loads[1], model.radius_right_m)
 
 
 def payload_load_N(observations: Observations) -> tuple[FloatArray, FloatArray]:
@@ -66,103 +64,85 @@ def payload_load_N(observations: Observations) -> tuple[FloatArray, FloatArray]:
     return left - none_left, right - none_right
 
 
-class LoadRadius(Effect):
+class _OfLoad(Effect):
+    """Each wheel's radius follows what it carries, by a slope of its own."""
+
+    family = Family.LOAD
+    of_rear_wheels = True
+    shifts = ("radius_scale", "unequal_radii")
+
+
+def _on_radii(observations: Observations, left_m: FloatArray, right_m: FloatArray) -> Perturbations:
+    """Return what changes of the left and of the right radius (n_obs,) do, per unit of a parameter each."""
+    left, right = left_m / observations.radius_left_m, right_m / observations.radius_right_m
+    return lambda _: [Perturbation(left=left), Perturbation(right=right)]
+
+
+class LoadRadius(_OfLoad):
     """dr_i = c_i (F_i - F_0), each wheel its own c and either sign: e_s ~ S dF, e_theta ~ S (F_R - F_L) / b."""
 
     id = "load_radius"
     title = "wheel radii that follow the load"
     implausible = "misreported payloads, or a wheel that has come loose from its rim"
-    family = Family.LOAD
-    of_rear_wheels = True
     needs = "two payloads or places of it, with distances or end poses"
     separates = "two loads and more, some of them off the middle"
     is_load_law = True
     carries_law_slope = True
-    shifts = ("radius_scale", "unequal_radii")
 
     def forms(self, observations: Observations) -> list[Form]:
         """Return the linear law, one slope a wheel; none where the loads do not vary."""
-        left, right = observations.number("load_left_N"), observations.number("load_right_N")
-        if not (varies(left, 5.0) or varies(right, 5.0)):
+        left, right = observations.wheel_loads_N
+        if not loads_vary(observations):
             return []
         reference = observations.model.reference_load_N
-        per_left, per_right = (
-            (left - reference) / observations.radius_left_m,
-            (right - reference) / observations.radius_right_m,
-        )
-        return [
-            Form(
-                self.id,
-                "",
-                slope_parameters(observations),
-                lambda _: [Perturbation(left=per_left), Perturbation(right=per_right)],
-            )
-        ]
+        slopes = slope_parameters(observations, "slope_left", "slope_right")
+        return [Form(self.id, "", slopes, _on_radii(observations, left - reference, right - reference))]
 
 
 LOAD_EXPONENTS: Final = (0.5, 0.7, 0.85, 2.0)
 
 
-class LoadRadiusNonlinear(Effect):
+class LoadRadiusNonlinear(_OfLoad):
     """dr_i = c_i F_0 [(F_i / F_0)^p - 1] / p: no change at the reference load F_0, slope c_i there, for any p."""
 
     id = "load_radius_nonlinear"
     title = "wheel radii that follow the load by a curved law"
     implausible = "misreported payloads, or a wheel that has come loose from its rim"
-    family = Family.LOAD
-    of_rear_wheels = True
     needs = "three payloads, with distances or end poses"
     separates = "three loads and more, far apart"
     is_load_law = True
-    shifts = ("radius_scale", "unequal_radii")
 
     def forms(self, observations: Observations) -> list[Form]:
         """Return one form an exponent, one slope a wheel; none where the loads do not vary."""
-        left, right = observations.number("load_left_N"), observations.number("load_right_N")
-        if not (varies(left, 5.0) or varies(right, 5.0)):
+        loads, reference = observations.wheel_loads_N, observations.model.reference_load_N
+        if not loads_vary(observations):
             return []
-        reference = observations.model.reference_load_N
-        if reference <= 1.0:
-            reference = max(1.0, float(np.mean(0.5 * (left + right))))
-        slopes = slope_parameters(observations)
+        centre = Centre(reference if reference > 1.0 else max(1.0, float(np.mean(loads))))
+        slopes = slope_parameters(observations, "slope_left", "slope_right")
 
-        def form(exponent: float, centre: Centre) -> Form:
-            reference = centre.mean
+        def form(exponent: float) -> Form:
+            def about(centre: Centre) -> Perturbations:
+                ratio = np.maximum(loads, 0.0) / centre.mean
+                return _on_radii(observations, *(centre.mean * (ratio**exponent - 1.0) / exponent))
 
-            def shape(load: FloatArray) -> FloatArray:
-                ratio = np.maximum(load, 0.0) / reference
-                return np.asarray(reference * (ratio**exponent - 1.0) / exponent)
-
-            per_left, per_right = shape(left) / observations.radius_left_m, shape(right) / observations.radius_right_m
             label = "quadratic" if exponent == 2.0 else f"exponent {exponent:g}"
-            return Form(
-                self.id,
-                label,
-                slopes,
-                lambda _: [Perturbation(left=per_left), Perturbation(right=per_right)],
-                settings={"exponent": exponent},
-                tries=len(LOAD_EXPONENTS),
-                centre=centre,
-                about=lambda elsewhere: form(exponent, elsewhere),
-            )
+            settings, tries = {"exponent": exponent}, len(LOAD_EXPONENTS)
+            return Form(self.id, label, slopes, about(centre), settings, tries, centre, about)
 
-        return [form(exponent, Centre(reference)) for exponent in LOAD_EXPONENTS]
+        return [form(exponent) for exponent in LOAD_EXPONENTS]
 
 
 CREEP_TIMES_MIN: Final = (3.0, 10.0, 30.0, 90.0)
 
 
-class LoadCreep(Effect):
+class LoadCreep(_OfLoad):
     """dr_i = -c_i F_i (1 - exp(-t / tau)), t since the load was put on, each wheel its own c."""
 
     id = "load_creep"
     title = "wheel bands that creep under the load"
     implausible = "the load itself, or a temperature that rose meanwhile"
-    family = Family.LOAD
-    of_rear_wheels = True
     needs = "minutes_under_load that vary"
     separates = "the same load after 0, 10 and 60 minutes, put on and taken off"
-    shifts = ("radius_scale", "unequal_radii")
 
     def forms(self, observations: Observations) -> list[Form]:
         """Return forms by time constant and by the load that creeps; none where the times under load do not vary.
@@ -170,51 +150,41 @@ class LoadCreep(Effect):
         The load that creeps is the whole wheel load, its part above the unladen load, or (where the order of the
         loads makes a difference) the change since the load before: then a band that was unloaded recovers as slowly.
         """
-        minutes = observations.number("minutes_under_load")
-        left, right = observations.number("load_left_N"), observations.number("load_right_N")
-        if not varies(minutes, 0.5) or not (np.isfinite(left).all() and np.isfinite(right).all()):
+        minutes, now = observations.number("minutes_under_load"), observations.wheel_loads_N
+        if not varies(minutes, 0.5) or not np.isfinite(now).all():
             return []
         # the middle of the run stands for the run: a tau of minutes hardly moves within it
         t = minutes + 0.5 * np.nan_to_num(observations.total(np.nan_to_num(observations.duration_s))) / 60.0
-        radius = 0.5 * (observations.model.radius_left_m + observations.model.radius_right_m) * softness(observations)
-        unladen = observations.vehicle.unladen_load_N
+        typical = 1.5e-6 * mean_radius_m(observations) * softness(observations)
         parameters = tuple(
-            Parameter(name, "m/N", typical=1.5e-6 * radius, largest=2e-5 * radius, sign=1)
+            Parameter(name, "m/N", typical, largest=2e-5 / 1.5e-6 * typical, sign=1)
             for name in ("creep_left", "creep_right")
         )
-        # the load before it, from which the band creeps to the present one; its own load the vehicle always bears
-        before: dict[str, tuple[FloatArray, FloatArray] | None] = {"whole load": None}
-        if varies(left, 5.0) or varies(right, 5.0):
-            before["load above the unladen"] = None
-            loads = (_load_before_N(left, right, unladen), _load_before_N(right, left, unladen))
-            if np.ptp(loads[0]) > 5.0 or np.ptp(loads[1]) > 5.0:
-                before["change of load"] = loads
+        unladen = observations.vehicle.unladen_load_N
+        # the load before it (2, n_obs), from which the band creeps to the present one; None for the load itself, and
+        # where that is zero: its own load the vehicle always bears
+        creeps: list[tuple[str, FloatArray | None, Centre | None]] = [("whole load", None, None)]
+        if loads_vary(observations):
+            creeps.append(("load above the unladen", None, Centre(unladen)))
+            before = np.stack([_load_before_N(now[0], now[1], unladen), _load_before_N(now[1], now[0], unladen)])
+            if (np.ptp(before, axis=1) > 5.0).any():
+                creeps.append(("change of load", before, Centre(unladen)))
 
-        def form(name: str, tau: float, centre: Centre | None) -> Form:
-            zero = 0.0 if centre is None else centre.mean
+        def form(name: str, before: FloatArray | None, centre: Centre | None, tau: float) -> Form:
             gone = np.exp(-t / tau)
-            perturbations = []
-            for number, (load, radius_m) in enumerate(
-                ((left, observations.radius_left_m), (right, observations.radius_right_m))
-            ):
-                loads = before[name]
-                old = np.zeros(len(observations)) if loads is None else loads[number] - zero
-                now = load - zero
-                perturbations.append(-(now - (now - old) * gone) / radius_m)
-            per_left, per_right = perturbations
+
+            def about(centre: Centre) -> Perturbations:
+                above = now - centre.mean
+                old = np.zeros_like(now) if before is None else before - centre.mean
+                return _on_radii(observations, *-(above - (above - old) * gone))
+
+            label, tries = f"{name}, time constant {tau:g} min", len(creeps) * len(CREEP_TIMES_MIN)
+            perturbations = about(centre or Centre(0.0))
             return Form(
-                self.id,
-                f"{name}, time constant {tau:g} min",
-                parameters,
-                lambda _: [Perturbation(left=per_left), Perturbation(right=per_right)],
-                settings={"tau_min": tau},
-                tries=len(before) * len(CREEP_TIMES_MIN),
-                centre=centre,
-                about=None if centre is None else lambda elsewhere: form(name, tau, elsewhere),
+                self.id, label, parameters, perturbations, {"tau_min": tau}, tries, centre, about if centre else None
             )
 
-        centre = Centre(unladen)
-        return [form(name, tau, None if name == "whole load" else centre) for name in before for tau in CREEP_TIMES_MIN]
+        return [form(*creep, tau) for creep in creeps for tau in CREEP_TIMES_MIN]
 
 
 def _load_before_N(load: FloatArray, other: FloatArray, first: float) -> FloatArray:
@@ -228,7 +198,14 @@ def _load_before_N(load: FloatArray, other: FloatArray, first: float) -> FloatAr
 MAX_PAYLOADS: Final = 6
 
 
-class PayloadMass(Effect):
+class _OfPayload(Effect):
+    """The payloads were other than reported, and with them the loads and the radii."""
+
+    family = Family.LOAD
+    shifts = ("radius_scale", "unequal_radii")
+
+
+class PayloadMass(_OfPayload):
     """The payload of one label, or of all, is wrong by a share, and with it the loads: dr_i = c_i share dF_i.
 
     The slopes c_i are the model's, else those of the hypothesis as the other payloads show them, else a nominal 1 % per
@@ -239,29 +216,20 @@ class PayloadMass(Effect):
     id = "payload_mass"
     title = "a misreported payload mass"
     implausible = "radii that follow the load by a curved law"
-    family = Family.LOAD
     needs = "payloads, with distances or end poses"
     separates = "a third payload, weighed"
-    shifts = ("radius_scale", "unequal_radii")
 
     def forms(self, observations: Observations) -> list[Form]:
         """Return a form for each of the (at most six) payloads driven most, and one for all; none without payloads."""
         payload = np.nan_to_num(observations.number("payload_kg"))
-        values, counts = np.unique(np.round(payload, 3), return_counts=True)
-        laden = values > 0.0
-        values, counts = values[laden], counts[laden]
+        values, counts = np.unique(np.round(payload[payload > 5e-4], 3), return_counts=True)
         values = np.sort(values[np.argsort(-counts, kind="stable")[:MAX_PAYLOADS]])
         added_left, added_right = payload_load_N(observations)
-        parameter = Parameter("share", "1", typical=0.15, largest=0.5)
-        # one label may be mistyped; a scale that is off by more than a third is found out
-        of_all = Parameter("share", "1", typical=0.1, largest=0.3)
-
-        has_slopes = observations.model.slope_left_m_per_N != 0.0 or observations.model.slope_right_m_per_N != 0.0
+        model = observations.model
+        has_slopes = model.slope_left_m_per_N != 0.0 or model.slope_right_m_per_N != 0.0
         together = len(values) > 1 and has_slopes
-        tries = len(values) + int(together)
 
-        def form(label: str, mine: BoolArray, share: Parameter, settings: dict[str, float]) -> Form:
-
+        def form(label: str, mine: BoolArray, parameter: Parameter, settings: dict[str, float]) -> Form:
             def perturbations(path: Path) -> list[Perturbation]:
                 left, right = radius_slopes_m_per_N(path, ~mine)
                 return [
@@ -271,16 +239,21 @@ class PayloadMass(Effect):
                     )
                 ]
 
-            return Form(self.id, label, (share,), perturbations, settings, tries=tries)
+            return Form(self.id, label, (parameter,), perturbations, settings, tries=len(values) + int(together))
 
-        single = [
-            form(f"payload of {value:g} kg", np.abs(payload - value) < 1e-3, parameter, {"payload_kg": float(value)})
+        share = Parameter("share", "1", typical=0.15, largest=0.5)
+        forms = [
+            form(f"payload of {value:g} kg", np.abs(payload - value) < 1e-3, share, {"payload_kg": float(value)})
             for value in values
         ]
-        return [*single, form("all payloads", payload > 0.0, of_all, {})] if together else single
+        if together:
+            # one label may be mistyped; a scale that is off by more than a third is found out
+            of_all = Parameter("share", "1", typical=0.1, largest=0.3)
+            forms.append(form("all payloads", payload > 0.0, of_all, {}))
+        return forms
 
 
-class PayloadPosition(Effect):
+class PayloadPosition(_OfPayload):
     """All payloads stand dy further left or dx further ahead: the loads shift, and with them the radii.
 
     Left: dF = +-m g dy / b, e_theta ~ S 2 c W dy / b^2. Ahead: dF = -m g dx / 2L on each rear wheel and +m g dx / L on
@@ -290,10 +263,8 @@ class PayloadPosition(Effect):
     id = "payload_position"
     title = "a misreported payload position"
     implausible = "rear wheels of unequal radius, or loads that were misread"
-    family = Family.LOAD
     needs = "payloads, with headings or the front wheel"
     separates = "unladen runs beside laden ones"
-    shifts = ("radius_scale", "unequal_radii")
 
     def forms(self, observations: Observations) -> list[Form]:
         """Return a form sideways and one lengthways; none without payloads."""
@@ -301,38 +272,31 @@ class PayloadPosition(Effect):
         if not (weight_N > 0.0).any():
             return []
         wheelbase, track = observations.vehicle.wheelbase_m, observations.model.track_m
-        front_m = np.where(
-            observations.usable[:, 4],
-            np.nan_to_num(observations.total(np.nan_to_num(observations.front_roll_rad) * observations.steer_cos)),
-            0.0,
-        )
-        by_steering = (
-            observations.total(np.nan_to_num(observations.front_roll_rad) * observations.steer_sin) / wheelbase
-        )
-        by_steering = np.where(observations.usable[:, 5], by_steering, 0.0)
+        roll = np.nan_to_num(observations.front_roll_rad)
+        rolled = np.nan_to_num(observations.total(roll * observations.steer_cos))
+        turned = observations.total(roll * observations.steer_sin) / wheelbase
+        front_m = np.where(observations.usable[:, Channel.FRONT], rolled, 0.0)
+        by_steering = np.where(observations.usable[:, Channel.STEERING], turned, 0.0)
+        radius_left, radius_right = observations.radius_left_m, observations.radius_right_m
 
-        def slope(path: Path) -> float:
-            return 0.5 * sum(radius_slopes_m_per_N(path))
+        def changed_m(path: Path, lever_m: float) -> FloatArray:
+            return 0.5 * sum(radius_slopes_m_per_N(path)) * weight_N / lever_m
 
         def sideways(path: Path) -> list[Perturbation]:
-            change_m = slope(path) * weight_N / track
-            return [
-                Perturbation(left=change_m / observations.radius_left_m, right=-change_m / observations.radius_right_m)
-            ]
+            change_m = changed_m(path, track)
+            return [Perturbation(left=change_m / radius_left, right=-change_m / radius_right)]
 
         def ahead(path: Path) -> list[Perturbation]:
-            change_m = slope(path) * weight_N / wheelbase
-            left, right = -0.5 * change_m / observations.radius_left_m, -0.5 * change_m / observations.radius_right_m
+            change_m = changed_m(path, wheelbase)
             # the front wheel travels more for its counts, which the front channels subtract
-            front, steering = -front_m * change_m, -by_steering * change_m
-            return [
-                replace(Perturbation.on_readings(observations, front=front, steering=steering), left=left, right=right)
-            ]
+            readings = Perturbation.on_readings(
+                observations, front=-front_m * change_m, steering=-by_steering * change_m
+            )
+            return [replace(readings, left=-0.5 * change_m / radius_left, right=-0.5 * change_m / radius_right)]
 
-        def parameter(name: str) -> tuple[Parameter, ...]:
-            return (Parameter(name, "m", typical=3e-2 * reach(observations), largest=2.5e-1 * reach(observations)),)
+        def form(label: str, name: str, perturbations: Perturbations) -> Form:
+            size = reach(observations)
+            parameter = Parameter(name, "m", typical=3e-2 * size, largest=2.5e-1 * size)
+            return Form(self.id, label, (parameter,), perturbations, tries=2)
 
-        return [
-            Form(self.id, "sideways", parameter("further_left"), sideways, tries=2),
-            Form(self.id, "lengthways", parameter("further_ahead"), ahead, tries=2),
-        ]
+        return [form("sideways", "further_left", sideways), form("lengthways", "further_ahead", ahead)]

@@ -6,6 +6,7 @@ import numpy as np
 
 from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Path, Perturbation
 from calib.gap.effects.quantities import distance_m, start_to_end_frame
+from calib.gap.observations.arrays import POSE, STRAIGHT_RAD, Channel
 from calib.gap.predict import predict
 from calib.types import FloatArray
 
@@ -31,40 +32,35 @@ class PathWeave(Effect):
         weaves = ~observations.from_log & (amplitude > 0.0) & (wavelength > 0.0)
         if weaves.any():
             noted[weaves] = sine_excess(amplitude[weaves], wavelength[weaves])
-        has_noted = bool((noted > 1e-7).any())
         outside = observations.from_log & np.isfinite(observations.simulated[:, :2]).any(axis=1)
         logged = np.where(outside, _weave_of_logs(observations), 0.0)
-        has_logged = bool((logged > 1e-7).any())
-        share = Parameter("share", "1", typical=1.0, largest=2.0, sign=1)
         # nobody measured the heading, and every run ends at one place of its wave, but not that where it began
         guided = weaves & observations.guided
         swing = np.zeros(len(observations))
         swing[guided] = 2.0 * np.pi * amplitude[guided] / wavelength[guided]
+        offered: list[tuple[str, FloatArray, list[Perturbation]]] = []
+        if (noted > 1e-7).any():
+            offered.append(("by the noted amplitude", noted, []))
+            if guided.any():
+                swung = Perturbation.on_readings(observations, heading=swing)
+                offered.append(("by the noted amplitude, turned at the end", noted, [swung]))
+        if (logged > 1e-7).any():
+            offered.append(("by the logs", logged, []))
+        share = Parameter("share", "1", typical=1.0, largest=2.0, sign=1)
         turned = Parameter("end_heading", "1", typical=1.0, largest=2.0)
-        tries = int(has_noted) * (1 + int(guided.any())) + int(has_logged)
 
-        def form(label: str, excess: FloatArray, *further: Perturbation) -> Form:
+        def form(label: str, excess: FloatArray, further: list[Perturbation]) -> Form:
             shorter = -excess / (1.0 + excess)
 
             def perturbations(path: Path) -> list[Perturbation]:
                 along, lateral = start_to_end_frame(path, shorter * path.end[:, 0], shorter * path.end[:, 1])
                 distance = shorter * distance_m(path)
-                return [
-                    Perturbation.on_readings(observations, distance=distance, along=along, lateral=lateral),
-                    *further,
-                ]
+                at_end = Perturbation.on_readings(observations, distance=distance, along=along, lateral=lateral)
+                return [at_end, *further]
 
-            return Form(self.id, label, (share, turned)[: 1 + len(further)], perturbations, tries=tries)
+            return Form(self.id, label, (share, turned)[: 1 + len(further)], perturbations, tries=len(offered))
 
-        forms = []
-        if has_noted:
-            forms.append(form("by the noted amplitude", noted))
-        if has_noted and guided.any():
-            swung = Perturbation.on_readings(observations, heading=swing)
-            forms.append(form("by the noted amplitude, turned at the end", noted, swung))
-        if has_logged:
-            forms.append(form("by the logs", logged))
-        return forms
+        return [form(*each) for each in offered]
 
 
 def sine_excess(amplitude_m: FloatArray, wavelength_m: FloatArray) -> FloatArray:
@@ -83,12 +79,9 @@ def sine_excess(amplitude_m: FloatArray, wavelength_m: FloatArray) -> FloatArray
 def _weave_of_logs(observations: Observations) -> FloatArray:
     """Return by which share the logged path is longer than its line, 0 on routes that turn, shape (n_obs,)."""
     path = predict(observations)
-    way = observations.total(np.abs(path.ds_m))
-    line = np.abs(path.line_m)
-    straight = np.abs(path.end[:, 2]) < 0.35
     with np.errstate(divide="ignore", invalid="ignore"):
-        excess = way / line - 1.0
-    return np.where(straight & np.isfinite(excess), excess, 0.0)
+        excess = observations.total(np.abs(path.ds_m)) / np.abs(path.line_m) - 1.0
+    return np.where((np.abs(path.end[:, 2]) < STRAIGHT_RAD) & np.isfinite(excess), excess, 0.0)
 
 
 class IntegrationScheme(Effect):
@@ -107,9 +100,8 @@ class IntegrationScheme(Effect):
 
     def forms(self, observations: Observations) -> list[Form]:
         """Return the end-point and the Euler form; none without an outside simulator's poses on turning runs."""
-        outside = (
-            observations.from_log & np.isfinite(observations.simulated[:, 1:3]).all(axis=1) & observations.usable[:, 1]
-        )
+        posed = np.isfinite(observations.simulated[:, POSE]).all(axis=1) & observations.usable[:, Channel.ALONG]
+        outside = observations.from_log & posed
         if not outside.any():
             return []
         parameter = Parameter("share", "1", typical=1.0, largest=2.0, sign=1)
@@ -122,8 +114,8 @@ class IntegrationScheme(Effect):
                 x, y = np.where(outside, x, 0.0), np.where(outside, y, 0.0)
                 along, lateral = start_to_end_frame(path, x, y)
                 # a laser's simulated distance was taken from the same pose
-                far = np.maximum(np.hypot(path.end[:, 0], path.end[:, 1]), 1e-9)
-                chord = (path.end[:, 0] * x + path.end[:, 1] * y) / far
+                end_x, end_y = path.end[:, 0], path.end[:, 1]
+                chord = (end_x * x + end_y * y) / np.maximum(np.hypot(end_x, end_y), 1e-9)
                 laser = np.where(observations.axis == 1, x, np.where(observations.axis == 2, chord, 0.0))
                 distance = np.where(np.isfinite(observations.simulated[:, 0]), laser, 0.0)
                 return [Perturbation.on_readings(observations, distance=distance, along=along, lateral=lateral)]

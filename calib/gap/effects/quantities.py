@@ -6,7 +6,8 @@ from typing import Final
 
 import numpy as np
 
-from calib.gap.effects.effect import Form, Observations, Parameter, Path, Perturbation
+from calib.gap.effects.effect import Observations, Path, varies
+from calib.gap.observations.routes import row_numbers
 from calib.types import BoolArray, FloatArray, IntArray, StrArray
 
 PAPER_LOAD_N: Final = 300.0
@@ -25,9 +26,19 @@ def reach(observations: Observations) -> float:
     return min(1.0, max(observations.vehicle.wheelbase_m, observations.model.track_m) / PAPER_LENGTH_M)
 
 
+def mean_radius_m(observations: Observations) -> float:
+    """Return the mean of both radii of the model."""
+    return 0.5 * (observations.model.radius_left_m + observations.model.radius_right_m)
+
+
 def wheel_size(observations: Observations) -> float:
     """Return how far things can be off on a wheel, 1 or less: in proportion to its radius."""
-    return min(1.0, 0.5 * (observations.model.radius_left_m + observations.model.radius_right_m) / PAPER_RADIUS_M)
+    return min(1.0, mean_radius_m(observations) / PAPER_RADIUS_M)
+
+
+def loads_vary(observations: Observations) -> bool:
+    """Return whether the load of either wheel is known and differs between observations."""
+    return any(varies(load, SAME_LOAD_N) for load in observations.wheel_loads_N)
 
 
 #: slower than this counts as standing still
@@ -53,13 +64,19 @@ def sessions(observations: Observations) -> StrArray:
     session = observations.labels["session"]
     if np.any(session != session[:1]):
         return session
-    loads = np.stack([observations.number("load_left_N"), observations.number("load_right_N")], axis=1)
-    changes = np.flatnonzero(np.abs(np.diff(loads, axis=0)).max(axis=1, initial=0.0) > SAME_LOAD_N) + 1
+    steps = np.abs(np.diff(observations.wheel_loads_N, axis=1)).max(axis=0, initial=0.0)
+    changes = np.flatnonzero(steps > SAME_LOAD_N) + 1
     lengths = np.diff(np.concatenate(([0], changes, [len(observations)])))
     if not len(changes) or lengths.min() < MIN_RUNS_PER_LOAD:
         return session
     number = np.repeat(np.arange(1, len(lengths) + 1), lengths)
     return np.array([f"stretch_{k}" for k in number])
+
+
+def numbered_sessions(observations: Observations) -> tuple[IntArray, int]:
+    """Return the number of the session of each observation, in the order driven, shape (n_obs,), and how many."""
+    number = row_numbers([sessions(observations)])
+    return number, int(number.max()) + 1
 
 
 def driven_speed_mps(observations: Observations) -> FloatArray:
@@ -101,7 +118,7 @@ def distance_m(path: Path) -> FloatArray:
 
 def start_to_end_frame(path: Path, x_m: FloatArray, y_m: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Turn changes of x and y, each shape (n_obs,), into along and lateral in the end frame."""
-    c, sn = np.cos(path.frame), np.sin(path.frame)
+    c, sn = path.frame_turned
     return c * x_m + sn * y_m, c * y_m - sn * x_m
 
 
@@ -164,12 +181,3 @@ def _carried_on(
     last = np.where(np.isfinite(rate[0]), rate[0], np.nan)
     carried = np.where(np.isfinite(carried), carried, last)
     return np.where(np.isnan(last) | (np.sign(carried) == np.sign(last)), carried, 0.0)
-
-
-def laser_share(observations: Observations, effect: str, parameter: Parameter) -> list[Form]:
-    """Return the form by which the laser's distances are too large by a share; empty where no observation has one."""
-    if not observations.usable[:, 0].any():
-        return []
-    return [
-        Form(effect, "", (parameter,), lambda path: [Perturbation.on_readings(observations, distance=distance_m(path))])
-    ]

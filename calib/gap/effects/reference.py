@@ -11,8 +11,8 @@ import numpy as np
 from calib.campaign.model import Campaign
 from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Path, Perturbation
 from calib.gap.effects.quantities import (
+    distance_m,
     end_motion,
-    laser_share,
     reach,
     standstill_mps,
     start_motion,
@@ -23,54 +23,61 @@ from calib.gap.predict import predict, residuals
 from calib.types import FloatArray
 
 
-class RangefinderScale(Effect):
+class _OfRangefinder(Effect):
+    """The laser reads too much, by a share of the distance or a constant; end poses do not change."""
+
+    family = Family.INSTRUMENT
+    needs = "distances by the instrument"
+    parameter: ClassVar[Parameter]
+
+    def forms(self, observations: Observations) -> list[Form]:
+        """Return the single form; none without a laser distance."""
+        if not observations.usable[:, Channel.DISTANCE].any():
+            return []
+
+        def perturbations(path: Path) -> list[Perturbation]:
+            return [Perturbation.on_readings(observations, distance=self.too_much(path))]
+
+        return [Form(self.id, "", (self.parameter,), perturbations)]
+
+    def too_much(self, path: Path) -> FloatArray:
+        """Return what is read too much, per unit of the parameter, shape (n_obs,)."""
+        return distance_m(path)
+
+
+class RangefinderScale(_OfRangefinder):
     """The laser reads (1 + k) times the distance; end poses do not change."""
 
     id = "rangefinder_scale"
     title = "a rangefinder of wrong scale"
     implausible = "both effective radii, or a target that moved"
-    family = Family.INSTRUMENT
-    needs = "distances by the instrument"
     separates = "a length measured by other means"
-
-    def forms(self, observations: Observations) -> list[Form]:
-        """Return the single form; none without a laser distance."""
-        return laser_share(observations, self.id, Parameter("relative", "1", typical=1e-3, largest=1e-2))
+    parameter = Parameter("relative", "1", typical=1e-3, largest=1e-2)
 
 
-class RangefinderOffset(Effect):
+class RangefinderOffset(_OfRangefinder):
     """The laser reads a constant too much, for any distance; end poses do not change."""
 
     id = "rangefinder_offset"
     title = "a constant offset of the rangefinder"
     implausible = "a start mark or target that moved"
-    family = Family.INSTRUMENT
-    needs = "distances by the instrument"
     separates = "several distances, read at rest"
+    parameter = Parameter("offset", "m", typical=5e-3, largest=3e-2)
 
-    def forms(self, observations: Observations) -> list[Form]:
-        """Return the single form; none without a laser distance."""
-        if not observations.usable[:, 0].any():
-            return []
-        perturbation = Perturbation.on_readings(observations, distance=1.0)
-        parameter = Parameter("offset", "m", typical=5e-3, largest=3e-2)
-        return [Form(self.id, "", (parameter,), lambda _: [perturbation])]
+    def too_much(self, path: Path) -> FloatArray:
+        """Return one metre everywhere."""
+        return np.ones(len(path.s))
 
 
-class BeamMisalignment(Effect):
+class BeamMisalignment(_OfRangefinder):
     """The laser reads the distance over cos(alpha); the parameter is 1 / cos(alpha) - 1, never negative."""
 
     id = "beam_misalignment"
     title = "a laser beam at an angle to the way"
     implausible = "the rangefinder's scale (a beam 5 degrees off reads only 0.4 % too much)"
-    family = Family.INSTRUMENT
-    needs = "distances by the instrument"
     separates = "the beam aimed anew; a scale of the instrument looks exactly alike"
-
-    def forms(self, observations: Observations) -> list[Form]:
-        """Return the single form; none without a laser distance."""
-        # 1.5e-4 at 1 degree, 1.4e-3 at 3 degrees, 3.8e-3 at 5 degrees
-        return laser_share(observations, self.id, Parameter("excess", "1", typical=5e-4, largest=3.8e-3, sign=1))
+    # 1.5e-4 at 1 degree, 1.4e-3 at 3 degrees, 3.8e-3 at 5 degrees
+    parameter = Parameter("excess", "1", typical=5e-4, largest=3.8e-3, sign=1)
 
 
 class GyroScale(Effect):
@@ -93,8 +100,7 @@ class GyroScale(Effect):
             return [Perturbation.on_readings(path.s, heading=np.where(path.s.by_gyro, path.end[:, 2], 0.0))]
 
         # a gyro of moderate price is stated within 1 %
-        parameter = Parameter("relative", "1", typical=5e-3, largest=3e-2)
-        return [Form(self.id, "", (parameter,), perturbations)]
+        return [Form(self.id, "", (Parameter("relative", "1", typical=5e-3, largest=3e-2),), perturbations)]
 
 
 #: runs that turn by less say nothing of a scale
@@ -117,13 +123,10 @@ class ReferenceLeverArm(Effect):
         if not (observations.usable[:, 1] & (np.abs(np.exp(1j * heading) - 1.0) > 0.02)).any():
             return []
 
-        def perturbation(path: Path, x: FloatArray, y: FloatArray) -> Perturbation:
-            along, lateral = start_to_end_frame(path, x, y)
-            return Perturbation.on_readings(observations, along=along, lateral=lateral)
-
         def perturbations(path: Path) -> list[Perturbation]:
-            c, sn = np.cos(path.frame), np.sin(path.frame)
-            return [perturbation(path, c - 1.0, sn), perturbation(path, -sn, c - 1.0)]
+            c, sn = path.frame_turned
+            moved = [start_to_end_frame(path, *axis) for axis in ((c - 1.0, sn), (-sn, c - 1.0))]
+            return [Perturbation.on_readings(observations, along=along, lateral=lateral) for along, lateral in moved]
 
         scale = reach(observations)
         # a steered vehicle's wheelbase is stated, and its sensor can sit anywhere between the axles
@@ -149,13 +152,12 @@ class ReferenceYaw(Effect):
             return []
         parameter = Parameter("yaw", "rad", typical=5e-3, largest=5e-2)
 
-        def form(with_heading: float) -> Form:
-            heading = Perturbation.on_readings(observations, heading=with_heading) if with_heading else Perturbation()
-            turned = replace(heading, turned_rad=np.ones(len(observations)))
-            label = "position and heading" if with_heading else "position alone"
-            return Form(self.id, label, (parameter,), lambda _: [turned], tries=2)
-
-        return [form(0.0), form(1.0)]
+        position = Perturbation(turned_rad=np.ones(len(observations)))
+        heading = replace(position, reading=Perturbation.on_readings(observations, heading=1.0).reading)
+        return [
+            Form(self.id, "position alone", (parameter,), lambda _: [position], tries=2),
+            Form(self.id, "position and heading", (parameter,), lambda _: [heading], tries=2),
+        ]
 
 
 class ReferenceLatency(Effect):
@@ -181,26 +183,23 @@ class ReferenceLatency(Effect):
         least = np.minimum(0.01, 0.2 * standstill_mps(observations))
         rolls = (np.abs(speed) > least) | (np.abs(first_speed) > least)
         has_pose = bool((observations.usable[:, 1:4].any(axis=1) & rolls).any())
-        has_laser = bool((observations.usable[:, 0] & rolls).any())
-        wanted = [(self.OF_POSE, has_pose, True, False), ("laser", has_laser, False, True)]
-        wanted.append(("end pose and laser", has_pose and has_laser, True, True))
+        has_laser = bool((observations.usable[:, Channel.DISTANCE] & rolls).any())
+        # the start lay back as well, and all is seen from there
+        start, end = (-np.stack(edge, axis=1) for edge in ((first_speed, first_rate), (speed, rate)))
+        logged = observations.from_log
+        end[logged] = 0.0
+        pose = Perturbation(start_arc=start, end_arc=end, delay_s=logged.astype(np.float64))
+        # the laser reads a length, which grows in either rolling direction
+        laser = Perturbation.on_readings(observations, distance=np.abs(first_speed) - np.abs(speed))
+        late = {self.OF_POSE: pose} if has_pose else {}
+        late |= {"laser": laser} if has_laser else {}
+        late |= {"end pose and laser": replace(pose, reading=laser.reading)} if has_pose and has_laser else {}
         parameter = Parameter("latency", "s", typical=5e-2, largest=5e-1)
-        tries = sum(pair[1] for pair in wanted)
 
-        def form(label: str, pose: bool, laser: bool) -> Form:
-            late = Perturbation()
-            if laser:
-                # the laser reads a length, which grows in either rolling direction
-                late = Perturbation.on_readings(observations, distance=np.abs(first_speed) - np.abs(speed))
-            if pose:
-                # the start lay back as well, and all is seen from there
-                start, end = (-np.stack(edge, axis=1) for edge in ((first_speed, first_rate), (speed, rate)))
-                logged = observations.from_log
-                end[logged] = 0.0
-                late = replace(late, start_arc=start, end_arc=end, delay_s=logged.astype(np.float64))
-            return Form(self.id, label, (parameter,), lambda _: [late], tries=tries)
+        def form(label: str, perturbation: Perturbation) -> Form:
+            return Form(self.id, label, (parameter,), lambda _: [perturbation], tries=len(late))
 
-        return [form(label, pose, laser) for label, offered, pose, laser in wanted if offered]
+        return [form(*each) for each in late.items()]
 
 
 #: a smaller angle is left to `ReferenceYaw`, whose form is linear in it: at 0.1 rad it errs by a two-hundredth

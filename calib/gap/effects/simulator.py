@@ -35,11 +35,6 @@ class Carried:
     track: FloatArray
     reading: FloatArray  #: shape (n_obs, 4): the rest, of (distance, x, y, heading), in the frame of the run's start
 
-    @property
-    def moves(self) -> FloatArray:
-        """All of it side by side, shape (n_obs, 7)."""
-        return np.column_stack([self.left, self.right, self.track, self.reading])
-
 
 class SimulatorParameter(Effect):
     """A parameter of the simulator is off: the change of the readings is what the simulator showed for a step of it.
@@ -70,7 +65,8 @@ class SimulatorParameter(Effect):
     def forms(self, observations: Observations) -> list[Form]:
         """Return the single form; none where it moves nothing, or on runs that the simulator was not asked for."""
         carried = self.carried
-        if not carried.moves.any() or tuple(observations.labels["run_id"]) != carried.run_ids:
+        moves = any(part.any() for part in (carried.left, carried.right, carried.track, carried.reading))
+        if not moves or tuple(observations.labels["run_id"]) != carried.run_ids:
             return []
 
         def pushed(path: Path) -> list[Perturbation]:
@@ -90,25 +86,25 @@ def carried_by_wheels(nominal: Path, change: FloatArray, step: float) -> Carried
     on = s.usable[:, :4]
     sigma = np.stack([s.sigma_distance_m, s.sigma_xy_m, s.sigma_xy_m, s.sigma_theta_rad], axis=1)
     weight = np.where(on, 1.0 / sigma, 0.0)
-    wheels = np.zeros((len(s), 3))
-    remaining = change
+
+    def moved(wheels: FloatArray) -> tuple[Path, FloatArray]:
+        path = predict(s, [Perturbation(left=wheels[:, 0], right=wheels[:, 1], track=wheels[:, 2])])
+        return path, change - (path.reading - nominal.reading)[:, :4]
+
+    wheels, remaining = np.zeros((len(s), 3)), change
     for alike in (True, False):
-        found, left = wheels, remaining
+        found = wheels
         for _ in range(_STEPS):
-            path = predict(s, [Perturbation(left=found[:, 0], right=found[:, 1], track=found[:, 2])])
-            left = change - (path.reading - nominal.reading)[:, :4]
-            gap = in_end_frame(path, left)[:, :4] * weight
+            path, left = moved(found)
             columns = path.calibration[:, :4, : 3 if alike else 2] * weight[:, :, None]
-            found = found + _correction(columns, gap, alike=alike)
-        path = predict(s, [Perturbation(left=found[:, 0], right=found[:, 1], track=found[:, 2])])
-        left = change - (path.reading - nominal.reading)[:, :4]
+            found = found + _correction(columns, in_end_frame(path, left)[:, :4] * weight, alike=alike)
+        left = moved(found)[1]
         before, after = (((part * weight) ** 2).sum(axis=1) for part in (remaining, left))
         good = np.full(len(s), after.sum() < _LEFT_SHARE * before.sum()) if alike else after < _LEFT_SHARE * before
-        wheels = np.where(good[:, None], found, wheels)
-        remaining = np.where(good[:, None], left, remaining)
+        wheels, remaining = np.where(good[:, None], found, wheels), np.where(good[:, None], left, remaining)
     rest = np.where(on, remaining, 0.0)
-    ids = tuple(s.labels["run_id"])
-    return Carried(ids, wheels[:, 0] / step, wheels[:, 1] / step, wheels[:, 2] / step, rest / step)
+    left, right, track = wheels.T / step
+    return Carried(tuple(s.labels["run_id"]), left, right, track, rest / step)
 
 
 def _correction(columns: FloatArray, gap: FloatArray, *, alike: bool) -> FloatArray:

@@ -2,32 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 
 from calib.campaign.settings import FrontModel
-from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Path, Perturbation
+from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Perturbation
+from calib.gap.observations.arrays import Channel
 from calib.types import BoolArray, FloatArray
 
 
 def has_front(observations: Observations) -> BoolArray:
     """Return which observations have the front wheel's counts and steering angle, shape (n_obs,)."""
     if observations.by_front:
-        return np.asarray(
-            np.isfinite(observations.total(observations.front_roll_rad))
-            & np.isfinite(observations.total(observations.steer_rad))
-        )
-    return observations.usable[:, 5]
+        return np.isfinite(observations.total(observations.front_roll_rad + observations.steer_rad))
+    return observations.usable[:, Channel.STEERING]
 
 
 def front_travel_m(observations: Observations) -> FloatArray:
     """Return the front wheel's travel of each step, 0 where it was not logged, shape (n_steps,)."""
-    return (
-        np.where(has_front(observations)[observations.unit], np.nan_to_num(observations.front_roll_rad), 0.0)
-        * FrontModel.of(observations.vehicle).radius_m
-    )
+    logged = has_front(observations)[observations.unit]
+    roll_rad = np.where(logged, np.nan_to_num(observations.front_roll_rad), 0.0)
+    return roll_rad * FrontModel.of(observations.vehicle).radius_m
+
+
+def front_turn_rad(observations: Observations) -> FloatArray:
+    """Return the turn of each step by the front wheel, 0 where it was not logged, shape (n_steps,)."""
+    return front_travel_m(observations) * observations.steer_sin / observations.vehicle.wheelbase_m
 
 
 def steer_rad(observations: Observations) -> FloatArray:
@@ -43,9 +44,8 @@ def excess(observations: Observations, ahead_m: FloatArray, turn_rad: FloatArray
     """
     if observations.by_front:
         return Perturbation(along_m=-ahead_m, heading_rad=-turn_rad)
-    return Perturbation.on_readings(
-        observations, front=observations.total(ahead_m), steering=observations.total(turn_rad)
-    )
+    front, steering = observations.total(ahead_m), observations.total(turn_rad)
+    return Perturbation.on_readings(observations, front=front, steering=steering)
 
 
 def error_form(
@@ -79,15 +79,10 @@ def error_form(
     settings : dict of str to float, optional
         Quantities of the form that are not fitted.
     """
-    front, wheelbase_m = front_travel_m(observations), observations.vehicle.wheelbase_m
-    if observations.by_shaft:
-        # the way is counted behind the steering; the curvature is tan(delta) / L
-        ahead = np.zeros_like(front)
-        turn = front * (1.0 + observations.steer_sin**2) * error_rad / wheelbase_m
-    else:
-        ahead = -front * observations.steer_sin * error_rad
-        turn = front * observations.steer_cos * error_rad / wheelbase_m
-    perturbations: Sequence[Perturbation] = [excess(observations, ahead, turn)]
+    shift_m, sine, cosine = front_travel_m(observations) * error_rad, observations.steer_sin, observations.steer_cos
+    # where the way is counted behind the steering, the curvature is tan(delta) / L
+    ahead, share = (np.zeros_like(shift_m), 1.0 + sine**2) if observations.by_shaft else (-shift_m * sine, cosine)
+    perturbations = [excess(observations, ahead, shift_m * share / observations.vehicle.wheelbase_m)]
     return Form(effect, label, (parameter,), lambda _: perturbations, tries=tries, settings=settings or {})
 
 
@@ -126,15 +121,10 @@ class SteeringScale(Effect):
             return []
         parameter = Parameter("relative", "1", typical=1e-2, largest=1e-1)
         # the distance by the front wheel knows nothing of the wheelbase
-        turn = front_travel_m(observations) * observations.steer_sin / observations.vehicle.wheelbase_m
-        perturbations = [excess(observations, np.zeros_like(turn), turn)]
-
-        def longer(_: Path) -> list[Perturbation]:
-            return perturbations
-
+        longer = [excess(observations, np.zeros_like(angle), front_turn_rad(observations))]
         return [
             error_form(observations, self.id, "scale of the angle", parameter, angle, tries=2),
-            Form(self.id, "wheelbase", (parameter,), longer, tries=2),
+            Form(self.id, "wheelbase", (parameter,), lambda _: longer, tries=2),
         ]
 
 
@@ -176,17 +166,15 @@ class SteeringBacklash(Effect):
         moved = np.where(np.abs(angle) > band, angle, 0.0)
         wheel = _wheel_rad(observations, angle)
         rough = _noise_rad(observations, wheel)
-        tries = 1 + 2 * len(PLAYS_RAD)
-        forms = []
+        forms: list[tuple[str, FloatArray, dict[str, float]]] = []
         for play in PLAYS_RAD:
-            settings = {"play_rad": play}
             ahead = _lost_in_play(observations, moved, play, 6.0 * noise) / play
-            forms.append((f"by the moves of the motor, through {1e3 * play:g} mrad", ahead, settings))
             behind = -_lost_in_play(observations, wheel, play, 3.0 * rough) / play
-            forms.append((f"by the moves of the wheel, through {1e3 * play:g} mrad", behind, settings))
+            for whose, error in (("motor", ahead), ("wheel", behind)):
+                forms.append((f"by the moves of the {whose}, through {1e3 * play:g} mrad", error, {"play_rad": play}))
         forms.append(("by the side of the turn", 0.5 * by_side, {}))
         return [
-            error_form(observations, self.id, label, parameter, error, tries=tries, settings=settings)
+            error_form(observations, self.id, label, parameter, error, tries=len(forms), settings=settings)
             for label, error, settings in forms
         ]
 
@@ -205,11 +193,8 @@ def _wheel_rad(observations: Observations, angle: FloatArray) -> FloatArray:
     The bend is the slope of a straight line through the headings over some way to either side: coarse counts then add
     little noise. Its middle value on the straight is taken off: unequal radii are no steering.
     """
-    turn, path, way = (
-        np.cumsum(observations.turn_rad),
-        np.cumsum(observations.path_m),
-        np.cumsum(np.abs(observations.path_m)),
-    )
+    turn, path = np.cumsum(observations.turn_rad), np.cumsum(observations.path_m)
+    way = np.cumsum(np.abs(observations.path_m))
     index = np.arange(len(angle))
     first = np.minimum(np.searchsorted(way, way - SMOOTHING_M), index - 1)
     last = np.maximum(np.searchsorted(way, way + SMOOTHING_M, side="right") - 1, index + 1)

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.gap.effects.effect import Centre, Effect, Family, Form, Observations, Parameter, Path, Perturbation, varies
+from calib.gap.effects.effect import Centre, Effect, Family, Form, Observations, Parameter, Path, Perturbations, varies
+from calib.gap.effects.load import slope_parameters
 from calib.gap.effects.quantities import (
     curvature_per_m,
     driven_speed_mps,
@@ -16,7 +17,9 @@ from calib.gap.effects.quantities import (
     softness,
     standstill_mps,
 )
-from calib.gap.effects.steering import excess, front_travel_m, has_front, rate_per_s
+from calib.gap.effects.steering import excess, front_travel_m, front_turn_rad, has_front, rate_per_s
+from calib.gap.observations.arrays import POSE
+from calib.gap.steps import Perturbation
 from calib.types import BoolArray, FloatArray
 from calib.units import GRAVITY_MPS2
 
@@ -37,31 +40,17 @@ class CurveLoadTransfer(Effect):
 
     def forms(self, observations: Observations) -> list[Form]:
         """Return the single form; none where nothing turns or no speed is known."""
-        if not shows_curves(observations):
-            return []
-        if not (observations.speed_mps != 0.0).any():
+        if not shows_curves(observations) or not observations.speed_mps.any():
             return []
 
         def perturbations(path: Path) -> list[Perturbation]:
-            observations = path.s
+            s = path.s
             # the curvature counts turn per distance, unsigned: rolling backward, the same turn pulls to the other side
-            pull_mps2 = observations.speed_mps * np.abs(observations.speed_mps) * curvature_per_m(observations)
-            moved_N = (
-                observations.weight_N[observations.unit]
-                * pull_mps2
-                * observations.vehicle.cog_z_m
-                / (GRAVITY_MPS2 * observations.model.track_m)
-            )
-            return [
-                Perturbation(
-                    left=-moved_N / observations.radius_left_m[observations.unit],
-                    right=moved_N / observations.radius_right_m[observations.unit],
-                )
-            ]
+            pull_mps2 = s.speed_mps * np.abs(s.speed_mps) * curvature_per_m(s)
+            moved_N = s.weight_N[s.unit] * pull_mps2 * s.vehicle.cog_z_m / (GRAVITY_MPS2 * s.model.track_m)
+            return [Perturbation(left=-moved_N / s.radius_left_m[s.unit], right=moved_N / s.radius_right_m[s.unit])]
 
-        radius = 0.5 * (observations.model.radius_left_m + observations.model.radius_right_m) * softness(observations)
-        parameter = Parameter("slope", "m/N", typical=1e-5 * radius, largest=6e-5 * radius)
-        return [Form(self.id, "", (parameter,), perturbations, by_parts=True)]
+        return [Form(self.id, "", slope_parameters(observations, "slope"), perturbations, by_parts=True)]
 
 
 class LoadDependentTrack(Effect):
@@ -78,14 +67,13 @@ class LoadDependentTrack(Effect):
 
     def forms(self, observations: Observations) -> list[Form]:
         """Return the single form; none where the loads do not vary or nothing turns."""
-        axle = observations.number("load_left_N") + observations.number("load_right_N")
+        axle = observations.wheel_loads_N.sum(axis=0)
         if not varies(axle, 10.0) or not shows_curves(observations):
             return []
         over = axle - 2.0 * observations.model.reference_load_N
         # up to 1 % for 1000 N
-        parameter = Parameter(
-            "per_N", "1/N", typical=5e-6 * softness(observations), largest=5e-5 * softness(observations)
-        )
+        soft = softness(observations)
+        parameter = Parameter("per_N", "1/N", typical=5e-6 * soft, largest=5e-5 * soft)
         return [Form(self.id, "", (parameter,), lambda _: [Perturbation(track=over)])]
 
 
@@ -101,19 +89,12 @@ class SideSlip(Effect):
 
     def forms(self, observations: Observations) -> list[Form]:
         """Return the single form; none where nothing turns, no speed is known or no position was measured."""
-        if not shows_curves(observations) or not observations.usable[:, 1:3].any():
-            return []
-        if not (observations.speed_mps != 0.0).any():
+        if not shows_curves(observations) or not observations.speed_mps.any() or not observations.usable[:, POSE].any():
             return []
 
         def perturbations(path: Path) -> list[Perturbation]:
-            observations = path.s
             # v^2 kappa ds is v |v| times the turn: it changes sides when the vehicle rolls backward
-            return [
-                Perturbation(
-                    lateral_m=-(observations.speed_mps**2) * curvature_per_m(observations) * observations.path_m
-                )
-            ]
+            return [Perturbation(lateral_m=-(path.s.speed_mps**2) * curvature_per_m(path.s) * path.s.path_m)]
 
         parameter = Parameter("slip_per_acceleration", "s2/m", typical=2e-3, largest=5e-2, sign=1)
         return [Form(self.id, "", (parameter,), perturbations, by_parts=True)]
@@ -140,9 +121,8 @@ class CurveScrub(Effect):
             return [Perturbation(track=np.abs(path_curvature_per_m(path)))]
 
         # up to 3 % in a turn of the vehicle's own length; of either sign: tracks of real robots narrow in turns, too
-        parameter = Parameter(
-            "widening", "m", typical=1.5e-2 * reach(observations), largest=1.5e-1 * reach(observations)
-        )
+        size = reach(observations)
+        parameter = Parameter("widening", "m", typical=1.5e-2 * size, largest=1.5e-1 * size)
         return [Form(self.id, "", (parameter,), perturbations, by_parts=True)]
 
 
@@ -173,13 +153,10 @@ class BrakingSkid(Effect):
 
         def form(label: str, size: FloatArray, parameter: Parameter) -> Form:
             def perturbations(path: Path) -> list[Perturbation]:
-                observations = path.s
-                along = np.where(
-                    stops(observations),
-                    np.where(observations.path_m < 0.0, -1.0, 1.0) * observations.here(size)[observations.unit],
-                    0.0,
-                )
-                return [Perturbation(along_m=along, heading_rad=np.abs(along) * curvature_per_m(observations))]
+                s = path.s
+                sense = np.where(s.path_m < 0.0, -1.0, 1.0)
+                along = np.where(stops(s), sense * s.here(size)[s.unit], 0.0)
+                return [Perturbation(along_m=along, heading_rad=np.abs(along) * curvature_per_m(s))]
 
             return Form(self.id, label, (parameter,), perturbations, tries=len(slips), by_parts=True)
 
@@ -231,20 +208,18 @@ class DriveSlip(Effect):
         per_acceleration = Parameter("slip_per_mps2", "s2/m", typical=1e-2, largest=1e-1, sign=1)
         common = Parameter("slip_rolling", "1", typical=3e-3, largest=5e-2)
         rolling = replace(common, sign=1) if weight_varies else common
-        # a run from rest to rest gains and loses the same by acceleration and braking
-        gains = bool((np.abs(observations.total(front * speeding)) > 1e-4).any())
-        forces = _forces_N(observations)
-        # label, the force (None where the load does nothing), the parts that correlate with it, their parameters
-        slips: list[tuple[str, FloatArray | None, list[Perturbation], tuple[Parameter, ...]]] = []
-
         # of the steps only this is kept by the forms
         with_speeding, with_acceleration, with_way = (
             _front_excess(observations, travel) for travel in (front * speeding, front * acceleration, front)
         )
         both = (per_acceleration, rolling)
+        # a run from rest to rest gains and loses the same by acceleration and braking
+        gains = bool((np.abs(observations.total(front * speeding)) > 1e-4).any())
         # where the driven wheel drives the odometry, a share in all runs alike is its radius: an effect of its own
         share_shows = weight_varies or not observations.by_front
-        for name, force in forces.items():
+        # label, the force (None where the load does nothing), the parts that correlate with it, their parameters
+        slips: list[tuple[str, FloatArray | None, list[Perturbation], tuple[Parameter, ...]]] = []
+        for name, force in _forces_N(observations).items():
             if gains:
                 slips.append((f"{name}, speeding up", force, [with_speeding], (per_acceleration,)))
             if gains and share_shows:
@@ -258,25 +233,17 @@ class DriveSlip(Effect):
             slips.append(("a constant share, or the front wheel's radius", None, [with_way], (common,)))
 
         def form(
-            label: str,
-            force: FloatArray | None,
-            parts: list[Perturbation],
-            parameters: tuple[Parameter, ...],
-            centre: Centre | None = None,
+            label: str, force: FloatArray | None, parts: list[Perturbation], parameters: tuple[Parameter, ...]
         ) -> Form:
-            perturbations = parts
-            if force is not None:
-                centre = centre or Centre(0.0, float(np.mean(force)))
-                perturbations = [_shared(observations, part, centre.deviations(force)) for part in parts]
-            return Form(
-                self.id,
-                label,
-                parameters,
-                lambda _: perturbations,
-                tries=len(slips),
-                centre=centre,
-                about=None if centre is None else lambda elsewhere: form(label, force, parts, parameters, elsewhere),
-            )
+            if force is None:
+                return Form(self.id, label, parameters, lambda _: parts, tries=len(slips))
+
+            def about(centre: Centre) -> Perturbations:
+                shared = [_shared(observations, part, centre.deviations(force)) for part in parts]
+                return lambda _: shared
+
+            centre = Centre(0.0, float(np.mean(force)))
+            return Form(self.id, label, parameters, about(centre), tries=len(slips), centre=centre, about=about)
 
         return [form(*slip) for slip in slips]
 
@@ -293,8 +260,7 @@ class Understeer(Effect):
 
     def forms(self, observations: Observations) -> list[Form]:
         """Return the single form; none without a front wheel in the log, or where nothing turns at a known speed."""
-        turn = front_travel_m(observations) * observations.steer_sin / observations.vehicle.wheelbase_m
-        over = turn * observations.speed_mps**2
+        over = front_turn_rad(observations) * observations.speed_mps**2
         if not has_front(observations).any() or not (np.abs(observations.total(over)) > 1e-4).any():
             return []
         # a hundredth wider at 1 m/s; front wheels of 0.2 push straight on at 3 m/s
@@ -312,7 +278,7 @@ def _front_excess(observations: Observations, travel_m: FloatArray) -> Perturbat
 def _forces_N(observations: Observations) -> dict[str, FloatArray]:
     """Return what the slip may depend on, each (n_obs,): the weight and, where it differs, that over the front load."""
     forces = {"by the force": observations.weight_N}
-    front_N = observations.weight_N - observations.number("load_left_N") - observations.number("load_right_N")
+    front_N = observations.weight_N - observations.wheel_loads_N.sum(axis=0)
     over_front = observations.weight_N / np.maximum(front_N, 0.05 * observations.weight_N)
     if np.isfinite(over_front).all() and np.ptp(_over_mean(over_front) / _over_mean(observations.weight_N)) > 0.02:
         forces["by the force over the front load"] = over_front
@@ -321,12 +287,10 @@ def _forces_N(observations: Observations) -> dict[str, FloatArray]:
 
 def _shared(observations: Observations, perturbation: Perturbation, share: FloatArray) -> Perturbation:
     """Return a perturbation times a share of each observation, shape (n_obs,)."""
-    if perturbation.reading is not None:
-        return Perturbation(reading=perturbation.reading * share[:, None])
-    assert perturbation.along_m is not None
-    assert perturbation.heading_rad is not None
     wide = share[observations.unit]
-    return Perturbation(along_m=perturbation.along_m * wide, heading_rad=perturbation.heading_rad * wide)
+    by_field = {"reading": share[:, None], "along_m": wide, "heading_rad": wide}
+    parts = {name: (getattr(perturbation, name), by) for name, by in by_field.items()}
+    return Perturbation(**{name: part * by for name, (part, by) in parts.items() if part is not None})
 
 
 def _over_mean(values: FloatArray) -> FloatArray:

@@ -55,17 +55,6 @@ class Trace:
     time_s: FloatArray  #: shape (n,): since the start of the run
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _OdometryPath:
-    """A run by odometry: way of each step and its chord (n_steps,), heading and place at each sample (n_steps + 1,)."""
-
-    step_m: FloatArray
-    chord_m: FloatArray
-    heading_rad: FloatArray
-    x_m: FloatArray
-    y_m: FloatArray
-
-
 def traces_of(campaign: Campaign, observations: Observations) -> list[Trace]:
     """Return the gap along every run that has a continuous reference or a logged range."""
     if observations.aside_m is not None:
@@ -76,32 +65,16 @@ def traces_of(campaign: Campaign, observations: Observations) -> list[Trace]:
     encoder, runs = campaign.encoder, campaign.runs
     kinds, directions = runs.label("kind"), runs.label("direction")
     traces = []
-    for run, name in enumerate(runs.run_id):
-        unit = first.get(str(name))
+    for run, name in enumerate(runs.run_id.astype(str)):
+        unit = first.get(name)
         log = _complete(campaign.logs.of(run))
         if unit is None or log is None:
             continue
         left = log["counts_left"] * (2 * np.pi / encoder.counts_per_rev_left) * observations.radius_left_m[unit]
         right = log["counts_right"] * (2 * np.pi / encoder.counts_per_rev_right) * observations.radius_right_m[unit]
-        driven = _odometry_path(left, right, observations.model.track_m)
-        along, heading = _gap_by_pose(log, driven) if POSE_COLUMNS[0] in log else _gap_by_range(log, driven)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            speed = np.abs(driven.step_m) / np.diff(log["t_s"])
-        traces.append(
-            Trace(
-                run_id=str(name),
-                kind=str(kinds[run]),
-                back=str(kinds[run]).startswith("corridor") and str(directions[run]) == "back",
-                way_m=np.concatenate(([0.0], np.cumsum(np.abs(driven.step_m)))),
-                turn_rad=driven.heading_rad,
-                x_m=driven.x_m,
-                y_m=driven.y_m,
-                along_m=np.concatenate(([0.0], along)),
-                heading_rad=heading,
-                stops=_stops(np.nan_to_num(speed)),
-                time_s=log["t_s"] - log["t_s"][0],
-            )
-        )
+        kind = str(kinds[run])
+        back = kind.startswith("corridor") and str(directions[run]) == "back"
+        traces.append(_trace(log, left, right, observations.model.track_m, (name, kind, back)))
     return traces
 
 
@@ -115,43 +88,54 @@ def _complete(log: Mapping[str, FloatArray]) -> dict[str, FloatArray] | None:
     return {column: log[column][known] for column in needed} if known.sum() >= MIN_SAMPLES else None
 
 
-def _odometry_path(left_m: FloatArray, right_m: FloatArray, track_m: float) -> _OdometryPath:
-    """Return a run by odometry from the travel of its wheels, each shape (n_steps + 1,)."""
+def _trace(
+    log: Mapping[str, FloatArray],
+    left_m: FloatArray,
+    right_m: FloatArray,
+    track_m: float,
+    labels: tuple[str, str, bool],
+) -> Trace:
+    """Return the trace of a log with its reference.
+
+    Parameters
+    ----------
+    log : mapping of str to array of float, shape (n,)
+        Times and reference, of `_complete`.
+    left_m, right_m : array of float, shape (n,)
+        Travel of the wheels.
+    track_m : float
+        Track.
+    labels : tuple
+        Name and kind of the run, and whether it was driven back along a corridor.
+    """
     step = 0.5 * (np.diff(left_m) + np.diff(right_m))
     turn = (np.diff(right_m) - np.diff(left_m)) / track_m
-    heading = np.concatenate(([0.0], np.cumsum(turn)))
-    middle = heading[:-1] + 0.5 * turn
+    heading = _summed(turn)
     chord = step * np.sinc(0.5 * turn / np.pi)
-    x = np.concatenate(([0.0], np.cumsum(chord * np.cos(middle))))
-    y = np.concatenate(([0.0], np.cumsum(chord * np.sin(middle))))
-    return _OdometryPath(step, chord, heading, x, y)
+    x, y = (_summed(chord * part(heading[:-1] + 0.5 * turn)) for part in (np.cos, np.sin))
+    if POSE_COLUMNS[0] in log:
+        seen = np.unwrap(log["ref_theta_rad"])
+        middle = 0.5 * (seen[1:] + seen[:-1])
+        moved = np.diff(log["ref_x_m"]) * np.cos(middle) + np.diff(log["ref_y_m"]) * np.sin(middle)
+        along, turned = _summed(moved - chord), (seen - seen[0]) - heading
+    else:
+        along, turned = np.abs(log["range_m"] - log["range_m"][0]) - np.abs(x), np.full(len(x), np.nan)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        stops = _stops(np.nan_to_num(np.abs(step) / np.diff(log["t_s"])))
+    since_start = log["t_s"] - log["t_s"][0]
+    return Trace(*labels, _summed(np.abs(step)), heading, x, y, along, turned, stops, since_start)
 
 
-def _gap_by_pose(log: Mapping[str, FloatArray], driven: _OdometryPath) -> tuple[FloatArray, FloatArray]:
-    """Return the gap along (n_steps,) and in heading (n_steps + 1,) against logged poses."""
-    heading = np.unwrap(log["ref_theta_rad"])
-    middle = 0.5 * (heading[1:] + heading[:-1])
-    step = np.diff(log["ref_x_m"]) * np.cos(middle) + np.diff(log["ref_y_m"]) * np.sin(middle)
-    return np.cumsum(step - driven.chord_m), (heading - heading[0]) - driven.heading_rad
-
-
-def _gap_by_range(log: Mapping[str, FloatArray], driven: _OdometryPath) -> tuple[FloatArray, FloatArray]:
-    """Return the gap along (n_steps,) against a logged range, and none in heading: NaN, shape (n_steps + 1,)."""
-    ranges = log["range_m"]
-    return np.abs(ranges - ranges[0])[1:] - np.abs(driven.x_m[1:]), np.full(len(driven.x_m), np.nan)
+def _summed(steps: FloatArray | IntArray) -> FloatArray:
+    """Return the running sum of steps (n,) from zero on, shape (n + 1,)."""
+    return np.append(0.0, np.cumsum(steps))
 
 
 def _stops(speed_mps: FloatArray) -> FloatArray:
     """Return how many stops there were on the way at each sample, shape (n_steps + 1,); the ends do not count."""
-    moving = speed_mps > MOVING_MPS
-    if not moving.any():
-        return np.zeros(len(speed_mps) + 1)
-    first, last = int(np.argmax(moving)), len(moving) - int(np.argmax(moving[::-1]))
-    begins = np.zeros(len(speed_mps) + 1)
-    stopped = ~moving
-    stopped[:first] = stopped[last:] = False
-    begins[1:] = stopped & np.concatenate(([False], ~stopped[:-1]))
-    return np.cumsum(begins)
+    moving = np.flatnonzero(speed_mps > MOVING_MPS)
+    # a stop is a gap between two moving steps, and begins behind the first
+    return _summed(np.bincount(moving[:-1][np.diff(moving) > 1] + 1, minlength=len(speed_mps)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -176,7 +160,7 @@ class _Route:
         """Return x and y of a place of the grid on the ground, by the first run."""
         trace = self.traces[0]
         way = self.length_m - place_m if self.on_floor and trace.back else place_m
-        x, y = float(np.interp(way, trace.way_m, trace.x_m)), float(np.interp(way, trace.way_m, trace.y_m))
+        x, y = (float(np.interp(way, trace.way_m, values)) for values in (trace.x_m, trace.y_m))
         return (self.length_m - x, -y) if trace.back else (x, y)
 
 
@@ -221,13 +205,10 @@ def scan_route(
     picked = np.argmax((draws @ sizes) ** 2 * norm, axis=1)
     half = 0.5 * route.spacing_m
     first, last = (
-        (
-            float(np.quantile(route.grid[index[picked]], 0.025) - half),
-            float(np.quantile(route.grid[index[picked]], 0.975) + half),
-        )
-        for index in (starts, ends)
+        (float(low - half), float(high + half))
+        for low, high in (np.quantile(route.grid[index[picked]], (0.025, 0.975)) for index in (starts, ends))
     )
-    spread = float(np.quantile((draws @ own), 0.975) - np.quantile((draws @ own), 0.025)) / 2
+    size, spread = float(own.mean()), float(np.ptp(np.quantile(draws @ own, (0.025, 0.975)))) / 2
     place = (float(route.grid[starts[best]]), float(route.grid[ends[best]]))
     line = PlaceResult(
         where="joint" if place[1] - place[0] <= 2 * route.spacing_m else "zone",
@@ -238,8 +219,8 @@ def scan_route(
         place_ci95=(first, last),
         by_direction=signed,
         floor=(route.on_the_floor(place[0]), route.on_the_floor(place[1])),
-        size=float(own.mean()),
-        ci95=(float(own.mean()) - spread, float(own.mean()) + spread),
+        size=size,
+        ci95=(size - spread, size + spread),
         unit=channel.unit,
         p_value=float(2.0 * stdtr(n - 1.0, -t)),
         n_runs=n,
@@ -300,9 +281,8 @@ def _sizes(route: _Route, gaps: FloatArray) -> tuple[FloatArray, FloatArray, Int
 def _stretches(n: int) -> tuple[IntArray, IntArray]:
     """Return start and end (grid indices) of every stretch that is searched."""
     longest = max(2, int(MAX_STRETCH_SHARE * n))
-    lengths = np.unique(
-        np.concatenate([np.arange(1, min(9, longest)), np.geomspace(8, max(longest, 9), 8).astype(int)])
-    )
+    longer = np.geomspace(8, max(longest, 9), 8).astype(int)
+    lengths = np.unique(np.concatenate([np.arange(1, min(9, longest)), longer]))
     starts, ends = np.meshgrid(np.arange(n), lengths, indexing="ij")
     ends = starts + ends
     ok = (ends < n - 1) & (starts > 0)

@@ -92,26 +92,17 @@ def covariate_test(
     CovariateLine or None
         The channel with the smallest p, multiplied by the number of channels; not yet held to the table's error.
     """
-    best: tuple[float, Channel, _Dependence] | None = None
-    tried = 0
-    for channel in Channel:
-        dependence = _Dependence.of(values, scaled[:, channel])
-        if dependence is None:
-            continue
-        tried += 1
-        p = dependence.p_value(most_dof)
-        if best is None or p < best[0]:
-            best = (p, channel, dependence)
-    if best is None:
+    found = [(channel, each) for channel in Channel if (each := _Dependence.of(values, scaled[:, channel]))]
+    if not found:
         return None
-    p, channel, dependence = best
-    shares = dependence.shares(weights[:, dependence.on])
+    p_values = [dependence.p_value(most_dof) for _, dependence in found]
+    channel, dependence = found[int(np.argmin(p_values))]
     return CovariateResult(
         name=name,
         channel=channel,
         share=dependence.share(),
-        ci95=interval(shares),
-        p_value=float(min(1.0, p * tried)),
+        ci95=interval(dependence.shares(weights[:, dependence.on])),
+        p_value=float(min(1.0, min(p_values) * len(found))),
         significant=False,
         n_units=int(dependence.on.sum()),
     )

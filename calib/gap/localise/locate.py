@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -15,7 +15,7 @@ from calib.gap.localise.result import ChannelGap, CovariateResult, GapLocation, 
 from calib.gap.observations.arrays import Channel, Observations
 from calib.gap.observations.from_campaign import edges_along
 from calib.gap.predict import Path
-from calib.types import BoolArray, FloatArray, IntArray
+from calib.types import FloatArray, IntArray
 
 #: chance of any false finding over the whole table
 FALSE_FINDING_PROBABILITY: Final = 0.05
@@ -85,20 +85,17 @@ def locate(
 
 
 def _by_channel(observations: Observations, floor: FloatArray, gap: FloatArray) -> tuple[ChannelGap, ...]:
-    gaps = []
-    for channel in Channel:
-        on = observations.usable[:, channel]
-        if on.any():
-            gaps.append(
-                ChannelGap(
-                    channel=channel,
-                    rms=float(np.sqrt(np.mean(gap[on, channel] ** 2))),
-                    floor=float(np.sqrt(np.mean(floor[on, channel] ** 2))),
-                    mean=float(np.mean(gap[on, channel])),
-                    n_units=int(on.sum()),
-                )
-            )
-    return tuple(gaps)
+    return tuple(
+        ChannelGap(
+            channel=channel,
+            rms=float(np.sqrt(np.mean(gap[on, channel] ** 2))),
+            floor=float(np.sqrt(np.mean(floor[on, channel] ** 2))),
+            mean=float(np.mean(gap[on, channel])),
+            n_units=int(on.sum()),
+        )
+        for channel, on in zip(Channel, observations.usable.T, strict=True)
+        if on.any()
+    )
 
 
 def _by_run(observations: Observations, floor: FloatArray, gap: FloatArray) -> tuple[RunDeviation, ...]:
@@ -109,26 +106,23 @@ def _by_run(observations: Observations, floor: FloatArray, gap: FloatArray) -> t
     return tuple(
         RunDeviation(
             run_id=str(observations.labels["run_id"][unit]),
-            channel=Channel(int(worst[unit])),
+            channel=Channel(worst[unit]),
             value=float(gap[unit, worst[unit]]),
             floor=float(floor[unit, worst[unit]]),
             z=float(z[unit, worst[unit]]),
-            **_times(observations, int(unit)),
+            **_times(observations, unit),
         )
-        for unit in np.argsort(-size, kind="stable")[:MAX_LISTED_RUNS]
+        for unit in np.argsort(-size, kind="stable")[:MAX_LISTED_RUNS].tolist()
     )
 
 
 def _times(observations: Observations, unit: int) -> dict[str, float]:
     """Return when a window of a recording begins and ends; nothing for whole runs."""
-    steps = slice(int(observations.starts[unit]), int(observations.starts[unit + 1]))
-    end, first = (
-        float(observations.time_s[steps][-1]),
-        observations.time_s[steps][0] - observations.duration_s[steps][0],
-    )
-    if not observations.windowed or not np.isfinite([first, end]).all():
+    first, last = observations.starts[unit], observations.starts[unit + 1] - 1
+    begin, end = float(observations.time_s[first] - observations.duration_s[first]), float(observations.time_s[last])
+    if not observations.windowed or not np.isfinite([begin, end]).all():
         return {}
-    return {"from_s": float(first), "to_s": end}
+    return {"from_s": begin, "to_s": end}
 
 
 def holm_corrected(lines: list[CovariateResult]) -> tuple[CovariateResult, ...]:
@@ -156,20 +150,18 @@ def find_places(
     """
     traces = traces_of(campaign.included(), observations)
     if not traces:
-        return (), (
-            "no log has a continuous reference or range_m: where inside a run the gap opens cannot be determined",
-        )
+        note = "no log has a continuous reference or range_m: where inside a run the gap opens cannot be determined"
+        return (), (note,)
     groups: dict[str, list[Trace]] = {}
     for trace in traces:
         groups.setdefault(trace.kind, []).append(trace)
     notes: list[str] = []
-    n_tests = 0
-    candidates: list[PlaceResult] = []
+    candidates = compare_windows(traces)
+    n_tests = len(candidates)
     for kind, group in groups.items():
         if len(group) < MIN_TRACED_RUNS:
-            notes.append(
-                f"{kind or 'a route'}: fewer than {MIN_TRACED_RUNS} runs with a trace; no place along it is sought"
-            )
+            few = f"fewer than {MIN_TRACED_RUNS} runs with a trace; no place along it is sought"
+            notes.append(f"{kind or 'a route'}: {few}")
             continue
         both_ways = len({trace.back for trace in group}) == 2
         for channel in TRACED_CHANNELS:
@@ -178,76 +170,59 @@ def find_places(
                 if stretch is not None:
                     candidates.append(stretch[0])
                     n_tests += stretch[1]
-    compared = compare_windows(traces)
-    n_tests += len(compared)
-    corrected = [
-        replace(place, p_value=float(min(1.0, place.p_value * max(n_tests, 1)))) for place in (*candidates, *compared)
-    ]
-    places = sorted(
-        (place for place in corrected if place.p_value <= FALSE_FINDING_PROBABILITY), key=lambda place: place.p_value
-    )
-    return tuple(places), tuple(notes)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Windows:
-    """What each window gained in gap, way, turn and stops, each shape (n_windows,); `run` is the number of its run."""
-
-    along: FloatArray
-    heading: FloatArray
-    way: FloatArray
-    turn: FloatArray
-    stops: FloatArray
-    run: IntArray
-
-    @property
-    def bend(self) -> FloatArray:
-        """Total absolute rotation, shape (n_windows,)."""
-        return np.abs(self.turn)
-
-    def gap(self, channel: Channel) -> FloatArray:
-        """Return what was gained in a channel, shape (n_windows,)."""
-        return self.along if channel is Channel.ALONG else self.heading
+    corrected = (replace(place, p_value=min(1.0, place.p_value * max(n_tests, 1))) for place in candidates)
+    found = [place for place in corrected if place.p_value <= FALSE_FINDING_PROBABILITY]
+    return tuple(sorted(found, key=lambda place: place.p_value)), tuple(notes)
 
 
 def compare_windows(traces: list[Trace]) -> list[PlaceResult]:
     """Return how much of the gap correlates with turns and with stops, beside the way, each with its own p."""
-    windows = _cut(traces)
+    gained, run = _cut(traces)
+    way, turn, stops = (gained[name] for name in ("way_m", "turn_rad", "stops"))
     lines = []
-    for channel in (Channel.ALONG, Channel.HEADING):
-        on = np.isfinite(windows.gap(channel)) & (windows.way > 1e-6)
-        turning = on & (windows.bend > MIN_TURN_RAD_PER_M * windows.way)
-        straight = on & ~turning
+    for channel, name in ((Channel.ALONG, "along_m"), (Channel.HEADING, "heading_rad")):
+        on = np.isfinite(gained[name]) & (way > 1e-6)
+        turning = on & (np.abs(turn) > MIN_TURN_RAD_PER_M * way)
         questions = []
-        if turning.sum() >= MIN_WINDOWS and straight.sum() >= MIN_WINDOWS:
-            questions.append(("turns", windows.turn, "per rad of signed turn"))
-            questions.append(("turns", windows.bend, "per rad of total absolute rotation"))
-        if (windows.stops[on] > 0).sum() >= MIN_STOPS and (windows.stops[on] == 0).sum() >= MIN_STOPS:
-            questions.append(("stops", windows.stops, "per stop"))
-        lines += [_line(windows, channel, on, values, where, what) for where, values, what in questions]
+        if turning.sum() >= MIN_WINDOWS and (on & ~turning).sum() >= MIN_WINDOWS:
+            questions.append(("turns", turn, "per rad of signed turn"))
+            questions.append(("turns", np.abs(turn), "per rad of total absolute rotation"))
+        if (stops[on] > 0).sum() >= MIN_STOPS and (stops[on] == 0).sum() >= MIN_STOPS:
+            questions.append(("stops", stops, "per stop"))
+        for where, values, what in questions:
+            lines.append(_line(np.stack([way, values, gained[name]], axis=1)[on], run[on], channel, where, what))
     return lines
 
 
-def _cut(traces: list[Trace]) -> _Windows:
-    """Cut the runs into windows of about a metre."""
-    parts: dict[str, list[FloatArray]] = {name: [] for name in ("along", "heading", "way", "turn", "stops")}
-    run: list[IntArray] = []
-    numbers = {name: number for number, name in enumerate(sorted({trace.run_id for trace in traces}))}
+def _cut(traces: list[Trace]) -> tuple[dict[str, FloatArray], IntArray]:
+    """Return what windows of about a metre gained, by field of a trace, and the number of their run, (n_windows,)."""
+    parts: dict[str, list[FloatArray]] = {"along_m": [], "heading_rad": [], "way_m": [], "turn_rad": [], "stops": []}
+    run: list[str] = []
     for trace in traces:
         edges = edges_along(trace.way_m, float(trace.way_m[-1]) / WINDOW_LENGTH_M)
-        gained = (trace.along_m, trace.heading_rad, trace.way_m, trace.turn_rad, trace.stops)
-        for values, windows in zip(gained, parts.values(), strict=True):
-            windows.append(np.diff(values[edges]))
-        run.append(np.full(len(edges) - 1, numbers[trace.run_id]))
-    return _Windows(**{name: np.concatenate(windows) for name, windows in parts.items()}, run=np.concatenate(run))
+        for name, windows in parts.items():
+            windows.append(np.diff(getattr(trace, name)[edges]))
+        run += [trace.run_id] * (len(edges) - 1)
+    return {name: np.concatenate(windows) for name, windows in parts.items()}, np.unique(run, return_inverse=True)[1]
 
 
-def _line(windows: _Windows, channel: Channel, on: BoolArray, values: FloatArray, where: str, what: str) -> PlaceResult:
-    """Return the regression of a channel's gap on the way and on `values`, all shape (n_windows,), as a line."""
+def _line(windows: FloatArray, run: IntArray, channel: Channel, where: str, what: str) -> PlaceResult:
+    """Return the regression of a channel's gap on the way and a covariate as a line.
+
+    Parameters
+    ----------
+    windows : array of float, shape (n_windows, 3)
+        Way, covariate and gap.
+    run : array of int, shape (n_windows,)
+        Number of the run of each window.
+    channel : Channel
+        The gap's.
+    where, what : str
+        Kind of place, and what the size counts.
+    """
     from scipy.special import stdtr
 
-    design = np.stack([windows.way[on], values[on]], axis=1)
-    size, error, dof = _slope(design, windows.gap(channel)[on], windows.run[on])
+    size, error, dof = _slope(windows[:, :2], windows[:, 2], run)
     return PlaceResult(
         where=where,
         channel=channel,
@@ -256,7 +231,7 @@ def _line(windows: _Windows, channel: Channel, on: BoolArray, values: FloatArray
         ci95=(size - 2 * error, size + 2 * error),
         unit=f"{channel.unit}/rad" if where == "turns" else channel.unit,
         p_value=float(2.0 * stdtr(dof, -abs(size) / max(error, 1e-15))),
-        n_runs=len(np.unique(windows.run[on])),
+        n_runs=len(np.unique(run)),
     )
 
 

@@ -230,6 +230,11 @@ class Observations:
         found = self.numbers.get(name)
         return found if found is not None else np.full(len(self), np.nan)
 
+    @property
+    def wheel_loads_N(self) -> FloatArray:
+        """Load of the left and of the right wheel, shape (2, n_obs); NaN where not known."""
+        return np.stack([self.number("load_left_N"), self.number("load_right_N")])
+
     @cached_property
     def radius_left_m(self) -> FloatArray:
         """Radius that the model believes of the left wheel in each observation, shape (n_obs,)."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
-from calib.gap.observations.arrays import STRAIGHT_RAD, Channel, Observations
+from calib.gap.observations.arrays import N_CHANNELS, STRAIGHT_RAD, Channel, Observations
 from calib.gap.observations.observation import Observation, Setup
 from calib.gap.observations.routes import (
     WheelTravel,
@@ -30,12 +30,8 @@ def filled_loads(campaign: Campaign) -> tuple[FloatArray, FloatArray, bool]:
     payload = runs.number("payload_kg")
     known = bool(np.isfinite(left).any() and np.isfinite(right).any()) or bool(np.isfinite(payload).any())
     x, y = runs.number("payload_x_m"), runs.number("payload_y_m")
-    _, by_left, by_right = wheel_loads_N(
-        vehicle,
-        np.nan_to_num(payload),
-        np.where(np.isnan(x), vehicle.cog_x_m, x),
-        np.nan_to_num(y),
-    )
+    at_x, at_y = np.where(np.isnan(x), vehicle.cog_x_m, x), np.nan_to_num(y)
+    _, by_left, by_right = wheel_loads_N(vehicle, np.nan_to_num(payload), at_x, at_y)
     return np.where(np.isnan(left), by_left, left), np.where(np.isnan(right), by_right, right), known
 
 
@@ -56,18 +52,16 @@ def assemble(setup: Setup, units: Sequence[Observation], notes: Sequence[str]) -
     """Lay observations in the order driven end to end; determine the channels of each, and the replicates."""
     campaign, model, stands_in = setup.campaign, setup.model, setup.stands_in
     remarks = list(notes)
-    rolls = (
-        np.concatenate([np.diff(u.left_rad) for u in units]),
-        np.concatenate([np.diff(u.right_rad) for u in units]),
-    )
+    rolls = _gained(units, "left_rad"), _gained(units, "right_rad")
     steps = _wheel_travel(units, rolls, model)
     front, steer, turned = _front(units)
-    path, turn = steps.total(steps.path_m), steps.total(steps.turn_rad)
-    index = np.array([u.run for u in units])
+    path, turn, index = steps.total(steps.path_m), steps.total(steps.turn_rad), _each(units, "run")
     measured, usable = _measured(units, path, turn, steps.logged, remarks)
     guided, sigma_led = _guided(setup, steps, measured, index, remarks, one_sensor=np.array_equal(*rolls))
-    measured[guided, 3], usable[guided, 3] = 0.0, True
-    _front_channels(measured, usable, steps.total(front + steer), stands_in)
+    measured[guided, Channel.HEADING], usable[guided, Channel.HEADING] = 0.0, True
+    # a front wheel that drives the odometry itself cannot be compared with it
+    usable[:, Channel.FRONT :] = (np.isfinite(steps.total(front + steer)) & (not stands_in))[:, None]
+    measured[usable[:, Channel.FRONT], Channel.FRONT :] = 0.0
     simulated = _simulated(units, usable, remarks)
     numbers = _numbers(campaign, index, path, remarks)
     labels = {name: campaign.runs.label(name)[index] for name in _LABELS}
@@ -78,12 +72,19 @@ def assemble(setup: Setup, units: Sequence[Observation], notes: Sequence[str]) -
         starts=steps.starts,
         roll_left_rad=rolls[0],
         roll_right_rad=rolls[1],
-        **_at_step_ends(units),
+        phase_left_rad=_at_ends(units, "left_rad"),
+        phase_right_rad=_at_ends(units, "right_rad"),
+        time_s=_at_ends(units, "time_s"),
         duration_s=steps.duration_s,
         front_roll_rad=front,
         steer_rad=steer,
         steer_change_rad=turned,
         from_log=steps.logged,
+        run=index,
+        window=_each(units, "window"),
+        start_pose=_each(units, "start_pose"),
+        sigma_start_rad=_each(units, "sigma_start_rad"),
+        by_gyro=_each(units, "by_gyro"),
         measured=measured,
         simulated=simulated,
         usable=usable,
@@ -96,15 +97,10 @@ def assemble(setup: Setup, units: Sequence[Observation], notes: Sequence[str]) -
         sigma_distance_m=np.full(len(units), campaign.rangefinder.sigma_m),
         sigma_xy_m=_stated(units, "sigma_xy_m", campaign),
         sigma_theta_rad=np.where(guided, sigma_led, _stated(units, "sigma_theta_rad", campaign)),
-        sigma_start_rad=np.array([u.sigma_start_rad for u in units]),
         count_rad=(1 / setup.per_rad.left, 1 / setup.per_rad.right),
         windowed=any(u.window > 0 for u in units),
-        run=index,
-        window=np.array([u.window for u in units]),
-        start_pose=np.array([u.start_pose for u in units]),
         common_frame=_common_frame(campaign, setup.in_map),
         guided=guided,
-        by_gyro=np.array([u.by_gyro for u in units]),
         sigmas_assumed=_sigmas_assumed(campaign, usable),
         notes=tuple(remarks),
         by_front=stands_in and bool(np.isfinite(front).any()),
@@ -113,13 +109,27 @@ def assemble(setup: Setup, units: Sequence[Observation], notes: Sequence[str]) -
     )
 
 
+def _each(units: Sequence[Observation], name: str) -> np.ndarray[Any, Any]:
+    """Return a field of all observations, shape (n_obs, ...)."""
+    return np.array([getattr(u, name) for u in units])
+
+
+def _gained(units: Sequence[Observation], name: str) -> FloatArray:
+    """Return by how much a field changes in each step, shape (n_steps,)."""
+    return np.concatenate([np.diff(getattr(u, name)) for u in units])
+
+
+def _at_ends(units: Sequence[Observation], name: str) -> FloatArray:
+    """Return a field at the end of each step, shape (n_steps,)."""
+    return np.concatenate([getattr(u, name)[1:] for u in units])
+
+
 def _wheel_travel(
     units: Sequence[Observation], rolls: tuple[FloatArray, FloatArray], model: OdometryModel
 ) -> WheelTravel:
-    starts = np.concatenate(([0], np.cumsum([u.n_steps for u in units]))).astype(np.int64)
+    starts = np.concatenate(([0], np.cumsum(_each(units, "n_steps")))).astype(np.int64)
     travel = (rolls[0] * model.radius_left_m, rolls[1] * model.radius_right_m)
-    duration = np.concatenate([np.diff(u.time_s) for u in units])
-    return WheelTravel(starts, *travel, model.track_m, duration, np.array([u.from_log for u in units]))
+    return WheelTravel(starts, *travel, model.track_m, _gained(units, "time_s"), _each(units, "from_log"))
 
 
 def _front(units: Sequence[Observation]) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -131,21 +141,6 @@ def _front(units: Sequence[Observation]) -> tuple[FloatArray, FloatArray, FloatA
         steer.append(nothing if u.steer_rad is None else 0.5 * (u.steer_rad[1:] + u.steer_rad[:-1]))
         change.append(nothing if u.steer_rad is None else np.diff(u.steer_rad))
     return np.concatenate(roll), np.concatenate(steer), np.concatenate(change)
-
-
-def _front_channels(measured: FloatArray, usable: BoolArray, known: FloatArray, stands_in: bool) -> None:
-    """Set the channels of the front wheel; one that drives the odometry itself cannot be compared with it."""
-    usable[:, 4:] = (np.isfinite(known) & (not stands_in))[:, None]
-    measured[usable[:, 4], 4:] = 0.0
-
-
-def _at_step_ends(units: Sequence[Observation]) -> dict[str, Any]:
-    """Return the wheels' angles and the time at the end of each step, each (n_steps,)."""
-    return {
-        "phase_left_rad": np.concatenate([u.left_rad[1:] for u in units]),
-        "phase_right_rad": np.concatenate([u.right_rad[1:] for u in units]),
-        "time_s": np.concatenate([u.time_s[1:] for u in units]),
-    }
 
 
 def _aside(units: Sequence[Observation]) -> FloatArray | None:
@@ -184,7 +179,7 @@ def _measured(
     units: Sequence[Observation], path: FloatArray, turn: FloatArray, logged: BoolArray, remarks: list[str]
 ) -> tuple[FloatArray, BoolArray]:
     """Return what was measured and which channels each observation has, each (n_obs, 6), the front wheel's omitted."""
-    measured = np.full((len(units), 6), np.nan)
+    measured = np.full((len(units), N_CHANNELS), np.nan)
     measured[:, :4] = [u.measured for u in units]
     measured[:, 3] = _unwrapped(measured[:, 3], turn, remarks)
     with np.errstate(invalid="ignore"):
@@ -249,16 +244,15 @@ def _guided(
 
 def _simulated(units: Sequence[Observation], usable: BoolArray, remarks: list[str]) -> FloatArray:
     """Return what an outside simulator predicted of the channels used, (n_obs, 6), and say where it did not."""
-    simulated = np.full((len(units), 6), np.nan)
+    simulated = np.full((len(units), N_CHANNELS), np.nan)
     simulated[:, :4] = [u.simulated for u in units]
-    outside = np.isfinite(simulated) & usable
-    for channel in range(4):
-        if outside[:, channel].any() and not outside[:, channel][usable[:, channel]].all():
-            missing = int((usable[:, channel] & ~outside[:, channel]).sum())
+    known = np.isfinite(simulated) & usable
+    for channel, missing in zip(Channel, (usable & ~known).sum(axis=0), strict=True):
+        if known[:, channel].any() and missing:
             remarks.append(
-                f"{missing} runs have no sim_ value for {Channel(channel).label}: judged against calib's own odometry"
+                f"{missing} runs have no sim_ value for {channel.label}: judged against calib's own odometry"
             )
-    return np.where(outside, simulated, np.nan)
+    return np.where(known, simulated, np.nan)
 
 
 def _numbers(campaign: Campaign, index: IntArray, path: FloatArray, remarks: list[str]) -> dict[str, FloatArray]:
@@ -289,28 +283,22 @@ def _filled(name: str, values: FloatArray, session: StrArray, run_id: StrArray, 
     low, high = PLAUSIBLE_VALUES.get(name, (-np.inf, np.inf))
     if spread > 0.0:
         low, high = max(low, middle - MOST_SPREADS * spread), min(high, middle + MOST_SPREADS * spread)
-    with np.errstate(invalid="ignore"):
-        good = known & (values >= low) & (values <= high)
-    bad = ~good
+    bad = ~known | (values < low) | (values > high)
     if not bad.any() or bad.sum() > MOST_ODD * len(values):
         return values
     filled = values.copy()
     for number in np.flatnonzero(bad):
-        alike = good & (session == session[number])
+        alike = ~bad & (session == session[number])
         filled[number] = np.mean(values[alike]) if alike.any() else middle
-    names = ", ".join(dict.fromkeys(map(str, run_id[bad][:MOST_LISTED])))
-    remarks.append(
-        f"{name} is missing or absurd in {int(bad.sum())} runs ({names}): the mean of the session stands for it"
-    )
+    where = f"{int(bad.sum())} runs ({', '.join(dict.fromkeys(map(str, run_id[bad][:MOST_LISTED])))})"
+    remarks.append(f"{name} is missing or absurd in {where}: the mean of the session stands for it")
     return filled
 
 
 def _common_frame(campaign: Campaign, in_map: bool) -> bool:
     """Return whether places on the floor are the same for all runs: a map, or a corridor driven out and back."""
-    if in_map:
-        return True
-    directions = campaign.runs.label("direction")
-    return campaign.reference.frame is None and bool(np.isin(directions, ("out", "back")).any())
+    both_ways = bool(np.isin(campaign.runs.label("direction"), ("out", "back")).any())
+    return in_map or (campaign.reference.frame is None and both_ways)
 
 
 def _sigmas_assumed(campaign: Campaign, usable: BoolArray) -> bool:

@@ -74,15 +74,6 @@ def edges_along(way_m: FloatArray, count: float) -> IntArray:
     return np.asarray(np.minimum(edges, len(way_m) - 1), dtype=np.int64)
 
 
-def whole(unit: Observation, reference: ReferencePoses, settings: Reference) -> Observation:
-    """Return a run's unit with its end pose by the log's own reference."""
-    if reference.from_first:
-        return _between(unit, reference, 0, len(reference.rows) - 1, settings)
-    measured = unit.measured.copy()
-    measured[1:] = reference.poses[-1]
-    return replace(unit, measured=measured)
-
-
 def cut(recorded: Recorded, setup: Setup, length_m: float) -> list[Observation]:
     """Cut a recording into windows of about a length, by what the wheels roll; empty where there is but one.
 
@@ -91,25 +82,22 @@ def cut(recorded: Recorded, setup: Setup, length_m: float) -> list[Observation]:
     reference, log = recorded.reference, recorded.log
     if reference is None:
         return []
-    travelled = reference.travelled_m
-    edges = edges_along(travelled, float(np.rint(travelled[-1] / length_m)))
+    edges = edges_along(reference.travelled_m, float(np.rint(reference.travelled_m[-1] / length_m)))
     rows = log_rows(log)
     windows: list[Observation] = []
-    for first, last in pairwise(edges):
+    for first, last in pairwise(edges.tolist()):
         inside = rows[(rows >= reference.rows[first]) & (rows <= reference.rows[last])]
         if len(inside) < MIN_WINDOW_SAMPLES:
             continue
         unit = replace(observation_from_log(recorded.unit.run, log, inside, setup.per_rad), window=len(windows))
         unit = unit if setup.stands_in else replace(unit, front_rad=None, steer_rad=None)
-        windows.append(_between(unit, reference, int(first), int(last), setup.campaign.reference))
+        windows.append(_between(unit, reference, first, last, setup.campaign.reference))
     return windows if len(windows) > 1 else []
 
 
 def _between(unit: Observation, reference: ReferencePoses, first: int, last: int, settings: Reference) -> Observation:
     """Return an observation with the motion between two poses of the reference: both of them read, both uncertain."""
     (start, start_sd), (end, end_sd) = reference.pose(first), reference.pose(last)
-    start_sd = settings.sigma_theta_rad if np.isnan(start_sd) else start_sd
-    end_sd = settings.sigma_theta_rad if np.isnan(end_sd) else end_sd
     measured = unit.measured.copy()
     measured[1:] = relative_pose(start, end)
     if reference.course is not None:
@@ -120,8 +108,8 @@ def _between(unit: Observation, reference: ReferencePoses, first: int, last: int
         unit,
         measured=measured,
         sigma_xy_m=float(np.sqrt(2.0)) * settings.sigma_xy_m,
-        sigma_theta_rad=end_sd,
-        sigma_start_rad=start_sd,
+        sigma_theta_rad=settings.sigma_theta_rad if np.isnan(end_sd) else end_sd,
+        sigma_start_rad=settings.sigma_theta_rad if np.isnan(start_sd) else start_sd,
         start_pose=start if reference.in_map else unit.start_pose,
     )
 
@@ -148,8 +136,10 @@ def observations_of(
         return _arranged(with_counts, setup, into_windows=False)
     few = len(recorded) < MIN_WHOLE_RUNS
     observations = _arranged(with_counts, setup, into_windows=few)
-    if not few and any(run.reference is not None for run in with_counts) and _n_repeated(observations) < MIN_REPLICATED:
-        observations = _arranged(with_counts, setup, into_windows=True)
+    sizes = np.bincount(observations.condition)
+    repeated = int(sizes[sizes > 1].sum())
+    if not few and any(run.reference is not None for run in with_counts) and repeated < MIN_REPLICATED:
+        return _arranged(with_counts, setup, into_windows=True)
     return observations
 
 
@@ -187,18 +177,26 @@ def measured_poses(campaign: Campaign, observations: Observations) -> Iterator[t
         yield (times[inside] - begin, reference.poses[inside]) if inside.sum() > 1 else None
 
 
-def _n_repeated(observations: Observations) -> int:
-    """Return how many observations were driven like another one."""
-    return int((np.bincount(observations.condition)[observations.condition] > 1).sum())
-
-
 def _arranged(recorded: list[Recorded], setup: Setup, *, into_windows: bool) -> Observations:
-    """Return the observations of all runs, whole or cut into windows."""
-    campaign = setup.campaign
-    units, notes = _units(recorded, setup, into_windows=into_windows)
+    """Return the observations of all runs, whole or long recordings cut into windows."""
+    campaign, references = setup.campaign, [run.reference for run in recorded if run.reference is not None]
+    length_m = window_length_m(sum(float(each.travelled_m[-1]) for each in references), setup.model.track_m)
+    units: list[Observation] = []
+    n_cut = 0
+    for run in recorded:
+        windows = cut(run, setup, length_m) if into_windows else []
+        n_cut += bool(windows)
+        units.extend(windows or [_with_gyro(_with_log_pose(run, setup), setup)])
+    notes = []
     without_counts = len(campaign.runs) - len(recorded)
     if without_counts:
-        notes.insert(0, f"{without_counts} runs have no encoder counts and were omitted")
+        notes.append(f"{without_counts} runs have no encoder counts and were omitted")
+    if n_cut:
+        notes.append(f"{n_cut} recordings with a continuous reference were cut into windows of about {length_m:.2g} m")
+    if any(each.course is not None for each in references):
+        notes.append(
+            "the reference measures positions without a heading: headings are taken from the course over ground"
+        )
     units = [unit for unit in units if np.isfinite(unit.measured).any() or unit.front_rad is not None]
     if not units:
         raise RefusedError(
@@ -229,26 +227,6 @@ def _recorded(run: int, setup: Setup) -> Recorded | None:
     return Recorded(unit, log, reference_poses(log, setup) if logged else None)
 
 
-def _units(recorded: list[Recorded], setup: Setup, *, into_windows: bool) -> tuple[list[Observation], list[str]]:
-    """Return the observations of all runs, long recordings cut into windows, and what has to be said of it."""
-    rolled = sum(float(run.reference.travelled_m[-1]) for run in recorded if run.reference is not None)
-    length_m = window_length_m(rolled, setup.model.track_m)
-    units: list[Observation] = []
-    n_cut = 0
-    for run in recorded:
-        windows = cut(run, setup, length_m) if into_windows else []
-        n_cut += bool(windows)
-        units.extend(windows or [_with_gyro(_with_log_pose(run, setup), setup)])
-    notes = []
-    if n_cut:
-        notes.append(f"{n_cut} recordings with a continuous reference were cut into windows of about {length_m:.2g} m")
-    if any(run.reference is not None and run.reference.course is not None for run in recorded):
-        notes.append(
-            "the reference measures positions without a heading: headings are taken from the course over ground"
-        )
-    return units, notes
-
-
 def _with_log_pose(run: Recorded, setup: Setup) -> Observation:
     """Return a run's unit with the end pose by its log's own reference, where its row has none."""
     unit, reference = run.unit, run.reference
@@ -256,12 +234,13 @@ def _with_log_pose(run: Recorded, setup: Setup) -> Observation:
         return unit
     rows = log_rows(run.log)
     inside = rows[(rows >= (reference.rows[0] if reference.from_first else 0)) & (rows <= reference.rows[-1])]
-    left_out = np.setdiff1d(rows, inside, assume_unique=True)
-    if len(left_out) and _rolled_outside_m(run.log, rows, inside, setup) > END_TOLERANCE_M:
+    if len(inside) < len(rows) and _rolled_outside_m(run.log, rows, inside, setup) > END_TOLERANCE_M:
         # the reference saw a part of the run only: that part is what can be compared
         part = observation_from_log(unit.run, run.log, inside, setup.per_rad)
         unit = replace(part, measured=np.full(4, np.nan))
-    return whole(unit, reference, setup.campaign.reference)
+    if reference.from_first:
+        return _between(unit, reference, 0, len(reference.rows) - 1, setup.campaign.reference)
+    return replace(unit, measured=np.concatenate([unit.measured[:1], reference.poses[-1]]))
 
 
 def _with_gyro(unit: Observation, setup: Setup) -> Observation:
@@ -270,15 +249,14 @@ def _with_gyro(unit: Observation, setup: Setup) -> Observation:
     turn, sigma = (float(runs.number(name)[unit.run]) for name in (GYRO_TURN, GYRO_SIGMA))
     if not (np.isnan(unit.measured[3]) and np.isfinite(turn)):
         return unit
-    measured = unit.measured.copy()
-    measured[3] = turn
+    measured = np.append(unit.measured[:3], turn)
     return replace(unit, measured=measured, sigma_theta_rad=sigma, by_gyro=True)
 
 
 def _rolled_outside_m(log: Mapping[str, FloatArray], rows: IntArray, inside: IntArray, setup: Setup) -> float:
     """Return what the wheels rolled before the first and after the last of some samples, at most."""
-    rolled = 0.0
-    for name, scale in (("counts_left", setup.per_rad.left), ("counts_right", setup.per_rad.right)):
-        angle = log[name] / scale
-        rolled = max(rolled, abs(angle[inside[0]] - angle[rows[0]]), abs(angle[rows[-1]] - angle[inside[-1]]))
-    return float(rolled * setup.campaign.vehicle.wheel_radius_m)
+    rolled = [
+        np.diff(log[name][[rows[0], inside[0], inside[-1], rows[-1]]])[::2] / scale
+        for name, scale in (("counts_left", setup.per_rad.left), ("counts_right", setup.per_rad.right))
+    ]
+    return float(np.abs(rolled).max() * setup.campaign.vehicle.wheel_radius_m)

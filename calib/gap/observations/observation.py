@@ -81,7 +81,6 @@ class Observation:
     #: shape (3,): where the observation starts in the frame common to all runs; NaN where there is none
     start_pose: FloatArray = field(default_factory=lambda: _nan(3))
     by_gyro: bool = False  #: whether a gyro measured its turn
-    guided: bool = False  #: true where the heading is that of a guided run, not a measured one
 
     @property
     def n_steps(self) -> int:
@@ -99,9 +98,7 @@ def log_rows(log: Mapping[str, FloatArray]) -> IntArray:
 
 def thinned(rows: IntArray) -> IntArray:
     """Return at most `MAX_STEPS` + 1 of the samples, evenly spread, first and last kept."""
-    if len(rows) <= MAX_STEPS + 1:
-        return rows
-    return rows[_evenly(len(rows))]
+    return rows if len(rows) <= MAX_STEPS + 1 else rows[_evenly(len(rows))]
 
 
 @lru_cache(maxsize=16)

@@ -19,7 +19,7 @@ from calib.gap.inference.noise_components import COMPONENTS, kernels, masked, qu
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import Path, predict
 from calib.result import plain_fields
-from calib.types import BoolArray, FloatArray, Progress, silent, stepped
+from calib.types import BoolArray, FloatArray, IntArray, Progress, silent, stepped
 
 #: signatures closer than this (in standard deviations) are confounded: no test at 1 % separates them
 SEPARATION_SD: Final = 3.0
@@ -166,16 +166,15 @@ class Signatures:
         distances = np.full((len(numbers), len(self.names)), np.inf)
         for calibration in (False, True):
             same = self.own_calibration[numbers] == calibration
-            if not same.any():
-                continue
-            free = np.arange(4)[3:] if calibration else np.arange(4)
-            signal[same] = np.sqrt(_residual_square(gram, free, target[same], square[same]))
+            free = np.arange(3 if calibration else 0, 4)
+
+            def left(beside: IntArray, same: BoolArray = same) -> FloatArray:
+                return np.sqrt(_residual_square(gram, beside, target[same], square[same]))
+
+            signal[same] = left(free)
             for number, first, last in self.forms:
-                if self.own_calibration[number] and not calibration:
-                    near = signal[same]
-                else:
-                    index = np.concatenate([free, np.arange(first, last)])
-                    near = np.sqrt(_residual_square(gram, index, target[same], square[same]))
+                absorbed = self.own_calibration[number] and not calibration
+                near = signal[same] if absorbed else left(np.concatenate([free, np.arange(first, last)]))
                 distances[same, number] = np.minimum(distances[same, number], near)
         distances[np.arange(len(numbers)), numbers] = np.inf
         return signal, distances
@@ -299,6 +298,6 @@ class _Limits:
             return np.inf, DetectionLimit(effect.id, why, never=True)
         words = [best.name.replace("_", " ")] if best.name else []
         words += ["more than is plausible"] if limit * best.typical > best.largest else []
-        unit = "" if best.unit == "1" else f" {best.unit}"
-        size = f"{limit * best.typical:.2g}{unit}" + (f" ({', '.join(words)})" if words else "")
+        unit, note = "" if best.unit == "1" else f" {best.unit}", f" ({', '.join(words)})" if words else ""
+        size = f"{limit * best.typical:.2g}{unit}{note}"
         return limit, DetectionLimit(effect.id, size)

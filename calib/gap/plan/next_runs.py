@@ -90,7 +90,8 @@ def next_runs(
     if model is not None:
         driven = replace(driven, model=model)
     measured = _measured(driven)
-    candidates = default_candidates(driven, loops=not measured.poses) if candidates is None else candidates
+    if candidates is None:
+        candidates = default_candidates(driven, loops=not measured.poses)
     if not candidates:
         return []
     reference = PlannedRun("corridor", "out", temperature_C=usual_temperature_C(driven))
@@ -155,9 +156,7 @@ class _Task:
             parts = [f"{verbs[k]} {names[self.pairs[k][0]]} from {names[self.pairs[k][1]]}" for k in gains]
             return ", ".join(parts) or "repeats the least certain run"
         clear = [names[self.truths[k]] for k in gains if after[k] >= SEPARATION_SD]
-        return (
-            f"shows {', '.join(clear)}" if clear else f"shows {', '.join(names[self.truths[k]] for k in gains)} better"
-        )
+        return f"shows {', '.join(clear or [names[self.truths[k]] for k in gains])}" + ("" if clear else " better")
 
 
 def _sizes(
@@ -173,11 +172,11 @@ def _sizes(
         here = matching_form(forms.get(form.effect, []), form.label, form.settings)
         if here is not None:
             known = {parameter.name: float(value) for parameter, value in zip(form.parameters, theta, strict=True)}
-            sizes[form.effect] = (here, np.array([known.get(parameter.name, 0.0) for parameter in here.parameters]))
+            sizes[form.effect] = here, np.array([known.get(parameter.name, 0.0) for parameter in here.parameters])
     calibration = np.linalg.solve(DIRECTIONS[:, :3].T, fitted.calibration[:3])
     for name, size in zip(NAMES, calibration, strict=True):
         if forms.get(name) and abs(size) > 1e-12:
-            sizes[name] = (forms[name][0], np.full(len(forms[name][0].parameters), float(size)))
+            sizes[name] = forms[name][0], np.array([size])
     return sizes
 
 

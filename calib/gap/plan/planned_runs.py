@@ -37,14 +37,7 @@ ACCELERATION_MPS2: Final = 0.5
 #: what vehicles log at
 LOG_PERIOD_S: Final = 0.1
 #: conditions of a run, as the run table names them
-CONDITIONS: Final = (
-    "payload_kg",
-    "payload_x_m",
-    "payload_y_m",
-    "speed_mps",
-    "temperature_C",
-    "minutes_under_load",
-)
+CONDITIONS: Final = ("payload_kg", "payload_x_m", "payload_y_m", "speed_mps", "temperature_C", "minutes_under_load")
 #: numbers that say something at zero too; no stop and a place over the axle's middle need no word
 SHOWN_AT_ZERO: Final = frozenset({"payload_kg", "speed_mps", "temperature_C", "minutes_under_load", "distance"})
 #: routes that end where they begin, heading as they did
@@ -112,18 +105,18 @@ def route_of(kind: str, corridor_m: float = DEFAULT_CORRIDOR_M) -> Route:
     BadInputError
         Where there is no such route.
     """
+    left = kind.replace("_right", "_left")
     if kind == "corridor" or kind.startswith("corridor_"):
-        return Route.from_segments(kind, straight(corridor_m * (SHORT_CORRIDOR if kind == "corridor_short" else 1.0)))
-    if kind in LEFT_ROUTES:
-        return Route.from_segments(kind, *LEFT_ROUTES[kind])
-    if kind.replace("_right", "_left") in LEFT_ROUTES:
-        return Route.from_segments(kind, *LEFT_ROUTES[kind.replace("_right", "_left")]).mirrored()
+        length_m = corridor_m * (SHORT_CORRIDOR if kind == "corridor_short" else 1.0)
+        return Route.from_segments(kind, straight(length_m))
+    if left in LEFT_ROUTES:
+        route = Route.from_segments(kind, *LEFT_ROUTES[left])
+        return route if kind == left else route.mirrored()
     if kind in NAMED:
         return Route.from_segments(kind, *NAMED[kind])
-    known = "corridor, corridor_short, route_left, route_right, circle_left, circle_right, " + ", ".join(
-        name for name in NAMED if name != "corridor"
-    )
-    raise BadInputError(f"route: found {kind!r}; expected one of {known}; name one of these")
+    known = ["corridor", "corridor_short", *LEFT_ROUTES, *(name.replace("_left", "_right") for name in LEFT_ROUTES)]
+    known += [name for name in NAMED if name != "corridor"]
+    raise BadInputError(f"route: found {kind!r}; expected one of {', '.join(known)}; name one of these")
 
 
 def usual_temperature_C(campaign: Campaign) -> float:
@@ -144,16 +137,15 @@ def default_candidates(campaign: Campaign, *, loops: bool = False) -> list[Plann
     usual_C = usual_temperature_C(campaign)
     # a payload stands on the vehicle: within a fraction of the wheelbase
     ahead, aside = 0.3 * min(1.0, campaign.vehicle.wheelbase_m), 0.15 * min(1.0, campaign.vehicle.wheelbase_m)
-    payloads = [(0.0, 0.0, 0.0), (0.5 * most_kg, ahead, 0.0), (most_kg, ahead, 0.0), (0.5 * most_kg, ahead, aside)]
-    payloads.append((0.5 * most_kg, ahead, -aside))
+    payloads = [(0.0, 0.0, 0.0), (0.5 * most_kg, ahead, 0.0), (most_kg, ahead, 0.0)]
+    payloads += [(0.5 * most_kg, ahead, aside), (0.5 * most_kg, ahead, -aside)]
     routes = [("corridor", "out"), ("corridor", "back"), ("square_cw", ""), ("square_ccw", ""), ("figure8", "")]
     routes += [("route_left", ""), ("route_right", "")]
-    base = PlannedRun("corridor", temperature_C=usual_C)
     candidates = [
-        replace(
-            base,
-            kind=kind,
-            direction=direction,
+        PlannedRun(
+            kind,
+            direction,
+            temperature_C=usual_C,
             speed_mps=speed,
             payload_kg=payload,
             payload_x_m=x,
@@ -163,14 +155,13 @@ def default_candidates(campaign: Campaign, *, loops: bool = False) -> list[Plann
         )
         for (kind, direction), (payload, x, y), speed in product(routes, payloads, (0.3, 0.7))
     ]
-    loaded = replace(base, direction="out", payload_kg=most_kg, payload_x_m=ahead, speed_mps=0.5)
+    out = PlannedRun("corridor", "out", temperature_C=usual_C)
+    loaded = replace(out, payload_kg=most_kg, payload_x_m=ahead)
     candidates += [replace(loaded, minutes_under_load=minutes) for minutes in (1.0, 60.0)]
-    candidates.append(replace(base, direction="out", stops=4))
-    candidates.append(replace(base, direction="out", speed_mps=0.7, read_rolling=True))
-    candidates.append(replace(base, kind="corridor_short", direction="out"))
-    candidates.append(replace(base, kind="corridor_b", direction="out"))
+    candidates += [replace(out, stops=4), replace(out, speed_mps=0.7, read_rolling=True)]
+    candidates += [replace(out, kind=kind) for kind in ("corridor_short", "corridor_b")]
     if np.isfinite(usual_C):
-        candidates += [replace(base, direction="out", temperature_C=usual_C + step) for step in (-10.0, 10.0)]
+        candidates += [replace(out, temperature_C=usual_C + step) for step in (-10.0, 10.0)]
     return candidates
 
 
@@ -203,13 +194,8 @@ def drive(
         numbers |= {GYRO_TURN: ends[:, 2], GYRO_SIGMA: np.full(len(runs), usual)}
     for name in {name for run in runs for name in run.columns}:
         numbers[name] = np.array([float(run.columns.get(name, np.nan)) for run in runs])
-    labels = {
-        "run_id": np.array([f"next{number:03d}" for number in range(len(runs))]),
-        "session": np.array([run.session for run in runs]),
-        "kind": np.array([run.kind for run in runs]),
-        "direction": np.array([run.direction for run in runs]),
-        "loop": np.array([run.loop for run in runs]),
-    }
+    labels = {name: np.array([getattr(run, name) for run in runs]) for name in ("session", "kind", "direction", "loop")}
+    labels["run_id"] = np.array([f"next{number:03d}" for number in range(len(runs))])
     table = RunTable(labels, numbers, np.zeros(len(runs), dtype=bool), np.arange(2, len(runs) + 2))
     return replace(campaign, runs=table, logs=_logs_of(logs, measured))
 
@@ -232,9 +218,8 @@ def _log(campaign: Campaign, run: PlannedRun, measured: Measured, corridor_m: fl
         np.linspace(0.0, along_m[-1], run.stops + 2), run.speed_mps, read_rolling=run.read_rolling
     )
     poses = route.poses()
-    length_m = np.interp(driven_m, along_m, np.concatenate(([0.0], np.cumsum(route.length_m))))
-    heading = np.interp(driven_m, along_m, poses.theta_rad)
-    x, y = np.interp(driven_m, along_m, poses.x_m), np.interp(driven_m, along_m, poses.y_m)
+    length_m = np.interp(driven_m, along_m, np.append(0.0, np.cumsum(route.length_m)))
+    x, y, heading = (np.interp(driven_m, along_m, part) for part in (poses.x_m, poses.y_m, poses.theta_rad))
     loads = wheel_loads_N(vehicle, run.payload_kg, run.payload_x_m, run.payload_y_m)
     counts = wheel_counts(campaign, length_m, heading, (float(loads[1]), float(loads[2])), front=measured.front)
     return {"t_s": time, **counts, "_x": x, "_y": y, "_theta": heading}
@@ -242,27 +227,23 @@ def _log(campaign: Campaign, run: PlannedRun, measured: Measured, corridor_m: fl
 
 def joined(first: Campaign, second: Campaign) -> Campaign:
     """Return the runs of two campaigns of one vehicle as one, the second's after the first's."""
-    n, m = len(first.runs), len(second.runs)
-    numbers = {
-        name: np.concatenate([first.runs.number(name), second.runs.number(name)])
-        for name in dict.fromkeys([*first.runs.numbers, *second.runs.numbers])
-    }
-    labels = {name: np.concatenate([first.runs.label(name), second.runs.label(name)]) for name in LABEL_COLUMNS}
-    table = RunTable(
-        labels,
-        numbers,
-        np.concatenate([first.runs.excluded, second.runs.excluded]),
-        np.concatenate([first.runs.line, second.runs.line]),
-    )
-    a, b = first.logs, second.logs
-    columns = {}
-    for name in dict.fromkeys([*a.columns, *b.columns]):
-        parts = [logs.columns.get(name, np.full(int(logs.offsets[-1]), np.nan)) for logs in (a, b)]
-        columns[name] = np.concatenate(parts)
-    offsets = np.concatenate([a.offsets, a.offsets[-1] + b.offsets[1:]])
-    if len(offsets) != n + m + 1:
+    tables, logs = (first.runs, second.runs), (first.logs, second.logs)
+    if any(len(log.offsets) != len(table) + 1 for log, table in zip(logs, tables, strict=True)):
         raise BadInputError("campaigns whose numbers of logs and runs differ cannot be joined")
-    return replace(first, runs=table, logs=Logs(offsets, columns))
+    names = dict.fromkeys(name for table in tables for name in table.numbers)
+    columns = dict.fromkeys(name for log in logs for name in log.columns)
+    runs = RunTable(
+        {name: np.concatenate([table.label(name) for table in tables]) for name in LABEL_COLUMNS},
+        {name: np.concatenate([table.number(name) for table in tables]) for name in names},
+        np.concatenate([table.excluded for table in tables]),
+        np.concatenate([table.line for table in tables]),
+    )
+
+    def column(name: str) -> FloatArray:
+        return np.concatenate([log.columns.get(name, np.full(int(log.offsets[-1]), np.nan)) for log in logs])
+
+    offsets = np.concatenate([logs[0].offsets, logs[0].offsets[-1] + logs[1].offsets[1:]])
+    return replace(first, runs=runs, logs=Logs(offsets, {name: column(name) for name in columns}))
 
 
 def wheel_counts(
@@ -283,11 +264,12 @@ def wheel_counts(
     """
     if not without_rear_wheels(campaign):
         counts = _rear(campaign, distance_m, heading_rad, loads_N)
-        return counts | _front(campaign, distance_m, heading_rad, FrontModel.of(campaign.vehicle)) if front else counts
+        model = FrontModel.of(campaign.vehicle)
+        return counts | _steered(campaign, distance_m, heading_rad, model, "front") if front else counts
     source = odometry_source(campaign)
     if source in STEERED:
         model = campaign.model.front or FrontModel.of(campaign.vehicle)
-        return (_front if source == "front" else _shaft)(campaign, distance_m, heading_rad, model)
+        return _steered(campaign, distance_m, heading_rad, model, source)
     return _mecanum(campaign, distance_m, heading_rad)
 
 
@@ -304,39 +286,44 @@ def _rear(
     }
 
 
-def _front(
-    campaign: Campaign, distance_m: FloatArray, heading_rad: FloatArray, model: FrontModel
+def _steered(
+    campaign: Campaign, distance_m: FloatArray, heading_rad: FloatArray, model: FrontModel, source: str
 ) -> dict[str, FloatArray]:
-    ahead, turn = np.diff(distance_m), np.diff(heading_rad)
-    roll = np.hypot(ahead, model.wheelbase_m * turn) / model.radius_m
-    counts = np.concatenate(([0.0], np.cumsum(roll))) * campaign.encoder.front / (2 * np.pi)
-    # abs: the sign of a rounded zero must not reverse the wheel
-    angle = np.where(roll > 0.0, np.arctan2(model.wheelbase_m * turn, np.abs(ahead)), 0.0)
-    steer = (np.concatenate((angle[:1], angle)) - model.zero_rad) / model.scale
-    return {"counts_front": counts, "steer_rad": steer}
+    """Return counts of the front wheel (or of the rear axle's shaft, behind the steering) and the steering angle.
 
-
-def _shaft(
-    campaign: Campaign, distance_m: FloatArray, heading_rad: FloatArray, model: FrontModel
-) -> dict[str, FloatArray]:
+    Parameters
+    ----------
+    campaign : Campaign
+        Its encoder counts.
+    distance_m, heading_rad : array of float, shape (n,)
+        As of `wheel_counts`.
+    model : FrontModel
+        Radius, wheelbase, and zero and scale of the angle.
+    source : str
+        ``front`` or ``shaft``.
+    """
     ahead, turn = np.diff(distance_m), np.diff(heading_rad)
-    rolling = np.abs(ahead) > 0.0
-    angle = np.where(rolling, np.arctan(model.wheelbase_m * turn / np.where(rolling, ahead, 1.0)), 0.0)
-    steer = (np.concatenate((angle[:1], angle)) - model.zero_rad) / model.scale
-    counts = distance_m / model.radius_m * counts_per_rev(campaign.encoder, "shaft")[0] / (2 * np.pi)
-    return {"counts_rear": counts, "steer_rad": steer}
+    if source == "shaft":
+        name, per_rev, rolled_m = "counts_rear", counts_per_rev(campaign.encoder, "shaft")[0], distance_m
+        rolling = np.abs(ahead) > 0.0
+        angle = np.where(rolling, np.arctan(model.wheelbase_m * turn / np.where(rolling, ahead, 1.0)), 0.0)
+    else:
+        step_m = np.hypot(ahead, model.wheelbase_m * turn)
+        name, per_rev, rolled_m = "counts_front", campaign.encoder.front, np.append(0.0, np.cumsum(step_m))
+        # abs: the sign of a rounded zero must not reverse the wheel
+        angle = np.where(step_m > 0.0, np.arctan2(model.wheelbase_m * turn, np.abs(ahead)), 0.0)
+    steer = (np.append(angle[:1], angle) - model.zero_rad) / model.scale
+    return {name: rolled_m / model.radius_m * per_rev / (2 * np.pi), "steer_rad": steer}
 
 
 def _mecanum(campaign: Campaign, distance_m: FloatArray, heading_rad: FloatArray) -> dict[str, FloatArray]:
     model, encoder = mecanum_model(campaign), campaign.encoder
-    difference_m = model.arm_m * heading_rad
-    rolled = {
-        "left": (distance_m - difference_m) / model.radius_m,
-        "right": (distance_m + difference_m) / model.radius_m,
+    half_m = model.arm_m * heading_rad
+    counts = {
+        "left": (distance_m - half_m) / model.radius_m * encoder.counts_per_rev_left / (2 * np.pi),
+        "right": (distance_m + half_m) / model.radius_m * encoder.counts_per_rev_right / (2 * np.pi),
     }
-    per_rad = {"left": encoder.counts_per_rev_left / (2 * np.pi), "right": encoder.counts_per_rev_right / (2 * np.pi)}
-    sides = {name: name.rsplit("_", 1)[1] for name in WHEEL_COLUMNS["wheels"]}
-    return {name: rolled[side] * per_rad[side] for name, side in sides.items()}
+    return {name: counts[name.rsplit("_", 1)[1]] for name in WHEEL_COLUMNS["wheels"]}
 
 
 def stop_and_go(stops_m: FloatArray, speed: float, *, read_rolling: bool) -> tuple[FloatArray, FloatArray]:
@@ -349,27 +336,20 @@ def stop_and_go(stops_m: FloatArray, speed: float, *, read_rolling: bool) -> tup
         raise BadInputError(f"speed_mps: found {speed!r}; expected a speed above 0; correct the planned run")
     total = float(np.ptp(stops_m)) / speed + len(stops_m) * speed / ACCELERATION_MPS2
     period = max(LOG_PERIOD_S, total / PLANNED_SAMPLES)
-    time: list[FloatArray] = [np.zeros(1)]
-    distance: list[FloatArray] = [np.zeros(1)]
+    time, distance = [np.zeros(1)], [np.zeros(1)]
     start = 0.0
-    for number, (begin, end) in enumerate(pairwise(stops_m)):
-        length = float(end - begin)
-        top = min(speed, float(np.sqrt(ACCELERATION_MPS2 * length)))
+    for number, (begin, end) in enumerate(pairwise(stops_m.tolist())):
+        top = min(speed, float(np.sqrt(ACCELERATION_MPS2 * (end - begin))))
         ramp = top / ACCELERATION_MPS2
         rolling_end = read_rolling and number == len(stops_m) - 2
-        cruise = (length - (0.5 if rolling_end else 1.0) * top * ramp) / top
+        cruise = (end - begin - (0.5 if rolling_end else 1.0) * top * ramp) / top
         last = ramp + cruise + (0.0 if rolling_end else ramp)
         t = np.append(np.arange(period, last, period), last)
-        u = np.minimum(t, ramp)
-        d = 0.5 * ACCELERATION_MPS2 * u**2 + top * np.clip(t - ramp, 0.0, cruise)
-        slowing = np.clip(t - ramp - cruise, 0.0, None)
+        speeding, slowing = np.minimum(t, ramp), np.maximum(t - ramp - cruise, 0.0)
+        d = 0.5 * ACCELERATION_MPS2 * speeding**2 + top * np.clip(t - ramp, 0.0, cruise)
         d = d + top * slowing - 0.5 * ACCELERATION_MPS2 * slowing**2
-        time.append(np.asarray(start + t, dtype=np.float64))
-        distance.append(np.asarray(begin + d, dtype=np.float64))
-        start += last
-        if not rolling_end:
-            pause: FloatArray = LOG_PERIOD_S * np.arange(1.0, 6.0)
-            time.append(np.asarray(start + pause, dtype=np.float64))
-            distance.append(np.full(5, float(end)))
-            start += float(pause[-1])
+        pause = np.zeros(0) if rolling_end else LOG_PERIOD_S * np.arange(1.0, 6.0)
+        time.append(np.append(start + t, start + last + pause))
+        distance.append(np.append(begin + d, np.full(len(pause), end)))
+        start = float(time[-1][-1])
     return np.concatenate(time), np.concatenate(distance)

@@ -23,7 +23,7 @@ def kinds_of(path: Path) -> dict[str, str]:
     """Effects of a file that state their id: id -> name of the class."""
     kinds = {}
     for node in ast.parse(path.read_text(encoding="utf-8")).body:
-        if isinstance(node, ast.ClassDef) and any(getattr(base, "id", "") == "Effect" for base in node.bases):
+        if isinstance(node, ast.ClassDef):
             stated = {part.targets[0].id: part.value for part in node.body if isinstance(part, ast.Assign)}
             kinds |= {stated["id"].value: node.name} if "id" in stated else {}
     return kinds
