@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final, Literal, get_args
+from typing import Annotated, Literal
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
 
 from calib.errors import BadInputError, RefusedError
 from calib.types import FloatArray
 from calib.units import GRAVITY_MPS2
 
 Drive = Literal["tricycle", "differential", "mecanum", "ackermann", "skid"]
+#: below it a length or a mass is a typing error
+Positive = Annotated[float, Field(ge=1e-12)]
 
-#: drives that are known
-DRIVES: Final[tuple[str, ...]] = get_args(Drive)
+
+@dataclass(frozen=True, slots=True)
+class Usual:
+    """Range of a setting that a wheeled vehicle has, in the unit of its name; `calib check` names what is outside."""
+
+    low: float
+    high: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,28 +34,28 @@ class Vehicle:
     """
 
     #: distance between the contact points of the rear wheels
-    track_m: float = 0.700
+    track_m: Annotated[Positive, Usual(0.02, 20.0)] = 0.700
     #: rear axle to front wheel
-    wheelbase_m: float = 1.000
+    wheelbase_m: Annotated[Positive, Usual(0.02, 50.0)] = 1.000
     #: nominal free radius of the rear wheels
-    wheel_radius_m: float = 0.100
+    wheel_radius_m: Annotated[Positive, Usual(0.003, 3.0)] = 0.100
     #: mass without payload
-    mass_kg: float = 100.0
+    mass_kg: Annotated[Positive, Usual(0.05, 5e5)] = 100.0
     #: centre of mass without payload, ahead of the rear axle and left of the centre line
-    cog_x_m: float = 0.388
-    cog_y_m: float = 0.0
+    cog_x_m: Annotated[float, Usual(-25.0, 25.0)] = 0.388
+    cog_y_m: Annotated[float, Usual(-10.0, 10.0)] = 0.0
     #: height of the centre of mass above the floor
     cog_z_m: float = 0.4
     #: permissible wheel load
-    max_wheel_load_N: float = 5000.0
+    max_wheel_load_N: Positive = 5000.0
     #: tricycle: front wheel driven and steered; differential: two rear wheels driven; mecanum: four wheels with rollers
     #: at 45 degrees; ackermann: front wheels steered, the way counted at the rear axle or the drive shaft; skid: like
     #: differential, the track an effective one
     drive: Drive = "tricycle"
     #: radius of the front wheel; None where the rear wheels' holds for it too
-    front_wheel_radius_m: float | None = None
+    front_wheel_radius_m: Positive | None = None
     #: half the wheelbase plus half the track of a mecanum vehicle; None where unspecified
-    half_length_plus_half_width_m: float | None = None
+    half_length_plus_half_width_m: Positive | None = None
 
     @property
     def front_radius_m(self) -> float:

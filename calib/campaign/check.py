@@ -8,41 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.checks.counts import (
-    clock,
-    count_jumps,
-    count_scale,
-    counts_against_log,
-    log_speed,
-    reversed_wheels,
-    swapped_wheels,
-    turn_direction,
-)
-from calib.campaign.checks.design import (
-    assumed_values,
-    far_from_repeats,
-    few_loads,
-    load_and_session,
-    model_against_vehicle,
-    pasted_rows,
-)
-from calib.campaign.checks.distances import (
-    distance_against_log,
-    distance_against_pose,
-    distance_span,
-    mirrored_ends,
-    missing_values,
-    track_against_bows,
-)
-from calib.campaign.checks.loads import loads_against_payload, wheel_loads
-from calib.campaign.checks.plausible import implausible
-from calib.campaign.checks.settings import (
-    counts_per_revolution,
-    heading_turns,
-    late_logs,
-    log_clock,
-    pose_resolution,
-)
+from calib.campaign.checks import counts, design, distances, loads, plausible, settings
 from calib.campaign.model import Campaign, Note
 from calib.types import BoolArray, FloatArray, Progress, silent, stepped
 
@@ -53,36 +19,39 @@ _SPANS = ("load_left_N", "load_right_N", "distance_m", "speed_mps", "temperature
 #: Looks at a campaign and yields what it finds.
 Check = Callable[[Campaign], Iterator[Note]]
 
-#: name of a check -> function; the order is the order of the report
+#: name of a check -> function, in the order of the report
 CHECKS: Final[dict[str, Check]] = {
-    "assumed_values": assumed_values,
-    "missing_values": missing_values,
-    "distance_span": distance_span,
-    "distance_against_log": distance_against_log,
-    "distance_against_pose": distance_against_pose,
-    "reversed_wheels": reversed_wheels,
-    "count_scale": count_scale,
-    "counts_against_log": counts_against_log,
-    "late_logs": late_logs,
-    "counts_per_revolution": counts_per_revolution,
-    "log_clock": log_clock,
-    "heading_turns": heading_turns,
-    "pose_resolution": pose_resolution,
-    "swapped_wheels": swapped_wheels,
-    "turn_direction": turn_direction,
-    "clock": clock,
-    "count_jumps": count_jumps,
-    "log_speed": log_speed,
-    "repeats": far_from_repeats,
-    "pasted_rows": pasted_rows,
-    "wheel_loads": wheel_loads,
-    "loads_against_payload": loads_against_payload,
-    "mirrored_ends": mirrored_ends,
-    "track_against_bows": track_against_bows,
-    "load_and_session": load_and_session,
-    "few_loads": few_loads,
-    "model_against_vehicle": model_against_vehicle,
-    "implausible": implausible,
+    check.__name__: check
+    for check in (
+        design.assumed_values,
+        distances.missing_values,
+        distances.distance_span,
+        distances.distance_against_log,
+        distances.distance_against_pose,
+        counts.reversed_wheels,
+        counts.count_scale,
+        counts.counts_against_log,
+        settings.late_logs,
+        settings.counts_per_revolution,
+        settings.log_clock,
+        settings.heading_turns,
+        settings.pose_resolution,
+        counts.swapped_wheels,
+        counts.turn_direction,
+        counts.clock,
+        counts.count_jumps,
+        counts.log_speed,
+        design.far_from_repeats,
+        design.pasted_rows,
+        loads.wheel_loads,
+        loads.loads_against_payload,
+        distances.mirrored_ends,
+        distances.track_against_bows,
+        design.load_and_session,
+        design.few_loads,
+        plausible.model_against_vehicle,
+        plausible.implausible,
+    )
 }
 
 

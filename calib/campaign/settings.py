@@ -2,33 +2,35 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Final, Literal, get_args
+from typing import Annotated, Final, Literal
 
 import numpy as np
+from pydantic import AfterValidator, Field
 
 from calib.errors import BadFileError
 from calib.types import FloatArray
 from calib.units import GRAVITY_MPS2, SUFFIXES, convertible, split_suffix, unit_named
-from calib.vehicle import Vehicle
+from calib.vehicle import Positive, Usual, Vehicle
 
 Frame = Literal["start", "map"]
 OdometrySource = Literal["rear", "front", "wheels", "shaft"]
 EncoderKind = Literal["counts", "speed"]
 
-#: frames that the reference's poses may stand in
-FRAMES: Final[tuple[str, ...]] = get_args(Frame)
-#: what the logs say of the wheels
-ENCODER_KINDS: Final[tuple[str, ...]] = get_args(EncoderKind)
-#: sensors that may drive the vehicle's own odometry
-ODOMETRY_SOURCES: Final[tuple[str, ...]] = get_args(OdometrySource)
-
-
-#: way that a count stands for where the logs have speeds: far below what any reference can tell
+#: distance of a count where the logs have speeds: far below what any reference can tell
 SPEED_COUNT_M: Final = 1e-6
+#: widths of counters
+_WIDTHS: Final = (8, 12, 13, 16, 20, 24, 32)
+
+
+def _width(bits: int) -> int:
+    if bits not in _WIDTHS:
+        raise ValueError("16 or 32 (8, 12, 13, 20, 24 are read too)")
+    return bits
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,12 +38,12 @@ class Encoder:
     """Encoders: counts per wheel revolution, and the counter's width where it wraps."""
 
     #: counts a revolution of the rear wheels
-    counts_per_rev_left: float = 4096.0
-    counts_per_rev_right: float = 4096.0
+    counts_per_rev_left: Positive = 4096.0
+    counts_per_rev_right: Positive = 4096.0
     #: width of the counter; None where it does not wrap or unspecified
-    wrap_bits: int | None = None
+    wrap_bits: Annotated[int, AfterValidator(_width)] | None = None
     #: counts a revolution of the front wheel; None where the left wheel's value holds for it too
-    counts_per_rev_front: float | None = None
+    counts_per_rev_front: Positive | None = None
     #: speed: the logs have speeds in m/s by the nominal radii; they are integrated to counts of `SPEED_COUNT_M`
     kind: EncoderKind = "counts"
 
@@ -88,9 +90,9 @@ class OdometryModel:
     where that is the nominal vehicle.
     """
 
-    radius_left_m: float
-    radius_right_m: float
-    track_m: float
+    radius_left_m: Positive
+    radius_right_m: Positive
+    track_m: Positive
     reference_load_N: float
     slope_left_m_per_N: float = 0.0
     slope_right_m_per_N: float = 0.0
@@ -102,9 +104,13 @@ class OdometryModel:
 class Rangefinder:
     """Laser rangefinder: standard uncertainty of one distance, and the span of distances that it can measure."""
 
-    sigma_m: float = 0.0015
+    sigma_m: Annotated[Positive, Usual(0.0, 0.5)] = 0.0015
     min_m: float = 0.05
     max_m: float = 250.0
+
+
+#: beyond it the key's unit is another one
+SensorPlace = Annotated[float, Field(ge=-100.0, le=100.0)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,13 +118,13 @@ class Reference:
     """Pose reference: its uncertainties, where its frame sits on the vehicle, and the frame its poses stand in."""
 
     #: standard uncertainties of position (each axis) and heading
-    sigma_xy_m: float = 0.002
-    sigma_theta_rad: float = 0.0008
+    sigma_xy_m: Annotated[Positive, Usual(0.0, 0.5)] = 0.002
+    sigma_theta_rad: Annotated[Positive, Usual(0.0, 0.2)] = 0.0008
     #: place of the reference's frame on the vehicle: ahead of the rear axle's middle, left of it, and turned
     #: counter-clockwise against the vehicle's heading
-    sensor_x_m: float = 0.0
-    sensor_y_m: float = 0.0
-    sensor_yaw_rad: float = 0.0
+    sensor_x_m: SensorPlace = 0.0
+    sensor_y_m: SensorPlace = 0.0
+    sensor_yaw_rad: Annotated[float, Field(ge=-2 * math.pi, le=2 * math.pi)] = 0.0
     #: start: poses in each run's own start frame; map: in one frame common to all runs; None where unspecified
     frame: Frame | None = None
 
@@ -128,9 +134,8 @@ class Odometry:
     """What the vehicle's own odometry runs on."""
 
     #: rear: the two rear wheels' encoders; front: the front wheel's encoder and steering angle; wheels: all (mecanum);
-    #: shaft: the way at the rear axle or drive shaft and the steering angle (Ackermann); None where unspecified.
-    #: The key in the file is ``from``
-    source: OdometrySource | None = None
+    #: shaft: the distance at the rear axle or drive shaft and the steering angle (Ackermann); None where unspecified
+    source: Annotated[OdometrySource | None, Field(validation_alias="from")] = None
 
 
 #: columns of the run table that are often weighed in kilograms

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import math
+import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from functools import lru_cache
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import BaseModel, Field, StrictBool, TypeAdapter, ValidationError
 
 from calib.campaign.model import Campaign, Logs, Note, RunTable
 from calib.campaign.readers.table import LARGEST_VALUE
 from calib.campaign.settings import (
-    ENCODER_KINDS,
-    FRAMES,
-    ODOMETRY_SOURCES,
     SPEED_COUNT_M,
     Encoder,
-    EncoderKind,
     Odometry,
     OdometryModel,
     Rangefinder,
@@ -25,145 +25,24 @@ from calib.campaign.settings import (
     recognise,
 )
 from calib.errors import BadFileError
-from calib.limits import (
-    LABEL_CHARACTERS,
-    SETTINGS_BYTES,
-    refuse_beyond,
-    refuse_hostile_document,
-    refuse_hostile_keys,
-)
-from calib.vehicle import DRIVES, Vehicle
-
-_POSITIVE: Final = frozenset(
-    {
-        "track_m",
-        "wheelbase_m",
-        "wheel_radius_m",
-        "mass_kg",
-        "max_wheel_load_N",
-        "counts_per_rev",
-        "counts_per_rev_left",
-        "counts_per_rev_right",
-        "counts_per_rev_front",
-        "front_wheel_radius_m",
-        "half_length_plus_half_width_m",
-        "radius_left_m",
-        "radius_right_m",
-        "sigma_m",
-        "sigma_xy_m",
-        "sigma_theta_rad",
-    }
-)
-_SMALLEST: Final = 1e-12
-#: largest size of what would else be degrees or millimetres by mistake
-_LARGEST: Final = {"sensor_yaw_rad": 2 * math.pi, "sensor_x_m": 100.0, "sensor_y_m": 100.0}
-#: keys that scale every result: a default for them is said as suspicious
-_WEIGHTY: Final = {"vehicle": ("track_m", "wheel_radius_m")}
-
-
-def typed(value: Any, kind: type, shown: str, key: str, expected: str) -> Any:
-    """Return a value of the kind expected, or refuse it.
-
-    Parameters
-    ----------
-    value : object
-        What the file says.
-    kind : type
-        What it has to be.
-    shown, key : str
-        File and key, for the message.
-    expected : str
-        What it has to be, in words.
-
-    Raises
-    ------
-    BadFileError
-        Where it is of another kind.
-    """
-    if not isinstance(value, kind):
-        raise BadFileError(shown, column=key, found=repr(value)[:60], expected=expected, remedy="correct the value")
-    return value
-
-
-class Sections:
-    """Numbers of the known sections, each key recognised, converted and checked."""
-
-    def __init__(self, document: Mapping[str, Any], shown: str, notes: list[Note], extra: dict[str, Any]) -> None:
-        self.document, self.shown, self.notes, self.extra = document, shown, notes, extra
-        self.read: set[str] = set()
-        self.chosen: set[tuple[str, str]] = set()
-
-    def choice(self, section: str, key: str, allowed: Sequence[str]) -> Any:
-        """Return a key that names one of several things, None where it is not given."""
-        self.chosen.add((section, key))
-        found = typed(self.document.get(section, {}), dict, self.shown, section, f"a section [{section}]").get(key)
-        if found is None or found in allowed:
-            return found
-        expected = " or ".join(f'"{name}"' for name in allowed)
-        remedy = "choose one of them, or leave the key out"
-        raise BadFileError(self.shown, repr(found)[:60], expected, remedy, column=f"{section}.{key}")
-
-    def numbers(self, section: str, known: Sequence[str]) -> dict[str, float]:
-        """Return the section's known keys in SI units; unknown ones go to `extra` and are said."""
-        self.read.add(section)
-        found = typed(self.document.get(section, {}), dict, self.shown, section, f"a section [{section}]")
-        values: dict[str, float] = {}
-        for key, value in found.items():
-            if (section, key) in self.chosen:
-                continue
-            column = f"{section}.{key}"
-            match = recognise(key, known, further=False)
-            if match.name not in known:
-                self.extra.setdefault(section, {})[key] = value
-                hint = f"; did you mean {match.unitless}? A key names its unit" if match.unitless else ""
-                self.notes.append(
-                    Note("suspicious", f"{self.shown}, {column}", f"the key is not known and not used{hint}", "key")
-                )
-                continue
-            if isinstance(value, bool) or not isinstance(value, int | float) or not abs(_float(value)) <= LARGEST_VALUE:
-                raise BadFileError(
-                    self.shown, repr(value)[:60], "a finite number below 1e30", "correct it", column=column
-                )
-            if match.name in values:
-                raise BadFileError(self.shown, "the key in two units", "one", "remove one", column=column)
-            number = match.factor * value + match.offset
-            if match.name in _POSITIVE and number < _SMALLEST:
-                raise BadFileError(self.shown, f"{value:g}", "more than 0", "correct the value", column=column)
-            most = _LARGEST.get(match.name)
-            if most is not None and abs(number) > most:
-                expected = f"at most {most:.4g} in size, in the unit of {match.name}"
-                remedy = "name the unit in the key (sensor_yaw_deg, sensor_x_mm), or correct the value"
-                raise BadFileError(self.shown, f"{value:g}", expected, remedy, column=column)
-            if match.said:
-                self.notes.append(Note("info", f"{self.shown}, {column}", match.said, "unit"))
-            values[match.name] = number
-        missing = [key for key in _WEIGHTY.get(section, ()) if key not in values]
-        if missing:
-            self.notes.append(
-                Note(
-                    "suspicious",
-                    f"{self.shown}, {section}",
-                    f"{', '.join(missing)} not given; the defaults of a 0.7 m track, 0.1 m wheel vehicle are used; "
-                    "give the vehicle's own",
-                    "default_vehicle",
-                )
-            )
-        return values
-
-
-def _float(value: Any) -> float:
-    try:
-        return float(value)
-    except OverflowError:
-        return math.inf
-
+from calib.limits import LABEL_CHARACTERS, SETTINGS_BYTES, refuse_beyond, refuse_hostile_document, refuse_hostile_keys
+from calib.vehicle import Vehicle
 
 FORMAT: Final = "calib-campaign/1"
-
-_VEHICLE: Final = tuple(field.name for field in fields(Vehicle) if field.name != "drive")
-_REFERENCE: Final = tuple(field.name for field in fields(Reference) if field.name != "frame")
-_MODEL: Final = tuple(field.name for field in fields(OdometryModel) if field.name not in {"front", "mecanum"})
-_ENCODER: Final = ("counts_per_rev", "counts_per_rev_left", "counts_per_rev_right", "counts_per_rev_front", "wrap_bits")
+#: section -> what it becomes
+_SECTIONS: Final[Mapping[str, type]] = {
+    "vehicle": Vehicle,
+    "encoder": Encoder,
+    "model": OdometryModel,
+    "rangefinder": Rangefinder,
+    "reference": Reference,
+    "odometry": Odometry,
+}
+#: keys that hold a word
+_WORDS: Final = frozenset({"drive", "frame", "kind", "from"})
+#: fields of the sections' classes that are no keys, and keys that are no fields
+_NO_KEYS: Final = frozenset({"front", "mecanum", "source"})
+_FURTHER_KEYS: Final = {"encoder": ("counts_per_rev",), "odometry": ("from",)}
 
 #: what a laboratory has to state, by section; results lean on each of them
 STATED: Final[Mapping[str, tuple[str, ...]]] = {
@@ -172,6 +51,16 @@ STATED: Final[Mapping[str, tuple[str, ...]]] = {
     "rangefinder": ("sigma_m",),
     "reference": ("sigma_xy_m", "sigma_theta_rad"),
 }
+
+
+class _Heading(BaseModel):
+    """The keys above the sections."""
+
+    format: Literal["calib-campaign/1"] | None = None
+    name: Annotated[str, Field(max_length=LABEL_CHARACTERS)]
+    simulated: StrictBool = False
+    #: keys whose values an earlier program filled in
+    assumed: list[str] = []
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,52 +95,158 @@ def read_settings(path: Path, shown: str) -> Settings:
 
 
 def parse_settings(document: dict[str, Any], shown: str, default_name: str) -> Settings:
-    """Check a settings document; see `read_settings`. Its keys ``format``, ``name``, ``simulated`` are taken out."""
-    notes: list[Note] = []
-    found_format = document.pop("format", None)
-    if found_format is None:
-        notes.append(Note("info", shown, f'no format is given; "{FORMAT}" was assumed', "format"))
-    elif found_format != FORMAT:
-        raise BadFileError(
-            shown,
-            column="format",
-            found=repr(found_format)[:60],
-            expected=f'"{FORMAT}"',
-            remedy="convert the campaign, or correct the key if it is one of this format",
-        )
-    name = typed(document.pop("name", default_name), str, shown, "name", "a text")
-    refuse_beyond(len(name), LABEL_CHARACTERS, shown=shown, what="characters", remedy="shorten it", column="name")
-    simulated = typed(document.pop("simulated", False), bool, shown, "simulated", "true or false")
-    declared = _declared(document, shown)
-    extra: dict[str, Any] = {}
-    section = Sections(document, shown, notes, extra)
-    drive = section.choice("vehicle", "drive", DRIVES)
-    geometry: dict[str, Any] = section.numbers("vehicle", _VEHICLE) | ({} if drive is None else {"drive": drive})
-    vehicle = Vehicle(**geometry)
-    encoder = _encoder(section, notes, shown, vehicle)
-    believed = section.numbers("model", _MODEL)
-    nominal: dict[str, Any] = {
+    """Check a settings document; see `read_settings`. The keys above its sections are taken out."""
+    heading = {key: document.pop(key) for key in _Heading.model_fields if key in document}
+    try:
+        head = _Heading.model_validate({"name": default_name, **heading})
+    except ValidationError as error:
+        raise _refused(error, shown, "", heading) from error
+    part = _Sections(document, shown)
+    if head.format is None:
+        part.notes.append(Note("info", shown, f'no format is given; "{FORMAT}" was assumed', "format"))
+    vehicle: Vehicle = part.checked("vehicle")
+    encoder = part.checked("encoder", _counts(part, vehicle))
+    nominal = {
         "radius_left_m": vehicle.wheel_radius_m,
         "radius_right_m": vehicle.wheel_radius_m,
         "track_m": vehicle.track_m,
         "reference_load_N": vehicle.unladen_load_N,
     }
-    model = OdometryModel(**(nominal | believed))
-    rangefinder = Rangefinder(**section.numbers("rangefinder", ("sigma_m", "min_m", "max_m")))
-    frame = section.choice("reference", "frame", FRAMES)
-    reference = Reference(**section.numbers("reference", _REFERENCE), frame=frame)
-    odometry = Odometry(section.choice("odometry", "from", ODOMETRY_SOURCES))
-    section.numbers("odometry", ())
-    _check_source(odometry, vehicle, shown)
+    settings = Settings(
+        name=head.name,
+        simulated=head.simulated,
+        vehicle=vehicle,
+        encoder=encoder,
+        model=part.checked("model", nominal | part.keys("model")),
+        rangefinder=part.checked("rangefinder"),
+        reference=part.checked("reference"),
+        odometry=part.checked("odometry"),
+        extra={key: value for key, value in document.items() if key not in part.read} | part.unknown,
+        notes=tuple(part.notes),
+        assumed=tuple(dict.fromkeys((*head.assumed, *not_stated(document)))),
+    )
+    _check_together(settings, shown)
+    return settings
+
+
+class _Sections:
+    """Sections of a document: keys recognised, numbers converted to SI units, what is not known noted and kept."""
+
+    def __init__(self, document: Mapping[str, Any], shown: str) -> None:
+        self.document, self.shown = document, shown
+        self.notes: list[Note] = []
+        self.read: set[str] = set()
+        self.unknown: dict[str, dict[str, Any]] = {}
+
+    def keys(self, section: str) -> dict[str, Any]:
+        """Return the known keys of a section: numbers in SI units, words as they are."""
+        self.read.add(section)
+        table = self.document.get(section, {})
+        if not isinstance(table, dict):
+            expected, remedy = f"a section [{section}]", "correct the value"
+            raise BadFileError(self.shown, repr(table)[:60], expected, remedy, column=section)
+        known = _known(section)
+        values: dict[str, Any] = {}
+        for key, value in table.items():
+            column = f"{section}.{key}"
+            match = recognise(key, known, further=False)
+            if match.name not in known:
+                self.unknown.setdefault(section, {})[key] = value
+                hint = f"; did you mean {match.unitless}? A key names its unit" if match.unitless else ""
+                self.say(column, f"the key is not known and not used{hint}", "key")
+                continue
+            if match.name in values:
+                raise BadFileError(self.shown, "the key in two units", "one", "remove one", column=column)
+            if match.name not in _WORDS:
+                if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LARGEST_VALUE:
+                    expected = "a finite number below 1e30"
+                    raise BadFileError(self.shown, repr(value)[:60], expected, "correct it", column=column)
+                value = match.factor * value + match.offset
+            if match.said:
+                self.say(column, match.said, "unit", "info")
+            values[match.name] = value
+        missing = [key for key in ("track_m", "wheel_radius_m") if section == "vehicle" and key not in values]
+        if missing:
+            text = f"{', '.join(missing)} not given; a track of 0.7 m and a radius of 0.1 m are used; give your own"
+            self.say(section, text, "default_vehicle")
+        return values
+
+    def checked(self, section: str, values: Mapping[str, Any] | None = None) -> Any:
+        """Return a section of these values, by default the file's; raises BadFileError where one is out of bounds."""
+        try:
+            return _adapter(section).validate_python(self.keys(section) if values is None else values)
+        except ValidationError as error:
+            table, known = self.document.get(section, {}), _known(section)
+            names = {recognise(key, known, further=False).name: key for key in table}
+            raise _refused(error, self.shown, section, table, names) from error
+
+    def say(self, column: str, text: str, code: str, level: str = "suspicious") -> None:
+        self.notes.append(Note(level, f"{self.shown}, {column}", text, code))
+
+
+@lru_cache
+def _adapter(section: str) -> TypeAdapter[Any]:
+    return TypeAdapter(_SECTIONS[section])
+
+
+def _known(section: str) -> tuple[str, ...]:
+    """Return the keys of a section."""
+    names = (field.name for field in fields(_SECTIONS[section]) if field.name not in _NO_KEYS)
+    return (*_FURTHER_KEYS.get(section, ()), *names)
+
+
+def _refused(
+    error: ValidationError, shown: str, section: str, table: Mapping[str, Any], names: Mapping[str, str] | None = None
+) -> BadFileError:
+    """Return the first fault of a section; `names`: key as calib has it -> as it stands in the file's `table`."""
+    fault = error.errors(include_url=False)[0]
+    name, limits = str(fault["loc"][0]), fault.get("ctx", {})
+    key = (names or {}).get(name, name)
+    remedy = "correct the value, or leave the key out"
+    match fault["type"]:
+        case "greater_than_equal" if limits["ge"] > 0:
+            expected = "more than 0"
+        case "greater_than_equal" | "less_than_equal":
+            expected = f"at most {limits.get('le', 0) or -limits['ge']:.4g} in size, in the unit of {name}"
+            remedy = "name the unit in the key (sensor_yaw_deg, sensor_x_mm), or correct the value"
+        case "literal_error":
+            expected = str(limits["expected"]).replace("'", '"')
+        case "value_error":
+            expected = str(limits["error"])
+        case _:
+            expected = re.sub("^.* should (be|have) ", "", fault["msg"])
+    found = table.get(key, fault["input"])
+    shown_value = f"{found:g}" if isinstance(found, int | float) and not isinstance(found, bool) else repr(found)[:60]
+    return BadFileError(shown, shown_value, expected, remedy, column=f"{section}.{key}" if section else key)
+
+
+def _counts(part: _Sections, vehicle: Vehicle) -> dict[str, Any]:
+    """Return the keys of ``[encoder]``, ``counts_per_rev`` as those of both wheels."""
+    values = part.keys("encoder")
+    both = values.pop("counts_per_rev", None)
+    if both is None and values.get("kind") == "speed":
+        # speeds have no counts: the distance is kept in counts of SPEED_COUNT_M
+        both = 2.0 * math.pi * vehicle.wheel_radius_m / SPEED_COUNT_M
+    sides = ("counts_per_rev_left", "counts_per_rev_right")
+    if both is not None:
+        return dict.fromkeys(sides, both) | values
+    if not set(sides) <= values.keys():
+        text = "not given for both wheels; 4096 is used for what is missing, and every radius scales with it"
+        part.say("encoder.counts_per_rev", text, "default_encoder")
+    return values
+
+
+def _check_together(settings: Settings, shown: str) -> None:
+    """Refuse an odometry that the vehicle's drive cannot have, and a centre of mass beyond the wheels."""
+    vehicle, source = settings.vehicle, settings.odometry.source
+    drive = {"front": "tricycle", "wheels": "mecanum", "shaft": "ackermann"}.get(source or "", vehicle.drive)
+    if vehicle.drive != drive:
+        found, expected = f'"{source}" with [vehicle] drive = "{vehicle.drive}"', f'"{source}" with drive = "{drive}"'
+        raise BadFileError(shown, found, expected, "correct the one that is wrong", column="odometry.from")
     if not 0.0 <= vehicle.cog_x_m <= vehicle.wheelbase_m:
         expected = f"a place between rear axle (0) and front wheel ({vehicle.wheelbase_m:g})"
         remedy = "give the centre of mass ahead of the rear axle, in metres"
         raise BadFileError(shown, f"{vehicle.cog_x_m:g}", expected, remedy, column="vehicle.cog_x_m")
-    extra = {key: value for key, value in document.items() if key not in section.read} | extra
-    assumed = tuple(dict.fromkeys((*declared, *not_stated(document))))
-    return Settings(
-        name, simulated, vehicle, encoder, model, rangefinder, reference, odometry, extra, tuple(notes), assumed
-    )
 
 
 def not_stated(document: Mapping[str, Any]) -> list[str]:
@@ -265,12 +260,6 @@ def not_stated(document: Mapping[str, Any]) -> list[str]:
             given.add("counts_per_rev")
         missing += [f"{section}.{key}" for key in keys if key not in given]
     return missing
-
-
-def _declared(document: dict[str, Any], shown: str) -> list[str]:
-    """Take out the key ``assumed``: what an earlier program filled in."""
-    declared = typed(document.pop("assumed", []), list, shown, "assumed", 'a list of keys, as ["rangefinder.sigma_m"]')
-    return [str(typed(key, str, shown, "assumed", "keys as texts")) for key in declared]
 
 
 def load_toml(path: Path, shown: str, *, remedy: str = "") -> dict[str, Any]:
@@ -304,46 +293,3 @@ def load_toml(path: Path, shown: str, *, remedy: str = "") -> dict[str, Any]:
         ) from error
     refuse_hostile_document(document, shown)
     return document
-
-
-def _check_source(odometry: Odometry, vehicle: Vehicle, shown: str) -> None:
-    """Refuse an odometry that the vehicle's drive cannot have."""
-    expected = {"front": ("tricycle",), "wheels": ("mecanum",), "shaft": ("ackermann",)}.get(odometry.source or "rear")
-    if expected is not None and vehicle.drive not in expected:
-        raise BadFileError(
-            shown,
-            column="odometry.from",
-            found=f'"{odometry.source}" with [vehicle] drive = "{vehicle.drive}"',
-            expected=f'"{odometry.source}" with drive = "{expected[0]}" only',
-            remedy="correct the one that is wrong",
-        )
-
-
-def _encoder(section: Sections, notes: list[Note], shown: str, vehicle: Vehicle) -> Encoder:
-    kind: EncoderKind = section.choice("encoder", "kind", ENCODER_KINDS) or "counts"
-    values = section.numbers("encoder", _ENCODER)
-    # speeds have no counts: the way is kept in counts of SPEED_COUNT_M
-    of_speed = 2.0 * math.pi * vehicle.wheel_radius_m / SPEED_COUNT_M if kind == "speed" else None
-    both = values.get("counts_per_rev", of_speed)
-    left, right = values.get("counts_per_rev_left", both), values.get("counts_per_rev_right", both)
-    if left is None or right is None:
-        notes.append(
-            Note(
-                "suspicious",
-                f"{shown}, encoder.counts_per_rev",
-                "not given for both wheels; 4096 is used for what is missing, and every radius scales with it",
-                "default_encoder",
-            )
-        )
-    bits = values.get("wrap_bits")
-    if bits is not None and bits not in {8, 12, 13, 16, 20, 24, 32}:
-        expected = "16 or 32 (8, 12, 13, 20, 24 are read too)"
-        remedy = "give the width of the counter, or remove the key where it does not wrap"
-        raise BadFileError(shown, f"{bits:g}", expected, remedy, column="encoder.wrap_bits")
-    return Encoder(
-        counts_per_rev_left=4096.0 if left is None else left,
-        counts_per_rev_right=4096.0 if right is None else right,
-        wrap_bits=None if bits is None else int(bits),
-        counts_per_rev_front=values.get("counts_per_rev_front"),
-        kind=kind,
-    )

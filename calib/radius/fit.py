@@ -9,7 +9,8 @@ from typing import Any, Final
 import numpy as np
 
 from calib.campaign.checks.design import assumed_settings
-from calib.campaign.checks.plausible import factor_reason, implausible, off
+from calib.campaign.checks.distances import factor_reason, off
+from calib.campaign.checks.plausible import implausible
 from calib.campaign.checks.settings import notes_for_results
 from calib.campaign.model import Campaign
 from calib.errors import BadInputError, ImplausibleError, RefusedError

@@ -220,7 +220,7 @@ FAULTS: list[tuple[str, str, str, Fault, str]] = [
     ("clock", "clock_jump", "suspicious", _log("t_s", _jump_later(-4.0)), "r003"),
     ("count_jumps", "count_jump", "suspicious", _log("counts_left", _count_jump), "r003"),
     ("log_speed", "speed_disagrees", "suspicious", _number("speed_mps", lambda v: v * 3.6), ""),
-    ("repeats", "far_from_repeats", "suspicious", _number("distance_m", lambda d: d * 1.004, 4), "r004"),
+    ("far_from_repeats", "far_from_repeats", "suspicious", _number("distance_m", lambda d: d * 1.004, 4), "r004"),
     ("pasted_rows", "pasted_row", "suspicious", _pasted, "r007"),
     ("wheel_loads", "impossible_load", "wrong", _number("load_left_N", lambda _: -5.0, 4), "r004"),
     ("wheel_loads", "excess_load", "suspicious", _number("load_left_N", lambda f: f * 1000, 4), "r004"),

@@ -22,7 +22,7 @@ from calib.coefficients.formats.ros2 import CONTROLLERS, OF_DRIVE
 from calib.errors import BadInputError, RefusedError
 from calib.radius.law import RadiusLaw
 from calib.runtime import Coefficients, Odometer
-from calib.vehicle import DRIVES, Drive, Vehicle
+from calib.vehicle import Drive, Vehicle
 
 #: parameters as the controllers declare them, with their types; a value of another type is refused at configuration
 ARRAY = list
@@ -108,7 +108,7 @@ def fits(values: dict[str, Any], declared: dict[str, Any]) -> bool:
     return True
 
 
-@pytest.mark.parametrize("drive", DRIVES)
+@pytest.mark.parametrize("drive", get_args(Drive))
 def test_every_parameter_is_one_that_its_controller_declares(file: CoefficientFile, drive: str) -> None:
     """By name and by type, for each drive; the drive chooses the controllers."""
     front = {"value": 0.125, "unit": "m"}
@@ -186,7 +186,7 @@ def test_a_steering_without_calibration_is_stated_as_assumed(file: CoefficientFi
     assert way[0] == way[2] < way[1]
 
 
-@pytest.mark.parametrize("drive", DRIVES)
+@pytest.mark.parametrize("drive", get_args(Drive))
 def test_a_vehicle_that_drove_no_loads_exports_in_every_format(
     loadless: CoefficientFile, drive: str, options_of: Callable[[str], ExportOptions]
 ) -> None:

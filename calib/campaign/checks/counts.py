@@ -3,63 +3,50 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
 
 from calib.campaign.checks.design import (
+    MOST_OF_THE_RUNS,
     SIDES,
     cell_note,
+    column_note,
     listed,
     meaning,
     per_rev,
     raw_radius_ratio,
     robust_spread,
+    rolled_m,
     stated,
+    turned_rad,
 )
 from calib.campaign.model import Campaign, Note
 from calib.campaign.read import log_totals
 from calib.campaign.wheels import odometry_source, on_one_axle
-from calib.types import FloatArray
+from calib.types import BoolArray, FloatArray
 
-#: radius found over nominal -> what usually lies behind it
-_FACTORS: Final = (
-    (1.09361, "a distance in yards, or a nominal radius that is not this wheel's"),
-    (0.25, "four times too many counts (quadrature counted four-fold, or counts_per_rev given without it)"),
-    (1 / math.pi, "pi times too many counts (a circumference taken for a diameter)"),
-    (0.5, "twice too many counts (both edges counted, or a diameter given as radius)"),
-    (2.0, "half the counts (one edge counted, or a diameter given as radius)"),
-    (math.pi, "counts pi times too few (a circumference taken for a diameter)"),
-    (4.0, "a quarter of the counts (single edges counted, counts_per_rev given with quadrature)"),
-    (1e-3, "a distance in kilometres, or counts a thousand times too many"),
-    (1e3, "a distance in millimetres, or counts a thousand times too few"),
-)
+#: a radius of one run this far from nominal is reported
 _PLAUSIBLE: Final = 0.15
 #: beyond this no wear and no load explains that every run differs from the nominal radius alike
 _WORN: Final = 0.06
-_FACTOR_TOLERANCE: Final = 0.06
 
 
 def reversed_wheels(campaign: Campaign) -> Iterator[Note]:
     """Find wheels that count backwards although the vehicle drives forward."""
     runs = campaign.runs
     moved = runs.number("distance_m") > 1.0
-    if not moved.any():
-        return
     backward = {side: (runs.number(f"counts_{side}") < 0) & moved for side in SIDES}
-    whole = {side: backward[side].sum() > 0.8 * moved.sum() for side in SIDES}
-    remedy = "negate the column, or correct the encoder's direction, before the next session"
-    if whole["left"] and whole["right"]:
-        text = f"both wheels count backwards; positive counts were expected, since runs drive forward; {remedy}"
-        yield Note("suspicious", "runs, columns counts_left, counts_right", text, "reversed_wheels")
-        return
+    whole = [side for side in SIDES if backward[side].sum() > MOST_OF_THE_RUNS * moved.sum()]
+    if whole:
+        text = (
+            f"the {' and '.join(whole)} wheel counts backwards in {int(backward[whole[0]].sum())} runs that drive "
+            "forward; negate the column, or correct the encoder's direction"
+        )
+        yield column_note(", ".join(f"counts_{side}" for side in whole), text, "reversed_wheels")
     for side in SIDES:
-        if whole[side]:
-            text = f"the {side} wheel counts backwards in {int(backward[side].sum())} runs; {remedy}"
-            yield Note("suspicious", f"runs, column counts_{side}", text, "reversed_wheels")
-            continue
-        for run in np.flatnonzero(backward[side]):
+        for run in np.flatnonzero(backward[side]) if side not in whole else ():
             text = (
                 f"found {runs.number(f'counts_{side}')[run]:.0f}; expected positive counts, as in the other runs; "
                 "check whether the vehicle drove backward"
@@ -71,21 +58,18 @@ def count_scale(campaign: Campaign) -> Iterator[Note]:
     """Find counts that are a factor 2, 4, pi or 1000 off, overflowed totals, and other implausible radii."""
     for side in SIDES:
         ratio = np.abs(raw_radius_ratio(campaign, side))
-        if not np.isfinite(ratio).any():
+        known = np.isfinite(ratio)
+        if not known.any():
             continue
-        odd = np.isfinite(ratio) & (np.abs(ratio - 1) > _PLAUSIBLE)
-        usual = np.nanmedian(ratio)
-        alike = bool(robust_spread(ratio) < 0.02 * usual)
+        odd = known & (np.abs(ratio - 1) > _PLAUSIBLE)
+        usual = float(np.nanmedian(ratio))
+        alike = robust_spread(ratio) < 0.02 * usual
         if alike and abs(usual - 1) > _WORN and stated(campaign, "vehicle.wheel_radius_m"):
-            odd |= np.isfinite(ratio)
-        if not odd.any():
-            continue
-        if odd.sum() > 0.8 * np.isfinite(ratio).sum() and alike:
-            text = (
-                f"the {side} wheel's radius comes out at {usual:.4g} times the nominal one in nearly every run; "
-                f"{_reason(float(usual)) or 'check counts_per_rev, the wheel radius and the unit of the distance'}"
-            )
-            yield Note("suspicious", f"runs, column counts_{side}", text, "count_scale")
+            odd = known
+        if alike and odd.sum() > MOST_OF_THE_RUNS * known.sum():
+            reason = _reason(usual) or "check counts_per_rev, the wheel radius and the unit of the distance"
+            text = f"the {side} wheel's radius is {usual:.4g} times the nominal one in nearly every run; {reason}"
+            yield column_note(f"counts_{side}", text, "count_scale")
             continue
         for run in np.flatnonzero(odd):
             yield _odd_run(campaign, int(run), side, float(ratio[run]))
@@ -99,24 +83,26 @@ def _odd_run(campaign: Campaign, run: int, side: str, ratio: float) -> Note:
         turns = round((expected - total) / full)
         if turns and abs(total) < full and abs(total + turns * full - expected) < 0.05 * expected:
             text = (
-                f"found {total:.0f}; about {expected:.0f} was expected; it looks like the rest of {abs(turns)} "
-                f"overflow(s) of a {bits}-bit counter; give encoder.wrap_bits = {bits} to have it undone"
+                f"found {total:.0f}; expected about {expected:.0f}; {abs(turns)} overflow(s) of a {bits}-bit counter "
+                f"give this; give encoder.wrap_bits = {bits} to have them undone"
             )
             return cell_note(campaign, run, f"counts_{side}", text, "wrapped_total")
-    reason = _reason(ratio) or "check the counts and the distance of this run"
-    text = f"found {total:.0f}, a radius {ratio:.4g} times the nominal one; about {expected:.0f} was expected; {reason}"
+    text = (
+        f"found {total:.0f}, a radius {ratio:.4g} times the nominal one; expected about {expected:.0f}; "
+        f"{_reason(ratio) or 'check the counts and the distance of this run'}"
+    )
     return cell_note(campaign, run, f"counts_{side}", text, "count_scale")
 
 
 def _reason(ratio: float) -> str:
-    reason = meaning(ratio, _FACTORS, _FACTOR_TOLERANCE)
+    reason = meaning(ratio)
     return f"this looks like {reason}" if reason else ""
 
 
 def counts_against_log(campaign: Campaign) -> Iterator[Note]:
     """Compare the table's counts with last minus first of the log."""
     logged = {side: log_totals(campaign.logs, f"counts_{side}") for side in SIDES}
-    for side, other in (("left", "right"), ("right", "left")):
+    for side, other in (SIDES, SIDES[::-1]):
         table = campaign.runs.number(f"counts_{side}")
         allowed = np.maximum(5.0, 5e-5 * np.abs(table))
         for run in np.flatnonzero(np.abs(table - logged[side]) > allowed):
@@ -127,8 +113,8 @@ def counts_against_log(campaign: Campaign) -> Iterator[Note]:
             elif abs(found + log) <= allowed[run]:
                 hint, code = "the sign differs", "reversed_wheels"
             else:
-                reason = _reason(abs(log / found)) if found else ""
-                hint, code = reason or "the log may be cut, or belong to another run", "counts_disagree"
+                hint = _reason(abs(log / found)) if found else ""
+                hint, code = hint or "the log may be cut, or belong to another run", "counts_disagree"
             text = f"found {found:.0f} in the table but {log:.0f} in the log; {hint}"
             yield cell_note(campaign, run, f"counts_{side}", text, code)
 
@@ -150,9 +136,8 @@ def swapped_wheels(campaign: Campaign) -> Iterator[Note]:
     mirrored = (np.abs(ratio + fitted) < 5 * spread) & (np.abs(ratio - fitted) > 8 * spread)
     for run, value, usual in zip(np.flatnonzero(usable)[mirrored], ratio[mirrored], fitted[mirrored], strict=True):
         text = (
-            f"right over left is {math.exp(value):.5f} where the other runs ask for "
-            f"{math.exp(usual):.5f}; left and right "
-            "look swapped; check the columns of this run (when it is ingested: swapped = [...] in the mapping's [log])"
+            f"right over left is {math.exp(value):.5f}; expected {math.exp(usual):.5f}, as in the other runs; left and "
+            "right look swapped; check this run (when it is ingested: swapped = [...] in the mapping's [log])"
         )
         yield cell_note(campaign, int(run), "counts_left, counts_right", text, "swapped_wheels")
 
@@ -178,87 +163,66 @@ def _robust_fit(values: FloatArray, loads: FloatArray) -> tuple[FloatArray, floa
 
 def turn_direction(campaign: Campaign) -> Iterator[Note]:
     """Compare the sense of turning that the counts give with the reference heading and with the steering angle."""
-    runs = campaign.runs
-    turned = _heading(campaign, runs.number("counts_left"), runs.number("counts_right"))
-    reference = runs.number("ref_theta_rad")
+    turned, reference = turned_rad(campaign), campaign.runs.number("ref_theta_rad")
     clear = (np.abs(reference) > 0.5) & (np.abs(turned) > 0.25)
     against = clear & (np.abs(turned + reference) < 0.3 * np.abs(turned - reference))
     yield from _turns(campaign, clear, against, "ref_theta_rad", "the reference turns the other way")
-    steer = campaign.logs.columns.get("steer_rad")
-    present = campaign.logs.present
-    if steer is None:
-        return
-    agreement = np.zeros(len(runs))
-    for run in np.flatnonzero(present):
+    agreement = np.zeros(len(campaign.runs))
+    for run in np.flatnonzero(campaign.logs.present) if "steer_rad" in campaign.logs.columns else ():
         log = campaign.logs.of(int(run))
         if {"steer_rad", "counts_left", "counts_right"} <= set(log):
-            rate = np.diff(_heading(campaign, log["counts_left"], log["counts_right"]))
+            rate = np.diff(turned_rad(campaign, log["counts_left"], log["counts_right"]))
             angle = log["steer_rad"][1:]
             scale = np.sqrt(np.nansum(rate**2) * np.nansum(angle**2))
             if scale > 0 and np.nanmax(np.abs(angle)) > 0.1:
                 agreement[run] = np.nansum(rate * angle) / scale
-    yield from _turns(
-        campaign, np.abs(agreement) > 0.5, agreement < -0.5, "steer_rad", "the steering angle turns the other way"
-    )
+    clear, against = np.abs(agreement) > 0.5, agreement < -0.5
+    yield from _turns(campaign, clear, against, "steer_rad", "the steering angle turns the other way")
 
 
-def _heading(campaign: Campaign, left: FloatArray, right: FloatArray) -> FloatArray:
-    turns = right / campaign.encoder.counts_per_rev_right - left / campaign.encoder.counts_per_rev_left
-    return 2 * np.pi * campaign.vehicle.wheel_radius_m * turns / campaign.vehicle.track_m
-
-
-def _turns(campaign: Campaign, clear: np.ndarray, against: np.ndarray, column: str, what: str) -> Iterator[Note]:
-    if not against.any():
-        return
-    ids = campaign.runs.run_id[against]
-    if against.sum() > 0.8 * clear.sum() and against.sum() > 1:
+def _turns(campaign: Campaign, clear: BoolArray, against: BoolArray, column: str, what: str) -> Iterator[Note]:
+    columns = f"counts_left, counts_right, {column}"
+    if against.sum() > max(1.0, MOST_OF_THE_RUNS * clear.sum()):
         text = (
-            f"in {int(against.sum())} of {int(clear.sum())} turning runs ({listed(ids)}) {what}; left and right look "
-            "swapped throughout, or the reference counts clockwise"
+            f"in {int(against.sum())} of {int(clear.sum())} turning runs ({listed(campaign.runs.run_id[against])}) "
+            f"{what}; left and right look swapped throughout, or the reference counts clockwise"
         )
-        yield Note("suspicious", f"runs, columns counts_left, counts_right, {column}", text, "swapped_wheels")
+        yield column_note(columns, text, "swapped_wheels")
         return
     for run in np.flatnonzero(against):
         text = f"{what} than the counts say; left and right look swapped in this run"
-        yield cell_note(campaign, int(run), f"counts_left, counts_right, {column}", text, "swapped_wheels")
+        yield cell_note(campaign, int(run), columns, text, "swapped_wheels")
 
 
 def clock(campaign: Campaign) -> Iterator[Note]:
     """Find gaps (the vehicle moved on), clock jumps (it did not), and time that stands or runs backwards."""
     for run in np.flatnonzero(campaign.logs.lengths >= 5):
         log = campaign.logs.of(int(run))
-        time = log["t_s"]
-        step = np.diff(time)
+        time, step = log["t_s"], np.diff(log["t_s"])
         usual = float(np.median(step))
         back = np.flatnonzero(step < 0)
         if len(back):
             text = (
-                f"time runs backwards {len(back)} time(s), first in sample {back[0] + 2} by "
-                f"{-step[back[0]]:.4g} s; the "
-                "clock jumped or files were joined; check the logger"
+                f"time runs backwards {len(back)} time(s), first in sample {back[0] + 2} by {-step[back[0]]:.4g} s; "
+                "the clock jumped or files were joined; check the logger"
             )
             yield cell_note(campaign, run, "log t_s", text, "clock_jump")
-        still = int((step == 0).sum())
-        if still:
-            yield cell_note(
-                campaign, run, "log t_s", f"{still} sample(s) repeat the time of the one before", "repeated_time"
-            )
-        if usual <= 0:
-            continue
-        long = np.flatnonzero(step > max(3.5 * usual, 0.0))
+        if still := int((step == 0).sum()):
+            text = f"{still} sample(s) repeat the time of the one before"
+            yield cell_note(campaign, run, "log t_s", text, "repeated_time")
+        long = np.flatnonzero(step > 3.5 * usual) if usual > 0 else np.zeros(0, dtype=np.int64)
         if not len(long):
             continue
-        moved = np.sum([np.abs(np.diff(log[name])) for name in _wheels(log)], axis=0)
+        moved = np.sum([np.abs(np.diff(log[name])) for name in log if name.startswith("counts_")], axis=0)
         rate = float(np.median((moved / np.where(step > 0, step, np.nan))[step > 0]))
-        # while driving, a real gap correlates with as many counts as its time asks for
+        # while driving, a real gap holds as many counts as its time asks for
         jumped = [at for at in long if rate > 0 and moved[at] < 0.35 * rate * step[at] and _driving(moved, int(at))]
         gaps = [at for at in long if at not in jumped]
         if gaps:
             text = (
                 f"{len(gaps)} gap(s), {step[gaps].sum():.4g} s in all, the longest {step[gaps].max():.4g} s at "
-                f"{time[gaps[int(np.argmax(step[gaps]))]]:.4g} s, where samples come every {usual:.4g} s; "
-                "counts go on, so "
-                "that totals hold, but the path in the gap is not known"
+                f"{time[gaps[int(np.argmax(step[gaps]))]]:.4g} s, where samples come every {usual:.4g} s; counts go "
+                "on, so that totals hold, but the path in the gap is not known"
             )
             yield cell_note(campaign, run, "log t_s", text, "gap")
         if jumped:
@@ -267,11 +231,6 @@ def clock(campaign: Campaign) -> Iterator[Note]:
                 "while the counts went on as in one sample; speeds of this log are not to be trusted"
             )
             yield cell_note(campaign, run, "log t_s", text, "clock_jump")
-
-
-def _wheels(log: Mapping[str, FloatArray]) -> list[str]:
-    """Return the columns of a log that count a wheel."""
-    return [name for name in log if name.startswith("counts_")]
 
 
 def _driving(moved: FloatArray, at: int) -> bool:
@@ -284,44 +243,41 @@ def count_jumps(campaign: Campaign) -> Iterator[Note]:
     for run in np.flatnonzero(campaign.logs.lengths >= 20):
         log = campaign.logs.of(int(run))
         time_step = np.diff(log["t_s"])
-        usual_time = max(float(np.median(time_step)), 1e-9)
-        for name in _wheels(log):
-            # a gap in time may hold many counts; it is named as a gap
-            step = np.diff(log[name]) / np.maximum(1.0, time_step / usual_time)
+        # a gap in time may hold many counts; it is named as a gap
+        stretch = np.maximum(1.0, time_step / max(float(np.median(time_step)), 1e-9))
+        for name in log:
+            if not name.startswith("counts_"):
+                continue
+            step = np.diff(log[name]) / stretch
             usual = float(np.percentile(np.abs(step), 95))
             far = np.flatnonzero(np.abs(step) > 6 * usual + 50)
-            if len(far) and len(far) <= max(5, 0.01 * len(step)):
+            if 0 < len(far) <= max(5, 0.01 * len(step)):
                 text = (
-                    f"{len(far)} jump(s), first in sample {far[0] + 2} by {step[far[0]]:.0f} counts where "
-                    f"{usual:.0f} are "
-                    "usual; the encoder may have lost contact, or the counter was reset"
+                    f"{len(far)} jump(s), first in sample {far[0] + 2} by {step[far[0]]:.0f} counts where {usual:.0f} "
+                    "are usual; the encoder may have lost contact, or the counter was reset"
                 )
                 yield cell_note(campaign, run, f"log {name}", text, "count_jump")
 
 
-def _can_stand_in(campaign: Campaign) -> bool:
-    """Return whether wheels on one axle can are confounded with others: mecanum wheels need their l + w."""
-    return odometry_source(campaign) != "wheels" or campaign.vehicle.half_length_plus_half_width_m is not None
-
-
 def log_speed(campaign: Campaign) -> Iterator[Note]:
     """Compare the set speed with what the log's counts say while driving."""
-    campaign = on_one_axle(campaign) if _can_stand_in(campaign) else campaign
+    # four mecanum wheels amount to two on an axle only where their l + w is known
+    if odometry_source(campaign) != "wheels" or campaign.vehicle.half_length_plus_half_width_m is not None:
+        campaign = on_one_axle(campaign)
     logs, speed = campaign.logs, campaign.runs.number("speed_mps")
     ratios = np.full(len(speed), np.nan)
-    per_count = 2 * np.pi * campaign.vehicle.wheel_radius_m / campaign.encoder.counts_per_rev_left
     for run in np.flatnonzero((logs.lengths >= 20) & (speed > 0)):
         log = logs.of(int(run))
         if "counts_left" not in log:
             continue
         stride = max(1, len(log["t_s"]) // 50)
-        time, counts = log["t_s"][::stride], log["counts_left"][::stride]
-        step = np.diff(time)
+        step = np.diff(log["t_s"][::stride])
         if (step > 0).all():
-            ratios[run] = np.median(np.abs(np.diff(counts)) / step) * per_count / speed[run]
+            rolled = np.abs(np.diff(rolled_m(campaign, "left", log["counts_left"][::stride])))
+            ratios[run] = np.median(rolled / step) / speed[run]
     known = np.isfinite(ratios) & (ratios > 0)
     # a route with turns or pauses is legitimately slower than its set speed; only a factor is odd
-    if known.sum() and not 0.4 < (usual := float(np.median(ratios[known]))) < 1.6:
+    if known.any() and not 0.4 < (usual := float(np.median(ratios[known]))) < 1.6:
         hint = "km/h look like m/s; name the column speed_kmh" if 0.22 < usual < 0.34 else "check speed and clock"
         text = f"the logs drive at {usual:.3g} times the set speed; {hint}"
-        yield Note("suspicious", "runs, column speed_mps", text, "speed_disagrees")
+        yield column_note("speed_mps", text, "speed_disagrees")

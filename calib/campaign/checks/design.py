@@ -1,4 +1,4 @@
-"""Design of the campaign: assumed settings, loads and sessions, replicates."""
+"""Design of the campaign: assumed settings, loads and sessions, replicates; and what all checks share."""
 
 from __future__ import annotations
 
@@ -16,6 +16,29 @@ SIDES: Final = ("left", "right")
 IMPLAUSIBLE: Final = "implausible"
 #: a column as a whole is reported only where at least this many runs agree
 LEAST_RUNS: Final = 4
+#: share of the runs that makes a finding one of the column rather than of single runs
+MOST_OF_THE_RUNS: Final = 0.8
+#: radius found over nominal -> what usually lies behind it
+RADIUS_FACTORS: Final = (
+    (4.0, "a quarter of the counts (single edges counted, counts_per_rev given with quadrature)"),
+    (0.25, "four times too many counts (quadrature edges counted, counts_per_rev given without them)"),
+    (2.0, "half the counts (one edge counted, or a diameter given as wheel_radius_m)"),
+    (0.5, "twice too many counts (both edges counted, or a radius given as a diameter)"),
+    (math.pi, "pi times too few counts (a circumference given for a diameter)"),
+    (1 / math.pi, "pi times too many counts (a circumference given for a diameter)"),
+    (2 * math.pi, "counts of a turn given for counts of a radian"),
+    (1 / (2 * math.pi), "counts of a radian given for counts of a turn"),
+    (1e3, "a distance in millimetres (name the column distance_mm), or counts a thousand times too few"),
+    (1e2, "a distance in centimetres (name the column distance_cm)"),
+    (1e-3, "a distance in kilometres, wheel_radius_m in millimetres, or counts a thousand times too many"),
+    (1e-2, "wheel_radius_m in centimetres"),
+    (3.28084, "a distance in feet"),
+    (39.3701, "a distance in inches"),
+    (0.3048, "wheel_radius_m in feet"),
+    (0.0254, "wheel_radius_m in inches"),
+    (1.09361, "a distance in yards, or a nominal radius that is not this wheel's"),
+)
+FACTOR_TOLERANCE: Final = 0.07
 
 #: number of a run
 Run = int | np.signedinteger[Any]
@@ -43,17 +66,47 @@ def cell_note(campaign: Campaign, run: Run, column: str, text: str, code: str, l
     return Note(level, where, text, code, str(campaign.runs.run_id[run]))
 
 
+def column_note(columns: str, text: str, code: str, level: str = "suspicious") -> Note:
+    """Return a note on columns of the run table, named with commas between them."""
+    return Note(level, f"runs, column{'s' if ', ' in columns or ' and ' in columns else ''} {columns}", text, code)
+
+
+def setting_note(key: str, text: str, code: str, level: str = "suspicious") -> Note:
+    """Return a note on a key of the settings."""
+    return Note(level, f"campaign.toml, {key}", text, code)
+
+
+def implausible_column(columns: str, text: str) -> Note:
+    """Return a note on columns whose values cannot be."""
+    return column_note(columns, text, IMPLAUSIBLE, "wrong")
+
+
+def implausible_setting(key: str, text: str) -> Note:
+    """Return a note on a setting that cannot be."""
+    return setting_note(key, text, IMPLAUSIBLE, "wrong")
+
+
 def per_rev(campaign: Campaign, side: str) -> float:
     """Return the counts per wheel revolution of one wheel."""
     return campaign.encoder.counts_per_rev_left if side == "left" else campaign.encoder.counts_per_rev_right
 
 
+def rolled_m(campaign: Campaign, side: str, counts: FloatArray | None = None) -> FloatArray:
+    """Return what a wheel of nominal radius rolls in `counts`, by default in each run."""
+    counts = campaign.runs.number(f"counts_{side}") if counts is None else counts
+    return 2 * np.pi * campaign.vehicle.wheel_radius_m * counts / per_rev(campaign, side)
+
+
+def turned_rad(campaign: Campaign, left: FloatArray | None = None, right: FloatArray | None = None) -> FloatArray:
+    """Return how far the nominal vehicle turns in these counts, by default in each run."""
+    return (rolled_m(campaign, "right", right) - rolled_m(campaign, "left", left)) / campaign.vehicle.track_m
+
+
 def raw_radius_ratio(campaign: Campaign, side: str) -> FloatArray:
     """Return distance / (2 pi turns) over the nominal radius for each run, shape (n_runs,); NaN where not measured."""
-    turns = campaign.runs.number(f"counts_{side}") / per_rev(campaign, side)
-    distance = np.where(campaign.runs.number("distance_m") > 0, campaign.runs.number("distance_m"), np.nan)
-    with np.errstate(divide="ignore"):
-        ratio = distance / (2 * np.pi * turns * campaign.vehicle.wheel_radius_m)
+    distance = campaign.runs.number("distance_m")
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.where(distance > 0, distance, np.nan) / rolled_m(campaign, side)
     return np.where(np.isfinite(ratio), ratio, np.nan)
 
 
@@ -82,19 +135,17 @@ def listed(names: StrArray | list[str], limit: int = 6) -> str:
     return shown + (f" and {len(names) - limit} more" if len(names) > limit else "")
 
 
-def implausible_note(where: str, text: str) -> Note:
-    """Return a finding: where it stands, and what was found, expected and is likely."""
-    return Note("wrong", where, text, IMPLAUSIBLE)
-
-
-def meaning(ratio: float, factors: Sequence[tuple[float, str]], tolerance: float) -> str:
-    """Return what lies behind the factor that a ratio is within a relative `tolerance` of; empty where none does."""
-    return next((text for factor, text in factors if abs(ratio / factor - 1) < tolerance), "")
+def meaning(
+    ratio: float, factors: Sequence[tuple[float, str]] = RADIUS_FACTORS, tolerance: float = FACTOR_TOLERANCE
+) -> str:
+    """Return what lies behind the factor nearest to a ratio, within a relative `tolerance`; empty where none does."""
+    factor, text = min(factors, key=lambda known: abs(ratio / known[0] - 1))
+    return text if abs(ratio / factor - 1) < tolerance else ""
 
 
 def stated(campaign: Campaign, key: str) -> bool:
     """Return whether a setting was given, rather than assumed by a program."""
-    return key not in campaign.assumed and key.partition(".")[0] not in campaign.assumed
+    return not {key, key.partition(".")[0]} & set(campaign.assumed)
 
 
 #: keys that every radius or path scales with
@@ -103,99 +154,66 @@ WEIGHTY: Final = ("vehicle.track_m", "vehicle.wheel_radius_m", "encoder.counts_p
 _NEEDED_BY: Final = {"rangefinder": ("distance_m",), "reference": ("ref_x_m", "ref_y_m", "ref_theta_rad")}
 
 
-def relevant(campaign: Campaign) -> tuple[str, ...]:
-    """Return the assumed keys that matter for what the campaign holds."""
-    columns = {*campaign.runs.numbers, *campaign.logs.columns}
-    return tuple(
-        key
-        for key in campaign.assumed
-        if (needed := _NEEDED_BY.get(key.partition(".")[0])) is None or columns.intersection(needed)
-    )
-
-
 def assumed_settings(campaign: Campaign) -> dict[str, str]:
-    """Return the assumed keys that matter, each with the value that stands in."""
-    return {key: value_of(campaign, key) for key in relevant(campaign)}
-
-
-def value_of(campaign: Campaign, key: str) -> str:
-    """Return an assumed value as text; empty where the key is none of the campaign's."""
-    section, _, name = key.partition(".")
-    part = getattr(campaign, section, None)
-    value = getattr(part, "counts_per_rev_left" if name == "counts_per_rev" else name, None)
-    return f"{value:.6g}" if isinstance(value, int | float) else ""
+    """Return the assumed keys that matter, each with the value that stands in; empty where there is none."""
+    columns = {*campaign.runs.numbers, *campaign.logs.columns}
+    settings: dict[str, str] = {}
+    for key in campaign.assumed:
+        section, _, name = key.partition(".")
+        if section in _NEEDED_BY and not columns.intersection(_NEEDED_BY[section]):
+            continue
+        name = "counts_per_rev_left" if name == "counts_per_rev" else name
+        value = getattr(getattr(campaign, section, None), name, None)
+        settings[key] = f"{value:.6g}" if isinstance(value, int | float) else ""
+    return settings
 
 
 def assumed_values(campaign: Campaign) -> Iterator[Note]:
-    """Name what nobody stated, with the values that stand in."""
-    keys = assumed_settings(campaign)
-    if not keys:
-        return
-    listed = ", ".join(f"{key} = {value}" for key, value in keys.items())
-    text = (
-        f"assumed, since nobody stated: {listed}; give the vehicle's and the instruments' own and take them out of "
-        "'assumed'"
-    )
-    yield Note("suspicious" if any(key in WEIGHTY for key in keys) else "info", "campaign.toml", text, "assumed")
+    """Name the settings that were not stated, with the values used."""
+    if keys := assumed_settings(campaign):
+        values = ", ".join(f"{key} = {value}" for key, value in keys.items())
+        text = f"assumed, since nobody stated: {values}; give your own and take them out of 'assumed'"
+        yield Note("suspicious" if set(WEIGHTY) & set(keys) else "info", "campaign.toml", text, "assumed")
 
 
 def load_and_session(campaign: Campaign) -> Iterator[Note]:
     """Say where every session has one load, or loads were driven in one rising or falling order."""
-    included = campaign.included()
-    label, session = load_label(included), included.runs.label("session")
+    label, session = load_label(campaign), campaign.runs.label("session")
     loads, sessions = np.unique(label), np.unique(session)
     if len(loads) < 2:
         return
     if len(sessions) >= 2:
         if all(len(np.unique(label[session == name])) == 1 for name in sessions):
             text = (
-                f"each of the {len(sessions)} sessions has one load only, so that a drift between "
-                "sessions and the effect "
-                "of the load cannot be told apart; drive at least two loads in each session"
+                f"each of the {len(sessions)} sessions has one load only, so that a drift between sessions and the "
+                "effect of the load cannot be told apart; drive at least two loads in each session"
             )
-            yield Note("suspicious", "runs, columns session and load", text, "confounded_load")
+            yield column_note("session and load", text, "confounded_load")
         return
-    total = included.runs.number("load_left_N") + included.runs.number("load_right_N")
+    steps = np.diff(campaign.runs.number("load_left_N") + campaign.runs.number("load_right_N"))
     changes = int((label[1:] != label[:-1]).sum())
-    steps = np.diff(total)
     if changes == len(loads) - 1 and len(loads) >= 3 and ((steps >= 0).all() or (steps <= 0).all()):
         text = (
-            "the loads were driven in one rising or falling order, so that warming up and the effect of "
-            "the load cannot "
-            "be told apart; drive some loads again at the end, or in mixed order"
+            "the loads were driven in one rising or falling order, so that warming up and the effect of the load "
+            "cannot be told apart; drive some loads again at the end, or in mixed order"
         )
-        yield Note("suspicious", "runs, order and load", text, "ordered_load")
+        yield column_note("order and load", text, "ordered_load")
+
+
+#: loads driven -> what they leave open
+_FEW_LOADS: Final = {
+    1: "one load only: a radius can be had, its change with load cannot",
+    2: "two loads only: a slope can be had, whether the law is straight cannot",
+}
 
 
 def few_loads(campaign: Campaign) -> Iterator[Note]:
     """Say where the loads are too few for a slope, or for a look at its curvature."""
-    included = campaign.included()
     for side in SIDES:
-        load = included.runs.number(f"load_{side}_N")
-        load = np.unique(np.round(load[np.isfinite(load)] / 5.0))
-        if len(load) == 1:
-            text = "one load only: a radius can be had, its change with load cannot"
-        elif len(load) == 2:
-            text = "two loads only: a slope can be had, whether the law is straight cannot"
-        else:
-            continue
-        yield Note("suspicious", f"runs, column load_{side}_N", f"{text}; drive three loads or more", "few_loads")
-
-
-def model_against_vehicle(campaign: Campaign) -> Iterator[Note]:
-    """Compare what the simulator believes with the nominal vehicle."""
-    model, vehicle = campaign.model, campaign.vehicle
-    for name, believed, nominal in (
-        ("radius_left_m", model.radius_left_m, vehicle.wheel_radius_m),
-        ("radius_right_m", model.radius_right_m, vehicle.wheel_radius_m),
-        ("track_m", model.track_m, vehicle.track_m),
-    ):
-        if abs(believed / nominal - 1) > 0.2:
-            text = (
-                f"found {believed:g} where the vehicle has {nominal:g}; check the unit, and whether a "
-                "diameter was given"
-            )
-            yield Note("suspicious", f"campaign.toml, model.{name}", text, "model_differs")
+        load = campaign.runs.number(f"load_{side}_N")
+        number = len(np.unique(np.round(load[np.isfinite(load)] / 5.0)))
+        if number in _FEW_LOADS:
+            yield column_note(f"load_{side}_N", f"{_FEW_LOADS[number]}; drive three loads or more", "few_loads")
 
 
 #: a radius this many spreads from its replicates is reported
@@ -225,14 +243,12 @@ def far_from_repeats(campaign: Campaign) -> Iterator[Note]:
         if known.sum() < 5:
             continue
         # the rangefinder's own share keeps exact data from flagging its last digit
-        floor = campaign.rangefinder.sigma_m / float(np.nanmedian(runs.number("distance_m")))
-        spread = max(robust_spread(away[known]) * 1.2, floor)
+        noise = campaign.rangefinder.sigma_m / float(np.nanmedian(runs.number("distance_m")))
+        spread = max(robust_spread(away[known]) * 1.2, noise)
         for run in np.flatnonzero(known & (np.abs(np.nan_to_num(away)) > _OUTLIER_SPREADS * spread)):
             text = (
-                f"the {side} radius lies {100 * away[run]:+.3f} % from its repeats, "
-                f"{abs(away[run]) / spread:.0f} times "
-                "their spread; look for slip, a wrong distance or a wrong load, and set excluded with a "
-                "reason if found"
+                f"the {side} radius lies {100 * away[run]:+.3f} % from its repeats, {abs(away[run]) / spread:.0f} "
+                "times their spread; look for slip, a wrong distance or load, and set excluded with a reason if found"
             )
             yield cell_note(campaign, run, f"distance_m, counts_{side}", text, "far_from_repeats")
 
@@ -240,13 +256,12 @@ def far_from_repeats(campaign: Campaign) -> Iterator[Note]:
 def pasted_rows(campaign: Campaign) -> Iterator[Note]:
     """Find runs whose measured values are all those of an earlier run."""
     runs = campaign.runs
+    measured = ("distance_m", "counts_left", "counts_right")
     seen: dict[tuple[float, ...], int] = {}
-    for run, row in enumerate(
-        zip(*(runs.number(name).tolist() for name in ("distance_m", "counts_left", "counts_right")), strict=True)
-    ):
+    for run, row in enumerate(zip(*(runs.number(name).tolist() for name in measured), strict=True)):
         if any(math.isnan(value) or value == 0 for value in row):
             continue
         if row in seen:
             text = f"all three are those of run {runs.run_id[seen[row]]}; one row may have been pasted twice"
-            yield cell_note(campaign, run, "distance_m, counts_left, counts_right", text, "pasted_row")
+            yield cell_note(campaign, run, ", ".join(measured), text, "pasted_row")
         seen.setdefault(row, run)

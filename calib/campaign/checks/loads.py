@@ -8,33 +8,42 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.checks.design import LEAST_RUNS, SIDES, cell_note, implausible_note, listed, meaning, stated
+from calib.campaign.checks.design import (
+    LEAST_RUNS,
+    MOST_OF_THE_RUNS,
+    SIDES,
+    cell_note,
+    column_note,
+    implausible_column,
+    listed,
+    meaning,
+    stated,
+)
 from calib.campaign.model import Campaign, Note
 from calib.campaign.read import loads_from_payload
 from calib.types import BoolArray, FloatArray
 
+_LOADS: Final = "load_left_N, load_right_N"
+
 
 def wheel_loads(campaign: Campaign) -> Iterator[Note]:
     """Find loads that no rolling wheel has, and loads beyond the permitted one."""
-    runs = campaign.runs
-    for side in SIDES:
-        load = runs.number(f"load_{side}_N")
+    runs, permitted = campaign.runs, campaign.vehicle.max_wheel_load_N
+    loads = {f"load_{side}_N": runs.number(f"load_{side}_N") for side in SIDES}
+    for name, load in loads.items():
         for run in np.flatnonzero(load <= 0):
-            text = (
-                f"found {load[run]:.4g} N; expected more than 0, or the wheel would lift off; check payload and place"
-            )
-            yield cell_note(campaign, run, f"load_{side}_N", text, "impossible_load", "wrong")
-        permitted = campaign.vehicle.max_wheel_load_N
+            text = f"found {load[run]:.4g} N; expected more than 0, or the wheel lifts off; check payload and place"
+            yield cell_note(campaign, run, name, text, "impossible_load", "wrong")
         for run in np.flatnonzero(load > permitted):
             text = f"found {load[run]:.5g} N; {permitted:g} N is permitted; check the unit (kg or kN in a column of N?)"
-            yield cell_note(campaign, run, f"load_{side}_N", text, "excess_load")
-    lacking = np.isnan(runs.number("load_left_N")) | np.isnan(runs.number("load_right_N"))
+            yield cell_note(campaign, run, name, text, "excess_load")
+    lacking = np.isnan(sum(loads.values()))
     if lacking.any():
         text = (
             f"{int(lacking.sum())} run(s) have no wheel load and no payload with its place to compute it from "
             f"({listed(runs.run_id[lacking])})"
         )
-        yield Note("suspicious", "runs, columns load_left_N, load_right_N", text, "missing_load")
+        yield column_note(_LOADS, text, "missing_load")
 
 
 def loads_against_payload(campaign: Campaign) -> Iterator[Note]:
@@ -42,46 +51,35 @@ def loads_against_payload(campaign: Campaign) -> Iterator[Note]:
     runs = campaign.runs
     if "payload_kg" not in runs.numbers:
         return
-    left, right = runs.number("load_left_N"), runs.number("load_right_N")
-    computed_left, computed_right = loads_from_payload(campaign.vehicle, runs)
-    allowed = np.maximum(15.0, 0.05 * (np.abs(computed_left) + np.abs(computed_right)))
-    off = (np.abs(left - computed_left) > allowed) | (np.abs(right - computed_right) > allowed)
-    swapped = off & (np.abs(left - computed_right) <= allowed) & (np.abs(right - computed_left) <= allowed)
-    known = np.isfinite(left + right + computed_left + computed_right)
-    if off.sum() > 3 and off.sum() > 0.8 * known.sum():
-        what = (
-            "left and right loads look swapped, or payload_y_m counts from the right"
-            if swapped.sum() > 0.8 * off.sum()
-            else "check vehicle.mass_kg, cog_x_m, wheelbase_m and the unit of the loads"
-        )
-        ratio = float(np.median((left + right)[off] / (computed_left + computed_right)[off]))
-        yield Note(
-            "suspicious",
-            "runs, columns load_left_N, load_right_N, payload_kg",
-            f"in {int(off.sum())} runs the loads are not those of vehicle and payload (sum {ratio:.3g} times); {what}",
-            "swapped_loads" if swapped.sum() > 0.8 * off.sum() else "contradicted_load",
-        )
+    weighed = np.stack([runs.number(f"load_{side}_N") for side in SIDES])
+    computed = np.stack(loads_from_payload(campaign.vehicle, runs))
+    allowed = np.maximum(15.0, 0.05 * np.abs(computed).sum(axis=0))
+    off = (np.abs(weighed - computed) > allowed).any(axis=0)
+    swapped = off & (np.abs(weighed - computed[::-1]) <= allowed).all(axis=0)
+    known = np.isfinite(weighed + computed).all(axis=0)
+    if off.sum() > max(3, MOST_OF_THE_RUNS * known.sum()):
+        exchanged = bool(swapped.sum() > MOST_OF_THE_RUNS * off.sum())
+        hint, code = _SWAPPED if exchanged else _CONTRADICTED
+        ratio = float(np.median((weighed.sum(axis=0) / computed.sum(axis=0))[off]))
+        text = f"in {int(off.sum())} runs the loads are {ratio:.3g} times those of vehicle and payload in sum; {hint}"
+        yield column_note(f"{_LOADS}, payload_kg", text, code)
         return
     for run in np.flatnonzero(off):
-        yield cell_note(
-            campaign,
-            run,
-            "load_left_N, load_right_N",
-            f"found {left[run]:.0f} and {right[run]:.0f} N; vehicle and payload ask for {computed_left[run]:.0f} and "
-            f"{computed_right[run]:.0f} N; "
-            + (
-                "left and right look swapped, or payload_y_m has the other sign"
-                if swapped[run]
-                else "check payload, its place and the weighing"
-            ),
-            "swapped_loads" if swapped[run] else "contradicted_load",
+        hint, code = _SWAPPED if swapped[run] else _CONTRADICTED
+        text = (
+            f"found {weighed[0, run]:.0f} and {weighed[1, run]:.0f} N; vehicle and payload ask for "
+            f"{computed[0, run]:.0f} and {computed[1, run]:.0f} N; {hint}"
         )
+        yield cell_note(campaign, run, _LOADS, text, code)
 
 
+_SWAPPED: Final = ("left and right loads look swapped, or payload_y_m counts from the right", "swapped_loads")
+_CONTRADICTED: Final = (
+    "check payload, its place and the weighing, and the vehicle's mass_kg, cog_x_m and wheelbase_m",
+    "contradicted_load",
+)
 #: the payload's weight may differ by this factor from what the scales say it adds
 _MOST_PAYLOAD: Final = 1.6
-#: share of the runs that must agree
-_AGREEING_SHARE: Final = 0.8
 #: ratio of loads to those of the vehicle -> unit
 _LOAD_UNITS: Final = (
     (1e-3, "kN: name the columns load_left_kN, load_right_kN"),
@@ -97,72 +95,62 @@ _LOAD_UNITS: Final = (
 def implausible_loads(campaign: Campaign) -> Iterator[Note]:
     """Yield what no vehicle weighs: loads below zero, in another unit, or not those of its payload."""
     runs, vehicle = campaign.runs, campaign.vehicle
-    left, right = (runs.number(f"load_{side}_N") for side in SIDES)
-    negative = (left <= 0) | (right <= 0)
+    weighed = np.stack([runs.number(f"load_{side}_N") for side in SIDES])
+    computed = np.stack(loads_from_payload(vehicle, runs))
+    negative = (weighed <= 0).any(axis=0)
     if negative.any():
-        yield implausible_note(
-            "runs, columns load_left_N, load_right_N",
-            f"found loads of zero or less in {int(negative.sum())} run(s), as {np.nanmin([left, right]):.4g} N; "
-            "expected loads above zero, or the wheel would lift off; check payload and place, or the sign",
+        text = (
+            f"found loads of zero or less in {int(negative.sum())} run(s), as {np.nanmin(weighed):.4g} N; expected "
+            "more than 0, or the wheel lifts off; check payload and place, or the sign"
         )
-    computed = loads_from_payload(vehicle, runs)
-    expected = np.add(*computed)
-    unladen = 2 * vehicle.unladen_load_N
-    total = left + right
-    by_payload = np.isfinite(expected) & (expected > 0)
-    against = np.where(by_payload, expected, np.nan)
+        yield implausible_column(_LOADS, text)
+    total, expected = weighed.sum(axis=0), computed.sum(axis=0)
     good = np.isfinite(total) & (total > 0)
     if not stated(campaign, "vehicle.mass_kg") or not good.any():
         return
-    if (good & by_payload).sum() >= LEAST_RUNS:
-        ratios = total[good & by_payload] / against[good & by_payload]
+    by_payload = good & (expected > 0)
+    if by_payload.sum() >= LEAST_RUNS:
+        ratios, loads = (total / expected)[by_payload], expected[by_payload]
         # the lightest runs tell most of the vehicle's own mass, all of them most of the payload
-        lightest = against[good & by_payload] <= np.quantile(against[good & by_payload], 0.25)
-        ratio = max(
-            (float(np.median(part)) for part in (ratios, ratios[lightest])), key=lambda part: abs(math.log(part))
+        medians = [float(np.median(part)) for part in (ratios, ratios[loads <= np.quantile(loads, 0.25)])]
+        ratio = max(medians, key=lambda part: abs(math.log(part)))
+        if 0.4 <= ratio <= 2.5:
+            yield from _one_side(weighed, computed)
+            yield from _payload_weight(total, expected, by_payload)
+            yield from _swapped_loads(weighed, computed)
+        else:
+            yield _in_another_unit(_LOADS, ratio, "those of vehicle and payload")
+    elif vehicle.unladen_load_N > 0 and (ratio := float(total[good].min()) / (2 * vehicle.unladen_load_N)) < 0.3:
+        yield _in_another_unit(_LOADS, ratio, "that of the empty vehicle")
+    most = float(np.median(np.fmax(*weighed)[good]))
+    if most > 2 * vehicle.max_wheel_load_N:
+        text = (
+            f"found wheel loads of {most:.5g} N; {vehicle.max_wheel_load_N:g} N is permitted; are payloads or loads in "
+            "another unit (g, lb, kg in a column of N)?"
         )
-        wrong, what = not 0.4 <= ratio <= 2.5, "those of vehicle and payload"
-        if not wrong:
-            yield from _one_side((left, right), computed)
-            yield from _payload_weight(total, expected, good & by_payload)
-            yield from _swapped_loads((left, right), computed)
-    else:
-        ratio = float(np.min(total[good])) / unladen if unladen > 0 else 1.0
-        wrong, what = ratio < 0.3, "that of the empty vehicle"
-    if wrong:
-        hint = meaning(ratio, _LOAD_UNITS, 0.25)
-        yield implausible_note(
-            "runs, columns load_left_N, load_right_N",
-            f"the wheel loads are {ratio:.3g} times {what}; expected the same within a factor of 2; "
-            + (f"are they in {hint}?" if hint else "check their unit, mass_kg, cog_x_m and wheelbase_m"),
+        yield implausible_column(_LOADS, text)
+    place = float(np.nanmax(np.append(np.abs(runs.number("payload_x_m")), 0.0)))
+    if place > 5 * vehicle.wheelbase_m:
+        text = (
+            f"found {place:g} m with a wheelbase of {vehicle.wheelbase_m:g} m; expected a place on the vehicle; is it "
+            "in millimetres?"
         )
-    most = np.fmax(left, right)[good]
-    if np.median(most) > 2 * vehicle.max_wheel_load_N:
-        yield implausible_note(
-            "runs, columns load_left_N, load_right_N",
-            f"found wheel loads of {np.median(most):.5g} N; {vehicle.max_wheel_load_N:g} N is permitted; are payloads "
-            "or loads in another unit (g, lb, kg in a column of N)?",
-        )
-    place = np.abs(runs.number("payload_x_m"))
-    if np.nanmax(np.append(place, 0.0)) > 5 * vehicle.wheelbase_m:
-        yield implausible_note(
-            "runs, column payload_x_m",
-            f"found {np.nanmax(place):g} m with a wheelbase of {vehicle.wheelbase_m:g} m; expected a place on the "
-            "vehicle; is it in millimetres?",
-        )
+        yield implausible_column("payload_x_m", text)
 
 
-def _one_side(loads: tuple[FloatArray, FloatArray], computed: tuple[FloatArray, FloatArray]) -> Iterator[Note]:
-    for side, load, expected in zip(SIDES, loads, computed, strict=True):
-        good = np.isfinite(load) & (load > 0) & (expected > 0)
+def _in_another_unit(columns: str, ratio: float, what: str) -> Note:
+    hint = meaning(ratio, _LOAD_UNITS, 0.25)
+    hint = f"are they in {hint}?" if hint else "check their unit, mass_kg, cog_x_m and wheelbase_m"
+    text = f"the wheel loads are {ratio:.3g} times {what}; expected the same within a factor of 2; {hint}"
+    return implausible_column(columns, text)
+
+
+def _one_side(weighed: FloatArray, computed: FloatArray) -> Iterator[Note]:
+    for side, load, expected in zip(SIDES, weighed, computed, strict=True):
+        good = (load > 0) & (expected > 0)
         ratio = float(np.median(load[good] / expected[good])) if good.sum() >= LEAST_RUNS else 1.0
         if not 0.1 <= ratio <= 10:
-            hint = meaning(ratio, _LOAD_UNITS, 0.25)
-            yield implausible_note(
-                f"runs, column load_{side}_N",
-                f"the {side} wheel's load is {ratio:.3g} times that of vehicle and payload; expected the same within a "
-                "factor of 2; " + (f"is it in {hint}?" if hint else "check its unit"),
-            )
+            yield _in_another_unit(f"load_{side}_N", ratio, "those of vehicle and payload")
 
 
 def _payload_weight(total: FloatArray, expected: FloatArray, good: BoolArray) -> Iterator[Note]:
@@ -170,32 +158,28 @@ def _payload_weight(total: FloatArray, expected: FloatArray, good: BoolArray) ->
     x, y = expected[good], total[good]
     if np.ptp(x) < 0.2 * np.median(x):
         return
-    design = np.column_stack([x, np.ones(len(x))])
-    (slope, _), _, _, _ = np.linalg.lstsq(design, y, rcond=None)
-    rest = float(np.std(y - design @ np.linalg.lstsq(design, y, rcond=None)[0]))
+    slope, intercept = np.polyfit(x, y, 1)
+    unexplained = float(np.std(y - slope * x - intercept))
     ratio = 1 / float(slope) if slope > 0 else math.inf
     # only where the scales follow the payload closely, so that a unit and no mixture of places is the reason
-    if 1 / _MOST_PAYLOAD <= ratio <= _MOST_PAYLOAD or rest > 0.1 * float(np.std(y)):
+    if 1 / _MOST_PAYLOAD <= ratio <= _MOST_PAYLOAD or unexplained > 0.1 * float(np.std(y)):
         return
     hint = "is it in pounds?" if abs(ratio / 2.20462 - 1) < 0.1 else "check its unit and its place"
-    yield implausible_note(
-        "runs, column payload_kg",
+    text = (
         f"the payload adds {ratio:.3g} times what the weighed loads say; expected the same within "
-        f"{100 * (_MOST_PAYLOAD - 1):.0f} %; {hint}",
+        f"{100 * (_MOST_PAYLOAD - 1):.0f} %; {hint}"
     )
+    yield implausible_column("payload_kg", text)
 
 
-def _swapped_loads(loads: tuple[FloatArray, FloatArray], computed: tuple[FloatArray, FloatArray]) -> Iterator[Note]:
+def _swapped_loads(weighed: FloatArray, computed: FloatArray) -> Iterator[Note]:
     """Hold the side that carries more against the side on which the payload lies."""
-    weighed, expected = loads[0] - loads[1], computed[0] - computed[1]
-    good = np.isfinite(weighed) & np.isfinite(expected) & (np.abs(expected) > 0.1 * np.abs(computed[0] + computed[1]))
-    if good.sum() < LEAST_RUNS:
-        return
-    ratio = weighed[good] / expected[good]
-    if (ratio < -0.5).mean() > _AGREEING_SHARE:
-        yield implausible_note(
-            "runs, columns load_left_N, load_right_N",
-            f"in {int((ratio < -0.5).sum())} of {int(good.sum())} runs with the payload on one side the other wheel "
-            "carries more; expected the wheel beside it to; are the loads swapped, or is payload_y_m positive to the "
-            "right?",
+    found, expected = weighed[0] - weighed[1], computed[0] - computed[1]
+    good = np.isfinite(found) & (np.abs(expected) > 0.1 * np.abs(computed.sum(axis=0)))
+    opposite = found[good] / expected[good] < -0.5
+    if good.sum() >= LEAST_RUNS and opposite.mean() > MOST_OF_THE_RUNS:
+        text = (
+            f"in {int(opposite.sum())} of {int(good.sum())} runs with the payload on one side the other wheel carries "
+            "more; expected the wheel beside it to; are the loads swapped, or is payload_y_m positive to the right?"
         )
+        yield implausible_column(_LOADS, text)
