@@ -6,16 +6,18 @@ The cache holds one file of plain columns a log, under the hash of its content; 
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import os
 import sys
-import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import astuple, dataclass
 from functools import lru_cache
+from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -29,9 +31,6 @@ from calib.errors import BadFileError, CalibError
 from calib.io import sha256_file, write_bytes
 from calib.types import FloatArray, Progress, silent, stepped
 
-if TYPE_CHECKING:
-    from concurrent.futures import ThreadPoolExecutor
-
 #: environment variable: a folder for the cache, or ``off``
 CACHE: Final = "CALIB_CACHE"
 #: smaller campaigns are read in less time than it takes to ask
@@ -39,16 +38,18 @@ WORTH_BYTES: Final = 16 << 20
 #: the oldest files go where all together are larger than this
 MOST_BYTES: Final = 8 << 30
 #: what reads a log, whose change makes what was kept worthless
-_READ_BY: Final = ("columns.py", "log_reading.py", "logs_file.py", "readers/*.py")
-_MAGIC: Final = b"calib-log-cache\n"
+_READ_BY: Final = ("settings.py", "log_reading.py", "logs_file.py", "readers/*.py")
 
 
 @dataclass(frozen=True, slots=True)
 class ReadLog:
-    """A log as read: its columns by calib's names (read-only where they come from the cache), and what was said."""
+    """A log as read: its columns by calib's names and what was noted; or why it cannot be used."""
 
     columns: Mapping[str, FloatArray]
     notes: tuple[Note, ...]
+    #: hash of the file's bytes; empty where it cannot be read
+    sha256: str = ""
+    error: BadFileError | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,33 +72,24 @@ class LogCache:
         name = hashlib.sha256(what.encode("utf-8", "backslashreplace")).hexdigest()
         return self.folder / name[:2] / f"{name}.log"
 
-    def get(self, path: Path) -> ReadLog | None:
-        """Return what is kept at `path` (of `path_of`); None where there is nothing, or nothing whole."""
+    def get(self, path: Path, sha256: str) -> ReadLog | None:
+        """Return the log kept at `path` (of `path_of`); None where there is none, or none whole."""
         try:
-            data = path.read_bytes()
-            head_end = data.index(b"\n", len(_MAGIC))
-            if not data.startswith(_MAGIC):
-                return None
-            head = json.loads(data[len(_MAGIC) : head_end])
-            body = memoryview(data)[head_end + 1 :]
-            if zlib.crc32(body) != head["crc32"]:
-                return None
-            values = np.frombuffer(body, dtype="<f8").reshape(len(head["columns"]), -1)
-            notes = tuple(Note(*map(str, note)) for note in head["notes"])
-            columns = {str(name): row for name, row in zip(head["columns"], values, strict=True)}
-        except (OSError, ValueError, KeyError, TypeError):
+            with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as stored:
+                columns = dict(zip(map(str, stored["names"]), stored["values"], strict=True))
+                notes = tuple(Note(*map(str, note)) for note in stored["notes"])
+        except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile):
             return None
-        return ReadLog(columns, notes)
+        return ReadLog(columns, notes, sha256)
 
     def put(self, path: Path, log: ReadLog) -> None:
         """Keep a log at `path`; where that cannot be done it is read again the next time."""
-        values = np.ascontiguousarray(np.stack(list(log.columns.values())), dtype="<f8")
-        body = values.data.cast("B")
-        head = {"columns": list(log.columns), "notes": [astuple(note) for note in log.notes], "crc32": zlib.crc32(body)}
-        data = b"".join((_MAGIC, json.dumps(head).encode("utf-8"), b"\n", body))
+        data = io.BytesIO()
+        notes = np.asarray([astuple(note) for note in log.notes], dtype=np.str_)
+        np.savez(data, names=list(log.columns), values=np.stack(list(log.columns.values())), notes=notes)
         with suppress(CalibError, OSError):
             path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-            write_bytes(path, data, force=True)
+            write_bytes(path, data.getvalue(), force=True)
 
     def trim(self, most_bytes: int = MOST_BYTES) -> None:
         """Remove the oldest files until all together are at most `most_bytes`."""
@@ -148,49 +140,15 @@ def _read_by() -> str:
     return digest.hexdigest()
 
 
-#: parsers and hashes let go of the interpreter; beyond some threads what they hold it for is all that is left
+#: parsers and hashes release the interpreter; beyond some threads what holds it is all that is left
 MOST_THREADS: Final = 8
 #: fewer logs are read sooner than threads are started
 MANY: Final = 8
-#: and smaller ones, too: threads that take turns with the interpreter cost more there than a second core gives
+#: smaller logs are parsed some at a time as one, by two threads: what holds the interpreter would block more of them
 LARGE_BYTES: Final = 512 << 10
-#: small logs that are parsed as one
 TOGETHER: Final = 16
 #: where all of them are fewer bytes, each is read by numpy before what parses many as one is imported
 MANY_BYTES: Final = 16 << 20
-
-
-@dataclass(frozen=True, slots=True)
-class _Content:
-    """The hash of a file's bytes, empty where it cannot be read, and the state of the file before it was read."""
-
-    sha256: str
-    state: tuple[int, ...]
-
-
-def _content(path: Path) -> _Content:
-    state = _state(path)
-    with suppress(OSError):
-        return _Content(sha256_file(path), state)
-    return _Content("", state)
-
-
-def _state(path: Path) -> tuple[int, ...]:
-    """Return inode, size and times of the last change of a file: any writing to it changes them; empty without it."""
-    with suppress(OSError):
-        status = path.stat()
-        return status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns
-    return ()
-
-
-@dataclass(frozen=True, slots=True)
-class _Outcome:
-    """What came of reading a log: its columns or the error, what was said on the way, and the hash of its bytes."""
-
-    columns: dict[str, FloatArray]
-    notes: tuple[Note, ...]
-    sha256: str
-    error: BadFileError | None = None
 
 
 def read_logs(
@@ -228,77 +186,42 @@ def read_logs(
     """
     stack = LogStack(n_runs)
     hashes: dict[str, str] = {}
-    for (index, run_id, _, name), outcome in zip(
-        stepped(files, progress, "logs"), _outcomes(files, renames), strict=True
-    ):
-        border.notes.extend(outcome.notes)
-        if outcome.sha256:
-            hashes[name] = outcome.sha256
-        if outcome.error is None:
-            stack.add(index, outcome.columns)
+    for (index, run_id, _, name), log in zip(stepped(files, progress, "logs"), _read_all(files, renames), strict=True):
+        border.notes.extend(log.notes)
+        if log.sha256:
+            hashes[name] = log.sha256
+        if log.error is None:
+            stack.add(index, log.columns)
         else:
-            border.fault(outcome.error, "unreadable_log", run_id)
+            border.fault(log.error, "unreadable_log", run_id)
     names = {index: (run_id, name) for index, run_id, _, name in files}
     return stack.finished(encoder, names, border), hashes
 
 
-def _outcomes(files: Sequence[LogFile], renames: Renames | None) -> Iterator[_Outcome]:
-    """Yield what came of each log, in their order."""
-    n_bytes = _bytes(files)
-    cache = log_cache(n_bytes)
-    reader = _Reader(renames, cache, together=n_bytes >= MANY_BYTES or n_bytes > NUMPY_BYTES * len(files))
-    threads = min(MOST_THREADS, _processors()) if reader.together and len(files) >= MANY else 1
-    stored = 0
-    for outcome, new in (_small if n_bytes < LARGE_BYTES * len(files) else _large)(reader, files, threads):
-        stored += new
-        yield outcome
-    if cache is not None and stored:
-        cache.trim()
-
-
-def _small(reader: _Reader, files: Sequence[LogFile], threads: int) -> Iterator[tuple[_Outcome, bool]]:
-    """Read small logs, some at a time as one, which needs the interpreter for a part of the time only."""
-    batches = [files[first : first + TOGETHER] for first in range(0, len(files), TOGETHER)]
-
-    def read(batch: Sequence[LogFile]) -> list[tuple[_Outcome, bool]]:
-        return reader.read(batch)
-
-    with _pool(min(threads, 2) if threads > 1 else 0) as pool:
-        for outcomes in pool.map(read, batches) if pool else map(read, batches):
-            yield from outcomes
-
-
-def _large(reader: _Reader, files: Sequence[LogFile], threads: int) -> Iterator[tuple[_Outcome, bool]]:
-    """Read large logs one by one, several threads at once."""
-
-    def read(file: LogFile) -> tuple[_Outcome, bool]:
-        return reader.read([file])[0]
-
-    with _pool(threads if threads > 1 else 0) as pool:
-        yield from pool.map(read, files) if pool else map(read, files)
-
-
-@contextmanager
-def _pool(threads: int) -> Iterator[ThreadPoolExecutor | None]:
-    """Give so many threads, None where that is none; what they have not begun is not begun any more at the end."""
-    if not threads:
-        yield None
-        return
-    from concurrent.futures import ThreadPoolExecutor
-
-    pool = ThreadPoolExecutor(threads)
-    try:
-        yield pool
-    finally:
-        pool.shutdown(cancel_futures=True)
-
-
-def _bytes(files: Sequence[LogFile]) -> int:
-    total = 0
+def _read_all(files: Sequence[LogFile], renames: Renames | None) -> Iterator[ReadLog]:
+    """Yield the logs in their order."""
+    n_bytes = 0
     for _, _, path, _ in files:
         with suppress(OSError):
-            total += path.stat().st_size
-    return total
+            n_bytes += path.stat().st_size
+    cache, large = log_cache(n_bytes), n_bytes >= LARGE_BYTES * len(files)
+    together = n_bytes >= MANY_BYTES or n_bytes > NUMPY_BYTES * len(files)
+    reader = _Reader(renames, cache, together=together)
+    size = 1 if large else TOGETHER
+    batches = [files[first : first + size] for first in range(0, len(files), size)]
+    threads = min(MOST_THREADS if large else 2, _processors()) if together and len(files) >= MANY else 1
+    if threads == 1:
+        yield from chain.from_iterable(map(reader.read, batches))
+    else:
+        from concurrent.futures import ThreadPoolExecutor
+
+        pool = ThreadPoolExecutor(threads)
+        try:
+            yield from chain.from_iterable(pool.map(reader.read, batches))
+        finally:
+            pool.shutdown(cancel_futures=True)
+    if cache is not None:
+        cache.trim()
 
 
 @dataclass(frozen=True, slots=True)
@@ -310,47 +233,57 @@ class _Reader:
     #: parse small logs as one
     together: bool
 
-    def read(self, files: Sequence[LogFile]) -> list[tuple[_Outcome, bool]]:
-        """Return what came of each of some logs, and whether it was put into the cache."""
-        contents = [_content(path) for _, _, path, _ in files]
-        places = [self._place(file, content) for file, content in zip(files, contents, strict=True)]
-        kept = [None if self.cache is None or place is None else self.cache.get(place) for place in places]
-        anew = [number for number, log in enumerate(kept) if log is None]
+    def read(self, files: Sequence[LogFile]) -> list[ReadLog]:
+        """Return some logs, from the cache where it has them."""
+        states = [_state(path) for _, _, path, _ in files]
+        hashes = [_sha256(path) for _, _, path, _ in files]
+        places = [self._place(name, sha256) for (_, _, _, name), sha256 in zip(files, hashes, strict=True)]
+        logs = {
+            number: log
+            for number, place in enumerate(places)
+            if self.cache is not None and place is not None and (log := self.cache.get(place, hashes[number]))
+        }
+        new = [number for number in range(len(files)) if number not in logs]
         raws: dict[int, RawTable | None] = {}
         # an odd log may have asked for the parser of many already
-        if (self.together or "pandas" in sys.modules) and len(anew) > 1:
-            plain = [(files[number][2], files[number][3]) for number in anew]
-            raws = dict(zip(anew, read_batch(plain, wanted_in_log(self.renames)), strict=True))
-        outcomes = []
-        for number, (file, content, place, log) in enumerate(zip(files, contents, places, kept, strict=True)):
-            if log is not None:
-                outcomes.append((_Outcome(dict(log.columns), log.notes, content.sha256), False))
-            else:
-                outcomes.append(self._parsed(file, content, place, raws.get(number)))
-        return outcomes
+        if (self.together or "pandas" in sys.modules) and len(new) > 1:
+            plain = [(files[number][2], files[number][3]) for number in new]
+            raws = dict(zip(new, read_batch(plain, wanted_in_log(self.renames)), strict=True))
+        for number in new:
+            logs[number] = log = self._parsed(files[number], hashes[number], raws.get(number))
+            if _state(files[number][2]) != states[number]:
+                # a file that changed while it was read is neither kept nor named under the hash of what it was
+                logs[number] = ReadLog(log.columns, log.notes, _sha256(files[number][2]), log.error)
+            elif self.cache is not None and (place := places[number]) is not None and log.error is None:
+                self.cache.put(place, log)
+        return [logs[number] for number in range(len(files))]
 
-    def _place(self, file: LogFile, content: _Content) -> Path | None:
-        if self.cache is None or not content.sha256:
+    def _place(self, name: str, sha256: str) -> Path | None:
+        if self.cache is None or not sha256:
             return None
-        return self.cache.path_of(content.sha256, [file[3], sorted((self.renames or {}).items())])
+        return self.cache.path_of(sha256, [name, sorted((self.renames or {}).items())])
 
-    def _parsed(
-        self, file: LogFile, content: _Content, place: Path | None, raw: RawTable | None
-    ) -> tuple[_Outcome, bool]:
-        _, _, path, name = file
+    def _parsed(self, file: LogFile, sha256: str, raw: RawTable | None) -> ReadLog:
         own = Border(lenient=False)
         try:
-            columns = read_log(path, name, own, self.renames, raw=raw)
+            columns = read_log(file[2], file[3], own, self.renames, raw=raw)
         except BadFileError as error:
-            return _Outcome({}, tuple(own.notes), content.sha256, error), False
-        notes = tuple(own.notes)
-        if not content.sha256 or _state(path) != content.state:
-            # a file that changed while it was read is neither kept nor named under the hash of what it was
-            return _Outcome(columns, notes, _content(path).sha256), False
-        if self.cache is None or place is None:
-            return _Outcome(columns, notes, content.sha256), False
-        self.cache.put(place, ReadLog(columns, notes))
-        return _Outcome(columns, notes, content.sha256), True
+            return ReadLog({}, tuple(own.notes), sha256, error)
+        return ReadLog(columns, tuple(own.notes), sha256)
+
+
+def _sha256(path: Path) -> str:
+    with suppress(OSError):
+        return sha256_file(path)
+    return ""
+
+
+def _state(path: Path) -> tuple[int, ...]:
+    """Return inode, size and times of the last change of a file: any writing to it changes them; empty without it."""
+    with suppress(OSError):
+        status = path.stat()
+        return status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns
+    return ()
 
 
 def _processors() -> int:
