@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -30,11 +30,14 @@ def log_files(folder: Path, runs: RunTable, shown: str, border: Border) -> list[
     where a path leads out of the folder, or, for a border that is not lenient, at the first fault.
     """
     plain = _plain_logs(folder)
-    named = "log" in runs.labels
     files: list[LogFile] = []
     taken: dict[Path, int] = {}
+
+    def fault(found: str, expected: str, remedy: str, row: int) -> BadFileError:
+        return BadFileError(shown, found, expected, remedy, row=row, column="log")
+
     for index, (run_id, row) in enumerate(zip(map(str, runs.run_id), map(int, runs.line), strict=True)):
-        if named:
+        if "log" in runs.labels:
             relative = str(runs.labels["log"][index])
         else:
             # a run id that is no plain file name has no log of that name
@@ -42,20 +45,17 @@ def log_files(folder: Path, runs: RunTable, shown: str, border: Border) -> list[
             relative = next((name for name in candidates if name in plain or (folder / name).exists()), "")
         if not relative:
             continue
-        place: dict[str, Any] = {"row": row, "column": "log"}
         if len(relative) > _MAX_PATH:
-            length = f"a path of {len(relative)} characters"
-            raise BadFileError(shown, length, f"at most {_MAX_PATH}", "correct the path", **place)
+            raise fault(f"a path of {len(relative)} characters", f"at most {_MAX_PATH}", "correct the path", row)
         path = plain.get(relative) or inside(folder, relative, named_in=shown, row=row, column="log")
         if path in taken:
             twice = f"{relative}, which row {taken[path]} names too"
-            fault = BadFileError(shown, twice, "a log of its own for each run", "correct the path", **place)
-            border.fault(fault, "shared_log", run_id)
+            border.fault(fault(twice, "a log of its own for each run", "correct the path", row), "shared_log", run_id)
         taken.setdefault(path, row)
         if relative not in plain and not _is_file(path):
             missing = f"{relative}, which is {'a folder' if path.is_dir() else 'not there'}"
-            fault = BadFileError(shown, missing, "a log file", "put the file there, or leave the cell empty", **place)
-            border.fault(fault, "missing_log", run_id)
+            remedy = "put the file there, or leave the cell empty"
+            border.fault(fault(missing, "a log file", remedy, row), "missing_log", run_id)
             continue
         files.append((index, run_id, path, relative))
     return files
@@ -142,7 +142,7 @@ def read_log(
         columns[match.name] = converted(cells, factor, match.offset)
     refuse_incomplete(columns, shown, raw.line)
     if not len(raw.line):
-        raise BadFileError(shown, found="no rows", expected="one row a sample", remedy="export the log again")
+        raise BadFileError(shown, "no rows", "one row a sample", "export the log again")
     if abs(start := float(columns["t_s"][0])) > 1.0:
         border.say(shown, f"times count from the first sample, which stood at {start:.10g} s", "start_time")
         columns["t_s"] = columns["t_s"] - start
@@ -175,25 +175,11 @@ def refuse_incomplete(columns: Mapping[str, FloatArray], shown: str, line: IntAr
     wheels = max(WHEEL_SETS, key=lambda names: sum(name in columns for name in names) / len(names))
     for name in ("t_s", *wheels):
         if name not in columns:
-            others = " or ".join(" and ".join(names) for names in WHEEL_SETS)
-            raise BadFileError(
-                shown,
-                row=1,
-                column=name,
-                found="no such column",
-                expected=f"t_s with {others}",
-                remedy="name the columns so in the header line; a unit may differ if it is named (t_ms)",
-            )
+            expected = f"t_s with {' or '.join(' and '.join(names) for names in WHEEL_SETS)}"
+            remedy = "name the columns so in the header line; a unit may differ if it is named (t_ms)"
+            raise BadFileError(shown, "no such column", expected, remedy, row=1, column=name)
         # the sum of a column without a gap is a number: one pass
-        if not np.isnan(columns[name].sum()):
-            continue
-        gaps = np.flatnonzero(np.isnan(columns[name]))
-        if len(gaps):
-            raise BadFileError(
-                shown,
-                row=int(line[gaps[0]]),
-                column=name,
-                found="an empty cell",
-                expected="a number in every row",
-                remedy="remove the row; a gap in time is found and said",
-            )
+        if np.isnan(columns[name].sum()) and len(gaps := np.flatnonzero(np.isnan(columns[name]))):
+            remedy = "remove the row; a gap in time is found and said"
+            row = int(line[gaps[0]])
+            raise BadFileError(shown, "an empty cell", "a number in every row", remedy, row=row, column=name)

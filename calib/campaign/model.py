@@ -8,13 +8,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from html import escape
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from calib.campaign.settings import Encoder, Odometry, OdometryModel, Rangefinder, Reference
+from calib.campaign.settings import WHEEL_LOADS, Encoder, Odometry, OdometryModel, Rangefinder, Reference
 from calib.errors import BadFileError, BadInputError
 from calib.types import BoolArray, FloatArray, IntArray, StrArray
 from calib.vehicle import Vehicle
@@ -25,72 +26,33 @@ if TYPE_CHECKING:
 #: text columns of ``runs.csv``
 LABEL_COLUMNS: Final = ("run_id", "session", "kind", "direction", "loop", "log", "exclusion_reason")
 
+#: columns of tables and logs: a pose by the reference, and by an outside simulator
+REFERENCE_POSE: Final = ("ref_x_m", "ref_y_m", "ref_theta_rad")
+SIMULATED_POSE: Final = ("sim_x_m", "sim_y_m", "sim_theta_rad")
+
 #: numeric columns of ``runs.csv`` that have a meaning of their own; any further numeric column is a covariate
 NUMERIC_COLUMNS: Final = (
-    "payload_kg",
-    "payload_x_m",
-    "payload_y_m",
-    "load_left_N",
-    "load_right_N",
-    "speed_mps",
-    "temperature_C",
-    "minutes_under_load",
-    "distance_m",
-    "counts_left",
-    "counts_right",
-    "amplitude_m",
-    "wavelength_m",
-    "ref_x_m",
-    "ref_y_m",
-    "ref_theta_rad",
-    "gyro_theta_rad",
-    "gyro_sigma_rad",
-    "sim_x_m",
-    "sim_y_m",
-    "sim_theta_rad",
-    "sim_distance_m",
-)
-
-#: columns of a log; ``t_s`` and one of `WHEEL_SETS` are required
-LOG_COLUMNS: Final = (
-    "t_s",
-    "counts_left",
-    "counts_right",
-    "steer_rad",
-    "counts_front",
-    "counts_front_left",
-    "counts_front_right",
-    "counts_rear_left",
-    "counts_rear_right",
-    "counts_rear",
-    "speed_left_mps",
-    "speed_right_mps",
-    "speed_rear_mps",
-    "v_mps",
-    "omega_radps",
-    "gyro_z_radps",
-    "range_m",
-    "ref_x_m",
-    "ref_y_m",
-    "ref_theta_rad",
-    "sim_x_m",
-    "sim_y_m",
-    "sim_theta_rad",
-    "load_left_N",
-    "load_right_N",
+    *("payload_kg", "payload_x_m", "payload_y_m", *WHEEL_LOADS),
+    *("speed_mps", "temperature_C", "minutes_under_load"),
+    *("distance_m", "counts_left", "counts_right", "amplitude_m", "wavelength_m"),
+    *(*REFERENCE_POSE, "gyro_theta_rad", "gyro_sigma_rad", *SIMULATED_POSE, "sim_distance_m"),
 )
 
 #: what a log needs of the wheels: both rear wheels, or the driven front wheel and its steering, or four (mecanum), or
 #: the rear axle and the steering (Ackermann); each of the rear as counts or as speeds
 WHEEL_SETS: Final = (
     ("counts_left", "counts_right"),
-    ("counts_front", "steer_rad"),
+    ("steer_rad", "counts_front"),
     ("counts_front_left", "counts_front_right", "counts_rear_left", "counts_rear_right"),
-    ("counts_rear", "steer_rad"),
+    ("steer_rad", "counts_rear"),
     ("speed_left_mps", "speed_right_mps"),
+    ("steer_rad", "speed_rear_mps"),
     ("v_mps", "omega_radps"),
-    ("speed_rear_mps", "steer_rad"),
 )
+_WHEEL_COLUMNS: Final = dict.fromkeys(chain.from_iterable(WHEEL_SETS))
+
+#: columns of a log; ``t_s`` and one of `WHEEL_SETS` are required
+LOG_COLUMNS: Final = ("t_s", *_WHEEL_COLUMNS, "gyro_z_radps", "range_m", *REFERENCE_POSE, *SIMULATED_POSE, *WHEEL_LOADS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,14 +100,8 @@ class Border:
         """Raise `error`, or keep it where the reading is lenient."""
         if not self.lenient:
             raise error
-        where = error.path
-        if error.row is not None:
-            where += f", row {error.row}"
-        if error.column is not None:
-            where += f", column {error.column}"
-        self.say(
-            where, f"found {error.found}; expected {error.expected}; {error.remedy}", code, level="wrong", run_id=run_id
-        )
+        where, _, text = str(error).partition(": found ")
+        self.say(where, f"found {text}", code, level="wrong", run_id=run_id)
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -17,16 +16,17 @@ from calib.campaign.model import Border, Campaign, Logs, RunTable
 from calib.campaign.readers import READERS, is_bag_folder, read_table
 from calib.campaign.references import with_references
 from calib.campaign.runs_file import run_table
-from calib.campaign.settings_file import Settings, read_settings
+from calib.campaign.settings_file import read_settings
 from calib.campaign.wheels import SPEEDS, with_counts
 from calib.errors import BadFileError, BadInputError
 from calib.io import inside, settle, sha256_file
-from calib.types import BoolArray, FloatArray, Progress, silent
+from calib.types import FloatArray, Progress, silent
 from calib.vehicle import Vehicle, wheel_loads_N
 
 SETTINGS: Final = "campaign.toml"
 #: counts that a total and the log of the same run may differ by, since they are not read at the same instant
 _SAME_COUNTS: Final = 50.0
+_COUNTS: Final = ("counts_left", "counts_right")
 
 
 def read_campaign(folder: Path, *, logs: bool = True, lenient: bool = False, progress: Progress = silent) -> Campaign:
@@ -64,10 +64,8 @@ def read_campaign(folder: Path, *, logs: bool = True, lenient: bool = False, pro
         hashes |= of_logs
         if found_logs.columns.keys() & set(SPEEDS):
             found_logs = with_counts(found_logs, settings.encoder, settings.vehicle, border)
-    numbers = _filled_from_logs(runs, found_logs, shown, border)
-    numbers = _totals_unwrapped(runs, numbers, found_logs, settings, shown, border)
-    numbers = _filled_loads(settings.vehicle, runs, numbers, shown, border)
-    campaign = settings.campaign(replace(runs, numbers=numbers), found_logs, root=folder, hashes=hashes)
+    campaign = settings.campaign(runs, found_logs, root=folder, hashes=hashes)
+    campaign = _completed(campaign, shown, border)
     campaign = with_references(campaign, shown, border)
     return replace(campaign, notes=tuple(border.notes))
 
@@ -101,109 +99,76 @@ def _say_look_alikes(folder: Path, shown: str, border: Border) -> None:
     for name in sorted(entry.name for entry in folder.iterdir()):
         meant = shown if name.casefold() in tables else SETTINGS if name.casefold() == SETTINGS else ""
         if meant and name not in (shown, SETTINGS):
-            border.say(
-                name,
-                f"found beside {meant}, which is read; this is not; remove one of them",
-                "look_alike",
-                level="suspicious",
-            )
+            text = f"found beside {meant}, which is read; this is not; remove one of them"
+            border.say(name, text, "look_alike", level="suspicious")
 
 
-def _filled_from_logs(runs: RunTable, logs: Logs, shown: str, border: Border) -> dict[str, FloatArray]:
-    """Fill counts and distance that the table lacks from the logs' last samples."""
+def _completed(campaign: Campaign, shown: str, border: Border) -> Campaign:
+    """Return the campaign with what its run table lacks: from the logs' last samples, and loads from the payload."""
+    runs, logs = campaign.runs, campaign.logs
     numbers = dict(runs.numbers)
-    present = logs.present
-    if not present.any():
-        return numbers
-    first, last = logs.offsets[:-1][present], logs.offsets[1:][present] - 1
-    for name, source in (
-        ("counts_left", "counts_left"),
-        ("counts_right", "counts_right"),
-        ("distance_m", "range_m"),
-    ):
-        log = logs.columns.get(source)
-        if log is None:
-            continue
-        total = np.full(len(runs), np.nan)
-        total[present] = log[last] - log[first] if source != "range_m" else log[last]
-        column = runs.number(name)
-        fill = np.isnan(column) & ~np.isnan(total)
-        if fill.any():
-            numbers[name] = np.where(fill, total, column)
-            border.say(f"{shown}, column {name}", f"{int(fill.sum())} run(s) filled from the log's {source}", "filled")
-    return numbers
+
+    def fill(name: str, values: FloatArray, how: str, code: str) -> None:
+        column = numbers.get(name, np.full(len(runs), np.nan))
+        empty = np.isnan(column) & ~np.isnan(values)
+        if empty.any():
+            numbers[name] = np.where(empty, values, column)
+            border.say(f"{shown}, column {name}", f"{int(empty.sum())} run(s) {how}", code)
+
+    for name in _COUNTS:
+        fill(name, log_totals(logs, name), f"filled from the log's {name}", "filled")
+    fill("distance_m", _last(logs, "range_m"), "filled from the log's range_m", "filled")
+    campaign = replace(campaign, runs=replace(runs, numbers=numbers))
+    for name in _COUNTS:
+        if name in numbers:
+            numbers[name] = _unwrapped(campaign, name, shown, border)
+    if "payload_kg" in numbers:
+        how = "computed from the payload by the static wheel loads"
+        for name, load in zip(("load_left_N", "load_right_N"), loads_from_payload(campaign.vehicle, runs), strict=True):
+            fill(name, load, how, "computed_load")
+    return replace(campaign, runs=replace(runs, numbers=numbers))
 
 
-def _totals_unwrapped(
-    runs: RunTable,
-    numbers: Mapping[str, FloatArray],
-    logs: Logs,
-    settings: Settings,
-    shown: str,
-    border: Border,
-) -> dict[str, FloatArray]:
+def _unwrapped(campaign: Campaign, name: str, shown: str, border: Border) -> FloatArray:
     """Undo overflows of the table's totals: against the log, or against the distance where the width is given."""
-    out = dict(numbers)
-    for side, per_rev in (
-        ("left", settings.encoder.counts_per_rev_left),
-        ("right", settings.encoder.counts_per_rev_right),
-    ):
-        name = f"counts_{side}"
-        if name not in numbers:
-            continue
-        total = numbers[name]
-        logged = log_totals(logs, name)
-        radius = settings.vehicle.wheel_radius_m
-        driven = numbers.get("distance_m", np.full(len(runs), np.nan)) / (2 * np.pi * radius) * per_rev
-        for bits in (settings.encoder.wrap_bits,) if settings.encoder.wrap_bits else (16, 32):
-            full = 2.0**bits
-            inside_span: BoolArray = np.abs(total) < full
-            turns = rewrap_total(total, logged, bits, np.full(len(runs), _SAME_COUNTS))
-            if settings.encoder.wrap_bits:
-                by_distance = rewrap_total(total, driven, bits, np.minimum(0.05 * np.abs(driven), full / 4))
-                turns = np.where(np.isnan(logged), by_distance, turns)
-            turns = np.where(inside_span & np.isfinite(turns), turns, 0.0)
-            if turns.any():
-                out[name] = total + turns * full
-                for index in np.flatnonzero(turns):
-                    border.say(
-                        f"{shown}, row {runs.line[index]}, column {name}",
-                        f"{total[index]:.0f} is the rest of {abs(turns[index]):.0f} overflow(s) of a {bits}-bit "
-                        f"counter; {out[name][index]:.0f} is used",
-                        "wrapped_total",
-                        run_id=str(runs.run_id[index]),
-                    )
-                break
-    return out
+    runs, encoder = campaign.runs, campaign.encoder
+    total, logged = runs.number(name), log_totals(campaign.logs, name)
+    per_rev = encoder.counts_per_rev_left if name == _COUNTS[0] else encoder.counts_per_rev_right
+    driven = runs.number("distance_m") / (2 * np.pi * campaign.vehicle.wheel_radius_m) * per_rev
+    for bits in (encoder.wrap_bits,) if encoder.wrap_bits else (16, 32):
+        full = 2.0**bits
+        turns = rewrap_total(total, logged, bits, np.full(len(runs), _SAME_COUNTS))
+        if encoder.wrap_bits:
+            by_distance = rewrap_total(total, driven, bits, np.minimum(0.05 * np.abs(driven), full / 4))
+            turns = np.where(np.isnan(logged), by_distance, turns)
+        turns = np.where(np.abs(total) < full, turns, 0.0)
+        if turns.any():
+            whole = total + turns * full
+            for run in np.flatnonzero(turns):
+                text = (
+                    f"{total[run]:.0f} is the remainder of {abs(turns[run]):.0f} overflow(s) of a {bits}-bit counter; "
+                    f"{whole[run]:.0f} is used"
+                )
+                where = f"{shown}, row {runs.line[run]}, column {name}"
+                border.say(where, text, "wrapped_total", run_id=str(runs.run_id[run]))
+            return np.asarray(whole)
+    return total
 
 
 def log_totals(logs: Logs, name: str) -> FloatArray:
     """Return last minus first of a log column for each run, shape (n_runs,); NaN where there is none."""
-    total = np.full(len(logs.lengths), np.nan)
-    column = logs.columns.get(name)
-    present = logs.present
-    if column is not None and present.any():
-        total[present] = column[logs.offsets[1:][present] - 1] - column[logs.offsets[:-1][present]]
-    return total
+    first = np.full(len(logs.lengths), np.nan)
+    if name in logs.columns and logs.present.any():
+        first[logs.present] = logs.columns[name][logs.offsets[:-1][logs.present]]
+    return np.asarray(_last(logs, name) - first)
 
 
-def _filled_loads(
-    vehicle: Vehicle, runs: RunTable, numbers: Mapping[str, FloatArray], shown: str, border: Border
-) -> dict[str, FloatArray]:
-    out = dict(numbers)
-    if "payload_kg" not in numbers:
-        return out
-    for name, computed in zip(("load_left_N", "load_right_N"), loads_from_payload(vehicle, runs), strict=True):
-        column = numbers.get(name, np.full(len(runs), np.nan))
-        fill = np.isnan(column) & ~np.isnan(computed)
-        if fill.any():
-            out[name] = np.where(fill, computed, column)
-            border.say(
-                f"{shown}, column {name}",
-                f"{int(fill.sum())} run(s) computed from the payload by the static wheel loads",
-                "computed_load",
-            )
-    return out
+def _last(logs: Logs, name: str) -> FloatArray:
+    """Return the last value of a log column for each run, shape (n_runs,); NaN where there is none."""
+    last = np.full(len(logs.lengths), np.nan)
+    if name in logs.columns and logs.present.any():
+        last[logs.present] = logs.columns[name][logs.offsets[1:][logs.present] - 1]
+    return last
 
 
 def read_or_ingest(
@@ -221,13 +186,12 @@ def read_or_ingest(
     used.
     """
     path = Path(path)
-    if path.is_dir() and not is_bag_folder(path) and ((path / SETTINGS).exists() or mapping is None):
-        if mapping is not None:
-            raise BadInputError(
-                f"{path}: found a campaign and a mapping; expected a mapping only with a recording; leave it out"
-            )
-        return read_campaign(path, lenient=lenient, progress=progress)
-    if not path.exists():
+    is_campaign = path.is_dir() and not is_bag_folder(path) and ((path / SETTINGS).exists() or mapping is None)
+    if is_campaign and mapping is not None:
+        raise BadInputError(
+            f"{path}: found a campaign and a mapping; expected a mapping only with a recording; leave it out"
+        )
+    if is_campaign or not path.exists():
         return read_campaign(path, lenient=lenient, progress=progress)
     from calib.campaign.ingest.build import ingest
 

@@ -119,11 +119,10 @@ def bias_of(campaign: Campaign, run: int) -> Bias | None:
 def _turn(log: dict[str, FloatArray], bias: Bias, more_radps: float) -> tuple[float, float]:
     """Return the turn of a run and its standard uncertainty: of the samples' noise, and of the bias over the run."""
     t_s, rate = log["t_s"], log[GYRO] - bias.radps
-    step = np.diff(t_s)
-    turn = float(np.sum(0.5 * (rate[1:] + rate[:-1]) * step))
-    duration = float(t_s[-1] - t_s[0])
-    noise = bias.sample_std_radps * float(np.sqrt(np.sum(step**2)))
-    return turn, float(np.hypot(noise, np.hypot(bias.std_radps, more_radps) * duration))
+    duration = t_s[-1] - t_s[0]
+    noise = bias.sample_std_radps * np.linalg.norm(np.diff(t_s))
+    sigma = np.hypot(noise, np.hypot(bias.std_radps, more_radps) * duration)
+    return float(np.trapezoid(rate, t_s)), float(sigma)
 
 
 def _with_closed_loops(campaign: Campaign, shown: str, border: Border) -> Campaign:

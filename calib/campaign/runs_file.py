@@ -12,25 +12,16 @@ import numpy.typing as npt
 
 from calib.campaign.model import LABEL_COLUMNS, NUMERIC_COLUMNS, Border, RunTable
 from calib.campaign.readers.table import RawTable, comma_evidence, mixed_decimal_marks, numbers
-from calib.campaign.settings import Recognised, converted, look_alike, recognise
+from calib.campaign.settings import Recognised, converted, look_alike, recognise, second_column
 from calib.errors import BadFileError
 from calib.limits import LABEL_CHARACTERS, RUNS, refuse_beyond
-from calib.types import BoolArray, FloatArray, StrArray
+from calib.types import BoolArray, FloatArray, IntArray, StrArray
 
 _KNOWN: Final = (*LABEL_COLUMNS, *NUMERIC_COLUMNS, "excluded")
 #: names of rows that sum up the others
 _SUMMARY_NAMES: Final = (
-    "mean",
-    "average",
-    "avg",
-    "sum",
-    "total",
-    "std",
-    "mittel",
-    "mittelwert",
-    "summe",
-    "moyenne",
-    "media",
+    *("mean", "average", "avg", "sum", "total", "std"),
+    *("mittel", "mittelwert", "summe", "moyenne", "media"),
 )
 #: columns whose mean or sum, to the whole count, no run has by chance in both
 _COUNTED: Final = ("counts_left", "counts_right")
@@ -39,8 +30,11 @@ _LEAST_COUNTED: Final = 2
 _LEAST_SPREAD: Final = 5.0
 #: of two runs each is the sum of the others where they are alike
 _LEAST_ROWS: Final = 4
-#: ways along a corridor
-DIRECTIONS: Final = ("out", "back")
+#: label -> what it may be, since checks and end poses rest on it, and what to do about another word
+_CHOICES: Final = {
+    "direction": (("out", "back"), 'map it when ingesting: direction = {column = "...", values = {"..." = "out"}}'),
+    "loop": (("closed", "open"), "write closed where the vehicle ended on its mark"),
+}
 _TRUE: Final = frozenset({"true", "1", "1.0", "yes", "y", "x"})
 _FALSE: Final = frozenset({"false", "0", "0.0", "no", "n", "", "-"})
 
@@ -66,15 +60,20 @@ def run_table(raw: RawTable, shown: str, border: Border) -> RunTable:
         name: _texts(raw.columns[matched[name].found], name, shown, line) for name in LABEL_COLUMNS if name in matched
     }
     _check_run_ids(labels["run_id"], line, shown, border)
-    if "direction" in labels:
-        labels["direction"] = _directions(labels["direction"], labels["run_id"], line, shown, border)
-    if "loop" in labels:
-        labels["loop"] = _loops(labels["loop"], labels["run_id"], line, shown, border)
+    for name, (allowed, remedy) in _CHOICES.items():
+        if name in labels:
+            labels[name] = np.char.lower(labels[name])
+            for row in np.flatnonzero(~np.isin(labels[name], ("", *allowed))):
+                expected = f"{' or '.join(allowed)}, or an empty cell"
+                found = repr(str(labels[name][row])[:40])
+                fault = BadFileError(shown, found, expected, remedy, row=int(line[row]), column=name)
+                border.fault(fault, name, str(labels["run_id"][row]))
     if "session" in labels:
         labels["session"] = _sessions(labels["session"], shown, border)
-    excluded = _flags(raw.columns[matched["excluded"].found], shown, line) if "excluded" in matched else None
+    excluded = np.zeros(len(line), dtype=np.bool_)
+    if "excluded" in matched:
+        excluded = _flags(raw.columns[matched["excluded"].found], shown, line)
     numbers_of_runs = _numbers(raw, matched, shown, border)
-    excluded = np.zeros(len(line), dtype=np.bool_) if excluded is None else excluded
     summary = _summaries(labels["run_id"], numbers_of_runs, ~excluded)
     for row in np.flatnonzero(summary):
         text = f"{str(labels['run_id'][row])!r} is the mean or sum of other rows and no run; it is not used, remove it"
@@ -95,12 +94,8 @@ def _sessions(session: StrArray, shown: str, border: Border) -> StrArray:
     double = {label: plain[key] for key, labels in written.items() if len(labels) > 1 for label in labels}
     if double:
         names = "; ".join(sorted(" and ".join(sorted(labels)) for labels in written.values() if len(labels) > 1))
-        border.say(
-            f"{shown}, column session",
-            f"found {names[:200]}, spelled differently and taken as one session; spell each session in one way",
-            "session_spelling",
-            level="suspicious",
-        )
+        text = f"found {names[:200]}, spelled differently and taken as one session; spell each session in one way"
+        border.say(f"{shown}, column session", text, "session_spelling", level="suspicious")
     return np.asarray([double.get(label, label) for label in map(str, session)], dtype=np.str_)
 
 
@@ -124,33 +119,18 @@ def _match(raw: RawTable, shown: str, border: Border) -> dict[str, Recognised]:
     for found in raw.columns:
         match = recognise(found, _KNOWN)
         if match.name in matched:
-            raise BadFileError(
-                shown,
-                row=1,
-                column=found,
-                found=f"a second column for {match.name} beside {matched[match.name].found!r}",
-                expected="one",
-                remedy="remove or rename one of them",
-            )
+            raise second_column(match, found, shown)
         matched[match.name] = match
         if match.said:
             border.say(f"{shown}, column {found}", match.said, "unit" if match.factor != 1.0 else "name")
         if match.unitless:
-            border.say(
-                f"{shown}, column {found}",
-                f"names no unit and is not used as {match.unitless}; rename it to the unit it is in",
-                "no_unit",
-                level="suspicious",
-            )
+            text = f"names no unit and is not used as {match.unitless}; rename it to the unit it is in"
+            border.say(f"{shown}, column {found}", text, "no_unit", level="suspicious")
     missing = [name for name in NUMERIC_COLUMNS if name not in matched]
     for match in matched.values():
         if match.name not in _KNOWN and not match.unitless and (wanted := look_alike(match.name, missing)):
-            border.say(
-                f"{shown}, column {match.found}",
-                f"looks like {wanted} and is not used as it; rename it to {wanted} if it is, in its unit",
-                "look_alike",
-                level="suspicious",
-            )
+            text = f"looks like {wanted} and is not used as it; rename it to {wanted} if it is, in its unit"
+            border.say(f"{shown}, column {match.found}", text, "look_alike", level="suspicious")
     return matched
 
 
@@ -168,11 +148,8 @@ def _numbers(raw: RawTable, matched: Mapping[str, Recognised], shown: str, borde
         except BadFileError as error:
             if name in NUMERIC_COLUMNS:
                 raise
-            border.say(
-                f"{shown}, row {error.row}, column {match.found}",
-                f"found {error.found}; the column is not numeric throughout and no covariate",
-                "text_column",
-            )
+            text = f"found {error.found}; the column is not numeric throughout and no covariate"
+            border.say(f"{shown}, row {error.row}, column {match.found}", text, "text_column")
             continue
         commas = commas or comma
         values[name] = converted(column, match.factor, match.offset)
@@ -183,30 +160,18 @@ def _numbers(raw: RawTable, matched: Mapping[str, Recognised], shown: str, borde
     return values
 
 
-def _texts(cells: npt.NDArray[Any], column: str, shown: str, line: npt.NDArray[np.int64]) -> StrArray:
+def _texts(cells: npt.NDArray[Any], column: str, shown: str, line: IntArray) -> StrArray:
+    """Return cells as texts; raises BadFileError where one holds a control character or is beyond all use."""
     texts = ["" if cell is None else cell.strip() if isinstance(cell, str) else _plain(cell) for cell in cells]
     # all at once first: a fleet's run tables are many and small
     if not "".join(texts).isprintable() or max(map(len, texts), default=0) > LABEL_CHARACTERS:
-        _refuse_odd_texts(texts, column, shown, line)
+        for text, row in zip(texts, map(int, line), strict=True):
+            if any(ord(letter) < 32 for letter in text):
+                remedy = "remove the control character"
+                raise BadFileError(shown, repr(text[:40]), "a text on one line", remedy, row=row, column=column)
+            limit, what = LABEL_CHARACTERS, "characters"
+            refuse_beyond(len(text), limit, shown=shown, what=what, remedy="shorten the text", row=row, column=column)
     return np.asarray(texts, dtype=np.str_)
-
-
-def _refuse_odd_texts(texts: Sequence[str], column: str, shown: str, line: npt.NDArray[np.int64]) -> None:
-    """Refuse control characters and texts beyond all use; other characters that are not printed may be."""
-    for index, text in enumerate(texts):
-        if not text.isprintable() and any(ord(letter) < 32 for letter in text):
-            expected = "a text on one line"
-            remedy = "remove the control character"
-            raise BadFileError(shown, repr(text[:40]), expected, remedy, row=int(line[index]), column=column)
-        refuse_beyond(
-            len(text),
-            LABEL_CHARACTERS,
-            shown=shown,
-            what="characters",
-            remedy="shorten the text",
-            row=int(line[index]),
-            column=column,
-        )
 
 
 def _plain(cell: Any) -> str:
@@ -216,31 +181,7 @@ def _plain(cell: Any) -> str:
     return str(int(number)) if number.is_integer() else repr(number)
 
 
-def _directions(
-    texts: StrArray, run_ids: StrArray, line: npt.NDArray[np.int64], shown: str, border: Border
-) -> StrArray:
-    """Return directions in lower case; any other than ``out`` and ``back`` is a fault, since checks rest on them."""
-    lower = np.char.lower(texts)
-    for index in np.flatnonzero(~np.isin(lower, ("", *DIRECTIONS))):
-        text, row = str(texts[index]), int(line[index])
-        remedy = f'map it when ingesting: direction = {{column = "...", values = {{"{text[:20]}" = "out"}}'
-        expected = "out or back, or an empty cell"
-        fault = BadFileError(shown, repr(text[:40]), expected, remedy, row=row, column="direction")
-        border.fault(fault, "direction", str(run_ids[index]))
-    return lower
-
-
-def _loops(texts: StrArray, run_ids: StrArray, line: npt.NDArray[np.int64], shown: str, border: Border) -> StrArray:
-    """Return which runs are closed loops, in lower case; any other word is a fault, since end poses rest on it."""
-    lower = np.char.lower(texts)
-    for index in np.flatnonzero(~np.isin(lower, ("", "closed", "open"))):
-        expected, remedy = "closed, open or an empty cell", "write closed where the vehicle ended on its mark"
-        fault = BadFileError(shown, repr(str(texts[index])[:40]), expected, remedy, row=int(line[index]), column="loop")
-        border.fault(fault, "loop", str(run_ids[index]))
-    return lower
-
-
-def _flags(cells: npt.NDArray[Any], shown: str, line: npt.NDArray[np.int64]) -> BoolArray:
+def _flags(cells: npt.NDArray[Any], shown: str, line: IntArray) -> BoolArray:
     texts = [text.lower() for text in _texts(cells, "excluded", shown, line)]
     for text, row in zip(texts, line, strict=True):
         if text not in _TRUE and text not in _FALSE:
@@ -250,7 +191,7 @@ def _flags(cells: npt.NDArray[Any], shown: str, line: npt.NDArray[np.int64]) -> 
     return np.asarray([text in _TRUE for text in texts], dtype=np.bool_)
 
 
-def _check_run_ids(run_ids: Sequence[str] | StrArray, line: npt.NDArray[np.int64], shown: str, border: Border) -> None:
+def _check_run_ids(run_ids: Sequence[str] | StrArray, line: IntArray, shown: str, border: Border) -> None:
     first: dict[str, int] = {}
     for run_id, row in zip(map(str, run_ids), map(int, line), strict=True):
         if not run_id:

@@ -183,14 +183,11 @@ def recognise(found: str, known: Sequence[str] | Iterable[str], *, further: bool
 @lru_cache(maxsize=1024)
 def _recognise(found: str, known: tuple[str, ...], further: bool) -> Recognised:
     # tables of a fleet, and logs of a campaign, have the same names over and over
-    name = found.strip()
-    if name in known:
+    if (name := found.strip()) in known:
         return Recognised(found, name)
     clean = spelled(name)
-    if clean in known:
-        return Recognised(found, clean, said=f"read as {clean}")
     stem, suffix = split_suffix(clean)
-    for wanted in known:
+    for wanted in sorted(known, key=lambda one: one != clean):
         if clean.lower() == wanted.lower():
             return Recognised(found, wanted, said=f"read as {wanted}")
         wanted_stem, _ = split_suffix(wanted)
@@ -215,14 +212,9 @@ def _recognise(found: str, known: tuple[str, ...], further: bool) -> Recognised:
 
 
 #: short forms of the words in column names
-_WORDS: Final = {
-    "l": "left",
-    "r": "right",
-    "temp": "temperature",
-    "dist": "distance",
-    "cnt": "counts",
-    "count": "counts",
-}
+_WORDS: Final = {"l": "left", "r": "right", "temp": "temperature", "dist": "distance"} | dict.fromkeys(
+    ("cnt", "count"), "counts"
+)
 #: words that say how or where a value was had, or of what it is, and not what it is
 _BESIDE: Final = frozenset({"weighed", "measured", "wheel", "mean", "avg", "hall", "reported", "raw", "total", "value"})
 

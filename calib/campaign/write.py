@@ -54,20 +54,16 @@ def _text(text: str) -> str:
 
 
 def _value(value: Any, key: str) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        return _text(value)
-    if isinstance(value, int):
-        return str(int(value))
-    if isinstance(value, float) and math.isfinite(value):
-        return repr(float(value))
     if isinstance(value, datetime.datetime | datetime.date | datetime.time):
         return value.isoformat()
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{_key(str(k))} = {_value(v, str(k))}" for k, v in value.items()) + "}"
+    if isinstance(value, str):
+        return _text(value)
     if isinstance(value, Sequence):
         return "[" + ", ".join(_value(item, key) for item in value) + "]"
+    if isinstance(value, int | float) and math.isfinite(value):
+        return json.dumps(value)
     raise BadInputError(
         f"{key}: found {value!r}; expected a text, number or list that TOML can hold; correct the value"
     )
@@ -78,7 +74,7 @@ _OURS: Final = ("campaign.toml", "runs.csv", "logs", "ingest.json")
 _RECORDINGS: Final = "recordings"
 _INTEGER: Final = 2.0**53
 #: keys that are written only where they differ from their default, so that a plain campaign stays plain
-_WHERE_GIVEN: Final = frozenset({"drive", "sensor_x_m", "sensor_y_m", "sensor_yaw_rad"})
+_WHERE_GIVEN: Final = frozenset({"drive", "kind", "sensor_x_m", "sensor_y_m", "sensor_yaw_rad"})
 
 
 def write_campaign(
@@ -139,18 +135,13 @@ def _write_into(campaign: Campaign, folder: Path, log_decimals: Mapping[str, int
 
 
 def _settings(campaign: Campaign) -> dict[str, Any]:
-    encoder: dict[str, Any] = {}
-    left, right = campaign.encoder.counts_per_rev_left, campaign.encoder.counts_per_rev_right
-    if left == right:
-        encoder["counts_per_rev"] = _short(left)
-    else:
-        encoder |= {"counts_per_rev_left": _short(left), "counts_per_rev_right": _short(right)}
-    if campaign.encoder.wrap_bits is not None:
-        encoder["wrap_bits"] = campaign.encoder.wrap_bits
-    if campaign.encoder.counts_per_rev_front is not None:
-        encoder["counts_per_rev_front"] = _short(campaign.encoder.counts_per_rev_front)
-    if campaign.encoder.kind != "counts":
-        encoder["kind"] = campaign.encoder.kind
+    encoder = _plain(campaign.encoder)
+    if encoder["counts_per_rev_left"] == encoder["counts_per_rev_right"]:
+        both = encoder.pop("counts_per_rev_right")
+        encoder = {"counts_per_rev": both} | {
+            key: value for key, value in encoder.items() if key != "counts_per_rev_left"
+        }
+    encoder = {key: _short(value) for key, value in encoder.items()}
     document: dict[str, Any] = {
         "format": FORMAT,
         "name": campaign.name,
@@ -182,8 +173,8 @@ def _plain(section: Any) -> dict[str, float | str]:
     }
 
 
-def _short(value: float) -> int | float:
-    return int(value) if float(value).is_integer() else float(value)
+def _short(value: float | str) -> float | str:
+    return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
 def _log_names(campaign: Campaign) -> dict[int, str]:

@@ -73,7 +73,7 @@ def test_the_likely_setting_is_named_and_a_reason_is_written_into_the_file(
     assert run(arguments) == 1
     err = capsys.readouterr().err
     assert err.count("\n") == 1
-    assert "times nominal: counts are quadrature edges" in err
+    assert "times nominal: a quarter of the counts (single edges counted" in err
     assert run([*arguments, "--accept-implausible", "  "]) == 1
     assert run([*arguments, "--accept-implausible", "wheel of the test stand"]) == 0
     document = json.loads((tmp_path / "c.json").read_text(encoding="utf-8"))

@@ -7,7 +7,18 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.checks.design import LEAST_RUNS, SIDES, cell_note, per_rev, raw_radius_ratio
+from calib.campaign.checks.design import (
+    LEAST_RUNS,
+    SIDES,
+    cell_note,
+    column_note,
+    listed,
+    per_rev,
+    raw_radius_ratio,
+    setting_note,
+    stated,
+    turned_rad,
+)
 from calib.campaign.checks.distances import mirrored_ends
 from calib.campaign.model import Campaign, Note
 from calib.campaign.read import log_totals
@@ -38,24 +49,24 @@ MOST_SCATTER_COUNTS: Final = 1.0
 
 def counts_per_revolution(campaign: Campaign) -> Iterator[Note]:
     """Find counts per revolution that are one off a round number, and radii that are off together."""
-    stated = "encoder.counts_per_rev" not in campaign.assumed
-    for side in SIDES if stated else ():
+    for side in SIDES if stated(campaign, "encoder.counts_per_rev") else ():
         value = per_rev(campaign, side)
         near = [value + step for step in (-1.0, 1.0) if _is_round(value + step)]
         if near and not _is_round(value):
             text = f"found {value:.10g}, one off {near[0]:.10g}; encoders have a round number of counts; check it"
-            yield Note("suspicious", f"campaign.toml, encoder, counts_per_rev_{side}", text, "counts_per_rev")
-    if "vehicle.wheel_radius_m" in campaign.assumed:
+            yield setting_note(f"encoder, counts_per_rev_{side}", text, "counts_per_rev")
+    if not stated(campaign, "vehicle.wheel_radius_m"):
         return
     ratios = [raw_radius_ratio(campaign, side) for side in SIDES]
-    usual = [float(np.nanmedian(ratio)) if np.isfinite(ratio).sum() >= LEAST_RUNS else np.nan for ratio in ratios]
-    left, right = usual
+    if min(np.isfinite(ratio).sum() for ratio in ratios) < LEAST_RUNS:
+        return
+    left, right = (float(np.nanmedian(ratio)) for ratio in ratios)
     if abs(left - right) < ALIKE and FAR_FROM_NOMINAL < abs(left - 1.0) < MOST_FAR:
         text = (
             f"both wheels roll as if their radius were {100 * (left - 1):+.2g} % off the nominal one; expected within "
             f"{100 * FAR_FROM_NOMINAL:.2g} %; check counts_per_rev, a gear ratio, and the nominal radius"
         )
-        yield Note("suspicious", "campaign.toml, encoder and vehicle", text, "counts_per_rev")
+        yield setting_note("encoder and vehicle", text, "counts_per_rev")
 
 
 def _is_round(counts: float) -> bool:
@@ -67,28 +78,26 @@ def _is_round(counts: float) -> bool:
 def log_clock(campaign: Campaign) -> Iterator[Note]:
     """Find logs whose times are in other units than those of the others."""
     logs = campaign.logs
-    speeds = np.full(len(campaign.runs), np.nan)
     name = next((column for column in logs.columns if column.startswith("counts_")), None)
     duration_s = log_totals(logs, "t_s")
     present = logs.present & (duration_s > 0.0)
-    if name is not None and present.any():
-        way = np.concatenate(([0.0], np.nancumsum(np.abs(np.diff(logs.columns[name])))))
-        counts = way[logs.offsets[1:][present] - 1] - way[logs.offsets[:-1][present]]
-        speeds[present] = counts / duration_s[present]
-    usual = float(np.nanmedian(speeds)) if np.isfinite(speeds).sum() >= LEAST_RUNS else 0.0
-    if not usual > 0.0:
+    if name is None or present.sum() < LEAST_RUNS:
         return
-    usual_s = float(np.median(duration_s[present]))
-    for factor, unit in CLOCK_FACTORS.items():
-        long = duration_s > usual_s * factor / SPEED_FACTOR
-        near = (speeds * factor > usual / SPEED_FACTOR) & (speeds * factor < usual * SPEED_FACTOR)
+    distance = np.concatenate(([0.0], np.nancumsum(np.abs(np.diff(logs.columns[name])))))
+    speeds = np.full(len(campaign.runs), np.nan)
+    counts = distance[logs.offsets[1:][present] - 1] - distance[logs.offsets[:-1][present]]
+    speeds[present] = counts / duration_s[present]
+    usual, usual_s = float(np.median(speeds[present])), float(np.median(duration_s[present]))
+    for factor, unit in CLOCK_FACTORS.items() if usual > 0.0 else ():
         # a vehicle that stands for most of a log is slow, too, but its log is no longer than the others
-        slow = np.flatnonzero(near & long)
+        long = duration_s > usual_s * factor / SPEED_FACTOR
+        slow = np.flatnonzero(
+            long & (np.abs(np.log(np.maximum(speeds, 1e-300) * factor / usual)) < np.log(SPEED_FACTOR))
+        )
         if len(slow):
-            names = ", ".join(map(str, campaign.runs.run_id[slow][:5]))
             text = (
-                f"in {len(slow)} logs ({names}) the wheels turn {factor:.0e} times slower than in the others: t_s "
-                f"looks like {unit}; name the column t_ms, t_us or t_ns there, or divide it"
+                f"in {len(slow)} logs ({listed(campaign.runs.run_id[slow], 5)}) the wheels turn {factor:.0e} times "
+                f"slower than in the others: t_s looks like {unit}; name the column t_ms, t_us or t_ns there"
             )
             yield Note("suspicious", "logs, column t_s", text, "clock_unit")
 
@@ -97,52 +106,38 @@ def odd_lengths(campaign: Campaign) -> Iterator[Note]:
     """Find runs whose distance is far from what their wheels rolled, and logs whose time does not rise."""
     ratio = 0.5 * (raw_radius_ratio(campaign, SIDES[0]) + raw_radius_ratio(campaign, SIDES[1]))
     if np.isfinite(ratio).sum() >= LEAST_RUNS:
-        usual = float(np.nanmedian(ratio))
-        with np.errstate(invalid="ignore"):
-            odd = (ratio > ODD_RATIO * usual) | (ratio < usual / ODD_RATIO)
-        for run in np.flatnonzero(odd):
-            text = (
-                f"the distance is {ratio[run] / usual:.3g} times what the wheels rolled; check it, or exclude the run"
-            )
+        ratio = ratio / float(np.nanmedian(ratio))
+        for run in np.flatnonzero((ratio > ODD_RATIO) | (ratio < 1.0 / ODD_RATIO)):
+            text = f"the distance is {ratio[run]:.3g} times what the wheels rolled; check it, or exclude the run"
             yield cell_note(campaign, int(run), "distance_m", text, "odd_distance")
     logs = campaign.logs
-    if "t_s" in logs.columns:
-        fell = np.flatnonzero(np.diff(logs.columns["t_s"]) < 0.0)
-        within = np.setdiff1d(fell + 1, logs.offsets)
-        runs = np.unique(np.searchsorted(logs.offsets, within, side="right") - 1)
-        if len(runs):
-            names = ", ".join(map(str, campaign.runs.run_id[runs][:5]))
-            yield Note("suspicious", "logs, column t_s", f"time runs backwards in {len(runs)} logs ({names})", "clock")
+    fell = np.flatnonzero(np.diff(logs.columns.get("t_s", np.zeros(0))) < 0.0) + 1
+    runs = np.unique(np.searchsorted(logs.offsets, np.setdiff1d(fell, logs.offsets), side="right") - 1)
+    if len(runs):
+        text = f"time runs backwards in {len(runs)} logs ({listed(campaign.runs.run_id[runs], 5)})"
+        yield Note("suspicious", "logs, column t_s", text, "clock")
 
 
 def heading_turns(campaign: Campaign) -> Iterator[Note]:
     """Find end headings of a few runs that are a whole turn off what the wheels say."""
-    runs = campaign.runs
-    if not {"counts_left", "counts_right", "ref_theta_rad"} <= set(runs.numbers):
-        return
-    rolled = [runs.number(f"counts_{side}") * 2 * np.pi / per_rev(campaign, side) for side in SIDES]
-    heading = (rolled[1] - rolled[0]) * campaign.vehicle.wheel_radius_m / campaign.vehicle.track_m
-    apart = heading - runs.number("ref_theta_rad")
+    measured = campaign.runs.number("ref_theta_rad")
+    apart = turned_rad(campaign) - measured
     turns = np.round(apart / (2 * np.pi))
-    near = np.isfinite(apart) & (np.abs(apart - 2 * np.pi * turns) < NEAR_TURN_RAD)
+    near = np.abs(apart - 2 * np.pi * turns) < NEAR_TURN_RAD
     odd = near & (turns != 0.0)
     # headings within half a turn throughout are wrapped by their instrument, which is no fault
-    wrapped = bool((np.abs(runs.number("ref_theta_rad")[near]) <= np.pi + 0.05).all())
-    if wrapped or odd.sum() > MOST_ODD * near.sum():
-        return
-    for run in np.flatnonzero(odd):
+    wrapped = bool((np.abs(measured[near]) <= np.pi + 0.05).all())
+    for run in np.flatnonzero(odd) if not wrapped and odd.sum() <= MOST_ODD * near.sum() else ():
         text = f"the heading is {turns[run]:+.0f} turn(s) off what the wheels say; correct the cell"
         yield cell_note(campaign, int(run), "ref_theta_rad", text, "heading_turn")
 
 
 def pose_resolution(campaign: Campaign) -> Iterator[Note]:
     """Find positions that come in steps coarser than the reference: single precision far from the origin."""
-    sources = (("runs", campaign.runs.numbers), ("logs", campaign.logs.columns))
-    for where, columns in sources:
+    for where, columns in (("runs", campaign.runs.numbers), ("logs", campaign.logs.columns)):
         for name in ("ref_x_m", "ref_y_m"):
-            values = columns.get(name)
-            values = np.zeros(0) if values is None else np.unique(values[np.isfinite(values)][:MOST_POSES])
-            steps = np.diff(values)
+            values = columns.get(name, np.zeros(0))
+            steps = np.diff(np.unique(values[np.isfinite(values)][:MOST_POSES]))
             if len(steps) < LEAST_RUNS or not steps.min() > COARSE * campaign.reference.sigma_xy_m:
                 continue
             step_m = float(steps.min())
@@ -156,18 +151,16 @@ def pose_resolution(campaign: Campaign) -> Iterator[Note]:
 
 def late_logs(campaign: Campaign) -> Iterator[Note]:
     """Find logs that begin after the vehicle moved: the table has a constant few counts more in every run."""
-    apart = [campaign.runs.number(f"counts_{side}") - log_totals(campaign.logs, f"counts_{side}") for side in SIDES]
-    for side, difference in zip(SIDES, apart, strict=True):
+    for side in SIDES:
+        difference = campaign.runs.number(f"counts_{side}") - log_totals(campaign.logs, f"counts_{side}")
         known = difference[np.isfinite(difference)]
-        if len(known) < LEAST_RUNS:
-            continue
-        usual = float(np.median(known))
+        usual = float(np.median(known)) if len(known) >= LEAST_RUNS else 0.0
         if abs(usual) > MOST_SCATTER_COUNTS and np.mean(np.abs(known - usual) <= MOST_SCATTER_COUNTS) > 0.9:
             text = (
                 f"the table counts {usual:+.0f} against the logs in every run: the logs begin or end at another place "
                 "than the distance; let the log begin before the vehicle moves"
             )
-            yield Note("suspicious", f"runs, column counts_{side}", text, "late_logs")
+            yield column_note(f"counts_{side}", text, "late_logs")
 
 
 #: notes of the reading that change a result: columns not used, rows that are no runs, sessions joined
@@ -177,14 +170,12 @@ _OF_READING: Final = frozenset({"no_unit", "look_alike", "summary_row", "session
 def notes_for_results(campaign: Campaign) -> tuple[str, ...]:
     """Return what a fit or a diagnosis says of its data first: each changes the answer, and the answer shows none."""
     found = [note for note in campaign.notes if note.code in _OF_READING]
-    for check in (
-        counts_per_revolution,
-        late_logs,
-        log_clock,
-        heading_turns,
-        pose_resolution,
-        odd_lengths,
-        mirrored_ends,
-    ):
+    for check in _OF_RESULTS:
         found.extend(check(campaign))
     return tuple(f"{note.where}: {note.text}." for note in found)
+
+
+_OF_RESULTS: Final = (
+    *(counts_per_revolution, late_logs, log_clock, heading_turns),
+    *(pose_resolution, odd_lengths, mirrored_ends),
+)
