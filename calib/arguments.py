@@ -197,9 +197,7 @@ def _is_linked_from(folder: Path, at: os.stat_result) -> bool:
         if searched > MOST_SEARCHED:
             return True
         with suppress(OSError):
-            for name in names:
-                if Path(name).suffix.lower() not in _OUTPUT_SUFFIXES and os.path.samestat(
-                    (Path(place) / name).stat(), at
-                ):
-                    return True
+            data = (Path(place, name) for name in names if Path(name).suffix.lower() not in _OUTPUT_SUFFIXES)
+            if any(os.path.samestat(path.stat(), at) for path in data):
+                return True
     return False

@@ -121,13 +121,9 @@ def refuse_hostile_keys(text: str, shown: str) -> None:
     """
     deep = _DEEP.search(text)
     if deep is not None:
-        raise BadFileError(
-            shown,
-            row=text.count("\n", 0, deep.start()) + 1,
-            found=f"a key of more than {KEY_PARTS} parts ({deep.group()[:20]}...)",
-            expected=f"at most {KEY_PARTS}",
-            remedy="correct the line",
-        )
+        found, expected = f"a key of more than {KEY_PARTS} parts ({deep.group()[:20]}...)", f"at most {KEY_PARTS}"
+        row = text.count("\n", 0, deep.start()) + 1
+        raise BadFileError(shown, found, expected, "correct the line", row=row)
 
 
 def refuse_hostile_document(document: dict[str, Any], shown: str) -> None:
@@ -139,22 +135,18 @@ def refuse_hostile_document(document: dict[str, Any], shown: str) -> None:
     for _ in range(KEY_PARTS):
         deeper: list[tuple[str, Any]] = []
         for key, value in level:
-            column = key[-60:]
+            text = value if isinstance(value, str) else ""
             name = key.rpartition(".")[2]
-            refuse_beyond(
-                len(name), KEY_CHARACTERS, shown=shown, what="characters in a key", remedy="shorten it", column=column
-            )
-            if isinstance(value, str):
-                refuse_beyond(
-                    len(value), TEXT_CHARACTERS, shown=shown, what="characters", remedy="shorten it", column=column
-                )
-            elif isinstance(value, dict):
+            for part, what, most in (
+                (name, "characters in a key", KEY_CHARACTERS),
+                (text, "characters", TEXT_CHARACTERS),
+            ):
+                refuse_beyond(len(part), most, shown=shown, what=what, remedy="shorten it", column=key[-60:])
+            if isinstance(value, dict):
                 deeper += [(f"{key}.{inner}", entry) for inner, entry in value.items()]
             elif isinstance(value, list):
                 deeper += [(key, entry) for entry in value]
         level = deeper
     if level:
-        expected = f"at most {KEY_PARTS}"
-        raise BadFileError(
-            shown, f"sections or lists more than {KEY_PARTS} deep", expected, "correct the key", column=level[0][0][:60]
-        )
+        found, expected = f"sections or lists more than {KEY_PARTS} deep", f"at most {KEY_PARTS}"
+        raise BadFileError(shown, found, expected, "correct the key", column=level[0][0][:60])

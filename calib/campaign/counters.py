@@ -33,10 +33,8 @@ def detect_wrap_bits(counts: FloatArray, offsets: IntArray) -> int | None:
         if not (unsigned or signed) or high - low < 0.875 * full:
             continue
         magnitude = np.abs(_steps(counts, offsets))
-        if not (np.abs(magnitude - full) < full / 8).any():
-            continue
-        rest = magnitude[np.abs(magnitude - full) >= full / 8]
-        if not len(rest) or np.nanmax(rest) < full / 8:
+        overflows = np.abs(magnitude - full) < full / 8
+        if overflows.any() and not (magnitude[~overflows] >= full / 8).any():
             return bits
     return None
 
@@ -80,7 +78,6 @@ def _steps(counts: FloatArray, offsets: IntArray) -> FloatArray:
     return step
 
 
-_COUNTS: Final = tuple(name for name in LOG_COLUMNS if name.startswith("counts_"))
 #: samples by which the columns grow at least, and the share of what they hold
 _GROWTH: Final = 1 << 16
 _GROWTH_SHARE: Final = 0.125
@@ -124,36 +121,21 @@ class LogStack:
         columns: dict[str, FloatArray] = {}
         for name in LOG_COLUMNS:
             column = self._columns.pop(name, None)
-            if column is not None:
-                column.resize(self._size, refcheck=False)
-                columns[name] = column
-        for name in _COUNTS:
-            if name in columns:
-                columns[name] = _continuous(columns[name], offsets, name, encoder, names, border)
+            if column is None:
+                continue
+            column.resize(self._size, refcheck=False)
+            bits = encoder.wrap_bits or detect_wrap_bits(column, offsets) if name.startswith("counts_") else None
+            if bits is not None and len(column):
+                column, wraps = unwrap(column, offsets, bits)
+                for run in np.flatnonzero(wraps):
+                    run_id, shown = names[int(run)]
+                    how = _STATED if encoder.wrap_bits else _DETECTED
+                    text = f"{int(wraps[run])} overflow(s) of a {bits}-bit counter were undone ({how})"
+                    border.say(f"{shown}, column {name}", text, "wrap", run_id=run_id)
+            columns[name] = column
         return Logs(offsets=offsets, columns=columns)
 
 
-def _continuous(
-    counts: FloatArray,
-    offsets: IntArray,
-    column: str,
-    encoder: Encoder,
-    names: Mapping[int, tuple[str, str]],
-    border: Border,
-) -> FloatArray:
-    if not len(counts):
-        return counts
-    bits = encoder.wrap_bits or detect_wrap_bits(counts, offsets)
-    if bits is None:
-        return counts
-    counts, wraps = unwrap(counts, offsets, bits)
-    how = "as the settings say" if encoder.wrap_bits else "found in the jumps; give encoder.wrap_bits to make it sure"
-    for index in np.flatnonzero(wraps):
-        run_id, shown = names[int(index)]
-        border.say(
-            f"{shown}, column {column}",
-            f"{int(wraps[index])} overflow(s) of a {bits}-bit counter were undone ({how})",
-            "wrap",
-            run_id=run_id,
-        )
-    return counts
+#: how the width of a counter is known
+_STATED: Final = "as the settings say"
+_DETECTED: Final = "found in the jumps; give encoder.wrap_bits to make it sure"

@@ -70,8 +70,8 @@ def _with_gyro(campaign: Campaign, shown: str, border: Border) -> Campaign:
     without = [run for run in measured if run not in known]
     if measured and not known:
         text = (
-            f"found no standstill of {STANDSTILL_S:g} s in any log, so that the gyro's bias is not known; expected the "
-            "vehicle at rest at the start or end of a run; the gyro is not used"
+            f"found no standstill of {STANDSTILL_S:g} s in any log, so that the gyro's bias is unknown and the gyro "
+            "not used; expected the vehicle at rest at the start or end of a run"
         )
         border.say(f"logs, column {GYRO}", text, "gyro_bias", level="suspicious")
         return campaign
@@ -86,12 +86,10 @@ def _with_gyro(campaign: Campaign, shown: str, border: Border) -> Campaign:
             bias, more = replace(alike[0], radps=mean), wander
         if np.isnan(turn[run]):
             turn[run], sigma[run] = _turn(logs.of(run), bias, more)
-    border.say(
-        f"{shown}, column {GYRO_TURN}",
-        f"{len(measured)} run(s) integrated from the log's {GYRO}, less the bias at rest"
-        + (f"; {len(without)} without a standstill of their own, less that of their session" if without else ""),
-        "gyro",
-    )
+    text = f"{len(measured)} run(s) integrated from the log's {GYRO}, less the bias at rest"
+    if without:
+        text += f"; {len(without)} without a standstill of their own, less that of their session"
+    border.say(f"{shown}, column {GYRO_TURN}", text, "gyro")
     return replace(campaign, runs=_with_numbers(runs, {GYRO_TURN: turn, GYRO_SIGMA: sigma}))
 
 
@@ -145,9 +143,8 @@ def _with_closed_loops(campaign: Campaign, shown: str, border: Border) -> Campai
         where = f"{shown}, row {runs.line[run]}, column loop"
         border.say(where, text, "closed_loop", level="suspicious", run_id=str(runs.run_id[run]))
     filled = {name: np.where(empty, value, runs.number(name)) for name, value in ends.items()}
-    border.say(
-        f"{shown}, column loop", f"{int(empty.sum())} closed loop(s) end at x = y = 0 and whole turns", "closed_loop"
-    )
+    text = f"{int(empty.sum())} closed loop(s) end at x = y = 0 and whole turns"
+    border.say(f"{shown}, column loop", text, "closed_loop")
     return replace(campaign, runs=_with_numbers(runs, filled))
 
 

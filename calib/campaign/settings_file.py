@@ -268,12 +268,9 @@ def load_toml(path: Path, shown: str, *, remedy: str = "") -> dict[str, Any]:
     `remedy`: what to do where there is none; without it, how to make a campaign.
     """
     if not path.is_file():
-        raise BadFileError(
-            shown,
-            found="a folder" if path.is_dir() else "no such file",
-            expected="a settings file",
-            remedy=remedy or "give a folder that holds campaign.toml, or make one with 'calib ingest'",
-        )
+        found, expected = "a folder" if path.is_dir() else "no such file", "a settings file"
+        remedy = remedy or "give a folder that holds campaign.toml, or make one with 'calib ingest'"
+        raise BadFileError(shown, found, expected, remedy)
     try:
         size = path.stat().st_size
         refuse_beyond(size, SETTINGS_BYTES, shown=shown, what="bytes", remedy="check that it is a settings file")
@@ -282,14 +279,12 @@ def load_toml(path: Path, shown: str, *, remedy: str = "") -> dict[str, Any]:
         refuse_hostile_keys(text, shown)
         document = tomllib.loads(text)
     except OSError as error:
-        raise BadFileError(
-            shown, found=error.strerror or "an unreadable file", expected="a readable file", remedy="check its rights"
-        ) from error
+        found = error.strerror or "an unreadable file"
+        raise BadFileError(shown, found, "a readable file", "check its rights") from error
     except UnicodeError as error:
         raise BadFileError(shown, "text that is not UTF-8", "UTF-8, as TOML asks", "save the file as UTF-8") from error
     except (tomllib.TOMLDecodeError, ValueError, RecursionError) as error:
-        raise BadFileError(
-            shown, f"no valid TOML ({str(error)[:120]})", "key = value lines and [sections]", "correct the line"
-        ) from error
+        found, expected = f"no valid TOML ({str(error)[:120]})", "key = value lines and [sections]"
+        raise BadFileError(shown, found, expected, "correct the line") from error
     refuse_hostile_document(document, shown)
     return document
