@@ -193,10 +193,8 @@ def _log_names(campaign: Campaign) -> dict[int, str]:
 
 
 def _runs_bytes(runs: RunTable, logs: Mapping[int, str]) -> bytes:
-    columns: dict[str, list[str]] = {}
-    for name in ("run_id", "session", "kind", "direction", "loop"):
-        if name in runs.labels:
-            columns[name] = [str(text) for text in runs.labels[name]]
+    first = [name for name in LABEL_COLUMNS if name in runs.labels and name not in {"log", "exclusion_reason"}]
+    columns = {name: runs.labels[name].tolist() for name in first}
     for name in (*NUMERIC_COLUMNS, *runs.covariates):
         if name in runs.numbers:
             columns[name] = [_cell(value) for value in runs.numbers[name]]
@@ -205,7 +203,7 @@ def _runs_bytes(runs: RunTable, logs: Mapping[int, str]) -> bytes:
     if runs.excluded.any():
         columns["excluded"] = ["true" if flag else "" for flag in runs.excluded]
     if "exclusion_reason" in runs.labels:
-        columns["exclusion_reason"] = [str(text) for text in runs.labels["exclusion_reason"]]
+        columns["exclusion_reason"] = runs.labels["exclusion_reason"].tolist()
     unknown = set(runs.labels) - set(LABEL_COLUMNS)
     if unknown:
         raise BadInputError(f"run table: found the text columns {sorted(unknown)}; expected {', '.join(LABEL_COLUMNS)}")
