@@ -239,6 +239,147 @@ def faults() -> Iterator[Fault]:
     yield Fault(
         "wheels exchanged in the table", renamed({"counts_left": "counts_right", "counts_right": "counts_left"})
     )
+    yield from mistakes_of_tables()
+    yield from mistakes_of_poses_and_logs()
+
+
+def of_session(column: str, change: Callable[[float], float], number: int = 1) -> Change:
+    """Return a change of the cells of one session."""
+
+    def changed(table: pd.DataFrame) -> pd.DataFrame:
+        if column not in table:
+            return table
+        session = list(dict.fromkeys(table["session"]))[number]
+        new = [
+            str(change(float(cell))) if label == session and cell != "" else cell
+            for cell, label in zip(table[column], table["session"], strict=True)
+        ]
+        return table.assign(**{column: new})
+
+    return changed
+
+
+def moved(column: str, by: int = 1) -> Change:
+    """Return a change that moves a column by so many rows."""
+    return lambda table: table.assign(**{column: np.roll(table[column].to_numpy(), by)}) if column in table else table
+
+
+def exchanged(first: str, second: str, rows: slice = slice(None)) -> Change:
+    """Return an exchange of two columns in some rows."""
+
+    def changed(table: pd.DataFrame) -> pd.DataFrame:
+        one, other = table[first].to_list(), table[second].to_list()
+        one[rows], other[rows] = other[rows], one[rows]
+        return table.assign(**{first: one, second: other})
+
+    return changed
+
+
+def turned(angle_rad: float) -> Change:
+    """Return end poses turned about the origin."""
+
+    def changed(table: pd.DataFrame) -> pd.DataFrame:
+        x, y, theta = (pd.to_numeric(table[f"ref_{name}"]) for name in ("x_m", "y_m", "theta_rad"))
+        cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
+        new = {"ref_x_m": cosine * x - sine * y, "ref_y_m": sine * x + cosine * y, "ref_theta_rad": theta + angle_rad}
+        return table.assign(**{name: values.map(str) for name, values in new.items()})
+
+    return changed
+
+
+def mistakes_of_tables() -> Iterator[Fault]:
+    """Yield mistakes in single columns of the run table."""
+    for name, change in {
+        "distances 50 mm longer": cells("distance_m", lambda v: v + 0.05),
+        "distances 1 % longer": cells("distance_m", lambda v: v * 1.01),
+        "distances 2 % longer": cells("distance_m", lambda v: v * 1.02),
+        "distances 1 % longer in one session": of_session("distance_m", lambda v: v * 1.01),
+        "distances in decimetres": cells("distance_m", lambda v: round(v, 1)),
+        "distances in whole metres": cells("distance_m", lambda v: float(round(v))),
+        "distances of the next run": moved("distance_m", -1),
+        "distances sorted": lambda t: t.assign(distance_m=sorted(t["distance_m"], key=lambda c: float(c or 0))),
+        "distances there and back": cells("distance_m", lambda v: 2 * v),
+        "counts exchanged in six runs": exchanged("counts_left", "counts_right", slice(6, 12)),
+        "left counts 1 % more in one session": of_session("counts_left", lambda v: round(1.01 * v)),
+        "left counts of another run": moved("counts_left"),
+        "counts rounded to thousands": cells("counts_left", lambda v: 1000 * round(v / 1000)),
+        "a digit of counts twice": cells("counts_left", lambda v: int(str(int(v)) + "0"), slice(5, 6)),
+        "payloads in pounds in one session": of_session("payload_kg", lambda v: 2.2046 * v),
+        "payloads of the next run": moved("payload_kg", -1),
+        "payload on the other side": cells("payload_y_m", lambda v: -v),
+        "payload behind": cells("payload_x_m", lambda v: -v),
+        "payload in centimetres": cells("payload_x_m", lambda v: 100 * v),
+        "loads exchanged": exchanged("load_left_N", "load_right_N"),
+        "loads exchanged in six runs": exchanged("load_left_N", "load_right_N", slice(12, 18)),
+        "loads of the next run": both(moved("load_left_N", -1), moved("load_right_N", -1)),
+        "loads 10 % more": both(*(cells(f"load_{side}_N", lambda v: 1.1 * v) for side in ("left", "right"))),
+        "loads with the tare": both(*(cells(f"load_{side}_N", lambda v: v + 150) for side in ("left", "right"))),
+        "left load with the tare": cells("load_left_N", lambda v: v + 150),
+        "a digit of a load lost": cells("load_left_N", lambda v: v / 10, slice(5, 6)),
+        "sessions of the next run": moved("session", -1),
+        "one session for all": lambda t: t.assign(session="s1"),
+        "a session a run": lambda t: t.assign(session=[f"s{n}" for n in range(len(t))]),
+        "directions exchanged": lambda t: t.assign(
+            direction=t["direction"].map({"out": "back", "back": "out"}).fillna("")
+        ),
+        "all out": lambda t: t.assign(direction=["out" if d else "" for d in t["direction"]]),
+        "temperatures in tenths": cells("temperature_C", lambda v: 10 * v),
+        "temperature of one session in Fahrenheit": of_session("temperature_C", lambda v: 1.8 * v + 32),
+        "minutes in seconds": cells("minutes_under_load", lambda v: 60 * v),
+        "speeds in km/h in one session": of_session("speed_mps", lambda v: 3.6 * v),
+        "rows reversed": lambda t: t.iloc[::-1],
+    }.items():
+        yield Fault(name, change)
+
+
+def mistakes_of_poses_and_logs() -> Iterator[Fault]:
+    """Yield mistakes in end poses, logs and settings."""
+    for name, change in {
+        "x and y exchanged": exchanged("ref_x_m", "ref_y_m"),
+        "poses turned by 0.05 rad": turned(0.05),
+        "poses turned by a right angle": turned(np.pi / 2),
+        "x 1 % longer": cells("ref_x_m", lambda v: 1.01 * v),
+        "headings of the other sign": cells("ref_theta_rad", lambda v: -v),
+        "headings 0.02 rad more": cells("ref_theta_rad", lambda v: v + 0.02),
+        "headings 0.02 rad more in one session": of_session("ref_theta_rad", lambda v: v + 0.02),
+        "poses of the next run": both(*(moved(f"ref_{part}", -1) for part in ("x_m", "y_m", "theta_rad"))),
+        "sensor 0.3 m ahead": lambda t: t.assign(
+            ref_x_m=(pd.to_numeric(t["ref_x_m"]) + 0.3 * (np.cos(pd.to_numeric(t["ref_theta_rad"])) - 1)).map(str),
+            ref_y_m=(pd.to_numeric(t["ref_y_m"]) + 0.3 * np.sin(pd.to_numeric(t["ref_theta_rad"]))).map(str),
+        ),
+        "logs of the next run": moved("log", -1),
+        "two logs exchanged": lambda t: t.assign(log=[t["log"][{3: 4, 4: 3}.get(n, n)] for n in range(len(t))]),
+    }.items():
+        yield Fault(name, change)
+    whole = ("counts_left", "counts_right")
+    for name, change in {
+        "logs cut by 2 %": lambda t: t.iloc[: int(0.98 * len(t))],
+        "logs without every third row": lambda t: t[np.arange(len(t)) % 3 > 0],
+        "logged counts doubled": lambda t: t.assign(**{c: (2 * t[c].astype(float)).map(str) for c in whole if c in t}),
+        "logged wheels exchanged": lambda t: t.rename(columns=dict(zip(whole, whole[::-1], strict=True))),
+    }.items():
+        yield Fault(name, log=change)
+    for old, new in (
+        ("track_m = 0.7\n", "track_m = 0.71\n"),
+        ("track_m = 0.7\n", "track_m = 0.75\n"),
+        ("wheel_radius_m = 0.1\n", "wheel_radius_m = 0.101\n"),
+        ("wheelbase_m = 1.0", "wheelbase_m = 1.5"),
+        ("cog_x_m = 0.388", "cog_x_m = 0.6"),
+        ("mass_kg = 100.0", "mass_kg = 150.0"),
+        ("reference_load_N = 300.0", "reference_load_N = 900.0"),
+        ("slope_left_m_per_N = ", "slope_left_m_per_N = 0.00001 # "),
+        ("sigma_m = 0.001", "sigma_m = 0.03 # "),
+        ("sigma_xy_m = 0.002", "sigma_xy_m = 0.05"),
+        ("sigma_xy_m = 0.002", "sigma_xy_m = 0.0001"),
+        ("sigma_theta_rad = 0.000", "sigma_theta_rad = 0.04 # "),
+        ("[reference]\n", "[reference]\nsensor_x_m = 0.3\n"),
+        ("[reference]\n", "[reference]\nsensor_yaw_rad = 0.03\n"),
+        ("[reference]\n", '[reference]\nframe = "map"\n'),
+        ("counts_per_rev = 4096", "counts_per_rev_left = 4096\ncounts_per_rev_right = 4000"),
+        ("counts_per_rev = 4096", "counts_per_rev = 4096\nwrap_bits = 12"),
+        ("[vehicle]\n", '[vehicle]\ndrive = "differential"\n'),
+    ):
+        yield Fault(new.replace("\n", " ").strip(), settings=(old, new))
 
 
 def spoiled(fault: Fault, campaign: str, into: Path) -> Path:
