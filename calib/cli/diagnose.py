@@ -13,7 +13,10 @@ from calib.cli.terminal import (
     Force,
     JsonTarget,
     MappingOption,
+    Seed,
+    draw,
     emit_json,
+    figure_files,
     keep,
     nearest,
     progress,
@@ -26,10 +29,15 @@ from calib.errors import BadInputError
 from calib.io import refuse_existing
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from calib.campaign.model import Campaign
     from calib.coefficients.sections import EffectSection
     from calib.gap.decision.diagnosis import Diagnosis
     from calib.types import Progress
+
+    #: a diagnosis; the effects that calib's own model has already, None for a simulator; how often that ran
+    Judged = tuple[Diagnosis, tuple[EffectSection, ...] | None, str]
 
 RESULT_FILE = "diagnosis.json"
 Simulator = Annotated[
@@ -42,19 +50,15 @@ Workers = Annotated[int, typer.Option("--workers", metavar="N", min=1, help="Run
 def run(
     campaign: CampaignOrRecording,
     model: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Coefficient file that the simulator believes, effects included."),
+        Path | None, typer.Option(metavar="FILE", help="Coefficient file that the simulator believes.")
     ] = None,
     exclude: Annotated[
         list[str] | None, typer.Option(metavar="EFFECT", help="Leave an effect out of the library; again for more.")
     ] = None,
-    seed: Annotated[int, typer.Option(metavar="N", help="Seed of the bootstraps.")] = 0,
+    seed: Seed = 0,
     apply: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Write the model with the named effect added, a coefficient file; with --simulator what to set, JSON.",
-        ),
+        typer.Option(metavar="FILE", help="Write the model with the named effect; of a simulator: what to set."),
     ] = None,
     figures: Figures = None,
     html: Annotated[
@@ -79,30 +83,34 @@ def run(
     """
     from calib.campaign.read import read_or_ingest
     from calib.gap.decision.diagnosis import VerdictKind
-    from calib.io import write_json
+    from calib.io import write_json, write_text
     from calib.reporting.next_step import after_diagnosis
     from calib.reporting.source import verdict_document
     from calib.reporting.topics.diagnosis import verdict_content
 
-    refuse_existing([apply, html, None if into is None else into / RESULT_FILE, *_pictures(figures)], force=force)
-    effects: tuple[EffectSection, ...] | None = None
-    if simulator is not None:
-        _refuse_together({"--model": model, "--journeys": journeys})
+    result = None if into is None else into / RESULT_FILE
+    refuse_existing([apply, html, result, *_pictures(figures)], force=force)
+    if simulator is not None and (model or journeys):
+        name = "--model" if model else "--journeys"
+        raise BadInputError(f"{name}: found it beside --simulator, which is judged instead; give one of them")
+    left_out = tuple(exclude or ())
     with progress("diagnosing") as tick:
         read = read_or_ingest(campaign, mapping=mapping, progress=tick)
-        if simulator is None:
-            diagnosis, effects = _diagnosed(read, model, tuple(exclude or ()), seed, journeys, tick)
-        else:
-            diagnosis, ran = _simulated(read, simulator, tuple(exclude or ()), seed, workers, tick)
+        diagnosis, effects, ran = (
+            _diagnosed(read, model, left_out, seed, journeys, tick)
+            if simulator is None
+            else _simulated(read, simulator, left_out, seed, workers, tick)
+        )
     document = verdict_document(diagnosis)
     show(verdict_content(diagnosis), target=json)
-    if simulator is not None:
-        say(ran, target=json)
+    say(ran, target=json)
     if apply is not None:
         _apply(diagnosis, read, effects, apply, json=json, force=force)
-    if into is not None:
-        wrote([write_json(into / RESULT_FILE, document, force=force)], target=json)
-    _draw(diagnosis, read, html, figures, json=json, force=force)
+    if result is not None:
+        wrote([write_json(result, document, force=force)], target=json)
+    if html is not None:
+        wrote([write_text(html, _page(diagnosis, read), force=force)], target=json)
+    draw(lambda: _figures(diagnosis), figures, json=json, force=force)
     emit_json(document, json, force=force)
     say(after_diagnosis(diagnosis, campaign), target=json)
     return 0 if diagnosis.kind in {VerdictKind.NO_GAP, VerdictKind.EXPLAINED} else 1
@@ -135,39 +143,30 @@ def _apply(
         say(f"The written {what} not recommended: see above what speaks against it.", target=json)
 
 
+def _page(diagnosis: Diagnosis, campaign: Campaign) -> str:
+    from calib.reporting.html import diagnosis_page
+
+    with waiting("making the page"):
+        return diagnosis_page(diagnosis, campaign)
+
+
 def _pictures(folder: Path | None) -> list[Path]:
-    """Return the files that figures may be written to, so that existing ones are refused before the work."""
     if folder is None:
         return []
     from calib.reporting.figures.gap import GAP_FIGURES
-    from calib.reporting.figures.style import figure_paths
 
-    return figure_paths(folder, GAP_FIGURES)
+    return figure_files(folder, GAP_FIGURES)
 
 
-def _draw(
-    diagnosis: Diagnosis, campaign: Campaign, html: Path | None, figures: Path | None, *, json: str | None, force: bool
-) -> None:
-    """Write the page and the figures that were asked for."""
-    if html is not None:
-        from calib.io import write_text
-        from calib.reporting.html import diagnosis_page
+def _figures(diagnosis: Diagnosis) -> dict[str, Figure]:
+    from calib.reporting.figures.gap import gap_figures
 
-        with waiting("making the page"):
-            page = diagnosis_page(diagnosis, campaign)
-        wrote([write_text(html, page, force=force)], target=json)
-    if figures is not None:
-        from calib.reporting.figures.gap import gap_figures
-        from calib.reporting.figures.style import write_figures
-
-        with progress("drawing") as tick:
-            written = write_figures(gap_figures(diagnosis), figures, force=force, progress=tick)
-        wrote(written, target=json, what=f"{len(written)} figure files to {figures}")
+    return gap_figures(diagnosis)
 
 
 def _diagnosed(
     campaign: Campaign, model: Path | None, exclude: tuple[str, ...], seed: int, journeys: Path | None, tick: Progress
-) -> tuple[Diagnosis, tuple[EffectSection, ...]]:
+) -> Judged:
     """Return the diagnosis, and the effects that the model has already."""
     from calib.gap.diagnose import diagnose_in_full
     from calib.gap.effects.applied import model_of, with_sensor_of
@@ -188,19 +187,12 @@ def _diagnosed(
         journeys=None if journeys is None else read_plan(journeys),
         progress=tick,
     )
-    return diagnosis, tuple(effects)
-
-
-def _refuse_together(given: dict[str, Path | None]) -> None:
-    """Refuse the options that are about calib's own model beside --simulator."""
-    for name, value in given.items():
-        if value is not None:
-            raise BadInputError(f"{name}: found it beside --simulator, which is judged instead; give one of them")
+    return diagnosis, tuple(effects), ""
 
 
 def _simulated(
     campaign: Campaign, simulator: Path, exclude: tuple[str, ...], seed: int, workers: int, tick: Progress
-) -> tuple[Diagnosis, str]:
+) -> Judged:
     """Return the diagnosis of the user's simulator, and a sentence on how often it ran."""
     from calib.campaign.log_reading import cache_folder
     from calib.gap.simulator.diagnose import diagnose_simulator
@@ -222,7 +214,7 @@ def _simulated(
         if finished and cache_folder("simulator") is not None:
             keep(f"results of {finished} runs of the simulator, which will not run again")
         raise
-    return done.diagnosis, done.runs.sentence
+    return done.diagnosis, None, done.runs.sentence
 
 
 def _check_excluded(exclude: tuple[str, ...], campaign: Campaign) -> None:

@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calib.cli.terminal import Figures, Force, JsonTarget, emit_json, nearest, progress, show, waiting, wrote
+from calib.cli.terminal import Figures, Force, JsonTarget, draw, emit_json, figure_files, nearest, show, waiting
 from calib.errors import BadInputError
 from calib.io import refuse_existing
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from calib.gap.effects.library import Entry
     from calib.gap.predict import Path as DrivenPath
 
@@ -42,16 +44,12 @@ def run(
     """
     with waiting("looking"):
         nominal, entries, runs = _catalogued(effect, campaign)
-    if figures is not None:
-        from calib.reporting.figures.style import figure_paths
-
-        drawable = [_file_name(entry) for entry in entries if entry.signature is not None]
-        refuse_existing(figure_paths(figures, drawable), force=force)
+    drawable = [_file_name(entry) for entry in entries if entry.signature is not None]
+    refuse_existing(figure_files(figures, drawable), force=force)
     from calib.reporting.topics.effects import effect_content, effects_content
 
     show(effects_content(entries, runs) if effect is None else effect_content(entries[0], runs), target=json)
-    if figures is not None:
-        _draw(entries, nominal, figures, json, force=force)
+    draw(lambda: _figures(entries, nominal), figures, json=json, force=force)
     emit_json({"runs": runs, "effects": [entry.to_dict() for entry in entries]}, json, force=force)
 
 
@@ -81,16 +79,7 @@ def _file_name(entry: Entry) -> str:
     return f"signature-{entry.effect.id}".replace(":", "-")
 
 
-def _draw(entries: list[Entry], nominal: DrivenPath, folder: Path, json: str | None, *, force: bool) -> None:
+def _figures(entries: list[Entry], nominal: DrivenPath) -> dict[str, Figure]:
     from calib.reporting.figures.effects import signature_figure
-    from calib.reporting.figures.style import write_figures
-    from calib.types import stepped
 
-    drawable = [entry for entry in entries if entry.signature is not None]
-    written = []
-    with progress("drawing") as tick:
-        for entry in stepped(drawable, tick, "signatures"):
-            assert entry.signature is not None
-            figure = signature_figure(entry.signature, nominal)
-            written += write_figures({_file_name(entry): figure}, folder, force=force)
-    wrote(written, target=json, what=f"{len(written)} figure files to {folder}" if written else "no figure")
+    return {_file_name(one): signature_figure(one.signature, nominal) for one in entries if one.signature is not None}

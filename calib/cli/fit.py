@@ -13,7 +13,9 @@ from calib.cli.terminal import (
     Force,
     JsonTarget,
     MappingOption,
+    draw,
     emit_json,
+    figure_files,
     progress,
     say,
     show,
@@ -66,11 +68,12 @@ def run(
     from calib import __version__
     from calib.campaign.read import read_or_ingest
     from calib.radius.fit import fit_campaign
-    from calib.radius.result import provenance, write_result
+    from calib.radius.result import FIT_FILE, RUNS_FILE, provenance, write_result
     from calib.reporting.next_step import after_fit
-    from calib.reporting.topics.fit import fit_content
+    from calib.reporting.topics.fit import FIT_PICTURES, fit_content, fit_pictures
 
-    refuse_existing([*_results(into), *_pictures(figures)], force=force)
+    results = [] if into is None else [into / FIT_FILE, into / RUNS_FILE]
+    refuse_existing([*results, *figure_files(figures, FIT_PICTURES)], force=force)
     believed, reference_load = _believed(model, reference_load)
     with progress("fitting") as tick:
         read = read_or_ingest(campaign, mapping=mapping, progress=tick)
@@ -85,8 +88,7 @@ def run(
     if not wants_stdout(json):
         show(content)
     wrote([] if into is None else [write_result(fitted, into, force=force)], target=json)
-    if figures is not None:
-        _draw(fitted, figures, json, force=force)
+    draw(lambda: {one.name: one.draw() for one in fit_pictures(fitted)}, figures, json=json, force=force)
     emit_json(document, json, force=force)
     say(after_fit(fitted.passed, campaign), target=json)
     return 0 if fitted.passed else 1
@@ -115,30 +117,3 @@ def _compared(fitted: Fit, believed: Source) -> tuple[dict[str, Any], tuple[Bloc
     notes = (*believed.notes, *effects_left_out(believed.file, "not compared"))
     compared = compare_laws(fitted.left, fitted.right, believed.file.law)
     return compared.to_dict() | {"notes": list(notes)}, comparison_content(compared, notes)
-
-
-def _results(folder: Path | None) -> list[Path]:
-    """Return the files of a result folder, so that existing ones are refused before the work."""
-    from calib.radius.result import FIT_FILE, RUNS_FILE
-
-    return [] if folder is None else [folder / FIT_FILE, folder / RUNS_FILE]
-
-
-def _pictures(folder: Path | None) -> list[Path]:
-    """Return the files of the figures, so that existing ones are refused before the work."""
-    if folder is None:
-        return []
-    from calib.reporting.figures.style import figure_paths
-    from calib.reporting.topics.fit import FIT_PICTURES
-
-    return figure_paths(folder, FIT_PICTURES)
-
-
-def _draw(fitted: Fit, folder: Path, json: str | None, *, force: bool) -> None:
-    from calib.reporting.figures.style import write_figures
-    from calib.reporting.topics.fit import fit_pictures
-
-    with progress("drawing") as tick:
-        drawn = {picture.name: picture.draw() for picture in fit_pictures(fitted)}
-        written = write_figures(drawn, folder, force=force, progress=tick)
-    wrote(written, target=json, what=f"{len(written)} figure files to {folder}")

@@ -14,15 +14,21 @@ from calib.cli.terminal import (
     Force,
     JsonTarget,
     MappingOption,
+    draw,
     emit_json,
+    figure_files,
+    nearest,
     progress,
     say,
     show,
     wrote,
 )
+from calib.errors import BadInputError
 from calib.io import refuse_existing
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from calib.campaign.model import Campaign
     from calib.kinematics.result import Geometry
 
@@ -31,7 +37,6 @@ USING = {"end-poses": "end_poses", "windows": "windows"}
 LEAVE_OUT = {"session": "session", "kind": "kind", "run": "run_id"}
 #: the result, and the picture, in their folders
 RESULT_FILE, PICTURE = "geometry.json", "geometry_paths"
-FORMS = ("png", "svg", "pdf")
 
 
 def run(
@@ -68,9 +73,8 @@ def run(
     from calib.reporting.topics.geometry import geometry_content
 
     way, left_out = _choice("--using", using, USING), _choice("--leave-out", leave_out, LEAVE_OUT)
-    pictures = [] if figures is None else [figures / f"{PICTURE}.{form}" for form in FORMS]
     result = into / RESULT_FILE if into is not None else None
-    refuse_existing([output, result, *pictures], force=force)
+    refuse_existing([output, result, *figure_files(figures, [PICTURE])], force=force)
     with progress("estimating") as tick:
         read = read_or_ingest(campaign, mapping=mapping, progress=tick)
         estimated = estimate_geometry(read, using=way, kinds=kind or (), leave_out=left_out, progress=tick)
@@ -78,8 +82,7 @@ def run(
     document = estimated.to_dict()
     if result is not None:
         wrote([write_json(result, document, force=force)], target=json)
-    if figures is not None:
-        _draw(estimated, read, figures, json, force=force)
+    draw(lambda: _figures(estimated, read), figures, json=json, force=force)
     emit_json(document, json, force=force)
     if output is not None:
         from calib.coefficients.build import from_geometry
@@ -91,9 +94,6 @@ def run(
 
 
 def _choice(option: str, given: str | None, known: dict[str, str]) -> Any:
-    from calib.cli.terminal import nearest
-    from calib.errors import BadInputError
-
     if given is not None and given not in known:
         raise BadInputError(
             f"{option}: found {given!r}; expected one of {', '.join(known)}; choose one of them{nearest(given, known)}"
@@ -101,10 +101,8 @@ def _choice(option: str, given: str | None, known: dict[str, str]) -> Any:
     return None if given is None else known[given]
 
 
-def _draw(estimated: Geometry, read: Campaign, folder: Path, json: str | None, *, force: bool) -> None:
+def _figures(estimated: Geometry, read: Campaign) -> dict[str, Figure]:
     from calib.kinematics.traces import traces_of
     from calib.reporting.figures.geometry import draw_paths
-    from calib.reporting.figures.style import write_figures
 
-    figure = draw_paths(traces_of(read, estimated), simulated=estimated.simulated)
-    wrote(write_figures({PICTURE: figure}, folder, force=force), target=json)
+    return {PICTURE: draw_paths(traces_of(read, estimated), simulated=estimated.simulated)}

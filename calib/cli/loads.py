@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from calib.cli.terminal import Figures, Force, JsonTarget, answer, nearest, numbers, wants_stdout, wrote
+from calib.cli.terminal import Figures, Force, JsonTarget, answer, draw, figure_files, nearest, numbers
 from calib.errors import BadInputError
 from calib.io import refuse_existing
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from calib.odometry.law_journey import LoadSweep
 
 COLUMNS: Final = {"payload": "payload_kg", "x": "payload_x_m", "y": "payload_y_m"}
 #: what is swept -> name of the figure's files
@@ -48,7 +53,11 @@ def run(
 
     Example: calib loads --payload 100 --x 0.5 --sweep y --from -0.2333 --to 0.2333 --figures loads
     """
-    from calib.odometry.law_journey import vehicle_of
+    from dataclasses import asdict
+
+    from calib.odometry.law_journey import sweep_loads, vehicle_of
+    from calib.reporting.topics.simulation import loads_content, weighed_content
+    from calib.vehicle import payload_from_wheel_loads
 
     meant = vehicle_of(
         vehicle,
@@ -60,57 +69,24 @@ def run(
         max_wheel_load_N=max_load,
     )
     if weighed is not None:
-        _weighed(meant, weighed, sigma, json, force)
+        front, left, right = numbers(weighed, 3, "--weighed")
+        known = payload_from_wheel_loads(meant, front, left, right, sigma_N=sigma)
+        document = {"vehicle": asdict(meant), **asdict(known), "sigma_N": sigma}
+        answer(document, weighed_content(known, known=sigma > 0), json=json, force=force)
         return
     if sweep is not None and (sweep not in COLUMNS or first is None or last is None):
-        raise BadInputError(
-            f"--sweep: found {sweep!r}; expected payload, x or y, with --from and --to; give all three"
-            + ("" if sweep in COLUMNS else nearest(sweep, COLUMNS))
-        )
-    _loads(meant, (payload, x, y), (sweep, first or 0.0, last or 0.0, steps), figures, json, force)
+        near = "" if sweep in COLUMNS else nearest(sweep, COLUMNS)
+        raise BadInputError(f"--sweep: found {sweep!r}; expected payload, x or y, with --from and --to{near}")
+    stem = STEMS.get(sweep or "", "loads")
+    refuse_existing(figure_files(figures, [stem]), force=force)
+    swept_column, span = COLUMNS[sweep] if sweep else "", (first or 0.0, last or 0.0)
+    swept = sweep_loads(meant, payload, x, y, swept=swept_column, span=span, steps=steps)
+    written = draw(lambda: _figures(stem, swept), figures, json=json, force=force)
+    document = {"vehicle": asdict(meant), "swept": swept.swept or None, "loads": swept.rows()}
+    answer(document | {"figures": list(map(str, written))}, loads_content(meant, swept), json=json, force=force)
 
 
-def _loads(
-    vehicle: Any,
-    payload: tuple[float, float, float],
-    sweep: tuple[str | None, float, float, int],
-    figures: Path | None,
-    json: str | None,
-    force: bool,
-) -> None:
-    from dataclasses import asdict
+def _figures(stem: str, swept: LoadSweep) -> dict[str, Figure]:
+    from calib.reporting.figures.motion import load_figure
 
-    from calib.odometry.law_journey import sweep_loads
-    from calib.reporting.figures.style import FORMS, write_figures
-    from calib.reporting.topics.simulation import loads_content
-
-    what, first, last, steps = sweep
-    stem = STEMS.get(what or "", "loads")
-    refuse_existing([figures / f"{stem}.{form}" for form in FORMS] if figures else (), force=force)
-    swept = sweep_loads(vehicle, *payload, swept=COLUMNS[what] if what else "", span=(first, last), steps=steps)
-    written: list[Path] = []
-    if figures is not None:
-        from calib.reporting.figures.motion import load_figure
-
-        written = write_figures({stem: load_figure(swept)}, figures, force=force)
-    document = {
-        "vehicle": asdict(vehicle),
-        "swept": swept.swept or None,
-        "loads": swept.rows(),
-        "figures": [str(path) for path in written],
-    }
-    answer(document, loads_content(vehicle, swept), json=json, force=force)
-    if not wants_stdout(json):
-        wrote(written)
-
-
-def _weighed(vehicle: Any, text: str, sigma: float, json: str | None, force: bool) -> None:
-    from dataclasses import asdict
-
-    from calib.reporting.topics.simulation import weighed_content
-    from calib.vehicle import payload_from_wheel_loads
-
-    front, left, right = numbers(text, 3, "--weighed")
-    weighed = payload_from_wheel_loads(vehicle, front, left, right, sigma_N=sigma)
-    document = {"vehicle": asdict(vehicle), **asdict(weighed), "sigma_N": sigma}
-    answer(document, weighed_content(weighed, known=sigma > 0), json=json, force=force)
+    return {stem: load_figure(swept)}

@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calib.cli.terminal import Force, JsonTarget, emit_json, progress, say, show, wrote
+from calib.cli.terminal import Force, JsonTarget, draw, emit_json, figure_files, progress, say, show
 from calib.errors import BadInputError
 from calib.io import refuse_existing
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from calib.gap.plan.identifiability import Outlook
+
+#: the picture of --figures
+MATRIX = "plan-matrix"
 
 
 def run(
@@ -86,20 +94,17 @@ def _judge(source: Path, figures: Path | None, json: str | None, *, force: bool)
     from calib.gap.plan.plan_file import read_plan
     from calib.reporting.topics.effects import outlook_content
 
-    stem = "plan-matrix"
-    if figures is not None:
-        from calib.reporting.figures.style import FORMS
-
-        refuse_existing([figures / f"{stem}.{form}" for form in FORMS], force=force)
+    refuse_existing(figure_files(figures, [MATRIX]), force=force)
     with progress("judging the plan") as tick:
         planned = read_plan(source)
         outlook = outlook_of(planned, progress=tick)
     show(outlook_content(planned.name, len(planned.runs), outlook), target=json)
-    if figures is not None:
-        from calib.reporting.figures.effects import plan_matrix
-        from calib.reporting.figures.style import write_figures
-
-        written = write_figures({stem: plan_matrix(outlook)}, figures, force=force)
-        wrote(written, target=json, what=f"{len(written)} figure files to {figures}")
+    draw(lambda: _figures(outlook), figures, json=json, force=force)
     emit_json({"plan": planned.name, "runs": len(planned.runs), **outlook.to_dict()}, json, force=force)
     return 0
+
+
+def _figures(outlook: Outlook) -> dict[str, Figure]:
+    from calib.reporting.figures.effects import plan_matrix
+
+    return {MATRIX: plan_matrix(outlook)}

@@ -8,7 +8,7 @@ import math
 import os
 import re
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
@@ -20,6 +20,8 @@ import typer
 from calib.errors import BadInputError
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from calib.reporting.blocks import Block, Section
 
 
@@ -141,6 +143,29 @@ def wrote(paths: Iterable[Path | str], *, target: str | None = None, what: str =
     for text in texts:
         _write(stream, f"wrote {text}")
         keep(text)
+
+
+def figure_files(folder: Path | None, names: Iterable[str]) -> list[Path]:
+    """Return the files that figures are written to, to be refused before the work; none without a folder."""
+    if folder is None:
+        return []
+    from calib.reporting.figures.style import figure_paths
+
+    return figure_paths(folder, names)
+
+
+def draw(
+    figures: Callable[[], Mapping[str, Figure]], folder: Path | None, *, json: str | None, force: bool
+) -> list[Path]:
+    """Draw figures and write them, where a folder is given for them; return their files."""
+    if folder is None:
+        return []
+    from calib.reporting.figures.style import write_figures
+
+    with progress("drawing") as tick:
+        written = write_figures(figures(), folder, force=force, progress=tick)
+    wrote(written, target=json, what=f"{len(written)} figure files to {folder}" if written else "no figure")
+    return written
 
 
 def keep(text: str) -> None:
@@ -267,6 +292,7 @@ AcceptImplausible = Annotated[
         help="Pass on a law that is beyond the bounds of its vehicle; the reason is written into the file.",
     ),
 ]
+Workers = Annotated[int, typer.Option("--workers", metavar="N", min=1, help="Processes of this machine.")]
 Seed = Annotated[int, typer.Option("--seed", metavar="N", help="Seed of everything that is drawn.")]
 
 
