@@ -69,29 +69,21 @@ def _accepted(value: Any, hint: Any) -> Any:
     """Return a value as the annotation has it; raises TypeError or ValueError where it does not fit."""
     origin, inner = get_origin(hint), get_args(hint)
     if origin in (Union, UnionType):
-        return _first_accepted(value, inner)
-    if origin is Literal:
+        # a text stays a text where either is taken
+        for part in sorted(inner, key=lambda one: one is Path):
+            with suppress(TypeError, ValueError):
+                return _accepted(value, part)
+    elif origin is Literal:
         if isinstance(value, str) and value in inner:
             return value
-        raise ValueError
-    if origin is tuple:
-        if not isinstance(value, Sequence) or isinstance(value, str | bytes) or len(value) != len(inner):
-            raise TypeError
-        return tuple(_accepted(one, part) for one, part in zip(value, inner, strict=True))
-    if origin is Sequence:
-        if isinstance(value, str | bytes | Mapping) or not hasattr(value, "__iter__"):
-            raise TypeError
-        return tuple(_accepted(one, inner[0]) for one in value)
-    return _plain(value, hint)
-
-
-def _first_accepted(value: Any, hints: Sequence[Any]) -> Any:
-    # a text stays a text where either is taken
-    for hint in sorted(hints, key=lambda one: one is Path):
-        try:
-            return _accepted(value, hint)
-        except (TypeError, ValueError):
-            continue
+    elif origin is tuple:
+        if isinstance(value, Sequence) and not isinstance(value, str | bytes):
+            return tuple(_accepted(one, part) for one, part in zip(value, inner, strict=True))
+    elif origin is Sequence:
+        if isinstance(value, Iterable) and not isinstance(value, str | bytes | Mapping):
+            return tuple(_accepted(one, inner[0]) for one in value)
+    else:
+        return _plain(value, hint)
     raise TypeError
 
 

@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Final
@@ -436,18 +436,25 @@ def answer(command: str, document: dict[str, Any]) -> list[tuple[float, float]]:
     return []
 
 
+@lru_cache
+def answer_of_sound(campaign: str, command: str) -> tuple[int, dict[str, Any], str]:
+    """Return what a command says of a campaign as it is."""
+    with tempfile.TemporaryDirectory() as temporary:
+        return ask(command, spoiled(Fault(""), campaign, Path(temporary)))
+
+
 def outcome(fault: Fault, campaign: str, commands: Sequence[str] = COMMANDS) -> dict[str, str]:
     """Return what each command made of a fault: named, unchanged or silent."""
     results = {}
     with tempfile.TemporaryDirectory() as temporary:
-        sound = spoiled(Fault("", fault.beside), campaign, Path(temporary) / "sound")
         try:
             folder = spoiled(fault, campaign, Path(temporary) / "spoiled")
         except KeyError:
             return {}
+        sound = fault.beside and spoiled(Fault("", fault.beside), campaign, Path(temporary) / "sound")
         for command in commands:
             status, document, _ = ask(command, folder)
-            before_status, before, _ = ask(command, sound)
+            before_status, before, _ = ask(command, sound) if sound else answer_of_sound(campaign, command)
             if status != before_status or said(command, document) - said(command, before):
                 results[command] = "named"
                 continue

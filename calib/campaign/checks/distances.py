@@ -93,6 +93,8 @@ _UNCERTAINTIES, _LEAST_DIFFERENCE_M = 5.0, 0.005
 _TRACK_TOLERANCE: Final = 0.05
 #: a run far from the others, in robust spreads, is left aside: its log may be damaged
 _OUTLIER_SPREADS: Final = 5.0
+#: end's offset by the reference, half its heading times the distance, and the bow by the log, in m
+_Bows = tuple[FloatArray, FloatArray, FloatArray]
 #: straight runs whose bows are looked at: more tell no more, and large campaigns need not wait
 _MOST_STRAIGHT_RUNS: Final = 200
 #: a mirrored y leaves less than this share of the scatter where it is mirrored back
@@ -124,13 +126,11 @@ def distance_against_pose(campaign: Campaign) -> Iterator[Note]:
         yield column_note("distance_m", text, "distance_against_pose")
 
 
-def _bows(campaign: Campaign) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """Return how far nearly straight runs bow out, None where too few were measured and logged.
+def _bows(campaign: Campaign) -> _Bows | None:
+    """Return how far nearly straight runs bow out; None where too few were measured and logged.
 
     The bow is the end's offset less half the end's heading times the distance. Wheels of unequal radius, which scatter
     from run to run, turn a run in proportion to the distance and leave its bow alone; a wrong track scales it.
-
-    Returns the end's offset by the reference, half its heading times the distance, and the bow by the log, in m.
     """
     runs, logs = campaign.runs, campaign.logs
     theta = runs.number("ref_theta_rad")
@@ -253,12 +253,6 @@ def implausible_distances(campaign: Campaign) -> Iterator[Note]:
                 f"the {side} wheel counts backwards in every straight run, the {other} one forwards; negate the column"
             )
             yield implausible_column(f"counts_{side}", text)
-    if (distance <= 0).any():
-        text = (
-            f"found distances of zero or less in {int((distance <= 0).sum())} run(s), as {np.nanmin(distance):.4g} m; "
-            "expected distances above zero; check the sign, or flag the run as excluded"
-        )
-        yield implausible_column("distance_m", text)
     total = np.abs(counts["left"] + counts["right"])
     both = np.isfinite(distance) & np.isfinite(total) & (total > 0)
     if both.sum() > LEAST_RUNS and np.ptp(distance[both]) == 0 and np.ptp(total[both]) > 2e-3 * total[both].mean():

@@ -20,10 +20,6 @@ from calib.campaign.settings import OdometryModel
 from calib.units import split_suffix
 from calib.vehicle import Usual, Vehicle
 
-#: temperatures of a hall, in degrees Celsius; the fastest vehicle, in m/s
-_HALL: Final = (-50.0, 60.0)
-_FASTEST: Final = 20.0
-
 
 def implausible(campaign: Campaign) -> Iterator[Note]:
     """Yield what cannot be, as notes of level ``wrong``; nothing for a campaign within all bounds.
@@ -111,21 +107,27 @@ def _model(campaign: Campaign) -> Iterator[Note]:
         yield implausible_setting("model.reference_load_N", text)
 
 
-def _conditions(campaign: Campaign) -> Iterator[Note]:
-    runs = campaign.runs
-    temperature, speed = runs.number("temperature_C"), np.abs(runs.number("speed_mps"))
-    amplitude, wavelength = runs.number("amplitude_m"), runs.number("wavelength_m")
-    outside = (temperature < _HALL[0]) | (temperature > _HALL[1])
-    if outside.any():
-        value = float(np.median(temperature[outside]))
-        hint = f"is it Fahrenheit ({(value - 32) / 1.8:.1f} degC)?" if value < 150 else "is it in kelvin?"
-        text = f"found {value:.4g} degC in {int(outside.sum())} run(s); expected {_HALL[0]:g} to {_HALL[1]:g}; {hint}"
-        yield implausible_column("temperature_C", text)
-    fast = speed > _FASTEST
-    if fast.any():
-        found = f"found {np.median(speed[fast]):g} m/s in {int(fast.sum())} run(s)"
-        yield implausible_column("speed_mps", f"{found}; expected up to {_FASTEST:g}; is it in mm/s?")
-    steep = (np.abs(amplitude) > 0.5 * wavelength) | (np.abs(amplitude) > 5)
+#: column -> what a run can have, and what lies behind another value; 1e-9: anything above zero
+_COLUMNS: Final[dict[str, tuple[Usual, str]]] = {
+    "temperature_C": (Usual(-50.0, 60.0), "is it in Fahrenheit or kelvin?"),
+    "speed_mps": (Usual(-20.0, 20.0), "is it in mm/s?"),
+    "amplitude_m": (Usual(-5.0, 5.0), "is it in millimetres?"),
+    "distance_m": (Usual(1e-9, math.inf), "check the sign, or flag the run as excluded"),
+    "load_left_N": (Usual(1e-9, math.inf), "check payload and place, or the sign: below zero the wheel lifts off"),
+    "load_right_N": (Usual(1e-9, math.inf), "check payload and place, or the sign: below zero the wheel lifts off"),
+}
+
+
+def _columns(campaign: Campaign) -> Iterator[Note]:
+    for name, (usual, hint) in _COLUMNS.items():
+        values = campaign.runs.number(name)
+        outside = values[(values < usual.low) | (values > usual.high)]
+        if len(outside):
+            found = f"found {np.median(outside):.4g} {split_suffix(name)[1]} in {len(outside)} run(s)"
+            most = f"above {usual.low:.0f}" if usual.high == math.inf else f"{usual.low:g} to {usual.high:g}"
+            yield implausible_column(name, f"{found}; expected {most}; {hint}")
+    amplitude, wavelength = campaign.runs.number("amplitude_m"), campaign.runs.number("wavelength_m")
+    steep = np.abs(amplitude) > 0.5 * wavelength
     if steep.any():
         text = (
             f"found a weave of {amplitude[steep][0]:g} m on {wavelength[steep][0]:g} m in {int(steep.sum())} run(s); "
@@ -139,6 +141,6 @@ _CHECKS: Final[tuple[Callable[[Campaign], Iterator[Note]], ...]] = (
     _model,
     implausible_distances,
     implausible_loads,
-    _conditions,
+    _columns,
     implausible_poses,
 )
