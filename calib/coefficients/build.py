@@ -53,6 +53,8 @@ LOAD_TABLE_LINES: Final = 64
 SLOPE_STD_PER_N: Final = 1e-5
 #: relative standard deviation of a length that was not measured
 NOMINAL_STD: Final = 0.01
+#: source of the odometry -> the radius that both rear wheels have; none of a front wheel's own
+WHEEL_RADIUS: Final = {"wheels": "wheel_radius_m", "front": "", "shaft": "rear_radius_m"}
 #: suffix of a parameter -> its unit
 UNITS: Final = {
     "_m": "m",
@@ -88,21 +90,15 @@ def from_fit(
             "make it anew with 'calib fit CAMPAIGN --into FOLDER'"
         )
     try:
-        file = from_law(
-            fit.law,
-            fit.setup.vehicle,
-            fit.setup.encoder,
-            Header(fit.name, fit.simulated, outside, created, hashes),
-            load_table=load_points(fit.radii.load_left_N, fit.radii.load_right_N),
-        )
+        header = Header(fit.name, fit.simulated, outside, created, hashes)
+        loads = load_points(fit.radii.load_left_N, fit.radii.load_right_N)
+        file = from_law(fit.law, fit.setup.vehicle, fit.setup.encoder, header, load_table=loads)
     except (TypeError, OverflowError) as error:
         raise BadInputError(
             f"fit of {fit.name!r}: found a value that is no number ({error}); expected those of a fit; make it anew "
             "with 'calib fit CAMPAIGN --into FOLDER'"
         ) from error
-    if not fit.implausible:
-        return file
-    return file.changed(accepted_implausible={"reason": fit.accepted, "findings": list(fit.implausible)})
+    return file.accepted(fit.accepted, fit.implausible)
 
 
 def load_points(load_left_N: npt.ArrayLike, load_right_N: npt.ArrayLike) -> dict[str, tuple[float, float]]:
@@ -117,11 +113,8 @@ def load_points(load_left_N: npt.ArrayLike, load_right_N: npt.ArrayLike) -> dict
     keys, group = np.unique(np.round(pairs), axis=0, return_inverse=True)
     if len(keys) > LOAD_TABLE_LINES:
         return {}
-    size = np.bincount(group.ravel(), minlength=len(keys))
-    means = np.column_stack([np.bincount(group.ravel(), pairs[:, side], minlength=len(keys)) / size for side in (0, 1)])
-    return {
-        f"L{key[0]:.0f} R{key[1]:.0f}": (float(mean[0]), float(mean[1])) for key, mean in zip(keys, means, strict=True)
-    }
+    means = (pairs[group.ravel() == point].mean(axis=0) for point in range(len(keys)))
+    return {f"L{left:.0f} R{right:.0f}": tuple(map(float, next(means))) for left, right in keys}
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,15 +182,9 @@ def from_law(
         simulated=bool(header.simulated),
         outside=header.outside,
         wheels=wheels,
-        vehicle=_vehicle(vehicle, noise.track_std_m),
-        encoder=EncoderSection.of(
-            counts_per_rev_left=encoder.counts_per_rev_left,
-            counts_per_rev_right=encoder.counts_per_rev_right,
-            wrap_bits=encoder.wrap_bits,
-        ),
-        noise=NoiseSection.of(
-            along=noise.along_m_per_sqrt_m, heading=noise.heading_rad_per_sqrt_m, count_std=COUNT_STD
-        ),
+        vehicle=VehicleSection.of(vehicle, track_std=noise.track_std_m, gravity=GRAVITY_MPS2),
+        encoder=EncoderSection.of(encoder),
+        noise=NoiseSection.of(noise, count_std=COUNT_STD),
         limits=LimitsSection.of(max_step=_max_step_m(law, encoder), max_gap=MAX_GAP_S),
         load_table=[
             LoadPoint.of(name=name, load_left=left, load_right=right)
@@ -213,43 +200,21 @@ def _max_step_m(law: RadiusLaw, encoder: Encoder) -> float:
     """Return the longest step between two samples, a quarter of the counter's range: its wrap stays unambiguous."""
     if encoder.wrap_bits is None:
         return MAX_STEP_M
-    turns = (
-        2.0**encoder.wrap_bits / per_rev for per_rev in (encoder.counts_per_rev_left, encoder.counts_per_rev_right)
+    per_count_m = (
+        law.left.radius_ref_m / encoder.counts_per_rev_left,
+        law.right.radius_ref_m / encoder.counts_per_rev_right,
     )
-    radii = (law.left.radius_ref_m, law.right.radius_ref_m)
-    return min(MAX_STEP_M, *(0.25 * turn * 2.0 * math.pi * radius for turn, radius in zip(turns, radii, strict=True)))
-
-
-def _vehicle(vehicle: Vehicle, track_std_m: float) -> VehicleSection:
-    return VehicleSection.of(
-        track=vehicle.track_m,
-        track_std=track_std_m,
-        wheelbase=vehicle.wheelbase_m,
-        wheel_radius=vehicle.wheel_radius_m,
-        mass=vehicle.mass_kg,
-        cog_x=vehicle.cog_x_m,
-        cog_y=vehicle.cog_y_m,
-        cog_z=vehicle.cog_z_m,
-        max_wheel_load=vehicle.max_wheel_load_N,
-        gravity=GRAVITY_MPS2,
-        drive=vehicle.drive,
-        front_wheel_radius=vehicle.front_wheel_radius_m,
-    )
+    return min(MAX_STEP_M, 0.25 * 2.0**encoder.wrap_bits * 2.0 * math.pi * min(per_count_m))
 
 
 def _wheel(law: WheelLaw, load_margin_N: float | None) -> WheelSection:
     span = law.load_max_N - law.load_min_N
     margin = max(LOAD_MARGIN * span, MIN_LOAD_MARGIN_N) if load_margin_N is None else load_margin_N
     return WheelSection.of(
-        radius_ref=law.radius_ref_m,
-        slope=law.slope_m_per_N,
-        reference_load=law.reference_load_N,
+        law,
         variance_radius_ref=law.covariance[0, 0],
         covariance_radius_ref_slope=law.covariance[0, 1],
         variance_slope=law.covariance[1, 1],
-        dof=law.dof,
-        residual_std=law.residual_std_m,
-        n_runs=law.n_runs,
         # outwards to whole millinewtons: a load computed by another program must not fall out by its last bit
         valid_load=LoadRange.of(
             min=max(math.floor((law.load_min_N - margin) * 1e3) / 1e3, 0.0),
@@ -295,17 +260,10 @@ def from_geometry(
     ImplausibleError
         Where the geometry is doubtful or wrong and no reason is given.
     """
-    findings = geometry.why
     if not geometry.passed and not accept:
-        raise ImplausibleError(f"{geometry.name}, geometry {geometry.verdict}", findings)
+        raise ImplausibleError(f"{geometry.name}, geometry {geometry.verdict}", geometry.why)
     vehicle = campaign.vehicle
-    names = {
-        "rear": ("radius_left_m", "radius_right_m"),
-        "wheels": ("wheel_radius_m", "wheel_radius_m"),
-        "front": ("", ""),
-        "shaft": ("rear_radius_m", "rear_radius_m"),
-    }[geometry.source]
-    law = RadiusLaw(left=_law(geometry, campaign, "left", names[0]), right=_law(geometry, campaign, "right", names[1]))
+    law = RadiusLaw(left=_law(geometry, campaign, "left"), right=_law(geometry, campaign, "right"))
     track, track_std = _track(geometry, campaign)
     wheelbase = geometry.values.get("wheelbase_m", vehicle.wheelbase_m)
     runs = campaign.included().runs
@@ -318,9 +276,7 @@ def from_geometry(
         noise=PoseNoise(track_std, geometry.noise["along_walk"], geometry.noise["heading_walk"]),
     )
     file = file.changed(joint_geometry=_section(geometry))
-    if geometry.passed:
-        return file
-    return file.changed(accepted_implausible={"reason": accept, "findings": list(findings)})
+    return file if geometry.passed else file.accepted(accept, geometry.why)
 
 
 def _section(geometry: Geometry) -> GeometrySection:
@@ -333,7 +289,10 @@ def _section(geometry: Geometry) -> GeometrySection:
             CovarianceEntry.of(
                 first=first,
                 second=second,
-                covariance=Quantity.of(value=float(geometry.covariance[row, column]), unit=_product(first, second)),
+                covariance=Quantity.of(
+                    value=float(geometry.covariance[row, column]),
+                    unit=f"({_unit(first)})^2" if _unit(first) == _unit(second) else f"({_unit(first)})({_unit(second)})",
+                ),
             )
             for row, first in enumerate(names)
             for column, second in enumerate(names[row:], row)
@@ -342,42 +301,29 @@ def _section(geometry: Geometry) -> GeometrySection:
 
 
 def _unit(name: str) -> str:
-    return next(unit for suffix, unit in sorted(UNITS.items(), key=lambda pair: -len(pair[0])) if name.endswith(suffix))
+    return UNITS[max((suffix for suffix in UNITS if name.endswith(suffix)), key=len)]
 
 
-def _product(first: str, second: str) -> str:
-    one, other = _unit(first), _unit(second)
-    return f"({one})^2" if one == other else f"({one})({other})"
-
-
-def _law(geometry: Geometry, campaign: Campaign, side: str, name: str) -> WheelLaw:
+def _law(geometry: Geometry, campaign: Campaign, side: str) -> WheelLaw:
     """Return the law of a wheel; at the nominal radius where rear wheels were not estimated."""
-    runs = campaign.included().runs
-    loads = runs.number(f"load_{side}_N")
+    loads = campaign.included().runs.number(f"load_{side}_N")
     loads = loads[np.isfinite(loads)]
-    slope_name = f"slope_{side}_m_per_N"
+    radius_name, slope_name = WHEEL_RADIUS.get(geometry.source, f"radius_{side}_m"), f"slope_{side}_m_per_N"
     names = [estimate.name for estimate in geometry.estimates]
-    radius = geometry.values.get(name, campaign.vehicle.wheel_radius_m)
+    radius = geometry.values.get(radius_name, campaign.vehicle.wheel_radius_m)
     covariance = np.diag([(NOMINAL_STD * radius) ** 2, (SLOPE_STD_PER_N * radius) ** 2])
-    dof = 0.0
-    for row, first in enumerate((name, slope_name)):
-        if first not in names:
-            continue
-        covariance[row, row] = geometry[first].std ** 2
-        dof = geometry[first].dof if row == 0 else dof
-    if name in names and slope_name in names:
-        cross = geometry.covariance[names.index(name), names.index(slope_name)]
-        covariance[0, 1] = covariance[1, 0] = cross
+    places = [(row, names.index(name)) for row, name in enumerate((radius_name, slope_name)) if name in names]
+    for row, first in places:
+        for column, second in places:
+            covariance[row, column] = geometry.covariance[first, second]
     driven = slope_name in names
-    reference = campaign.model.reference_load_N
-    if not driven and len(loads):
-        reference = float(loads.mean())
+    reference = campaign.model.reference_load_N if driven or not len(loads) else float(loads.mean())
     return WheelLaw(
         reference_load_N=reference,
         radius_ref_m=radius,
         slope_m_per_N=geometry.values.get(slope_name, 0.0),
         covariance=covariance,
-        dof=dof,
+        dof=geometry[radius_name].dof if radius_name in names else 0.0,
         residual_std_m=0.0,
         load_min_N=float(loads.min()) if driven else 0.0,
         load_max_N=float(loads.max()) if driven else max(campaign.vehicle.max_wheel_load_N, reference),

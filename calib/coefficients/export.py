@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from datetime import date
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, get_args
 
 from calib.campaign.wheels import SOURCE_NAMES
 from calib.coefficients import formats
@@ -17,9 +17,6 @@ from calib.coefficients.file import FORMAT, CoefficientFile, Outside, load_coeff
 from calib.coefficients.formats import Artifact, ExportOptions, LoadPair
 from calib.errors import BadFileError, BadInputError, RefusedError
 from calib.io import refuse_existing, write_bytes, write_files
-
-if TYPE_CHECKING:
-    from calib.campaign.model import Campaign
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,18 +43,19 @@ def coefficients_of(
     from calib.radius.result import is_result, read_result
 
     path = Path(path)
-    rule = _outside(outside)
+    if outside not in (None, *get_args(Outside)):
+        raise BadInputError(f"outside: found {outside!r}; expected refuse or clamp; choose one of them")
     if created is not None:
         _check_date(created)
+    changes: dict[str, Any] = {"outside": outside, "created": created}
+    changes = {key: value for key, value in changes.items() if value is not None}
     if not path.exists():
         expected = "a campaign folder, a result folder of calib fit, or a coefficient file"
         raise BadFileError(path, "nothing", expected, "give the path of one")
     if path.is_file() and (path.suffix != ".json" or _is_coefficients(path)):
         file = load_coefficients(path)
-        changes = {"outside": rule, "created": created}
-        kept = {key: value for key, value in changes.items() if value is not None}
-        return Source(file.changed(**kept) if kept else file)
-    from calib.coefficients.build import from_fit
+        return Source(file.changed(**changes) if changes else file)
+    from calib.coefficients.build import from_fit, from_geometry
 
     inputs = None
     if is_result(path):
@@ -69,10 +67,14 @@ def coefficients_of(
 
         campaign = read_campaign(path)
         if without_rear_wheels(campaign):
-            return _by_geometry(campaign, rule or "refuse", created, accept)
+            from calib.kinematics.estimate import estimate_geometry
+
+            geometry = estimate_geometry(campaign)
+            file = from_geometry(geometry, campaign, accept=accept, **changes)
+            how = "no rear wheel was counted: radii and lengths are those of 'calib geometry'"
+            return Source(file, (*geometry.notes, how))
         fit, inputs = fit_campaign(campaign), campaign.hashes
-    fit = replace(fit, accepted=accept)
-    master = from_fit(fit, outside=rule or "refuse", created=created, inputs=inputs)
+    master = from_fit(replace(fit, accepted=accept), inputs=inputs, **changes)
     notes = tuple(
         f"{name} wheel, check {check.name} failed: {check.sentence}"
         for name, wheel in fit.wheels.items()
@@ -80,16 +82,6 @@ def coefficients_of(
         if not check.passed
     )
     return Source(master, notes)
-
-
-def _by_geometry(campaign: Campaign, outside: Outside, created: str | None, accept: str) -> Source:
-    """Return the coefficients of a vehicle without rear encoders: there is no law of a load, but a geometry."""
-    from calib.coefficients.build import from_geometry
-    from calib.kinematics.estimate import estimate_geometry
-
-    geometry = estimate_geometry(campaign)
-    file = from_geometry(geometry, campaign, outside=outside, created=created, accept=accept)
-    return Source(file, (*geometry.notes, "no rear wheel was counted: radii and lengths are those of 'calib geometry'"))
 
 
 def effects_left_out(file: CoefficientFile, what: str) -> tuple[str, ...]:
@@ -102,14 +94,6 @@ def effects_left_out(file: CoefficientFile, what: str) -> tuple[str, ...]:
         return ()
     names = ", ".join(dict.fromkeys(effect.effect for effect in file.effects))
     return (f"{what}: {names} of the model; its radius laws and its track alone are used",)
-
-
-def _outside(text: str | None) -> Outside | None:
-    if text is None or text == "refuse":
-        return "refuse" if text else None
-    if text == "clamp":
-        return "clamp"
-    raise BadInputError(f"outside: found {text!r}; expected refuse or clamp; choose one of them")
 
 
 def _check_date(text: str) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
+from dataclasses import fields
 from datetime import date
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
@@ -28,7 +30,7 @@ from calib.coefficients.sections import (
     WheelSection,
     WheelsSection,
     first_fault,
-    no_file,
+    validated,
 )
 from calib.documents import checksum, to_json
 from calib.errors import BadFileError, BadInputError, RefusedError
@@ -110,14 +112,25 @@ class CoefficientFile(Section):
         """Return the file's content: UTF-8 JSON; the same bytes for the same content."""
         return to_json(self.to_dict()).encode("utf-8")
 
-    def changed(self, **fields: Any) -> CoefficientFile:
-        """Return the file with `fields` (sections or plain values) replaced and a new checksum."""
-        return sealed(**{**self.to_dict(), **fields})
+    def changed(self, **sections: Any) -> CoefficientFile:
+        """Return the file with `sections` (models or plain values) replaced and a new checksum."""
+        return sealed(**{**self.to_dict(), **sections})
+
+    def accepted(self, reason: str, findings: Sequence[str]) -> CoefficientFile:
+        """Return the file with the findings beyond the bounds that the user accepts; the file itself without any."""
+        if not findings:
+            return self
+        return self.changed(accepted_implausible={"reason": reason, "findings": list(findings)})
 
     @property
     def law(self) -> RadiusLaw:
         """The laws of both wheels as arrays compute with them; they ignore the valid range."""
         return RadiusLaw(left=self.wheels.left.law, right=self.wheels.right.law, joint=self._joint())
+
+    @property
+    def together(self) -> dict[str, float]:
+        """Value of each parameter estimated together; empty without a geometry."""
+        return {} if self.joint_geometry is None else self.joint_geometry.values
 
     def _joint(self) -> FloatArray | None:
         """Return the joint covariance of both wheels' laws and the track; None where they were not fitted together."""
@@ -138,21 +151,13 @@ class CoefficientFile(Section):
     @property
     def geometry(self) -> Vehicle:
         """The vehicle."""
-        part, together = self.vehicle, self.joint_geometry
-        nominal = part.front_wheel_radius
-        lengths = {} if together is None else together.values
+        numbers = self.vehicle.si()
+        stated = {part.name: numbers[part.name] for part in fields(Vehicle) if part.name in numbers}
+        stated["front_wheel_radius_m"] = self.together.get("front_radius_m", stated["front_wheel_radius_m"])
         return Vehicle(
-            track_m=part.track.value,
-            wheelbase_m=part.wheelbase.value,
-            wheel_radius_m=part.wheel_radius.value,
-            mass_kg=part.mass.value,
-            cog_x_m=part.cog_x.value,
-            cog_y_m=part.cog_y.value,
-            cog_z_m=part.cog_z.value,
-            max_wheel_load_N=part.max_wheel_load.value,
-            drive=part.drive if together is None else together.drive,
-            front_wheel_radius_m=lengths.get("front_radius_m", None if nominal is None else nominal.value),
-            half_length_plus_half_width_m=lengths.get("half_length_plus_half_width_m"),
+            **stated,
+            drive=self.vehicle.drive if self.joint_geometry is None else self.joint_geometry.drive,
+            half_length_plus_half_width_m=self.together.get("half_length_plus_half_width_m"),
         )
 
     def radius_m(self, load_left_N: npt.ArrayLike, load_right_N: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
@@ -211,10 +216,7 @@ def sealed(**sections: Any) -> CoefficientFile:
 
     Raises BadInputError where they break the schema.
     """
-    try:
-        file = CoefficientFile.model_validate({**sections, "checksum": "sha256:" + "0" * 64})
-    except ValidationError as error:
-        raise no_file(error) from error
+    file = validated(CoefficientFile, {**sections, "checksum": "sha256:" + "0" * 64})
     return file.model_copy(update={"checksum": checksum(file.to_dict())})
 
 
@@ -224,15 +226,14 @@ def believed_model(file: CoefficientFile, reference_load_N: float) -> OdometryMo
     `file`: its laws, its track and, where a geometry was estimated, its steering or its four wheels;
     `reference_load_N`: load on which the model is centred.
     """
-    law, together = file.law, file.joint_geometry
+    law, values, together = file.law, file.together, file.joint_geometry
     front = mecanum = None
     if together is not None and together.source in STEERED:
         radius = "front_radius_m" if together.source == "front" else "rear_radius_m"
-        values, names = together.values, (radius, "wheelbase_m", "steering_zero_rad", STEERING_SCALE)
+        names = (radius, "wheelbase_m", "steering_zero_rad", STEERING_SCALE)
         slips = (values.get(name, 0.0) for name in (UNDERSTEER, SIDE_SLIP))
         front = FrontModel(*(values[name] for name in names), *slips)
     if together is not None and together.source == "wheels":
-        values = together.values
         mecanum = MecanumModel(values["wheel_radius_m"], values["half_length_plus_half_width_m"])
     return OdometryModel(
         radius_left_m=float(law.left.radius_m(reference_load_N)),

@@ -18,9 +18,21 @@ NonNegative = Annotated[float, Field(ge=0.0)]
 BitCount = Annotated[float, Field(ge=8.0, le=48.0, multiple_of=1.0)]
 ValueT = TypeVar("ValueT", bound=float)
 UnitT = TypeVar("UnitT", bound=str)
+SectionT = TypeVar("SectionT", bound="Section")
 
 #: how far a covariance may miss being positive semi-definite through rounding, relative
 ROUNDING: Final = 1e-9
+#: unit in the file -> suffix of the same number's name in Python
+SUFFIXES: Final = {
+    "m": "_m",
+    "N": "_N",
+    "kg": "_kg",
+    "s": "_s",
+    "m/N": "_m_per_N",
+    "m/s^2": "_mps2",
+    "m/m^0.5": "_m_per_sqrt_m",
+    "rad/m^0.5": "_rad_per_sqrt_m",
+}
 
 
 class Section(BaseModel):
@@ -29,15 +41,43 @@ class Section(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=True)
 
     @classmethod
-    def of(cls, **fields: Any) -> Self:
+    def of(cls, source: object = None, /, **fields: Any) -> Self:
         """Return the section of SI numbers, which get the units that it states, and of other fields as they are.
 
-        Raises BadInputError where a value breaks the schema.
+        A field that is not given is the attribute of `source` with the same name and the suffix of its unit. Raises
+        BadInputError where a value breaks the schema.
         """
-        try:
-            return cls.model_validate({name: _with_unit(cls, name, value) for name, value in fields.items()})
-        except ValidationError as error:
-            raise no_file(error) from error
+        for name in cls.model_fields.keys() - fields.keys():
+            unit = cls._unit(name)
+            attribute = name if unit is None else name + SUFFIXES.get(unit, "")
+            if hasattr(source, attribute):
+                fields[name] = getattr(source, attribute)
+        for name, value in fields.items():
+            unit = cls._unit(name)
+            if unit is not None and isinstance(value, (int, float)):
+                fields[name] = {"value": float(value), "unit": unit}
+        return validated(cls, fields)
+
+    @classmethod
+    def _unit(cls, name: str) -> str | None:
+        """Return the unit of a field; None where it is no number with a single unit."""
+        annotation: Any = cls.model_fields[name].annotation
+        kinds = [kind for kind in (annotation, *get_args(annotation)) if isinstance(kind, type)]
+        units = [get_args(kind.model_fields["unit"].annotation) for kind in kinds if issubclass(kind, Measured)]
+        return units[0][0] if units and units[0] else None
+
+    def si(self, *names: str) -> dict[str, Any]:
+        """Return fields as Python names them: with the suffix of their unit, and None where they are not in the file.
+
+        `names`: which fields; without, all numbers that have one unit.
+        """
+        numbers = {}
+        for name in names or type(self).model_fields:
+            unit = self._unit(name)
+            if unit is not None:
+                part = getattr(self, name)
+                numbers[name + SUFFIXES.get(unit, "")] = None if part is None else part.value
+        return numbers
 
 
 class Measured(Section, Generic[ValueT, UnitT]):
@@ -119,16 +159,6 @@ class HeadingPerRootMetre(Measured[NonNegative, Literal["rad/m^0.5"]]):
     """Random walk of the heading, per square root of the distance driven."""
 
 
-def _with_unit(section: type[Section], name: str, value: Any) -> Any:
-    """Return a field: a number as its quantity, other values as they are."""
-    annotation: Any = section.model_fields[name].annotation
-    kinds = [kind for kind in (annotation, *get_args(annotation)) if isinstance(kind, type)]
-    quantity = next((kind for kind in kinds if issubclass(kind, Measured)), None)
-    if quantity is None or not isinstance(value, (int, float)):
-        return value
-    return {"value": float(value), "unit": get_args(quantity.model_fields["unit"].annotation)[0]}
-
-
 def first_fault(error: ValidationError) -> tuple[str, str, str]:
     """Return place, found value and expectation of the first fault."""
     first = error.errors(include_url=False)[0]
@@ -137,12 +167,18 @@ def first_fault(error: ValidationError) -> tuple[str, str, str]:
     return ".".join(str(part) for part in first["loc"]), found, first["msg"].removeprefix("Value error, ")
 
 
-def no_file(error: ValidationError) -> BadInputError:
-    """Return the error of values that break the schema."""
-    where, found, expected = first_fault(error)
-    return BadInputError(
-        f"{where or 'the coefficients'}: found {found}; expected {expected}; these make no coefficient file"
-    )
+def validated(section: type[SectionT], fields: dict[str, Any]) -> SectionT:
+    """Return a section of its fields, as models or plain values.
+
+    Raises BadInputError where they break the schema.
+    """
+    try:
+        return section.model_validate(fields)
+    except ValidationError as error:
+        where, found, expected = first_fault(error)
+        raise BadInputError(
+            f"{where or 'the coefficients'}: found {found}; expected {expected}; these make no coefficient file"
+        ) from error
 
 
 class LoadRange(Section):
@@ -192,15 +228,11 @@ class WheelSection(Section):
         """The law of the wheel, as arrays compute with it; it does not look at the valid range."""
         cross = self.covariance_radius_ref_slope.value
         return WheelLaw(
-            reference_load_N=self.reference_load.value,
-            radius_ref_m=self.radius_ref.value,
-            slope_m_per_N=self.slope.value,
             covariance=np.array([[self.variance_radius_ref.value, cross], [cross, self.variance_slope.value]]),
-            dof=self.dof.value,
-            residual_std_m=self.residual_std.value,
             load_min_N=self.valid_load.min.value,
             load_max_N=self.valid_load.max.value,
             n_runs=int(self.n_runs.value),
+            **self.si("reference_load", "radius_ref", "slope", "dof", "residual_std"),
         )
 
 

@@ -80,21 +80,31 @@ def default_loads(file: CoefficientFile) -> tuple[LoadPair, ...]:
     """
     if file.load_table:
         return tuple(LoadPair(p.load_left.value, p.load_right.value, p.name) for p in file.load_table)
-    left, right = file.wheels.left, file.wheels.right
-    if left.slope.value == 0.0 and right.slope.value == 0.0:
-        return (LoadPair(left.reference_load.value, right.reference_load.value, "any load"),)
-    low = max(left.valid_load.min.value, right.valid_load.min.value)
-    high = min(left.valid_load.max.value, right.valid_load.max.value)
-    if low > high:
-        return (LoadPair(left.reference_load.value, right.reference_load.value, "reference"),)
-    points = {low, high, left.reference_load.value}
+    left, right = file.law.left, file.law.right
+    low, high = max(left.load_min_N, right.load_min_N), min(left.load_max_N, right.load_max_N)
+    unloaded = left.slope_m_per_N == right.slope_m_per_N == 0.0
+    if unloaded or low > high:
+        return (LoadPair(left.reference_load_N, right.reference_load_N, "any load" if unloaded else "reference"),)
+    points = {low, high, left.reference_load_N}
     return tuple(LoadPair(load, load) for load in sorted(points) if low <= load <= high)
+
+
+def radii_m(file: CoefficientFile, pair: LoadPair) -> tuple[float, float]:
+    """Return the radii of the left and the right wheel at a load point; see `CoefficientFile.radius_m`."""
+    left, right = file.radius_m(pair.left_N, pair.right_N)
+    return float(left), float(right)
 
 
 def ascii_line(text: str) -> str:
     """Return `text` as one short line of printable ASCII that cannot end a comment."""
     line = "".join(sign if " " <= sign <= "~" else "?" for sign in text)
     return line.replace("*/", "* /").replace("/*", "/ *").replace("??", "? ?").rstrip("\\")[:COMMENT_LENGTH]
+
+
+def left_out_lines(file: CoefficientFile, what: str) -> list[str]:
+    """Return what `what`, the file or header that is written, leaves out, and the findings that the user accepted."""
+    lines = [f"NOT in this {what}: effect {ascii_line(part.effect)} of the simulator's model" for part in file.effects]
+    return [*lines, *accepted_lines(file)]
 
 
 def accepted_lines(file: CoefficientFile) -> list[str]:

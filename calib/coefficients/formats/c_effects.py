@@ -11,6 +11,7 @@ from typing import Final
 
 from calib.coefficients.file import CoefficientFile
 from calib.coefficients.formats import Artifact, ExportOptions, accepted_lines, ascii_line
+from calib.coefficients.formats.c_header import C_LINKAGE, begin_header, c_number
 from calib.coefficients.sections import EffectSection
 
 #: see `calib.coefficients.formats`
@@ -44,53 +45,37 @@ def _divided(effects: Sequence[EffectSection]) -> tuple[list[EffectSection], lis
     return acting, others
 
 
-def c_number(value: float) -> str:
-    """Return a double as C reads it, to the last bit."""
-    text = repr(float(value))
-    return text if any(sign in text for sign in ".e") else f"{text}.0"
-
-
 def _head(file: CoefficientFile, acting: Sequence[EffectSection], others: Sequence[str]) -> list[str]:
+    about = [
+        *(f"effect: {ascii_line(f'{section.effect} {section.form}'.strip())}" for section in acting),
+        *(f"NOT in this header: {ascii_line(name)}, which does not act on the wheels" for name in others),
+        *accepted_lines(file),
+        "",
+        "calib_effects e; calib_effects_run run = calib_effects_unknown();",
+        "run.load_left_N = 420.0; run.load_right_N = 380.0; run.temperature_C = 14.0;",
+        "calib_effects_begin(&e, &run);",
+        "calib_effects_motion m = calib_effects_step(&e, d_left_rad, d_right_rad, dt_s);",
+        "heading += m.turn_rad;",
+    ]
+    title = "Named effects on wheel motion, C99, for the loop of a simulator; no memory allocation, one header."
     return [
-        "/* Named effects on wheel motion, C99, for the loop of a simulator; no memory allocation, one header.",
-        f" * campaign: {ascii_line(file.name)}" + (" -- SIMULATED DATA" if file.simulated else ""),
-        f" * created: {file.created or 'no date given'}, calib {ascii_line(file.calib_version)}",
-        f" * coefficient file: {file.checksum}",
-        *(f" * effect: {ascii_line(f'{section.effect} {section.form}'.strip())}" for section in acting),
-        *(f" * NOT in this header: {ascii_line(name)}, which does not act on the wheels" for name in others),
-        *(f" * {line}" for line in accepted_lines(file)),
-        " *",
-        " * calib_effects e; calib_effects_run run = calib_effects_unknown();",
-        " * run.load_left_N = 420.0; run.load_right_N = 380.0; run.temperature_C = 14.0;",
-        " * calib_effects_begin(&e, &run);",
-        " * calib_effects_motion m = calib_effects_step(&e, d_left_rad, d_right_rad, dt_s);",
-        " * heading += m.turn_rad;",
-        " */",
-        "#ifndef CALIB_EFFECTS_H",
-        "#define CALIB_EFFECTS_H",
-        "",
-        "#include <math.h>",
-        "",
+        *begin_header(file, title, about, "CALIB_EFFECTS_H", ("math.h",)),
         "#if defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__",
         "#error calib_effects.h tells unknown numbers by NaN: compile without -ffinite-math-only and -ffast-math",
         "#endif",
         "",
-        "#ifdef __cplusplus",
-        'extern "C" {',
-        "#endif",
-        "",
+        *C_LINKAGE,
     ]
 
 
 def _types(file: CoefficientFile, covariates: Sequence[str]) -> list[str]:
     """Return the lines of the constants and types."""
-    wheels = []
-    for side, wheel in (("LEFT", file.wheels.left), ("RIGHT", file.wheels.right)):
-        wheels += [
-            f"#define CALIB_EFFECTS_RADIUS_{side}_M {c_number(wheel.radius_ref.value)}",
-            f"#define CALIB_EFFECTS_SLOPE_{side}_M_PER_N {c_number(wheel.slope.value)}",
-            f"#define CALIB_EFFECTS_REFERENCE_{side}_N {c_number(wheel.reference_load.value)}",
-        ]
+    constants = ("RADIUS_{}_M", "SLOPE_{}_M_PER_N", "REFERENCE_{}_N")
+    wheels = [
+        f"#define CALIB_EFFECTS_{constant.format(side)} {c_number(value)}"
+        for side, wheel in (("LEFT", file.wheels.left), ("RIGHT", file.wheels.right))
+        for constant, value in zip(constants, wheel.si("radius_ref", "slope", "reference_load").values(), strict=True)
+    ]
     names = [f"    /* {number}: {ascii_line(name)} */" for number, name in enumerate(covariates)]
     return [
         *wheels,

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from importlib.resources import files
+from itertools import combinations
 from typing import Final
 
+import numpy as np
+
 from calib.coefficients.file import CoefficientFile
-from calib.coefficients.formats import Artifact, ExportOptions, accepted_lines, ascii_line
+from calib.coefficients.formats import Artifact, ExportOptions, ascii_line, left_out_lines
 from calib.coefficients.sections import WheelSection
 from calib.errors import RefusedError
 from calib.radius.law import JOINT
@@ -23,6 +27,7 @@ INT32_MAX: Final = 2**31 - 1
 INT64_HALF: Final = 2**62
 MAX_SHIFT: Final = 40
 LAST_BITS_MN: Final = Fraction(1, 10**6)
+C_LINKAGE: Final = ("#ifdef __cplusplus", 'extern "C" {', "#endif", "")
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,36 +85,21 @@ def render(file: CoefficientFile, options: ExportOptions) -> tuple[Artifact, ...
 
 
 def _head(file: CoefficientFile) -> str:
+    outside = "clamped to its end" if file.outside == "clamp" else "refused, CALIB_LOAD_OUT_OF_RANGE"
+    about = [
+        f"load outside the valid range: {outside}",
+        *left_out_lines(file, "header"),
+        "",
+        "calib_odometer o; calib_pose p;",
+        "calib_init(&o);",
+        "calib_set_payload(&o, 120.0, 0.45, 0.02);      or calib_set_wheel_loads, calib_set_load_point",
+        "if (calib_feed_at(&o, counts_left, counts_right, t_s) != CALIB_OK) { stop and look }",
+        "calib_get_pose(&o, &p);",
+    ]
+    title = "Wheel coefficients and odometry, C99, no memory allocation, one header to include."
     lines = [
-        "/* Wheel coefficients and odometry, C99, no memory allocation, one header to include.",
-        f" * campaign: {ascii_line(file.name)}" + (" -- SIMULATED DATA" if file.simulated else ""),
-        f" * created: {file.created or 'no date given'}, calib {ascii_line(file.calib_version)}",
-        f" * coefficient file: {file.checksum}",
-        " * load outside the valid range: "
-        + ("clamped to its end" if file.outside == "clamp" else "refused, CALIB_LOAD_OUT_OF_RANGE"),
-    ]
-    lines += [
-        f" * NOT in this header: effect {ascii_line(effect.effect)} of the simulator's model" for effect in file.effects
-    ]
-    lines += [f" * {line}" for line in accepted_lines(file)]
-    lines += [
-        " *",
-        " * calib_odometer o; calib_pose p;",
-        " * calib_init(&o);",
-        " * calib_set_payload(&o, 120.0, 0.45, 0.02);      or calib_set_wheel_loads, calib_set_load_point",
-        " * if (calib_feed_at(&o, counts_left, counts_right, t_s) != CALIB_OK) { stop and look }",
-        " * calib_get_pose(&o, &p);",
-        " */",
-        "#ifndef CALIB_COEFFICIENTS_H",
-        "#define CALIB_COEFFICIENTS_H",
-        "",
-        "#include <math.h>",
-        "#include <stdint.h>",
-        "",
-        "#ifdef __cplusplus",
-        'extern "C" {',
-        "#endif",
-        "",
+        *begin_header(file, title, about, "CALIB_COEFFICIENTS_H", ("math.h", "stdint.h")),
+        *C_LINKAGE,
         f'#define CALIB_CHECKSUM "{file.checksum}"',
         f"#define CALIB_SIMULATED {int(file.simulated)}",
         f"#define CALIB_OUTSIDE_CLAMP {int(file.outside == 'clamp')}",
@@ -119,51 +109,75 @@ def _head(file: CoefficientFile) -> str:
         "#define CALIB_PREDICTION_BAND 0",
         "#endif",
         "",
+        *_wheel(file.wheels.left, "left"),
+        *_wheel(file.wheels.right, "right"),
+        *_numbers(file),
+        *_cross(file),
+        *_table(file),
     ]
-    lines += _wheel(file.wheels.left, "left") + _wheel(file.wheels.right, "right")
-    lines += [*_numbers(file), *_cross(file), *_table(file), "", ""]
-    return "\n".join(lines)
+    return "\n".join([*lines, "", ""])
+
+
+def begin_header(
+    file: CoefficientFile, title: str, about: Sequence[str], guard: str, included: Sequence[str]
+) -> list[str]:
+    """Return the first lines of a C header.
+
+    Parameters
+    ----------
+    file : CoefficientFile
+        Origin, date and checksum, which the comment states.
+    title : str
+        First sentence of the comment.
+    about : sequence of str
+        Its further lines; an empty text is an empty line.
+    guard : str
+        Macro that keeps the header from being read twice.
+    included : sequence of str
+        System headers that it needs.
+    """
+    return [
+        f"/* {title}",
+        f" * campaign: {ascii_line(file.name)}" + (" -- SIMULATED DATA" if file.simulated else ""),
+        f" * created: {file.created or 'no date given'}, calib {ascii_line(file.calib_version)}",
+        f" * coefficient file: {file.checksum}",
+        *(f" * {line}".rstrip() for line in about),
+        " */",
+        f"#ifndef {guard}",
+        f"#define {guard}",
+        "",
+        *(f"#include <{name}>" for name in included),
+        "",
+    ]
 
 
 def _numbers(file: CoefficientFile) -> list[str]:
     """Return the lines of vehicle, encoders, noise and limits."""
-    vehicle, encoder, noise, limits = file.vehicle, file.encoder, file.noise, file.limits
+    geometry = ("track", "track_std", "wheelbase", "mass", "cog_x", "cog_y", "max_wheel_load", "gravity")
     numbers = {
-        "TRACK_M": vehicle.track.value,
-        "TRACK_STD_M": vehicle.track_std.value,
-        "WHEELBASE_M": vehicle.wheelbase.value,
-        "MASS_KG": vehicle.mass.value,
-        "COG_X_M": vehicle.cog_x.value,
-        "COG_Y_M": vehicle.cog_y.value,
-        "MAX_WHEEL_LOAD_N": vehicle.max_wheel_load.value,
-        "GRAVITY_MPS2": vehicle.gravity.value,
-        "COUNTS_PER_REV_LEFT": encoder.counts_per_rev_left.value,
-        "COUNTS_PER_REV_RIGHT": encoder.counts_per_rev_right.value,
-        "COUNT_STD": noise.count_std.value,
-        "ALONG_M_PER_SQRT_M": noise.along.value,
-        "HEADING_RAD_PER_SQRT_M": noise.heading.value,
-        "MAX_STEP_M": limits.max_step.value,
-        "MAX_GAP_S": limits.max_gap.value,
+        **file.vehicle.si(*geometry),
+        **file.encoder.si("counts_per_rev_left", "counts_per_rev_right"),
+        **file.noise.si("count_std", "along", "heading"),
+        **file.limits.si("max_step", "max_gap"),
     }
-    bits = int(encoder.wrap_bits.value) if encoder.wrap_bits is not None else 0
+    bits = file.encoder.si("wrap_bits")["wrap_bits"]
     return [
         "/* vehicle, encoders, noise, limits */",
-        *(f"#define CALIB_{name} {_c(value)}" for name, value in numbers.items()),
-        f"#define CALIB_WRAP_BITS {bits} /* 0: the counters do not wrap */",
+        *(f"#define CALIB_{name.upper()} {_c(value)}" for name, value in numbers.items()),
+        f"#define CALIB_WRAP_BITS {int(bits or 0)} /* 0: the counters do not wrap */",
         "",
     ]
 
 
 def _cross(file: CoefficientFile) -> list[str]:
     """Return the covariances that couple the wheels and the track; 0 where they were not estimated together."""
-    joint = file.law.joint
-    pairs = [(first, second) for first in range(len(JOINT)) for second in range(first + 1, len(JOINT))]
+    joint = np.zeros((len(JOINT), len(JOINT))) if file.law.joint is None else file.law.joint
     return [
         "/* covariance of parameters estimated together: 0 radius left, 1 slope left, 2 radius right,",
         " * 3 slope right, 4 track; 0.0 where they were estimated apart */",
         *(
-            f"#define CALIB_COV_{first}{second} {_c(0.0 if joint is None else float(joint[first, second]))}"
-            for first, second in pairs
+            f"#define CALIB_COV_{first}{second} {_c(joint[first, second])}"
+            for first, second in combinations(range(len(JOINT)), 2)
             if first // 2 != second // 2
         ),
         "",
@@ -223,9 +237,14 @@ def _table(file: CoefficientFile) -> list[str]:
 
 def _c(value: float) -> str:
     """Return a double literal that reads back as the same double; negative ones in brackets."""
-    text = repr(float(value))
-    text = text if any(mark in text for mark in ".e") else f"{text}.0"
+    text = c_number(value)
     return f"({text})" if text.startswith("-") else text
+
+
+def c_number(value: float) -> str:
+    """Return a double as C reads it, to the last bit."""
+    text = repr(float(value))
+    return text if any(mark in text for mark in ".e") else f"{text}.0"
 
 
 def _i64(value: int) -> str:
