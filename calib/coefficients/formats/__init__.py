@@ -95,6 +95,13 @@ def radii_m(file: CoefficientFile, pair: LoadPair) -> tuple[float, float]:
     return float(left), float(right)
 
 
+def within_N(file: CoefficientFile, pair: LoadPair) -> tuple[float, float]:
+    """Return the wheel loads of a load point, or the nearest ones that were measured."""
+    laws = ((file.law.left, pair.left_N), (file.law.right, pair.right_N))
+    left, right = (min(max(load, law.load_min_N), law.load_max_N) for law, load in laws)
+    return left, right
+
+
 def ascii_line(text: str) -> str:
     """Return `text` as one short line of printable ASCII that cannot end a comment."""
     line = "".join(sign if " " <= sign <= "~" else "?" for sign in text)

@@ -16,10 +16,12 @@ from calib.coefficients.formats import (
     Artifact,
     ExportOptions,
     LoadPair,
-    accepted_lines,
     ascii_line,
     default_loads,
+    left_out_lines,
     number,
+    radii_m,
+    within_N,
 )
 from calib.coefficients.formats.ros2_variances import (
     PATH_M,
@@ -73,45 +75,41 @@ def _name(pair: LoadPair) -> str:
 
 def _head(file: CoefficientFile, pair: LoadPair) -> list[str]:
     """Return the comments: the load first, then where the numbers come from and what they leave out."""
-    left, right = (float(radius) for radius in file.radius_m(pair.left_N, pair.right_N))
-    wheels = ((file.law.left, pair.left_N), (file.law.right, pair.right_N))
-    used = [min(max(load, law.load_min_N), law.load_max_N) for law, load in wheels]
-    std_left, std_right = (float(law.mean_std_m(load)) for (law, _), load in zip(wheels, used, strict=True))
+    left, right = radii_m(file, pair)
+    laws, used = (file.law.left, file.law.right), within_N(file, pair)
+    std_left, std_right = (float(law.mean_std_m(load)) for law, load in zip(laws, used, strict=True))
     lines = [
-        f"# load point: left {pair.left_N:.3f} N, right {pair.right_N:.3f} N"
-        + (f" ({ascii_line(pair.name)})" if pair.name else ""),
+        f"load point: left {pair.left_N:.3f} N, right {pair.right_N:.3f} N"
+        + (f" ({ascii_line(pair.name)})" if pair.name else "")
     ]
-    if file.law.left.slope_m_per_N == 0.0 and file.law.right.slope_m_per_N == 0.0:
-        lines.append("# The radii do not follow the load: no other loads were driven.")
-    else:
+    if any(law.slope_m_per_N for law in laws):
         lines += [
-            "# The controllers read the geometry once, when configured: these numbers hold for this load alone.",
-            "# For a load that changes while driving use the load law itself (calib export --to c or json).",
+            "The controllers read the geometry once, when configured: these numbers hold for this load alone.",
+            "For a load that changes while driving use the load law itself (calib export --to c or json).",
         ]
+    else:
+        lines.append("The radii do not follow the load: no other loads were driven.")
     lines += [
-        f"# campaign: {ascii_line(file.name)}; created: {file.created or 'no date given'}",
-        f"# coefficient file: {file.checksum}",
+        f"campaign: {ascii_line(file.name)}; created: {file.created or 'no date given'}",
+        f"coefficient file: {file.checksum}",
     ]
     if file.simulated:
-        lines.append("# SIMULATED DATA: a program made the measurements behind these numbers")
-    if used != [pair.left_N, pair.right_N]:
-        lines.append("# CLAMPED: this load was not measured; the radius is that at the nearest measured load")
+        lines.append("SIMULATED DATA: a program made the measurements behind these numbers")
+    if used != (pair.left_N, pair.right_N):
+        lines.append("CLAMPED: this load was not measured; the radius is that at the nearest measured load")
     lines += [
-        f"# NOT in this file: effect {ascii_line(effect.effect)} of the simulator's model" for effect in file.effects
-    ]
-    return [
-        *lines,
-        *(f"# {line}" for line in accepted_lines(file)),
-        f"# effective radii: left {left:.9f} m, right {right:.9f} m; standard uncertainty of the law: "
+        *left_out_lines(file, "file"),
+        f"effective radii: left {left:.9f} m, right {right:.9f} m; standard uncertainty of the law: "
         f"{std_left:.2g} m and {std_right:.2g} m",
-        "# Overlay: pass it after the parameter file that names joints and limits. If a controller was loaded under",
-        "# another name, rename its root key.",
+        "Overlay: pass it after the parameter file that names joints and limits. If a controller was loaded under",
+        "another name, rename its root key.",
     ]
+    return [f"# {line}" for line in lines]
 
 
 def _diff_drive(file: CoefficientFile, pair: LoadPair, options: ExportOptions) -> list[str]:
     """Two wheels on an axle, each with its own radius."""
-    left, right = (float(radius) for radius in file.radius_m(pair.left_N, pair.right_N))
+    left, right = radii_m(file, pair)
     nominal = file.vehicle.wheel_radius.value
     return [
         _separation(file),
@@ -126,8 +124,15 @@ def _diff_drive(file: CoefficientFile, pair: LoadPair, options: ExportOptions) -
 
 def _tricycle(file: CoefficientFile, pair: LoadPair, options: ExportOptions) -> list[str]:
     """Drive and steer the front wheel; the controller has no multipliers and reads the traction joint's velocity."""
+    nominal = file.vehicle.front_wheel_radius
+    if "front_radius_m" in file.together:
+        radius = [*_steering_remark(file), f"wheel_radius: {number(file.together['front_radius_m'])}"]
+    elif nominal is not None:
+        radius = ["# NOT calibrated: the front wheel's nominal radius", f"wheel_radius: {number(nominal.value)}"]
+    else:
+        radius = ["# wheel_radius is that of the front traction wheel, which was not stated or measured: unchanged"]
     return [
-        *_front(file),
+        *radius,
         f"wheelbase: {number(file.vehicle.wheelbase.value)}",
         f"open_loop: {str(options.open_loop).lower()}",
         *_variances(steered_diagonals(file, pair, traction="front")),
@@ -136,14 +141,11 @@ def _tricycle(file: CoefficientFile, pair: LoadPair, options: ExportOptions) -> 
 
 def _tricycle_steering(file: CoefficientFile, pair: LoadPair, options: ExportOptions) -> list[str]:
     """Two rear wheels that drive, a front wheel that steers."""
-    left, right = (float(radius) for radius in file.radius_m(pair.left_N, pair.right_N))
+    left, right = radii_m(file, pair)
     return [
         f"# one radius for both rear wheels, their mean: the ratio right/left of {right / left:.9f} is lost here",
         f"traction_wheels_radius: {number(0.5 * (left + right))}",
-        _separation(file),
-        f"traction_track_width: {number(file.vehicle.track.value)}",
-        f"wheelbase: {number(file.vehicle.wheelbase.value)}",
-        *_odometry(file, options, steered_diagonals(file, pair, traction="rear")),
+        *_steered(file, options, steered_diagonals(file, pair, traction="rear"), track=True),
     ]
 
 
@@ -151,9 +153,8 @@ def _bicycle_steering(file: CoefficientFile, pair: LoadPair, options: ExportOpti
     """One wheel behind that drives, one in front that steers: what a counted shaft and a steering angle are."""
     return [
         *_steering_remark(file),
-        *_shaft_radius(file, "traction_wheel_radius"),
-        f"wheelbase: {number(file.vehicle.wheelbase.value)}",
-        *_odometry(file, options, steered_diagonals(file, pair, traction="shaft")),
+        f"traction_wheel_radius: {number(_shaft_radius_m(file))}",
+        *_steered(file, options, steered_diagonals(file, pair, traction="shaft"), track=False),
     ]
 
 
@@ -161,35 +162,36 @@ def _ackermann_steering(file: CoefficientFile, pair: LoadPair, options: ExportOp
     """Two wheels behind that drive, two in front that steer."""
     return [
         *_steering_remark(file),
-        *_shaft_radius(file, "traction_wheels_radius"),
-        _separation(file),
-        f"traction_track_width: {number(file.vehicle.track.value)}",
-        f"wheelbase: {number(file.vehicle.wheelbase.value)}",
-        *_odometry(file, options, steered_diagonals(file, pair, traction="shaft")),
+        f"traction_wheels_radius: {number(_shaft_radius_m(file))}",
+        *_steered(file, options, steered_diagonals(file, pair, traction="shaft"), track=True),
     ]
 
 
-def _shaft_radius(file: CoefficientFile, key: str) -> list[str]:
-    together = file.joint_geometry
-    values = {} if together is None else together.values
-    return [f"{key}: {number(values.get('rear_radius_m', file.wheels.left.radius_ref.value))}"]
+def _steered(file: CoefficientFile, options: ExportOptions, diagonals: Diagonals, *, track: bool) -> list[str]:
+    """Return track, wheelbase and odometry of a steering controller."""
+    width = [_separation(file), f"traction_track_width: {number(file.vehicle.track.value)}"] if track else []
+    wheelbase = f"wheelbase: {number(file.vehicle.wheelbase.value)}"
+    return [*width, wheelbase, *_odometry(file, options, diagonals)]
+
+
+def _shaft_radius_m(file: CoefficientFile) -> float:
+    return file.together.get("rear_radius_m", file.wheels.left.radius_ref.value)
 
 
 def _steering_remark(file: CoefficientFile) -> list[str]:
     """Return the correction of the steering angle, for which no controller has a key; nothing where none is known."""
-    values = {} if file.joint_geometry is None else file.joint_geometry.values
-    if STEERING_SCALE not in values:
+    if STEERING_SCALE not in file.together:
         return []
-    scale, zero = values[STEERING_SCALE], values["steering_zero_rad"]
     return [
-        f"# true steering angle = {scale:.6f} times the reading {zero:+.6f} rad:",
+        f"# true steering angle = {file.together[STEERING_SCALE]:.6f} times the reading "
+        f"{file.together['steering_zero_rad']:+.6f} rad:",
         "# correct it in the driver of the steering joint, this controller has no key for it",
     ]
 
 
 def _mecanum(file: CoefficientFile, pair: LoadPair, options: ExportOptions) -> list[str]:
     """Four wheels with rollers, one radius; the controller knows neither multipliers nor open loop."""
-    left, right = (float(radius) for radius in file.radius_m(pair.left_N, pair.right_N))
+    left, right = radii_m(file, pair)
     if options.open_loop or not options.position_feedback:
         raise RefusedError(
             "mecanum_drive_controller: found open_loop or position_feedback chosen; expected neither, since this "
@@ -228,24 +230,15 @@ OF_FRONT: Final = ("tricycle_controller",)
 
 
 def _odometry(file: CoefficientFile, options: ExportOptions, diagonals: Diagonals) -> list[str]:
-    """Return what the odometry runs on, and its variances."""
-    return [
-        *_feedback(file, options),
-        f"open_loop: {str(options.open_loop).lower()}",
-        *_variances(diagonals),
-    ]
-
-
-def _feedback(file: CoefficientFile, options: ExportOptions) -> list[str]:
-    """Return what the driver of the joints gives the controller, from which counts."""
-    encoder = file.encoder
-    counts = f"{encoder.counts_per_rev_left.value:g} counts a turn left, {encoder.counts_per_rev_right.value:g} right"
-    bits = encoder.wrap_bits
-    wrap = "" if bits is None else f"; it unwraps the counters of {bits.value:g} bits"
+    """Return what the odometry runs on, from which counts, and its variances."""
+    left, right, bits = file.encoder.si().values()
+    wrap = "" if bits is None else f"; it unwraps the counters of {bits:g} bits"
     what = "angles in rad" if options.position_feedback else "angular velocities in rad/s"
     return [
-        f"# encoders: the driver of the joints gives {what}, {counts}{wrap}",
+        f"# encoders: the driver of the joints gives {what}, {left:g} counts a turn left, {right:g} right{wrap}",
         f"position_feedback: {str(options.position_feedback).lower()}",
+        f"open_loop: {str(options.open_loop).lower()}",
+        *_variances(diagonals),
     ]
 
 
@@ -260,25 +253,12 @@ def _separation(file: CoefficientFile) -> str:
     )
 
 
-def _front(file: CoefficientFile) -> list[str]:
-    """Return the front wheel's radius where it was estimated, and the steering, for which the controller has no key."""
-    together = file.joint_geometry
-    nominal = file.vehicle.front_wheel_radius
-    if together is None or "front_radius_m" not in together.parameters:
-        if nominal is not None:
-            return ["# NOT calibrated: the front wheel's nominal radius", f"wheel_radius: {number(nominal.value)}"]
-        return ["# wheel_radius is that of the front traction wheel, which was not stated or measured: unchanged"]
-    return [*_steering_remark(file), f"wheel_radius: {number(together.values['front_radius_m'])}"]
-
-
 def _variances(diagonals: Diagonals) -> list[str]:
     """Return both diagonals, with what they hold for."""
-    turn = f"{TURN_RAD:.4g} rad of turning"
-    rate, window = f"{TURN_RATE_RADPS:g} rad/s", f"{WINDOW_S:g} s"
     lines = [
-        f"# variances after {PATH_M:g} m straight and {turn}; they grow, the controller holds them",
+        f"# variances after {PATH_M:g} m straight and {TURN_RAD:.4g} rad of turning; they grow, the controller holds them",
         f"pose_covariance_diagonal: {_array(diagonals.pose)}",
-        f"# variances at {SPEED_MPS:g} m/s and {rate}, over {window}",
+        f"# variances at {SPEED_MPS:g} m/s and {TURN_RATE_RADPS:g} rad/s, over {WINDOW_S:g} s",
         f"twist_covariance_diagonal: {_array(diagonals.twist)}",
     ]
     if diagonals.assumed:

@@ -16,9 +16,8 @@ from typing import Final
 import numpy as np
 
 from calib.coefficients.file import CoefficientFile
-from calib.coefficients.formats import LoadPair
+from calib.coefficients.formats import LoadPair, within_N
 from calib.kinematics.drives import STEERING_SCALE
-from calib.radius.law import WheelLaw
 from calib.types import FloatArray
 
 #: path and turning after which the variances of the pose are stated: an aisle and the corner at its end
@@ -63,17 +62,14 @@ def rear_diagonals(file: CoefficientFile, pair: LoadPair) -> Diagonals:
     `file`: laws, track and random walks; `pair`: loads of the wheels; beyond the valid range its end counts, as for the
     radius.
     """
+    from scipy.linalg import block_diag
+
     law, track = file.law, file.vehicle.track.value
-    loads = (_within(law.left, pair.left_N), _within(law.right, pair.right_N))
+    loads = within_N(file, pair)
     radius = np.array([float(law.left.radius_m(loads[0])), float(law.right.radius_m(loads[1]))])
-    joint = np.zeros((5, 5))
-    joint[:2, :2], joint[2:4, 2:4], joint[4, 4] = (
-        law.left.covariance,
-        law.right.covariance,
-        file.vehicle.track_std.value**2,
-    )
-    if law.joint is not None:
-        joint = law.joint
+    joint = law.joint
+    if joint is None:
+        joint = block_diag(law.left.covariance, law.right.covariance, file.vehicle.track_std.value**2)
     at_load = np.zeros((3, 5))
     at_load[0, :2] = 1.0, loads[0] - law.left.reference_load_N
     at_load[1, 2:4] = 1.0, loads[1] - law.right.reference_load_N
@@ -83,7 +79,7 @@ def rear_diagonals(file: CoefficientFile, pair: LoadPair) -> Diagonals:
     rates = np.array(
         [[0.5 * left, 0.5 * right, 0.0], [-left / track, right / track, 0.0], [0.5 * left, 0.5 * right, -1.0 / track]]
     )
-    per_rev = np.array([file.encoder.counts_per_rev_left.value, file.encoder.counts_per_rev_right.value])
+    per_rev = np.array(list(file.encoder.si("counts_per_rev_left", "counts_per_rev_right").values()))
     count = (2.0 * math.pi * radius / per_rev * file.noise.count_std.value) ** 2
     reading = _Reading(path=0.25 * float(count.sum()), heading=float(count.sum()) / track**2)
     return _diagonals(file, rates, at_load @ joint @ at_load.T, reading)
@@ -99,7 +95,7 @@ def steered_diagonals(file: CoefficientFile, pair: LoadPair, *, traction: str) -
     shaft = traction == "shaft"
     names = ("rear_radius_m" if shaft else "front_radius_m", "wheelbase_m", "steering_zero_rad", STEERING_SCALE)
     wheelbase = file.vehicle.wheelbase.value
-    front = file.wheels.left.radius_ref.value if shaft else _front_radius(file)
+    front = file.wheels.left.radius_ref.value if shaft else file.geometry.front_radius_m
     usual = (LENGTH_STD * front, LENGTH_STD * wheelbase, STEERING_ZERO_STD_RAD, STEERING_SCALE_STD)
     covariance, assumed = _known(file, names, usual)
     travel = 0.0 if traction == "rear" else 1.0 / front
@@ -165,11 +161,3 @@ def _known(
         covariance[row, column] = covariance[column, row] = entry.covariance.value
     return covariance, tuple(name for name in names if name not in determined)
 
-
-def _front_radius(file: CoefficientFile) -> float:
-    known = file.geometry.front_wheel_radius_m
-    return file.vehicle.wheel_radius.value if known is None else known
-
-
-def _within(law: WheelLaw, load_N: float) -> float:
-    return min(max(load_N, law.load_min_N), law.load_max_N)
