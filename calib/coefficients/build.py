@@ -113,8 +113,10 @@ def load_points(load_left_N: npt.ArrayLike, load_right_N: npt.ArrayLike) -> dict
     keys, group = np.unique(np.round(pairs), axis=0, return_inverse=True)
     if len(keys) > LOAD_TABLE_LINES:
         return {}
-    means = (pairs[group.ravel() == point].mean(axis=0) for point in range(len(keys)))
-    return {f"L{left:.0f} R{right:.0f}": tuple(map(float, next(means))) for left, right in keys}
+    means = [pairs[group.ravel() == point].mean(axis=0) for point in range(len(keys))]
+    return {
+        f"L{key[0]:.0f} R{key[1]:.0f}": (float(mean[0]), float(mean[1])) for key, mean in zip(keys, means, strict=True)
+    }
 
 
 @dataclass(frozen=True, slots=True)
@@ -281,21 +283,21 @@ def from_geometry(
 
 def _section(geometry: Geometry) -> GeometrySection:
     names = [estimate.name for estimate in geometry.estimates]
+
+    def product(first: str, second: str) -> str:
+        one, other = _unit(first), _unit(second)
+        return f"({one})^2" if one == other else f"({one})({other})"
+
     return GeometrySection.of(
         drive=geometry.drive,
         source=geometry.source,
         parameters={name: Quantity.of(value=value, unit=_unit(name)) for name, value in geometry.values.items()},
         covariance=[
             CovarianceEntry.of(
-                first=first,
-                second=second,
-                covariance=Quantity.of(
-                    value=float(geometry.covariance[row, column]),
-                    unit=f"({_unit(first)})^2" if _unit(first) == _unit(second) else f"({_unit(first)})({_unit(second)})",
-                ),
+                first=first, second=second, covariance=Quantity.of(value=float(value), unit=product(first, second))
             )
             for row, first in enumerate(names)
-            for column, second in enumerate(names[row:], row)
+            for second, value in zip(names[row:], geometry.covariance[row, row:], strict=True)
         ],
     )
 

@@ -15,7 +15,7 @@ from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
 from calib.coefficients.file import CoefficientFile
-from calib.coefficients.formats import Artifact, ExportOptions, LoadPair, accepted_lines, ascii_line
+from calib.coefficients.formats import Artifact, ExportOptions, LoadPair, accepted_lines, ascii_line, radii_m
 from calib.errors import BadFileError, BadInputError, RefusedError
 
 #: bytes; a model that is longer has its meshes inside
@@ -172,6 +172,43 @@ class Slot:
     write: Callable[[tuple[float, ...]], None]
 
 
+#: elements of URDF and SDF that have a radius
+ROUND: Final = frozenset({"cylinder", "sphere", "capsule"})
+
+
+def attribute_slot(model: ModelFile, node: Node, name: str, where: str, count: int | None = None) -> Slot:
+    """Return the numbers of an attribute; raises BadInputError as `numbers` does."""
+    values = numbers(node.attributes[name], f"{model.path}, {where}", count)
+    return Slot(values, lambda new: model.set_attribute(node, name, written(new)))
+
+
+def text_slot(model: ModelFile, node: Node, where: str, count: int | None = None) -> Slot:
+    """Return the numbers of an element's text; raises BadInputError as `numbers` does."""
+    values = numbers(node.text, f"{model.path}, {where}", count)
+    return Slot(values, lambda new: model.set_text(node, written(new)))
+
+
+def link_radii(
+    model: ModelFile, link: Node | None, name: str, radius: Callable[[Node], Slot | None]
+) -> tuple[float, tuple[Slot, ...]]:
+    """Return the radius of a wheel's link, of its collision where that is round, and all shapes that have the same.
+
+    `radius`: the number of a round shape; None where it states none. Raises RefusedError where the link has no radius.
+    """
+    found: dict[str, list[Slot]] = {"collision": [], "visual": []}
+    for part in () if link is None else link.children:
+        if part.tag in found:
+            found[part.tag] += [slot for shape in part.walk() if shape.tag in ROUND and (slot := radius(shape))]
+    contact = found["collision"] or found["visual"]
+    if not contact:
+        raise RefusedError(
+            f"{model.path}: found no cylinder, sphere or capsule in the link of {name!r}; expected one with a radius; "
+            "a mesh has none: add a collision cylinder"
+        )
+    largest = max(slot.values[0] for slot in contact)
+    return largest, tuple(slot for slots in found.values() for slot in slots if slot.values[0] == largest)
+
+
 @dataclass(frozen=True, slots=True)
 class Wheel:
     """A wheel of the model: its radius, everywhere that it stands, and where the wheel sits."""
@@ -317,9 +354,9 @@ def patched(
     if len(options.loads) > 1:
         raise BadInputError("--load: found several loads; expected one, a model has one radius a wheel; give one")
     model = ModelFile(options.model, root_tag)
-    pair = options.loads[0] if options.loads else _reference(file)
-    radii = [float(radius) for radius in file.radius_m(pair.left_N, pair.right_N)]
-    new = NewWheels(radii[0], radii[1], file.vehicle.track.value)
+    reference = LoadPair(file.wheels.left.reference_load.value, file.wheels.right.reference_load.value)
+    pair = options.loads[0] if options.loads else reference
+    new = NewWheels(*radii_m(file, pair), file.vehicle.track.value)
     notes = [*set_wheels(wheel(model, options.left, "--left"), wheel(model, options.right, "--right"), new)]
     for name, node in () if plugins is None else plugins(model):
         _set_parameter(model, name, node, new, notes)
@@ -333,16 +370,11 @@ def patched(
     return (Artifact(options.model.name, model.render(comment), tuple(dict.fromkeys(notes))),)
 
 
-def _reference(file: CoefficientFile) -> LoadPair:
-    return LoadPair(file.wheels.left.reference_load.value, file.wheels.right.reference_load.value)
-
-
 def _set_parameter(model: ModelFile, name: str, node: Node, new: NewWheels, notes: list[str]) -> None:
     """Set a parameter of a plugin where it is one of radius or track."""
     if name not in PLUGIN_KEYS:
         return
-    numbers(node.text, f"{model.path}, {name}", 1)
-    model.set_text(node, written((PLUGIN_KEYS[name](new),)))
+    text_slot(model, node, name, 1).write((PLUGIN_KEYS[name](new),))
     if new.left_m != new.right_m and "left" not in name and "right" not in name and "eparation" not in name:
         notes.append(
             f"{name} of a plugin: one radius for both wheels, their ratio {new.right_m / new.left_m:.6f} is lost"
@@ -351,14 +383,12 @@ def _set_parameter(model: ModelFile, name: str, node: Node, new: NewWheels, note
 
 def _beyond(file: CoefficientFile, pair: LoadPair) -> Iterator[str]:
     """Yield what the coefficient file says and no model does."""
-    for side, load in (("left", pair.left_N), ("right", pair.right_N)):
-        slope = getattr(file.law, side).slope_m_per_N
-        if slope != 0.0:
-            law = f"the {side} radius follows the load by {1e6 * slope:.3g} um/N"
-            yield f"not in the model: {law}; the model has that at {load:g} N"
+    for side, law, load in (("left", file.law.left, pair.left_N), ("right", file.law.right, pair.right_N)):
+        if law.slope_m_per_N != 0.0:
+            by = f"the {side} radius follows the load by {1e6 * law.slope_m_per_N:.3g} um/N"
+            yield f"not in the model: {by}; the model has that at {load:g} N"
     for effect in file.effects:
         yield f"not in the model: effect {effect.effect}; calib.runtime adds it to the motion of a simulator's loop"
-    together = file.joint_geometry
-    for name in () if together is None else together.values:
+    for name, value in file.together.items():
         if name.startswith(("sensor_", "delay", "steering_")):
-            yield f"not in the model: {name} {together.values[name]:.6g}"  # type: ignore[union-attr]
+            yield f"not in the model: {name} {value:.6g}"

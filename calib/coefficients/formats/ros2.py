@@ -256,7 +256,8 @@ def _separation(file: CoefficientFile) -> str:
 def _variances(diagonals: Diagonals) -> list[str]:
     """Return both diagonals, with what they hold for."""
     lines = [
-        f"# variances after {PATH_M:g} m straight and {TURN_RAD:.4g} rad of turning; they grow, the controller holds them",
+        f"# variances after {PATH_M:g} m straight and {TURN_RAD:.4g} rad of turning; they grow, the controller holds "
+        "them",
         f"pose_covariance_diagonal: {_array(diagonals.pose)}",
         f"# variances at {SPEED_MPS:g} m/s and {TURN_RATE_RADPS:g} rad/s, over {WINDOW_S:g} s",
         f"twist_covariance_diagonal: {_array(diagonals.twist)}",

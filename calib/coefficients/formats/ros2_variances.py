@@ -160,4 +160,3 @@ def _known(
         row, column = names.index(entry.first), names.index(entry.second)
         covariance[row, column] = covariance[column, row] = entry.covariance.value
     return covariance, tuple(name for name in names if name not in determined)
-

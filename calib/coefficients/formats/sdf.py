@@ -6,9 +6,8 @@ from typing import Final
 
 from calib.coefficients.file import CoefficientFile
 from calib.coefficients.formats import Artifact, ExportOptions
-from calib.coefficients.formats.model_file import ModelFile, Node, Slot, Wheel, named, numbers, patched, written
-from calib.coefficients.formats.urdf import ROUND, plugin_parameters
-from calib.errors import RefusedError
+from calib.coefficients.formats.model_file import ModelFile, Node, Slot, Wheel, link_radii, named, patched, text_slot
+from calib.coefficients.formats.urdf import plugin_parameters
 
 #: see `calib.coefficients.formats`
 AXLE_ONLY: Final = True
@@ -32,13 +31,18 @@ def _wheel(model: ModelFile, name: str, option: str) -> Wheel:
                 links = candidates.setdefault(node.attributes["name"], [])
                 links += [] if link in links else [link]
     link = named(candidates, name, model.path, option)
-    radius, slots = _radii(model, link, name)
+
+    def stated(shape: Node) -> Slot | None:
+        radius = shape.child("radius")
+        return None if radius is None else text_slot(model, radius, f"radius of {name!r}", 1)
+
+    radius, slots = link_radii(model, link, name, stated)
     pose, why = _pose(link)
     if pose is None:
         return Wheel(name, radius, slots, None, why_fixed=why)
-    values = numbers(pose.text, f"{model.path}, pose of {name!r}")
+    placed = text_slot(model, pose, f"pose of {name!r}")
     frame = pose.attributes.get("relative_to", "")
-    position = Slot(values[:3], lambda new: model.set_text(pose, written((*new, *values[3:]))))
+    position = Slot(placed.values[:3], lambda new: placed.write((*new, *placed.values[3:])))
     return Wheel(name, radius, slots, position, frame=(link.parent, frame))
 
 
@@ -47,28 +51,6 @@ def _child_link(joint: Node) -> Node | None:
     links = () if joint.parent is None else joint.parent.children
     name = "" if child is None else child.text.strip()
     return next((node for node in links if node.tag == "link" and node.attributes.get("name") == name), None)
-
-
-def _radii(model: ModelFile, link: Node, name: str) -> tuple[float, tuple[Slot, ...]]:
-    found: dict[str, list[Slot]] = {"collision": [], "visual": []}
-    for part in link.children:
-        if part.tag not in found:
-            continue
-        for shape in (node for node in part.walk() if node.tag in ROUND):
-            stated = shape.child("radius")
-            if stated is None:
-                continue
-            values = numbers(stated.text, f"{model.path}, radius of {name!r}", 1)
-            write = lambda new, stated=stated: model.set_text(stated, written(new))  # noqa: E731
-            found[part.tag].append(Slot(values, write))
-    contact = found["collision"] or found["visual"]
-    if not contact:
-        raise RefusedError(
-            f"{model.path}: found no cylinder, sphere or capsule in the link of {name!r}; expected one with "
-            "a radius; a mesh has none: add a collision cylinder"
-        )
-    radius = max(slot.values[0] for slot in contact)
-    return radius, tuple(slot for slots in found.values() for slot in slots if slot.values[0] == radius)
 
 
 def _pose(link: Node) -> tuple[Node | None, str]:

@@ -7,13 +7,23 @@ from typing import Final
 
 from calib.coefficients.file import CoefficientFile
 from calib.coefficients.formats import Artifact, ExportOptions
-from calib.coefficients.formats.model_file import ModelFile, Node, Slot, Wheel, named, numbers, patched, written
+from calib.coefficients.formats.model_file import (
+    ModelFile,
+    Node,
+    Slot,
+    Wheel,
+    attribute_slot,
+    link_radii,
+    named,
+    numbers,
+    patched,
+    written,
+)
 from calib.errors import RefusedError
 
 #: see `calib.coefficients.formats`
 AXLE_ONLY: Final = True
 PATCHES_MODEL: Final = True
-ROUND: Final = ("cylinder", "sphere", "capsule")
 
 
 def render(file: CoefficientFile, options: ExportOptions) -> tuple[Artifact, ...]:
@@ -39,7 +49,14 @@ def _wheel(model: ModelFile, name: str, option: str) -> Wheel:
         for known in {node.attributes.get("name", ""), _link(node, "child")} - {""}:
             candidates.setdefault(known, []).append(node)
     joint = named(candidates, name, model.path, option)
-    radius, slots = _radii(model, _link(joint, "child"), name)
+    link = next((part for part in model.root.children if _is_link(part, _link(joint, "child"))), None)
+
+    def stated(shape: Node) -> Slot | None:
+        return (
+            attribute_slot(model, shape, "radius", f"radius of {name!r}", 1) if "radius" in shape.attributes else None
+        )
+
+    radius, slots = link_radii(model, link, name, stated)
     tilted = _tilted(model, joints, _link(joint, "parent"))
     if tilted:
         return Wheel(name, radius, slots, None, why_fixed=f"since joint {tilted!r} above it is tilted")
@@ -61,27 +78,8 @@ def _link(joint: Node, tag: str) -> str:
     return "" if node is None else node.attributes.get("link", "")
 
 
-def _radii(model: ModelFile, link_name: str, name: str) -> tuple[float, tuple[Slot, ...]]:
-    """Return the radius of a link, of its collision where that is round, and all shapes that have the same."""
-    link = next(
-        (node for node in model.root.children if node.tag == "link" and node.attributes.get("name") == link_name), None
-    )
-    found: dict[str, list[Slot]] = {"collision": [], "visual": []}
-    for part in () if link is None else link.children:
-        if part.tag not in found:
-            continue
-        for shape in (node for node in part.walk() if node.tag in ROUND and "radius" in node.attributes):
-            values = numbers(shape.attributes["radius"], f"{model.path}, radius of {name!r}", 1)
-            write = lambda new, shape=shape: model.set_attribute(shape, "radius", written(new))  # noqa: E731
-            found[part.tag].append(Slot(values, write))
-    contact = found["collision"] or found["visual"]
-    if not contact:
-        raise RefusedError(
-            f"{model.path}: found no cylinder, sphere or capsule in link {link_name!r} of {name!r}; expected one with "
-            "a radius; a mesh has none: add a collision cylinder"
-        )
-    radius = max(slot.values[0] for slot in contact)
-    return radius, tuple(slot for slots in found.values() for slot in slots if slot.values[0] == radius)
+def _is_link(node: Node, name: str) -> bool:
+    return node.tag == "link" and node.attributes.get("name") == name
 
 
 def _tilted(model: ModelFile, joints: list[Node], link: str) -> str:
