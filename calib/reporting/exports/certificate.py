@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from datetime import date
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from calib.errors import BadInputError, RefusedError
 
@@ -14,40 +14,14 @@ Text = Annotated[str, Field(min_length=1, max_length=1000)]
 #: ISO 3166-1, two letters
 Country = Annotated[str, Field(pattern="^[A-Z]{2}$")]
 
-EXAMPLE: Final = """[certificate]
-identifier = "2025-0311"
-country = "DE"                      # ISO 3166-1
-begin = 2025-03-11
-end = 2025-03-12
-performed_at = "laboratory"         # laboratory, customer, laboratoryBranch, customerBranch or other
 
-[certificate.laboratory]
-name = "..."
-email = "..."
-city = "..."
-country = "DE"
+def _iso_date(value: object) -> object:
+    """Return the date of a text, as a result folder keeps it; anything else is checked by its field."""
+    return date.fromisoformat(value) if isinstance(value, str) else value
 
-[certificate.customer]
-name = "..."
-email = "..."
-city = "..."
-country = "DE"
 
-[certificate.item]
-name = "..."
-manufacturer = "..."
-model = "..."
-serial = "..."
-
-[[certificate.persons]]             # the first one signs
-name = "..."
-role = "..."
-
-[[certificate.equipment]]
-name = "..."
-serial = "..."
-certificate = "..."                 # number of its own calibration certificate
-"""
+#: a date, or its text as YYYY-MM-DD
+Day = Annotated[date, BeforeValidator(_iso_date)]
 
 
 class _Section(BaseModel):
@@ -101,15 +75,15 @@ class Certificate(_Section):
 
     identifier: Text
     country: Country
-    begin: date
-    end: date
+    begin: Day
+    end: Day
     performed_at: Literal["laboratory", "customer", "laboratoryBranch", "customerBranch", "other"]
     laboratory: Contact
     customer: Contact
     item: Item
     persons: Annotated[list[Person], Field(min_length=1)]
     equipment: Annotated[list[Equipment], Field(min_length=1)]
-    received: date | None = None
+    received: Day | None = None
 
     @model_validator(mode="after")
     def _ordered(self) -> Certificate:
@@ -131,7 +105,7 @@ def certificate_of(section: Any, where: str) -> Certificate:
             "invented (docs/exports.md has the section to fill in)"
         )
     try:
-        return Certificate.model_validate(_dated(section))
+        return Certificate.model_validate(dict(section))
     except ValidationError as error:
         faults = error.errors(include_url=False)
         places = [(".".join(str(part) for part in fault["loc"]), fault) for fault in faults]
@@ -147,18 +121,6 @@ def certificate_of(section: Any, where: str) -> Certificate:
             f"{where}, certificate.{place}: found {found}; expected {fault['msg'].removeprefix('Value error, ')}; "
             "correct it"
         ) from error
-
-
-def _dated(section: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the section with its dates as dates; what is none stays, and is refused by its field."""
-    changed = dict(section)
-    for key in ("begin", "end", "received"):
-        if isinstance(changed.get(key), str):
-            try:
-                changed[key] = date.fromisoformat(changed[key])
-            except ValueError:
-                continue
-    return changed
 
 
 def _required(model: type[BaseModel], prefix: str = "") -> Iterator[str]:

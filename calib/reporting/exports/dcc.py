@@ -8,7 +8,7 @@ their covariance as an ellipsoidal region. The bytes depend on the inputs alone;
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -73,15 +73,18 @@ def render(path: Path, accept: str, progress: Progress) -> tuple[Artifact, ...]:
     section = fit.provenance.get("certificate") if campaign is None else campaign.extra.get("certificate")
     stated = certificate_of(section, str(path / "campaign.toml" if campaign is not None else path))
     if not fit.passed and not accept:
-        failed = next(check.sentence for wheel in fit.wheels.values() for check in wheel.checks if not check.passed)
         raise RefusedError(
-            f"{path}: found a law that is {fit.verdict}: {failed}; expected one whose checks passed; measure as the "
-            "check says, or give a reason with --accept-implausible, which the certificate then states"
+            f"{path}: found a law that is {fit.verdict}: {_failed(fit)[0]}; expected one whose checks passed; measure as "
+            "the check says, or give a reason with --accept-implausible, which the certificate then states"
         )
     root = document(replace(source, issued=stated.end.isoformat()), stated)
     indent(root)
     data = tostring(root, encoding="utf-8", xml_declaration=True, short_empty_elements=False)
     return (Artifact("certificate.xml", data + b"\n"),)
+
+
+def _failed(fit: Fit) -> list[str]:
+    return [check.sentence for wheel in fit.wheels.values() for check in wheel.checks if not check.passed]
 
 
 def document(source: Source, stated: Certificate) -> Element:
@@ -100,8 +103,15 @@ def document(source: Source, stated: Certificate) -> Element:
 
 def _add(parent: Element, tag: str, text: str | None = None) -> Element:
     child = SubElement(parent, f"{{{DCC}}}{tag}")
-    child.text = text
+    child.text = None if text is None else _printable(text)
     return child
+
+
+def _add_stated(parent: Element, **texts: str | None) -> None:
+    """Add an element for each text that is stated, in the order given."""
+    for tag, text in texts.items():
+        if text is not None:
+            _add(parent, tag, text)
 
 
 def _si(parent: Element, tag: str, text: str | None = None) -> Element:
@@ -113,7 +123,7 @@ def _si(parent: Element, tag: str, text: str | None = None) -> Element:
 def _text(parent: Element, tag: str, text: str) -> Element:
     """Add an element of the schema's text type; the certificate is written in English."""
     child = _add(parent, tag)
-    _add(child, "content", _printable(text)).set("lang", "en")
+    _add(child, "content", text).set("lang", "en")
     return child
 
 
@@ -136,58 +146,52 @@ def _administrative(root: Element, source: Source, stated: Certificate) -> None:
     _add(core, "countryCodeISO3166_1", stated.country)
     _add(core, "usedLangCodeISO639_1", "en")
     _add(core, "mandatoryLangCodeISO639_1", "en")
-    _add(core, "uniqueIdentifier", _printable(stated.identifier))
+    _add(core, "uniqueIdentifier", stated.identifier)
     _identification(_add(core, "identifications"), "other", source.report_id, "Digest of inputs and version")
-    if stated.received is not None:
-        _add(core, "receiptDate", stated.received.isoformat())
-    _add(core, "beginPerformanceDate", stated.begin.isoformat())
-    _add(core, "endPerformanceDate", stated.end.isoformat())
-    _add(core, "performanceLocation", stated.performed_at)
+    _add_stated(
+        core,
+        receiptDate=None if stated.received is None else stated.received.isoformat(),
+        beginPerformanceDate=stated.begin.isoformat(),
+        endPerformanceDate=stated.end.isoformat(),
+        performanceLocation=stated.performed_at,
+    )
     item = _add(_add(part, "items"), "item")
     _text(item, "name", stated.item.name)
     _text(_add(item, "manufacturer"), "name", stated.item.manufacturer)
-    _add(item, "model", _printable(stated.item.model))
+    _add(item, "model", stated.item.model)
     identifications = _add(item, "identifications")
     _identification(identifications, "manufacturer", stated.item.serial, "Serial number")
     if stated.item.owner_id is not None:
         _identification(identifications, "owner", stated.item.owner_id, "Identification by the owner")
     laboratory = _add(part, "calibrationLaboratory")
-    if stated.laboratory.code is not None:
-        _add(laboratory, "calibrationLaboratoryCode", _printable(stated.laboratory.code))
+    _add_stated(laboratory, calibrationLaboratoryCode=stated.laboratory.code)
     _contact(_add(laboratory, "contact"), stated.laboratory)
     persons = _add(part, "respPersons")
     for at, person in enumerate(stated.persons):
         entry = _add(persons, "respPerson")
         _text(_add(entry, "person"), "name", person.name)
-        _add(entry, "role", _printable(person.role))
-        _add(entry, "mainSigner", "true" if at == 0 else "false")
+        _add_stated(entry, role=person.role, mainSigner="true" if at == 0 else "false")
     _contact(_add(part, "customer"), stated.customer)
     _statements(part, source, stated)
 
 
 def _identification(parent: Element, issuer: str, value: str, name: str) -> None:
     entry = _add(parent, "identification")
-    _add(entry, "issuer", issuer)
-    _add(entry, "value", _printable(value))
+    _add_stated(entry, issuer=issuer, value=value)
     _text(entry, "name", name)
 
 
 def _contact(parent: Element, contact: Contact) -> None:
     _text(parent, "name", contact.name)
-    _add(parent, "eMail", _printable(contact.email))
-    if contact.phone is not None:
-        _add(parent, "phone", _printable(contact.phone))
-    place = _add(parent, "location")
-    stated = {
-        "city": contact.city,
-        "countryCode": contact.country,
-        "postCode": contact.postcode,
-        "street": contact.street,
-        "streetNo": contact.street_no,
-    }
-    for tag, text in stated.items():
-        if text is not None:
-            _add(place, tag, _printable(text))
+    _add_stated(parent, eMail=contact.email, phone=contact.phone)
+    _add_stated(
+        _add(parent, "location"),
+        city=contact.city,
+        countryCode=contact.country,
+        postCode=contact.postcode,
+        street=contact.street,
+        streetNo=contact.street_no,
+    )
 
 
 def _statements(parent: Element, source: Source, stated: Certificate) -> None:
@@ -196,7 +200,7 @@ def _statements(parent: Element, source: Source, stated: Certificate) -> None:
     texts = []
     if fit.simulated:
         texts.append("SIMULATED DATA: a program made the measurements of this certificate; they are no measurements.")
-    failed = [check.sentence for wheel in fit.wheels.values() for check in wheel.checks if not check.passed]
+    failed = _failed(fit)
     if failed:
         texts.append(f"Accepted although a check failed: {fit.accepted}. Checks that failed: {' '.join(failed)}")
     if fit.setup is not None and fit.setup.assumed:
@@ -204,9 +208,9 @@ def _statements(parent: Element, source: Source, stated: Certificate) -> None:
         texts.append(f"Assumed, not stated by the campaign: {listed}. What depends on these is not measured.")
     untraced = [equipment.name for equipment in stated.equipment if equipment.certificate is None]
     if untraced:
-        names = ", ".join(untraced)
         texts.append(
-            f"No calibration certificate is stated of: {names}. Traceability to the SI is not shown for these."
+            f"No calibration certificate is stated of: {', '.join(untraced)}. Traceability to the SI is not shown for "
+            "these."
         )
     if not texts:
         return
@@ -241,20 +245,16 @@ def _equipment(part: Element, equipment: Iterable[Equipment]) -> None:
             _text(entry, "description", f"Calibration certificate {stated.certificate}")
         if stated.manufacturer is not None:
             _text(_add(entry, "manufacturer"), "name", stated.manufacturer)
-        if stated.model is not None:
-            _add(entry, "model", _printable(stated.model))
+        _add_stated(entry, model=stated.model)
         _identification(_add(entry, "identifications"), "manufacturer", stated.serial, "Serial number")
 
 
 def _conditions(part: Element, fit: Fit) -> None:
     """Add smallest and largest value of every condition that the run table has."""
-    ranges: Mapping[str, tuple[float, float]] = {} if fit.setup is None else fit.setup.conditions
-    known = [column for column in CONDITIONS if column in ranges and np.isfinite(ranges[column]).all()]
-    if not known:
-        return
-    listed = _add(part, "influenceConditions")
-    for column in known:
-        title, unit, factor = CONDITIONS[column]
+    ranges = {} if fit.setup is None else fit.setup.conditions
+    known = {name: about for name, about in CONDITIONS.items() if np.isfinite(ranges.get(name, np.nan)).all()}
+    listed = _add(part, "influenceConditions") if known else part
+    for column, (title, unit, factor) in known.items():
         condition = _add(listed, "influenceCondition")
         _text(condition, "name", title)
         data = _add(condition, "data")
@@ -284,8 +284,7 @@ def _radii(listed: Element, wheel: WheelFit, fit: Fit) -> None:
     radii = _si(lists, "realList")
     _si(radii, "label", "effective_radius")
     for at, radius in enumerate(wheel.law.radius_m(loads)):
-        real = _real(radii, None, float(radius), METRE)
-        _expanded(real, 0.5 * float(high[at] - low[at]), float(standard[at]))
+        _expanded(_real(radii, None, radius, METRE), 0.5 * (high[at] - low[at]), standard[at])
 
 
 def _loads(wheel: WheelFit, fit: Fit) -> list[float]:
