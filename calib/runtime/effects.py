@@ -99,26 +99,27 @@ class _Step:
     def speed_mps(self) -> float:
         return self.nominal.way_m / self.dt_s if self.dt_s > 0.0 else 0.0
 
-    def curvature_per_m(self, motion: Motion, track_m: float) -> float:
+    def curvature_per_m(self, motion: Motion) -> float:
         """Curvature, no tighter than a turn about one rear wheel."""
         way = abs(motion.way_m)
         curvature = motion.turn_rad / way if way > SHORTEST_STEP_M else 0.0
-        return max(-2.0 / track_m, min(2.0 / track_m, curvature))
+        return max(-2.0 / self.nominal.track_m, min(2.0 / self.nominal.track_m, curvature))
 
 
 @dataclass(frozen=True, slots=True)
 class _Effect:
-    """A section of the file: its form, its settings and its sizes, and the vehicle's numbers that it needs."""
+    """A section of the file: its form, its settings and its sizes, and the vehicle that it acts on."""
 
     name: str
     form: str
     settings: dict[str, float]
     sizes: dict[str, float]
+    vehicle: Coefficients
     cog_z_m: float
-    gravity_mps2: float
-    mass_kg: float
-    track_m: float
-    reference_load_N: float
+
+    @property
+    def reference_load_N(self) -> float:
+        return self.vehicle.left.reference_load_N
 
     def size(self, name: str) -> float:
         return self.sizes.get(name, 0.0)
@@ -199,19 +200,19 @@ def _load_track(effect: _Effect, step: _Step, change: _Change) -> None:
 
 
 def _scrub(effect: _Effect, step: _Step, change: _Change) -> None:
-    change.track += effect.size("widening") * abs(step.curvature_per_m(step.motion, effect.track_m))
+    change.track += effect.size("widening") * abs(step.curvature_per_m(step.motion))
 
 
 def _curve_load(effect: _Effect, step: _Step, change: _Change) -> None:
-    pull_mps2 = step.speed_mps * abs(step.speed_mps) * step.curvature_per_m(step.nominal, effect.track_m)
-    weight_N = effect.gravity_mps2 * (effect.mass_kg + step.run.payload_kg)
-    moved_N = weight_N * pull_mps2 * effect.cog_z_m / (effect.gravity_mps2 * effect.track_m)
+    pull_mps2 = step.speed_mps * abs(step.speed_mps) * step.curvature_per_m(step.nominal)
+    mass_kg = effect.vehicle.mass_kg + step.run.payload_kg
+    moved_N = mass_kg * pull_mps2 * effect.cog_z_m / effect.vehicle.track_m
     change.left -= effect.size("slope") * moved_N / step.radii_m[0]
     change.right += effect.size("slope") * moved_N / step.radii_m[1]
 
 
 def _side_slip(effect: _Effect, step: _Step, change: _Change) -> None:
-    turned = step.curvature_per_m(step.nominal, effect.track_m) * step.nominal.way_m
+    turned = step.curvature_per_m(step.nominal) * step.nominal.way_m
     change.aside_m -= effect.size("slip_per_acceleration") * step.speed_mps**2 * turned
 
 
@@ -280,7 +281,6 @@ class Effects:
 
     def __init__(self, coefficients: Coefficients, document: dict[str, Any]) -> None:
         self.coefficients = coefficients
-        vehicle = document["vehicle"]
         self._effects: list[tuple[Callable[[_Effect, _Step, _Change], None], _Effect]] = []
         left_out: list[str] = []
         for section in document.get("effects", []):
@@ -294,11 +294,8 @@ class Effects:
                 form=form,
                 settings={key: float(value) for key, value in section.get("settings", {}).items()},
                 sizes={key: float(value["value"]) for key, value in section["parameters"].items()},
-                cog_z_m=float(vehicle["cog_z"]["value"]),
-                gravity_mps2=coefficients.gravity_mps2,
-                mass_kg=coefficients.mass_kg,
-                track_m=coefficients.track_m,
-                reference_load_N=coefficients.left.reference_load_N,
+                vehicle=coefficients,
+                cog_z_m=float(document["vehicle"]["cog_z"]["value"]),
             )
             self._effects.append((acts, effect))
         self.left_out = tuple(left_out)

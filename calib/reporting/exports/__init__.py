@@ -7,8 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from calib.coefficients.formats import Artifact
+from calib.errors import BadInputError
 
 if TYPE_CHECKING:
+    from calib.campaign.model import Campaign
+    from calib.gap.decision.diagnosis import Diagnosis
     from calib.types import Progress
 
 #: name of the format -> module of this package; each has ``render(path, accept, progress)``, which returns its files.
@@ -36,3 +39,18 @@ def export_from(
     module = importlib.import_module(f"{__name__}.{FORMATS[to]}")
     artifacts: tuple[Artifact, ...] = module.render(Path(path), accept, progress or silent)
     return artifacts
+
+
+def diagnosed(path: Path, progress: Progress) -> tuple[Campaign, Diagnosis]:
+    """Return a campaign and its diagnosis, which has no plan of further runs.
+
+    Raises BadInputError where `path` is a result folder, which has no runs.
+    """
+    from calib.campaign.read import read_campaign
+    from calib.gap.diagnose import diagnose_in_full
+    from calib.radius.result import is_result
+
+    if is_result(path):
+        raise BadInputError(f"{path}: found the result of a fit; expected a campaign folder, which has runs; give it")
+    campaign = read_campaign(path, progress=progress)
+    return campaign, diagnose_in_full(campaign, plan=False, progress=progress)

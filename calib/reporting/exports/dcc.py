@@ -74,8 +74,8 @@ def render(path: Path, accept: str, progress: Progress) -> tuple[Artifact, ...]:
     stated = certificate_of(section, str(path / "campaign.toml" if campaign is not None else path))
     if not fit.passed and not accept:
         raise RefusedError(
-            f"{path}: found a law that is {fit.verdict}: {_failed(fit)[0]}; expected one whose checks passed; measure as "
-            "the check says, or give a reason with --accept-implausible, which the certificate then states"
+            f"{path}: found a law that is {fit.verdict}: {_failed(fit)[0]}; expected one whose checks passed; measure "
+            "as the check says, or give a reason with --accept-implausible, which the certificate then states"
         )
     root = document(replace(source, issued=stated.end.isoformat()), stated)
     indent(root)

@@ -16,16 +16,14 @@ from typing import Any, Final
 import numpy as np
 
 from calib.campaign.model import Campaign
-from calib.campaign.read import read_campaign
 from calib.coefficients.formats import Artifact
-from calib.errors import BadInputError, MissingExtraError
+from calib.errors import MissingExtraError
 from calib.gap.decision.diagnosis import Diagnosis
-from calib.gap.diagnose import diagnose_in_full
 from calib.gap.observations.arrays import Channel
 from calib.gap.observations.from_campaign import measured_poses
 from calib.gap.observations.reference_poses import relative_pose
 from calib.gap.predict import Path as PredictedPath
-from calib.radius.result import is_result
+from calib.reporting.exports import diagnosed
 from calib.types import FloatArray, Progress
 
 #: between two runs, so that each can be told in the time line
@@ -57,9 +55,8 @@ class Track:
 
     def thinned(self) -> Track:
         """Return at most `MOST_POSES` of the poses, both ends among them."""
-        if len(self.time_s) <= MOST_POSES:
-            return self
-        kept = np.linspace(0, len(self.time_s) - 1, MOST_POSES).round().astype(np.int64)
+        n = len(self.time_s)
+        kept = np.linspace(0, n - 1, min(n, MOST_POSES)).round().astype(np.int64)
         return Track(self.time_s[kept], self.poses[kept])
 
 
@@ -79,10 +76,7 @@ def render(path: Path, accept: str, progress: Progress) -> tuple[Artifact, ...]:
 
     Raises BadInputError where `path` is a result folder, which has no runs; MissingExtraError without ``calib[ros]``.
     """
-    if is_result(path):
-        raise BadInputError(f"{path}: found the result of a fit; expected a campaign folder, which has runs; give it")
-    campaign = read_campaign(path, progress=progress)
-    diagnosis = diagnose_in_full(campaign, plan=False, progress=progress)
+    campaign, diagnosis = diagnosed(path, progress)
     named = ", ".join(cause.effect for cause in diagnosis.causes) or "no cause named"
     notes = (f"corrected: with {named}; gap_corrected: on runs held out",)
     return (Artifact(f"{campaign.name}.mcap", recording(shown_runs(campaign, diagnosis)), notes),)
@@ -158,47 +152,38 @@ class _Sink:
     """A bag being written: its connections by topic, and messages from arrays."""
 
     def __init__(self, writer: Any, store: Any) -> None:
-        self.writer, self.store = writer, store
+        self.writer, self.store, self.types = writer, store, store.types
         self.connections: dict[str, Any] = {}
 
     def show(self, run: ShownRun, begin_s: float) -> None:
         """Write a run that begins at `begin_s`, its messages in the order of time."""
-        types = self.store.types
-        messages: list[tuple[float, str, str, Any]] = []
-        log = types[LOG_TYPE](self._stamp(begin_s), INFO, "calib", run.label, "", "", 0)
-        messages.append((begin_s, "/run", LOG_TYPE, log))
+        log = self.types[LOG_TYPE](self._stamp(begin_s), INFO, "calib", run.label, "", "", 0)
+        messages = [(begin_s, "/run", LOG_TYPE, log)]
         for name in PATHS:
-            track = run.paths.get(name)
-            if track is None:
+            if name not in run.paths:
                 continue
-            track = track.thinned()
-            poses = [self._pose(begin_s + t, *pose) for t, pose in zip(track.time_s, track.poses, strict=True)]
-            path = types[PATH_TYPE](self._header(begin_s), poses)
+            track = run.paths[name].thinned()
+            times = [begin_s + float(t) for t in track.time_s]
+            poses = [self._pose(t, *pose) for t, pose in zip(times, track.poses.tolist(), strict=True)]
+            path = self.types[PATH_TYPE](self._header(begin_s), poses)
             messages.append((begin_s, f"/{name}/path", PATH_TYPE, path))
-            for t, pose in zip(track.time_s, poses, strict=True):
-                messages.append((begin_s + float(t), f"/{name}/pose", POSE_TYPE, pose))
+            messages += [(t, f"/{name}/pose", POSE_TYPE, pose) for t, pose in zip(times, poses, strict=True)]
         for topic, value in run.numbers.items():
-            messages.append((begin_s + run.duration_s, f"/{topic}", NUMBER_TYPE, types[NUMBER_TYPE](value)))
+            messages.append((begin_s + run.duration_s, f"/{topic}", NUMBER_TYPE, self.types[NUMBER_TYPE](value)))
         for t, topic, kind, message in sorted(messages, key=lambda entry: entry[0]):
-            self._write(t, topic, kind, message)
-
-    def _write(self, t: float, topic: str, kind: str, message: Any) -> None:
-        if topic not in self.connections:
-            self.connections[topic] = self.writer.add_connection(topic, kind, typestore=self.store)
-        data = self.store.serialize_cdr(message, kind)
-        self.writer.write(self.connections[topic], round(t * 1e9), data)
+            if topic not in self.connections:
+                self.connections[topic] = self.writer.add_connection(topic, kind, typestore=self.store)
+            self.writer.write(self.connections[topic], round(t * 1e9), self.store.serialize_cdr(message, kind))
 
     def _stamp(self, t: float) -> Any:
         second, nano = divmod(round(t * 1e9), 1_000_000_000)
-        return self.store.types["builtin_interfaces/msg/Time"](sec=int(second), nanosec=int(nano))
+        return self.types["builtin_interfaces/msg/Time"](sec=second, nanosec=nano)
 
     def _header(self, t: float) -> Any:
-        return self.store.types["std_msgs/msg/Header"](stamp=self._stamp(t), frame_id=FRAME)
+        return self.types["std_msgs/msg/Header"](stamp=self._stamp(t), frame_id=FRAME)
 
     def _pose(self, t: float, x: float, y: float, heading: float) -> Any:
-        types = self.store.types
-        point = types["geometry_msgs/msg/Point"](float(x), float(y), 0.0)
-        half = 0.5 * float(heading)
-        turned = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, math.sin(half), math.cos(half))
-        pose = types["geometry_msgs/msg/Pose"](point, turned)
-        return types["geometry_msgs/msg/PoseStamped"](self._header(t), pose)
+        point = self.types["geometry_msgs/msg/Point"](x, y, 0.0)
+        turned = self.types["geometry_msgs/msg/Quaternion"](0.0, 0.0, math.sin(0.5 * heading), math.cos(0.5 * heading))
+        pose = self.types["geometry_msgs/msg/Pose"](point, turned)
+        return self.types["geometry_msgs/msg/PoseStamped"](self._header(t), pose)

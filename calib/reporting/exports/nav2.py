@@ -12,12 +12,10 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.read import read_campaign
 from calib.coefficients.formats import Artifact, ascii_line, number
-from calib.errors import BadInputError, RefusedError
+from calib.errors import RefusedError
 from calib.gap.decision.diagnosis import Diagnosis
-from calib.gap.diagnose import diagnose_in_full
-from calib.radius.result import is_result
+from calib.reporting.exports import diagnosed
 from calib.reporting.exports.pose_spread import (
     ALPHAS,
     DEFAULT_ALPHA,
@@ -60,10 +58,7 @@ def render(path: Path, accept: str, progress: Progress) -> tuple[Artifact, ...]:
     Raises BadInputError where `path` is a result folder, which has no runs; RefusedError where too few end poses with
     headings were measured, or the vehicle moves sideways.
     """
-    if is_result(path):
-        raise BadInputError(f"{path}: found the result of a fit; expected a campaign folder, which has runs; give it")
-    campaign = read_campaign(path, progress=progress)
-    diagnosis = diagnose_in_full(campaign, plan=False, progress=progress)
+    campaign, diagnosis = diagnosed(path, progress)
     noise = motion_noise(diagnosis)
     named = ", ".join(cause.effect for cause in diagnosis.corrected_causes) or "nothing"
     notes = [f"the odometry is taken as corrected by: {named}; on the vehicle, correct it likewise"]

@@ -23,7 +23,7 @@ from calib.reporting.figures.style import (
     PALETTE,
     axes_grid,
     canvas,
-    colour,
+    draw_ordered,
     figure_title,
     render,
     styled,
@@ -197,15 +197,10 @@ def _ordered(axes: Axes, fitted: list[VehicleRecord], side: str, kind: str, scal
     lines = [getattr(record, side) for record in fitted]
     values = scale * np.array([getattr(line, kind) for line in lines])
     ends = "radius_ci95_m" if kind == "radius_ref_m" else "slope_ci95_m_per_N"
-    intervals = scale * np.array([getattr(line, ends) for line in lines])
-    order = np.argsort(values)
-    marked = np.array([record.vehicle in odd for record in fitted])[order]
-    place = np.arange(len(order))
-    axes.vlines(place, intervals[order, 0], intervals[order, 1], color=GREY, linewidth=0.6)
-    axes.plot(place[~marked], values[order][~marked], ".", color=colour(0), markersize=2.5)
-    axes.plot(place[marked], values[order][marked], "o", color=ORANGE, markersize=4.0)
-    usual = values[order][~marked] if (~marked).any() else values
-    axes.axhline(float(np.median(usual)), color=colour(0), linewidth=0.8)
+    marked = np.array([record.vehicle in odd for record in fitted])
+    draw_ordered(axes, values, scale * np.array([getattr(line, ends) for line in lines]), marked)
+    usual = values[~marked] if (~marked).any() else values
+    axes.axhline(float(np.median(usual)), color=BLUE, linewidth=0.8)
 
 
 def fleet_drift(fleet: Fleet) -> Figure | None:
@@ -223,13 +218,9 @@ def _drift(lines: list[tuple[str, str, Drift]], named: set[tuple[str, str]]) -> 
     rate = np.array([1e9 * drift.per_day_m for _, _, drift in lines])
     half = np.array([1e9 * drift.std_m * float(stdtrit(drift.dof, 0.975)) for _, _, drift in lines])
     marked = np.array([(vehicle, side) in named for vehicle, side, _ in lines])
-    order = np.argsort(rate)
     figure = canvas(6.0)
     axes = figure.add_subplot()
-    place = np.arange(len(order))
-    axes.vlines(place, (rate - half)[order], (rate + half)[order], color=GREY, linewidth=0.5)
-    axes.plot(place[~marked[order]], rate[order][~marked[order]], ".", color=colour(0), markersize=2.0)
-    axes.plot(place[marked[order]], rate[order][marked[order]], "o", color=ORANGE, markersize=4.0)
+    draw_ordered(axes, rate, np.column_stack((rate - half, rate + half)), marked)
     axes.axhline(0.0, color=GREY, linewidth=0.8)
     axes.set(ylabel="drift of the radius, nm a day", xlabel="wheels in order of drift (orange: drifts)")
     return figure

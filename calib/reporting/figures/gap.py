@@ -8,7 +8,6 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from calib.gap.decision.diagnosis import Diagnosis
@@ -22,6 +21,7 @@ from calib.reporting.figures.style import (
     MANY,
     ORANGE,
     WIDTH_CM,
+    Groups,
     canvas,
     colour,
     group_legend,
@@ -125,21 +125,15 @@ def gap_map(paths_m: Sequence[FloatArray], offset_m: FloatArray, group: StrArray
     stretched = aspect < 0.12
     figure = canvas(float(np.clip(2.6 + 0.86 * WIDTH_CM * aspect, 6.0, MAP_HEIGHT_CM)))
     axis = figure.add_subplot()
-    names, number = _groups(group, len(paths_m))
-    seen: set[int] = set()
+    groups = _groups(group, len(paths_m))
     for path in paths_m:
         axis.plot(path[:, 0], path[:, 1], color="#C4C9CE", lw=0.7, solid_capstyle="round")
+    x, y = np.where(known[:, None], ends, np.nan).T
+    groups.draw(axis, x, y, "o", ms=2.2)
+    arrow = {"arrowstyle": "-|>", "lw": 0.9, "mutation_scale": 6, "shrinkA": 0, "shrinkB": 0}
     for k in np.flatnonzero(known):
-        label = names[number[k]] if number[k] not in seen else None
-        seen.add(int(number[k]))
-        axis.plot(*ends[k], "o", ms=2.2, color=colour(int(number[k])), label=label)
-        axis.annotate(
-            "",
-            xy=tuple(tips[k]),
-            xytext=tuple(ends[k]),
-            arrowprops={"arrowstyle": "-|>", "color": colour(int(number[k])), "lw": 0.9, "mutation_scale": 6,
-                        "shrinkA": 0, "shrinkB": 0},
-        )  # fmt: skip
+        tint = colour(int(groups.index[k]))
+        axis.annotate("", xy=tuple(tips[k]), xytext=tuple(ends[k]), arrowprops={**arrow, "color": tint})
     axis.set_xlim(low[0] - margin, high[0] + margin)
     axis.set_ylim(low[1] - margin, high[1] + margin)
     if not stretched:
@@ -152,7 +146,7 @@ def gap_map(paths_m: Sequence[FloatArray], offset_m: FloatArray, group: StrArray
     magnified = "to scale" if factor == 1 else f"{factor:g} times"
     note = ", y stretched" if stretched else ""
     axis.set_title(f"Gap at the end of each run ({scale}arrows {magnified}{note})")
-    group_legend(figure, axis, names, below=True)
+    group_legend(figure, axis, groups.names, below=True)
     return figure
 
 
@@ -189,7 +183,7 @@ def gap_by_covariate(
     shown = [(name, covariates[name]) for name in distinct(covariates)][:MAX_PANELS]
     factor, name = readable(unit, _largest(residual))
     figure, axes = panels(len(shown), 1.6, 4.4, sharey=True)
-    names, number = _groups(group, len(residual))
+    groups = _groups(group, len(residual))
     gap = factor * np.asarray(residual, dtype=np.float64)
     for axis, (title, values) in zip(axes.flat, shown, strict=False):
         good = np.isfinite(gap) & np.isfinite(values)
@@ -197,10 +191,7 @@ def gap_by_covariate(
             # its edges as lines: a band far below the gap would be hidden by the zero line
             axis.axhspan(-factor * noise_level, factor * noise_level, color=GREY, alpha=0.3, lw=0.5, ec=INK)
         axis.axhline(0.0, color=GREY, lw=0.6)
-        for index in range(len(names)):
-            on = good & (number == index)
-            style = {"color": colour(index), "label": names[index], "rasterized": len(gap) > MANY}
-            axis.plot(values[on], gap[on], "o", ms=2.2, alpha=0.6, mew=0, **style)
+        groups.draw(axis, values, gap, "o", ms=2.2, alpha=0.6, mew=0)
         if good.sum() >= 3:
             centre, mean, error = _classes(values[good], gap[good])
             axis.errorbar(centre, mean, yerr=error, fmt="s", color=INK, elinewidth=0.8, ms=2.6)
@@ -216,7 +207,7 @@ def gap_by_covariate(
         axes[0, 0].set_ylim(low - margin, high + margin)
     for row in axes:
         row[0].set_ylabel(f"{channel} ({name})")
-    group_legend(figure, axes[0, 0], names)
+    group_legend(figure, axes[0, 0], groups.names)
     return figure
 
 
@@ -315,14 +306,11 @@ def _round_down(value: float) -> float:
     return float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= max(value, 1.0)))
 
 
-def _groups(group: StrArray | None, n: int) -> tuple[list[str], npt.NDArray[np.int64]]:
-    """Return names in order of first appearance, and the number of each run's."""
+def _groups(group: StrArray | None, n: int) -> Groups:
+    """Return the kinds of runs (n,) for colours; one without a name where they are not given."""
     if group is None:
-        return [""], np.zeros(n, dtype=np.int64)
-    names = list(dict.fromkeys(str(text) for text in group))
-    index = {text: k for k, text in enumerate(names)}
-    number = np.array([index[str(text)] for text in group], dtype=np.int64)
-    return [legible((text or "(none)").replace("_", " ").strip()) or "(none)" for text in names], number
+        return Groups([""], np.zeros(n, dtype=np.int64))
+    return Groups.of(np.char.replace(group, "_", " "), "(none)", limit=max(int(np.char.str_len(group).max()), 1))
 
 
 def _classes(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -332,12 +320,9 @@ def _classes(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, Floa
     """
     from scipy.special import stdtrit
 
-    distinct = np.unique(x)
-    if len(distinct) <= 8:
-        index = np.searchsorted(distinct, x)
-    else:
-        edges = np.quantile(x, np.linspace(0, 1, 9)[1:-1])
-        index = np.searchsorted(edges, x, side="right")
+    distinct, index = np.unique(x, return_inverse=True)
+    if len(distinct) > 8:
+        index = np.searchsorted(np.quantile(x, np.linspace(0, 1, 9)[1:-1]), x, side="right")
     rows: list[tuple[float, float, float]] = []
     for k in np.unique(index):
         on = index == k

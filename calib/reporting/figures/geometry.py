@@ -12,16 +12,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from calib.kinematics.result import RunTrace
-from calib.reporting.figures.style import (
-    BLUE,
-    GREY,
-    INK,
-    PALETTE,
-    axes_grid,
-    canvas,
-    shared_legend,
-    styled,
-)
+from calib.reporting.figures.style import BLUE, GREY, INK, Groups, axes_grid, canvas, shared_legend, styled
 from calib.types import FloatArray
 
 COLUMNS: Final = 3
@@ -47,20 +38,18 @@ def draw_paths(traces: Sequence[RunTrace], *, simulated: bool = False) -> Figure
     rows = -(-len(kinds) // COLUMNS)
     figure = canvas((PANEL_CM if len(kinds) > 1 else LONE_PANEL_CM) * rows + 1.2)
     grid = axes_grid(figure, rows, min(COLUMNS, len(kinds))).ravel()
-    errors = [1e3 * np.hypot(*trace.residual_after[:, :2].T) for trace in traces]
-    known = np.concatenate([error[np.isfinite(error)] for error in errors]) if errors else np.zeros(0)
+    known = np.concatenate([np.zeros(0), *(_error_mm(trace) for trace in traces)])
+    known = known[np.isfinite(known)]
     scale = Normalize(0.0, float(np.percentile(known, SPANNED)) if len(known) else 1.0)
     handles: dict[str, Any] = {}
     colours = None
     for axes, kind in zip(grid, kinds, strict=False):
-        chosen = [(trace, error) for trace, error in zip(traces, errors, strict=True) if trace.kind == kind]
-        for trace, error in chosen[:MOST_PATHS]:
-            (line,) = axes.plot(*trace.before_m.T, color=GREY, lw=0.7, alpha=0.7, label="odometry before")
-            handles.setdefault("odometry before", line)
-            colours = _coloured(axes, trace, error, scale) or colours
-            (line,) = axes.plot(*trace.reference_m.T, color=INK, lw=0.6, ls=":", label="reference")
+        chosen = [trace for trace in traces if trace.kind == kind]
+        for trace in chosen[:MOST_PATHS]:
+            (handles["odometry before"],) = axes.plot(*trace.before_m.T, color=GREY, lw=0.7, alpha=0.7)
+            colours = _coloured(axes, trace, scale) or colours
+            (handles["reference"],) = axes.plot(*trace.reference_m.T, color=INK, lw=0.6, ls=":")
             axes.plot(*trace.reference_m[-1:].T, "o", color=INK, ms=2.5)
-            handles.setdefault("reference", line)
         axes.set_title(f"{kind or 'all runs'} ({len(chosen)})")
         axes.set_aspect("equal", adjustable="datalim")
         axes.set(xlabel="x (m)", ylabel="y (m)")
@@ -75,24 +64,22 @@ def draw_paths(traces: Sequence[RunTrace], *, simulated: bool = False) -> Figure
     return figure
 
 
-def _coloured(axes: Axes, trace: RunTrace, error_mm: FloatArray, scale: Normalize) -> LineCollection | None:
+def _error_mm(trace: RunTrace) -> FloatArray:
+    return np.asarray(1e3 * np.hypot(*trace.residual_after[:, :2].T))
+
+
+def _coloured(axes: Axes, trace: RunTrace, scale: Normalize) -> LineCollection | None:
     """Draw the calibrated path in the colours of its error; in one colour where only its end was measured."""
+    error_mm = np.nan_to_num(_error_mm(trace))
     if len(trace.seen) < 2:
         axes.plot(*trace.after_m.T, color=BLUE, lw=1.0)
-        axes.scatter(
-            trace.after_m[-1:, 0],
-            trace.after_m[-1:, 1],
-            c=np.nan_to_num(error_mm),
-            norm=scale,
-            cmap="viridis",
-            s=14,
-            zorder=3,
-        )
+        x, y = trace.after_m[-1:].T
+        axes.scatter(x, y, c=error_mm, norm=scale, cmap="viridis", s=14, zorder=3)
         return None
     points = trace.after_m[trace.seen]
     pieces = np.stack([points[:-1], points[1:]], axis=1)
     lines = LineCollection(list(pieces), norm=scale, cmap="viridis", linewidths=1.4)
-    lines.set_array(np.nan_to_num(0.5 * (error_mm[1:] + error_mm[:-1])))
+    lines.set_array(0.5 * (error_mm[1:] + error_mm[:-1]))
     axes.add_collection(lines)
     return lines
 
@@ -134,25 +121,19 @@ def residuals_by_run(traces: Sequence[RunTrace]) -> Figure:
     """Draw the residuals at the end of each run in the order driven, before above and after below, by kind of route."""
     figure = canvas(9.0)
     grid = axes_grid(figure, 2, 3, sharex=True)
-    kinds = list(dict.fromkeys(trace.kind for trace in traces))
-    order = np.arange(1, len(traces) + 1)
-    handles: dict[str, Any] = {}
+    kinds = Groups.of(np.array([trace.kind for trace in traces]), "all runs")
+    order = np.arange(1.0, len(traces) + 1)
     for row, word, values in (
         (grid[0], "before", [trace.residual_before[-1] for trace in traces]),
         (grid[1], "after", [trace.residual_after[-1] for trace in traces]),
     ):
-        table = np.array(values)
-        for number, (axes, (title, unit, factor)) in enumerate(zip(row, CHANNELS, strict=True)):
-            for at, kind in enumerate(kinds):
-                of_kind = np.array([trace.kind == kind for trace in traces])
-                colour = PALETTE[at % len(PALETTE)]
-                (dots,) = axes.plot(order[of_kind], factor * table[of_kind, number], "o", color=colour, ms=2.8)
-                handles.setdefault(kind or "all runs", dots)
+        for axes, column, (title, unit, factor) in zip(row, np.transpose(values), CHANNELS, strict=True):
+            kinds.draw(axes, order, factor * column, "o", ms=2.8)
             axes.axhline(0.0, color=INK, lw=0.5)
             axes.set_title(f"{word}: {title} ({unit})")
-            if word == "after":
-                axes.set_xlabel("run, in the order driven")
-    shared_legend(figure, list(handles.values()), list(handles))
+    for axes in grid[1]:
+        axes.set_xlabel("run, in the order driven")
+    shared_legend(figure, *grid[0, 0].get_legend_handles_labels())
     return figure
 
 
@@ -165,12 +146,10 @@ def correlations(names: Sequence[str], covariance: FloatArray) -> Figure:
     figure = canvas(min(0.58 * size + 2.4, 8.6), 12.5)
     axes = figure.subplots()
     axes.imshow(np.abs(correlation), cmap="Blues", vmin=0.0, vmax=1.6)
-    for row in range(size):
-        for column in range(size):
-            strong = row != column and abs(correlation[row, column]) > 0.9
-            text = f"{correlation[row, column]:.2f}".replace("-", "\u2212")
-            weight = "bold" if strong else "normal"
-            axes.text(column, row, text, ha="center", va="center", color=INK, fontsize=6.0, fontweight=weight)
+    for (row, column), value in np.ndenumerate(correlation):
+        weight = "bold" if row != column and abs(value) > 0.9 else "normal"
+        text = f"{value:.2f}".replace("-", "\u2212")
+        axes.text(column, row, text, ha="center", va="center", color=INK, fontsize=6.0, fontweight=weight)
     axes.set_xticks(range(size), names, rotation=45, ha="right")
     axes.set_yticks(range(size), names)
     axes.grid(visible=False)

@@ -16,17 +16,7 @@ from calib.odometry.law_path import LawPath
 from calib.odometry.paper import Sweep
 from calib.odometry.pose_covariance import ellipses
 from calib.odometry.poses import COMPONENTS
-from calib.reporting.figures.style import (
-    BLUE,
-    GREY,
-    INK,
-    ORANGE,
-    SKY,
-    canvas,
-    colour,
-    figure_title,
-    styled,
-)
+from calib.reporting.figures.style import BLUE, GREY, INK, ORANGE, SKY, canvas, colour, figure_title, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -119,23 +109,19 @@ def ratio_figure(rows: Sequence[TableRow], *, measured: tuple[tuple[float, float
     """
     figure = canvas(7.4)
     loads = np.array([row.load_N for row in rows])
-    first: Axes | None = None
-    for number, side in enumerate(("left", "right")):
-        axes = figure.add_subplot(1, 2, number + 1, sharey=first)
-        first = first or axes
+    first, second = figure.subplots(1, 2, sharey=True)
+    for axes, side, loads_measured in zip((first, second), ("left", "right"), measured, strict=True):
         radius = np.array([getattr(row, f"radius_{side}_m") for row in rows])
         for band, tint in (("prediction", SKY), ("mean", BLUE)):
             half = np.array([getattr(row, f"{band}_{side}_m") for row in rows]) / radius
             name = "of a single run" if band == "prediction" else "of the mean"
             axes.fill_between(loads, 1 - half, 1 + half, color=tint, alpha=0.35, label=f"95 % band {name}")
             axes.plot(loads, np.stack([1 - half, 1 + half], axis=1), color=tint, linewidth=1.0)
-        axes.axvspan(*measured[number], color=INK, alpha=0.05, label="loads measured")
+        axes.axvspan(*loads_measured, color=INK, alpha=0.05, label="loads measured")
         axes.set(xlabel="wheel load (N)", title=f"{side.capitalize()} wheel")
-        axes.ticklabel_format(axis="y", useOffset=False)
-    if first is not None:
-        first.set_ylabel("radius over the law's mean radius")
-        handles, names = first.get_legend_handles_labels()
-        figure.legend(handles, names, loc="outside lower center", ncols=3)
+        axes.tick_params(labelleft=True)
+    first.set_ylabel("radius over the law's mean radius")
+    figure.legend(*first.get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure
 
 
@@ -152,14 +138,11 @@ def replay_figure(replayed: Replay) -> Figure:
         e = replayed.errors[method]
         plan.plot(e.along_m, e.lateral_m, mark, color=tint, markersize=4, label=name, fillstyle="none")
         graph.plot(total, e.distance_m, mark, color=tint, markersize=4, fillstyle="none")
-    plan.set(xlabel="along (m)", ylabel="lateral (m)")
+    plan.set(xlabel="along (m)", ylabel="lateral (m)", title="end error in the frame of the reference")
     plan.axhline(0.0, color=INK, linewidth=0.6)
     plan.axvline(0.0, color=INK, linewidth=0.6)
-    plan.set_title("end error in the frame of the reference")
-    graph.set_xlabel("load of both rear wheels (N)")
-    graph.set_ylabel("distance to the reference (m)")
+    graph.set(xlabel="load of both rear wheels (N)", ylabel="distance to the reference (m)", title="end error by load")
     graph.set_yscale("log")
-    graph.set_title("end error by load")
     plan.legend()
     return figure
 
@@ -201,8 +184,7 @@ def law_errors_figure(path: LawPath, *, title: str) -> Figure:
         graph.fill_between(path.distance_m, middle - half, middle + half, color=SKY, alpha=0.5, linewidth=0)
         graph.plot(path.distance_m, middle, **_WITH)
         graph.plot(path.distance_m, factor * getattr(path.without.errors, name), **_WITHOUT)
-        for place in path.loading.from_m[1:].tolist():
-            graph.axvline(place, color=GREY, linestyle=":", linewidth=1.0)
+        _mark_changes(graph, path)
     keys = [
         Line2D([], [], label="radii of the reference load, kept", **_WITHOUT),
         Line2D([], [], label="radii that follow the load", **_WITH),
@@ -212,6 +194,12 @@ def law_errors_figure(path: LawPath, *, title: str) -> Figure:
         keys.append(Line2D([], [], color=GREY, linestyle=":", label="the load changes"))
     figure.legend(handles=keys, loc="outside lower center", ncols=4)
     return figure
+
+
+def _mark_changes(graph: Axes, path: LawPath) -> None:
+    """Draw a line where the load changes."""
+    for place in path.loading.from_m[1:].tolist():
+        graph.axvline(place, color=GREY, linestyle=":", linewidth=1.0)
 
 
 @styled
@@ -226,17 +214,10 @@ def law_path_figure(path: LawPath, *, title: str) -> Figure:
     wanted = 0.125 * extent / max(float(drawn_ellipses.major_m.max()), 1e-9)
     scale = max([1.0, *(m * 10.0**e for e in range(9) for m in (1.0, 2.0, 5.0) if m * 10.0**e <= wanted)])
     for k in np.unique(np.linspace(0, len(route) - 1, 13).astype(int))[1:]:
-        plan.add_patch(
-            Ellipse(
-                (float(route.x_m[k]), float(route.y_m[k])),
-                2 * scale * float(drawn_ellipses.major_m[k]),
-                2 * scale * float(drawn_ellipses.minor_m[k]),
-                angle=float(np.degrees(drawn_ellipses.angle_rad[k])),
-                facecolor=SKY,
-                edgecolor=BLUE,
-                alpha=0.6,
-            )
-        )
+        size = 2 * scale * drawn_ellipses.major_m[k], 2 * scale * drawn_ellipses.minor_m[k]
+        angle = float(np.degrees(drawn_ellipses.angle_rad[k]))
+        place = (route.x_m[k], route.y_m[k])
+        plan.add_patch(Ellipse(place, *size, angle=angle, facecolor=SKY, edgecolor=BLUE, alpha=0.6))
     plan.plot(path.without.poses.x_m, path.without.poses.y_m, label="radii of the reference load, kept", **_WITHOUT)
     plan.plot(route.x_m, route.y_m, label="radii that follow the load", **(_WITH | {"linewidth": 2.6}))
     plan.plot(path.reference.x_m, path.reference.y_m, color=INK, linewidth=0.8, label="route")
@@ -244,23 +225,18 @@ def law_path_figure(path: LawPath, *, title: str) -> Figure:
     if len(stops):
         plan.plot(route.x_m[stops], route.y_m[stops], "v", color=GREY, label="the load changes")
     plan.set_aspect("equal", adjustable="datalim")
-    plan.set(xlabel="x (m)", ylabel="y (m)")
     drawn = f"drawn {scale:g} times as large" if scale > 1.0 else "true to scale"
-    plan.set_title(f"paths and 95 % ellipses, {drawn}")
-    lateral = path.corrected.std["lateral_m"]
-    for factor, tint, name in (
-        (2.0, SKY, "2 standard uncertainties"),
-        (1.0, BLUE, "1 standard uncertainty"),
-    ):
-        graph.fill_between(
-            path.distance_m, -factor * lateral, factor * lateral, color=tint, alpha=0.4, linewidth=0, label=name
-        )
+    plan.set(xlabel="x (m)", ylabel="y (m)", title=f"paths and 95 % ellipses, {drawn}")
+    for factor, tint, name in ((2.0, SKY, "2 standard uncertainties"), (1.0, BLUE, "1 standard uncertainty")):
+        half = factor * path.corrected.std["lateral_m"]
+        graph.fill_between(path.distance_m, -half, half, color=tint, alpha=0.4, linewidth=0, label=name)
     graph.axhline(0.0, color=INK, linewidth=0.8)
-    for place in path.loading.from_m[1:].tolist():
-        graph.axvline(place, color=GREY, linestyle=":", linewidth=1.0)
-    graph.set_xlabel("distance along the route (m)")
-    graph.set_ylabel(f"error {_AXES['lateral_m'][0]}")
-    graph.set_title("lateral error with radii that follow the load")
+    _mark_changes(graph, path)
+    graph.set(
+        xlabel="distance along the route (m)",
+        ylabel=f"error {_AXES['lateral_m'][0]}",
+        title="lateral error with radii that follow the load",
+    )
     handles, names = (a + b for a, b in zip(*(x.get_legend_handles_labels() for x in (plan, graph)), strict=True))
     figure.legend(handles, names, loc="outside lower center", ncols=3)
     figure_title(figure, title)

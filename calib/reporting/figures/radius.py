@@ -16,7 +16,6 @@ from matplotlib.ticker import FuncFormatter, NullFormatter
 from calib.radius.deviation import whole_period_excess
 from calib.radius.effective import Component, EffectiveRadii
 from calib.radius.regression import WheelFit
-from calib.radius.sessions import groups_of
 from calib.reporting.figures.style import (
     BLUE,
     GREY,
@@ -24,9 +23,9 @@ from calib.reporting.figures.style import (
     LEGEND_LIMIT,
     MANY,
     ORANGE,
+    Groups,
     axes_grid,
     canvas,
-    colour,
     group_legend,
     legible,
     shared_legend,
@@ -39,6 +38,7 @@ PPM: Final = 1e6
 WHEELS: Final = ("left", "right")
 #: a smaller excess is drawn as this one: a hair's breadth over a corridor
 LEAST_EXCESS_PPM: Final = 1e-4
+NO_SESSION: Final = "(no session)"
 #: light to dark, told apart in print and by colour-blind readers
 LOAD_COLOURS: Final = "viridis_r"
 #: loads within this share of the largest are one load that scatters
@@ -54,8 +54,8 @@ def runs_by_series(radii: EffectiveRadii) -> Figure:
     """
     figure = canvas(8.0)
     axes = axes_grid(figure, 2, 1, sharex=True, sharey=True)[:, 0]
-    order = np.arange(1, len(radii) + 1)
-    names, group = _sessions(radii.session)
+    order = np.arange(1.0, len(radii) + 1)
+    sessions = Groups.of(radii.session, NO_SESSION)
     sides = (
         (radii.radius_left_m, radii.std_left_m, radii.load_left_N),
         (radii.radius_right_m, radii.std_right_m, radii.load_right_N),
@@ -65,19 +65,18 @@ def runs_by_series(radii: EffectiveRadii) -> Figure:
     # few steps, which stay vectors
     scale = mpl.colormaps[LOAD_COLOURS].resampled(32)
     for axis, wheel, (radius, std, load) in zip(axes, WHEELS, sides, strict=True):
+        if len(order) <= MANY:
+            axis.errorbar(order, MM * radius, yerr=2 * MM * np.nan_to_num(std), fmt="none", ecolor=GREY, elinewidth=0.6)
         if span is None:
-            for number, name in enumerate(names):
-                on = group == number
-                _errorbars(axis, order[on], MM * radius[on], MM * std[on], colour(number), name)
+            sessions.draw(axis, order, MM * radius, ms=3.6)
         else:
-            _errorbars(axis, order, MM * radius, MM * std, GREY, None)
             axis.scatter(order, MM * radius, c=load, norm=span, cmap=scale, s=9, lw=0, zorder=3)
-            _mark_sessions(axis, group, names)
+            _mark_sessions(axis, sessions)
         axis.set(title=f"{wheel.capitalize()} wheel", ylabel="effective radius (mm)")
         axis.margins(x=0.015, y=0.08)
     axes[-1].set_xlabel("run, in the order driven")
     if span is None:
-        group_legend(figure, axes[0], names)
+        group_legend(figure, axes[0], sessions.names)
     else:
         figure.colorbar(ScalarMappable(span, scale), ax=axes, pad=0.01, aspect=40, label="wheel load (N)")
     return figure
@@ -88,16 +87,17 @@ def varies(load: npt.NDArray[np.float64]) -> bool:
     return bool(np.ptp(load) > LOADS_ALIKE * np.abs(load).max())
 
 
-def _mark_sessions(axis: Any, group: npt.NDArray[np.int64], names: list[str]) -> None:
+def _mark_sessions(axis: Any, sessions: Groups) -> None:
     """Draw a line where the session changes, and name the sessions where there is room."""
-    changes = np.flatnonzero(np.diff(group)) + 1
+    names = sessions.names
+    changes = np.flatnonzero(np.diff(sessions.index)) + 1
     if len(changes) > len(names) + LEGEND_LIMIT:  # sessions that alternate
         return
     for change in changes:
         axis.axvline(change + 0.5, color=GREY, lw=0.5, ls=(0, (4, 3)))
     for first in np.concatenate(([0], changes)) if 1 < len(names) <= LEGEND_LIMIT else ():
         axis.annotate(
-            names[group[first]], (first + 0.7, 1.0), xycoords=("data", "axes fraction"), xytext=(1, -1),
+            names[sessions.index[first]], (first + 0.7, 1.0), xycoords=("data", "axes fraction"), xytext=(1, -1),
             textcoords="offset points", fontsize=6, color="#555555", va="top",
         )  # fmt: skip
 
@@ -110,7 +110,7 @@ def regressions(left: WheelFit, right: WheelFit, session: npt.NDArray[np.str_]) 
     """
     figure = canvas(10.0)
     axes = axes_grid(figure, 2, 2, sharex="col", sharey="row", height_ratios=(1.15, 1.0))
-    names, group = _sessions(session)
+    sessions = Groups.of(session, NO_SESSION)
     for column, fit in enumerate((left, right)):
         law = fit.law
         span = max(law.load_max_N - law.load_min_N, 0.04 * abs(law.load_max_N), 1.0)
@@ -125,11 +125,8 @@ def regressions(left: WheelFit, right: WheelFit, session: npt.NDArray[np.str_]) 
                 low, high = (scale * (end - zero) for end in band)
                 axis.fill_between(load, low, high, color=BLUE, alpha=alpha, lw=0, label=label)
             axis.plot(load, scale * (centre - zero), color=INK, lw=1.0, label="law")
-        for number, name in enumerate(names):
-            on = group == number
-            style = {"ms": 3.2, "color": colour(number), "label": name, "rasterized": len(group) > MANY}
-            upper.plot(fit.load_N[on], MM * fit.radius_m[on], ".", **style)
-            lower.plot(fit.load_N[on], UM * fit.residual_m[on], ".", **style)
+        sessions.draw(upper, fit.load_N, MM * fit.radius_m, ms=3.2)
+        sessions.draw(lower, fit.load_N, UM * fit.residual_m, ms=3.2)
         upper.set_title(f"{fit.wheel.capitalize()} wheel")
         upper.tick_params(labelleft=True)
         lower.tick_params(labelleft=True)
@@ -137,10 +134,9 @@ def regressions(left: WheelFit, right: WheelFit, session: npt.NDArray[np.str_]) 
         upper.margins(x=0)
     axes[0, 0].set_ylabel("effective radius (mm)")
     axes[1, 0].set_ylabel("radius minus law (µm)")
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    bands = [labels.index(text) for text in ("law", "band of the mean", "prediction band")]
-    shown = bands + ([k for k, text in enumerate(labels) if k not in bands] if 1 < len(names) <= LEGEND_LIMIT else [])
-    shared_legend(figure, [handles[k] for k in shown], [labels[k] for k in shown])
+    prediction, mean, line, *runs = zip(*axes[0, 0].get_legend_handles_labels(), strict=True)
+    entries = [line, mean, prediction, *(runs if 1 < len(sessions.names) <= LEGEND_LIMIT else ())]
+    shared_legend(figure, [handle for handle, _ in entries], [label for _, label in entries])
     return figure
 
 
@@ -190,9 +186,9 @@ def path_deviation(radii: EffectiveRadii) -> Figure:
             order, PPM * part, mark, ms=2.4, mew=0, color=tint, label=f"{wheel} wheel", rasterized=len(order) > MANY
         )
     strip.axhline(0.0, color=GREY, lw=0.6)
-    strip.set_xlabel("run, in the order driven")
-    strip.set_ylabel("correction of the radius (ppm)")
-    strip.set_title("What each run's path added")
+    strip.set(
+        xlabel="run, in the order driven", ylabel="correction of the radius (ppm)", title="What each run's path added"
+    )
     strip.margins(y=0.18)
     strip.legend(loc="upper right", ncols=2, handletextpad=0.2, columnspacing=1.0)
     return figure
@@ -205,23 +201,19 @@ def residuals(left: WheelFit, right: WheelFit, session: npt.NDArray[np.str_]) ->
     `session` (shape (n_runs,)). Two rows (wheels) of three panels.
     """
     from scipy.special import ndtri
+    from scipy.stats import rankdata
 
     figure = canvas(8.0)
     axes = axes_grid(figure, 2, 3, sharey=True)
-    names, group = _sessions(session)
+    sessions = Groups.of(session, NO_SESSION)
     for row, fit in enumerate((left, right)):
         rest = UM * fit.residual_m
-        n = len(rest)
-        rank = np.empty(n)
-        rank[np.argsort(rest, kind="stable")] = np.arange(1, n + 1)
         # Blom's plotting positions
-        quantile = ndtri((rank - 0.375) / (n + 0.25))
-        for column, x in enumerate((fit.load_N, np.arange(1.0, n + 1), quantile)):
+        quantile = ndtri((rankdata(rest, method="ordinal") - 0.375) / (len(rest) + 0.25))
+        for column, x in enumerate((fit.load_N, np.arange(1.0, len(rest) + 1), quantile)):
             axis = axes[row, column]
             axis.axhline(0.0, color=GREY, lw=0.6)
-            for number in range(len(names)):
-                on = group == number
-                axis.plot(x[on], rest[on], ".", ms=3, color=colour(number), rasterized=n > MANY)
+            sessions.draw(axis, x, rest, ms=3)
             axis.tick_params(labelleft=column == 0)
             axis.margins(x=0.05, y=0.08)
         reach = np.array([quantile.min(), quantile.max()])
@@ -245,40 +237,18 @@ def budget_bars(budget: Sequence[Component]) -> Figure:
     figure = canvas(2.2 + 0.62 * len(names))
     axis = figure.add_subplot()
     place = np.arange(len(names), dtype=np.float64)
-    handles = []
-    for side, tint, shift in ((0, BLUE, -0.18), (1, ORANGE, 0.18)):
-        values = [*sides[side], float(np.sqrt(np.sum(np.square(sides[side]))))]
-        handles.append(axis.barh(place + shift, values, height=0.34, color=tint, lw=0))
+    for wheel, values, tint, shift in zip(WHEELS, sides, (BLUE, ORANGE), (-0.18, 0.18), strict=True):
+        combined = float(np.sqrt(np.sum(np.square(values))))
+        axis.barh(place + shift, [*values, combined], height=0.34, color=tint, lw=0, label=f"{wheel} wheel")
     axis.axhline(len(budget) - 0.5, color=GREY, lw=0.6)
     axis.set_yticks(place, names)
     axis.invert_yaxis()
     axis.grid(visible=False, axis="y")
     axis.set_xlabel("contribution to the standard uncertainty of one radius (µm, k = 1)")
     axis.margins(y=0.02)
-    shared_legend(figure, handles, ["left wheel", "right wheel"])
+    shared_legend(figure, *axis.get_legend_handles_labels())
     return figure
-
-
-def _sessions(session: npt.NDArray[np.str_]) -> tuple[list[str], npt.NDArray[np.int64]]:
-    """Return the sessions in order of first appearance, and the number of each run's."""
-    groups = groups_of(session)
-    return [_short(str(name)) for name in groups.names], groups.index
-
-
-def _short(name: str, limit: int = 18) -> str:
-    """Return a label that fits a legend; a leading underscore would hide it."""
-    text = legible(name.strip()) or "(no session)"
-    text = text if len(text) <= limit else text[: limit - 1] + "…"
-    return f"\u200b{text}" if text.startswith("_") else text
 
 
 def _decades(limits: tuple[float, float]) -> tuple[int, int]:
     return int(np.ceil(np.log10(limits[0]))), int(np.floor(np.log10(limits[1]))) + 1
-
-
-def _errorbars(axis: Any, x: Any, y: Any, std: Any, tint: str, label: str | None) -> None:
-    many = len(x) > MANY
-    axis.errorbar(
-        x, y, yerr=None if many else 2 * np.nan_to_num(std), fmt=".", ms=3.6, color=tint, elinewidth=0.6, label=label,
-        rasterized=many,
-    )  # fmt: skip

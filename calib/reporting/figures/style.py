@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache, wraps
 from pathlib import Path
 from typing import Any, Final, ParamSpec
 
 import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from calib.errors import BadInputError
 from calib.io import refuse_existing, write_files
-from calib.types import Progress, silent, stepped
+from calib.types import BoolArray, FloatArray, IntArray, Progress, StrArray, silent, stepped
 
 P = ParamSpec("P")
 
@@ -33,6 +36,8 @@ LEGEND_LIMIT: Final = 8
 #: points beyond which markers are drawn as pixels inside the vector figure
 MANY: Final = 2000
 LEGEND_GAP: Final = 6
+#: characters of a group's name in a legend
+LABEL_LIMIT: Final = 18
 
 _STYLE: Final[dict[str, Any]] = {
     "font.family": ["DejaVu Sans"],
@@ -127,6 +132,45 @@ def group_legend(figure: Figure, axis: Any, names: Sequence[str], *, below: bool
     """Put the legend of groups outside the axes where there are several, and not too many to be told apart."""
     if 1 < len(names) <= LEGEND_LIMIT:
         shared_legend(figure, *axis.get_legend_handles_labels(), below=below)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Groups:
+    """Runs by session or kind: names as a legend shows them, in order of first appearance, and each run's number."""
+
+    names: list[str]
+    index: IntArray
+
+    @staticmethod
+    def of(labels: StrArray, none: str, limit: int = LABEL_LIMIT) -> Groups:
+        """Return the groups of labels (n,); an empty label is called `none`."""
+        found, first, inverse = np.unique(labels, return_index=True, return_inverse=True)
+        order = np.argsort(first)
+        names = [_short(str(found[number]), none, limit) for number in order]
+        return Groups(names, np.argsort(order)[inverse])
+
+    def draw(self, axis: Axes, x: FloatArray, y: FloatArray, marker: str = ".", **style: Any) -> None:
+        """Draw runs as dots in the colours of their groups; beyond `MANY` as pixels inside a vector figure."""
+        for number, name in enumerate(self.names):
+            on = self.index == number
+            many = len(self.index) > MANY
+            axis.plot(x[on], y[on], marker, color=colour(number), label=name, rasterized=many, **style)
+
+
+def _short(name: str, none: str, limit: int) -> str:
+    """Return a label that fits a legend; a leading underscore would hide it."""
+    text = legible(name.strip()) or none
+    text = text if len(text) <= limit else text[: limit - 1] + "…"
+    return f"\u200b{text}" if text.startswith("_") else text
+
+
+def draw_ordered(axis: Axes, values: FloatArray, intervals: FloatArray, marked: BoolArray) -> None:
+    """Draw values (n,) in order of size with their intervals (n, 2), those `marked` in orange."""
+    order = np.argsort(values)
+    place = np.arange(len(order))
+    axis.vlines(place, *intervals[order].T, color=GREY, linewidth=0.6)
+    for chosen, mark, tint, size in ((~marked[order], ".", BLUE, 2.5), (marked[order], "o", ORANGE, 4.0)):
+        axis.plot(place[chosen], values[order][chosen], mark, color=tint, markersize=size)
 
 
 def panels(count: int, head_cm: float, row_cm: float, **options: Any) -> tuple[Figure, Any]:
