@@ -176,9 +176,9 @@ class Slot:
 ROUND: Final = frozenset({"cylinder", "sphere", "capsule"})
 
 
-def attribute_slot(model: ModelFile, node: Node, name: str, where: str, count: int | None = None) -> Slot:
-    """Return the numbers of an attribute; raises BadInputError as `numbers` does."""
-    values = numbers(node.attributes[name], f"{model.path}, {where}", count)
+def attribute_slot(model: ModelFile, node: Node, name: str, where: str) -> Slot:
+    """Return the number of an attribute; raises BadInputError as `numbers` does."""
+    values = numbers(node.attributes[name], f"{model.path}, {where}", 1)
     return Slot(values, lambda new: model.set_attribute(node, name, written(new)))
 
 
