@@ -52,9 +52,7 @@ def _wheel(model: ModelFile, name: str, option: str) -> Wheel:
     link = next((part for part in model.root.children if _is_link(part, _link(joint, "child"))), None)
 
     def stated(shape: Node) -> Slot | None:
-        return (
-            attribute_slot(model, shape, "radius", f"radius of {name!r}", 1) if "radius" in shape.attributes else None
-        )
+        return attribute_slot(model, shape, "radius", f"radius of {name!r}") if "radius" in shape.attributes else None
 
     radius, slots = link_radii(model, link, name, stated)
     tilted = _tilted(model, joints, _link(joint, "parent"))
