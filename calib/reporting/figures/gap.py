@@ -129,7 +129,7 @@ def gap_map(paths_m: Sequence[FloatArray], offset_m: FloatArray, group: StrArray
     for path in paths_m:
         axis.plot(path[:, 0], path[:, 1], color="#C4C9CE", lw=0.7, solid_capstyle="round")
     x, y = np.where(known[:, None], ends, np.nan).T
-    groups.draw(axis, x, y, "o", ms=2.2)
+    groups.draw(axis, x, y, marker="o", ms=2.2)
     arrow = {"arrowstyle": "-|>", "lw": 0.9, "mutation_scale": 6, "shrinkA": 0, "shrinkB": 0}
     for k in np.flatnonzero(known):
         tint = colour(int(groups.index[k]))
@@ -191,7 +191,7 @@ def gap_by_covariate(
             # its edges as lines: a band far below the gap would be hidden by the zero line
             axis.axhspan(-factor * noise_level, factor * noise_level, color=GREY, alpha=0.3, lw=0.5, ec=INK)
         axis.axhline(0.0, color=GREY, lw=0.6)
-        groups.draw(axis, values, gap, "o", ms=2.2, alpha=0.6, mew=0)
+        groups.draw(axis, values, gap, marker="o", ms=2.2, alpha=0.6, mew=0)
         if good.sum() >= 3:
             centre, mean, error = _classes(values[good], gap[good])
             axis.errorbar(centre, mean, yerr=error, fmt="s", color=INK, elinewidth=0.8, ms=2.6)

@@ -128,7 +128,7 @@ def residuals_by_run(traces: Sequence[RunTrace]) -> Figure:
         (grid[1], "after", [trace.residual_after[-1] for trace in traces]),
     ):
         for axes, column, (title, unit, factor) in zip(row, np.transpose(values), CHANNELS, strict=True):
-            kinds.draw(axes, order, factor * column, "o", ms=2.8)
+            kinds.draw(axes, order, factor * column, marker="o", ms=2.8)
             axes.axhline(0.0, color=INK, lw=0.5)
             axes.set_title(f"{word}: {title} ({unit})")
     for axes in grid[1]:

@@ -149,12 +149,12 @@ class Groups:
         names = [_short(str(found[number]), none, limit) for number in order]
         return Groups(names, np.argsort(order)[inverse])
 
-    def draw(self, axis: Axes, x: FloatArray, y: FloatArray, marker: str = ".", **style: Any) -> None:
+    def draw(self, axis: Axes, x: FloatArray, y: FloatArray, **style: Any) -> None:
         """Draw runs as dots in the colours of their groups; beyond `MANY` as pixels inside a vector figure."""
+        style = {"marker": ".", "linestyle": "none", "rasterized": len(self.index) > MANY, **style}
         for number, name in enumerate(self.names):
             on = self.index == number
-            many = len(self.index) > MANY
-            axis.plot(x[on], y[on], marker, color=colour(number), label=name, rasterized=many, **style)
+            axis.plot(x[on], y[on], color=colour(number), label=name, **style)
 
 
 def _short(name: str, none: str, limit: int) -> str:
