@@ -198,11 +198,11 @@ def journey(
     changes = [numbers(text, 4, "--payload-at") for text in payload_at or ()]
     if min([*base, *(value for pair in loads_N for value in pair)]) <= 0.0:
         raise BadInputError("--load, --reference-load: found 0 N or below; expected loads above 0 N; correct it")
-    source = law_source(law)
+    source = law_source(law, track)
     loads_N += [carried_loads_N(source.vehicle, mass, x, y) for mass, x, y in carried]
     with waiting("driving"):
         loading = loading_on_the_way(source.vehicle, changes) if changes else None
-        under = LawJourneys(source.axle(track), loads_N, (base[0], base[1]), loading, draws)
+        under = LawJourneys(source, loads_N, (base[0], base[1]), loading, draws)
         rng = np.random.default_rng(seed)
         simulation = simulate(CUSTOM, routes=route or (), track_m=under.axle.track_m, under=under, rng=rng)
     finish(simulation, targets, seed=seed, notes=source.notes)
@@ -246,14 +246,14 @@ def study(
         raise BadInputError("--load: found no law; expected --law PATH beside it; loads mean nothing without one")
     if min((value for pair in loads_N for value in pair), default=1.0) <= 0.0:
         raise BadInputError("--load: found 0 N or below; expected loads above 0 N; correct it")
-    source = None if law is None else law_source(law)
+    source = None if law is None else law_source(law, track)
     vehicle = Vehicle() if source is None else source.vehicle
     with waiting("simulating"):
         simulation = simulate(
             name,
             routes=route or (),
             track_m=vehicle.track_m if track is None else track,
-            under=None if source is None else LawJourneys(source.axle(track), loads_N, draws=draws),
+            under=None if source is None else LawJourneys(source, loads_N, draws=draws),
             rng=np.random.default_rng(seed),
         )
     finish(simulation, targets, seed=seed, notes=() if source is None else source.notes)

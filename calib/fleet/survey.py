@@ -17,7 +17,7 @@ from calib.fleet.reading import campaign_of
 from calib.fleet.run import Progress
 from calib.fleet.store import Keys, Store, VehicleResult, line_of
 from calib.fleet.workers import run_tasks
-from calib.result import plain
+from calib.result import plain, plain_fields
 
 #: what a vehicle's task weighs beside the reading of one file: from ten times as long (a check) to a thousand times
 WEIGHT: Final = 64
@@ -161,7 +161,7 @@ def _geometry(member: Member) -> dict[str, Any]:
     return {
         "passed": geometry.passed,
         "using": geometry.using,
-        "estimates": {estimate.name: estimate.to_dict() for estimate in geometry.estimates},
+        "estimates": {estimate.name: plain_fields(estimate) for estimate in geometry.estimates},
         "undetermined": list(geometry.undetermined),
         "wrong": [fault.code for fault in geometry.faults],
     }

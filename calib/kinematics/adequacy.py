@@ -1,7 +1,8 @@
-"""The geometry held against what it leaves: residuals before, after, on held-out runs, and the noise of replicates."""
+"""Whether a geometry is adequate: its residuals on the runs used and on held-out runs, against the noise."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -9,9 +10,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from calib.adequacy import LACK_OF_FIT, SMALL_SHARE, Level, Residuals, judge
 from calib.kinematics.blunders import Fault
-from calib.kinematics.drives import SENSOR, UNMOVED_SENSOR
+from calib.kinematics.drives import SENSOR, nominal_values
 from calib.kinematics.joint_fit import Fitted
 from calib.kinematics.model import Model
 from calib.kinematics.segments import Segments
@@ -22,6 +22,15 @@ from calib.types import BoolArray, FloatArray, IntArray
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign
 
+#: a residual of so many times the noise is a lack of fit: chance makes a mean square of 9 in no campaign of ten runs
+LACK_OF_FIT: Final = 3.0
+#: a residual below this share of the distance travelled (of the rotation, for headings) is as small as calibrated wheel
+#: odometry gets (UMBmark's and our real recordings: 0.1 to 0.5 %), even where replicates scatter less
+SMALL_SHARE: Final = 0.005
+#: a result that leaves more than this share of the error on held-out runs explains nothing of it
+USELESS_SHARE: Final = 0.9
+#: a residual above this share of the distance travelled, or of the rotation, is no calibration
+WRONG_SHARE: Final = 0.05
 #: folds in which runs are held out: each fit still sees four fifths of them
 FOLDS: Final = 5
 #: runs are replicates where path and displacement differ by less than this share of the path, and turns by so much
@@ -52,6 +61,53 @@ class GeometryVerdict(StrEnum):
     WRONG = "wrong"
 
 
+CALIBRATED, DOUBTFUL, WRONG = GeometryVerdict
+
+
+@dataclass(frozen=True, slots=True)
+class Residuals:
+    """Root mean squares of position (m) or heading (rad), and the distance or rotation that they are relative to."""
+
+    before: float
+    after: float
+    held_out: float
+    noise: float
+    travelled: float
+    #: by the stated noise of the reference and the usual drift
+    usual_noise: float = math.inf
+
+
+def judge(residuals: Residuals, what: str = "position", unit: str = "mm") -> tuple[GeometryVerdict, tuple[str, ...]]:
+    """Return whether a result is to be used by what it leaves, and the reason why not.
+
+    `what`, `unit`: for the sentence; a residual times 1000 is in `unit`.
+    """
+    found = residuals
+    before, after, held_out, noise = (
+        f"{1e3 * value:.3g} {unit}" for value in (found.before, found.after, found.held_out, found.noise)
+    )
+    of = "distance travelled" if what == "position" else "rotation"
+    travelled, unusual = max(found.travelled, 1e-12), LACK_OF_FIT * found.usual_noise
+    if found.noise > max(WRONG_SHARE * travelled, unusual):
+        reason = f"{what}: replicates scatter by {noise}, {100 * found.noise / travelled:.2g} % of the {of}"
+        return WRONG, (f"{reason}: more than wheels that roll; look for slip and a bad reference",)
+    useless = found.held_out > USELESS_SHARE * found.before
+    if min(found.noise, found.before) > unusual and useless:
+        reason = f"{what}: nothing of {before} is explained, and stretches of the same wheel motion scatter by {noise}"
+        return DOUBTFUL, (f"{reason}: the wheels, or a steering sensor, do not tell how the vehicle moved",)
+    small = max(LACK_OF_FIT * found.noise, SMALL_SHARE * found.travelled)
+    worst = max(found.after, found.held_out)
+    if worst <= small:
+        return CALIBRATED, ()
+    if found.before > small and useless:
+        reason = f"{what}: on held-out runs it leaves {held_out} of {before}: these parameters do not explain the error"
+        return WRONG, (reason,)
+    where = f"{after} on the runs used, {held_out} on held-out runs, noise {noise}"
+    if worst > WRONG_SHARE * travelled:
+        return WRONG, (f"{what}: the residual is {100 * worst / travelled:.2g} % of the {of} ({where})",)
+    return DOUBTFUL, (f"{what}: the residual is {worst / max(found.noise, 1e-12):.2g} times the noise ({where})",)
+
+
 @dataclass(frozen=True, slots=True)
 class Adequacy:
     """Root mean square errors at the ends of runs, or of windows: of the position, and of the heading."""
@@ -80,7 +136,7 @@ class Judgement:
 def judged(
     campaign: Campaign, fitted: Fitted, whole: Model, faults: Sequence[Fault], outliers: Sequence[str]
 ) -> Judgement:
-    """Judge a fit by what it leaves.
+    """Judge a fit by its residuals.
 
     Parameters
     ----------
@@ -107,16 +163,10 @@ def judged(
         """Return the figures of a part of the pose."""
         at = used & seen[:, columns].any(axis=1)
         scatter = _scatter(after[:, columns], replicates, at)
-        total = float(np.sqrt(np.mean(np.square(travelled[at])))) if at.any() else 0.0
-        before_rms, after_rms, held_out_rms = (_rms(part[at, columns]) for part in (before, after, held_out))
-        return Residuals(
-            before_rms,
-            after_rms,
-            held_out_rms,
-            noise=usual if scatter is None else scatter,
-            travelled=total,
-            usual_noise=usual,
-        )
+        sizes = [_rms(part[at, columns]) for part in (before, after, held_out)]
+        total = _rms(travelled[at, None])
+        noise = usual if scatter is None else scatter
+        return Residuals(sizes[0], sizes[1], sizes[2], noise, travelled=total, usual_noise=usual)
 
     reference = campaign.reference
     turned = float(np.mean(rotation_rad[used]) + np.mean(way_m[used]))
@@ -128,34 +178,31 @@ def judged(
     )
     level, reasons = judge(position)
     level_of_heading, more = judge(heading, "heading", "mrad")
-    level = max(level, level_of_heading)
     # a factor that is recognised says by itself that the length is off
     impossible = [] if {fault.code for fault in faults} & {"half_track", "radius_factor"} else _implausible(fitted)
     large = (np.hypot(*after[:, :2].T) > SMALL_SHARE * way_m) | (
         np.abs(after[:, 2]) > SMALL_SHARE * np.maximum(rotation_rad, LEAST_ROTATION_RAD)
     )
-    named = tuple(faults) if level < Level.WRONG else ()
-    extra = [
+    named = () if WRONG in (level, level_of_heading) else tuple(faults)
+    extra = (
         *impossible,
         *_at_odds(whole, outliers, large),
         *_sideways(position, heading),
         *_lengths_alone(fitted),
-    ]
-    if named or impossible:
-        level = Level.WRONG
-    elif extra:
-        level = max(level, Level.DOUBTFUL)
-    why = (*(fault.text for fault in named), *extra, *reasons, *more)
-    verdict = (GeometryVerdict.CALIBRATED, GeometryVerdict.DOUBTFUL, GeometryVerdict.WRONG)[level]
-    figures = (part for of_pose in (position, heading) for part in _figures(of_pose))
-    return Judgement(verdict, Adequacy(*figures), why, named)
-
-
-def _figures(residuals: Residuals) -> tuple[float, float, float, float]:
-    """Return before, after, noise, held out, 0 where nothing was measured."""
-    if residuals.before == residuals.after == 0.0:
-        return 0.0, 0.0, 0.0, 0.0
-    return residuals.before, residuals.after, residuals.noise, residuals.held_out
+    )
+    verdicts = (level, level_of_heading, WRONG if named or impossible else DOUBTFUL if extra else CALIBRATED)
+    # 0 where nothing was measured
+    figures = (
+        value if part.before or part.after else 0.0
+        for part in (position, heading)
+        for value in (part.before, part.after, part.noise, part.held_out)
+    )
+    return Judgement(
+        max(verdicts, key=list(GeometryVerdict).index),
+        Adequacy(*figures),
+        (*(fault.text for fault in named), *extra, *reasons, *more),
+        named,
+    )
 
 
 def _used(whole: Model, outliers: Sequence[str]) -> BoolArray:
@@ -201,7 +248,7 @@ def _scatter(after: FloatArray, group: IntArray, used: BoolArray) -> float | Non
 def _replicates(whole: Model, path: FloatArray) -> IntArray:
     """Return a number for each segment, the same for those that are replicates by their wheels."""
     measured = whole.segments.measured
-    told = measured - whole.predict(np.concatenate([_nominal(whole), UNMOVED_SENSOR])).residuals
+    told = measured - whole.predict(nominal_values(whole.drive)).residuals
     group = np.full(len(path), -1, dtype=np.int64)
     for at in range(len(path)):
         if group[at] >= 0:
@@ -212,10 +259,6 @@ def _replicates(whole: Model, path: FloatArray) -> IntArray:
         group[near & (group < 0)] = at
         group[at] = at
     return group
-
-
-def _nominal(model: Model) -> FloatArray:
-    return np.array([parameter.nominal for parameter in model.drive.parameters])
 
 
 def _held_out(fitted: Fitted, whole: Model, after: FloatArray) -> FloatArray:
@@ -240,20 +283,16 @@ def _held_out(fitted: Fitted, whole: Model, after: FloatArray) -> FloatArray:
 
 
 def _implausible(fitted: Fitted) -> list[str]:
-    """Return what is further from the stated lengths than wheels and floors can make it."""
+    """Return the lengths that are further from the stated ones than wheels and floors can make them."""
     sentences = []
-    for name, nominal, value, free in zip(
-        fitted.parameters.names, fitted.parameters.nominal, fitted.solution.values, fitted.parameters.free, strict=True
+    free = fitted.parameters.free
+    for name, nominal, value in zip(
+        fitted.parameters.free_names, fitted.parameters.nominal[free], fitted.solution.values[free], strict=True
     ):
-        if (
-            not free
-            or not nominal
-            or not name.startswith(("radius", "front_radius", "rear_radius", "wheel_radius", "track", "wheelbase"))
-        ):
+        if not nominal or not (name.startswith(("track", "wheelbase")) or "radius" in name):
             continue
-        bound = PLAUSIBLE_TRACK_CHANGE if name.startswith("track") else PLAUSIBLE_CHANGE
         change = value / nominal - 1.0
-        if abs(change) > bound:
+        if abs(change) > (PLAUSIBLE_TRACK_CHANGE if name.startswith("track") else PLAUSIBLE_CHANGE):
             away = f"{name} is {100 * change:+.3g} % from the stated {nominal:.6g}"
             sentences.append(f"{away}, more than wheels can change: check lengths, counts per revolution and units")
     return sentences

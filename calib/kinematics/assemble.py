@@ -14,7 +14,7 @@ from calib.kinematics.drives import GYRO_SCALE, GYRO_SCALE_STD, MeanHeld
 from calib.kinematics.joint_fit import NOMINAL_STD, Fitted
 from calib.kinematics.model import Model
 from calib.kinematics.recording import Recording
-from calib.kinematics.result import Estimate, Geometry, RouteResidual
+from calib.kinematics.result import Channels, Estimate, Geometry, RouteResidual
 from calib.kinematics.segments import Segments, end_pose_segments
 from calib.kinematics.solve import COMPONENTS, Solution
 from calib.kinematics.umbmark import Umbmark, umbmark
@@ -23,12 +23,6 @@ from calib.types import FloatArray
 
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign
-
-
-def rms(residuals: FloatArray) -> tuple[float, float, float]:
-    """Return the root mean square of each channel, shape (n, 3) in, three numbers out."""
-    x, y, theta = np.sqrt(np.mean(np.square(residuals), axis=0)) if len(residuals) else np.zeros(3)
-    return float(x), float(y), float(theta)
 
 
 def route_table(
@@ -45,12 +39,8 @@ def route_table(
     rows = []
     for name in np.unique(kind):
         part = kind == name
-        x, y, theta = after[part].mean(axis=0)
-        rows.append(
-            RouteResidual(
-                str(name), int(part.sum()), rms(before[part]), rms(after[part]), (float(x), float(y), float(theta))
-            )
-        )
+        sizes = (Channels.rms(before[part]), Channels.rms(after[part]))
+        rows.append(RouteResidual(str(name), int(part.sum()), *sizes, Channels(*after[part].mean(axis=0).tolist())))
     return tuple(rows)
 
 
@@ -107,7 +97,7 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
         held={name: float(nominal[at]) for at, name in enumerate(parameters.names) if not parameters.free[at]},
         clusters=(fitted.clustering.name, fitted.clustering.uncertainty.clusters),
         noise=dict(zip(COMPONENTS, np.sqrt(solution.scales).tolist(), strict=True)),
-        residual_rms=rms(after.residuals),
+        residual_rms=Channels.rms(after.residuals),
         outliers=outliers,
         faults=judgement.faults,
         mirrored=any(fault.code in {"reversed_front", "reversed_steering", "reversed_both"} for fault in faults),

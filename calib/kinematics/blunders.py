@@ -1,4 +1,4 @@
-"""Blunders that a calibration would otherwise absorb: swapped columns, signs, units, half a track, mirrors."""
+"""Blunders of wheels and settings: swapped columns, signs, units, half a track, mirrors."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.campaign.wheels import STEERED
 from calib.errors import RefusedError
-from calib.kinematics.drives import UNMOVED_SENSOR, Drive
+from calib.kinematics.drives import Drive, nominal_values
 from calib.kinematics.model import Model
 from calib.kinematics.recording import Recording
 from calib.kinematics.segments import Segments
@@ -52,32 +52,31 @@ class Fault:
     text: str
 
 
-def rear_faults(recording: Recording, segments: Segments) -> Fault | None:
-    """Return the fault of two wheels' signs or sides, from how the heading follows their turning.
+def rear_faults(recording: Recording, segments: Segments) -> tuple[Recording, tuple[Fault, ...]]:
+    """Return the recording of two wheels with signs and sides corrected, and the fault.
 
     The heading turns with the right wheel and against the left one. Where the regression says otherwise beyond doubt,
     columns are swapped or a counter runs backwards.
     """
     turned = _between(recording.steps.turned_rad, segments)
-    good = segments.seen[:, 2]
-    if good.sum() < 4:
-        return None
-    left, right, reliable = _regression(turned[:, good], segments.measured[good, 2])
-    if not reliable:
-        return None
-    if left < 0.0 < right:
-        return None
-    if left > 0.0 and right > 0.0:
-        return Fault("reversed_left", "the left counter runs backwards; correct its sign or its wiring")
-    if left < 0.0 and right < 0.0:
-        return Fault("reversed_right", "the right counter runs backwards; correct its sign or its wiring")
-    seen = segments.seen[:, 0]
+    good, seen = segments.seen[:, 2], segments.seen[:, 0]
+    slopes = _regression(turned[:, good], segments.measured[good, 2])
+    if slopes is None or slopes[0] < 0.0 < slopes[1]:
+        return recording, ()
+    left, right = recording.steps.turned_rad
     forward = float(np.sum(turned.sum(axis=0)[seen] * segments.measured[seen, 0]))
-    if forward < 0.0:
-        return Fault("reversed_both", "both counters run backwards; correct their signs")
-    return Fault(
-        "swapped_wheels", "left and right wheel are swapped; exchange the columns counts_left and counts_right"
-    )
+    if min(slopes) > 0.0:
+        code, text = "reversed_left", "the left counter runs backwards; correct its sign or its wiring"
+        corrected = (-left, right)
+    elif max(slopes) < 0.0:
+        code, text = "reversed_right", "the right counter runs backwards; correct its sign or its wiring"
+        corrected = (left, -right)
+    elif forward < 0.0:
+        code, text, corrected = "reversed_both", "both counters run backwards; correct their signs", (-left, -right)
+    else:
+        code, text = "swapped_wheels", "the wheels are swapped; exchange the columns counts_left and counts_right"
+        corrected = (right, left)
+    return recording.with_turned(np.stack(corrected)), (Fault(code, text),)
 
 
 def _between(turned: FloatArray, segments: Segments) -> FloatArray:
@@ -85,31 +84,19 @@ def _between(turned: FloatArray, segments: Segments) -> FloatArray:
     return np.asarray(total[:, segments.last] - total[:, segments.first])
 
 
-def _regression(turned: FloatArray, heading: FloatArray) -> tuple[float, float, bool]:
-    """Return how the heading follows each wheel, and whether both signs stand out."""
+def _regression(turned: FloatArray, heading: FloatArray) -> tuple[float, float] | None:
+    """Return the change of the heading with the turn of each wheel; None where a sign does not stand out."""
     normal = turned @ turned.T
-    if np.linalg.cond(normal) > 1e10:
-        return 0.0, 0.0, False
+    if len(heading) < 4 or np.linalg.cond(normal) > 1e10:
+        return None
     weights = np.ones(len(heading))
     for _ in range(10):
         slope = np.linalg.solve((turned * weights) @ turned.T, (turned * weights) @ heading)
-        rest = heading - slope @ turned
-        spread = 1.483 * float(np.median(np.abs(rest))) + 1e-9
-        weights = 1.0 / (1.0 + np.square(rest / (3.0 * spread)))
+        residuals = heading - slope @ turned
+        spread = 1.483 * float(np.median(np.abs(residuals))) + 1e-9
+        weights = 1.0 / (1.0 + np.square(residuals / (3.0 * spread)))
     std = spread * np.sqrt(np.diag(np.linalg.inv(normal)))
-    return float(slope[0]), float(slope[1]), bool(np.all(np.abs(slope) > CLEAR * std))
-
-
-def repaired(recording: Recording, fault: Fault) -> Recording:
-    """Return the recording with the fault of two wheels corrected."""
-    left, right = recording.steps.turned_rad
-    turned = {
-        "swapped_wheels": (right, left),
-        "reversed_left": (-left, right),
-        "reversed_right": (left, -right),
-        "reversed_both": (-left, -right),
-    }[fault.code]
-    return recording.with_turned(np.stack(turned))
+    return (float(slope[0]), float(slope[1])) if np.all(np.abs(slope) > CLEAR * std) else None
 
 
 def front_faults(recording: Recording, segments: Segments) -> tuple[Recording, tuple[Fault, ...]]:
@@ -199,40 +186,32 @@ ALIKE: Final = 1.1
 LEAST_TURN_RAD: Final = 0.05
 
 
-def put_right(
+def corrected(
     recording: Recording, segments: Segments, source: str, drive: Drive
 ) -> tuple[Recording, tuple[Fault, ...]]:
-    """Return the recording with blunders corrected, and these faults.
+    """Return the recording with blunders of the wheels corrected, and these faults.
 
-    `recording`: wheels and reference; `source` (one of `WHEEL_COLUMNS`); `drive`: with its nominal values. Raises
-    RefusedError where the reference's heading is in another unit than radians.
+    `source` (one of `WHEEL_COLUMNS`); `drive`: with its nominal values. Raises RefusedError where the reference's
+    heading is in another unit than radians.
     """
     # first: with a heading of another unit any reading of the wheels that hardly turns would look best
     seen = segments.seen[:, 2]
     measured = segments.measured[seen, 2]
-    nominal = np.array([item.nominal for item in drive.parameters])
-    rest = Model(drive, recording, segments).predict(np.concatenate([nominal, UNMOVED_SENSOR])).residuals[seen, 2]
-    refuse_heading_unit(measured - rest, measured)
+    nominal = Model(drive, recording, segments).predict(nominal_values(drive))
+    refuse_heading_unit(measured - nominal.residuals[seen, 2], measured)
     if source in STEERED:
         return front_faults(recording, segments)
-    if source == "wheels":
-        return wheels_faults(recording, segments, drive)
-    fault = rear_faults(recording, segments)
-    return (recording, ()) if fault is None else (repaired(recording, fault), (fault,))
+    return wheels_faults(recording, segments, drive) if source == "wheels" else rear_faults(recording, segments)
 
 
 def wheels_faults(recording: Recording, segments: Segments, drive: Drive) -> tuple[Recording, tuple[Fault, ...]]:
     """Return the recording with the wheels' signs and sides corrected, and what was wrong.
 
-    `recording`: of four wheels; `drive`: its nominal values tell which of the ways to read the four columns meets the
-    reference.
+    `recording`: of four wheels; `drive`: its nominal values tell which reading of the four columns fits the reference.
     """
-    nominal = np.array([item.nominal for item in drive.parameters])
-    # neither sensor nor delay is known yet
-    values = np.concatenate([nominal, UNMOVED_SENSOR])
 
     def left_by(turned: FloatArray) -> tuple[float, float]:
-        return _left(Model(drive, recording.with_turned(turned), segments), values)
+        return _left(Model(drive, recording.with_turned(turned), segments), nominal_values(drive))
 
     turned = recording.steps.turned_rad
     as_it_stands = left_by(turned)[0]
@@ -249,7 +228,7 @@ def wheels_faults(recording: Recording, segments: Segments, drive: Drive) -> tup
 
 
 def _readings() -> Iterator[tuple[Fault, list[int], FloatArray]]:
-    """Yield faults, with the order and the signs of the four columns that put them right."""
+    """Yield faults, with the order and the signs of the four columns that correct them."""
     same, plain = list(range(4)), np.ones(4)
     for at, wheel in enumerate(WHEELS):
         signs = plain.copy()
@@ -267,7 +246,7 @@ def _readings() -> Iterator[tuple[Fault, list[int], FloatArray]]:
 
 
 def _left(model: Model, values: FloatArray) -> tuple[float, float]:
-    """Return which part of the way and of the turns a reading leaves, and by how much it turns the sensor."""
+    """Return the unexplained share of displacements and turns under a reading, and the turn of the sensor in rad."""
     segments = model.segments
     seen = segments.seen.all(axis=1)
     measured = segments.measured[seen]

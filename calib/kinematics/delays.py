@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Final
+from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 
@@ -27,13 +27,9 @@ FEWEST_BLOCKS: Final = 4
 class Delay:
     """By how much the reference's stamps lag in one session, or in one run where there is one session."""
 
-    label: str
-    value_s: float
-    std_s: float
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the delay as plain values."""
-        return {"recording": self.label, "value": self.value_s, "sd": self.std_s}
+    label: str = field(metadata={"json": "recording"})
+    value_s: float = field(metadata={"json": "value"})
+    std_s: float = field(metadata={"json": "sd"})
 
 
 def sought_delays(model: Model, solution: Solution, parameters: Parameters) -> FloatArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final, Protocol
 
@@ -83,15 +83,16 @@ class Parameters:
         held = set(names)
         return Parameters.of(self.items, (name for name in self.free_names if name not in held))
 
-    def mapping(self, values: FloatArray) -> Mapping[str, float]:
-        """Return values by name."""
-        return {name: float(value) for name, value in zip(self.names, values, strict=True)}
-
 
 def sensor_parameters(x_m: float, y_m: float, yaw_rad: float) -> tuple[Parameter, ...]:
     """Return the parameters of the reference's sensor, centred on what the settings say of it."""
     nominal = dict(zip(SENSOR, (1.0, x_m, y_m, yaw_rad, 0.0), strict=True))
     return tuple(Parameter(name, nominal[name], SENSOR_STD[name]) for name in SENSOR)
+
+
+def nominal_values(drive: Drive) -> FloatArray:
+    """Return the nominal values of a drive, then those of `UNMOVED_SENSOR`: before sensor or delay are known."""
+    return np.array([*(item.nominal for item in drive.parameters), *UNMOVED_SENSOR])
 
 
 #: spread of a length about its nominal value, relative
@@ -176,25 +177,20 @@ class Differential:
 
     def motion(self, values: FloatArray, steps: Steps) -> Motion:
         """Return the motion of the axle's middle (Eqs 8 and 9)."""
-        phi_left, phi_right = steps.turned_rad
-        radius_left, radius_right, track = values[0], values[1], values[2]
-        by_left, by_right = [phi_left], [phi_right]
-        if self.slopes:
-            if steps.load_offset_N is None:
-                raise ValueError("slopes need the wheel loads of every step")
-            by_left.append(phi_left * steps.load_offset_N[0])
-            by_right.append(phi_right * steps.load_offset_N[1])
-        left = radius_left * phi_left + (values[3] * by_left[1] if self.slopes else 0.0)
-        right = radius_right * phi_right + (values[4] * by_right[1] if self.slopes else 0.0)
+        phi, track, loads = steps.turned_rad, values[2], steps.load_offset_N
+        if self.slopes and loads is None:
+            raise ValueError("slopes need the wheel loads of every step")
+        radius = values[:2, None] + (0.0 if loads is None or not self.slopes else values[3:, None] * loads)
+        left, right = radius * phi
         turn = (right - left) / track
-        body = np.stack([0.5 * (left + right), np.zeros_like(turn), turn])
+        # distance and turn by the travel of the left and of the right wheel
+        by_travel = np.array([[[0.5], [0.0], [-1.0 / track]], [[0.5], [0.0], [1.0 / track]]])
         derivative = np.zeros((len(values), 3, len(turn)))
-        for order, (one, other) in enumerate(zip(by_left, by_right, strict=True)):
-            at_left, at_right = (0, 1) if order == 0 else (3, 4)
-            derivative[at_left, 0], derivative[at_left, 2] = 0.5 * one, -one / track
-            derivative[at_right, 0], derivative[at_right, 2] = 0.5 * other, other / track
+        derivative[:2] = by_travel * phi[:, None]
         derivative[2, 2] = -turn / track
-        return Motion(body, derivative)
+        if self.slopes and loads is not None:
+            derivative[3:] = by_travel * (phi * loads)[:, None]
+        return Motion(np.stack([0.5 * (left + right), np.zeros_like(turn), turn]), derivative)
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,8 +12,9 @@ from calib.campaign.wheels import odometry_source
 from calib.errors import RefusedError
 from calib.kinematics.assemble import geometry_of, of_kinds
 from calib.kinematics.blunder_search import find_blunder
-from calib.kinematics.blunders import Fault, put_right
+from calib.kinematics.blunders import Fault, corrected
 from calib.kinematics.delays import Delay, own_delays, sought_delays
+from calib.kinematics.drives import SENSOR, nominal_values
 from calib.kinematics.joint_fit import Fitted, drive_of, fit_parameters
 from calib.kinematics.model import Model
 from calib.kinematics.recording import Recording, recording_of
@@ -113,7 +114,7 @@ class _Task:
 def _estimated(task: _Task, recording: Recording, found: tuple[Fault, ...] = ()) -> Geometry:
     """Return the geometry of a recording; `found`: blunders that it was corrected for."""
     campaign, source, way = task.campaign, task.source, task.way
-    recording, off = _with_turns_right(campaign, source, recording)
+    recording, off = _with_whole_turns(campaign, source, recording)
     if off and way == "end_poses":
         text = (
             f"ref_theta_rad: found the end heading of {', '.join(off)} off by whole turns beside the others; correct it"
@@ -121,7 +122,7 @@ def _estimated(task: _Task, recording: Recording, found: tuple[Fault, ...] = ())
         found = (*found, Fault("heading_turn", text))
     divisions = _divisions(recording, way)
     coarse = next(divisions)
-    recording, faults = put_right(recording, coarse, source, drive_of(campaign, source, recording))
+    recording, faults = corrected(recording, coarse, source, drive_of(campaign, source, recording))
     drive = drive_of(campaign, source, recording)
     task.progress(0, 0, "fits")
     chosen = fit_parameters(campaign, drive, recording, coarse, task.sensor)
@@ -145,7 +146,7 @@ def _without_blunder(task: _Task, recording: Recording) -> Geometry | None:
     task.progress(0, 0, "blunders")
 
     def divided(campaign: Campaign, other: Recording) -> Segments:
-        return next(_divisions(_with_turns_right(campaign, task.source, other)[0], task.way))
+        return next(_divisions(_with_whole_turns(campaign, task.source, other)[0], task.way))
 
     found = find_blunder(task.campaign, recording, task.source, divided)
     if found is None:
@@ -200,17 +201,16 @@ def _way(recording: Recording) -> Using:
     return "windows" if recording.continuous and ends < ENOUGH_RUNS else "end_poses"
 
 
-def _with_turns_right(campaign: Campaign, source: str, recording: Recording) -> tuple[Recording, list[str]]:
+def _with_whole_turns(campaign: Campaign, source: str, recording: Recording) -> tuple[Recording, list[str]]:
     """Return the recording with end headings right by whole turns, by the nominal vehicle, and the runs alone off."""
     turn = _nominal_turn(campaign, source, recording)
-    return recording.with_turns_right(np.add.reduceat(turn, recording.offsets[:-1]))
+    return recording.with_whole_turns(np.add.reduceat(turn, recording.offsets[:-1]))
 
 
 def _nominal_turn(campaign: Campaign, source: str, recording: Recording) -> FloatArray:
     """Return the turn in each step by the nominal vehicle, shape (n_samples,)."""
     drive = drive_of(campaign, source, recording)
-    nominal = np.array([item.nominal for item in drive.parameters])
-    return np.asarray(drive.motion(nominal, recording.steps).body[2])
+    return np.asarray(drive.motion(nominal_values(drive)[: -len(SENSOR)], recording.steps).body[2])
 
 
 def _divisions(recording: Recording, using: Using) -> Iterator[Segments]:
@@ -227,11 +227,11 @@ def _divisions(recording: Recording, using: Using) -> Iterator[Segments]:
         before = count
 
 
-def recordings_put_right(campaign: Campaign, source: str) -> tuple[Recording, tuple[Fault, ...]]:
+def corrected_recording(campaign: Campaign, source: str) -> tuple[Recording, tuple[Fault, ...]]:
     """Return wheels and reference with blunders corrected, and these faults."""
     recording = recording_of(campaign, source)
     divisions = _divisions(recording, _way(recording))
-    return put_right(recording, next(divisions), source, drive_of(campaign, source, recording))
+    return corrected(recording, next(divisions), source, drive_of(campaign, source, recording))
 
 
 def _transfer(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -85,40 +85,23 @@ class Recording:
         counts = np.add.reduceat(has.astype(np.int64), self.offsets[:-1])
         return bool(np.mean(counts >= MANY_POSES) >= 0.5)
 
-    def unwrapped(self, turn_rad: FloatArray) -> Recording:
-        """Return the recording with whole turns added to end headings, where the reference states them within a half.
+    def with_whole_turns(self, turn_rad: FloatArray) -> tuple[Recording, list[str]]:
+        """Return the recording with end headings corrected by whole turns, and the few runs that alone were off.
 
-        `turn_rad` (shape (n_runs,)): turn of each run by its wheels.
+        Headings that are all stated within half a turn get the turns of the wheels, `turn_rad` (shape (n_runs,)).
         """
-        heading = self.end_pose[:, 2]
-        within = np.abs(heading) <= np.pi + 1e-6
-        if not within[np.isfinite(heading)].all() or not np.any(np.abs(turn_rad[np.isfinite(heading)]) > 1.5 * np.pi):
-            return self
-        return self._with_whole_turns(turn_rad, np.ones(len(self), dtype=np.bool_))
-
-    def turns_off(self, turn_rad: FloatArray) -> BoolArray:
-        """Return the runs, few beside the others, whose end heading is off by whole turns, shape (n_runs,).
-
-        `turn_rad` (shape (n_runs,)): turn of each run by its wheels.
-        """
-        turns = np.nan_to_num((turn_rad - self.end_pose[:, 2]) / (2.0 * np.pi))
-        off: BoolArray = (np.rint(turns) != 0.0) & (np.abs(turns - np.rint(turns)) < WHOLE_TURN)
-        return off if off.mean() <= FEW_OFF else np.zeros(len(self), dtype=np.bool_)
-
-    def _with_whole_turns(self, turn_rad: FloatArray, which: BoolArray) -> Recording:
         end_pose = self.end_pose.copy()
-        turns = np.rint((turn_rad - end_pose[:, 2]) / (2.0 * np.pi))
-        end_pose[:, 2] += np.where(which, 2.0 * np.pi * turns, 0.0)
-        return replace(self, end_pose=end_pose)
-
-    def with_turns_right(self, turn_rad: FloatArray) -> tuple[Recording, list[str]]:
-        """Return the recording with end headings right by whole turns, and the runs that were off beside the others.
-
-        `turn_rad` (shape (n_runs,)): turn of each run by its wheels.
-        """
-        unwrapped = self.unwrapped(turn_rad)
-        off = unwrapped.turns_off(turn_rad)
-        return unwrapped._with_whole_turns(turn_rad, off), [str(run) for run in self.run_id[off]]
+        heading = end_pose[:, 2]
+        known = np.isfinite(heading)
+        half = (np.abs(heading[known]) <= np.pi + 1e-6).all() and (np.abs(turn_rad[known]) > 1.5 * np.pi).any()
+        if half:
+            heading += 2.0 * np.pi * np.rint((turn_rad - heading) / (2.0 * np.pi))
+        turns = np.nan_to_num((turn_rad - heading) / (2.0 * np.pi))
+        off = (np.rint(turns) != 0.0) & (np.abs(turns - np.rint(turns)) < WHOLE_TURN)
+        if off.mean() > FEW_OFF:
+            off[:] = False
+        heading[off] += 2.0 * np.pi * np.rint(turns[off])
+        return replace(self, end_pose=end_pose), self.run_id[off].tolist()
 
     def refuse_constant_heading(self, turn_rad: FloatArray) -> None:
         """Raise RefusedError where every heading is the same number, although the wheels turn the vehicle.
@@ -155,8 +138,8 @@ def recording_of(campaign: Campaign, source: str) -> Recording:
     wheels drive the odometry. Raises RefusedError where no run has both wheels and a reference.
     """
     campaign = campaign.included()
-    per_rev = _counts_per_rev(campaign, source)
-    pieces: list[dict[str, Any]] = []
+    per_rev = np.array(counts_per_rev(campaign.encoder, source))
+    pieces: list[_Run] = []
     left_out: list[tuple[str, str]] = []
     rows: list[int] = []
     for row in range(len(campaign.runs)):
@@ -174,33 +157,46 @@ def recording_of(campaign: Campaign, source: str) -> Recording:
             "ref_y_m, ref_theta_rad)"
         )
     runs = campaign.runs.select(np.array(rows))
-    lengths = np.array([piece["turned"].shape[1] for piece in pieces])
-    steer = [piece["steer"] for piece in pieces]
-    loads = [piece["loads"] for piece in pieces]
+    offsets = np.cumsum([0] + [len(piece.t_s) for piece in pieces]).astype(np.int64)
+
+    def joined(name: str) -> FloatArray | None:
+        """Return an array of all runs laid end to end; None where a run has none."""
+        parts = [getattr(piece, name) for piece in pieces]
+        return None if any(part is None for part in parts) else np.concatenate(parts, axis=-1)
+
     return Recording(
         run_id=runs.run_id,
         session=runs.label("session"),
         kind=runs.label("kind"),
-        offsets=np.concatenate(([0], np.cumsum(lengths))).astype(np.int64),
-        t_s=np.concatenate([piece["t_s"] for piece in pieces]),
+        offsets=offsets,
+        t_s=np.concatenate([piece.t_s for piece in pieces]),
         steps=Steps(
-            turned_rad=np.concatenate([piece["turned"] for piece in pieces], axis=1),
-            steer_rad=np.concatenate(steer) if all(angles is not None for angles in steer) else None,
-            load_offset_N=np.concatenate(loads, axis=1) if all(pair is not None for pair in loads) else None,
-            speed_mps=np.concatenate([piece["speed"] for piece in pieces]) if source == "shaft" else None,
+            turned_rad=np.concatenate([piece.turned for piece in pieces], axis=1),
+            steer_rad=joined("steer"),
+            load_offset_N=joined("loads"),
+            speed_mps=joined("speed") if source == "shaft" else None,
         ),
-        reference=np.concatenate([piece["reference"] for piece in pieces], axis=1),
-        end_pose=np.stack([piece["end_pose"] for piece in pieces]),
-        by_gyro=np.array([piece["by_gyro"] for piece in pieces]),
+        reference=np.concatenate([piece.reference for piece in pieces], axis=1),
+        end_pose=np.stack([piece.end_pose for piece in pieces]),
+        by_gyro=np.array([piece.by_gyro for piece in pieces]),
         left_out=tuple(left_out),
     )
 
 
-def _counts_per_rev(campaign: Campaign, source: str) -> FloatArray:
-    return np.array(counts_per_rev(campaign.encoder, source))
+class _Run(NamedTuple):
+    """Arrays of one run; see `Steps` and `Recording`."""
+
+    t_s: FloatArray
+    turned: FloatArray
+    reference: FloatArray
+    end_pose: FloatArray
+    loads: FloatArray | None
+    steer: FloatArray | None = None
+    speed: FloatArray | None = None
+    by_gyro: bool = False
 
 
-def _piece(campaign: Campaign, row: int, source: str, per_rev: FloatArray) -> dict[str, Any] | str:
+def _piece(campaign: Campaign, row: int, source: str, per_rev: FloatArray) -> _Run | str:
     """Return the arrays of one run, or why it cannot be used."""
     log = campaign.logs.of(row)
     names = WHEEL_COLUMNS[source]
@@ -235,22 +231,16 @@ def _piece(campaign: Campaign, row: int, source: str, per_rev: FloatArray) -> di
         end = np.array([end[0], end[1], gyro])
     if not np.isfinite(reference).any() and np.isnan(end[[0, 2]]).all():
         return "nothing says where it ended: no ref_ columns, and no distance_m of a straight run"
-    middle = None if steer is None else _middle(steer[keep])
-    return {
-        "t_s": log["t_s"][keep] - log["t_s"][keep][0],
-        "turned": turned,
-        "steer": middle,
-        "loads": _loads(campaign, row, log, keep),
-        "speed": smoothed_speed_mps(np.cumsum(turned[0]) * campaign.vehicle.wheel_radius_m, log["t_s"][keep]),
-        "reference": reference,
-        "end_pose": end,
-        "by_gyro": by_gyro,
-    }
+    if steer is not None:
+        # in the middle of each step
+        angle = steer[keep]
+        steer = np.concatenate([angle[:1], 0.5 * (angle[1:] + angle[:-1])])
+    t_s = log["t_s"][keep]
+    speed = smoothed_speed_mps(np.cumsum(turned[0]) * campaign.vehicle.wheel_radius_m, t_s)
+    return _Run(t_s - t_s[0], turned, reference, end, _loads(campaign, row, log, keep), steer, speed, by_gyro)
 
 
-def _end_counts(
-    campaign: Campaign, row: int, source: str, per_rev: FloatArray, end: FloatArray
-) -> dict[str, Any] | str:
+def _end_counts(campaign: Campaign, row: int, source: str, per_rev: FloatArray, end: FloatArray) -> _Run | str:
     """Return a run without log as one arc, where it is straight enough."""
     if source != "rear":
         return f"its log lacks {' or '.join(WHEEL_COLUMNS[source])}"
@@ -265,15 +255,8 @@ def _end_counts(
     if abs(end[2]) > ONE_ARC_RAD:
         return "it turns and has no log: its path cannot be computed from end counts"
     turned = np.stack([np.zeros(2), 2.0 * np.pi * counts / per_rev], axis=1)
-    return {
-        "t_s": np.array([0.0, 1.0]),
-        "turned": turned,
-        "steer": None,
-        "loads": _loads(campaign, row, {}, np.ones(2, dtype=np.bool_)),
-        "reference": np.full((3, 2), np.nan),
-        "end_pose": end,
-        "by_gyro": False,
-    }
+    loads = _loads(campaign, row, {}, np.ones(2, dtype=np.bool_))
+    return _Run(np.array([0.0, 1.0]), turned, np.full((3, 2), np.nan), end, loads)
 
 
 def _straight_end(campaign: Campaign, row: int, source: str, turned_rad: FloatArray) -> FloatArray:
@@ -304,11 +287,6 @@ def _loads(campaign: Campaign, row: int, log: dict[str, FloatArray], keep: BoolA
             return None
         loads.append(load)
     return np.stack(loads) - campaign.model.reference_load_N
-
-
-def _middle(steer: FloatArray) -> FloatArray:
-    """Return the steering angle in the middle of each step."""
-    return np.concatenate([steer[:1], 0.5 * (steer[1:] + steer[:-1])])
 
 
 def _unwrapped(theta: FloatArray) -> FloatArray:

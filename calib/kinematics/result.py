@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any, Final
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -13,60 +13,53 @@ from calib.kinematics.blunders import Fault
 from calib.kinematics.delays import Delay
 from calib.kinematics.umbmark import Umbmark
 from calib.kinematics.uncertainty import Freedom
-from calib.result import Result
+from calib.result import Result, plain_fields
 from calib.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-#: residual channels and their units
-CHANNELS: Final = ("x_m", "y_m", "theta_rad")
+
+class Channels(NamedTuple):
+    """Residuals along the path, across it, and in heading."""
+
+    x_m: float
+    y_m: float
+    theta_rad: float
+
+    @staticmethod
+    def rms(residuals: FloatArray) -> Channels:
+        """Return the root mean square of each column of residuals, shape (n, 3)."""
+        squares = np.square(residuals).sum(axis=0) / max(len(residuals), 1)
+        return Channels(*np.sqrt(squares).tolist())
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """One parameter: nominal value, estimate, sd, 95 % interval, degrees of freedom of what runs say."""
+    """One parameter: nominal value, estimate, standard deviation, 95 % interval, degrees of freedom."""
 
-    name: str
+    name: str = field(metadata={"json": False})
     nominal: float
     value: float
-    std: float
+    std: float = field(metadata={"json": "sd"})
     ci95: tuple[float, float]
     dof: float
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the estimate as plain values."""
-        return {
-            "value": self.value,
-            "sd": self.std,
-            "ci95": list(self.ci95),
-            "dof": self.dof,
-            "nominal": self.nominal,
-        }
 
 
 @dataclass(frozen=True, slots=True)
 class RouteResidual:
-    """Residuals of one kind of route: root mean squares before and after, and what is left on average.
-
-    Each triple is along, across (m) and in heading (rad).
-    """
+    """Residuals of one kind of route: root mean squares before and after the calibration, and the mean after it."""
 
     kind: str
     n: int
-    before_rms: tuple[float, float, float]
-    after_rms: tuple[float, float, float]
-    after_mean: tuple[float, float, float]
+    before_rms: Channels
+    after_rms: Channels
+    after_mean: Channels
 
     def to_dict(self) -> dict[str, Any]:
         """Return the row as plain values."""
-        return {
-            "kind": self.kind,
-            "n": self.n,
-            "before_rms": dict(zip(CHANNELS, self.before_rms, strict=True)),
-            "after_rms": dict(zip(CHANNELS, self.after_rms, strict=True)),
-            "after_mean": dict(zip(CHANNELS, self.after_mean, strict=True)),
-        }
+        columns = ("before_rms", "after_rms", "after_mean")
+        return plain_fields(self, **{name: getattr(self, name)._asdict() for name in columns})
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,36 +104,36 @@ class Geometry(Result):
     name: str
     #: True where a program made the data
     simulated: bool
-    #: ``differential``, ``tricycle`` or ``mecanum``
+    #: of `calib.vehicle.DRIVES`
     drive: str
-    #: what drives the odometry: ``rear``, ``front`` or ``wheels``
-    source: str
+    #: wheels that drive the odometry, of `calib.campaign.wheels.WHEEL_COLUMNS`
+    source: str = field(metadata={"json": "from"})
     #: ``end_poses`` or ``windows``
     using: str
     #: runs, and stretches of them, that were used
     n_runs: int
     n_segments: int
     #: parameters that the data determine
-    estimates: tuple[Estimate, ...]
+    estimates: tuple[Estimate, ...] = field(metadata={"json": False})
     #: joint covariance in the same order, shape (n_estimates, n_estimates)
     covariance: FloatArray
-    #: parameters that the data cannot determine; they stayed at their nominal value
+    #: parameters that the data cannot determine; held at their nominal value
     undetermined: tuple[str, ...]
-    #: parameters that were not asked for, and those undetermined, at their nominal value
+    #: nominal values of the parameters that were not estimated
     held: Mapping[str, float]
-    #: what was taken for independent (``run``, ``block``, ``session``, ``route``), and how many there are
+    #: independent groups (``run``, ``block``, ``session``, ``route``), and their number
     clusters: tuple[str, int]
     #: standard deviations of the noise's components
     noise: Mapping[str, float]
-    #: along, across (m), heading (rad), after the calibration
-    residual_rms: tuple[float, float, float]
+    #: after the calibration
+    residual_rms: Channels
     #: runs that the noise cannot explain
     outliers: tuple[str, ...]
     #: blunders that were recognised
     faults: tuple[Fault, ...]
-    #: whether the data met a mirrored solution better, which was turned round
-    mirrored: bool
-    #: what squares both ways say on their own
+    #: whether a mirrored solution was corrected
+    mirrored: bool = field(metadata={"json": "mirrored_solution"})
+    #: UMBmark estimates from squares driven both ways
     umbmark: Umbmark
     #: table by route
     routes: tuple[RouteResidual, ...]
@@ -148,16 +141,16 @@ class Geometry(Result):
     transfer: tuple[Transfer, ...] = ()
     #: what the user should know
     notes: tuple[str, ...] = ()
-    #: delay of each recording, where they differ beyond chance; ``delay_s`` is then what they have in common
+    #: delay of each recording, where they differ significantly; ``delay_s`` is then their common part
     delays: tuple[Delay, ...] = ()
     #: path of an input -> its SHA-256
-    inputs: Mapping[str, str] = field(default_factory=dict)
-    #: paths before and after, for a figure; empty where nobody asked
-    paths: tuple[RunTrace, ...] = ()
-    #: degrees of freedom of sums of the estimates; None: those of the estimates themselves hold
-    freedom: Freedom | None = None
-    #: whether the estimates are to be used, with the figures and reasons; None where nobody judged
-    judgement: Judgement | None = None
+    inputs: Mapping[str, str] = field(default_factory=dict, metadata={"json": False})
+    #: paths before and after, for a figure; empty where not requested
+    paths: tuple[RunTrace, ...] = field(default=(), metadata={"json": False})
+    #: degrees of freedom of sums of the estimates; None: those of the estimates hold
+    freedom: Freedom | None = field(default=None, metadata={"json": False})
+    #: whether the estimates are to be used, with figures and reasons; None where not judged
+    judgement: Judgement | None = field(default=None, metadata={"json": False})
 
     def __getitem__(self, name: str) -> Estimate:
         for estimate in self.estimates:
@@ -179,7 +172,7 @@ class Geometry(Result):
 
     @property
     def why(self) -> tuple[str, ...]:
-        """What speaks against the estimates; empty where they are to be used."""
+        """Reasons against the estimates; empty where they are to be used."""
         if not self.estimates:
             return ("these runs determine no parameter",)
         return tuple(fault.text for fault in self.faults) if self.judgement is None else self.judgement.why
@@ -200,10 +193,9 @@ class Geometry(Result):
         """Estimates as a pandas table, a row a parameter."""
         from pandas import DataFrame
 
-        rows = [{"parameter": one.name, **one.to_dict()} for one in self.estimates]
-        low, high = ([row["ci95"][at] for row in rows] for at in (0, 1))
-        table = DataFrame(rows, columns=["parameter", "nominal", "value", "sd", "dof"])
-        return table.assign(ci95_low=low, ci95_high=high).set_index("parameter")
+        names = ["parameter", "nominal", "value", "sd", "dof", "ci95_low", "ci95_high"]
+        rows = [(e.name, e.nominal, e.value, e.std, e.dof, *e.ci95) for e in self.estimates]
+        return DataFrame(rows, columns=names).set_index("parameter")
 
     def correlation(self) -> FloatArray:
         """Return the correlation matrix of the estimates."""
@@ -218,55 +210,37 @@ class Geometry(Result):
         return self._derived(f"{over}/{under}", {over: 1.0}, {under: 1.0})
 
     def track_over_radius(self) -> Estimate:
-        """Return the track over the mean radius, which turns alone determine and closed paths determine best."""
+        """Return the track over the mean radius: turns alone determine it."""
         return self._derived("track over mean radius", {"track_m": 1.0}, {"radius_left_m": 0.5, "radius_right_m": 0.5})
 
     def _derived(self, name: str, over: Mapping[str, float], under: Mapping[str, float]) -> Estimate:
         from scipy.special import stdtrit
 
-        parts = [sum(weight * self[part].value for part, weight in side.items()) for side in (over, under)]
-        nominal = [sum(weight * self[part].nominal for part, weight in side.items()) for side in (over, under)]
-        value = parts[0] / parts[1]
-        slope = np.array(
-            [
-                over.get(estimate.name, 0.0) / parts[1] - value * under.get(estimate.name, 0.0) / parts[1]
-                for estimate in self.estimates
-            ]
+        # value and nominal value of each side
+        over_at, under_at = (
+            [sum(weight * getattr(self[part], kind) for part, weight in side.items()) for kind in ("value", "nominal")]
+            for side in (over, under)
         )
+        value = over_at[0] / under_at[0]
+        names = [e.name for e in self.estimates]
+        slope = np.array([over.get(name, 0.0) - value * under.get(name, 0.0) for name in names]) / under_at[0]
         std = float(np.sqrt(max(slope @ self.covariance @ slope, 0.0)))
         dof = self.freedom.of(slope) if self.freedom else min(self[part].dof for part in (*over, *under))
         half = std * float(stdtrit(dof, 0.975))
-        return Estimate(name, nominal[0] / nominal[1], value, std, (value - half, value + half), dof)
+        return Estimate(name, over_at[1] / under_at[1], value, std, (value - half, value + half), dof)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as plain values: the keys of ``calib geometry --json``."""
-        parameters = {e.name: e.to_dict() for e in self.estimates if e.name != "delay_s"}
-        common_delay = next((e.to_dict() for e in self.estimates if e.name == "delay_s"), {})
-        return {
-            "name": self.name,
-            "simulated": self.simulated,
-            "drive": self.drive,
-            "from": self.source,
-            "using": self.using,
-            "n_runs": self.n_runs,
-            "n_segments": self.n_segments,
-            "parameters": parameters,
-            "undetermined": list(self.undetermined),
-            "held": dict(self.held),
-            "covariance": {"names": [e.name for e in self.estimates], "matrix": self.covariance.tolist()},
-            "clusters": {"of": self.clusters[0], "n": self.clusters[1]},
-            "delay_s": common_delay,
-            "delays": [delay.to_dict() for delay in self.delays],
-            "noise": dict(self.noise),
-            "residual_rms": dict(zip(CHANNELS, self.residual_rms, strict=True)),
-            "outliers": list(self.outliers),
-            "faults": [asdict(fault) for fault in self.faults],
-            "mirrored_solution": self.mirrored,
-            "umbmark": self.umbmark.to_dict(),
-            "routes": [route.to_dict() for route in self.routes],
-            "transfer": [asdict(left_out) for left_out in self.transfer],
-            "notes": list(self.notes),
-            "verdict": self.verdict.value,
-            "adequacy": None if self.judgement is None else asdict(self.judgement.adequacy),
-            "why": list(self.why),
-        }
+        by_name = {e.name: plain_fields(e) for e in self.estimates}
+        delay = by_name.pop("delay_s", {})
+        return plain_fields(
+            self,
+            parameters=by_name,
+            covariance={"names": [e.name for e in self.estimates], "matrix": self.covariance},
+            clusters=dict(zip(("of", "n"), self.clusters, strict=True)),
+            delay_s=delay,
+            residual_rms=self.residual_rms._asdict(),
+            verdict=self.verdict,
+            adequacy=self.judgement and self.judgement.adequacy,
+            why=self.why,
+        )

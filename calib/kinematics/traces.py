@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calib.kinematics.drives import integrate_motion, moved_between
-from calib.kinematics.estimate import recordings_put_right
+from calib.kinematics.drives import SENSOR, sensor_parameters
+from calib.kinematics.estimate import corrected_recording
 from calib.kinematics.joint_fit import drive_of
+from calib.kinematics.model import Model
 from calib.kinematics.result import Geometry, RunTrace
+from calib.kinematics.segments import Segments
 from calib.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -18,52 +21,45 @@ if TYPE_CHECKING:
 
 
 def traces_of(campaign: Campaign, geometry: Geometry) -> tuple[RunTrace, ...]:
-    """Return paths and residuals of the runs of a campaign, before and after.
+    """Return paths and residuals of the runs of a campaign by the nominal and by the calibrated vehicle.
 
     `campaign`: the one that was calibrated.
     """
-    recording, _ = recordings_put_right(campaign, geometry.source)
+    recording, _ = corrected_recording(campaign, geometry.source)
     drive = drive_of(campaign, geometry.source, recording)
-    settings = campaign.reference
-    nominal = {item.name: item.nominal for item in drive.parameters}
-    nominal |= {name: float(getattr(settings, name)) for name in ("sensor_x_m", "sensor_y_m", "sensor_yaw_rad")}
-    own_delay = {delay.label: delay.value_s for delay in geometry.delays}
-    traces = []
-    by_values = []
-    for values in (nominal, nominal | dict(geometry.values)):
-        parameters = np.array([values[item.name] for item in drive.parameters])
-        by_values.append((integrate_motion(drive.motion(parameters, recording.steps)).pose, values))
-    for run in range(len(recording)):
-        label = str(recording.run_id[run]), str(recording.session[run])
-        delay = next((own_delay[name] for name in label if name in own_delay), geometry.values.get("delay_s", 0.0))
-        paths = [
-            _sensor_path(pose, recording, run, values, late)
-            for (pose, values), late in zip(by_values, (0.0, delay), strict=True)
-        ]
-        traces.append(_trace(recording, run, paths))
-    return tuple(traces)
+    place = campaign.reference
+    items = (*drive.parameters, *sensor_parameters(place.sensor_x_m, place.sensor_y_m, place.sensor_yaw_rad))
+    nominal = np.array([item.nominal for item in items])
+    calibrated = np.array([geometry.values.get(item.name, item.nominal) for item in items])
+    own_delay = {delay.label: delay.value_s - calibrated[-1] for delay in geometry.delays}
+    labels = zip(recording.run_id, recording.session, strict=True)
+    added = np.array([next((own_delay[name] for name in pair if name in own_delay), 0.0) for pair in labels])
+    before = _sensor_paths(Model(drive, recording, _from_starts(recording)), nominal)
+    after = _sensor_paths(Model(drive, replace(recording, own_delay_s=added), _from_starts(recording)), calibrated)
+    return tuple(_trace(recording, run, [before, after]) for run in range(len(recording)))
 
 
-def _sensor_path(
-    pose: FloatArray, recording: Recording, run: int, values: dict[str, float], delay_s: float
-) -> FloatArray:
-    """Return the sensor's poses at the samples of a run, `delay_s` before them, in the frame of its first, (3, n)."""
-    part = slice(int(recording.offsets[run]), int(recording.offsets[run + 1]))
-    t_s = recording.t_s[part]
-    late = np.stack([np.interp(t_s - delay_s, t_s, axis) for axis in pose[:, part]])
-    x, y, yaw = (values[name] for name in ("sensor_x_m", "sensor_y_m", "sensor_yaw_rad"))
-    cosine, sine = np.cos(late[2]), np.sin(late[2])
-    sensor = np.stack([late[0] + cosine * x - sine * y, late[1] + sine * x + cosine * y, late[2] + yaw])
-    samples = np.arange(sensor.shape[1])
-    return np.asarray(moved_between(sensor, np.zeros_like(samples), samples).T)
+def _from_starts(recording: Recording) -> Segments:
+    """Return a segment from the start of each run to each of its samples."""
+    n = len(recording.t_s)
+    whole = np.zeros(n, dtype=np.bool_)
+    number = np.arange(n, dtype=np.int64)
+    run = recording.run
+    return Segments(run, recording.offsets[run], number, np.zeros((n, 3)), ~np.zeros((n, 3), bool), run, 0 * run, whole)
+
+
+def _sensor_paths(model: Model, values: FloatArray) -> FloatArray:
+    """Return the sensor's poses at the samples, each run in the frame of its first, shape (3, n_samples)."""
+    values[len(values) - len(SENSOR)] = 1.0  # a gyro's scale is no part of the path
+    return -model.predict(values).residuals.T
 
 
 def _trace(recording: Recording, run: int, paths: list[FloatArray]) -> RunTrace:
-    """Return a run's trace from the sensor's paths before and after, each (3, n_samples)."""
+    """Return a run's trace from the sensor's paths before and after, each (3, n_samples of all runs)."""
     part = slice(int(recording.offsets[run]), int(recording.offsets[run + 1]))
     reference = recording.reference[:, part]
     seen = np.flatnonzero(np.isfinite(reference).any(axis=0)).astype(np.int64)
-    before, after = paths
+    before, after = paths = [path[:, part] for path in paths]
     if len(seen) > 1:
         # the calibrated path stays in its start frame: the reference is aligned with it, the nominal path with that
         every = np.arange(len(seen))

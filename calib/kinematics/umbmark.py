@@ -6,8 +6,8 @@ counter-clockwise the two add and subtract, so that the mean end position errors
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Final
+from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 
@@ -26,7 +26,7 @@ FEWEST: Final = 2
 
 @dataclass(frozen=True, slots=True)
 class Umbmark:
-    """What squares both ways say."""
+    """Radius ratio and track factor from squares driven both ways."""
 
     #: whether there are squares of both senses
     applies: bool
@@ -34,11 +34,11 @@ class Umbmark:
     E_d: float = float("nan")
     E_b: float = float("nan")
     #: factors on the nominal diameters that keep their mean
-    c_left: float = float("nan")
-    c_right: float = float("nan")
+    c_left: float = field(default=float("nan"), metadata={"json": "c_L"})
+    c_right: float = field(default=float("nan"), metadata={"json": "c_R"})
     #: standard deviations from the scatter of the runs; NaN with fewer than two runs of a sense
-    E_d_std: float = float("nan")
-    E_b_std: float = float("nan")
+    E_d_std: float = field(default=float("nan"), metadata={"json": "E_d_sd"})
+    E_b_std: float = field(default=float("nan"), metadata={"json": "E_b_sd"})
     #: mean side of the squares
     side_m: float = float("nan")
     #: squares of each sense
@@ -46,20 +46,6 @@ class Umbmark:
     n_ccw: int = 0
     #: why it does not apply; empty where it does
     why: str = ""
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the result as plain values; ``null`` where a number could not be had."""
-        values = {
-            "E_d": self.E_d,
-            "E_b": self.E_b,
-            "c_L": self.c_left,
-            "c_R": self.c_right,
-            "E_d_sd": self.E_d_std,
-            "E_b_sd": self.E_b_std,
-            "side_m": self.side_m,
-        }
-        plain = {key: float(value) if np.isfinite(value) else None for key, value in values.items()}
-        return plain | {"applies": self.applies, "n_cw": self.n_cw, "n_ccw": self.n_ccw, "why": self.why}
 
 
 def squares(prediction: Prediction, segments: Segments) -> tuple[FloatArray, BoolArray]:
@@ -98,6 +84,8 @@ def umbmark(prediction: Prediction, calibrated: Prediction, segments: Segments, 
             "squares" if not n_ccw and not n_cw else "clockwise squares" if not n_cw else "counter-clockwise squares"
         )
         return Umbmark(False, n_cw=n_cw, n_ccw=n_ccw, why=f"no {missing} among the runs")
+    from scipy.linalg import block_diag
+
     error = prediction.residuals[:, :2]
     side_m = float(np.mean(side[square]))
     both = [error[square & left], error[square & ~left]]
@@ -105,15 +93,11 @@ def umbmark(prediction: Prediction, calibrated: Prediction, segments: Segments, 
     ratios = _ratios(centres, side_m, track_m)
     std = np.full(2, np.nan)
     if min(n_ccw, n_cw) >= FEWEST:
-        total = np.zeros((2, 2))
-        for sense, part in enumerate(both):
-            slope = np.empty((2, 2))
-            for axis in range(2):
-                moved = centres.copy()
-                moved[sense, axis] += 1e-6
-                slope[:, axis] = (np.array(_ratios(moved, side_m, track_m)) - np.array(ratios)) / 1e-6
-            total += slope @ (np.cov(part.T) / len(part)) @ slope.T
-        std = np.sqrt(np.diag(total))
+        # both ratios are nearly linear in the four means
+        step = 1e-6 * np.eye(4).reshape(4, 2, 2)
+        slopes = np.array([np.subtract(_ratios(centres + d, side_m, track_m), ratios) for d in step]) / 1e-6
+        spread = block_diag(*(np.cov(part.T) / len(part) for part in both))
+        std = np.sqrt(np.diag(slopes.T @ spread @ slopes))
     E_d, E_b = ratios
     return Umbmark(
         True,

@@ -1,10 +1,15 @@
-"""Odometry over arrays of runs: from wheel travel to poses, with radii that follow the load."""
+"""Odometry over arrays of runs: from wheel travel to poses, with radii that follow the load.
+
+Steps of all runs are laid end to end and integrated block by block, so that the arrays in use stay in the processor's
+cache. Sums run within a block and are carried from block to block, which keeps their rounding below that of a
+sample-by-sample loop.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final
 
@@ -13,24 +18,178 @@ import numpy.typing as npt
 
 from calib.campaign.settings import Encoder, OdometryModel
 from calib.errors import BadInputError
-from calib.odometry.blocks import WHOLE, Block, Flat, after, before, blocks, cut, lay_flat
 from calib.odometry.numba_loop import compiled_fill, is_installed
 from calib.odometry.poses import Poses
 from calib.radius.law import RadiusLaw
 from calib.types import FloatArray, IntArray
 
-#: how a step is drawn -> by which part of its turn the heading used lies behind the heading at its end
+#: scheme -> share of a step's turn by which the heading used lies behind the heading at its end
 _BEHIND: Final = {"exact": 0.5, "mid_point": 0.5, "euler": 1.0, "end_point": 0.0}
 
 #: ``end_point`` is Eq. 7 as printed: the heading at the end of the step
 SCHEMES: Final = tuple(_BEHIND)
 
-#: steps a block: the arrays in use stay in the second-level cache; two threads take twice as many at a time, so that
-#: they seldom wait for each other between two array functions
-BLOCK: Final = 32768
+#: steps a block: its arrays stay in the second-level cache
+BLOCK: Final = 16_384
 
 #: steps from which on a second thread, and machine code, are worth their start
 MANY_STEPS: Final = 1_000_000
+
+#: half turn up to which two terms of the series of sin(u) / u hold to 2e-16
+_SMALL_RAD: Final = 0.01
+
+
+def sinc(u: npt.ArrayLike) -> FloatArray:
+    """Return sin(u) / u, 1 at 0; any shape, u in rad: the ratio of chord to arc for a turn of 2 u."""
+    return np.asarray(np.sinc(np.asarray(u, dtype=np.float64) / np.pi))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Flat:
+    """Steps of runs laid end to end."""
+
+    #: left, right: shape (n,): travel of the wheels in m
+    left: FloatArray
+    right: FloatArray
+    per_m: FloatArray  #: shape (n,) or (1,): one over the track
+    #: starts, runs: shape (filled,): first step and number of each run that has steps
+    starts: IntArray
+    runs: IntArray
+    pose: FloatArray  #: shape (3, n_runs): start poses
+    shape: tuple[int, ...]  #: shape that the travel came in
+
+    def turn(self, steps: slice) -> FloatArray:
+        """Return the turn in some of the steps in rad."""
+        return (self.right[steps] - self.left[steps]) * self.per_m[steps if len(self.per_m) > 1 else slice(None)]
+
+
+def lay_flat(
+    travel_left_m: npt.ArrayLike,
+    travel_right_m: npt.ArrayLike,
+    track_m: npt.ArrayLike,
+    offsets: npt.ArrayLike | None,
+    start: npt.ArrayLike,
+) -> Flat:
+    """Check the input and lay it flat.
+
+    Parameters
+    ----------
+    travel_left_m, travel_right_m : array_like of float, shape (n,) or (runs, n)
+        Travel of each wheel in each step.
+    track_m : array_like of float
+        Track; anything that broadcasts to the travel's shape.
+    offsets : array_like of int, shape (runs + 1,), or None
+        Where runs of unlike length begin and end.
+    start : array_like of float, shape (3,) or (runs, 3)
+        Start poses.
+
+    Raises
+    ------
+    BadInputError
+        Where shapes do not fit.
+    """
+    left = np.ascontiguousarray(travel_left_m, dtype=np.float64)
+    right = np.ascontiguousarray(travel_right_m, dtype=np.float64)
+    shape = left.shape
+    if right.shape != shape or left.ndim not in (1, 2):
+        raise BadInputError(
+            f"travel: found shapes {shape} (left) and {right.shape} (right); expected the same, of one or two axes; "
+            "give one value a step for each wheel"
+        )
+    track = np.asarray(track_m, dtype=np.float64)
+    if offsets is not None:
+        edges = np.asarray(offsets, dtype=np.int64)
+        if left.ndim != 1 or len(edges) < 1 or edges[0] != 0 or edges[-1] != len(left) or (np.diff(edges) < 0).any():
+            raise BadInputError(
+                f"offsets: found {len(edges)} values for travel of shape {shape}; expected rising values from 0 to the "
+                "number of steps of a flat array; lay the runs end to end"
+            )
+    elif left.ndim == 2:
+        edges = np.arange(shape[0] + 1, dtype=np.int64) * shape[1]
+    else:
+        edges = np.array([0, len(left)], dtype=np.int64)
+    n_runs = len(edges) - 1
+    pose = np.asarray(start, dtype=np.float64)
+    if pose.shape not in {(3,), (n_runs, 3)}:
+        raise BadInputError(f"start: found shape {pose.shape}; expected (3,) or ({n_runs}, 3); give x, y, theta")
+    try:
+        wide = None if track.size == 1 else np.ascontiguousarray(np.broadcast_to(track, shape)).reshape(-1)
+    except ValueError:
+        raise BadInputError(f"track: found shape {track.shape}; expected one that broadcasts to {shape}") from None
+    runs = np.flatnonzero(np.diff(edges) > 0)
+    return Flat(
+        left=left.reshape(-1),
+        right=right.reshape(-1),
+        per_m=1.0 / (track.reshape(1) if wide is None else wide),
+        starts=edges[:-1][runs],
+        runs=runs,
+        pose=np.ascontiguousarray(np.broadcast_to(pose, (n_runs, 3)).T),
+        shape=shape,
+    )
+
+
+def halved(flat: Flat) -> tuple[Flat, ...]:
+    """Return the steps in two parts, cut between two runs; whole where no such cut halves the work fairly."""
+    middle = len(flat.left) // 2
+    run = int(np.argmin(np.abs(flat.starts - middle))) if len(flat.starts) else 0
+    step = int(flat.starts[run]) if run else 0
+    if not run or abs(step - middle) >= len(flat.left) // 16:
+        return (flat,)
+    return tuple(
+        replace(
+            flat,
+            left=flat.left[steps],
+            right=flat.right[steps],
+            per_m=flat.per_m[steps] if len(flat.per_m) > 1 else flat.per_m,
+            starts=flat.starts[runs] - (steps.start or 0),
+            runs=flat.runs[runs],
+        )
+        for steps, runs in ((slice(0, step), slice(0, run)), (slice(step, None), slice(run, None)))
+    )
+
+
+def _fill(flat: Flat, x: FloatArray, y: FloatArray, theta: FloatArray, *, scheme: str) -> None:
+    """Write the poses after steps laid flat, each of shape (n,)."""
+    n = len(flat.left)
+    edges = np.append(np.arange(0, n, BLOCK), n)
+    first_runs = np.searchsorted(flat.starts, edges[:-1], side="right") - 1
+    last_runs = np.searchsorted(flat.starts, edges[1:], side="left")
+    for first, last, k0, k1 in zip(edges[:-1].tolist(), edges[1:].tolist(), first_runs, last_runs, strict=True):
+        steps = slice(first, last)
+        begins = flat.starts[k0:k1] - first
+        pose = flat.pose[:, flat.runs[k0:k1]]
+        if begins[0] < 0:
+            begins[0], pose[:, 0] = 0, (x[first - 1], y[first - 1], theta[first - 1])
+        turn = flat.turn(steps)
+        path = 0.5 * (flat.left[steps] + flat.right[steps])
+        if scheme == "exact":
+            path *= _chord_ratio(0.5 * turn)
+        heading = theta[steps]
+        _running(turn, begins, pose[2], heading)
+        # with t = tan(a / 2): cos a = 2 / (1 + t^2) - 1 and sin a = 2 t / (1 + t^2), one vectorised function for both
+        tangent = np.tan(0.5 * (heading - _BEHIND[scheme] * turn))
+        share = 2.0 * path / (1.0 + tangent * tangent)
+        _running(share - path, begins, pose[0], x[steps])
+        _running(share * tangent, begins, pose[1], y[steps])
+
+
+def _chord_ratio(half: FloatArray) -> FloatArray:
+    """Return the ratio of chord to arc for turns of 2 `half` (n,), by its series where all are small."""
+    square = half * half
+    if float(square.max()) <= _SMALL_RAD**2:
+        return 1.0 - square * (1.0 / 6.0 - square / 120.0)
+    return sinc(half)
+
+
+def _running(steps: FloatArray, begins: IntArray, start: FloatArray, out: FloatArray) -> None:
+    """Write running sums of steps (n,) that begin anew at steps `begins`, from `start`, each of shape (pieces,)."""
+    if len(begins) > 1:
+        ends = start + np.add.reduceat(steps, begins)
+        # the first step of a run leads from the end of the run before to its own start
+        steps = steps.copy()
+        steps[begins[1:]] += start[1:] - ends[:-1]
+    np.cumsum(steps, out=out)
+    out += start[0]
 
 
 def integrate(
@@ -65,8 +224,8 @@ def integrate(
     out : Poses, optional
         Contiguous arrays of the travel's shape to write to; new memory costs as much as the arithmetic.
     threads : {1, 2}, optional
-        Work on both halves of the steps at once; None: where there are two processors, a million steps, and two runs
-        to part. To cut a run costs one more pass, and its last digit depends on it.
+        Work on both halves of the runs at once, where a boundary of runs halves the steps; None: where there are two
+        processors and a million steps.
     compiled : bool, optional
         Whether exact arcs are drawn by machine code (extra ``fast``), which gives the same poses to 1e-9 m; None: where
         it is installed and there are a million steps. Its first call in a process costs a second.
@@ -81,36 +240,29 @@ def integrate(
     BadInputError
         Where shapes do not fit or the scheme is not known.
     """
-    _known(scheme)
     flat = lay_flat(travel_left_m, travel_right_m, track_m, offsets, start)
     n = len(flat.left)
     if out is None:
         out = Poses(np.empty(flat.shape), np.empty(flat.shape), np.empty(flat.shape))
     elif any(a.shape != flat.shape or not a.flags.c_contiguous for a in (out.x_m, out.y_m, out.theta_rad)):
         raise BadInputError(f"out: found arrays of shape {out.shape}; expected contiguous ones of shape {flat.shape}")
-    x, y, theta = out.x_m.reshape(n), out.y_m.reshape(n), out.theta_rad.reshape(n)
-    if threads is None:
-        many = n >= MANY_STEPS and (os.cpu_count() or 1) > 1
-        threads = 2 if many and cut(flat, BLOCK) in flat.starts else 1
+    if scheme not in _BEHIND:
+        raise BadInputError(f"scheme: found {scheme!r}; expected one of {', '.join(SCHEMES)}; choose one of them")
     if compiled is None:
         compiled = n >= MANY_STEPS and is_installed()
-    fill = compiled_fill if compiled and scheme == "exact" else partial(_fill, scheme=scheme, size=threads * BLOCK)
-    if threads == 1 or n < 2:
-        fill(flat, x, y, theta)
-        return out
-    middle = cut(flat, BLOCK)
-    halves = ((before(flat, middle), slice(0, middle)), (after(flat, middle), slice(middle, n)))
+    if threads is None:
+        threads = 2 if n >= MANY_STEPS and (os.cpu_count() or 1) > 1 else 1
+    fill = compiled_fill if compiled and scheme == "exact" else partial(_fill, scheme=scheme)
+    halves = halved(flat) if threads == 2 else (flat,)
+    middle = len(halves[0].left)
+    x, y, theta = (part.reshape(n) for part in (out.x_m, out.y_m, out.theta_rad))
     with ThreadPoolExecutor(2) as pool:
-        waiting = [pool.submit(fill, part, x[where], y[where], theta[where]) for part, where in halves]
+        waiting = [
+            pool.submit(fill, half, x[where], y[where], theta[where])
+            for half, where in zip(halves, (slice(0, middle), slice(middle, n)), strict=False)
+        ]
         for half in waiting:
             half.result()
-        run = int(np.searchsorted(flat.starts, middle, side="right")) - 1
-        if flat.starts[run] != middle:
-            # the second half was driven from the origin: put it where the first one ended
-            stop = int(flat.starts[run + 1]) if run + 1 < len(flat.starts) else n
-            moved = [pool.submit(np.add, a[middle:stop], a[middle - 1], out=a[middle:stop]) for a in (x, y)]
-            for done in moved:
-                done.result()
     return out
 
 
@@ -132,33 +284,15 @@ def end_poses(
     Poses
         End poses, shape (runs,), or () for one log.
     """
-    _known(scheme)
     flat = lay_flat(travel_left_m, travel_right_m, track_m, offsets, start)
+    poses = integrate(travel_left_m, travel_right_m, track_m, offsets=offsets, start=start, scheme=scheme, threads=1)
     end = flat.pose.copy()
-    for block in _walk(flat, BLOCK, scheme, None):
-        runs = flat.runs[block.runs]
-        end[0, runs] += block.sums(block.dx)
-        end[1, runs] += block.sums(block.dy)
-        end[2, runs] += block.turned
+    if len(flat.runs):
+        last = np.append(flat.starts[1:], len(flat.left)) - 1
+        end[:, flat.runs] = [part.reshape(-1)[last] for part in (poses.x_m, poses.y_m, poses.theta_rad)]
     if offsets is None and len(flat.shape) == 1:
         return Poses(end[0, 0], end[1, 0], end[2, 0])
     return Poses(end[0], end[1], end[2])
-
-
-def _known(scheme: str) -> None:
-    if scheme not in _BEHIND:
-        raise BadInputError(f"scheme: found {scheme!r}; expected one of {', '.join(SCHEMES)}; choose one of them")
-
-
-def _walk(flat: Flat, size: int, scheme: str, theta: FloatArray | None) -> Iterator[Block]:
-    return blocks(flat, size, behind=_BEHIND[scheme], curved=scheme == "exact", theta=theta)
-
-
-def _fill(flat: Flat, x: FloatArray, y: FloatArray, theta: FloatArray, *, size: int, scheme: str) -> None:
-    """Write the poses of steps laid flat."""
-    for block in _walk(flat, size, scheme, theta):
-        block.running(flat, block.dx, 0, [(x[block.steps], WHOLE)])
-        block.running(flat, block.dy, 1, [(y[block.steps], WHOLE)])
 
 
 def loads_in_steps(run_N: npt.ArrayLike, logged_N: npt.ArrayLike | None, offsets: npt.ArrayLike) -> FloatArray:

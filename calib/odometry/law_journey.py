@@ -8,7 +8,7 @@ carried. The real radii are those of the loads carried, uncertain by the law's m
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,9 +18,9 @@ from calib.errors import BadInputError
 from calib.limits import SWEEP_VALUES
 from calib.odometry.paper import Axle, end_of_route, wheel_travel
 from calib.odometry.pose_covariance import jacobian, steps
-from calib.odometry.poses import COMPONENTS, PoseErrors, pose_errors
+from calib.odometry.poses import COMPONENTS, pose_errors, rows_of
 from calib.odometry.routes import Route
-from calib.radius.law import RadiusLaw, WheelLaw
+from calib.radius.law import RadiusLaw
 from calib.types import FloatArray
 from calib.vehicle import Vehicle, check_wheel_loads, wheel_loads_N
 
@@ -47,20 +47,17 @@ class TableRow:
 
 def law_table(law: RadiusLaw, loads_N: FloatArray) -> tuple[TableRow, ...]:
     """Return the effective radii for preset wheel loads (n,) (Table 1), with their 95 % bands."""
-    rows = []
-    for load in np.asarray(loads_N, dtype=np.float64).tolist():
-        parts = [
-            (
-                float(wheel.radius_m(load)),
-                _student(wheel.dof) * float(wheel.mean_std_m(load)),
-                _student(wheel.dof) * float(wheel.prediction_std_m(load)),
-                not wheel.load_min_N <= load <= wheel.load_max_N,
-            )
-            for wheel in (law.left, law.right)
-        ]
-        left, right = parts
-        rows.append(TableRow(load, left[0], right[0], left[1], right[1], left[2], right[2], left[3], right[3]))
-    return tuple(rows)
+    from scipy.special import stdtrit
+
+    loads = np.asarray(loads_N, dtype=np.float64)
+    columns = []
+    for wheel in (law.left, law.right):
+        factor = float(stdtrit(wheel.dof, 0.975))
+        beyond = (loads < wheel.load_min_N) | (loads > wheel.load_max_N)
+        bands = (factor * wheel.mean_std_m(loads), factor * wheel.prediction_std_m(loads))
+        columns.append([part.tolist() for part in (wheel.radius_m(loads), *bands, beyond)])
+    pairs = [column for pair in zip(*columns, strict=True) for column in pair]
+    return tuple(TableRow(*row) for row in zip(loads.tolist(), *pairs, strict=True))
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +139,12 @@ def law_journey(
     wheels = (law.left, law.right)
     dof = [wheel.dof for wheel in wheels]
     mean = [float(wheel.radius_m(load)) for wheel, load in zip(wheels, loads_N, strict=True)]
-    std = np.array([_std(wheel, load, band) for wheel, load in zip(wheels, loads_N, strict=True)])
+    std = np.array(
+        [
+            wheel.mean_std_m(load) if band == "mean" else wheel.prediction_std_m(load)
+            for wheel, load in zip(wheels, loads_N, strict=True)
+        ]
+    )
     # a radius whose standard uncertainty was itself estimated follows Student's t
     scale = np.stack([np.sqrt(d / rng.chisquare(d, draws)) for d in dof])
     radii = np.array(mean)[:, None] + std[:, None] * scale * rng.standard_normal((2, draws))
@@ -161,7 +163,11 @@ def law_journey(
         by_wheel = (slopes[3:] ** 2).sum(axis=0) * std**2
         spread = np.column_stack([np.ones(2), scale]) ** 2
         square[name] = float(centre.distance_m[0]) ** 2 + by_wheel @ spread
-        intervals[name] = _intervals(centre, errors, np.abs(slopes) * std, dof)
+        intervals[name] = {}
+        for component, scales in zip(COMPONENTS, np.abs(slopes) * std, strict=True):
+            value, half = float(getattr(centre, component)[0]), _half_width(scales, dof)
+            low, high = np.quantile(getattr(errors, component), [0.025, 0.975])
+            intervals[name][component] = Interval(value, (value - half, value + half), (float(low), float(high)))
     ratios = np.sqrt(square["without"] / square["corrected"])
     ratio_low, ratio_high = np.quantile(ratios[1:], [0.025, 0.975])
     each = np.quantile(distance["without"] / np.maximum(distance["corrected"], 1e-15), [0.025, 0.5, 0.975])
@@ -185,17 +191,6 @@ def law_journey(
     )
 
 
-def _intervals(centre: PoseErrors, errors: PoseErrors, scales: FloatArray, dof: list[float]) -> dict[str, Interval]:
-    """Return each component's value with its interval by linear propagation and by Monte Carlo."""
-    intervals = {}
-    for row, component in enumerate(COMPONENTS):
-        half = _half_width(scales[row], dof)
-        value = float(getattr(centre, component)[0])
-        low, high = np.quantile(getattr(errors, component), [0.025, 0.975])
-        intervals[component] = Interval(value, (value - half, value + half), (float(low), float(high)))
-    return intervals
-
-
 def _end_jacobian(route: Route, believed: Axle, real: Axle, heading_rad: float) -> FloatArray:
     """Return the derivatives of the components of the end error by the real radii, shape (5, 2)."""
     left, right, track = wheel_travel(route, believed, real)
@@ -205,16 +200,6 @@ def _end_jacobian(route: Route, believed: Axle, real: Axle, heading_rad: float) 
     cosine, sine = np.cos(heading_rad), np.sin(heading_rad)
     turned = np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]]) @ by_radius
     return np.vstack([turned, by_radius[:2]])
-
-
-def _std(wheel: WheelLaw, load_N: float, band: str) -> float:
-    return float(wheel.mean_std_m(load_N) if band == "mean" else wheel.prediction_std_m(load_N))
-
-
-def _student(dof: float) -> float:
-    from scipy.stats import t
-
-    return float(t.ppf(0.975, dof))
 
 
 def _half_width(scales: FloatArray, dof: list[float]) -> float:
@@ -240,7 +225,7 @@ def _half_width(scales: FloatArray, dof: list[float]) -> float:
     def beyond(q: float) -> float:
         return float(weight @ stdtr(dof[large], q - points)) - 0.975
 
-    widest = _student(dof[large]) + share * _student(dof[small])
+    widest = float(stdtrit(dof[large], 0.975) + share * stdtrit(dof[small], 0.975))
     return float(scales[large] * brentq(beyond, 0.0, 2.0 * widest, xtol=1e-9))
 
 
@@ -283,9 +268,9 @@ class LoadSweep:
 
     def rows(self) -> list[dict[str, float]]:
         """Return one row a payload, with the sum of the loads."""
-        names = ("payload_kg", "payload_x_m", "payload_y_m", "front_N", "left_N", "right_N")
-        columns = np.stack([getattr(self, name) for name in names], axis=1).tolist()
-        return [dict(zip(names, row, strict=True)) | {"total_N": sum(row[3:])} for row in columns]
+        columns = {part.name: getattr(self, part.name) for part in fields(self) if part.name != "swept"}
+        columns["total_N"] = self.front_N + self.left_N + self.right_N
+        return rows_of(columns)
 
 
 def sweep_loads(
@@ -327,16 +312,14 @@ def sweep_loads(
     columns = {name: np.full(count, value) for name, value in values.items()}
     if swept:
         columns[swept] = np.linspace(span[0], span[1], steps)
-    if not all(np.isfinite(column).all() for column in columns.values()) or (columns["payload_kg"] < 0.0).any():
+    mass, x, y = columns.values()
+    if not np.isfinite([mass, x, y]).all() or (mass < 0.0).any():
         raise BadInputError("payload: found a negative or infinite value; expected a mass from 0 kg and a place in m")
-    front, left, right = wheel_loads_N(vehicle, columns["payload_kg"], columns["payload_x_m"], columns["payload_y_m"])
+    loads = np.stack(wheel_loads_N(vehicle, mass, x, y))
     # name the first payload that cannot be carried, not the extremes of all of them
-    bad = (np.minimum(np.minimum(front, left), right) <= 0.0) | (
-        np.maximum(np.maximum(front, left), right) > vehicle.max_wheel_load_N
-    )
+    bad = (loads.min(axis=0) <= 0.0) | (loads.max(axis=0) > vehicle.max_wheel_load_N)
     if bad.any():
         k = int(np.argmax(bad))
-        mass, x, y = (float(column[k]) for column in columns.values())
-        where = f"payload {mass:g} kg at x {x:g} m, y {y:g} m"
-        check_wheel_loads(vehicle, front[k], left[k], right[k], what=where)
-    return LoadSweep(swept, columns["payload_kg"], columns["payload_x_m"], columns["payload_y_m"], front, left, right)
+        where = f"payload {mass[k]:g} kg at x {x[k]:g} m, y {y[k]:g} m"
+        check_wheel_loads(vehicle, *loads[:, k], what=where)
+    return LoadSweep(swept, mass, x, y, *loads)

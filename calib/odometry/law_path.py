@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,14 +13,11 @@ from calib.errors import BadInputError
 from calib.odometry.integrate import radii_under_load
 from calib.odometry.paper import SPACING_M
 from calib.odometry.pose_covariance import RandomWalk, ellipses, jacobian, parameter_covariance, steps
-from calib.odometry.poses import COMPONENTS, POSE, PoseErrors, Poses, pose_errors
+from calib.odometry.poses import COMPONENTS, POSE, PoseErrors, Poses, pose_errors, rows_of
 from calib.odometry.routes import Route
 from calib.radius.law import RadiusLaw
 from calib.types import FloatArray
 from calib.vehicle import Vehicle, check_wheel_loads, wheel_loads_N
-
-if TYPE_CHECKING:
-    from calib.coefficients.file import CoefficientFile
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,9 +45,9 @@ class Loading:
         return Loading(ordered[:, 0], ordered[:, 1], ordered[:, 2])
 
     @property
-    def pairs(self) -> tuple[tuple[float, float], ...]:
-        """Pairs of loads (left, right), each once."""
-        return tuple(dict.fromkeys(zip(self.left_N.tolist(), self.right_N.tolist(), strict=True)))
+    def rows(self) -> list[tuple[float, float, float]]:
+        """Distance in m, and left and right load in N from there on."""
+        return list(zip(self.from_m.tolist(), self.left_N.tolist(), self.right_N.tolist(), strict=True))
 
     def at(self, distance_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the loads (left, right) of pieces that begin at these distances, shape of `distance_m`."""
@@ -60,41 +57,36 @@ class Loading:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AxleLaw:
-    """The law of both wheels and the track between them, with what their odometry scatters by."""
+    """The law of both wheels and the track between them, with the scatter of their odometry."""
 
     radii: RadiusLaw  #: radii by load
     #: track_m, track_std_m: track, believed and real, and its standard uncertainty
     track_m: float
     track_std_m: float = 0.0
     walk: RandomWalk | None = None  #: random part of the error; None: none
+    vehicle: Vehicle = field(default_factory=Vehicle)  #: geometry and mass
+    notes: tuple[str, ...] = ()  #: what the user should know about the source
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LawSource:
-    """A law and what comes with it."""
-
-    law: RadiusLaw  #: radii by load
-    vehicle: Vehicle  #: geometry
-    track_std_m: float  #: standard uncertainty of the track
-    walk: RandomWalk  #: random part of the pose's error
-    notes: tuple[str, ...]  #: what the user should know of where it comes from
-
-    def axle(self, track_m: float | None) -> AxleLaw:
-        """Return law and track; `track_m` in place of the vehicle's where it is given."""
-        return AxleLaw(self.law, self.vehicle.track_m if track_m is None else track_m, self.track_std_m, self.walk)
-
-
-def law_source(path: Path) -> LawSource:
-    """Return the law of a campaign, a result folder or a coefficient file."""
+def law_source(path: Path, track_m: float | None = None) -> AxleLaw:
+    """Return the law of a campaign, a result folder or a coefficient file; `track_m` replaces the vehicle's track."""
     from calib.coefficients.export import coefficients_of, effects_left_out
 
     source = coefficients_of(path)
-    return LawSource(
-        law=source.file.law,
-        vehicle=source.file.geometry,
-        track_std_m=source.file.vehicle.track_std.value,
-        walk=_walk(source.file),
-        notes=(*source.notes, *effects_left_out(source.file, "not simulated")),
+    file = source.file
+    return AxleLaw(
+        file.law,
+        file.geometry.track_m if track_m is None else track_m,
+        file.vehicle.track_std.value,
+        RandomWalk(
+            sigma_along_m_per_sqrt_m=file.noise.along.value,
+            sigma_heading_rad_per_sqrt_m=file.noise.heading.value,
+            count_std=file.noise.count_std.value,
+            counts_per_rev_left=file.encoder.counts_per_rev_left.value,
+            counts_per_rev_right=file.encoder.counts_per_rev_right.value,
+        ),
+        file.geometry,
+        (*source.notes, *effects_left_out(file, "not simulated")),
     )
 
 
@@ -117,17 +109,6 @@ def loading_on_the_way(vehicle: Vehicle, rows: Sequence[tuple[float, ...]]) -> L
     if min(row[0] for row in rows) > 0.0:
         rows = [*rows, (0.0, 0.0, 0.0, 0.0)]
     return Loading.from_rows([(row[0], *carried_loads_N(vehicle, *row[1:4])) for row in rows])
-
-
-def _walk(file: CoefficientFile) -> RandomWalk:
-    """Return the random part of the pose's error as a coefficient file states it."""
-    return RandomWalk(
-        sigma_along_m_per_sqrt_m=file.noise.along.value,
-        sigma_heading_rad_per_sqrt_m=file.noise.heading.value,
-        count_std=file.noise.count_std.value,
-        counts_per_rev_left=file.encoder.counts_per_rev_left.value,
-        counts_per_rev_right=file.encoder.counts_per_rev_right.value,
-    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -181,16 +162,16 @@ class LawPath:
     @property
     def loading_text(self) -> str:
         """Loads for people: left and right wheel, and from where on."""
-        rows = zip(self.loading.from_m.tolist(), self.loading.left_N, self.loading.right_N, strict=True)
-        return ", ".join(f"{left:.0f} / {right:.0f} N" + (f" from {s:g} m" if s else "") for s, left, right in rows)
+        return ", ".join(
+            f"{left:.0f} / {right:.0f} N" + (f" from {s:g} m" if s else "") for s, left, right in self.loading.rows
+        )
 
     def document(self) -> dict[str, Any]:
         """Return loads and end errors, ready for JSON."""
-        rows = zip(
-            self.loading.from_m.tolist(), self.loading.left_N.tolist(), self.loading.right_N.tolist(), strict=True
-        )
         return {
-            "loading": [{"from_m": s, "load_left_N": left, "load_right_N": right} for s, left, right in rows],
+            "loading": [
+                {"from_m": s, "load_left_N": left, "load_right_N": right} for s, left, right in self.loading.rows
+            ],
             "reference_load_N": list(self.reference_N),
             "without": self.without.end(),
             "corrected": self.corrected.end(),
@@ -205,7 +186,7 @@ class LawPath:
             columns |= {f"{name}_{key}": getattr(driven.poses, key) for key in POSE}
             columns |= {f"{name}_error_{key}": getattr(driven.errors, key) for key in COMPONENTS}
             columns |= {f"{name}_std_{key}": driven.std[key] for key in COMPONENTS}
-        return _rows(columns)
+        return rows_of(columns)
 
     def covariance_rows(self) -> list[dict[str, float]]:
         """Return pose and covariance along the path with the correction on, one row a point."""
@@ -220,7 +201,7 @@ class LawPath:
                     columns[f"{part}_{first}_{second}_{unit}"] = matrix[:, i, j]
         regions = ellipses(self.corrected.systematic + self.corrected.random)
         columns |= {"ellipse95_major_m": regions.major_m, "ellipse95_minor_m": regions.minor_m}
-        return _rows(columns | {"ellipse95_angle_rad": regions.angle_rad})
+        return rows_of(columns | {"ellipse95_angle_rad": regions.angle_rad})
 
     def _loads(self) -> dict[str, FloatArray]:
         left, right = self.loading.at(self.distance_m)
@@ -324,8 +305,3 @@ def _std(covariance: FloatArray, reference: Poses) -> dict[str, FloatArray]:
 def _from_start(values: FloatArray) -> FloatArray:
     """Put zeros, the start, before the first point."""
     return np.concatenate((np.zeros_like(values[:1]), values))
-
-
-def _rows(columns: dict[str, FloatArray]) -> list[dict[str, float]]:
-    table = np.stack(list(columns.values()), axis=1).tolist()
-    return [dict(zip(columns, row, strict=True)) for row in table]

@@ -11,12 +11,14 @@ from collections.abc import Callable
 from functools import cache
 from importlib.util import find_spec
 from threading import Lock
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from calib.odometry.blocks import Flat
 from calib.types import FloatArray
+
+if TYPE_CHECKING:
+    from calib.odometry.integrate import Flat
 
 #: steps at a time
 _COUNT: Final = 64
@@ -40,11 +42,10 @@ def is_installed() -> bool:
 
 def compiled_fill(flat: Flat, x: FloatArray, y: FloatArray, theta: FloatArray) -> None:
     """Write the poses after steps laid flat, each an exact arc, in m and rad; other threads go on meanwhile."""
-    per_m = flat.left[:0] if flat.per_m is None else flat.per_m
     pose = np.ascontiguousarray(flat.pose[:, flat.runs])
     with _ONE_AT_A_TIME:
         loop = _machine_code()
-    loop((flat.left, flat.right), per_m, flat.unit, flat.starts, pose, (x, y, theta))
+    loop((flat.left, flat.right), flat.per_m, flat.starts, pose, (x, y, theta))
 
 
 @cache
@@ -63,7 +64,6 @@ def _machine_code() -> Callable[..., None]:
 def _loop(
     travel: tuple[FloatArray, FloatArray],
     per_m: FloatArray,
-    unit: float,
     starts: Any,
     pose: FloatArray,
     out: tuple[FloatArray, FloatArray, FloatArray],
@@ -71,6 +71,7 @@ def _loop(
     """Write the poses; what numba compiles."""
     left, right = travel
     x, y, theta = out
+    varies = len(per_m) > 1
     halves, middle, dx, dy = np.empty(_COUNT), np.empty(_COUNT), np.empty(_COUNT), np.empty(_COUNT)
     for run in range(len(starts)):
         stop = starts[run + 1] if run + 1 < len(starts) else len(left)
@@ -80,9 +81,7 @@ def _loop(
             at_x, at_y, at_theta = so_far[0] + rest[0], so_far[1] + rest[1], so_far[2] + rest[2]
             turned = largest = 0.0
             for k in range(count):
-                half = 0.5 * unit * (right[first + k] - left[first + k])
-                if len(per_m):
-                    half *= per_m[first + k]
+                half = 0.5 * (right[first + k] - left[first + k]) * per_m[first + k if varies else 0]
                 halves[k] = half
                 middle[k] = turned + half
                 turned += 2.0 * half

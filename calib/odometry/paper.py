@@ -13,14 +13,13 @@ import numpy.typing as npt
 
 from calib.errors import BadInputError
 from calib.limits import SIMULATED_POSES, refuse_more
-from calib.odometry.blocks import shorten
-from calib.odometry.integrate import integrate
+from calib.odometry.integrate import end_poses, integrate
 from calib.odometry.poses import COMPONENTS, POSE, PoseErrors, Poses, pose_errors
 from calib.odometry.routes import Route, find_route
 from calib.types import FloatArray
 
-#: vehicles a block: the arrays in use stay in the second-level cache
-BLOCK: Final = 16384
+#: pieces of routes driven at once: keeps memory small where many vehicles drive long routes
+BLOCK: Final = 131_072
 #: radii, their ratios and tracks that a vehicle can have
 SHORTEST_M: Final = 1e-4
 LONGEST_M: Final = 1e4
@@ -77,53 +76,17 @@ def follow(route: Route, believed: Axle, real: Axle) -> Poses:
 
 def end_of_route(route: Route, believed: Axle, real: Axle) -> Poses:
     """Return the real end poses alone, shape (vehicles,): `follow` for many thousands of vehicles at once."""
-    left, right, track = believed.arrays()
-    real_left, real_right, real_track = real.arrays()
-    ratio_left, ratio_right, track, inverse = (
-        np.atleast_1d(part)
-        for part in (real_left / left, real_right / right, np.asarray(track), np.asarray(1.0 / real_track))
-    )
-    n = max(len(part) for part in (ratio_left, ratio_right, track, inverse))
+    lengths = [np.atleast_1d(part) for part in (*believed.arrays(), *real.arrays())]
     try:
-        end = np.zeros((3, *np.broadcast_shapes((n,), *(p.shape for p in (ratio_left, ratio_right, track, inverse)))))
+        vehicles = np.stack(np.broadcast_arrays(*lengths))
     except ValueError as error:
-        raise BadInputError(f"axles: found arrays of unlike lengths; expected one value or {n}") from error
-    store = np.empty((4, min(BLOCK, n)))
-    for first in range(0, n, BLOCK):
-        part = slice(first, first + BLOCK)
-        block = tuple(a[part] if len(a) > 1 else a for a in (ratio_left, ratio_right, track, inverse))
-        _drive(route, block, end[:, part], store)
-    return Poses(end[0], end[1], end[2])
-
-
-def _drive(route: Route, block: tuple[FloatArray, ...], end: FloatArray, store: FloatArray) -> None:
-    """Drive a block of vehicles over the route, segment by segment; `end` (3, vehicles) is moved along."""
-    ratio_left, ratio_right, track, inverse = block
-    x, y, theta = end
-    turn, path, work, tangent = (row[: len(x)] for row in store)
-    common = float(track[0]) if len(track) == 1 else None
-    for length, bend in zip(route.length_m.tolist(), route.turn_rad.tolist(), strict=True):
-        half = 0.5 * bend * (track if common is None else common)
-        np.multiply(ratio_left, length - half, out=work)
-        np.multiply(ratio_right, length + half, out=path)
-        np.subtract(path, work, out=turn)
-        turn *= inverse
-        path += work
-        shorten(path, turn, work, tangent)
-        # the tangent of half the heading in the segment's middle gives sine and cosine
-        turn *= 0.5
-        theta += turn
-        np.multiply(theta, 0.5, out=tangent)
-        theta += turn
-        np.tan(tangent, out=tangent)
-        np.multiply(tangent, tangent, out=work)
-        work += 1.0
-        np.divide(path, work, out=work)
-        work *= 2.0
-        tangent *= work
-        y += tangent
-        work -= path
-        x += work
+        most = max(map(len, lengths))
+        raise BadInputError(f"axles: found arrays of unlike lengths; expected one value or {most}") from error
+    ends = []
+    for block in np.array_split(vehicles, -(-vehicles.shape[1] * len(route) // BLOCK), axis=1):
+        left, right, track = wheel_travel(route, Axle(*block[:3]), Axle(*block[3:]))
+        ends.append(end_poses(left, right, track).stacked())
+    return Poses.from_stacked(np.concatenate(ends))
 
 
 #: spacing of the points that figures and trajectories show

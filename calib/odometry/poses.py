@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -96,6 +97,11 @@ def pose_errors(true: Poses, reference: Poses) -> PoseErrors:
         global_x_m=np.asarray(dx),
         global_y_m=np.asarray(dy),
     )
+
+
+def rows_of(columns: Mapping[str, FloatArray]) -> list[dict[str, float]]:
+    """Return the rows of columns of equal length (n,), each a mapping by name."""
+    return [dict(zip(columns, row, strict=True)) for row in np.stack(list(columns.values()), axis=1).tolist()]
 
 
 FILE_LIMIT_BYTES = 2 << 30

@@ -7,7 +7,7 @@ loads, of each step. The vehicle's own runtime is fed the same logs.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -16,11 +16,12 @@ from calib.campaign.model import Campaign
 from calib.campaign.wheels import STEERED, WHEEL_COLUMNS, odometry_source, without_rear_wheels
 from calib.coefficients.file import CoefficientFile, believed_model
 from calib.errors import RefusedError
-from calib.odometry.integrate import end_poses, loads_in_steps, radii_of_model, radii_under_load, travel_from_counts
+from calib.odometry.integrate import end_poses, radii_of_model, radii_under_load, travel_from_counts
 from calib.odometry.poses import PoseErrors, Poses, pose_errors
 from calib.odometry.replay_checks import (
     NOT_FED,
     RuntimeCheck,
+    carried_loads_N,
     of_vehicle,
     runtime_check,
     stood_in,
@@ -28,7 +29,7 @@ from calib.odometry.replay_checks import (
     with_loads,
 )
 from calib.radius.law import RadiusLaw
-from calib.result import Result
+from calib.result import Result, plain
 from calib.types import BoolArray, FloatArray, StrArray
 
 if TYPE_CHECKING:
@@ -82,31 +83,22 @@ class Replay(Result):
 
         The differences of the runtime are null where no sample could be compared.
         """
-        runtime = asdict(self.runtime)
-        for key in ("largest_difference_m", "largest_difference_rad"):
-            runtime[key] = runtime[key] if np.isfinite(runtime[key]) else None
-        runs = []
-        for k in range(len(self.run_id)):
-            row: dict[str, Any] = {
-                "run_id": str(self.run_id[k]),
-                "kind": str(self.kind[k]),
-                "load_left_N": float(self.load_left_N[k]),
-                "load_right_N": float(self.load_right_N[k]),
-                "in_range": bool(self.in_range[k]),
-                "distance_m": float(self.distance_m[k]),
-            }
-            for method in METHODS:
-                for name in ("along_m", "lateral_m", "heading_rad", "distance_m"):
-                    row[f"{method}_{name}"] = float(getattr(self.errors[method], name)[k])
-            runs.append(row)
+        columns: dict[str, Any] = {
+            name: getattr(self, name)
+            for name in ("run_id", "kind", "load_left_N", "load_right_N", "in_range", "distance_m")
+        }
+        for method in METHODS:
+            for name in ("along_m", "lateral_m", "heading_rad", "distance_m"):
+                columns[f"{method}_{name}"] = getattr(self.errors[method], name)
+        rows = zip(*(column.tolist() for column in columns.values()), strict=True)
         return {
             "rms_m": self.rms_m,
             "rms_heading_rad": self.rms_heading_rad,
             "ratio": self.ratio,
             "ratio_ci95": list(self.ratio_ci95),
-            "runtime": runtime,
+            "runtime": plain(self.runtime),
             "left_out": self.left_out,
-            "runs": runs,
+            "runs": [dict(zip(columns, row, strict=True)) for row in rows],
         }
 
 
@@ -146,11 +138,7 @@ def replay(
             "wheel loads; log counts and measure ref_x_m, ref_y_m, ref_theta_rad"
         )
     law, runs, logs = coefficients.law, chosen.runs, chosen.logs
-    loads = runs.number("load_left_N"), runs.number("load_right_N")
-    carried = (
-        loads_in_steps(loads[0], logs.columns.get("load_left_N"), logs.offsets),
-        loads_in_steps(loads[1], logs.columns.get("load_right_N"), logs.offsets),
-    )
+    carried = carried_loads_N(chosen)
     by_geometry = without_rear_wheels(chosen)
     reference = Poses(runs.number("ref_x_m"), runs.number("ref_y_m"), runs.number("ref_theta_rad"))
     reference = of_vehicle(reference, coefficients) if by_geometry else reference
@@ -172,8 +160,8 @@ def replay(
         simulated=campaign.simulated,
         run_id=runs.run_id,
         kind=runs.label("kind"),
-        load_left_N=loads[0],
-        load_right_N=loads[1],
+        load_left_N=runs.number("load_left_N"),
+        load_right_N=runs.number("load_right_N"),
         distance_m=travelled,
         reference=reference,
         ends=ends,
@@ -195,36 +183,30 @@ def replay(
 def _driven(
     campaign: Campaign, coefficients: CoefficientFile, carried_N: tuple[FloatArray, FloatArray], scheme: str
 ) -> tuple[dict[str, Poses], FloatArray]:
-    """Return the end poses by each of `METHODS`, and the way by the corrected one, under the loads of the steps."""
+    """Return the end poses by each of `METHODS`, and the distance by the corrected one, under the loads of the steps.
+
+    Odometry from a front wheel or from four wheels has no law of a load: ``constant`` is ``corrected``.
+    """
+    offsets, columns, law = campaign.logs.offsets, campaign.logs.columns, coefficients.law
     if without_rear_wheels(campaign):
-        return _stood_in(campaign, coefficients, scheme)
-    unladen = np.full(len(campaign.runs), coefficients.geometry.unladen_load_N)
-    track_m, offsets, columns = coefficients.geometry.track_m, campaign.logs.offsets, campaign.logs.columns
+        calibrated = believed_model(coefficients, campaign.model.reference_load_N)
+        before, _ = stood_in(campaign, campaign.model, scheme=scheme)
+        after, distance = stood_in(campaign, calibrated, scheme=scheme)
+        last = offsets[1:] - 1
+        ends = dict(zip(METHODS, (before[last], after[last], after[last]), strict=True))
+        return ends, np.add.reduceat(distance, offsets[:-1])
+    unladen, track_m = coefficients.geometry.unladen_load_N, coefficients.geometry.track_m
     believed = {
         "model": (radii_of_model(campaign.model, *carried_N), campaign.model.track_m),
-        "constant": (radii_under_load(coefficients.law, unladen, unladen), track_m),
-        "corrected": (radii_under_load(coefficients.law, *carried_N), track_m),
+        "constant": (radii_under_load(law, unladen, unladen), track_m),
+        "corrected": (radii_under_load(law, *carried_N), track_m),
     }
-    ends, left, right = {}, np.empty(0), np.empty(0)
-    for method in METHODS:
-        radii, track = believed[method]
-        left, right = travel_from_counts(
-            columns["counts_left"], columns["counts_right"], campaign.encoder, *radii, offsets=offsets
-        )
+    ends = {}
+    counts = columns["counts_left"], columns["counts_right"]
+    for method, (radii, track) in believed.items():
+        left, right = travel_from_counts(*counts, campaign.encoder, *radii, offsets=offsets)
         ends[method] = end_poses(left, right, track, offsets=offsets, scheme=scheme)
     return ends, np.add.reduceat(0.5 * np.abs(left + right), offsets[:-1])
-
-
-def _stood_in(campaign: Campaign, coefficients: CoefficientFile, scheme: str) -> tuple[dict[str, Poses], FloatArray]:
-    """Return the same for odometry from a front wheel or from four wheels."""
-    offsets = campaign.logs.offsets
-    calibrated = believed_model(coefficients, campaign.model.reference_load_N)
-    before, _ = stood_in(campaign, campaign.model, scheme=scheme)
-    after, rolled = stood_in(campaign, calibrated, scheme=scheme)
-    last = offsets[1:] - 1
-    return {"model": before[last], "constant": after[last], "corrected": after[last]}, np.add.reduceat(
-        rolled, offsets[:-1]
-    )
 
 
 def _usable(campaign: Campaign, law: RadiusLaw) -> tuple[Campaign, dict[str, int], tuple[str, ...]]:

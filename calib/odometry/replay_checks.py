@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -49,6 +50,16 @@ def with_loads(campaign: Campaign, law: RadiusLaw) -> tuple[Campaign, tuple[str,
     if without_rear_wheels(campaign):
         return campaign, ()
     return campaign, ("no wheel load is given: all runs are taken at the load that the law is centred on",)
+
+
+def carried_loads_N(campaign: Campaign) -> tuple[FloatArray, FloatArray]:
+    """Return the loads of the left and the right wheel in each step, shape (n_samples,); see `loads_in_steps`."""
+    logs = campaign.logs
+    left, right = (
+        loads_in_steps(campaign.runs.number(name), logs.columns.get(name), logs.offsets)
+        for name in ("load_left_N", "load_right_N")
+    )
+    return left, right
 
 
 def stood_in(campaign: Campaign, model: OdometryModel, *, scheme: str = "exact") -> tuple[Poses, FloatArray]:
@@ -122,54 +133,42 @@ def runtime_check(campaign: Campaign, coefficients: CoefficientFile, *, runs: in
     Refused samples are counted and omitted of the comparison of that run.
     """
     odometer = Odometer(Coefficients.parse(coefficients.to_bytes().decode("utf-8")))
-    law, track = coefficients.law, coefficients.geometry.track_m
-    logs = campaign.logs
-    carried = [
-        loads_in_steps(campaign.runs.number(name), logs.columns.get(name), logs.offsets)
-        for name in ("load_left_N", "load_right_N")
-    ]
-    faults: dict[str, int] = {}
+    carried = np.stack(carried_loads_N(campaign), axis=1)
+    faults: Counter[str] = Counter()
     samples = fed = 0
     worst_m = worst_rad = float("nan")
     for run in range(min(runs, len(campaign.runs))):
         log = campaign.logs.of(run)
-        odometer.reset()
-        fed += 1
-        part = slice(int(logs.offsets[run]), int(logs.offsets[run + 1]))
-        loads = np.stack([load[part] for load in carried], axis=1)
-        changed = np.concatenate(([True], (np.diff(loads, axis=0) != 0.0).any(axis=1))).tolist()
-        fine, clamped = True, False
-        poses = []
-        samples_of_run = zip(
-            log["counts_left"].tolist(),
-            log["counts_right"].tolist(),
-            log["t_s"].tolist(),
-            loads.tolist(),
-            changed,
-            strict=True,
-        )
-        for left, right, t, pair, new in samples_of_run:
-            try:
-                if new:
-                    odometer.set_wheel_loads(*pair)
-            except OdometerFault as fault:
-                faults[fault.status.name] = faults.get(fault.status.name, 0) + 1
-                fine = False
-                break
-            status = odometer.feed(left, right, t)
-            samples += 1
-            if status is not Status.OK:
-                faults[status.name] = faults.get(status.name, 0) + 1
-                fine = False
-                break
-            pose = odometer.pose
-            clamped = clamped or pose.clamped
-            poses.append((pose.x_m, pose.y_m, pose.theta_rad))
-        if not fine or clamped:
+        loads = carried[campaign.logs.offsets[run] : campaign.logs.offsets[run + 1]]
+        poses, fault, taken = _fed(odometer, log, loads)
+        fed, samples = fed + 1, samples + taken
+        faults.update([fault] if fault else [])
+        if poses is None:
             continue
-        radii = radii_under_load(law, loads[:, 0], loads[:, 1])
-        left_m, right_m = travel_from_counts(log["counts_left"], log["counts_right"], campaign.encoder, *radii)
-        gap = np.abs(integrate(left_m, right_m, track).stacked() - np.array(poses)).max(axis=0)
+        radii = radii_under_load(coefficients.law, *loads.T)
+        travel = travel_from_counts(log["counts_left"], log["counts_right"], campaign.encoder, *radii)
+        gap = np.abs(integrate(*travel, coefficients.geometry.track_m).stacked() - poses).max(axis=0)
         worst_m = float(np.fmax(worst_m, max(gap[0], gap[1])))
         worst_rad = float(np.fmax(worst_rad, gap[2]))
-    return RuntimeCheck(fed, samples, worst_m, worst_rad, faults)
+    return RuntimeCheck(fed, samples, worst_m, worst_rad, dict(faults))
+
+
+def _fed(odometer: Odometer, log: dict[str, FloatArray], loads_N: FloatArray) -> tuple[FloatArray | None, str, int]:
+    """Feed a run; return poses (n, 3), None where a sample or load was refused or clamped, the fault and the count."""
+    odometer.reset()
+    changed = np.concatenate(([True], (np.diff(loads_N, axis=0) != 0.0).any(axis=1))).tolist()
+    readings = zip(*(log[name].tolist() for name in ("counts_left", "counts_right", "t_s")), strict=True)
+    poses, clamped = [], False
+    for number, (left, right, t_s) in enumerate(readings):
+        try:
+            if changed[number]:
+                odometer.set_wheel_loads(*loads_N[number].tolist())
+        except OdometerFault as fault:
+            return None, fault.status.name, number
+        status = odometer.feed(left, right, t_s)
+        if status is not Status.OK:
+            return None, status.name, number + 1
+        pose = odometer.pose
+        clamped = clamped or pose.clamped
+        poses.append((pose.x_m, pose.y_m, pose.theta_rad))
+    return None if clamped else np.array(poses), "", len(poses)

@@ -173,7 +173,7 @@ def _law_part(study: str, route: Route, under: LawJourneys, rng: np.random.Gener
     refuse_more("draws", draws, DRAWS, "the intervals no longer change")
     if draws < 100:
         raise BadInputError(f"draws: found {draws}; expected 100 or more; quantiles need them")
-    own = under.loading.pairs if under.loading is not None and study == CUSTOM else ()
+    own = tuple(dict.fromkeys(row[1:] for row in under.loading.rows)) if under.loading and study == CUSTOM else ()
     pairs = tuple(under.loads_N) or own or LOADS_N.get(study, LOADS_N["corrected"])
     # setting a journey up takes as long as some twenty pieces
     most = DRAWN_PIECES // (len(pairs) * (len(route) + 20))

@@ -179,15 +179,18 @@ def _beyond_bounds(wheel: WheelFit, nominal_m: float | None, *, radius_named: bo
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """One coefficient, fitted minus believed."""
+    """One coefficient, fitted minus that of a model."""
 
-    #: the coefficient in the fit and in the model
     fitted: float
     model: float
-    #: fitted minus model
     difference: float
-    #: 95 % interval of the difference, the model taken as it is
+    #: 95 % interval of the difference; the model counts as known
     ci95: tuple[float, float]
+
+    @staticmethod
+    def of(fitted: float, model: float, ci95: tuple[float, float]) -> Difference:
+        """Return the difference from a model of a coefficient with its 95 % interval."""
+        return Difference(fitted, model, fitted - model, (ci95[0] - model, ci95[1] - model))
 
     @property
     def inside(self) -> bool:
@@ -196,12 +199,10 @@ class Difference:
 
     def to_dict(self, unit: str) -> dict[str, Any]:
         """Return it as plain values, keys ending in the unit suffix."""
-        return {
-            f"fitted_{unit}": self.fitted,
-            f"model_{unit}": self.model,
-            f"difference_{unit}": self.difference,
-            f"difference_ci95_{unit}": list(self.ci95),
-            "model_inside": self.inside,
+        names = ("fitted", "model", "difference", "difference_ci95")
+        values = (self.fitted, self.model, self.difference, list(self.ci95))
+        return {f"{name}_{unit}": value for name, value in zip(names, values, strict=True)} | {
+            "model_inside": self.inside
         }
 
 
@@ -220,11 +221,10 @@ class WheelComparison:
 
 @dataclass(frozen=True, slots=True)
 class ModelComparison:
-    """Both wheels' fitted laws against a model's."""
+    """Both wheels' fitted laws against a model's, in m and m/N."""
 
     #: load at which the radii are compared
     reference_load_N: float
-    #: in m, and m/N
     left: WheelComparison
     right: WheelComparison
 
@@ -235,32 +235,22 @@ class ModelComparison:
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values: the key ``model_comparison`` of ``calib fit --model --json``."""
-        return {
-            "reference_load_N": self.reference_load_N,
-            "model_inside": self.inside,
-            "wheels": {
-                side: {
-                    "radius_ref": wheel.radius_ref.to_dict("m"),
-                    "slope": None if wheel.slope is None else wheel.slope.to_dict("m_per_N"),
-                }
-                for side, wheel in (("left", self.left), ("right", self.right))
-            },
+        wheels = {
+            side: {"radius_ref": wheel.radius_ref.to_dict("m"), "slope": wheel.slope and wheel.slope.to_dict("m_per_N")}
+            for side, wheel in (("left", self.left), ("right", self.right))
         }
+        return {"reference_load_N": self.reference_load_N, "model_inside": self.inside, "wheels": wheels}
 
 
 def compare_laws(left: WheelFit, right: WheelFit, model: RadiusLaw) -> ModelComparison:
     """Return the differences of fitted laws from a model, at the fit's reference load.
 
-    The intervals are the fit's own: the model counts as given, since a model of the same runs shares their errors.
+    The intervals are the fit's own: a model of the same runs shares their errors, so it counts as known.
     """
     wheels = []
     for wheel, law in ((left, model.left), (right, model.right)):
-        radius_m, slope = float(law.radius_m(wheel.reference_load_N)), None
-        if wheel.slope_ci95_m_per_N is not None:
-            slope = _difference(wheel.law.slope_m_per_N, law.slope_m_per_N, wheel.slope_ci95_m_per_N)
-        wheels.append(WheelComparison(_difference(wheel.law.radius_ref_m, radius_m, wheel.radius_ref_ci95_m), slope))
+        model_m, interval = float(law.radius_m(wheel.reference_load_N)), wheel.slope_ci95_m_per_N
+        slope = interval and Difference.of(wheel.law.slope_m_per_N, law.slope_m_per_N, interval)
+        radius = Difference.of(wheel.law.radius_ref_m, model_m, wheel.radius_ref_ci95_m)
+        wheels.append(WheelComparison(radius, slope))
     return ModelComparison(left.reference_load_N, *wheels)
-
-
-def _difference(fitted: float, model: float, ci95: tuple[float, float]) -> Difference:
-    return Difference(fitted, model, fitted - model, (ci95[0] - model, ci95[1] - model))

@@ -73,7 +73,11 @@ def correct_paths(campaign: Campaign) -> RunPaths:
     runs, track = campaign.runs, campaign.vehicle.track_m
     n = len(runs)
     distance = np.abs(runs.number("distance_m"))
-    weaves = _from_logs(campaign)
+    metres_per_count = (
+        2 * np.pi * campaign.model.radius_left_m / campaign.encoder.counts_per_rev_left,
+        2 * np.pi * campaign.model.radius_right_m / campaign.encoder.counts_per_rev_right,
+    )
+    weaves = estimate_weaves(campaign.logs, metres_per_count, track)
     logged = weaves.known
     amplitude, wavelength = np.abs(runs.number("amplitude_m")), np.abs(runs.number("wavelength_m"))
     listed = ~logged & np.isfinite(amplitude) & (wavelength > 0)
@@ -132,13 +136,6 @@ def _arcs(campaign: Campaign, yaw_rad: FloatArray, yaw_std_rad: FloatArray) -> t
         measured & (unknown_rad2 > 0), unknown_rad2 / np.maximum(unknown_rad2 + noise**2, 1e-300), 0.0
     )
     return reliability * surplus, reliability
-
-
-def _from_logs(campaign: Campaign) -> Weaves:
-    encoder, model = campaign.encoder, campaign.model
-    left = 2 * np.pi * model.radius_left_m / encoder.counts_per_rev_left
-    right = 2 * np.pi * model.radius_right_m / encoder.counts_per_rev_right
-    return estimate_weaves(campaign.logs, (left, right), campaign.vehicle.track_m)
 
 
 def _notes(logged: BoolArray, listed: BoolArray, used: BoolArray) -> tuple[str, ...]:

@@ -22,7 +22,7 @@ from calib.radius.sessions import (
     stratified_constant,
     stratified_line,
 )
-from calib.result import plain
+from calib.result import plain, plain_fields
 from calib.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -34,6 +34,21 @@ Plain = TypeVar("Plain")
 SAME_LOAD: Final = 0.02
 #: of `WheelFit`, in the order of the document
 RUN_ARRAYS: Final = ("load_N", "radius_m", "residual_m", "leverage", "cook")
+#: of `WheelFit`, written as they are
+_DOCUMENT: Final = (
+    "reference_load_N",
+    "intercept_m",
+    "radius_ref_ci95_m",
+    "slope_ci95_m_per_N",
+    "r_squared",
+    "residual_std_m",
+    "dof_radius_ref",
+    "model",
+    "design",
+    "run_std_m",
+    "session_std_m",
+    "checks",
+)
 #: levels of a check: the result can be used; it can be used with a caution; the law should not be used as it is
 OK: Final = "ok"
 NOTE: Final = "note"
@@ -42,18 +57,18 @@ FAILED: Final = "failed"
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One check of a fit: a statistic, and a sentence that says what it means and what to do."""
+    """One check of a fit: a statistic, and a sentence with its meaning and the remedy."""
 
     #: stable name: ``design``, ``lack_of_fit``, ``curvature``, ``equal_scatter``, ``influence``, ``session``,
     #: ``session_influence``, ``normality``, ``direction``, ``temperature``, ``range``, ``plausible``
     name: str
     #: ``ok``, ``note`` or ``failed``
     level: str
-    #: what it means for the user and what to do
+    #: meaning for the user, and the remedy
     sentence: str
     #: value of the test statistic; None where the check has none or could not be made
     statistic: float | None = None
-    #: what the statistic is, for example ``F(3, 55)``
+    #: name of the statistic, for example ``F(3, 55)``
     statistic_name: str = ""
     #: probability of a statistic at least as extreme where nothing is wrong
     p_value: float | None = None
@@ -65,13 +80,12 @@ class Check:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the check as plain values; a statistic of data without scatter, infinite, is null."""
-        keys = ("name", "level", "passed", "statistic", "statistic_name", "p_value", "sentence")
-        return {key: plain(getattr(self, key)) for key in keys}
+        return plain_fields(self, passed=self.passed)
 
 
 @dataclass(frozen=True, eq=False)
 class WheelFit:
-    """One wheel's fit: the session-aware estimate, the runs behind it, and its checks."""
+    """One wheel's fit: the session-aware estimate, its runs and its checks."""
 
     #: ``left`` or ``right``
     wheel: str
@@ -86,14 +100,14 @@ class WheelFit:
     r_squared: float
     #: root mean square residual over the runs' degrees of freedom (as in ordinary least squares)
     residual_std_m: float
-    #: what was fitted, and radius minus law, shape (n_runs,)
+    #: loads, radii, and radius minus law, shape (n_runs,)
     load_N: FloatArray
     radius_m: FloatArray
     residual_m: FloatArray
     #: leverage and Cook's distance of each run in the ordinary least-squares line, shape (n_runs,)
     leverage: FloatArray
     cook: FloatArray
-    #: what an expert would check
+    #: see `calib.radius.checks`
     checks: tuple[Check, ...] = ()
     #: of runs that follow each other; None in a fit read from a file, whose estimate allows for it already
     autocorrelation: Autocorrelation | None = None
@@ -186,26 +200,13 @@ class WheelFit:
     def to_dict(self) -> dict[str, Any]:
         """Return the fit as plain values; the contract's keys first."""
         law, line, naive = self.law, self.model == "line", self.naive
-        document = {
-            "n_runs": law.n_runs,
-            "reference_load_N": law.reference_load_N,
-            "radius_ref_m": law.radius_ref_m,
-            "intercept_m": self.intercept_m,
+        document = {name: getattr(law, name) for name in ("n_runs", "radius_ref_m", "dof", "covariance")}
+        document |= {name: getattr(self, name) for name in (*_DOCUMENT, *RUN_ARRAYS)}
+        document |= {
             "slope_m_per_N": law.slope_m_per_N if line else None,
-            "radius_ref_ci95_m": self.radius_ref_ci95_m,
-            "slope_ci95_m_per_N": self.slope_ci95_m_per_N,
-            "r_squared": self.r_squared,
-            "residual_std_m": self.residual_std_m,
-            "dof": law.dof,
-            "covariance": law.covariance,
-            "dof_radius_ref": self.dof_radius_ref,
             "dof_slope": self.dof_slope if line else None,
-            "model": self.model,
-            "design": self.design,
             "load_range_N": (law.load_min_N, law.load_max_N),
             "single_run_std_m": law.residual_std_m,
-            "run_std_m": self.run_std_m,
-            "session_std_m": self.session_std_m,
             "strata": self.estimate,
             "naive": naive
             and {
@@ -216,8 +217,6 @@ class WheelFit:
                 "dof": naive.dof_within,
                 "covariance": naive.covariance,
             },
-            **{name: getattr(self, name) for name in RUN_ARRAYS},
-            "checks": self.checks,
         }
         return {key: plain(value) for key, value in document.items()}
 
@@ -225,13 +224,11 @@ class WheelFit:
     def from_dict(wheel: str, value: Mapping[str, Any]) -> WheelFit:
         """Return the fit that `to_dict` wrote; what follows from estimate and runs is computed from them."""
         strata, naive, line = value["strata"], value["naive"], value["model"] == "line"
-        residual_std = float(value["residual_std_m"])
+        scalars = ("reference_load_N", "r_squared", "residual_std_m")
+        written: dict[str, Any] = {name: float(value[name]) for name in scalars}
+        written |= {name: np.array(value[name], dtype=np.float64) for name in RUN_ARRAYS}
         estimate = LineEstimate(
             coefficients=np.array([float(value["radius_ref_m"]), float(value["slope_m_per_N"]) if line else 0.0]),
-            dof_within=float(strata["dof_within"]),
-            dof_between=float(strata["dof_between"]),
-            run_variance=float(strata["run_variance"]),
-            session_variance=float(strata["session_variance"]),
             cov_within=_covariance(strata["covariance_within"]),
             cov_between=_covariance(strata["covariance_between"]),
             session_f=strata["session_f"],
@@ -239,30 +236,21 @@ class WheelFit:
             design=str(strata["design"]),
             systematic=np.array(strata.get("systematic", []), dtype=np.float64).reshape(-1, 2),
             systematic_dof=np.array([np.inf if dof is None else dof for dof in strata.get("systematic_dof", [])]),
+            **{name: float(strata[name]) for name in ("dof_within", "dof_between", "run_variance", "session_variance")},
         )
         if not np.allclose(_covariance(value["covariance"]), estimate.covariance, rtol=1e-6, atol=0.0):
             raise ValueError(f"a covariance of the {wheel} wheel's law that is not the sum of its strata")
+        if naive is not None:
+            line_of_runs = np.array([float(naive["radius_ref_m"]), float(naive["slope_m_per_N"])])
+            covariance, variance = _covariance(naive["covariance"]), written["residual_std_m"] ** 2
+            naive = LineEstimate.one_stratum("single", line_of_runs, covariance, float(naive["dof"]), variance)
         return WheelFit(
             wheel=wheel,
             design=str(value["design"]),
-            reference_load_N=float(value["reference_load_N"]),
             estimate=estimate,
-            naive=naive
-            and LineEstimate.one_stratum(
-                "single",
-                np.array([float(naive["radius_ref_m"]), float(naive["slope_m_per_N"])]),
-                _covariance(naive["covariance"]),
-                float(naive["dof"]),
-                residual_std**2,
-            ),
-            r_squared=float(value["r_squared"]),
-            residual_std_m=residual_std,
-            load_N=np.array(value["load_N"], dtype=np.float64),
-            radius_m=np.array(value["radius_m"], dtype=np.float64),
-            residual_m=np.array(value["residual_m"], dtype=np.float64),
-            leverage=np.array(value["leverage"], dtype=np.float64),
-            cook=np.array(value["cook"], dtype=np.float64),
+            naive=naive,
             checks=tuple(from_plain(Check, check) for check in value["checks"]),
+            **written,
         )
 
 

@@ -36,6 +36,8 @@ PLAUSIBLE: Final = "plausible"
 _ADDED: Final = ("model_comparison",)
 #: sections of ``campaign.toml`` for report and certificate
 STATED_SECTIONS: Final = ("report", "certificate")
+#: of `Fit`, written as they are
+_WRITTEN: Final = ("simulated", "static", "notes", "setup", "provenance", "passed", "verdict")
 REMEDY: Final = "make it with 'calib fit CAMPAIGN --into FOLDER'"
 _TEXTS: Final = ("run_id", "session", "direction", "path_source")
 _RUN_COLUMNS: Final = tuple(
@@ -119,8 +121,8 @@ class Fit(Result):
     @property
     def implausible(self) -> tuple[str, ...]:
         """Findings beyond the bounds of a vehicle; such a law is passed on only where the user accepts it."""
-        checks = [check for wheel in (self.left, self.right) for check in wheel.checks]
-        return tuple(dict.fromkeys(check.sentence for check in checks if check.name == PLAUSIBLE and not check.passed))
+        failed = [check for wheel in self.wheels.values() for check in wheel.checks if not check.passed]
+        return tuple(dict.fromkeys(check.sentence for check in failed if check.name == PLAUSIBLE))
 
     @property
     def table(self) -> DataFrame:
@@ -131,23 +133,10 @@ class Fit(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fit as plain values: the keys of ``calib fit --json`` and everything `from_dict` needs."""
-        document: dict[str, Any] = plain(
-            {
-                "format": FORMAT,
-                "campaign": self.name,
-                "simulated": self.simulated,
-                "wheels": self.wheels,
-                "runs": _rows(self),
-                "static": self.static,
-                "budget": self.radii.budget,
-                "left_out": self.radii.left_out,
-                "notes": self.notes,
-                "setup": self.setup,
-                "provenance": self.provenance,
-                "passed": self.passed,
-                "verdict": self.verdict,
-            }
-        )
+        document: dict[str, Any] = {"format": FORMAT, "campaign": self.name, "wheels": self.wheels, "runs": _rows(self)}
+        document |= {name: getattr(self.radii, name) for name in ("budget", "left_out")}
+        document |= {name: getattr(self, name) for name in _WRITTEN}
+        document = plain(document)
         return document | {CHECKSUM_KEY: checksum(document)}
 
     @staticmethod
@@ -178,7 +167,11 @@ class Fit(Result):
                 provenance=dict(value["provenance"]),
                 setup=None if setup is None else from_plain(Setup, setup),
             )
-            _check_runs(fit)
+            for name, wheel in fit.wheels.items():
+                lengths = {len(getattr(wheel, column)) for column in RUN_ARRAYS}
+                if lengths != {len(fit.radii)}:
+                    listed = len(fit.radii)
+                    raise ValueError(f"{listed} runs are listed, and the {name} wheel was fitted on {lengths}")
             return fit
         except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
             text = " ".join(str(error).split())
@@ -200,14 +193,6 @@ def _columns(rows: Any) -> dict[str, Any]:
         name: np.array([row[name] for row in rows], dtype=np.str_ if name in _TEXTS else np.float64)
         for name in _RUN_COLUMNS
     }
-
-
-def _check_runs(fit: Fit) -> None:
-    """Refuse a fit that lists another number of runs than its wheels were fitted on."""
-    listed = len(fit.radii.run_id)
-    for name, wheel in fit.wheels.items():
-        if any(len(getattr(wheel, column)) != listed for column in RUN_ARRAYS):
-            raise ValueError(f"{listed} runs are listed, and the {name} wheel was fitted on {len(wheel.load_N)}")
 
 
 def provenance(campaign: Campaign, *, version: str, arguments: Mapping[str, Any]) -> dict[str, Any]:

@@ -16,7 +16,6 @@ PACKAGE = ROOT / "calib"
 ORDER: Mapping[str, tuple[str, ...]] = {
     "calib": (
         "types",
-        "adequacy",
         "errors",
         "arguments",
         "documents",

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 import calib
-from calib.adequacy import Level, Residuals, judge
 from calib.campaign.read import read_campaign
 from calib.coefficients.build import from_geometry
 from calib.errors import ImplausibleError, RefusedError
-from calib.kinematics.adequacy import GeometryVerdict
+from calib.kinematics.adequacy import GeometryVerdict, Residuals, judge
 from calib.kinematics.estimate import Using, estimate_geometry
 from tests.blunders import plant
 from tests.blunders.blunders import DIFFERENTIAL
@@ -36,18 +35,20 @@ def recorded(folder: Path, *, along: bool = False, heading: bool = True, blunder
 @pytest.mark.parametrize(
     ("before", "after", "held_out", "level"),
     [
-        (0.100, 0.004, 0.005, Level.ADEQUATE),  # at the noise
-        (0.100, 0.100, 0.100, Level.WRONG),  # explains nothing
-        (0.900, 0.200, 0.300, Level.DOUBTFUL),  # helps, and leaves 75 times the noise
-        (9.000, 0.800, 0.900, Level.WRONG),  # 9 % of the way
-        (0.003, 0.003, 0.003, Level.ADEQUATE),  # nothing to explain
+        (0.100, 0.004, 0.005, GeometryVerdict.CALIBRATED),  # at the noise
+        (0.100, 0.100, 0.100, GeometryVerdict.WRONG),  # explains nothing
+        (0.900, 0.200, 0.300, GeometryVerdict.DOUBTFUL),  # helps, and leaves 75 times the noise
+        (9.000, 0.800, 0.900, GeometryVerdict.WRONG),  # 9 % of the way
+        (0.003, 0.003, 0.003, GeometryVerdict.CALIBRATED),  # nothing to explain
     ],
 )
-def test_levels_follow_residuals_noise_and_way(before: float, after: float, held_out: float, level: Level) -> None:
+def test_levels_follow_residuals_noise_and_way(
+    before: float, after: float, held_out: float, level: GeometryVerdict
+) -> None:
     """Of a way of 10 m with noise of 4 mm."""
     found, why = judge(Residuals(before, after, held_out, noise=0.004, travelled=10.0, usual_noise=0.03))
     assert found is level
-    assert bool(why) == (level is not Level.ADEQUATE)
+    assert bool(why) == (level is not GeometryVerdict.CALIBRATED)
 
 
 @pytest.mark.parametrize("along", [False, True])
