@@ -53,10 +53,10 @@ def estimate_geometry(
     Parameters
     ----------
     campaign : Campaign
-        Runs with logs of the wheels, and end poses or poses along the way.
+        Runs with logs of the wheels, and end poses or poses along the path.
     using : {"end_poses", "windows"}, optional
         Whole runs, or windows of several lengths. None: end poses where eight runs or more have one, since they ask
-        nothing of clocks; else windows where the reference follows the vehicle along the way.
+        nothing of clocks; else windows where the reference follows the vehicle along the path.
     kinds : sequence of str
         Kinds of routes to use; none: all.
     sensor : bool, optional

@@ -80,7 +80,7 @@ class Recording:
 
     @property
     def continuous(self) -> bool:
-        """Whether the reference follows the vehicle along the way, in half of the runs at least."""
+        """Whether the reference follows the vehicle along the path, in half of the runs at least."""
         has = np.isfinite(self.reference).any(axis=0)
         counts = np.add.reduceat(has.astype(np.int64), self.offsets[:-1])
         return bool(np.mean(counts >= MANY_POSES) >= 0.5)
@@ -297,7 +297,7 @@ def _unwrapped(theta: FloatArray) -> FloatArray:
 
 
 def _position_alone_in_a_map(campaign: Campaign, reference: FloatArray) -> bool:
-    """Return whether a run's reference along the way has no headings, and does not begin at the start pose."""
+    """Return whether a run's reference along the path has no headings, and does not begin at the start pose."""
     places = reference[:2, np.isfinite(reference[:2]).all(axis=0)]
     if not places.shape[1] or np.isfinite(reference[2]).any():
         return False

@@ -1,4 +1,4 @@
-"""Segments of runs that are compared: whole runs, or windows along the way."""
+"""Segments of runs that are compared: whole runs, or windows along the path."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def end_pose_segments(recording: Recording) -> Segments:
 def window_segments(recording: Recording, blocks: int) -> Segments:
     """Return windows of three lengths, nested in blocks of equal travel.
 
-    `recording`: with a reference along the way; `blocks`: how many blocks all runs together are cut into, about; a run
+    `recording`: with a reference along the path; `blocks`: how many blocks all runs together are cut into, about; a run
     is one at least. Raises RefusedError where the reference follows the vehicle nowhere.
 
     The travel of the wheels, not the time, sets the length, so that a standing vehicle makes no windows. Shorter
@@ -105,7 +105,7 @@ def window_segments(recording: Recording, blocks: int) -> Segments:
         block += n_blocks
     if not pieces or not sum(len(piece[0]) for piece in pieces):
         raise RefusedError(
-            "windows: found no reference along the way; expected ref_x_m, ref_y_m, ref_theta_rad in logs; "
+            "windows: found no reference along the path; expected ref_x_m, ref_y_m, ref_theta_rad in logs; "
             "use end poses instead"
         )
     first, last, run_of, block_of, level_of = (np.concatenate(part) for part in zip(*pieces, strict=True))

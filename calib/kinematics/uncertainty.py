@@ -44,7 +44,7 @@ class Freedom:
 def own_directions(names: Sequence[str], values: FloatArray) -> FloatArray:
     """Return what distances and turns show apart from one another: mean radius, ratios of radii and lengths.
 
-    What turns show, they show by headings, whose errors follow another law along the way than those of distances.
+    What turns show, they show by headings, whose errors follow another law along the path than those of distances.
 
     `values` (shape (n,)). Shape (n, n): a row a direction, of full rank.
     """
@@ -74,7 +74,7 @@ def _cosines(n: int) -> tuple[FloatArray, FloatArray]:
     return waves, 4.0 * np.square(np.sin(0.5 * np.pi * number / n))
 
 
-def level_at_nought(powers: FloatArray, squares: FloatArray, dof: float) -> tuple[float, float, FloatArray]:
+def level_at_zero(powers: FloatArray, squares: FloatArray, dof: float) -> tuple[float, float, FloatArray]:
     """Return the level of a spectrum at frequency zero, its degrees of freedom, and the spectrum's shape.
 
     `powers` (shape (n_cosines,)): squared amplitudes; `squares` (shape (n_cosines,)): squares of the frequencies;
@@ -122,7 +122,7 @@ def covariance_along(pulls: FloatArray, information: FloatArray, directions: Flo
         left = (waves * (seen @ direction)) @ waves.T - taken @ taken.T
         share = np.maximum(len(pulls) * np.diag(left) / max(float(direction @ direction), 1e-300), 1e-6)
         own = max(float(np.trace(left) ** 2 / max(float(np.square(left).sum()), 1e-300)), 1.0)
-        level, dof[at], shape = level_at_nought(np.square(amplitudes[:, at]) / share, squares, own)
+        level, dof[at], shape = level_at_zero(np.square(amplitudes[:, at]) / share, squares, own)
         std[at] = np.sqrt(len(pulls) * level)
         flat[:, at] = amplitudes[:, at] / np.sqrt(shape * share)
     products = flat.T @ flat
@@ -201,10 +201,10 @@ def _rows_of(cluster: IntArray) -> Iterator[IntArray]:
 
 
 def sandwich_along(solution: Solution, free: BoolArray, block: IntArray, directions: FloatArray) -> Uncertainty:
-    """Return the covariance of the free parameters from blocks along the way, which share noise with neighbours.
+    """Return the covariance of the free parameters from blocks along the path, which share noise with neighbours.
 
     `solution`: of the robust fit; `free` (shape (n_parameters,)): which parameters were free; `block` (shape (n,)):
-    blocks are numbered along the way; `directions` (shape (n_free, n_free)): rows: sums of parameters that err for
+    blocks are numbered along the path; `directions` (shape (n_free, n_free)): rows: sums of parameters that err for
     reasons of their own.
     """
     flat, residuals, root, scale = _unit_columns(solution, free)

@@ -123,7 +123,7 @@ STUDIES: Final[Mapping[str, Study]] = {
         ("fig13", "fig14"),
     ),
     "corrected": Study(
-        "The radii follow the load; what is left is the 95 % band of the regression",
+        "The radii follow the load; only the 95 % band of the regression",
         ("paper_route",),
         (0.9994, 0.9997, 1.0, 1.0003, 1.0006),
         ("right", "left", "both"),

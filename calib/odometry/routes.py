@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +21,8 @@ from calib.types import FloatArray
 Segment = tuple[float, float]
 
 FORMAT: Final = "calib-route/1"
+#: largest length in m, or turn: no vehicle drives further in one segment
+LONGEST: Final = 1e6
 
 
 def straight(length_m: float) -> Segment:
@@ -169,30 +171,19 @@ def read_route(path: Path) -> Route:
     segments = []
     for number, piece in enumerate(pieces, start=1):
         where = f"segment {number}"
-        if not isinstance(piece, dict):
-            raise bad(repr(piece), "a table", where)
-        keys = frozenset(piece)
-        if keys not in _KEYS:
-            raise bad(", ".join(sorted(keys)) or "nothing", "straight_m, or radius_m and turn_deg (or turn_rad)", where)
-        values = {key: _number(value) for key, value in piece.items()}
-        for key, value in values.items():
-            if value is None or (key == "radius_m" and value < 0.0):
-                raise bad(f"{key} = {piece[key]!r}", "a finite number, a radius not below 0", where)
-        segments.append(_segment({key: value for key, value in values.items() if value is not None}))
+        if not isinstance(piece, dict) or frozenset(piece) not in _KEYS:
+            found = ", ".join(sorted(piece)) or "nothing" if isinstance(piece, dict) else repr(piece)
+            raise bad(found, "a table of straight_m, or radius_m and turn_deg (or turn_rad)", where)
+        for key, value in piece.items():
+            number_like = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LONGEST
+            if not number_like or (key == "radius_m" and value < 0.0):
+                raise bad(f"{key} = {value!r}", "a finite number, a radius not below 0", where)
+        if "straight_m" in piece:
+            segments.append(straight(float(piece["straight_m"])))
+        else:
+            turn = math.radians(piece["turn_deg"]) if "turn_deg" in piece else float(piece["turn_rad"])
+            segments.append(arc(float(piece["radius_m"]), turn))
     return Route.from_segments(name, *segments)
 
 
 _KEYS: Final = {frozenset({"straight_m"}), frozenset({"radius_m", "turn_deg"}), frozenset({"radius_m", "turn_rad"})}
-
-
-def _number(value: Any) -> float | None:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value) or abs(value) > 1e6:
-        return None
-    return float(value)
-
-
-def _segment(values: Mapping[str, float]) -> Segment:
-    if "straight_m" in values:
-        return straight(values["straight_m"])
-    turn = math.radians(values["turn_deg"]) if "turn_deg" in values else values["turn_rad"]
-    return arc(values["radius_m"], turn)

@@ -235,16 +235,16 @@ def deviation_rows(
     BadInputError
         Where a length is not positive.
     """
-    lengths = (amplitudes_m, wavelengths_m, distance_m, track_m)
-    columns = [np.atleast_1d(np.asarray(values, dtype=np.float64)) for values in lengths]
-    for name, values in zip(("amplitude", "wavelength", "distance", "track"), columns, strict=True):
+    lengths = {"amplitude": amplitudes_m, "wavelength": wavelengths_m, "distance": distance_m, "track": track_m}
+    for name, given in lengths.items():
+        values = np.atleast_1d(np.asarray(given, dtype=np.float64))
         expected = "zero or more" if name == "amplitude" else "more than zero"
         bad = ~np.isfinite(values) | (values < 0) | ((values == 0) & (name != "amplitude"))
         if bad.any():
             raise BadInputError(f"{name}: found {values[bad][0]:g} m; expected {expected}; give a length in metres")
     if not 0 < tolerance < 1:
         raise BadInputError(f"tolerance: found {tolerance:g}; expected a share between 0 and 1; 0.0005 is 0.05 %")
-    a, w = (grid.ravel() for grid in np.meshgrid(*columns[:2], indexing="ij"))
+    a, w = (grid.ravel() for grid in np.meshgrid(amplitudes_m, wavelengths_m, indexing="ij"))
     path = weave_excess(a, w, distance_m, track_m)
     whole = whole_period_excess(a, w)
     table = {
