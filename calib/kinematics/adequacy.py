@@ -225,9 +225,8 @@ def _used(whole: Model, outliers: Sequence[str]) -> BoolArray:
 def travelled(model: Model, values: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return way in m and rotation in rad of each segment, shape (n,); a radian on the spot is a tenth of a metre."""
     body = model.drive.motion(values[: -len(SENSOR)], model.recording.steps).body
-    way, rotation = (np.cumsum(part) for part in (np.hypot(body[0], body[1]) + 0.1 * np.abs(body[2]), np.abs(body[2])))
-    first, last = model.segments.first, model.segments.last
-    return np.asarray(way[last] - way[first]), np.asarray(rotation[last] - rotation[first])
+    turn = np.abs(body[2])
+    return model.segments.between(np.hypot(body[0], body[1]) + 0.1 * turn), model.segments.between(turn)
 
 
 def _rms(residuals: FloatArray) -> float:

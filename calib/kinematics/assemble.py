@@ -110,7 +110,7 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
 
 
 def _estimates(fitted: Fitted) -> tuple[tuple[Estimate, ...], FloatArray]:
-    """Return the estimates and their covariance; a right radius that the held mean left comes back as one of them."""
+    """Return the estimates and their covariance; where the mean radius is held, both radii are among them."""
     from scipy.special import stdtrit
 
     parameters, uncertainty = fitted.parameters, fitted.clustering.uncertainty
@@ -148,7 +148,7 @@ def _estimates(fitted: Fitted) -> tuple[tuple[Estimate, ...], FloatArray]:
 
 
 def _gyro_alone(fitted: Fitted) -> bool:
-    """Return whether turns rest on a gyro whose scale nothing else tells."""
+    """Return whether a gyro of undetermined scale alone measured the turns."""
     return bool(fitted.model.segments.gyro.any()) and GYRO_SCALE in fitted.dropped
 
 
@@ -174,7 +174,7 @@ def _outliers(model: Model, solution: Solution) -> tuple[str, ...]:
 
 
 def _notes(fitted: Fitted) -> tuple[str, ...]:
-    """Return what the user of a geometry should know beside its numbers, in sentences."""
+    """Return notes on the estimates, in sentences."""
     recording, clustering = fitted.model.recording, fitted.clustering
     notes = []
     name, n = clustering.name, clustering.uncertainty.clusters

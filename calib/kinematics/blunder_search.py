@@ -1,8 +1,8 @@
-"""Blunders found by trial: each is a reading of the recording, and the one that explains the data is named.
+"""Search for blunders: each hypothesis corrects the recording, and the one that explains the data is named.
 
-A reading changes what was recorded (other units, axes, columns, wraps), and the vehicle's parameters are fitted again
-within what is plausible. A blunder is named only where its reading leaves a small part of what the recording as it
-stands leaves, relative to the distance travelled, so that no unit makes residuals small by itself.
+A hypothesis (other units, axes, columns, wraps) changes the recording, and the vehicle's parameters are fitted again
+within plausible bounds. Residuals are compared relative to the distance travelled, so that no unit makes them small by
+itself; a blunder is named only where its correction leaves a small part of the uncorrected residuals.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from calib.errors import CalibError
-from calib.kinematics.adequacy import FEW_OUTLIERS
+from calib.kinematics.adequacy import FEW_OUTLIERS, travelled
 from calib.kinematics.blunders import Fault
-from calib.kinematics.drives import SENSOR, Drive, Parameters, sensor_parameters
+from calib.kinematics.drives import Drive, Parameters, first_scales, parameters_of
 from calib.kinematics.joint_fit import drive_of
 from calib.kinematics.model import Model
 from calib.kinematics.recording import Recording
 from calib.kinematics.segments import Segments
 from calib.kinematics.solve import solve
-from calib.types import FloatArray
+from calib.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign
@@ -47,8 +47,6 @@ PLAUSIBLE_CHANGE: Final = 0.2
 LEAST_TURN_RAD: Final = 0.2
 #: axes turned by less are a sensor's mounting, which is estimated
 LEAST_ANGLE_RAD: Final = 0.02
-#: random walks of heading and distance per metre, to weigh residuals by
-WALKS: Final = (2.5e-7, 2.5e-7)
 #: widths of counters in use, bits
 COUNTER_BITS: Final = (8, 10, 12, 13, 14, 16, 24, 32)
 
@@ -75,7 +73,7 @@ Divide = Callable[["Campaign", Recording], Segments]
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """Another reading of a recording, and the blunder that it corrects."""
+    """A hypothesis: a change of the recording, and the blunder that it corrects."""
 
     blunder: Fault
     change: Change
@@ -87,7 +85,7 @@ class Reading:
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """What a reading leaves, and whether it is plausible."""
+    """Residuals under a hypothesis, and whether it is plausible."""
 
     #: residual, root mean square, as a share of the distance and rotation
     share: float
@@ -139,23 +137,19 @@ def find_blunder(
 
 
 def _tried(campaign: Campaign, recording: Recording, drive: Drive, divide: Divide) -> Trial:
-    """Return what a fit of the drive's parameters leaves of a recording."""
-    reference = campaign.reference
-    place = sensor_parameters(reference.sensor_x_m, reference.sensor_y_m, reference.sensor_yaw_rad)
-    parameters = Parameters.of((*drive.parameters, *place), [item.name for item in drive.parameters])
-    scales = np.array([reference.sigma_xy_m**2, reference.sigma_theta_rad**2, *WALKS])
+    """Return the residuals of a fit of the drive's parameters to a recording."""
+    items = parameters_of(drive, campaign.reference)
+    parameters = Parameters.of(items, [item.name for item in drive.parameters])
     try:
         segments = divide(campaign, recording)
         model = Model(drive, recording, segments)
         with np.errstate(all="ignore"):
+            scales = first_scales(campaign.reference)
             values = solve(model, parameters, parameters.nominal, scales, TRIAL_ROUNDS).values
             residuals = model.predict(values).residuals
-            body = drive.motion(values[: -len(SENSOR)], recording.steps).body
+            path, rotation = travelled(model, values)
     except (CalibError, np.linalg.LinAlgError, ValueError):
         return Trial(np.inf, False, 0.0)
-    path, rotation = (
-        _between(np.abs(part), segments) for part in (np.hypot(body[0], body[1]) + 0.1 * np.abs(body[2]), body[2])
-    )
     share = np.square(np.hypot(residuals[:, 0], residuals[:, 1]) / np.maximum(path, 1e-9))
     share += np.square(residuals[:, 2] / (rotation + LEAST_TURN_RAD))
     change = np.array(
@@ -179,11 +173,6 @@ def _trimmed(squares: FloatArray) -> float:
         return np.inf
     kept = len(squares) - max(1, int(FEW_OUTLIERS * len(squares)))
     return float(np.sqrt(np.mean(np.sort(squares)[: max(kept, 1)])))
-
-
-def _between(values: FloatArray, segments: Segments) -> FloatArray:
-    total = np.cumsum(values)
-    return np.asarray(total[segments.last] - total[segments.first])
 
 
 def _readings(recording: Recording, per_rev: float, drive: Drive, turned_rad: float) -> Iterator[Reading]:
@@ -281,10 +270,7 @@ def _wheel_units(per_rev: float, drive: Drive) -> Iterator[Reading]:
     radius = next(item.nominal for item in drive.parameters if "radius" in item.name)
     units = {"radians": per_rev / (2.0 * np.pi), "degrees": per_rev / 360.0, "turns": per_rev}
     units |= {"metres": per_rev / (2.0 * np.pi * radius), "millimetres": 1e-3 * per_rev / (2.0 * np.pi * radius)}
-    two = sum(item.name.startswith("radius_") for item in drive.parameters) == 2
-    sides = {"both wheels": np.ones(2, dtype=np.bool_), "the left wheel": np.array([True, False])}
-    sides |= {"the right wheel": np.array([False, True])}
-    for side, which in (sides if two else {"the wheels": np.ones(1, dtype=np.bool_)}).items():
+    for side, which in _sides(sum(item.name.startswith("radius_") for item in drive.parameters)):
         for unit, factor in units.items():
             text = f"counts of {side}: found {unit} where encoder counts are expected; map the column with its unit"
             yield Reading(Fault("count_unit", text), _turned(np.where(which, factor, 1.0)))
@@ -293,6 +279,14 @@ def _wheel_units(per_rev: float, drive: Drive) -> Iterator[Reading]:
             code = "radius_factor" if which.all() else "counts_per_rev"
             text += ", or the radius (a diameter?)" if which.all() else ""
             yield Reading(Fault(code, text), _turned(np.where(which, 1.0 / factor, 1.0)))
+
+
+def _sides(n_wheels: int) -> list[tuple[str, BoolArray]]:
+    """Return sets of wheels with their names: all; of two wheels each by itself, too."""
+    if n_wheels != 2:
+        return [("the wheels", np.ones(1, dtype=np.bool_))]
+    both = np.ones(2, dtype=np.bool_)
+    return [("both wheels", both), ("the left wheel", both & [True, False]), ("the right wheel", both & [False, True])]
 
 
 def _wraps(recording: Recording, per_rev: float) -> Iterator[Reading]:
@@ -316,13 +310,9 @@ def _wraps(recording: Recording, per_rev: float) -> Iterator[Reading]:
 
 def _increments(recording: Recording) -> Iterator[Reading]:
     """Yield counts that are increments since the sample before."""
-    n_wheels = len(recording.steps.turned_rad)
-    all_wheels = np.ones(n_wheels, dtype=np.bool_)
-    single = [np.arange(n_wheels) == at for at in range(n_wheels)] if n_wheels == 2 else []
-    for which in (all_wheels, *single):
-        side = "the wheels" if which.all() else ("the left wheel" if which[0] else "the right wheel")
+    for side, which in _sides(len(recording.steps.turned_rad)):
 
-        def summed(recording: Recording, which: FloatArray = which) -> Recording:
+        def summed(recording: Recording, which: BoolArray = which) -> Recording:
             turned = recording.steps.turned_rad
             total = np.cumsum(turned, axis=1)
             start = np.repeat(total[:, recording.offsets[:-1]], np.diff(recording.offsets), axis=1)

@@ -58,7 +58,7 @@ def rear_faults(recording: Recording, segments: Segments) -> tuple[Recording, tu
     The heading turns with the right wheel and against the left one. Where the regression says otherwise beyond doubt,
     columns are swapped or a counter runs backwards.
     """
-    turned = _between(recording.steps.turned_rad, segments)
+    turned = segments.between(recording.steps.turned_rad)
     good, seen = segments.seen[:, 2], segments.seen[:, 0]
     slopes = _regression(turned[:, good], segments.measured[good, 2])
     if slopes is None or slopes[0] < 0.0 < slopes[1]:
@@ -77,11 +77,6 @@ def rear_faults(recording: Recording, segments: Segments) -> tuple[Recording, tu
         code, text = "swapped_wheels", "the wheels are swapped; exchange the columns counts_left and counts_right"
         corrected = (right, left)
     return recording.with_turned(np.stack(corrected)), (Fault(code, text),)
-
-
-def _between(turned: FloatArray, segments: Segments) -> FloatArray:
-    total = np.cumsum(turned, axis=1)
-    return np.asarray(total[:, segments.last] - total[:, segments.first])
 
 
 def _regression(turned: FloatArray, heading: FloatArray) -> tuple[float, float] | None:
@@ -111,12 +106,12 @@ def front_faults(recording: Recording, segments: Segments) -> tuple[Recording, t
     if steer is None:
         return recording, ()
     phi = steps.turned_rad[0]
-    ahead = _between((phi * np.cos(steer))[None], segments)[0]
+    ahead = segments.between(phi * np.cos(steer))
     seen = segments.seen.all(axis=1)
     if float(np.sum(ahead[seen] * _chord_sense(segments.measured[seen]))) < 0.0:
         faults.append(Fault("reversed_front", "the front counter runs backwards; correct its sign"))
         steps = replace(steps, turned_rad=-steps.turned_rad)
-    aside = _between((steps.turned_rad[0] * np.sin(steer))[None], segments)[0]
+    aside = segments.between(steps.turned_rad[0] * np.sin(steer))
     if float(np.sum(aside[seen] * segments.measured[seen, 2])) < 0.0:
         faults.append(Fault("reversed_steering", "the steering angle has the other sign; left turns are positive"))
         steps = replace(steps, steer_rad=-steer)

@@ -1,4 +1,4 @@
-"""Whether recordings lag by different delays, and by which."""
+"""Delays of the reference by recording, where one common delay does not fit."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ FEWEST_BLOCKS: Final = 4
 
 @dataclass(frozen=True, slots=True)
 class Delay:
-    """By how much the reference's stamps lag in one session, or in one run where there is one session."""
+    """Delay of the reference's stamps in one session, or in one run where there is one session."""
 
     label: str = field(metadata={"json": "recording"})
     value_s: float = field(metadata={"json": "value"})
@@ -33,10 +33,10 @@ class Delay:
 
 
 def sought_delays(model: Model, solution: Solution, parameters: Parameters) -> FloatArray:
-    """Return what each run's delay adds to the common one, shape (n_runs,), by a search over the delay alone.
+    """Return the difference of each run's delay from the common one, shape (n_runs,), by a grid search.
 
-    A recording that lags by another delay than most looks like a failure throughout, and hardly pulls: it has to be
-    sought. Nothing is added where each recording is met best by about the common delay.
+    The robust fit treats a recording with another delay as an outlier, so that the gradient does not find its delay.
+    Zero where the common delay fits each recording best.
 
     `model`: with windows; `solution`: of the joint fit; `parameters`: the delay is the last of them.
     """
@@ -59,7 +59,7 @@ def sought_delays(model: Model, solution: Solution, parameters: Parameters) -> F
 
 
 def own_delays(model: Model, solution: Solution, parameters: Parameters) -> tuple[tuple[Delay, ...], FloatArray]:
-    """Return the delay of each recording, and of each run what it adds to the common one; nothing where one will do.
+    """Return the delay of each recording, and each run's difference from the common one; none where one fits all.
 
     `model`: with windows; its recording knows what the delay of each run was taken to add so far; `solution`: of the
     joint fit; `parameters`: the delay is the last of them. Returns `delays`: in the order driven; empty where the

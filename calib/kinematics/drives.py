@@ -8,6 +8,7 @@ from typing import Final, Protocol
 
 import numpy as np
 
+from calib.campaign.settings import Reference
 from calib.types import FloatArray, IntArray
 
 #: factor on the true turn that a gyro measures
@@ -19,6 +20,9 @@ SENSOR: Final = (GYRO_SCALE, "sensor_x_m", "sensor_y_m", "sensor_yaw_rad", "dela
 UNMOVED_SENSOR: Final = (1.0, 0.0, 0.0, 0.0, 0.0)
 #: scale of a gyro of moderate price as its maker states it
 GYRO_SCALE_STD: Final = 0.01
+
+#: random walks of heading and distance to begin with, per metre
+WALKS: Final = (2.5e-7, 2.5e-7)
 
 #: how far a lever arm, an angle and a delay may be from what the settings say
 SENSOR_STD: Final = {
@@ -84,10 +88,16 @@ class Parameters:
         return Parameters.of(self.items, (name for name in self.free_names if name not in held))
 
 
-def sensor_parameters(x_m: float, y_m: float, yaw_rad: float) -> tuple[Parameter, ...]:
-    """Return the parameters of the reference's sensor, centred on what the settings say of it."""
-    nominal = dict(zip(SENSOR, (1.0, x_m, y_m, yaw_rad, 0.0), strict=True))
-    return tuple(Parameter(name, nominal[name], SENSOR_STD[name]) for name in SENSOR)
+def parameters_of(drive: Drive, reference: Reference) -> tuple[Parameter, ...]:
+    """Return the parameters of a drive, then those of the reference's sensor at its stated place."""
+    place = (1.0, reference.sensor_x_m, reference.sensor_y_m, reference.sensor_yaw_rad, 0.0)
+    rows = zip(SENSOR, place, strict=True)
+    return (*drive.parameters, *(Parameter(name, nominal, SENSOR_STD[name]) for name, nominal in rows))
+
+
+def first_scales(reference: Reference) -> FloatArray:
+    """Return the variances of the noise's components to begin with, in the order of `calib.kinematics.solve`."""
+    return np.array([reference.sigma_xy_m**2, reference.sigma_theta_rad**2, *WALKS])
 
 
 def nominal_values(drive: Drive) -> FloatArray:

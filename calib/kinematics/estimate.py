@@ -1,4 +1,4 @@
-"""From a campaign to its geometry."""
+"""Estimation of a campaign's geometry: choice of segments, blunders, delays and sensor, and held-out runs."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def estimate_geometry(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Task:
-    """What is to be estimated, and how."""
+    """Settings of an estimation."""
 
     campaign: Campaign
     source: str
@@ -174,7 +174,7 @@ def _with_sensor(task: _Task, recording: Recording, end_heading_rms_rad: float) 
 
 
 def _bends(fitted: Fitted) -> bool:
-    """Return whether headings in the longest windows are off by more than places bear with: finer windows then tell."""
+    """Return whether heading residuals in the longest windows are too large for a linear model of positions."""
     segments = fitted.model.segments
     longest = (segments.level == 0) & segments.seen[:, 2]
     rest = fitted.model.predict(fitted.solution.values).residuals[longest, 2]
@@ -182,7 +182,7 @@ def _bends(fitted: Fitted) -> bool:
 
 
 def _with_own_delays(campaign: Campaign, common: Fitted, sensor: bool) -> tuple[Fitted, tuple[Delay, ...]]:
-    """Return the estimate with a delay for each recording, where one for all will not do, and these delays."""
+    """Return the estimate with a delay for each recording, where one common delay does not fit, and these delays."""
     fitted = common
     delays: tuple[Delay, ...] = ()
     added = sought_delays(common.model, common.solution, common.parameters)

@@ -1,4 +1,4 @@
-"""The parameters that the data determine, found together; those that they do not are held at nominal and named."""
+"""Joint estimation of the parameters that the data determine; the others are held at nominal and named."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ from calib.kinematics.drives import (
     MeanHeld,
     Mecanum,
     Parameters,
-    sensor_parameters,
+    first_scales,
+    parameters_of,
 )
 from calib.kinematics.model import Model, rear_shaft
 from calib.kinematics.recording import Recording
@@ -86,8 +87,6 @@ def _directions(solution: Solution, parameters: Parameters) -> tuple[FloatArray,
     return singular, directions
 
 
-#: random walks of heading and distance to begin with, per metre
-WALKS: Final = (2.5e-7, 2.5e-7)
 #: a delay is sought where samples are at most so far apart
 LONGEST_STEP_S: Final = 0.25
 #: loads that vary by less than this part of their mean say nothing of a slope
@@ -96,7 +95,7 @@ LOADS_VARY: Final = 0.05
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fitted:
-    """One estimate with what stands behind it."""
+    """A fit: model, parameters, solution and covariance."""
 
     model: Model
     parameters: Parameters
@@ -112,7 +111,7 @@ class Fitted:
         std = self.parameters.prior_std.copy()
         std[free] = self.clustering.uncertainty.apart
         if isinstance(self.model.drive, MeanHeld):
-            # what is held is no better known for that
+            # holding the mean does not improve the knowledge of it
             std[:n_drive] = np.hypot(std[:n_drive], NOMINAL_STD * self.solution.values[:n_drive])
         return float(np.mean(np.log(std[:n_drive] / self.parameters.prior_std[:n_drive])))
 
@@ -155,9 +154,6 @@ def fit_parameters(
 
     `sensor`: estimate the pose of the reference's sensor and its delay, too; `start`: a fit to begin from.
     """
-    reference = campaign.reference
-    place = sensor_parameters(reference.sensor_x_m, reference.sensor_y_m, reference.sensor_yaw_rad)
-    items = (*drive.parameters, *place)
     free = [item.name for item in drive.parameters]
     dropped: list[str] = []
     if segments.gyro.any():
@@ -167,9 +163,8 @@ def fit_parameters(
         if float(np.median(np.diff(recording.t_s))) > LONGEST_STEP_S:
             free.remove("delay_s")
             dropped.append("delay_s")
-    parameters = Parameters.of(items, free)
+    parameters = Parameters.of(parameters_of(drive, campaign.reference), free)
     model = Model(drive, recording, segments)
-    scales = np.array([reference.sigma_xy_m**2, reference.sigma_theta_rad**2, *WALKS])
     values = parameters.nominal
     if start is not None and start.model.drive == drive:
         values = np.where(parameters.free, start.solution.values, values)
@@ -179,7 +174,7 @@ def fit_parameters(
                 f"geometry of {campaign.name!r}: found nothing that these runs determine; expected runs with turns and "
                 "straights and a reference of their end poses; drive squares both ways"
             )
-        solution = solve(model, parameters, values, scales)
+        solution = solve(model, parameters, values, first_scales(campaign.reference))
         loose = weakest(solution, parameters)
         wheels = drive if isinstance(drive, Differential) and not drive.slopes and parameters.free[:3].all() else None
         if loose is not None and wheels is not None and scale_is_weakest(solution, parameters):

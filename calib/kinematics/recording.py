@@ -49,8 +49,8 @@ class Recording:
     steps: Steps
     #: pose by the reference at the samples, heading not wrapped; NaN where it has none, shape (3, n_samples)
     reference: FloatArray
-    #: end pose against the start by the reference; NaN where it was not measured. Of a straight run whose length alone
-    #: was measured, that is the way ahead, shape (n_runs, 3)
+    #: end pose relative to the start by the reference; NaN where it was not measured. A straight run of measured length
+    #: has x alone, shape (n_runs, 3)
     end_pose: FloatArray
     #: runs whose turn a gyro measured, shape (n_runs,)
     by_gyro: BoolArray
@@ -260,7 +260,7 @@ def _end_counts(campaign: Campaign, row: int, source: str, per_rev: FloatArray, 
 
 
 def _straight_end(campaign: Campaign, row: int, source: str, turned_rad: FloatArray) -> FloatArray:
-    """Return the way ahead of a straight run by its measured length, nothing said of the rest; NaN for other runs.
+    """Return the end pose of a straight run whose length alone was measured: x, the others NaN; NaN of other runs.
 
     `campaign`: its row says a ``distance_m`` where one was measured; `row`: number of the run; `source`: only two
     wheels on one axle tell by themselves whether a run was straight; `turned_rad` (shape (2,)): angle that each wheel

@@ -42,6 +42,11 @@ class Segments:
         """Return whether the stretches are whole runs."""
         return bool(np.array_equal(self.first, recording.offsets[self.run]))
 
+    def between(self, values: FloatArray) -> FloatArray:
+        """Return the sums over each stretch of values of the steps, shape (..., n_samples) in, (..., n) out."""
+        total = np.cumsum(values, axis=-1)
+        return np.asarray(total[..., self.last] - total[..., self.first])
+
     def select(self, keep: BoolArray) -> Segments:
         """Return the stretches that `keep` picks."""
         return Segments(*(getattr(self, column.name)[keep] for column in fields(self)))

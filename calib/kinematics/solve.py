@@ -1,4 +1,4 @@
-"""Robust Gauss-Newton with noise that grows along the path: the components of the covariance, and the solution."""
+"""Robust Gauss-Newton with noise that grows along the path: variance components, and the solution."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from calib.types import BoolArray, FloatArray, IntArray
 COMPONENTS: Final = ("reference_xy", "reference_theta", "heading_walk", "along_walk")
 #: how far below its stated size a component may fall
 LEAST: Final = 1e-4
-#: 0.5 would never lower the likelihood but creeps
+#: exponent of the step: 0.5 never lowers the likelihood but converges slowly
 POWER: Final = 0.9
 
 
@@ -56,12 +56,7 @@ def _walks(path: Path, body: FloatArray, segments: Segments) -> tuple[FloatArray
     x, y, theta = path.pose
     # a turn on the spot makes noise too: a radian counts as a metre of a hand's width
     weight = np.hypot(body[0], body[1]) + 0.1 * np.abs(body[2])
-    first, last = segments.first, segments.last
-
-    def between(values: FloatArray) -> FloatArray:
-        total = np.cumsum(values)
-        return np.asarray(total[last] - total[first])
-
+    first, last, between = segments.first, segments.last, segments.between
     zero = between(weight)
     dx, dy = x[last] - x[first], y[last] - y[first]
     # moments about the start of each stretch, in two steps so that nothing large cancels
@@ -128,7 +123,7 @@ LONGEST: Final = 3.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """Where the search ended."""
+    """Result of the search."""
 
     #: all parameters; those not free at their nominal value, shape (n_parameters,)
     values: FloatArray
@@ -210,7 +205,7 @@ class _Linear:
 
 
 def _settle(problem: _Linear, whitener: FloatArray) -> tuple[FloatArray, float]:
-    """Return the step, in spreads, that the linear problem asks for at known noise, and its length in sigmas."""
+    """Return the solution of the linear problem at known noise, in prior spreads, and its length in sigmas."""
     step = np.zeros(problem.jacobian.shape[2])
     jacobian = whitener @ problem.jacobian
     residuals = np.einsum("nij,nj->ni", whitener, problem.residuals)
@@ -233,7 +228,7 @@ def _weighted(jacobian: FloatArray, residuals: FloatArray, weights: FloatArray) 
 
 
 def _noise(problem: _Linear, kernel: FloatArray, scales: FloatArray, least: FloatArray) -> FloatArray:
-    """Return the noise's variances that the linear problem asks for, together with its step."""
+    """Return the variances of the noise's components, estimated together with the linear problem's step."""
     step = np.zeros(problem.jacobian.shape[2])
     for _ in range(INNER):
         inverse, whitener = _inverse(kernel, scales, problem.seen)
@@ -258,7 +253,7 @@ def _kernel(model: Model, prediction: Prediction, values: FloatArray) -> FloatAr
 
 
 def _inverse(kernel: FloatArray, scales: FloatArray, seen: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """Return inverse covariances and what whitens."""
+    """Return inverse covariances and whitening matrices."""
     root = np.linalg.cholesky(covariances(kernel, scales, seen))
     whitener = _inverse_of_triangles(np.asarray(root, dtype=np.float64))
     return whitener.transpose(0, 2, 1) @ whitener, whitener
@@ -297,7 +292,7 @@ def _advance(
     prior: FloatArray,
     loss: Callable[[Prediction], float],
 ) -> tuple[FloatArray, Prediction, bool]:
-    """Go as far along `step` as lowers the loss; return also whether that was anywhere."""
+    """Return the point along `step` that lowers the loss, by backtracking, and whether there is one."""
     values, prediction = here
     # a step of nothing is as long as it may be
     longest = max(float(np.max(np.abs(step / prior))), LONGEST)
@@ -312,7 +307,7 @@ def _advance(
 
 
 def _centred(squares: FloatArray, size: IntArray) -> FloatArray:
-    """Return squares rescaled so that half of them lie below the median of chi squared."""
+    """Return squares scaled such that their median is that of chi squared."""
     from scipy.special import chdtri
 
     expected = chdtri(np.maximum(size, 1), 0.5)

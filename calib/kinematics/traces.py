@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calib.kinematics.drives import SENSOR, sensor_parameters
+from calib.kinematics.drives import SENSOR, parameters_of
 from calib.kinematics.estimate import corrected_recording
 from calib.kinematics.joint_fit import drive_of
 from calib.kinematics.model import Model
@@ -27,8 +27,7 @@ def traces_of(campaign: Campaign, geometry: Geometry) -> tuple[RunTrace, ...]:
     """
     recording, _ = corrected_recording(campaign, geometry.source)
     drive = drive_of(campaign, geometry.source, recording)
-    place = campaign.reference
-    items = (*drive.parameters, *sensor_parameters(place.sensor_x_m, place.sensor_y_m, place.sensor_yaw_rad))
+    items = parameters_of(drive, campaign.reference)
     nominal = np.array([item.nominal for item in items])
     calibrated = np.array([geometry.values.get(item.name, item.nominal) for item in items])
     own_delay = {delay.label: delay.value_s - calibrated[-1] for delay in geometry.delays}

@@ -15,7 +15,7 @@ from calib.kinematics.segments import Segments
 from calib.kinematics.solve import DEGREES, Solution
 from calib.types import BoolArray, FloatArray, IntArray, StrArray
 
-#: a length that turns show only beside a radius -> these radii, of which the mean counts
+#: a length that turns determine relative to a radius -> these radii, of which the mean counts
 _BESIDE: Final[Mapping[str, tuple[str, ...]]] = {
     "track_m": ("radius_left_m", "radius_right_m"),
     "wheelbase_m": ("front_radius_m",),
@@ -26,9 +26,9 @@ _WHEELS: Final = ("radius_left_m", "radius_right_m")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Freedom:
-    """How well the standard deviations themselves are known."""
+    """Degrees of freedom of the standard deviations."""
 
-    #: rows: sums of parameters that err independently of one another, about, shape (n_parameters, n_parameters)
+    #: rows: sums of parameters whose errors are nearly independent, shape (n_parameters, n_parameters)
     directions: FloatArray
     #: standard deviation of each, shape (n_parameters,)
     std: FloatArray
@@ -42,9 +42,9 @@ class Freedom:
 
 
 def own_directions(names: Sequence[str], values: FloatArray) -> FloatArray:
-    """Return what distances and turns show apart from one another: mean radius, ratios of radii and lengths.
+    """Return sums of parameters with separate sources of error: mean radius, ratios of radii and lengths.
 
-    What turns show, they show by headings, whose errors follow another law along the path than those of distances.
+    Distances determine the mean radius, headings the ratios; the two errors grow differently along the path.
 
     `values` (shape (n,)). Shape (n, n): a row a direction, of full rank.
     """
@@ -102,12 +102,12 @@ def level_at_zero(powers: FloatArray, squares: FloatArray, dof: float) -> tuple[
 
 
 def covariance_along(pulls: FloatArray, information: FloatArray, directions: FloatArray) -> tuple[FloatArray, Freedom]:
-    """Return the covariance of sums of parameters, and what is known of it.
+    """Return the covariance of sums of parameters, and its degrees of freedom.
 
     `pulls` (shape (n_blocks, n_parameters)): of each block, in the order driven, in columns in which all blocks
     together have unit information; `information` (shape (n_blocks, n_parameters, n_parameters)): of each block in the
     same columns; their sum is the identity; `directions` (shape (n_parameters, n_parameters)): rows: sums of parameters
-    that err for reasons of their own, in the same columns. Returns `covariance` (shape (n_parameters, n_parameters)):
+    with separate sources of error, in the same columns. Returns `covariance` (shape (n_parameters, n_parameters)):
     of the directions; `freedom`: standard deviations of the directions, and their degrees of freedom.
     """
     waves, squares = _cosines(len(pulls))
@@ -146,10 +146,9 @@ class Uncertainty:
     covariance: FloatArray
     #: degrees of freedom of each standard deviation, shape (n_free,)
     dof: FloatArray
-    #: groups whose noise was taken for independent, or shared with neighbours
+    #: number of groups
     clusters: int
-    #: standard deviations as if no group shared anything: less right, but steadier, to compare estimates by, shape
-    #: (n_free,)
+    #: standard deviations with all groups independent: biased but steadier, to compare estimates by, shape (n_free,)
     apart: FloatArray
     #: degrees of freedom of sums of parameters, where these are known
     freedom: Freedom | None = None
@@ -174,7 +173,7 @@ def whitened(solution: Solution, free: BoolArray) -> tuple[FloatArray, FloatArra
 
 
 def block_scores(solution: Solution, free: BoolArray, block: IntArray) -> FloatArray:
-    """Return the pull of each block on the parameters, in units of unit information, shape (n_blocks, n_free)."""
+    """Return the score of each block by the parameters, scaled to unit information, shape (n_blocks, n_free)."""
     jacobian, residuals = whitened(solution, free)
     scores = np.einsum("nip,ni->np", jacobian, residuals)
     total = np.stack([np.bincount(block, scores[:, at]) for at in range(scores.shape[1])], axis=1)
@@ -183,7 +182,7 @@ def block_scores(solution: Solution, free: BoolArray, block: IntArray) -> FloatA
 
 
 def _unit_columns(solution: Solution, free: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return Jacobian in columns of unit information, residuals, and what turns these columns into parameters."""
+    """Return Jacobian in columns of unit information, residuals, and the matrix and scale back to parameters."""
     jacobian, residuals = whitened(solution, free)
     flat = jacobian.reshape(-1, jacobian.shape[2])
     scale = 1.0 / np.sqrt(np.maximum(np.square(flat).sum(axis=0), 1e-300))
@@ -259,7 +258,7 @@ def _degrees(sizes: FloatArray, shares: FloatArray) -> FloatArray:
 
 
 def _influence(solution: Solution) -> float:
-    """Return by how much the weights overstate the information: mean weight over mean slope of the influence."""
+    """Return the factor by which the robust weights overstate the information: mean weight over mean slope."""
     size = np.maximum(solution.prediction.jacobian.any(axis=2).sum(axis=1), 1)
     squares = (DEGREES + size) / solution.weights - DEGREES
     slope = solution.weights * (1.0 - 2.0 * squares / (size * (DEGREES + squares)))
@@ -270,7 +269,7 @@ def _influence(solution: Solution) -> float:
 FEWEST: Final = 4
 #: so many runs are the groups to begin with; of fewer runs, blocks within them
 ENOUGH_RUNS: Final = 8
-#: standard deviations by which members of a group pull alike before the group counts as one
+#: standard deviations of the correlation of scores within a group from which on the group counts as one
 ALIKE: Final = 2.6
 
 
@@ -285,10 +284,10 @@ class Clustering:
 
 
 def clustered(solution: Solution, parameters: Parameters, recording: Recording, segments: Segments) -> Clustering:
-    """Return the covariance of the free parameters with groups as large as the residuals ask for.
+    """Return the covariance of the free parameters, clustered by run or block, session or route.
 
-    Runs of one session, or of one route, that pull the parameters alike beyond chance are one group each: what they
-    share does not average out over repeats. Of several such groupings the one with the widest intervals holds.
+    Runs of one session, or of one route, whose scores are correlated form one group each: a shared error does not
+    average out over repeats. Of several such groupings the one with the widest intervals is used.
 
     `solution`: of the robust fit.
     """
@@ -329,7 +328,7 @@ def _routes(recording: Recording) -> StrArray:
 
 
 def _alike(scores: FloatArray, group: IntArray) -> float:
-    """Return by how many standard deviations members of a group pull alike."""
+    """Return the correlation of scores within groups in standard deviations."""
     products = scores @ scores.T
     same = (group[:, None] == group[None, :]) & ~np.eye(len(group), dtype=np.bool_)
     spread = float(np.sqrt(np.square(products[same]).sum() / 2.0))

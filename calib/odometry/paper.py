@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +14,7 @@ import numpy.typing as npt
 from calib.errors import BadInputError
 from calib.limits import SIMULATED_POSES, refuse_more
 from calib.odometry.integrate import end_poses, integrate
-from calib.odometry.poses import COMPONENTS, POSE, PoseErrors, Poses, pose_errors
+from calib.odometry.poses import COMPONENTS, POSE, PoseErrors, Poses, pose_errors, rows_of
 from calib.odometry.routes import Route, find_route
 from calib.types import FloatArray
 
@@ -192,33 +192,21 @@ class Sweep:
     errors: PoseErrors  #: real minus route, shape (n_cases, n_points)
     corners: Poses  #: real poses at the ends of the undivided segments, shape (n_cases, n_segments + 1)
 
-    def ends(self) -> list[dict[str, float | str]]:
+    def ends(self) -> list[dict[str, Any]]:
         """Return the numbers at the end of the route, one row a case."""
-        rows: list[dict[str, float | str]] = []
-        for number, case in enumerate(self.cases):
-            first, last = self.corners[number, 1], self.poses[number, -1]
-            row: dict[str, float | str] = {
-                "case": case.label,
-                "which": case.which,
-                "ratio": case.ratio,
-                "first_segment_m": math.hypot(float(first.x_m), float(first.y_m)),
-            }
-            row |= {f"end_{name}": float(getattr(last, name)) for name in POSE}
-            rows.append(row | {f"error_{name}": float(values[number, -1]) for name, values in self._errors().items()})
-        return rows
+        columns = {"first_segment_m": np.hypot(self.corners.x_m[:, 1], self.corners.y_m[:, 1])}
+        columns |= {f"end_{name}": getattr(self.poses, name)[:, -1] for name in POSE}
+        columns |= {f"error_{name}": getattr(self.errors, name)[:, -1] for name in (*COMPONENTS, "distance_m")}
+        rows = zip(self.cases, rows_of(columns), strict=True)
+        return [{"case": case.label, "which": case.which, "ratio": case.ratio} | row for case, row in rows]
 
-    def _errors(self) -> dict[str, FloatArray]:
-        return {name: getattr(self.errors, name) for name in (*COMPONENTS, "distance_m")}
-
-    def along(self) -> list[dict[str, float | str]]:
+    def along(self) -> list[dict[str, Any]]:
         """Return poses and errors along the route, one row a case and point."""
-        columns = {name: getattr(self.poses, name) for name in POSE}
-        columns |= {f"error_{name}": getattr(self.errors, name) for name in COMPONENTS}
-        rows: list[dict[str, float | str]] = []
+        rows = []
         for number, case in enumerate(self.cases):
-            values = np.stack([self.distance_m, *(column[number] for column in columns.values())], axis=1).tolist()
-            named: dict[str, float | str] = {"which": case.which, "ratio": case.ratio}
-            rows += [named | dict(zip(("distance_m", *columns), row, strict=True)) for row in values]
+            columns = {"distance_m": self.distance_m} | {name: getattr(self.poses, name)[number] for name in POSE}
+            columns |= {f"error_{name}": getattr(self.errors, name)[number] for name in COMPONENTS}
+            rows += [{"which": case.which, "ratio": case.ratio} | row for row in rows_of(columns)]
         return rows
 
     def largest_m(self) -> float:

@@ -320,20 +320,11 @@ def critical_value(share: npt.ArrayLike, dof_between: float, dof_within: float, 
 
 
 def equivalent_dof(critical: npt.ArrayLike, coverage: float) -> FloatArray:
-    """Return the degrees of freedom whose Student's t is `critical`, by bisection on their reciprocal.
+    """Return the degrees of freedom whose Student's t is `critical`, 1 to 1e6; `coverage`: that of the interval."""
+    from scipy.special import stdtridf
 
-    `critical`: critical values; `coverage`: their coverage. At most 1e6.
-    """
-    from scipy.special import stdtrit
-
-    target = np.asarray(critical, dtype=np.float64)
-    low, high = np.full(target.shape, 1e-6), np.full(target.shape, 1.0)
-    # 50 halvings: relative 1e-15
-    for _ in range(50):
-        middle = 0.5 * (low + high)
-        above = stdtrit(1 / middle, 0.5 + coverage / 2) > target
-        low, high = np.where(above, low, middle), np.where(above, middle, high)
-    return np.asarray(2 / (low + high))
+    dof = stdtridf(0.5 + coverage / 2, np.asarray(critical, dtype=np.float64))
+    return np.asarray(np.clip(np.nan_to_num(dof, nan=LARGEST_DOF), 1.0, LARGEST_DOF))
 
 
 def _nodes(dof: float) -> FloatArray:
