@@ -68,6 +68,12 @@ class Interval:
     linear: tuple[float, float]  #: by linear propagation with Student's t
     monte_carlo: tuple[float, float]  #: the 2.5 and 97.5 % quantiles of the draws
 
+    @staticmethod
+    def of(value: float, half_width: float, drawn: FloatArray) -> Interval:
+        """Return the intervals of a value by its half width and by draws (n,)."""
+        low, high = np.quantile(drawn, [0.025, 0.975])
+        return Interval(value, (value - half_width, value + half_width), (float(low), float(high)))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Journey:
@@ -139,12 +145,8 @@ def law_journey(
     wheels = (law.left, law.right)
     dof = [wheel.dof for wheel in wheels]
     mean = [float(wheel.radius_m(load)) for wheel, load in zip(wheels, loads_N, strict=True)]
-    std = np.array(
-        [
-            wheel.mean_std_m(load) if band == "mean" else wheel.prediction_std_m(load)
-            for wheel, load in zip(wheels, loads_N, strict=True)
-        ]
-    )
+    bands = [(wheel.mean_std_m, wheel.prediction_std_m)[BANDS.index(band)] for wheel in wheels]
+    std = np.array([at(load) for at, load in zip(bands, loads_N, strict=True)])
     # a radius whose standard uncertainty was itself estimated follows Student's t
     scale = np.stack([np.sqrt(d / rng.chisquare(d, draws)) for d in dof])
     radii = np.array(mean)[:, None] + std[:, None] * scale * rng.standard_normal((2, draws))
@@ -165,9 +167,8 @@ def law_journey(
         square[name] = float(centre.distance_m[0]) ** 2 + by_wheel @ spread
         intervals[name] = {}
         for component, scales in zip(COMPONENTS, np.abs(slopes) * std, strict=True):
-            value, half = float(getattr(centre, component)[0]), _half_width(scales, dof)
-            low, high = np.quantile(getattr(errors, component), [0.025, 0.975])
-            intervals[name][component] = Interval(value, (value - half, value + half), (float(low), float(high)))
+            value, drawn = float(getattr(centre, component)[0]), getattr(errors, component)
+            intervals[name][component] = Interval.of(value, _half_width(scales, dof), drawn)
     ratios = np.sqrt(square["without"] / square["corrected"])
     ratio_low, ratio_high = np.quantile(ratios[1:], [0.025, 0.975])
     each = np.quantile(distance["without"] / np.maximum(distance["corrected"], 1e-15), [0.025, 0.5, 0.975])
