@@ -163,8 +163,7 @@ def law_journey(
         distance[name] = errors.distance_m
         # squared distance to the end, expected for a given scatter: at the fit's, and at each draw's
         by_wheel = (slopes[3:] ** 2).sum(axis=0) * std**2
-        spread = np.column_stack([np.ones(2), scale]) ** 2
-        square[name] = float(centre.distance_m[0]) ** 2 + by_wheel @ spread
+        square[name] = float(centre.distance_m[0]) ** 2 + by_wheel @ np.column_stack([np.ones(2), scale]) ** 2
         intervals[name] = {}
         for component, scales in zip(COMPONENTS, np.abs(slopes) * std, strict=True):
             value, drawn = float(getattr(centre, component)[0]), getattr(errors, component)
