@@ -18,8 +18,8 @@ import numpy.typing as npt
 
 from calib.campaign.settings import Encoder, OdometryModel
 from calib.errors import BadInputError
-from calib.odometry.numba_loop import compiled_fill, is_installed
-from calib.odometry.poses import Poses
+from calib.odometry.numba_loop import is_installed, machine_code
+from calib.odometry.poses import Poses, sinc
 from calib.radius.law import RadiusLaw
 from calib.types import FloatArray, IntArray
 
@@ -37,11 +37,6 @@ MANY_STEPS: Final = 1_000_000
 
 #: half turn up to which two terms of the series of sin(u) / u hold to 2e-16
 _SMALL_RAD: Final = 0.01
-
-
-def sinc(u: npt.ArrayLike) -> FloatArray:
-    """Return sin(u) / u, 1 at 0; any shape, u in rad: the ratio of chord to arc for a turn of 2 u."""
-    return np.asarray(np.sinc(np.asarray(u, dtype=np.float64) / np.pi))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -173,6 +168,12 @@ def _fill(flat: Flat, x: FloatArray, y: FloatArray, theta: FloatArray, *, scheme
         _running(share * tangent, begins, pose[1], y[steps])
 
 
+def _fill_compiled(flat: Flat, x: FloatArray, y: FloatArray, theta: FloatArray) -> None:
+    """Write the poses after steps laid flat, exact arcs, in machine code."""
+    pose = np.ascontiguousarray(flat.pose[:, flat.runs])
+    machine_code()((flat.left, flat.right), flat.per_m, flat.starts, pose, (x, y, theta))
+
+
 def _chord_ratio(half: FloatArray) -> FloatArray:
     """Return the ratio of chord to arc for turns of 2 `half` (n,), by its series where all are small."""
     square = half * half
@@ -252,7 +253,7 @@ def integrate(
         compiled = n >= MANY_STEPS and is_installed()
     if threads is None:
         threads = 2 if n >= MANY_STEPS and (os.cpu_count() or 1) > 1 else 1
-    fill = compiled_fill if compiled and scheme == "exact" else partial(_fill, scheme=scheme)
+    fill = _fill_compiled if compiled and scheme == "exact" else partial(_fill, scheme=scheme)
     halves = halved(flat) if threads == 2 else (flat,)
     middle = len(halves[0].left)
     x, y, theta = (part.reshape(n) for part in (out.x_m, out.y_m, out.theta_rad))

@@ -11,14 +11,11 @@ from collections.abc import Callable
 from functools import cache
 from importlib.util import find_spec
 from threading import Lock
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
 from calib.types import FloatArray
-
-if TYPE_CHECKING:
-    from calib.odometry.integrate import Flat
 
 #: steps at a time
 _COUNT: Final = 64
@@ -40,12 +37,10 @@ def is_installed() -> bool:
     return find_spec("numba") is not None
 
 
-def compiled_fill(flat: Flat, x: FloatArray, y: FloatArray, theta: FloatArray) -> None:
-    """Write the poses after steps laid flat, each an exact arc, in m and rad; other threads go on meanwhile."""
-    pose = np.ascontiguousarray(flat.pose[:, flat.runs])
+def machine_code() -> Callable[..., None]:
+    """Return `_loop` in machine code; it releases the interpreter's lock."""
     with _ONE_AT_A_TIME:
-        loop = _machine_code()
-    loop((flat.left, flat.right), flat.per_m, flat.starts, pose, (x, y, theta))
+        return _machine_code()
 
 
 @cache

@@ -13,8 +13,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from calib.odometry.integrate import sinc
-from calib.odometry.poses import Poses
+from calib.odometry.poses import Poses, sinc
 from calib.radius.law import JOINT, RadiusLaw
 from calib.types import FloatArray
 

@@ -80,6 +80,11 @@ class PoseErrors:
         return np.asarray(np.hypot(self.global_x_m, self.global_y_m))
 
 
+def sinc(u: npt.ArrayLike) -> FloatArray:
+    """Return sin(u) / u, 1 at 0; any shape, u in rad: the ratio of chord to arc for a turn of 2 u."""
+    return np.asarray(np.sinc(np.asarray(u, dtype=np.float64) / np.pi))
+
+
 def wrapped(angle_rad: npt.ArrayLike) -> FloatArray:
     """Return angles in (-pi, pi], same shape."""
     angle = np.asarray(angle_rad, dtype=np.float64)

@@ -14,8 +14,8 @@ import numpy.typing as npt
 from calib.campaign.settings_file import load_toml
 from calib.errors import BadFileError, BadInputError
 from calib.limits import ROUTE_POINTS, refuse_more
-from calib.odometry.integrate import integrate, sinc
-from calib.odometry.poses import Poses, read_tum
+from calib.odometry.integrate import integrate
+from calib.odometry.poses import Poses, read_tum, sinc
 from calib.types import FloatArray
 
 Segment = tuple[float, float]
