@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -206,10 +206,13 @@ def limited_beside(unexplained: Unexplained | None, causes: Sequence[Cause]) -> 
     """
     if unexplained is None or unexplained.share <= SMALL_SHARE:
         return list(causes)
+    return limited_to_even(causes, {cause.effect for cause in causes if cause.signal < unexplained.signal})
+
+
+def limited_to_even(causes: Sequence[Cause], doubtful: Collection[str]) -> list[Cause]:
+    """Return the causes; those of doubtful effects have even odds at most."""
     return [
-        replace(cause, probability=min(cause.probability, EVEN_PROBABILITY))
-        if cause.signal < unexplained.signal
-        else cause
+        replace(cause, probability=min(cause.probability, EVEN_PROBABILITY)) if cause.effect in doubtful else cause
         for cause in causes
     ]
 

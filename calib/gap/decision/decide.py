@@ -9,7 +9,15 @@ from typing import Final
 import numpy as np
 
 from calib.gap.decision import confounding
-from calib.gap.decision.causes import blunder_cause, causes_of, limited_beside, negligible, unexplained_of
+from calib.gap.decision.causes import (
+    blunder_cause,
+    causes_of,
+    limited_beside,
+    limited_to_even,
+    negligible,
+    unexplained_of,
+)
+from calib.gap.decision.constancy import size_differences
 from calib.gap.decision.diagnosis import (
     Diagnosis,
     Evidence,
@@ -23,6 +31,7 @@ from calib.gap.decision.sentences import (
     NAMED_PROBABILITY,
     SMALL_SHARE,
     blunder_sentence,
+    fails,
     hides_causes,
     kind_of,
     sentence,
@@ -48,6 +57,8 @@ def decide(evidence: Evidence) -> Diagnosis:
     causes = limited_beside(unexplained, causes_of(evidence, stated, certain, forms_open))
     small = negligible(causes)
     causes = [cause for cause in causes if certain[cause.effect] >= NAMED_PROBABILITY and cause.effect not in small]
+    differing = size_differences(evidence, causes)
+    causes = limited_to_even(causes, differing)
     stated |= {cause.effect: cause.probability for cause in causes if cause.effect in stated}
     closure, situation = evidence.held_out.closure, evidence.situation
     gap_probability = confounding.gap_probability(evidence)
@@ -59,7 +70,7 @@ def decide(evidence: Evidence) -> Diagnosis:
         gap_probability,
         causes,
         closure,
-        trials=evidence.trials,
+        incomplete=any(map(fails, evidence.trials)) or not large.isdisjoint(differing),
         unexplained_share=share,
         tied=any(len(group) > 1 and large.intersection(group) for group in groups),
         supported=evidence.noise.supported,
@@ -71,9 +82,9 @@ def decide(evidence: Evidence) -> Diagnosis:
         causes = [cause for cause in causes if cause.probability >= CERTAIN_PROBABILITY]
     names = {cause.effect for cause in causes}
     tied = [group for group in groups if len(group) > 1 and names.intersection(group)]
-    fix = fix_of(evidence, confounded, tied, causes, certain, unexplained, small)
+    fix = fix_of(evidence, confounded, tied, causes, certain, unexplained, small, differing)
     if (causes or situation.faults) and not fix.recommended:
-        fix = sure_part(evidence, tied, causes, certain, unexplained, fix)
+        fix = sure_part(evidence, tied, causes, certain, unexplained, fix, differing)
         causes = [cause for cause in causes if is_named_beside(cause, fix, certain)]
     diagnosis = Diagnosis(
         kind=_beside_blunder(kind) if situation.faults else kind,

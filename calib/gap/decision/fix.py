@@ -9,6 +9,7 @@ from math import prod
 import numpy as np
 
 from calib.gap.decision import confounding
+from calib.gap.decision.constancy import SizeDifference
 from calib.gap.decision.diagnosis import DRIVEN, JOURNEYS, Cause, Evidence, Fix, Unexplained
 from calib.gap.decision.held_out import ADEQUATE_CLOSURE, Closure, Improvement, improvement_of
 from calib.gap.decision.sentences import SIGNAL_OVER_UNEXPLAINED, SMALL_SHARE, corrections_agree
@@ -33,6 +34,7 @@ def fix_of(
     certain: Mapping[str, float],
     unexplained: Unexplained | None,
     small: Sequence[str] = (),
+    differing: Mapping[str, SizeDifference] | None = None,
 ) -> Fix:
     """Return what the correction is worth, and whether and why not to apply it.
 
@@ -50,6 +52,8 @@ def fix_of(
         The unexplained residual.
     small : sequence of str
         Effects that were fitted and are negligible.
+    differing : mapping of str to SizeDifference, optional
+        Causes whose sizes differ between groups of runs.
     """
     apart_m = confounding.agreement_m(evidence, tied)
     on = DRIVEN if evidence.journeys is None else JOURNEYS
@@ -67,7 +71,7 @@ def fix_of(
     fitted = [name for name in evidence.named if name not in small]
     unnamed = [name for name in fitted if name not in {cause.effect for cause in causes}]
     why = [
-        *reasons(causes, certain, improvement, evidence.trials, unexplained),
+        *reasons(causes, certain, improvement, evidence.trials, unexplained, differing),
         *disagreement(apart_m, on, evidence.held_out.closure, tied),
         *(f"it rests on {name} too, which is not probable enough to be named; {PLAN}" for name in unnamed),
         *elsewhere(fitted, tied),
@@ -89,6 +93,7 @@ def reasons(
     improvement: Improvement | None,
     trials: Sequence[Trial] = (),
     unexplained: Unexplained | None = None,
+    differing: Mapping[str, SizeDifference] | None = None,
 ) -> list[str]:
     """Return what keeps a fix of some causes back, each with its figure and what settles it; empty where nothing does.
 
@@ -104,16 +109,25 @@ def reasons(
         Routes, speeds, loads, directions and sessions held out in turn.
     unexplained : Unexplained, optional
         The unexplained residual.
+    differing : mapping of str to SizeDifference, optional
+        Causes whose sizes differ between groups of runs.
     """
-    single = (text for cause in causes for text in doubts(cause, unexplained))
+    single = (text for cause in causes for text in doubts(cause, unexplained, differing))
     helpful = [*unhelpful(improvement), *remaining(improvement, unexplained)]
     return [*_doubtful(causes, certain), *helpful, *single, *harm(trials)]
 
 
-def doubts(cause: Cause, unexplained: Unexplained | None) -> Iterator[str]:
-    """Yield why a single cause is no part of a fix: its size may be zero, or it a part of the unexplained residual."""
+def doubts(
+    cause: Cause, unexplained: Unexplained | None, differing: Mapping[str, SizeDifference] | None = None
+) -> Iterator[str]:
+    """Yield why a single cause is no part of a fix.
+
+    Its size may be zero or differs between groups of runs, or it may be a part of the unexplained residual.
+    """
     if holds_zero(cause):
         yield _sizeless(cause)
+    if differing and cause.effect in differing:
+        yield differing[cause.effect].sentence
     if unexplained is None or unexplained.share <= SMALL_SHARE:
         return
     if cause.share > SMALL_SHARE and cause.signal < SIGNAL_OVER_UNEXPLAINED * unexplained.signal:
@@ -222,6 +236,7 @@ def sure_part(
     certain: Mapping[str, float],
     unexplained: Unexplained | None,
     whole: Fix,
+    differing: Mapping[str, SizeDifference] | None = None,
 ) -> Fix:
     """Return the fix of the sure causes where that is recommended, else the whole one with its reasons.
 
@@ -239,8 +254,10 @@ def sure_part(
         The unexplained residual.
     whole : Fix
         The fix of all causes, which is not recommended.
+    differing : mapping of str to SizeDifference, optional
+        Causes whose sizes differ between groups of runs.
     """
-    kept, dropped = _parted(causes, certain, unexplained)
+    kept, dropped = _parted(causes, certain, unexplained, differing)
     names = {cause.effect for cause in kept}
     if any(
         evidence.effects[cause.effect].family is Family.SIMULATOR
@@ -296,10 +313,13 @@ def is_named_beside(cause: Cause, fix: Fix, certain: Mapping[str, float]) -> boo
 
 
 def _parted(
-    causes: Sequence[Cause], certain: Mapping[str, float], unexplained: Unexplained | None
+    causes: Sequence[Cause],
+    certain: Mapping[str, float],
+    unexplained: Unexplained | None,
+    differing: Mapping[str, SizeDifference] | None = None,
 ) -> tuple[list[Cause], dict[str, str]]:
     """Return the causes that are sure, and of the others by name why they are not."""
-    dropped = {cause.effect: text for cause in causes for text in doubts(cause, unexplained)}
+    dropped = {cause.effect: text for cause in causes for text in doubts(cause, unexplained, differing)}
     kept = [cause for cause in causes if cause.effect not in dropped]
     for cause in sorted(kept, key=lambda each: certain.get(each.effect, each.probability)):
         probability = certain.get(cause.effect, cause.probability)

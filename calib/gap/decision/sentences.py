@@ -67,7 +67,7 @@ def kind_of(
     causes: Sequence[Cause],
     closure: Closure,
     *,
-    trials: Sequence[Trial] = (),
+    incomplete: bool = False,
     unexplained_share: float | None = None,
     tied: bool = False,
     supported: bool = True,
@@ -83,8 +83,8 @@ def kind_of(
         What would be named.
     closure : Closure
         On held-out runs.
-    trials : sequence of Trial
-        Routes, speeds, loads, directions and sessions held out in turn.
+    incomplete : bool
+        Whether the correction fails on runs held out, or a large cause has different sizes on groups of runs.
     unexplained_share : float, optional
         Share of the gap that no cause of the library explains; none is probable by default.
     tied : bool
@@ -106,7 +106,7 @@ def kind_of(
         certain = any(cause.probability >= CERTAIN_PROBABILITY for cause in causes)
         return VerdictKind.PARTLY_EXPLAINED if certain else VerdictKind.UNKNOWN
     # an unexplained part that lies within the interval of the closure is not shown
-    if high < FULL_CLOSURE or any(map(fails, trials)) or (unexplained_share or 0.0) > SMALL_SHARE:
+    if high < FULL_CLOSURE or incomplete or (unexplained_share or 0.0) > SMALL_SHARE:
         return VerdictKind.PARTLY_EXPLAINED
     return VerdictKind.AMBIGUOUS if tied else VerdictKind.EXPLAINED
 

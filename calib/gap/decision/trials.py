@@ -90,27 +90,38 @@ def trials(left_out: HeldOutFit, before: FloatArray, dof: float) -> tuple[Trial,
 
 def _values(observations: Observations) -> Iterator[tuple[str, str, BoolArray]]:
     """Yield what varies, each of its values, and the observations that have it, shape (n_units,)."""
+    for name, labels in groupings(observations).items():
+        for value in np.unique(labels):
+            units = labels == value
+            if FEWEST_UNITS <= units.sum() <= MOST_HELD_OUT * len(units):
+                yield name, str(value), units
+
+
+def groupings(observations: Observations, *, by_balance: bool = False) -> dict[str, StrArray]:
+    """Return the groups of what varies, a label for each observation, shape (n_units,).
+
+    `by_balance`: also by the difference of the wheel loads.
+    """
     rolled = 0.5 * (np.abs(observations.travel_left_m) + np.abs(observations.travel_right_m))
     with np.errstate(divide="ignore", invalid="ignore"):
         # of the wheels, so that a turn on the spot has one too; weighed by distance, as effects act
         speed = np.nan_to_num(observations.total(rolled**2 / observations.duration_s) / observations.total(rolled))
-    load = np.nan_to_num(observations.number("load_left_N") + observations.number("load_right_N"))
+    left, right = (observations.number(f"load_{side}_N") for side in ("left", "right"))
+    load = np.nan_to_num(left + right)
+    load_width = SAME_VALUE * max(float(load.max()), 1.0)
     kinds = observations.labels["kind"]
     if not np.all(kinds != ""):
         kinds = np.array([f"route {number + 1}" for number in observations.kind])
     quantities = {
         "kind": kinds,
         "speed": _binned(speed, SAME_VALUE * max(float(speed.max()), 1e-3), "{:.2f} m/s"),
-        "load": _binned(load, SAME_VALUE * max(float(load.max()), 1.0), "{:.0f} N"),
+        "load": _binned(load, load_width, "{:.0f} N"),
         "direction": observations.labels["direction"],
         "session": observations.labels["session"],
     }
-    for name, values in quantities.items():
-        joined = _joined(values)
-        for value in np.unique(joined) if len(np.unique(values)) > 1 else ():
-            units = joined == value
-            if FEWEST_UNITS <= units.sum() <= MOST_HELD_OUT * len(units):
-                yield name, str(value), units
+    if by_balance:
+        quantities["balance"] = _binned(np.nan_to_num(left - right), load_width, "{:+.0f} N left over right")
+    return {name: _joined(values) for name, values in quantities.items() if len(np.unique(values)) > 1}
 
 
 def _binned(values: FloatArray, width: float, words: str) -> StrArray:

@@ -9,7 +9,7 @@ import pytest
 from calib.gap.decision.causes import limited_beside
 from calib.gap.decision.diagnosis import Cause, Unexplained, VerdictKind
 from calib.gap.decision.held_out import Closure
-from calib.gap.decision.sentences import kind_of
+from calib.gap.decision.sentences import fails, kind_of
 from calib.gap.decision.trials import Trial
 
 #: the correction of one certain effect closes the gap on held-out runs
@@ -66,7 +66,7 @@ def test_several_causes_beside_a_small_unexplained_residual_explain() -> None:
     [
         {"unexplained_share": 0.3},
         {"unexplained_share": 1.0},
-        {"trials": [trial(400.0)]},
+        {"incomplete": fails(trial(400.0))},
         {"fraction": 0.8, "ci95": (0.6, 0.88)},
         {"fraction": 0.5, "ci95": (0.4, 0.6)},
         {"unexplained_share": 0.3, "tied": True},
