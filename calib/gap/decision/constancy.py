@@ -62,9 +62,11 @@ def size_differences(evidence: Evidence, causes: Sequence[Cause]) -> dict[str, S
         What is named, blunders apart.
     """
     fit = HeldOutFit(evidence.fitted, evidence.nominal, evidence.noise, evidence.search.weighting)
+    # what has a size of its own in each session has no common one
+    names = {cause.effect for cause in causes if not evidence.effects[cause.effect].per_session}
     tested = [
         difference
-        for effect, contribution in _contributions(evidence, fit, {cause.effect for cause in causes}).items()
+        for effect, contribution in _contributions(evidence, fit, names).items()
         for by, labels in groupings(evidence.observations, by_balance=True).items()
         if (difference := _difference(fit, effect, contribution, by, labels)) is not None
     ]
