@@ -242,6 +242,12 @@ def any_probability(evidence: Evidence, names: Collection[str]) -> float:
     return min(1.0, sum(calibrated(float(probability)) for probability in sums))
 
 
+def with_alternatives(evidence: Evidence, groups: Sequence[Sequence[str]]) -> dict[str, float]:
+    """Return of each named effect the probability that it or an effect that it is confounded with is at work."""
+    alternatives = {name: {name}.union(*(group for group in groups if name in group)) for name in evidence.named}
+    return {name: any_probability(evidence, names) for name, names in alternatives.items()}
+
+
 def nothing_else_probability(evidence: Evidence, groups: Sequence[Sequence[str]]) -> float:
     """Return the probability that no further effect is at work beside the named ones and their aliases."""
     named = set(evidence.named).union(*groups)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from calib.gap.decision.diagnosis import Cause, Evidence
+from calib.gap.decision.diagnosis import Evidence
 from calib.gap.decision.trials import groupings
 from calib.gap.effects.calibration import DIRECTIONS, NAMES
 from calib.gap.inference.fit import CALIBRATION_SD
@@ -47,8 +47,8 @@ class SizeDifference:
         )
 
 
-def size_differences(evidence: Evidence, causes: Sequence[Cause]) -> dict[str, SizeDifference]:
-    """Return, by effect, the causes whose sizes differ between groups of runs.
+def size_differences(evidence: Evidence, effects: Collection[str]) -> dict[str, SizeDifference]:
+    """Return, by effect, the effects whose sizes differ between groups of runs.
 
     A cause's contribution is given a further factor on each group, beside the recalibration and all fitted effects (a
     test of parameter constancy: Chow, Econometrica 28, 1960). The covariance holds the lack of fit and what each
@@ -58,12 +58,12 @@ def size_differences(evidence: Evidence, causes: Sequence[Cause]) -> dict[str, S
     ----------
     evidence : Evidence
         What was measured.
-    causes : sequence of Cause
-        What is named, blunders apart.
+    effects : collection of str
+        What may be named, blunders apart.
     """
     fit = HeldOutFit(evidence.fitted, evidence.nominal, evidence.noise, evidence.search.weighting)
     # what has a size of its own in each session has no common one
-    names = {cause.effect for cause in causes if not evidence.effects[cause.effect].per_session}
+    names = {name for name in effects if not evidence.effects[name].per_session}
     tested = [
         difference
         for effect, contribution in _contributions(evidence, fit, names).items()

@@ -51,14 +51,13 @@ def decide(evidence: Evidence) -> Diagnosis:
     groups, forms_open = _by_family(evidence, confounded)
     unexplained = unexplained_of(evidence)
     stated = confounding.effect_probabilities(evidence, confounded)
-    # that it or an effect that it is confounded with is at work
-    alternatives = {name: {name}.union(*(group for group in confounded if name in group)) for name in evidence.named}
-    certain = {name: confounding.any_probability(evidence, names) for name, names in alternatives.items()}
+    certain = confounding.with_alternatives(evidence, confounded)
     causes = limited_beside(unexplained, causes_of(evidence, stated, certain, forms_open))
-    small = negligible(causes)
-    causes = [cause for cause in causes if certain[cause.effect] >= NAMED_PROBABILITY and cause.effect not in small]
-    differing = size_differences(evidence, causes)
+    probable = {name for name, probability in certain.items() if probability >= NAMED_PROBABILITY}
+    differing = size_differences(evidence, probable)
     causes = limited_to_even(causes, differing)
+    small = negligible(causes)
+    causes = [cause for cause in causes if cause.effect in probable.difference(small)]
     stated |= {cause.effect: cause.probability for cause in causes if cause.effect in stated}
     closure, situation = evidence.held_out.closure, evidence.situation
     gap_probability = confounding.gap_probability(evidence)
@@ -80,8 +79,7 @@ def decide(evidence: Evidence) -> Diagnosis:
         causes = []
     elif hides_causes(closure, share):
         causes = [cause for cause in causes if cause.probability >= CERTAIN_PROBABILITY]
-    names = {cause.effect for cause in causes}
-    tied = [group for group in groups if len(group) > 1 and names.intersection(group)]
+    tied = [group for group in groups if len(group) > 1 and {cause.effect for cause in causes}.intersection(group)]
     fix = fix_of(evidence, confounded, tied, causes, certain, unexplained, small, differing)
     if (causes or situation.faults) and not fix.recommended:
         fix = sure_part(evidence, tied, causes, certain, unexplained, fix, differing)

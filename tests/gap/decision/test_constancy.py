@@ -107,7 +107,7 @@ def test_a_true_cause_has_one_size(project_root: Path) -> None:
     """Radii that follow the temperature in the yard."""
     diagnosis = diagnose_in_full(read_campaign(project_root / "sample_runs" / "yard"), plan=False)
     assert diagnosis.evidence is not None and diagnosis.causes
-    assert size_differences(diagnosis.evidence, diagnosis.causes) == {}
+    assert size_differences(diagnosis.evidence, diagnosis.evidence.named) == {}
 
 
 def test_what_imitates_a_cause_is_not_recommended() -> None:
