@@ -86,7 +86,7 @@ def run(
     from calib.io import write_json, write_text
     from calib.reporting.next_step import after_diagnosis
     from calib.reporting.source import verdict_document
-    from calib.reporting.topics.diagnosis import verdict_content
+    from calib.reporting.topics.diagnosis import diagnosis_full
 
     result = None if into is None else into / RESULT_FILE
     refuse_existing([apply, html, result, *_pictures(figures)], force=force)
@@ -102,7 +102,7 @@ def run(
             else _simulated(read, simulator, left_out, seed, workers, tick)
         )
     document = verdict_document(diagnosis)
-    show(verdict_content(diagnosis), target=json)
+    show(diagnosis_full(diagnosis), target=json)
     say(ran, target=json)
     if apply is not None:
         _apply(diagnosis, read, effects, apply, json=json, force=force)

@@ -151,22 +151,28 @@ def _without_law(
     from calib.gap.diagnose import diagnose_in_full
     from calib.kinematics.estimate import estimate_geometry
     from calib.kinematics.traces import traces_of
-    from calib.reporting.content import diagnosis_report
-    from calib.reporting.geometry_report import geometry_report
+    from calib.reporting.without_law import report_without_law
 
     read = read_campaign(path, progress=tick)
     diagnosis = None if seed is None else diagnose_in_full(read, seed=seed, progress=tick)
-    why = str(refusal).removeprefix(f"{path}: ")
+    estimated, file = None, None
     try:
         estimated = estimate_geometry(read, progress=tick)
     except RefusedError:
         if diagnosis is None:
             raise refusal from None
-        return _Content(diagnosis_report(read, diagnosis, issued=issued, why=why), diagnosis, read)
-    estimated = replace(estimated, paths=traces_of(read, estimated))
-    passed_on = estimated.passed or bool(accept)
-    file = from_geometry(estimated, read, created=issued, accept=accept).to_bytes() if passed_on else None
-    report = geometry_report(read, estimated, issued=issued, why=why, coefficients=file, diagnosis=diagnosis)
+    else:
+        estimated = replace(estimated, paths=traces_of(read, estimated))
+        if estimated.passed or accept:
+            file = from_geometry(estimated, read, created=issued, accept=accept).to_bytes()
+    report = report_without_law(
+        read,
+        issued=issued,
+        why=str(refusal).removeprefix(f"{path}: "),
+        geometry=estimated,
+        coefficients=file,
+        diagnosis=diagnosis,
+    )
     return _Content(report, diagnosis, read, estimated)
 
 

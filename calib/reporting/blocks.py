@@ -2,41 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass, fields
+import re
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
+
+from calib.result import plain_fields
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-class _Block:
+class Block:
     """Base of all blocks."""
 
     __slots__ = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return the block as plain values under the name of its kind; a drawing is in the file of its name."""
-        values = {part.name: getattr(self, part.name) for part in fields(self) if part.name != "draw"}  # type: ignore[arg-type]
-        return {"kind": type(self).__name__.lower()} | {name: _plain(value) for name, value in values.items()}
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, tuple):
-        return [_plain(part) for part in value]
-    return asdict(value) if isinstance(value, Column) else value
+        return {"kind": type(self).__name__.lower()} | plain_fields(self)
 
 
 @dataclass(frozen=True, slots=True)
-class Heading(_Block):
+class Heading(Block):
     """A heading within a section."""
 
     text: str
 
 
 @dataclass(frozen=True, slots=True)
-class Text(_Block):
+class Text(Block):
     """A paragraph; `small` for remarks."""
 
     text: str
@@ -44,17 +41,17 @@ class Text(_Block):
 
 
 @dataclass(frozen=True, slots=True)
-class Facts(_Block):
+class Facts(Block):
     """Named facts, one a line: (name, value)."""
 
     rows: tuple[tuple[str, str], ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Items(_Block):
+class Items(Block):
     """A list of sentences."""
 
-    items: tuple[str, ...]
+    sentences: tuple[str, ...] = field(metadata={"json": "items"})
 
 
 def items(sentences: Iterable[str]) -> tuple[Items, ...]:
@@ -64,14 +61,14 @@ def items(sentences: Iterable[str]) -> tuple[Items, ...]:
 
 
 @dataclass(frozen=True, slots=True)
-class Equation(_Block):
+class Equation(Block):
     """One of the page's own equations, by name."""
 
     name: str
 
 
 @dataclass(frozen=True, slots=True)
-class Notice(_Block):
+class Notice(Block):
     """A boxed statement: ``good``, ``note``, ``bad`` or ``simulated``."""
 
     level: str
@@ -100,7 +97,7 @@ class Column:
 
 
 @dataclass(frozen=True, slots=True)
-class Table(_Block):
+class Table(Block):
     """A table with its caption; `dense` for long ones."""
 
     caption: str
@@ -115,20 +112,13 @@ class Table(_Block):
 
 
 @dataclass(frozen=True, slots=True)
-class Picture(_Block):
+class Picture(Block):
     """A figure: its name, caption, what it shows in words, and the function that draws it when it is needed."""
 
     name: str
     caption: str
     alt: str
-    draw: Callable[[], Figure]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the block as plain values; the drawing is in the file of that name."""
-        return {"kind": "picture", "name": self.name, "caption": self.caption, "alt": self.alt}
-
-
-Block = Heading | Text | Facts | Items | Equation | Notice | Table | Picture
+    draw: Callable[[], Figure] = field(metadata={"json": False})
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,13 +128,33 @@ class Section:
     title: str
     blocks: tuple[Block, ...]
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the section as plain values."""
-        return {"title": self.title, "blocks": [block.to_dict() for block in self.blocks]}
+
+def column(head: str) -> Column:
+    """Return a column from its head, ``group | title (unit)`` after its signs.
+
+    Signs: ``<`` texts; ``^`` centred; ``*`` sentences, which take the remaining width; ``=`` typewriter face; ``~``
+    omitted on a terminal. Without a sign a column holds numbers.
+    """
+    words = head.lstrip("<^*=~")
+    signs = head.removesuffix(words)
+    group, _, words = words.rpartition(" | ")
+    title, unit = re.fullmatch(r"(.*?)(?: \(([^()]*)\))?", words).groups("")  # type: ignore[union-attr]
+    align = "center" if "^" in signs else "left" if signs.strip("~") else "right"
+    return Column(title, unit, align, "*" in signs, "=" in signs, group, "~" in signs)
+
+
+def table(caption: str, heads: Iterable[str], rows: Iterable[Sequence[str]], *, dense: bool = False) -> Table:
+    """Return a table; `heads`: see `column`; `dense`: in small print."""
+    return Table(caption, tuple(map(column, heads)), tuple(map(tuple, rows)), dense)
+
+
+def picture(name: str, caption: str, alt: str, figure: str, *values: Any, **options: Any) -> Picture:
+    """Return a picture that ``module.function`` of `calib.reporting.figures` draws: imported only where it is drawn."""
+    return Picture(name, caption, alt, partial(drawn, figure, *values, **options))
 
 
 def drawn(figure: str, *values: Any, **options: Any) -> Figure:
-    """Return a figure of `calib.reporting.figures` by ``module.function``: imported only where it is drawn."""
+    """Return a figure of `calib.reporting.figures` by ``module.function``."""
     module, _, name = figure.partition(".")
     made: Figure = getattr(import_module(f"calib.reporting.figures.{module}"), name)(*values, **options)
     return made

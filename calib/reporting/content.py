@@ -2,31 +2,36 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from calib import __version__
-from calib.campaign.checks.design import assumed_settings
-from calib.campaign.model import Campaign
-from calib.documents import to_json
 from calib.errors import BadInputError
-from calib.gap.decision.diagnosis import Diagnosis
 from calib.io import refuse_existing
-from calib.reporting.blocks import Items, Notice, Picture, Section
-from calib.reporting.formatting import prose
-from calib.reporting.source import Logo, Source, logo_of, signatures_of, stated_of, verdict_document
+from calib.reporting.blocks import Picture, Section
+from calib.reporting.source import Source
 from calib.reporting.topics import sections_of
-from calib.reporting.topics.conditions import assumed_text
+from calib.result import plain
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 #: longest campaign name in the header of a page; the title has it whole
 SHORT_NAME: Final = 44
+#: facts under the title, where the campaign states them, and lines to be signed, by the keys of `STATED`
+HEAD: Final = {
+    "replaces": "Replaces report",
+    "method": "Method",
+    "laboratory": "Laboratory",
+    "customer": "Customer",
+    "item": "Vehicle",
+    "measured": "Dates of measurement",
+    "authorised": "Authorised by",
+}
+SIGNED: Final = {"prepared": "Prepared by", "authorised": "Authorised by"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,9 +39,9 @@ class Attachment:
     """A file carried inside the PDF."""
 
     name: str
-    data: bytes
-    mime: str
+    data: bytes = field(metadata={"json": False})
     description: str
+    mime: str = "application/json"
     relationship: str = "data"
 
 
@@ -53,18 +58,29 @@ class Report:
     issued: str
     #: every page says so
     simulated: bool
-    #: whether every check of the fit allows the law to be used
+    #: whether every check allows the result to be used
     passed: bool
-    #: the laboratory, as stated; may be empty
-    author: str
-    #: facts under the title
-    head: tuple[tuple[str, str], ...]
     sections: tuple[Section, ...]
     #: files inside the PDF
     attachments: tuple[Attachment, ...]
-    #: role and name of those who sign
-    signatures: tuple[tuple[str, str], ...] = ()
-    logo: Logo | None = None
+    #: what the campaign's ``[report]`` section states; None where nobody signs
+    stated: Mapping[str, str] | None = None
+    #: name and bytes of the laboratory's picture
+    logo: tuple[str, bytes] | None = None
+    #: further facts under the title
+    facts: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def head(self) -> tuple[tuple[str, str], ...]:
+        """Facts under the title."""
+        stated = self.stated or {}
+        named = ((title, stated[key]) for key, title in HEAD.items() if key in stated)
+        return (("Report", self.report_id), ("Date of issue", self.issued), *named, *self.facts)
+
+    @property
+    def signatures(self) -> tuple[tuple[str, str], ...]:
+        """The lines to be signed, (role, name); the name is empty where none is stated."""
+        return () if self.stated is None else tuple((role, self.stated.get(key, "")) for key, role in SIGNED.items())
 
     @property
     def pictures(self) -> tuple[Picture, ...]:
@@ -77,62 +93,31 @@ class Report:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the report as plain values, as the page reads it."""
-        short = self.name if len(self.name) <= SHORT_NAME else self.name[: SHORT_NAME - 1] + "…"
         return {
             "format": "calib-report/1",
             "id": self.report_id,
             "kind": "Calibration report",
             "title": self.title,
             "name": self.name,
-            "short_name": short,
+            "short_name": self.name if len(self.name) <= SHORT_NAME else f"{self.name[: SHORT_NAME - 1]}…",
             "subject": f"Calibration report on the campaign {self.name}" + (", simulated data" * self.simulated),
             "issued": self.issued,
             "date": [int(part) for part in self.issued.split("-")],
             "program": f"calib {__version__}",
             "simulated": self.simulated,
             "passed": self.passed,
-            "author": self.author,
-            "head": [list(fact) for fact in self.head],
-            "signatures": [list(signature) for signature in self.signatures],
-            "logo": None if self.logo is None else f"logo{self.logo.suffix}",
-            "sections": [section.to_dict() for section in self.sections],
-            "attachments": [
-                {
-                    "name": attachment.name,
-                    "relationship": attachment.relationship,
-                    "mime": attachment.mime,
-                    "description": attachment.description,
-                }
-                for attachment in self.attachments
-            ],
+            "author": (self.stated or {}).get("laboratory", ""),
+            "head": plain(self.head),
+            "signatures": plain(self.signatures),
+            "logo": None if self.logo is None else self.logo[0],
+            "sections": plain(self.sections),
+            "attachments": plain(self.attachments),
         }
 
 
-def number_of(kind: str, content: str) -> str:
-    """Return a report's identification: the kind of report and what its content gives, never chance."""
-    return f"{kind}-{hashlib.sha256(content.encode()).hexdigest()[:12].upper()}"
-
-
-def head_of(report_id: str, issued: str, stated: Mapping[str, str]) -> tuple[tuple[str, str], ...]:
-    """Return the facts under a report's title."""
-    facts = [("Report", report_id), ("Date of issue", issued)]
-    titles = (
-        ("Replaces report", "replaces"),
-        ("Method", "method"),
-        ("Laboratory", "laboratory"),
-        ("Customer", "customer"),
-        ("Vehicle", "item"),
-        ("Dates of measurement", "measured"),
-        ("Authorised by", "authorised"),
-    )
-    return (*facts, *((title, stated[key]) for title, key in titles if key in stated))
-
-
 def compose(source: Source) -> Report:
-    """Return the report on a fit.
-
-    The sections of every page that has something to say.
-    """
+    """Return the report on a fit: the sections of every page that has something to say."""
+    law = "Radius law of both wheels with covariance and valid load range, as the vehicle loads it"
     return Report(
         report_id=source.report_id,
         title="Effective rolling radius of the rear wheels",
@@ -140,19 +125,10 @@ def compose(source: Source) -> Report:
         issued=source.issued,
         simulated=source.simulated,
         passed=source.fit.passed,
-        author=source.stated.get("laboratory", ""),
-        head=head_of(source.report_id, source.issued, source.stated),
-        signatures=signatures_of(source.stated),
-        logo=source.logo,
         sections=sections_of(source),
-        attachments=(
-            Attachment(
-                name="coefficients.json",
-                data=source.coefficients.to_bytes(),
-                mime="application/json",
-                description="Radius law of both wheels with covariance and valid load range, as the vehicle loads it",
-            ),
-        ),
+        attachments=(Attachment("coefficients.json", source.coefficients.to_bytes(), law),),
+        stated=source.stated,
+        logo=source.logo,
     )
 
 
@@ -184,52 +160,3 @@ def place_of(name: str, into: Path | None, *, force: bool = False) -> Path:
         raise BadInputError(f"into: found the folder {path}; expected a place for a file; choose another")
     refuse_existing([path], force=force)
     return path
-
-
-def diagnosis_report(campaign: Campaign, diagnosis: Diagnosis, *, issued: str, why: str) -> Report:
-    """Return the report on what a diagnosis found, without a law.
-
-    `campaign`: for example loops alone, from which no effective radius follows; `issued`: date of issue, YYYY-MM-DD;
-    `why`: why there is no law, a sentence without its full stop. The verdict is attached as ``diagnosis.json``.
-    """
-    from calib.reporting.figures.gap import GapArrays
-    from calib.reporting.topics.diagnosis import gap_section
-
-    document = verdict_document(diagnosis)
-    content = {"inputs": dict(campaign.hashes), "campaign": campaign.name, "version": __version__, "gap": document}
-    number = number_of("CR", to_json(content))
-    stated = stated_of(campaign)
-    limits = Section(
-        "What this report does not cover",
-        (
-            Items(
-                (
-                    "No radius, slope or uncertainty of a wheel is stated, and no coefficient file is attached.",
-                    "The verdict holds for the vehicle, routes, loads and conditions of these runs.",
-                )
-            ),
-            assumed_text(assumed_settings(campaign)),
-        ),
-    )
-    reason = Section("Radius law", (Notice("note", "These runs give no radius law", prose(why.rstrip(".")) + "."),))
-    return Report(
-        report_id=number,
-        title="Gap between measured and simulated motion",
-        name=campaign.name,
-        issued=issued,
-        simulated=campaign.simulated,
-        passed=True,
-        author=stated.get("laboratory", ""),
-        head=head_of(number, issued, stated),
-        signatures=signatures_of(stated),
-        logo=logo_of(campaign),
-        sections=(reason, gap_section(diagnosis, GapArrays.of(diagnosis)), limits),
-        attachments=(
-            Attachment(
-                name="diagnosis.json",
-                data=to_json(document).encode("utf-8"),
-                mime="application/json",
-                description="The verdict of the diagnosis with everything that it rests on",
-            ),
-        ),
-    )

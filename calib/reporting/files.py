@@ -23,8 +23,9 @@ from calib.odometry.replay import Replay
 from calib.odometry.replay_checks import stood_in
 from calib.odometry.simulation import SHOWN, LawPart, Simulation
 from calib.reporting.blocks import Block, Heading, Section
-from calib.reporting.content import Attachment, Report, number_of
+from calib.reporting.content import Attachment, Report
 from calib.reporting.figures.style import write_figures
+from calib.reporting.source import number_of
 from calib.reporting.topics.fleet import fleet_content, survey_content
 from calib.types import FloatArray
 
@@ -191,32 +192,19 @@ def _pages(blocks: Sequence[Block], document: Mapping[str, Any], stem: str, head
 
 def _report(blocks: Sequence[Block], document: Mapping[str, Any], heads: Heads) -> Report:
     """Return the report on a fleet: the blocks of the terminal with figures, the result attached as JSON."""
-    data = to_json(document)
-    number = number_of("FR", data)
     fleet = document["fleet"]
     failed = int(fleet["n_failed"])
+    view = "Every vehicle and the fleet's view, as a program reads it"
     return Report(
-        report_id=number,
+        report_id=number_of("FR", document),
         title="A fleet of vehicles",
         name=heads.name,
         issued=heads.issued,
         simulated=heads.simulated,
         passed=not failed,
-        author="",
-        head=(
-            ("Report", number),
-            ("Date of issue", heads.issued),
-            ("Vehicles", f"{fleet['n_vehicles']}, of which {failed} failed"),
-        ),
         sections=_sections(blocks),
-        attachments=(
-            Attachment(
-                name="fleet.json",
-                data=data.encode("utf-8"),
-                mime="application/json",
-                description="Every vehicle and the fleet's view, as a program reads it",
-            ),
-        ),
+        attachments=(Attachment("fleet.json", to_json(document).encode(), view),),
+        facts=(("Vehicles", f"{fleet['n_vehicles']}, of which {failed} failed"),),
     )
 
 

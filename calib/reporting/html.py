@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from functools import cache
 from importlib.resources import files
 from itertools import groupby
@@ -16,29 +16,13 @@ from calib.reporting.figures.gap import GAP_PICTURES
 from calib.reporting.figures.style import render
 from calib.reporting.formatting import prose
 from calib.reporting.text import EQUATIONS
+from calib.result import plain
 
 if TYPE_CHECKING:
     from jinja2 import Template
 
     from calib.campaign.model import Campaign
     from calib.gap.decision.diagnosis import Diagnosis
-
-
-@dataclass(frozen=True, slots=True)
-class Page:
-    """Content of a page."""
-
-    #: kind of document, its title, and the campaign
-    kind: str
-    title: str
-    name: str
-    #: whether the page is marked as simulated
-    simulated: bool
-    #: facts under the title
-    head: tuple[tuple[str, str], ...]
-    sections: tuple[Section, ...]
-    #: last line
-    footer: str
 
 
 def to_html(report: Report, panels: str = "") -> str:
@@ -53,28 +37,19 @@ def to_html(report: Report, panels: str = "") -> str:
             replace(section, blocks=tuple(block for block in section.blocks if not _in_panels(block)))
             for section in sections
         )
-    page = Page(
-        kind=f"Calibration report {report.report_id}",
-        title=report.title,
-        name=report.name,
-        simulated=report.simulated,
-        head=report.head,
-        sections=sections,
-        footer=f"Issued {report.issued}; report {report.report_id}",
-    )
-    return page_html(page, panels)
+    page = {
+        "kind": f"Calibration report {report.report_id}",
+        "title": report.title,
+        "name": report.name,
+        "simulated": report.simulated,
+        "head": report.head,
+        "footer": f"Issued {report.issued}; report {report.report_id}",
+    }
+    return _page(page, sections, panels)
 
 
 def _in_panels(block: Block) -> bool:
     return isinstance(block, Picture) and block.name in GAP_PICTURES
-
-
-def page_html(page: Page, panels: str = "") -> str:
-    """Return a page as markup that fetches nothing; see `to_html`."""
-    style = (files("calib.reporting") / "page.css").read_text(encoding="utf-8")
-    blocks = [block for section in page.sections for block in section.blocks]
-    sections = [section.to_dict() for section in page.sections]
-    return _template().render(page=page, sections=sections, panels=panels, style=style, pictures=_pictures(blocks))
 
 
 def diagnosis_page(diagnosis: Diagnosis, campaign: Campaign) -> str:
@@ -85,21 +60,27 @@ def diagnosis_page(diagnosis: Diagnosis, campaign: Campaign) -> str:
     from calib.reporting.interactive import interactive_panels
     from calib.reporting.topics.diagnosis import diagnosis_content
 
-    verdict = diagnosis
-    page = Page(
-        kind="Diagnosis",
-        title="Gap between measured and simulated motion",
-        name=verdict.campaign,
-        simulated=verdict.simulated,
-        head=(
-            ("Verdict", str(verdict.kind).replace("_", " ")),
-            ("In words", prose(verdict.sentence)),
-            ("Judged against", verdict.judged_against),
+    page = {
+        "kind": "Diagnosis",
+        "title": "Gap between measured and simulated motion",
+        "name": diagnosis.campaign,
+        "simulated": diagnosis.simulated,
+        "head": (
+            ("Verdict", str(diagnosis.kind).replace("_", " ")),
+            ("In words", prose(diagnosis.sentence)),
+            ("Judged against", diagnosis.judged_against),
         ),
-        sections=(Section("Findings", diagnosis_content(verdict)),),
-        footer=f"Campaign {verdict.campaign}",
-    )
-    return page_html(page, interactive_panels(diagnosis, campaign))
+        "footer": f"Campaign {diagnosis.campaign}",
+    }
+    sections = (Section("Findings", diagnosis_content(diagnosis)),)
+    return _page(page, sections, interactive_panels(diagnosis, campaign))
+
+
+def _page(page: Mapping[str, Any], sections: Sequence[Section], panels: str) -> str:
+    """Return a page as markup that fetches nothing; `page`: kind, title, name, simulated, head and footer."""
+    style = (files("calib.reporting") / "page.css").read_text(encoding="utf-8")
+    pictures = _pictures(block for section in sections for block in section.blocks)
+    return _template().render(page=page, sections=plain(sections), panels=panels, style=style, pictures=pictures)
 
 
 def blocks_html(blocks: Iterable[Block | Section]) -> str:
@@ -107,12 +88,12 @@ def blocks_html(blocks: Iterable[Block | Section]) -> str:
     flat: list[Block] = []
     for block in blocks:
         flat += (Heading(block.title), *block.blocks) if isinstance(block, Section) else (block,)
-    return _template().render(page=None, blocks=[block.to_dict() for block in flat], pictures=_pictures(flat)).strip()
+    return _template().render(page=None, blocks=plain(flat), pictures=_pictures(flat)).strip()
 
 
-def _pictures(blocks: Sequence[Block]) -> dict[str, str]:
+def _pictures(blocks: Iterable[Block]) -> dict[str, str]:
     """Return the pictures among blocks as SVG in base64, by name."""
-    pictures = [block for block in blocks if isinstance(block, Picture)]
+    pictures = (block for block in blocks if isinstance(block, Picture))
     return {one.name: base64.b64encode(render(one.draw(), "svg")).decode("ascii") for one in pictures}
 
 

@@ -37,7 +37,7 @@ def to_pdf(report: Report, progress: Progress = silent) -> bytes:
     for attachment in report.attachments:
         sources[attachment.name] = attachment.data
     if report.logo is not None:
-        sources[f"logo{report.logo.suffix}"] = report.logo.data
+        sources |= dict([report.logo])
     with TemporaryDirectory(prefix="calib-report-") as folder:
         for name, data in sources.items():
             (Path(folder) / name).write_bytes(data)

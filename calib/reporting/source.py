@@ -6,7 +6,7 @@ import hashlib
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
-from datetime import date
+from datetime import date, time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -45,7 +45,7 @@ class Source:
     verdict: Diagnosis | None = None
     #: arrays of its figures
     gap: GapArrays | None = None
-    logo: Logo | None = None
+    logo: tuple[str, bytes] | None = None
     #: verdict and sentence of a diagnosis.json that lies beside the fit
     known_verdict: tuple[VerdictKind, str] | None = None
 
@@ -63,15 +63,14 @@ class Source:
     @property
     def report_id(self) -> str:
         """Identification: derived from the inputs, the program's version and what was asked, never from chance."""
-        inputs = self.inputs or {"fit": hashlib.sha256(to_json(self.fit.to_dict()).encode()).hexdigest()}
         content = {
-            "inputs": inputs,
+            "inputs": self.inputs or {"fit": hashlib.sha256(to_json(self.fit.to_dict()).encode()).hexdigest()},
             "campaign": self.fit.name,
             "version": __version__,
             "coefficients": self.coefficients.changed(created=None).checksum,
             "gap": None if self.verdict is None else verdict_document(self.verdict),
         }
-        return "CR-" + hashlib.sha256(to_json(content).encode()).hexdigest()[:12].upper()
+        return number_of("CR", content)
 
     def with_diagnosis(self, diagnosis: Diagnosis) -> Source:
         """Return the same with a diagnosis for its page."""
@@ -82,6 +81,11 @@ class Source:
     def facts(self, **titles: str) -> list[tuple[str, str]]:
         """Return what the campaign states under keys of `STATED`, each with its title; nothing of the others."""
         return [(title, self.stated[key]) for key, title in titles.items() if key in self.stated]
+
+
+def number_of(kind: str, content: Mapping[str, Any]) -> str:
+    """Return a report's identification: the kind of report and what its content gives, never chance."""
+    return f"{kind}-{hashlib.sha256(to_json(content).encode()).hexdigest()[:12].upper()}"
 
 
 def issue_date(text: str | None) -> str:
@@ -202,14 +206,6 @@ _PICTURES: Final = (".svg", ".png", ".jpg", ".jpeg")
 _LARGEST: Final = 2_000_000
 
 
-@dataclass(frozen=True, slots=True)
-class Logo:
-    """A laboratory's picture: suffix with its point, and the file's bytes."""
-
-    suffix: str
-    data: bytes
-
-
 def stated_of(campaign: Campaign) -> dict[str, str]:
     """Return what the ``[report]`` section of a campaign states, by the keys of `STATED`."""
     where = "campaign.toml" if campaign.root is None else campaign.root / "campaign.toml"
@@ -229,26 +225,17 @@ def texts_of(section: Any, where: Path | str) -> dict[str, str]:
     stated = {}
     for key, value in section.items():
         texts = value if isinstance(value, (list, tuple)) else [value]
-        if key not in STATED or not all(isinstance(text, (str, int, float)) or _is_date(text) for text in texts):
-            raise BadFileError(
-                where,
-                column=f"report.{key}",
-                found="an unknown key" if key not in STATED else f"a {type(value).__name__}",
-                expected="text",
-                remedy=remedy,
-            )
+        if key not in STATED or not all(isinstance(text, str | int | float | date | time) for text in texts):
+            found = "an unknown key" if key not in STATED else f"a {type(value).__name__}"
+            raise BadFileError(where, column=f"report.{key}", found=found, expected="text", remedy=remedy)
         joined = "; ".join(str(text).strip() for text in texts if str(text).strip())
         if joined:
             stated[str(key)] = joined
     return stated
 
 
-def _is_date(value: Any) -> bool:
-    return hasattr(value, "isoformat")
-
-
-def logo_of(campaign: Campaign) -> Logo | None:
-    """Return the logo that a campaign states, None where it states none.
+def logo_of(campaign: Campaign) -> tuple[str, bytes] | None:
+    """Return the logo that a campaign states, as name in the page and bytes; None where it states none.
 
     Raises BadFileError where the file leads out of the campaign, is missing, too large, or of a kind that no page can
     carry.
@@ -261,12 +248,7 @@ def logo_of(campaign: Campaign) -> Logo | None:
     remedy = "give an SVG, PNG or JPEG of at most 2 MB inside the campaign's folder"
     if path.suffix.lower() not in _PICTURES or not path.is_file() or path.stat().st_size > _LARGEST:
         raise BadFileError(where, column="report.logo", found=repr(name), expected="a small picture", remedy=remedy)
-    return Logo(path.suffix.lower(), path.read_bytes())
-
-
-def signatures_of(stated: Mapping[str, str]) -> tuple[tuple[str, str], ...]:
-    """Return the lines to be signed, (role, name); the name is empty where none is stated."""
-    return (("Prepared by", stated.get("prepared", "")), ("Authorised by", stated.get("authorised", "")))
+    return f"logo{path.suffix.lower()}", path.read_bytes()
 
 
 def verdict_document(verdict: Diagnosis) -> dict[str, Any]:

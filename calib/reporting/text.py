@@ -67,7 +67,7 @@ def _lines(block: Block, width: int) -> list[Line]:
     if isinstance(block, Facts):
         return _facts(block.rows, width)
     if isinstance(block, Items):
-        return [line for item in block.items for line in _wrapped(item, width, lead="- ", rest="  ")]
+        return [line for item in block.sentences for line in _wrapped(item, width, lead="- ", rest="  ")]
     if isinstance(block, Equation):
         return [Line(f"    {EQUATIONS[block.name]}")]
     if isinstance(block, Notice):

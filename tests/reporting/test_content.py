@@ -31,7 +31,7 @@ def words(section: Section) -> str:
         said = block.to_dict()
         parts += [str(said.get(key, "")) for key in ("title", "text", "caption", "alt")]
         if isinstance(block, Items):
-            parts += block.items
+            parts += block.sentences
         if isinstance(block, Facts):
             parts += [cell for row in block.rows for cell in row]
         if isinstance(block, Table):
@@ -177,7 +177,7 @@ def test_what_the_campaign_states_is_carried_over(campaign: Campaign) -> None:
     for key in keys:
         assert (f"text of {key}" if key != "instruments" else "laser, certificate 1; scale, certificate 2") in text, key
     assert "not stated" not in text
-    assert made.author == "text of laboratory"
+    assert made.to_dict()["author"] == "text of laboratory"
 
 
 @pytest.mark.parametrize("section", [{"costumer": "X"}, {"customer": {"name": "X"}}, "X"])

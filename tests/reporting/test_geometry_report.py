@@ -17,7 +17,7 @@ from calib.kinematics.result import Geometry, RunTrace
 from calib.kinematics.traces import traces_of
 from calib.reporting.blocks import Facts, Notice, Picture
 from calib.reporting.content import Report
-from calib.reporting.geometry_report import geometry_report
+from calib.reporting.without_law import report_without_law
 from tests.kinematics.campaigns import Leg, Truth, campaign, square
 
 #: noise of the reference
@@ -68,11 +68,11 @@ def test_the_path_of_the_axle_does_not(along: Campaign, estimated: Geometry) -> 
 
 def report_on(driven: Campaign) -> Report:
     found = estimate_geometry(driven, using="windows" if "ref_x_m" in driven.logs.columns else None)
-    return geometry_report(
+    return report_without_law(
         driven,
-        replace(found, paths=traces_of(driven, found)),
         issued="2026-01-01",
         why="no distance",
+        geometry=replace(found, paths=traces_of(driven, found)),
         coefficients=b"{}",
     )
 

@@ -18,7 +18,7 @@ from calib.reporting.blocks import Column, Facts, Items, Notice, Section, Table,
 from calib.reporting.content import Report, compose
 from calib.reporting.figures.style import FORMS, write_figures
 from calib.reporting.pdf import to_pdf
-from calib.reporting.source import Source
+from calib.reporting.source import STATED, Source
 
 HOSTILE = '#panic("x") $a^b$ *bold* _it_ @ref <lab> `raw` \\ \\u{41} // /* ~ [b] = h -- ... \'q\' #let " {{}} ümläut λ'
 
@@ -75,8 +75,9 @@ def test_figures_are_vectors(pdf: bytes) -> None:
 def hostile(report: Report) -> Report:
     table = Table(HOSTILE, (Column(HOSTILE, align="left", wide=True), Column("n", HOSTILE)), ((HOSTILE, HOSTILE),))
     blocks = (Text(HOSTILE), Facts(((HOSTILE, HOSTILE),)), Items((HOSTILE,)), Notice("bad", HOSTILE, HOSTILE), table)
+    stated = dict.fromkeys(STATED, HOSTILE)
     return replace(
-        report, name=HOSTILE, author=HOSTILE, head=((HOSTILE, HOSTILE),), sections=(Section(HOSTILE, blocks),)
+        report, name=HOSTILE, stated=stated, facts=((HOSTILE, HOSTILE),), sections=(Section(HOSTILE, blocks),)
     )
 
 
@@ -105,7 +106,7 @@ def test_long_names_may_break_but_hashes_stay_whole(report: Report, tmp_path: Pa
     """A run id without a blank is set in pieces; a hash can be copied from the page as it is."""
     name, digest = "run_" + "x" * 60, "sha256:" + "0123456789abcdef" * 4
     table = Table("c", (Column("a"), Column("b")), ((name, digest),))
-    made = replace(report, name="n", head=(), sections=(Section("s", (table,)),))
+    made = replace(report, name="n", sections=(Section("s", (table,)),))
     (tmp_path / "main.typ").write_bytes((files("calib.reporting") / "page.typ").read_bytes())
     (tmp_path / "data.json").write_text(to_json(made.to_dict()), encoding="utf-8")
     (tmp_path / "coefficients.json").write_bytes(made.attachments[0].data)

@@ -17,6 +17,7 @@ from calib.reporting.content import Report, compose
 from calib.reporting.pdf import to_pdf
 from calib.reporting.source import Source, from_campaign, logo_of, source_of
 from calib.reporting.topics.fit import result_section
+from calib.result import plain
 
 SVG = '<svg xmlns="http://www.w3.org/2000/svg" width="20" height="10"><rect width="20" height="10"/></svg>'
 DATE = "2025-03-31"
@@ -98,13 +99,13 @@ def test_page_one_says_what_a_diagnosis_beside_the_fit_found(
 def test_the_budget_is_drawn_and_says_what_is_not_declared(report: Report, campaign: Campaign) -> None:
     section = next(one for one in report.sections if one.title == "Uncertainty budget")
     assert [block.name for block in section.blocks if isinstance(block, Picture)] == ["budget"]
-    assert "declares no systematic parts" in str(section.to_dict())
+    assert "declares no systematic parts" in str(plain(section))
     entry = {"rangefinder": {"scale": {"half_width": 5e-5, "distribution": "rectangular"}}}
     declared = compose(from_campaign(replace(campaign, extra={"uncertainty": entry}), issued=DATE))
     section = next(one for one in declared.sections if one.title == "Uncertainty budget")
     law = [block for block in section.blocks if isinstance(block, Table)][1]
     assert [column.title for column in law.columns][-2:] == ["Systematic", "Combined"]
-    assert "are declared" in str(section.to_dict())
+    assert "are declared" in str(plain(section))
 
 
 def test_the_table_of_runs_has_the_counts_of_the_campaign(report: Report, campaign: Campaign) -> None:

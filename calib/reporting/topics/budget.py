@@ -2,25 +2,18 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from calib.radius.result import Fit
-from calib.reporting.blocks import Block, Column, Picture, Section, Table, Text, drawn
-from calib.reporting.formatting import aligned, fixed, number_columns, prose, text_column, text_columns, two_digits
+from calib.reporting.blocks import Picture, Section, Table, Text, picture, table
+from calib.reporting.formatting import aligned, fixed, prose, two_digits
 
 if TYPE_CHECKING:
     from calib.reporting.source import Source
 
-_NAMES: Final = {
-    "rangefinder": "rangefinder",
-    "quantisation": "quantisation",
-    "path": "path",
-    "other_run_to_run": "other, run to run",
-    "session_to_session": "session to session",
-}
+_NAMES: Final = {"other_run_to_run": "other, run to run"}
 
 
 def radius_budget(fit: Fit) -> Table:
@@ -41,18 +34,10 @@ def radius_budget(fit: Fit) -> Table:
     sides = ([part.std_left_m for part in parts], [part.std_right_m for part in parts])
     total = [float(np.sqrt(sum(value**2 for value in side))) for side in sides]
     rows.append(("combined", "one run in a session of its own", "", "", "", *(two_digits(1e6 * u) for u in total)))
-    return Table(
+    return table(
         "Uncertainty budget of a single effective radius, for a typical run: contributions to its standard uncertainty "
         "u (k = 1). Type A is evaluated from repeats, type B from other knowledge (GUM).",
-        (
-            text_column("Contribution"),
-            text_column("Quantity", wide=True),
-            Column("Type", align="center"),
-            text_column("Distribution"),
-            Column("ν", detail=True),
-            Column("left", "µm", group="u"),
-            Column("right", "µm", group="u"),
-        ),
+        ("<Contribution", "*Quantity", "^Type", "<Distribution", "~ν", "u | left (µm)", "u | right (µm)"),
         aligned(rows, 5, 6),
     )
 
@@ -60,11 +45,12 @@ def radius_budget(fit: Fit) -> Table:
 def budget_picture(fit: Fit) -> Picture:
     """Return the budget of a single radius as bars."""
     largest = max(fit.radii.budget, key=lambda part: part.std_left_m + part.std_right_m)
-    return Picture(
+    return picture(
         "budget",
         "Contributions to the standard uncertainty of a single effective radius, and all of them combined.",
         f"Bars of the uncertainty budget; the largest contribution is {largest.name.replace('_', ' ')}",
-        partial(drawn, "radius.budget_bars", fit.radii.budget),
+        "radius.budget_bars",
+        fit.radii.budget,
     )
 
 
@@ -96,35 +82,34 @@ def law_budget(fit: Fit) -> Table:
             values = [float(part[index, index]) for part in (*parts, wheel.estimate.covariance)]
             cells = (two_digits(scale * float(np.sqrt(max(value, 0.0)))) for value in values)
             rows.append(("" if number else name, title, unit, *cells))
-    return Table(
+    return table(
         "Budget of the law: contributions to the standard uncertainties u (k = 1) of its coefficients."
         + (" Systematic parts do not become smaller with more runs." if systematic else ""),
         (
-            *text_columns("Wheel", "Coefficient", "Unit"),
-            *number_columns("of runs", "of sessions", group="u from the scatter"),
-            *((Column("Systematic"),) if systematic else ()),
-            Column("Combined"),
+            *("<Wheel", "<Coefficient", "<Unit", "u from the scatter | of runs", "u from the scatter | of sessions"),
+            *(["Systematic"] if systematic else []),
+            "Combined",
         ),
         aligned(rows, *range(3, 7 if systematic else 6)),
     )
 
 
-def scatter_text(fit: Fit) -> Text | None:
-    """Say by how much runs scatter more than the instruments explain; None where they do not."""
+def _scatter(fit: Fit) -> tuple[Text, ...]:
+    """Say by how much runs scatter more than the instruments explain; nothing where they do not."""
     known = [float(np.sqrt(np.mean(std**2))) for std in (fit.radii.std_left_m, fit.radii.std_right_m)]
     scatter = [wheel.run_std_m for wheel in fit.wheels.values()]
     if not all(spread > 2 * two for spread, two in zip(scatter, known, strict=True)):
-        return None
-    return Text(
+        return ()
+    text = (
         f"Runs scatter {scatter[0] / known[0]:.1f} (left) and {scatter[1] / known[1]:.1f} (right) times as "
         "much as the instruments explain: ground, steering and tyre set the scatter, a better rangefinder would "
         "not help."
     )
+    return (Text(text),)
 
 
 def budget_section(source: Source) -> Section:
     """Return what the uncertainty is made of."""
     fit = source.fit
-    blocks: list[Block] = [radius_budget(fit), budget_picture(fit), law_budget(fit), declared_text(fit)]
-    scatter = scatter_text(fit)
-    return Section("Uncertainty budget", (*blocks, *((scatter,) if scatter else ())))
+    blocks = (radius_budget(fit), budget_picture(fit), law_budget(fit), declared_text(fit), *_scatter(fit))
+    return Section("Uncertainty budget", blocks)

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
+from calib.challenge.score import TARGETS, clopper_pearson, wilson
+from calib.reporting.blocks import Block, Items, Table, table
+from calib.reporting.formatting import MISSING
+
 if TYPE_CHECKING:
     from calib.challenge.own.result import Own
     from calib.challenge.score import Score
-    from calib.reporting.blocks import Block
 
 _MET: Final = {True: "met", False: "MISSED", None: ""}
 
 
 def score_content(score: Score) -> list[Block]:
     """Return what a score says."""
-    from calib.reporting.blocks import Items
-
     summary = score.summary
     coverage = summary["interval_coverage"]
     sentences = [
@@ -33,11 +34,7 @@ def score_content(score: Score) -> list[Block]:
     return [_board(score), *_parts(score), Items(tuple(sentences)), _misses(score)]
 
 
-def _board(score: Score) -> Block:
-    from calib.challenge.score import TARGETS, clopper_pearson, wilson
-    from calib.reporting.blocks import Column, Table
-    from calib.reporting.formatting import MISSING, number_columns, text_column
-
+def _board(score: Score) -> Table:
     rows = []
     for name, line in score.board.items():
         low, high = wilson(line.hits, line.total)
@@ -53,21 +50,12 @@ def _board(score: Score) -> Block:
                 _MET[score.meets(name)],
             )
         )
-    columns = (
-        text_column("Line"),
-        *number_columns("Cases", "Share"),
-        *number_columns("Wilson", "Clopper-Pearson", group="95 % interval"),
-        Column("Target"),
-        text_column(""),
-    )
     caption = f"{len(score.cases)} sealed cases ({score.purpose}), truth {score.truth_sha256}"
-    return Table(caption, columns, tuple(rows))
+    intervals = ("95 % interval | Wilson", "95 % interval | Clopper-Pearson")
+    return table(caption, ("<Line", "Cases", "Share", *intervals, "Target", "<"), rows)
 
 
-def _parts(score: Score) -> list[Block]:
-    from calib.reporting.blocks import Column, Table
-    from calib.reporting.formatting import MISSING
-
+def _parts(score: Score) -> list[Table]:
     words = ("detected", "first", "in_group", "covered")
     titles = ("Signal", "A gap seen", "Named first", "Named or in its group", "In the 95 % set",
               "Ceiling", "First over ceiling", "Own ceiling", "First over own")  # fmt: skip
@@ -90,19 +78,12 @@ def _parts(score: Score) -> list[Block]:
         for row in score.reliability
     )
     return [
-        Table("Single effects by signal.", tuple(Column(title) for title in titles), by_signal),
-        Table(
-            "Stated probabilities.",
-            tuple(Column(title) for title in ("Bin", "Stated", "True", "Statements")),
-            reliability,
-        ),
+        table("Single effects by signal.", titles, by_signal),
+        table("Stated probabilities.", ("Bin", "Stated", "True", "Statements"), reliability),
     ]
 
 
-def _misses(score: Score) -> Block:
-    from calib.reporting.blocks import Column, Table
-    from calib.reporting.formatting import MISSING, text_column
-
+def _misses(score: Score) -> Table:
     rows = tuple(
         (
             case.case,
@@ -114,38 +95,18 @@ def _misses(score: Score) -> Block:
         )
         for case in score.misses
     )
-    columns = (
-        text_column("Case"),
-        text_column("Group"),
-        Column("Signal"),
-        text_column("Truth", wide=True),
-        text_column("Answer", wide=True),
-        text_column("Nearest rival, sigma", wide=True),
-    )
-    return Table("Misses.", columns, rows)
+    return table("Misses.", ("<Case", "<Group", "Signal", "*Truth", "*Answer", "*Nearest alternative, sigma"), rows)
 
 
 def own_content(own: Own) -> list[Block]:
     """Return what was found, as blocks."""
-    from calib.challenge.score import clopper_pearson
-    from calib.reporting.blocks import Column, Items, Table
-    from calib.reporting.formatting import text_column
-
-    head = (
-        text_column("Planted", wide=True),
-        Column("Size"),
-        text_column("Unit"),
-        Column("Signal"),
-        Column("Times"),
-        Column("Seen"),
-    )
+    head = ("*Planted", "Size", "<Unit", "Signal", "Times", "Seen")
     rows: dict[bool, list[tuple[str, ...]]] = {False: [], True: []}
     for found in own.found:
         plant = found.plant
         counted = ("open", "wrong") if plant.outside else ("first", "in_group", "wrong")
         counts = (str(len(found.answers)), *(str(found.times(what)) for what in ("seen", *counted)))
         rows[plant.outside].append((plant.effect, f"{plant.size:.3g}", plant.unit, f"{plant.signal:.1f}", *counts))
-    columns = (*head, Column("First"), Column("In group"), Column("Wrong"))
     low, high = (f"{bound:.0%}" for bound in clopper_pearson(own.raised, len(own.empty)))
     sentences = [
         f"False alarms where nothing was planted: {own.raised} of {len(own.empty)} (95 %: {low} to {high}).",
@@ -155,8 +116,8 @@ def own_content(own: Own) -> list[Block]:
     ]
     if own.done < own.asked:
         sentences.append(f"Diagnosed {own.done} of {own.asked}: the time was up.")
-    blocks: list[Block] = [Table(f"Planted on {own.campaign}'s own noise and route.", columns, tuple(rows[False]))]
+    planted = f"Planted on {own.campaign}'s own noise and route."
+    blocks: list[Block] = [table(planted, (*head, "First", "In group", "Wrong"), rows[False])]
     if rows[True]:
-        open_columns = (*head, Column("Left open"), Column("Fix recommended"))
-        blocks.append(Table("Causes that no library holds.", open_columns, tuple(rows[True])))
+        blocks.append(table("Causes that no library holds.", (*head, "Left open", "Fix recommended"), rows[True]))
     return [*blocks, Items((*sentences, *(f"Not planted: {name}: {why}." for name, why in own.left_out.items())))]

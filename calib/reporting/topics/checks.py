@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import partial
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Final
 
 from calib.campaign.check import CheckReport
@@ -11,8 +11,8 @@ from calib.campaign.model import Note
 from calib.radius.design_checks import FAIL_BELOW, NOTE_BELOW
 from calib.radius.regression import Check
 from calib.radius.result import Fit
-from calib.reporting.blocks import Block, Column, Facts, Heading, Items, Notice, Picture, Section, Table, Text, drawn
-from calib.reporting.formatting import plural, probability, prose, span, text_column, text_columns
+from calib.reporting.blocks import Block, Facts, Heading, Items, Notice, Picture, Section, Table, Text, picture, table
+from calib.reporting.formatting import plural, probability, prose, span
 
 if TYPE_CHECKING:
     from calib.reporting.source import Source
@@ -25,31 +25,26 @@ MAX_REMARKS: Final = 3
 
 def checks_table(fit: Fit) -> Table:
     """Return the checks of both wheels: verdict, statistic, and what it means for the user."""
-    wheels_by_check: dict[tuple[str, str, str], list[tuple[str, Check]]] = {}
-    for name, wheel in fit.wheels.items():
-        for check in wheel.checks:
-            wheels_by_check.setdefault((check.name, check.level, check.sentence), []).append((name, check))
-    order = {check.name: number for number, check in enumerate(fit.left.checks + fit.right.checks)}
+    by_name: dict[str, dict[tuple[str, str], dict[str, Check]]] = {}
+    for wheel, fitted in fit.wheels.items():
+        for check in fitted.checks:
+            by_name.setdefault(check.name, {}).setdefault((check.level, check.sentence), {})[wheel] = check
     rows = [
         (
-            check_name.replace("_", " "),
-            "both" if len(pairs) == 2 else pairs[0][0],
+            name.replace("_", " "),
+            "both" if len(same) == 2 else next(iter(same)),
             _LEVELS.get(level, level),
-            _statistics([check for _, check in pairs]),
-            " / ".join(dict.fromkeys(probability(check.p_value) for _, check in pairs)),
+            _statistics(list(same.values())),
+            " / ".join(dict.fromkeys(probability(check.p_value) for check in same.values())),
             prose(sentence),
         )
-        for (check_name, level, sentence), pairs in sorted(wheels_by_check.items(), key=lambda item: order[item[0][0]])
+        for name, results in by_name.items()
+        for (level, sentence), same in results.items()
     ]
-    return Table(
+    return table(
         "Checks of the fit; p is the probability of a statistic at least as extreme where all assumptions hold.",
-        (
-            *text_columns("Check", "Wheel", "Verdict"),
-            Column("Statistic", align="left", wide=True, detail=True),
-            Column("p", detail=True),
-            text_column("Meaning", wide=True),
-        ),
-        tuple(rows),
+        ("<Check", "<Wheel", "<Verdict", "*~Statistic", "~p", "*Meaning"),
+        rows,
         dense=True,
     )
 
@@ -78,11 +73,8 @@ def usable_notice(fit: Fit) -> Notice:
             f"Reason given: {prose(fit.accepted)}. Findings: {' '.join(prose(text) for text in fit.implausible)}",
         )
     if failed:
-        return Notice(
-            "bad",
-            "The law should not be used as it is" if fit.implausible else "The law is doubtful",
-            f"FAILED: {'; '.join(failed)}. The checks say what that means and what to do.",
-        )
+        title = "The law should not be used as it is" if fit.implausible else "The law is doubtful"
+        return Notice("bad", title, f"FAILED: {'; '.join(failed)}. The checks say what that means and what to do.")
     remarks = [check for wheel in fit.wheels.values() for check in wheel.checks if check.level == "note"]
     if remarks:
         sentences = tuple(dict.fromkeys(prose(check.sentence) for check in remarks))
@@ -125,7 +117,7 @@ def decision_section(source: Source) -> Section:
 
 def residuals_picture(fit: Fit) -> Picture:
     """Return the residuals of both wheels."""
-    return Picture(
+    return picture(
         "residuals",
         "Residuals of both wheels against load, in the order driven, and against a normal distribution; colours are "
         "sessions as above.",
@@ -134,7 +126,8 @@ def residuals_picture(fit: Fit) -> Picture:
             f"{name} wheel within {1e6 * float(abs(wheel.residual_m).max()):.0f} µm"
             for name, wheel in fit.wheels.items()
         ),
-        partial(drawn, "radius.residuals", fit.left, fit.right, fit.radii.session),
+        "radius.residuals",
+        *(fit.left, fit.right, fit.radii.session),
     )
 
 
@@ -151,11 +144,7 @@ def check_content(report: CheckReport) -> tuple[Block, ...]:
         Heading(f"{report.campaign}{' (simulated)' if report.simulated else ''}"),
         Facts(tuple(_facts(report))),
     ]
-    for title, notes in (
-        ("Recognised", report.info),
-        ("Suspicious", report.suspicious),
-        ("Wrong", report.wrong),
-    ):
+    for title, notes in (("Recognised", report.info), ("Suspicious", report.suspicious), ("Wrong", report.wrong)):
         if notes:
             blocks += [Heading(f"{title} ({len(notes)})"), Items(tuple(_grouped(notes)))]
     return (*blocks, _verdict(report))
@@ -166,31 +155,29 @@ def _facts(report: CheckReport) -> list[tuple[str, str]]:
     rows = [("runs", str(contents.n_runs) + (f", {contents.n_excluded} excluded" if contents.n_excluded else ""))]
     for title, counted in (("sessions", contents.sessions), ("kinds", contents.kinds)):
         if counted:
-            names = ", ".join(f"{key} ({count})" for key, count in list(counted.items())[:MAX_NAMES])
-            rows.append((title, f"{len(counted)}: {names}" + (", ..." if len(counted) > MAX_NAMES else "")))
+            rows.append((title, f"{len(counted)}: {_first(f'{key} ({count})' for key, count in counted.items())}"))
     if contents.payloads_kg:
-        shown = ", ".join(f"{value:g}" for value in contents.payloads_kg[:MAX_NAMES])
-        rows.append(("payloads", shown + (", ..." if len(contents.payloads_kg) > MAX_NAMES else "") + " kg"))
-    for title, ends, unit in (
-        ("left load", contents.load_left_N, "N"),
-        ("right load", contents.load_right_N, "N"),
-        ("distance", contents.distance_m, "m"),
-        ("speed", contents.speed_mps, "m/s"),
-        ("hall", contents.temperature_C, "°C"),
-    ):
-        if ends:
-            rows.append((title, span(*ends, unit, ".5g")))
+        rows.append(("payloads", f"{_first(f'{value:g}' for value in contents.payloads_kg)} kg"))
+    ranges = {
+        ("left load", "N"): contents.load_left_N,
+        ("right load", "N"): contents.load_right_N,
+        ("distance", "m"): contents.distance_m,
+        ("speed", "m/s"): contents.speed_mps,
+        ("hall", "°C"): contents.temperature_C,
+    }
+    rows += [(title, span(*ends, unit, ".5g")) for (title, unit), ends in ranges.items() if ends]
     if contents.n_logs and contents.rate_Hz and contents.duration_s:
-        rows.append(
-            (
-                "logs",
-                f"{contents.n_logs}, {contents.n_samples} samples at {span(*contents.rate_Hz, 'Hz')}, "
-                f"{span(*contents.duration_s, 's')} ({', '.join(contents.log_columns)})",
-            )
-        )
+        size = f"{contents.n_logs}, {contents.n_samples} samples at {span(*contents.rate_Hz, 'Hz')}"
+        rows.append(("logs", f"{size}, {span(*contents.duration_s, 's')} ({', '.join(contents.log_columns)})"))
     if contents.covariates:
         rows.append(("covariates", ", ".join(contents.covariates)))
     return rows
+
+
+def _first(names: Iterable[str]) -> str:
+    """Return the first names of a list, and that there are more."""
+    listed = list(names)
+    return ", ".join(listed[:MAX_NAMES] + ["..."] * (len(listed) > MAX_NAMES))
 
 
 def _grouped(notes: Sequence[Note]) -> list[str]:
@@ -199,17 +186,16 @@ def _grouped(notes: Sequence[Note]) -> list[str]:
     for note in notes:
         by_text.setdefault(note.text, []).append(note)
     lines = []
-    of_code: dict[str, int] = {}
+    of_code: Counter[str] = Counter()
     for text, same in by_text.items():
         code = same[0].code
-        of_code[code] = of_code.get(code, 0) + 1
+        of_code[code] += 1
         if code and of_code[code] > MAX_SIMILAR:
             continue
         runs = list(dict.fromkeys(note.run_id for note in same if note.run_id))
         where = same[0].where
         if len(same) > 1:
-            places = list(dict.fromkeys(note.where for note in same))
-            shown = runs or places
+            shown = runs or list(dict.fromkeys(note.where for note in same))
             more = f" and {len(shown) - MAX_RUNS} more" if len(shown) > MAX_RUNS else ""
             where = f"{plural(len(shown), 'run' if runs else 'place')}, {', '.join(shown[:MAX_RUNS])}{more}"
         elif runs:

@@ -8,8 +8,8 @@ from typing import Any, Final
 
 from calib import __version__
 from calib.campaign.checks.design import WEIGHTY
-from calib.reporting.blocks import Block, Column, Equation, Facts, Items, Notice, Section, Table, Text, items
-from calib.reporting.formatting import MISSING, prose, span, text_column
+from calib.reporting.blocks import Equation, Facts, Items, Notice, Section, Text, items, table
+from calib.reporting.formatting import MISSING, plural, prose, span
 from calib.reporting.source import OPTIONAL, STATED, Source
 
 
@@ -20,20 +20,15 @@ def item_section(source: Source) -> Section:
     rows.append(("Campaign", source.fit.name))
     if setup is not None:
         vehicle, encoder = setup.vehicle, setup.encoder
-        per_rev = {encoder.counts_per_rev_left, encoder.counts_per_rev_right}
-        counts = (
-            f"{per_rev.pop():g} counts a revolution"
-            if len(per_rev) == 1
-            else f"{encoder.counts_per_rev_left:g} (left) and {encoder.counts_per_rev_right:g} (right) counts a "
-            "revolution"
-        )
+        left, right = encoder.counts_per_rev_left, encoder.counts_per_rev_right
+        counts = f"{left:g}" if left == right else f"{left:g} (left) and {right:g} (right)"
         wrap = "" if encoder.wrap_bits is None else f", counters of {encoder.wrap_bits} bits"
         rows += [
             ("Track", f"{1e3 * vehicle.track_m:.1f} mm between the contact points of the rear wheels"),
             ("Wheelbase", f"{1e3 * vehicle.wheelbase_m:.1f} mm"),
             ("Nominal wheel radius", f"{1e3 * vehicle.wheel_radius_m:.2f} mm, unloaded"),
             ("Mass", f"{vehicle.mass_kg:g} kg without payload, permissible wheel load {vehicle.max_wheel_load_N:g} N"),
-            ("Wheel encoders", counts + wrap),
+            ("Wheel encoders", f"{counts} counts a revolution{wrap}"),
         ]
     remark = Text(
         "What the campaign states of laboratory, customer, vehicle, instruments and dates is carried over as given; "
@@ -53,12 +48,8 @@ def missing_of(stated: Mapping[str, str]) -> Section | None:
     rows = tuple((what.capitalize(), key, "") for key, what in STATED.items() if key not in {*stated, *OPTIONAL})
     if not rows:
         return None
-    table = Table(
-        "Not stated by the campaign: to be filled in, here or under [report] of campaign.toml.",
-        (text_column("What"), text_column("Key of [report]"), text_column("To be filled in", wide=True)),
-        rows,
-    )
-    return Section("Not stated", (table,))
+    caption = "Not stated by the campaign: to be filled in, here or under [report] of campaign.toml."
+    return Section("Not stated", (table(caption, ("<What", "<Key of [report]", "*To be filled in"), rows),))
 
 
 def preparation_section(source: Source) -> Section | None:
@@ -70,15 +61,11 @@ def preparation_of(notes: Any) -> Section | None:
     """Return notes of an import, (where, text), as a section; None where there are none."""
     if not isinstance(notes, (list, tuple)) or not notes:
         return None
-    sentences = tuple(f"{where}: {text}" for where, text in notes[:MOST_NOTES])
+    sentences = [f"{where}: {text}" for where, text in notes[:MOST_NOTES]]
     more = len(notes) - len(sentences)
-    return Section(
-        "Preparation of the data",
-        (
-            Text("The runs were made of the laboratory's files by calib ingest, which noted:"),
-            Items(sentences + ((f"and {more} more, in ingest.json of the campaign",) if more > 0 else ())),
-        ),
-    )
+    sentences += [f"and {more} more, in ingest.json of the campaign"] if more else []
+    head = Text("The runs were made of the laboratory's files by calib ingest, which noted:")
+    return Section("Preparation of the data", (head, *items(sentences)))
 
 
 #: notes of an import listed in a report
@@ -104,9 +91,8 @@ def conditions_section(source: Source) -> Section:
     rows = source.facts(place="Place", floor="Floor", measured="Dates of measurement", instruments="Instruments")
     rows.append(("Sessions", str(sessions)))
     if setup is not None:
-        rows.append(
-            ("Laser rangefinder", f"standard uncertainty of a distance {1e3 * setup.rangefinder.sigma_m:.2g} mm")
-        )
+        milli = 1e3 * setup.rangefinder.sigma_m
+        rows.append(("Laser rangefinder", f"standard uncertainty of a distance {milli:.2g} mm"))
         if any("heading" in text for text in radii.path_source.tolist()):
             milli = 1e3 * setup.reference.sigma_theta_rad
             rows.append(("Heading reference", f"standard uncertainty of a heading {milli:.2g} mrad"))
@@ -116,20 +102,16 @@ def conditions_section(source: Source) -> Section:
             if name in setup.conditions
         ]
     if out + back:
-        rows.append(("Direction of driving", f"{out} runs out, {back} back"))
-    blocks: list[Facts | Text] = [Facts(tuple(rows))]
-    traceable = (
-        "Traceability to the SI rests on the instruments' certificates as named above."
-        if "instruments" in source.stated
-        else "No calibration certificates of the instruments are stated; traceability to the SI is not shown by this "
-        "report."
-    )
-    blocks.append(Text(traceable + " The standard uncertainties of the instruments are as stated by the campaign."))
+        rows.append(("Direction of driving", f"{plural(out, 'run')} out, {back} back"))
+    traceable = "No certificates of the instruments are stated: this report shows no traceability to the SI."
+    if "instruments" in source.stated:
+        traceable = "Traceability to the SI rests on the instruments' certificates as named above."
+    texts = [Text(f"{traceable} The standard uncertainties of the instruments are as stated by the campaign.")]
     if setup is not None:
-        blocks.append(assumed_text(setup.assumed))
+        texts.append(assumed_text(setup.assumed))
     if "remarks" in source.stated:
-        blocks.append(Text(f"Remarks: {source.stated['remarks']}"))
-    return Section("Instruments and conditions", tuple(blocks))
+        texts.append(Text(f"Remarks: {source.stated['remarks']}"))
+    return Section("Instruments and conditions", (Facts(tuple(rows)), *texts))
 
 
 def assumed_text(assumed: Mapping[str, str]) -> Text:
@@ -207,55 +189,33 @@ def _counted_wheels(source: Source) -> str:
 def limits_section(source: Source) -> Section:
     """Return the limits of the result."""
     fit = source.fit
-    items = [
-        "The results relate only to the vehicle and wheels named above, in the condition in which they were driven.",
-    ]
+    lines = ["The results relate only to the vehicle and wheels named above, in the condition as they were driven."]
     for name, wheel in fit.wheels.items():
+        low, high = wheel.law.load_min_N, wheel.law.load_max_N
+        limit = "only one load was measured; how the radius changes with load is not known."
         if wheel.model == "line":
-            items.append(
-                f"{name.capitalize()} wheel: loads below {wheel.law.load_min_N:.0f} N and above "
-                f"{wheel.law.load_max_N:.0f} N were not measured."
-            )
-        else:
-            items.append(
-                f"{name.capitalize()} wheel: only one load was measured; how the radius changes with load is not known."
-            )
+            limit = f"loads below {low:.0f} N and above {high:.0f} N were not measured."
+        lines.append(f"{name.capitalize()} wheel: {limit}")
     if any(wheel.design == "confounded" for wheel in fit.wheels.values()):
-        items.append(
+        lines.append(
             "Each session had a load of its own: a change from session to session is confounded with an effect of load."
         )
     conditions = {} if fit.setup is None else fit.setup.conditions
-    speed, hall = conditions.get("speed_mps"), conditions.get("temperature_C")
-    items.append(
-        "Other speeds than those driven"
-        + ("" if speed is None else f" ({_range(speed, '.2g')} m/s)")
-        + " and curves: the "
-        "law comes from straight runs at constant speed; scrub and load transfer in curves are not contained in it."
+    speeds = f" ({span(*conditions['speed_mps'], 'm/s', '.2g')})" if "speed_mps" in conditions else ""
+    halls = ", as none were recorded"
+    if "temperature_C" in conditions:
+        halls = f" than {span(*conditions['temperature_C'], '°C', '.1f')}"
+    lines += [
+        f"Other speeds than those driven{speeds} and curves: the law comes from straight runs at constant speed; scrub "
+        "and load transfer in curves are not contained in it.",
+        f"Other temperatures{halls}, later wear, other wheels and other floors.",
+        "The track, and with it heading: straight runs do not determine it.",
+    ]
+    closing = (
+        "This report may be passed on in full only. It is not a certificate, and makes no claim about the competence "
+        "of the laboratory beyond what the laboratory states itself."
     )
-    items.append(
-        "Other temperatures"
-        + (", as none were recorded" if hall is None else f" than {_range(hall, '.1f')} °C")
-        + ", later wear, other wheels and other floors."
-    )
-    items.append(
-        "The track, and with it heading: straight runs do not determine it"
-        + (" and the heading error of a vehicle needs it as well as the radii." if fit.setup is not None else ".")
-    )
-    return Section(
-        "What this report does not cover",
-        (
-            Items(tuple(items)),
-            Text(
-                "This report may be passed on in full only. It is not a certificate, and makes no claim about the "
-                "competence of the laboratory beyond what the laboratory states itself."
-            ),
-        ),
-    )
-
-
-def _range(pair: tuple[float, float], form: str) -> str:
-    low, high = (format(value, form) for value in pair)
-    return low if low == high else f"{low} to {high}"
+    return Section("What this report does not cover", (Items(tuple(lines)), Text(closing)))
 
 
 #: beyond this many files their logs are given as one hash
@@ -264,41 +224,18 @@ MOST_FILES: Final = 12
 
 def files_section(source: Source) -> Section:
     """Return the inputs with their SHA-256, the program and the attachment."""
-    inputs = source.inputs
-    named = {path: digest for path, digest in inputs.items() if not path.startswith("logs/")}
-    others = {path: digest for path, digest in inputs.items() if path not in named}
-    if len(inputs) <= MOST_FILES:
-        named, others = dict(inputs), {}
-    rows = sorted(named.items())
-    if others:
-        listing = "".join(f"{digest}  {path}\n" for path, digest in sorted(others.items()))
-        rows.append((f"{len(others)} logs*", hashlib.sha256(listing.encode()).hexdigest()))
-    blocks: list[Block] = [
-        Facts(
-            (
-                ("Program", f"calib {source.fit.provenance.get('version', __version__)}"),
-                ("Attached", "coefficients.json"),
-                ("Its checksum", source.coefficients.checksum),
-            )
-        )
-    ]
-    if rows:
-        blocks.append(
-            Table(
-                "Input files and their SHA-256.",
-                (text_column("File", wide=True), Column("SHA-256", align="left", mono=True)),
-                tuple(rows),
-                dense=True,
-            )
-        )
-    else:
-        blocks.append(Text("The data were handed over in memory; there are no input files."))
-    if others:
-        blocks.append(
-            Text(
-                "* SHA-256 of the list that sha256sum prints for the logs, sorted by path; each log's own hash is in "
-                "the attached coefficients.json.",
-                small=True,
-            )
-        )
-    return Section("Files", tuple(blocks))
+    rows = sorted(source.inputs.items())
+    program = f"calib {source.fit.provenance.get('version', __version__)}"
+    checksum = source.coefficients.checksum
+    facts = Facts((("Program", program), ("Attached", "coefficients.json"), ("Its checksum", checksum)))
+    if not rows:
+        return Section("Files", (facts, Text("The data were handed over in memory; there are no input files.")))
+    remark: tuple[Text, ...] = ()
+    logs = [f"{digest}  {path}\n" for path, digest in rows if path.startswith("logs/")]
+    if logs and len(rows) > MOST_FILES:
+        rows = [row for row in rows if not row[0].startswith("logs/")]
+        rows.append((f"{len(logs)} logs*", hashlib.sha256("".join(logs).encode()).hexdigest()))
+        listing = "* SHA-256 of the list that sha256sum prints for the logs, sorted by path; each log's own hash is in "
+        remark = (Text(f"{listing}the attached coefficients.json.", small=True),)
+    files = table("Input files and their SHA-256.", ("*File", "=SHA-256"), rows, dense=True)
+    return Section("Files", (facts, files, *remark))

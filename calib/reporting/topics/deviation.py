@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -11,101 +10,82 @@ import numpy as np
 from calib.radius.deviation import allowed_amplitude_m, radius_error
 from calib.radius.result import Fit
 from calib.radius.run_deviation import RunDeviations
-from calib.reporting.blocks import Block, Column, Picture, Section, Table, Text, drawn, items
-from calib.reporting.formatting import MISSING, fixed, number_columns, plural, prose, text_column, text_columns
+from calib.reporting.blocks import Block, Picture, Section, Text, items, picture, table
+from calib.reporting.formatting import MISSING, fixed, plural, prose
+from calib.types import FloatArray
 
 if TYPE_CHECKING:
     from calib.reporting.source import Source
 
 
-def _percent(share: float | None, decimals: int = 4) -> str:
-    return MISSING if share is None else fixed(100 * share, decimals)
-
-
 def weave_content(rows: Sequence[Mapping[str, float]], tolerance: float, track_m: float) -> tuple[Block, ...]:
     """Return the excess of woven paths, and the amplitude that a tolerance allows."""
-    table = Table(
+    heads = {
+        "whole periods (%)": ("excess_whole_periods", 6),
+        "(πA/λ)² (%)": ("excess_small_amplitude", 6),
+        "This distance | centre (%)": ("excess_centre", 4),
+        "This distance | left (%)": ("excess_left", 4),
+        "This distance | right (%)": ("excess_right", 4),
+        "Error of the radius | of periods (%)": ("radius_error_whole_periods", 4),
+        "Error of the radius | left (%)": ("radius_error_left", 4),
+        "Error of the radius | right (%)": ("radius_error_right", 4),
+    }
+    excess = table(
         f"y = A sin(2πx/λ), Sₒ = {rows[0]['distance_m']:g} m, track {track_m:g} m: excess of the path, and what it "
         "does to a radius.",
-        (
-            *number_columns("A", "λ", unit="m"),
-            *number_columns("whole periods", "(πA/λ)²", unit="%"),
-            *(Column(title, "%", group="This distance") for title in ("centre", "left", "right")),
-            Column("of periods", "%", group="Error of the radius"),
-            *(Column(title, "%", group="Error of the radius") for title in ("left", "right")),
-        ),
-        tuple(
-            (
-                f"{row['amplitude_m']:g}",
-                f"{row['wavelength_m']:g}",
-                _percent(row["excess_whole_periods"], 6),
-                _percent(row["excess_small_amplitude"], 6),
-                *(_percent(row[f"excess_{part}"]) for part in ("centre", "left", "right")),
-                *(_percent(row[f"radius_error_{part}"]) for part in ("whole_periods", "left", "right")),
-            )
+        ("A (m)", "λ (m)", *heads),
+        [
+            [
+                *(f"{row[key]:g}" for key in ("amplitude_m", "wavelength_m")),
+                *(fixed(100 * row[key], decimals) for key, decimals in heads.values()),
+            ]
             for row in rows
-        ),
+        ],
     )
     allowed = {row["wavelength_m"]: row["allowed_amplitude_m"] for row in rows}
-    return (
-        table,
-        *(
-            Text(
-                f"At a wavelength of {wavelength:g} m a radius stays within {100 * tolerance:g} % up to an amplitude "
-                f"of {1e3 * amplitude:.1f} mm (whole periods)."
-            )
-            for wavelength, amplitude in allowed.items()
-        ),
+    sentences = (
+        f"At a wavelength of {wavelength:g} m a radius stays within {100 * tolerance:g} % up to an amplitude of "
+        f"{1e3 * amplitude:.1f} mm (whole periods)."
+        for wavelength, amplitude in allowed.items()
     )
+    return (excess, *map(Text, sentences))
 
 
 def arc_content(arc: Mapping[str, float]) -> tuple[Block, ...]:
     """Return what wheels of different radii do on a straight line."""
-    return (
-        Text(
-            f"Wheels with r_R / r_L = {arc['radius_ratio']:g} taken for equal: over {arc['distance_m']:g} m a turn of "
-            f"{arc['turn_rad']:+.4f} rad and {arc['offset_m']:+.3f} m beside the line; the path is longer by "
-            f"{_percent(arc['excess_centre'])} % (centre), {_percent(arc['excess_left'])} % (left), "
-            f"{_percent(arc['excess_right'])} % (right)."
-        ),
+    longer = ", ".join(f"{fixed(100 * arc[f'excess_{at}'], 4)} % ({at})" for at in ("centre", "left", "right"))
+    text = (
+        f"Wheels with r_R / r_L = {arc['radius_ratio']:g} taken for equal: over {arc['distance_m']:g} m a turn of "
+        f"{arc['turn_rad']:+.4f} rad and {arc['offset_m']:+.3f} m beside the line; the path is longer by {longer}."
     )
+    return (Text(text),)
 
 
 def runs_content(name: str, simulated: bool, judged: RunDeviations) -> tuple[Block, ...]:
     """Return the verdict on each run of a campaign."""
-
-    def length(value: float | None, scale: float, decimals: int) -> str:
-        return MISSING if value is None else fixed(scale * value, decimals)
-
-    columns = (
-        *text_columns("Run", "From"),
-        Column("A", "mm"),
-        Column("λ", "m"),
-        Column("centre", "%", group="Excess"),
-        Column("small A", "%", group="Excess", detail=True),
-        *number_columns("left", "right", unit="µm", group="Error of radius"),
-        Column("allowed A", "mm"),
-        text_column("Verdict"),
-    )
-    rows = tuple(
+    heads = {
+        "A (mm)": ("amplitude_m", 1e3, 1),
+        "λ (m)": ("wavelength_m", 1.0, 2),
+        "Excess | centre (%)": ("excess_centre", 100.0, 5),
+        "~Excess | small A (%)": ("small_amplitude", 100.0, 5),
+        "Error of radius | left (µm)": ("error_left_m", 1e6, 1),
+        "Error of radius | right (µm)": ("error_right_m", 1e6, 1),
+        "allowed A (mm)": ("allowed_amplitude_m", 1e3, 1),
+    }
+    rows = [
         (
-            str(row["run_id"]),
-            str(row["source"]),
-            length(row["amplitude_m"], 1e3, 1),
-            length(row["wavelength_m"], 1, 2),
-            _percent(row["excess_centre"], 5),
-            _percent(row["small_amplitude"], 5),
-            length(row["error_left_m"], 1e6, 1),
-            length(row["error_right_m"], 1e6, 1),
-            length(row["allowed_amplitude_m"], 1e3, 1),
+            *(str(row[key]) for key in ("run_id", "source")),
+            *(MISSING if row[key] is None else fixed(k * row[key], places) for key, k, places in heads.values()),
             str(row["verdict"]),
         )
         for row in judged.rows()
-    )
+    ]
     mark = " SIMULATED DATA." if simulated else ""
     notes = [*judged.notes, *(f"Not used: {run.run_id} {run.reason}" for run in judged.left_out)]
-    table = Table(f"{name}: error that each path adds to its radii.{mark}", columns, rows)
-    return (table, *items(map(prose, notes)), Text(prose(judged.summary)))
+    errors = table(
+        f"{name}: error that each path adds to its radii.{mark}", ("<Run", "<From", *heads, "<Verdict"), rows
+    )
+    return (errors, *items(map(prose, notes)), Text(prose(judged.summary)))
 
 
 #: relative error of a radius that the runs are compared with
@@ -120,18 +100,12 @@ _SOURCES: Final = {
 }
 
 
-def _beyond(source: Source) -> str:
-    radii = source.fit.radii
-    off = np.maximum(np.abs(radius_error(radii.path_left)), np.abs(radius_error(radii.path_right))) > TOLERANCE
-    count = int(off.sum())
-    return "no run would show" if count == 0 else f"{plural(count, 'run')} would show"
-
-
 def deviation_section(source: Source) -> Section:
     """Return how much longer than the measured distance the wheels' paths were, and what was corrected."""
     radii = source.fit.radii
     known = np.isfinite(radii.amplitude_m) & np.isfinite(radii.wavelength_m)
-    worst = 1e6 * float(max(np.abs(radii.path_left).max(), np.abs(radii.path_right).max()))
+    paths = np.array((radii.path_left, radii.path_right))
+    worst = 1e6 * float(np.abs(paths).max())
     blocks: list[Block] = [
         Text(
             "The rangefinder sees the straight distance, the wheels roll along the path. A weave of amplitude A and "
@@ -141,46 +115,42 @@ def deviation_section(source: Source) -> Section:
         ),
         deviation_picture(source.fit),
     ]
-    counted = {name: int((radii.path_source == name).sum()) for name in dict.fromkeys(radii.path_source.tolist())}
     rows = []
-    for name, count in counted.items():
+    for name in dict.fromkeys(radii.path_source.tolist()):
         on = radii.path_source == name
-        amplitude, wavelength = radii.amplitude_m[on & known], radii.wavelength_m[on & known]
-        corrections = [1e6 * float(np.sqrt(np.mean(part[on] ** 2))) for part in (radii.path_left, radii.path_right)]
+        corrections = 1e6 * np.sqrt(np.mean(paths[:, on] ** 2, axis=1))
         rows.append(
             (
                 _SOURCES.get(name, name),
-                str(count),
-                fixed(1e3 * float(np.median(amplitude)) if len(amplitude) else None, 1),
-                fixed(float(np.median(wavelength)) if len(wavelength) else None, 1),
-                *(fixed(value, 0) for value in corrections),
+                str(int(on.sum())),
+                fixed(1e3 * _median(radii.amplitude_m[on & known]), 1),
+                fixed(_median(radii.wavelength_m[on & known]), 1),
+                *(fixed(float(value), 0) for value in corrections),
             )
         )
     blocks.append(
-        Table(
+        table(
             "Where the corrections come from; medians of amplitude and wavelength, root mean square corrections.",
-            (
-                text_column("Correction from", wide=True),
-                Column("Runs"),
-                Column("Amplitude", "mm"),
-                Column("Wavelength", "m"),
-                Column("Left", "ppm"),
-                Column("Right", "ppm"),
-            ),
-            tuple(rows),
+            ("*Correction from", "Runs", "Amplitude (mm)", "Wavelength (m)", "Left (ppm)", "Right (ppm)"),
+            rows,
         )
     )
     if known.any():
-        wavelength = float(np.median(radii.wavelength_m[known]))
+        off = int((np.abs(radius_error(paths)).max(axis=0) > TOLERANCE).sum())
+        wavelength = _median(radii.wavelength_m[known])
         allowed = 1e3 * float(allowed_amplitude_m(TOLERANCE, wavelength))
         blocks.append(
             Text(
-                f"Without the correction, {_beyond(source)} a radius more than {1e6 * TOLERANCE:.0f} ppm off. A weave "
-                f"of the median wavelength of {wavelength:.1f} m stays within that up to an amplitude of {allowed:.0f} "
-                "mm."
+                f"Without the correction, {plural(off, 'run') if off else 'no run'} would show a radius more than "
+                f"{1e6 * TOLERANCE:.0f} ppm off. A weave of the median wavelength of {wavelength:.1f} m stays within "
+                f"that up to an amplitude of {allowed:.0f} mm."
             )
         )
     return Section("Path deviation", tuple(blocks))
+
+
+def _median(values: FloatArray) -> float:
+    return float(np.median(values)) if len(values) else float("nan")
 
 
 def deviation_picture(fit: Fit) -> Picture:
@@ -188,11 +158,12 @@ def deviation_picture(fit: Fit) -> Picture:
     radii = fit.radii
     known = np.isfinite(radii.amplitude_m) & np.isfinite(radii.wavelength_m)
     worst = 1e6 * float(max(np.abs(radii.path_left).max(), np.abs(radii.path_right).max()))
-    return Picture(
+    return picture(
         "path-deviation",
         "Left: excess of a weaving path over the straight distance, by amplitude and wavelength over whole periods, "
         "and the runs of this campaign. Right: correction of each run's radius for weave and turn.",
         f"Excess of the path by amplitude for five wavelengths with {int(known.sum())} runs; corrections of all runs "
         f"up to {worst:.0f} ppm",
-        partial(drawn, "radius.path_deviation", radii),
+        "radius.path_deviation",
+        radii,
     )

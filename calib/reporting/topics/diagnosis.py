@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from calib.gap.decision.diagnosis import Diagnosis, Plan, VerdictKind
-from calib.reporting.blocks import Block, Heading, Notice, Picture, Section, Text, drawn, items, simulated_notice
-from calib.reporting.formatting import length, prose, with_unit
+from calib.reporting.blocks import Block, Heading, Notice, Picture, Section, Text, items, picture, simulated_notice
+from calib.reporting.formatting import length, prose, three_digits, with_unit
 from calib.reporting.source import Source
 from calib.reporting.topics.effects import next_runs_table
 from calib.reporting.topics.gap import (
@@ -43,8 +42,8 @@ def verdict_notice(verdict: Diagnosis) -> Notice:
     return Notice(level, f"{title} ({verdict.kind.value})", prose(verdict.sentence))
 
 
-def verdict_content(verdict: Diagnosis) -> tuple[Block, ...]:
-    """Return what the terminal prints of a verdict, under the name of its campaign."""
+def diagnosis_full(verdict: Diagnosis) -> tuple[Block, ...]:
+    """Return what the terminal prints of a diagnosis, under the name of its campaign."""
     mark = (simulated_notice(),) if verdict.simulated else ()
     return (Heading(verdict.campaign), *mark, *diagnosis_content(verdict))
 
@@ -88,11 +87,12 @@ def map_picture(gap: GapArrays | None) -> list[Picture]:
         return []
     largest = float(np.nanmax(np.hypot(*gap.offset_m.T), initial=0.0))
     return [
-        Picture(
+        picture(
             "gap-map",
             "The gap on the floor plan: paths driven, and arrows from the simulated to the measured end of each run.",
             f"Floor plan of {len(gap.paths_m)} runs with the gap at their ends, at most {length(largest)}",
-            partial(drawn, "gap.gap_map", gap.paths_m, gap.offset_m, gap.labels["kind"]),
+            "gap.gap_map",
+            *(gap.paths_m, gap.offset_m, gap.labels["kind"]),
         )
     ]
 
@@ -101,7 +101,7 @@ def covariate_picture(gap: GapArrays | None, verdict: Diagnosis) -> list[Picture
     """Return the channel furthest above its noise level, against what varied between the runs."""
     if gap is None:
         return []
-    from calib.reporting.figures.gap import MAX_PANELS, distinct
+    from calib.reporting.figures.gap import MAX_PANELS, distinct, rms
 
     # covariates that explain most come first: the number of panels is limited
     lines = sorted(verdict.where.covariates, key=lambda line: not line.significant)
@@ -109,28 +109,31 @@ def covariate_picture(gap: GapArrays | None, verdict: Diagnosis) -> list[Picture
     varied = {
         name: gap.covariates[name]
         for name in sorted(gap.covariates, key=lambda name: rank.get(name, len(rank)))
-        if np.isfinite(gap.covariates[name]).sum() >= 3 and np.ptp(_known(gap.covariates[name])) > 0
+        if len(known := _known(gap.covariates[name])) >= 3 and np.ptp(known) > 0
     }
-    levels = [_rms(column) for column in gap.noise_level.T]
+    levels = [rms(column) for column in gap.noise_level.T]
     ratios = [
-        _rms(values) / level if np.isfinite(values).sum() >= 3 and level > 0 else -1.0
+        rms(values) / level if len(_known(values)) >= 3 and level > 0 else -1.0
         for values, level in zip(gap.before.T, levels, strict=True)
     ]
     worst = int(np.argmax(ratios))
     if not varied or ratios[worst] <= 0:
         return []
     channel, unit = gap.channels[worst]
-    title, options = effect_name(channel), {"noise_level": levels[worst], "group": gap.labels["kind"]}
+    title = effect_name(channel)
     shown = list(distinct(varied).items())[:MAX_PANELS]
     alike = [f"{', '.join(map(with_unit, others))} like {with_unit(name)}" for name, others in shown if others]
     aside = f" Not drawn, since they vary alike: {'; '.join(alike)}." if alike else ""
     return [
-        Picture(
+        picture(
             "gap-by-covariate",
             f"The {title} gap against what varied between the runs; squares are means with their 95 % intervals, the "
             f"grey band is the noise level.{aside}",
             f"Gap of the channel {title} against {', '.join(effect_name(name) for name, _ in shown)}",
-            partial(drawn, "gap.gap_by_covariate", gap.before[:, worst], title, unit, varied, **options),
+            "gap.gap_by_covariate",
+            *(gap.before[:, worst], title, unit, varied),
+            noise_level=levels[worst],
+            group=gap.labels["kind"],
         )
     ]
 
@@ -139,35 +142,28 @@ def before_after_picture(gap: GapArrays | None) -> list[Picture]:
     """Return the gap of every run before and after the correction, channel by channel."""
     if gap is None or not np.isfinite(gap.before).any():
         return []
+    from calib.reporting.figures.gap import rms
+
     channels = [(effect_name(name), unit) for name, unit in gap.channels]
     sizes = [
-        f"{name} {_rms(before):.3g} to {_rms(after):.3g} {unit}"
+        f"{name} {three_digits(rms(before))} to {three_digits(rms(after))} {unit}"
         for (name, unit), before, after in zip(channels, gap.before.T, gap.after.T, strict=True)
         if np.isfinite(before).any()
     ]
     return [
-        Picture(
+        picture(
             "gap-before-after",
             "The gap of every run before and after the correction, channel by channel, on held-out runs; bars "
             "are mean and standard deviation, numbers root mean squares, the grey band is the noise level.",
             "Gap before and after by channel: " + "; ".join(sizes),
-            partial(drawn, "gap.before_after", channels, gap.before, gap.after, gap.noise_level),
+            "gap.before_after",
+            *(channels, gap.before, gap.after, gap.noise_level),
         )
     ]
 
 
 def _known(values: FloatArray) -> FloatArray:
     return np.asarray(values[np.isfinite(values)], dtype=np.float64)
-
-
-def _rms(values: FloatArray) -> float:
-    known = _known(values)
-    return float(np.sqrt(np.mean(known**2))) if len(known) else 0.0
-
-
-def diagnosis_full(diagnosis: Diagnosis) -> tuple[Block, ...]:
-    """Return what the terminal prints of a diagnosis."""
-    return verdict_content(diagnosis)
 
 
 def diagnosis_brief(diagnosis: Diagnosis) -> tuple[Block, ...]:

@@ -11,8 +11,8 @@ from calib.gap.effects.effect import Parameter
 from calib.gap.effects.library import LIBRARY, Entry
 from calib.gap.observations.arrays import Channel
 from calib.gap.plan.identifiability import Outlook
-from calib.reporting.blocks import Block, Column, Facts, Heading, Items, Table, Text, items
-from calib.reporting.formatting import MISSING, fixed, plural, prose, text_column, three_digits
+from calib.reporting.blocks import Block, Facts, Heading, Table, Text, items, table
+from calib.reporting.formatting import MISSING, fixed, plural, prose, three_digits
 
 #: below this (m or rad) a channel counts as unchanged: no instrument resolves a micrometre
 UNCHANGED: Final = 1e-6
@@ -36,30 +36,16 @@ def size_text(value: float, unit: str) -> str:
 
 def effects_content(entries: Sequence[Entry], runs: str) -> tuple[Block, ...]:
     """Return the catalogue as a table."""
-    rows = tuple((entry.effect.id, entry.effect.title, str(entry.effect.family), _typical(entry)) for entry in entries)
-    table = Table(
+    catalogue = table(
         f"{plural(len(entries), 'effect')}; typical size of the form that shows most on {runs}.",
-        (
-            text_column("Effect"),
-            text_column("What it is", wide=True),
-            text_column("Family"),
-            text_column("Typical size"),
-        ),
-        rows,
+        ("<Effect", "*What it is", "<Family", "<Typical size"),
+        [(entry.effect.id, entry.effect.title, str(entry.effect.family), _typical(entry)) for entry in entries],
     )
-    silent = [entry for entry in entries if entry.signature is None]
-    blocks: list[Block] = [table]
-    if silent:
-        blocks += [
-            Text(f"Without a form on {runs}:"),
-            Items(tuple(f"{entry.effect.id}: {_why_no_form(entry)}" for entry in silent)),
-        ]
-    elsewhere = [entry for entry in entries if entry.origin != LIBRARY]
-    if elsewhere:
-        blocks += [
-            Text("Not from the library:"),
-            Items(tuple(f"{entry.effect.id}: from {entry.origin}" for entry in elsewhere)),
-        ]
+    silent = items(f"{entry.effect.id}: {_why_no_form(entry)}" for entry in entries if entry.signature is None)
+    elsewhere = items(f"{entry.effect.id}: from {entry.origin}" for entry in entries if entry.origin != LIBRARY)
+    blocks: list[Block] = [catalogue]
+    blocks += [Text(f"Without a form on {runs}:"), *silent] if silent else []
+    blocks += [Text("Not from the library:"), *elsewhere] if elsewhere else []
     return tuple(blocks)
 
 
@@ -82,12 +68,10 @@ def effect_content(entry: Entry, runs: str) -> tuple[Block, ...]:
     if entry.signature is None:
         return (*blocks, Text(f"Without a form on {runs}: {_why_no_form(entry)}."))
     form = entry.signature.form
-    rows = tuple(
-        (one.name.replace("_", " "), _signed(one), size_text(one.largest, one.unit)) for one in form.parameters
-    )
+    rows = [(one.name.replace("_", " "), _signed(one), size_text(one.largest, one.unit)) for one in form.parameters]
     label = f" ({form.label})" if form.label else ""
-    columns = (text_column("Parameter"), text_column("Typical size"), text_column("Largest plausible"))
-    return (*blocks, Table(f"Parameters{label}.", columns, rows), *_signature(entry, runs))
+    sizes = table(f"Parameters{label}.", ("<Parameter", "<Typical size", "<Largest plausible"), rows)
+    return (*blocks, sizes, *_signature(entry, runs))
 
 
 def _signature(entry: Entry, runs: str) -> tuple[Block, ...]:
@@ -95,19 +79,14 @@ def _signature(entry: Entry, runs: str) -> tuple[Block, ...]:
     moved = [c for c in Channel if any(np.nan_to_num(rms[c]) > UNCHANGED for rms in entry.changes.values())]
     if not moved:
         return (Text(f"At its typical size it changes nothing that is measured on {runs}."),)
-    columns = (
-        text_column("Kind of run"),
-        *(Column(channel.label, "mrad" if channel.unit == "rad" else "mm") for channel in moved),
-    )
-    rows = tuple(
-        (kind, *(MISSING if not np.isfinite(rms[c]) else _milli(float(rms[c])) for c in moved))
-        for kind, rms in entry.changes.items()
-    )
-    caption = f"Signature: root mean square change at the typical size on {runs}."
-    return (Table(caption, columns, rows),)
+    heads = ("<Kind of run", *(f"{channel.label} (m{channel.unit})" for channel in moved))
+    rows = [(kind, *(_milli(float(rms[c])) for c in moved)) for kind, rms in entry.changes.items()]
+    return (table(f"Signature: root mean square change at the typical size on {runs}.", heads, rows),)
 
 
 def _milli(value: float) -> str:
+    if not np.isfinite(value):
+        return MISSING
     return "0" if value < UNCHANGED else three_digits(1e3 * value)
 
 
@@ -145,19 +124,10 @@ def next_runs_table(runs: Sequence[Mapping[str, Any]]) -> Table | Text:
     """Return the runs to drive next, best first, each with the effects that it separates."""
     if not runs:
         return Text("No run of the list would separate more effects than the runs driven.")
-    columns = (
-        text_column("Run"),
-        Column("Payload", "kg"),
-        Column("at x, y", "m", detail=True),
-        Column("Speed", "m/s"),
-        Column("Hall", "°C"),
-        Column("Loaded", "min"),
-        text_column("What it separates", wide=True),
-    )
-    return Table(
+    return table(
         "Runs to drive next, best first; in one session that begins with a repeat of an unladen corridor run.",
-        columns,
-        tuple(_row(number, run) for number, run in enumerate(runs, start=1)),
+        ("<Run", "Payload (kg)", "~at x, y (m)", "Speed (m/s)", "Hall (°C)", "Loaded (min)", "*What it separates"),
+        [_row(number, run) for number, run in enumerate(runs, start=1)],
     )
 
 
@@ -182,24 +152,16 @@ def outlook_content(name: str, n_runs: int, outlook: Outlook) -> tuple[Block, ..
     rows = []
     for number, effect in enumerate(outlook.effects):
         others = document["confused"].get(effect, [])
-        words = (
-            "yes"
-            if effect in told_apart
-            else ("not seen at its typical size" if not others else ", ".join(others[:MAX_NAMED]))
-        )
+        words = ", ".join(others[:MAX_NAMED]) or "not seen at its typical size"
         if len(others) > MAX_NAMED:
             words += f" and {len(others) - MAX_NAMED} more"
+        words = "yes" if effect in told_apart else words
         rows.append((effect, fixed(float(outlook.signal[number]), 1), prose(outlook.smallest[effect].sentence), words))
-    table = Table(
+    told = table(
         f"{name}, {n_runs} runs: {len(told_apart)} of {len(outlook.effects) + len(outlook.absent)} effects told apart. "
         "The signal is that at the effect's typical size, in standard deviations.",
-        (
-            text_column("Effect"),
-            Column("Signal"),
-            text_column("Smallest size seen", wide=True),
-            text_column("Told apart, or confused with", wide=True),
-        ),
-        tuple(rows),
+        ("<Effect", "Signal", "*Smallest size seen", "*Told apart, or confused with"),
+        rows,
     )
     absent = (f"{effect}: {prose(outlook.smallest[effect].sentence)}" for effect in outlook.absent)
-    return (table, *items(absent))
+    return (told, *items(absent))

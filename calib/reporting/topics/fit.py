@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Final
 
 from calib.radius.fit import Difference, ModelComparison
 from calib.radius.result import Fit
-from calib.reporting.blocks import Block, Heading, Notice, Picture, Section, Table, Text, items, simulated_notice
-from calib.reporting.formatting import fixed, number_columns, places, plural, prose, text_column, text_columns
+from calib.reporting.blocks import Block, Heading, Notice, Picture, Section, Text, items, simulated_notice, table
+from calib.reporting.formatting import fixed, places, plural, prose
 from calib.reporting.source import doubtful_causes
 from calib.reporting.topics.budget import budget_picture, radius_budget
 from calib.reporting.topics.checks import checks_table, residuals_picture, usable_notice
@@ -35,24 +35,21 @@ FIT_PICTURES: Final = ("runs-by-series", "regressions", "path-deviation", "resid
 def fit_content(fit: Fit, *, runs: bool = False) -> tuple[Block | Section, ...]:
     """Return what a fit says, the most important first and last; with `runs` the radius of every run, too."""
     sessions = len(set(fit.radii.session.tolist()))
-    blocks: list[Block | Section] = [
-        Heading(f"{fit.name}: {plural(len(fit.radii), 'run')} in {plural(sessions, 'session')}")
-    ]
-    if fit.simulated:
-        blocks.append(simulated_notice())
-    blocks += [law_table(fit), single_run_text(fit), Text(" ".join(map(quality_text, fit.wheels.values())))]
-    naive = naive_text(fit)
-    blocks += [naive] if naive else []
-    blocks += [static_table(fit)] if fit.static else []
-    blocks.append(checks_table(fit))
-    if fit.radii.budget:
-        blocks.append(radius_budget(fit))
-    if runs:
-        blocks.append(runs_table(fit))
-    blocks += items(map(prose, fit.notes))
-    if fit.radii.left_out:
-        blocks.append(left_out_table(fit))
-    return (*blocks, usable_notice(fit))
+    return (
+        Heading(f"{fit.name}: {plural(len(fit.radii), 'run')} in {plural(sessions, 'session')}"),
+        *([simulated_notice()] if fit.simulated else []),
+        law_table(fit),
+        single_run_text(fit),
+        Text(" ".join(map(quality_text, fit.wheels.values()))),
+        *naive_text(fit),
+        *([static_table(fit)] if fit.static else []),
+        checks_table(fit),
+        *([radius_budget(fit)] if fit.radii.budget else []),
+        *([runs_table(fit)] if runs else []),
+        *items(map(prose, fit.notes)),
+        *([left_out_table(fit)] if fit.radii.left_out else []),
+        usable_notice(fit),
+    )
 
 
 def comparison_content(compared: ModelComparison, notes: Sequence[str]) -> tuple[Block, ...]:
@@ -62,14 +59,10 @@ def comparison_content(compared: ModelComparison, notes: Sequence[str]) -> tuple
         rows.append(_row(f"{side}: radius at {compared.reference_load_N:.0f} N", wheel.radius_ref, 1e3, "mm"))
         if wheel.slope is not None:
             rows.append(_row(f"{side}: slope", wheel.slope, 1e6, "µm/N"))
-    columns = (
-        *text_columns("Quantity", "Unit"),
-        *number_columns("Fitted", "Model", "Difference"),
-        *number_columns("from", "to", group="95 % interval"),
-        text_column("Model lies"),
-    )
-    table = Table("Fitted law against the model's; the interval is that of the difference.", columns, tuple(rows))
-    return (table, *items(map(prose, notes)))
+    interval = ("95 % interval | from", "95 % interval | to")
+    heads = ("<Quantity", "<Unit", "Fitted", "Model", "Difference", *interval, "<Model lies")
+    caption = "Fitted law against the model's; the interval is that of the difference."
+    return (table(caption, heads, rows), *items(map(prose, notes)))
 
 
 def _row(name: str, difference: Difference, factor: float, unit: str) -> tuple[str, ...]:

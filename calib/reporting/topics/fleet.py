@@ -8,8 +8,7 @@ from calib.fleet.comparison import shown_quantity
 from calib.fleet.population import Population
 from calib.fleet.run import Fleet
 from calib.fleet.survey import Survey
-from calib.reporting.blocks import Block, Column, Facts, Heading, Items, Picture, Table, Text
-from calib.reporting.formatting import number_columns
+from calib.reporting.blocks import Block, Facts, Heading, Items, Picture, Table, Text, table
 
 #: rows of a list at most; the tables have them all
 MAX_ROWS = 40
@@ -59,41 +58,21 @@ def _population_table(populations: Mapping[str, Population]) -> Table:
         shown, scale, unit = shown_quantity(name)
         digits = 1 if unit == "nm/N" else 4
         half = 0.5 * (population.mean_ci95[1] - population.mean_ci95[0])
-        low, high = (scale * end for end in population.spread_ci95)
-        rows.append(
-            (
-                shown,
-                f"{scale * population.mean:.{digits}f} ± {scale * half:.{digits}f}",
-                f"{scale * population.spread:.{digits}f}",
-                f"{low:.{digits}f} to {high:.{digits}f}",
-                f"{scale * population.within:.{digits}f}",
-                unit,
-            )
-        )
-    return Table(
-        "The fleet; ± is the 95 % interval",
-        (
-            Column("quantity", align="left"),
-            *number_columns("mean", "between", "95 %", "within"),
-            Column("unit", align="left"),
-        ),
-        tuple(rows),
-    )
+        numbers = (population.mean, half, population.spread, *population.spread_ci95, population.within)
+        mean, plus, spread, low, high, within = (f"{scale * number:.{digits}f}" for number in numbers)
+        rows.append((shown, f"{mean} ± {plus}", spread, f"{low} to {high}", within, unit))
+    heads = ("<quantity", "mean", "between", "95 %", "within", "<unit")
+    return table("The fleet; ± is the 95 % interval", heads, rows)
 
 
 def _drifting(fleet: Fleet) -> Table:
-    return Table(
+    return table(
         f"Vehicles that drift ({len(fleet.view.drifting)}), soonest due first; ± is the 95 % interval",
-        (Column("vehicle", align="left"), Column("wheel", align="left"), *number_columns("nm a day", "due on day")),
-        tuple(
-            (
-                drifting.vehicle,
-                drifting.wheel,
-                f"{1e9 * drifting.per_day_m:+.0f} ± {1e9 * drifting.half_width_m:.0f}",
-                f"{drifting.due_day:.0f}",
-            )
-            for drifting in fleet.view.drifting[:MAX_ROWS]
-        ),
+        ("<vehicle", "<wheel", "drift (nm a day)", "due on day"),
+        [
+            (one.vehicle, one.wheel, f"{1e9 * one.per_day_m:+.0f} ± {1e9 * one.half_width_m:.0f}", f"{one.due_day:.0f}")
+            for one in fleet.view.drifting[:MAX_ROWS]
+        ],
     )
 
 
@@ -133,13 +112,12 @@ def survey_content(survey: Survey, *, page: bool = False) -> tuple[Block, ...]:
         facts.append(("now", f"{survey.n_done} done now, {survey.n_kept} kept from before"))
     blocks: list[Block] = [Heading(f"Fleet: {survey.what}"), Facts(tuple(facts))]
     quantities = survey.quantities
-    if quantities is not None and quantities.populations:
-        blocks.append(_population_table(quantities.populations))
-    if quantities is not None:
-        apart = [f"{outlier.vehicle}, {outlier.why}" for outlier in quantities.outliers]
-        blocks += _counted("Outlying vehicles", apart)
     shared = [cause.sentence for cause in survey.shared]
-    shared += [difference.sentence for difference in quantities.common] if quantities is not None else []
+    if quantities is not None:
+        if quantities.populations:
+            blocks.append(_population_table(quantities.populations))
+        blocks += _counted("Outlying vehicles", [f"{one.vehicle}, {one.why}" for one in quantities.outliers])
+        shared += [difference.sentence for difference in quantities.common]
     if shared:
         blocks += [Heading("Common to many vehicles"), Items(tuple(shared[:MAX_ROWS]))]
     return (*blocks, *_counted("Failed", [f"{record.name}: {record.why}" for record in failed]))

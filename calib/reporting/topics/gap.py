@@ -11,21 +11,18 @@ from calib.gap.decision.held_out import RERUN, Closure
 from calib.gap.decision.sentences import advice, headline
 from calib.gap.localise.result import GapLocation, PlaceResult, RunDeviation
 from calib.gap.observations.arrays import POSE
-from calib.reporting.blocks import Block, Column, Items, Table, Text, items
+from calib.reporting.blocks import Block, Table, Text, items, table
 from calib.reporting.formatting import (
     MISSING,
     aligned,
     fixed,
     in_words,
     length,
-    number_columns,
     percent,
     places,
     probability,
     prose,
     readable,
-    text_column,
-    text_columns,
     three_digits,
 )
 
@@ -34,6 +31,7 @@ MAX_LINES: Final = 12
 MAX_RUNS: Final = 5
 #: a run is named where its gap exceeds this many noise levels
 OUTSTANDING_Z: Final = 4.0
+INTERVAL: Final = ("95 % interval | from", "95 % interval | to")
 
 
 def where_blocks(where: GapLocation) -> list[Block]:
@@ -48,7 +46,7 @@ def where_blocks(where: GapLocation) -> list[Block]:
     runs = list(dict.fromkeys(line.name for line in outstanding))[:MAX_RUNS]
     if runs:
         lines = (prose(_run(run, [line for line in outstanding if line.name == run])) for run in runs)
-        blocks += [Text("Runs with the largest gap:"), Items(tuple(lines))]
+        blocks += [Text("Runs with the largest gap:"), *items(lines)]
     return blocks
 
 
@@ -58,35 +56,19 @@ def _channels(where: GapLocation) -> Table:
         factor, unit = readable(gap.channel.unit, gap.rms)
         cells = (three_digits(factor * value) for value in (gap.rms, gap.floor))
         rows.append((gap.channel.label, unit, *cells, fixed(gap.ratio, 1)))
-    return Table(
-        "Where: the gap by channel, root mean square, against its noise level.",
-        (text_column("Channel"), text_column("Unit"), Column("Gap"), Column("Noise"), Column("Ratio")),
-        tuple(rows),
-    )
+    caption = "Where: the gap by channel, root mean square, against its noise level."
+    return table(caption, ("<Channel", "<Unit", "Gap", "Noise", "Ratio"), rows)
 
 
 def _covariates(where: GapLocation) -> Table:
-    rows = tuple(
-        (
-            in_words(line.name),
-            line.channel_label,
-            f"{line.share:.2f}",
-            MISSING if line.ci95 is None else f"{line.ci95[0]:.2f}",
-            MISSING if line.ci95 is None else f"{line.ci95[1]:.2f}",
-            probability(line.p_value),
-        )
-        for line in where.significant[:MAX_LINES]
-    )
-    columns = (
-        *text_columns("Correlates with", "Channel"),
-        Column("Share"),
-        *number_columns("from", "to", group="95 % interval"),
-        Column("p"),
-    )
-    return Table(
+    rows = []
+    for line in where.significant[:MAX_LINES]:
+        shares = [fixed(value, 2) for value in (line.share, *(line.ci95 or (None, None)))]
+        rows.append((in_words(line.name), line.channel_label, *shares, probability(line.p_value)))
+    return table(
         "Correlations of the gap: share of its variance above the noise, and p corrected for the number of tests (the "
         "chance of any false line is 5 %).",
-        columns,
+        ("<Correlates with", "<Channel", "Share", *INTERVAL, "p"),
         rows,
     )
 
@@ -119,20 +101,15 @@ def closure_blocks(verdict: Diagnosis) -> list[Block]:
     blocks: list[Block] = []
     if verdict.causes and verdict.closure.channels:
         blocks.append(_by_channel(verdict))
-    sentence = _sentence(verdict) if verdict.causes else ""
-    advised = advice(verdict)
-    if sentence or advised:
-        blocks.append(Text(" ".join(part for part in (sentence, prose(advised)) if part)))
+    sentences = " ".join([_sentence(verdict) if verdict.causes else "", prose(advice(verdict))]).strip()
+    if sentences:
+        blocks.append(Text(sentences))
     if paper := headline(verdict):
         blocks.append(Text(prose(paper.sentence)))
     fix = verdict.fix
     if fix.agreement_m is not None:
-        blocks.append(
-            Text(
-                "The corrections of the confounded causes differ by at most "
-                f"{length(fix.agreement_m)} at the end of the {fix.agreement_on}."
-            )
-        )
+        apart = f"{length(fix.agreement_m)} at the end of the {fix.agreement_on}"
+        blocks.append(Text(f"The corrections of the confounded causes differ by at most {apart}."))
     if fix.transfer:
         blocks.append(_transfer(verdict))
     if verdict.unexplained is not None:
@@ -159,17 +136,10 @@ def _by_channel(verdict: Diagnosis) -> Table:
         factor, unit = readable("m", closure.before_rms_m)
         ends = (closure.before_rms_m, closure.after_rms_m or 0.0, closure.floor_rms_m or 0.0)
         rows.append(("end position", unit, *(three_digits(factor * value) for value in ends), MISSING))
-    return Table(
+    return table(
         f"How far: the gap by channel {_on_which_runs(closure)}, and of the noise. Closed: share of error variance "
         "above noise removed.",
-        (
-            text_column("Channel"),
-            text_column("Unit"),
-            Column("Before"),
-            Column("After"),
-            Column("Noise"),
-            Column("Closed"),
-        ),
+        ("<Channel", "<Unit", "Before", "After", "Noise", "Closed"),
         aligned(rows, 2, 3, 4),
     )
 
@@ -186,14 +156,14 @@ def _sentence(verdict: Diagnosis) -> str:
 
 
 def _transfer(verdict: Diagnosis) -> Table:
-    return Table(
+    return table(
         "Effect of the correction on the end position (else the distance), root mean square, on conditions that it was "
         "not fitted on, each held out in turn.",
-        (text_column("Held out"), text_column("Which"), Column("Before"), Column("After")),
-        tuple(
+        ("<Held out", "<Which", "Before", "After"),
+        [
             (trial.left_out, trial.value.replace("_", " "), length(trial.before_rms_m), length(trial.after_rms_m))
             for trial in verdict.fix.transfer
-        ),
+        ],
     )
 
 
@@ -214,40 +184,28 @@ def cause_blocks(verdict: Diagnosis) -> list[Block]:
         return []
     named = verdict.causes[:MAX_CAUSES]
     doubtful = not all(cause.plausible for cause in named)
-    ranking = Table(
+    ranking = table(
         "Which: the named causes, most probable first; the share is that of the gap above the noise level.",
-        (
-            text_column("Cause", wide=True),
-            text_column("Id"),
-            *number_columns("Probability", "Share"),
-            *number_columns("from", "to", group="95 % interval"),
-            *((text_column("Plausible"),) if doubtful else ()),
-        ),
-        tuple(
+        ("*Cause", "<Id", "Probability", "Share", *INTERVAL, *(["<Plausible"] if doubtful else [])),
+        [
             (
                 cause.title + (f" ({cause.form})" if cause.form else ""),
                 cause.effect,
-                percent(cause.probability),
-                percent(cause.share),
-                *(percent(end) for end in cause.share_ci95 or (None, None)),
-                *(("yes" if cause.plausible else "NO",) if doubtful else ()),
+                *map(percent, (cause.probability, cause.share, *(cause.share_ci95 or (None, None)))),
+                *(["yes" if cause.plausible else "NO"] if doubtful else []),
             )
             for cause in named
-        ),
+        ],
     )
-    rows = tuple(
+    rows = [
         (cause.effect, effect_name(name), quantity.unit, *_interval(quantity))
-        for cause in verdict.causes[:MAX_CAUSES]
+        for cause in named
         for name, quantity in cause.parameters.items()
-    )
+    ]
     blocks: list[Block] = [ranking]
     if rows:
-        columns = (
-            *text_columns("Cause", "Parameter", "Unit"),
-            Column("Value"),
-            *number_columns("from", "to", group="95 % interval"),
-        )
-        blocks.append(Table("Sizes of the causes with 95 % intervals.", columns, rows))
+        heads = ("<Cause", "<Parameter", "<Unit", "Value", *INTERVAL)
+        blocks.append(table("Sizes of the causes with 95 % intervals.", heads, rows))
     remarks = [f"{cause.effect}: {prose(cause.remark)}" for cause in verdict.causes if cause.remark]
     remarks += [
         f"{cause.effect}: these runs do not determine the form; {', '.join(cause.forms_open)} fit equally well"
@@ -261,11 +219,8 @@ def confounded_blocks(verdict: Diagnosis) -> list[Block]:
     """Return the effects that these runs confound, and the credible sets of causes."""
     blocks: list[Block] = []
     if verdict.groups:
-        groups = tuple(", ".join(group.effects) for group in verdict.groups[:MAX_CAUSES])
-        blocks += [
-            Text("Confounded in these runs, since their signatures are the same:"),
-            Items(groups),
-        ]
+        groups = items(", ".join(group.effects) for group in verdict.groups[:MAX_CAUSES])
+        blocks += [Text("Confounded in these runs, since their signatures are the same:"), *groups]
     sets = [" + ".join(names) or "none" for names in verdict.credible_sets]
     if len(sets) > 1:
         more = f"; and {len(sets) - MAX_SETS} more" if len(sets) > MAX_SETS else ""
@@ -276,24 +231,17 @@ def confounded_blocks(verdict: Diagnosis) -> list[Block]:
 def limit_blocks(verdict: Diagnosis) -> list[Block]:
     """Return the detection limits of these runs, and the effects that they do not excite."""
     blocks: list[Block] = []
-    unseen = [limit for limit in verdict.undetectable if not limit.never]
+    unseen = [(limit.effect, prose(limit.smallest)) for limit in verdict.undetectable if not limit.never]
     if unseen:
-        blocks.append(
-            Table(
-                "Detection limits above the typical size: the smallest size that these runs would show.",
-                (text_column("Effect"), text_column("Smallest size that would show", wide=True)),
-                tuple((limit.effect, prose(limit.smallest)) for limit in unseen[:MAX_CAUSES]),
-            )
-        )
+        caption = "Detection limits above the typical size: the smallest size that these runs would show."
+        blocks.append(table(caption, ("<Effect", "*Smallest size that would show"), unseen[:MAX_CAUSES]))
     never: dict[str, list[str]] = {}
     for limit in verdict.undetectable:
         if limit.never:
             never.setdefault(limit.smallest, []).append(limit.effect)
     if never:
-        blocks += [
-            Text("Not excited by these runs, at any size:"),
-            Items(tuple(f"{', '.join(names)}: {prose(why)}" for why, names in never.items())),
-        ]
+        effects = items(f"{', '.join(names)}: {prose(why)}" for why, names in never.items())
+        blocks += [Text("Not excited by these runs, at any size:"), *effects]
     return blocks
 
 

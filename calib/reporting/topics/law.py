@@ -3,26 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from calib.radius.regression import WheelFit, t_quantile
 from calib.radius.result import Fit
-from calib.reporting.blocks import Block, Column, Equation, Picture, Section, Table, Text, drawn
-from calib.reporting.formatting import (
-    MISSING,
-    aligned,
-    fixed,
-    measured,
-    number_columns,
-    places,
-    span,
-    text_column,
-    text_columns,
-    two_digits,
-)
+from calib.reporting.blocks import Block, Equation, Picture, Section, Table, Text, picture, table
+from calib.reporting.formatting import MISSING, aligned, fixed, measured, places, span, two_digits
 
 if TYPE_CHECKING:
     from calib.reporting.source import Source
@@ -31,17 +19,10 @@ MM: Final = 1e3
 UM: Final = 1e6
 
 
-def coverage_factor(dof: float) -> float:
-    """Return k, Student's t for 95 % coverage at `dof` degrees of freedom."""
-    return float(t_quantile(dof))
-
-
 def law_table(fit: Fit) -> Table:
     """Return both wheels' laws with expanded uncertainties."""
-    reference = [wheel.law.reference_load_N for wheel in fit.wheels.values()]
-    zero = f"F₀ = {reference[0]:.4g} N"
-    if reference[0] != reference[1]:
-        zero += f" (left), {reference[1]:.4g} N (right)"
+    left, right = fit.left.law.reference_load_N, fit.right.law.reference_load_N
+    zero = f"F₀ = {left:.4g} N" + ("" if left == right else f" (left), {right:.4g} N (right)")
     return _table(
         f"Radius law of each wheel, r(F) = r(F₀) + s (F − F₀) with {zero}; U = k u is the half width of the 95 % "
         "interval, k from Student's t.",
@@ -55,30 +36,30 @@ def static_table(fit: Fit) -> Table:
 
 
 def _table(caption: str, wheels: Mapping[str, WheelFit]) -> Table:
-    columns = (
-        text_column("Wheel"),
-        Column("Runs"),
-        Column("Loads", "N", align="center"),
-        *number_columns("r(F₀)", "U", unit="mm", group="Radius at F₀"),
-        Column("k", group="Radius at F₀"),
-        *number_columns("s", "U", unit="µm/N", group="Slope"),
-        Column("k", group="Slope"),
-    )
-    return Table(caption, columns, tuple((name, *_row(wheel)) for name, wheel in wheels.items()))
+    radius = tuple(f"Radius at F₀ | {head}" for head in ("r(F₀) (mm)", "U (mm)", "k"))
+    slope = tuple(f"Slope | {head}" for head in ("s (µm/N)", "U (µm/N)", "k"))
+    rows = [(name, *_row(wheel)) for name, wheel in wheels.items()]
+    return table(caption, ("<Wheel", "Runs", "^Loads (N)", *radius, *slope), rows)
+
+
+def _coefficients(fit: WheelFit) -> list[tuple[str, str, float, float, float]]:
+    """Return title, unit, value, standard uncertainty and degrees of freedom of the radius and of a line's slope."""
+    law, (radius_std, slope_std) = fit.law, np.sqrt(np.diag(fit.law.covariance)).tolist()
+    title = f"radius at {law.reference_load_N:.4g} N"
+    rows = [(title, "mm", MM * law.radius_ref_m, MM * radius_std, fit.dof_radius_ref)]
+    if fit.model == "line":
+        rows.append(("slope", "µm/N", UM * law.slope_m_per_N, UM * slope_std, fit.dof_slope))
+    return rows
 
 
 def _row(fit: WheelFit) -> tuple[str, ...]:
-    law = fit.law
-    k_radius = coverage_factor(fit.dof_radius_ref)
-    radius = measured(MM * law.radius_ref_m, MM * k_radius * float(np.sqrt(law.covariance[0, 0])))
-    if fit.model == "line":
-        k_slope = coverage_factor(fit.dof_slope)
-        slope = measured(UM * law.slope_m_per_N, UM * k_slope * float(np.sqrt(law.covariance[1, 1])))
-        slope_cells = (*slope, fixed(k_slope, 2))
-    else:
-        slope_cells = (MISSING, MISSING, MISSING)
-    loads = span(law.load_min_N, law.load_max_N, "", ".0f").replace(" to ", "–")
-    return (str(law.n_runs), loads, *radius, fixed(k_radius, 2), *slope_cells)
+    cells: list[str] = []
+    for _, _, value, std, dof in _coefficients(fit):
+        k = float(t_quantile(dof))
+        cells += [*measured(value, k * std), fixed(k, 2)]
+    cells += [MISSING] * (6 - len(cells))
+    loads = span(fit.law.load_min_N, fit.law.load_max_N, "", ".0f").replace(" to ", "–")
+    return (str(fit.law.n_runs), loads, *cells)
 
 
 def single_run_text(fit: Fit) -> Text:
@@ -89,9 +70,8 @@ def single_run_text(fit: Fit) -> Text:
         low, high = wheel.prediction_band_m(middle)
         parts.append(f"±{two_digits(0.5 * UM * float(high - low))} µm ({name})")
     return Text(
-        "The radius that one further run shows lies, with 95 % probability, within "
-        + " and ".join(parts)
-        + " of the law in the middle of the load range."
+        f"The radius that one further run shows lies, with 95 % probability, within {' and '.join(parts)} of the law "
+        "in the middle of the load range."
     )
 
 
@@ -109,26 +89,25 @@ def quality_text(wheel: WheelFit) -> str:
     return text + "."
 
 
-def naive_text(fit: Fit) -> Text | None:
-    """Return the slopes' intervals as if runs were independent, to compare; None where there is no slope."""
+def naive_text(fit: Fit) -> tuple[Text, ...]:
+    """Return the slopes' intervals as if runs were independent, to compare; nothing where there is no slope."""
     parts = []
     for name, wheel in fit.wheels.items():
         if wheel.naive is not None and wheel.model == "line":
             low, high = (UM * end for end in wheel.naive.slope_ci95_m_per_N)
             _, half = measured(0.5 * (low + high), 0.5 * (high - low))
             parts.append(f"±{half} µm/N ({name})")
-    if not parts:
-        return None
-    return Text(
+    text = (
         f"If every run were independent of the others, U of the slopes would be {' and '.join(parts)}; the table "
-        "accounts for the correlation of runs within a session.",
-        small=True,
+        "accounts for the correlation of runs within a session."
     )
+    return (Text(text, small=True),) if parts else ()
 
 
 def regression_section(source: Source) -> Section:
     """Return figure and table of both wheels' laws with the band of the mean and the prediction band."""
     fit = source.fit
+    bands = ("radius (mm)", "mean (± µm)", "single run (± µm)")
     blocks: list[Block] = [
         Text(
             "The band of the mean holds the law itself: it answers how well the mean radius at a load is known. The "
@@ -136,16 +115,9 @@ def regression_section(source: Source) -> Section:
             "off the next journey can be. Both have a coverage of 95 % at each load."
         ),
         regressions_picture(fit),
-        Table(
+        table(
             "The law at loads of the valid range, with the half widths of both bands.",
-            (
-                Column("Load", "N"),
-                *(
-                    Column(title, unit, group=f"{wheel} wheel")
-                    for wheel in ("Left", "Right")
-                    for title, unit in (("radius", "mm"), ("mean", "± µm"), ("single run", "± µm"))
-                ),
-            ),
+            ("Load (N)", *(f"{wheel} wheel | {head}" for wheel in ("Left", "Right") for head in bands)),
             aligned(_band_rows(fit.left, fit.right), 2, 3, 5, 6),
         ),
         Text(" ".join(quality_text(wheel) for wheel in fit.wheels.values())),
@@ -154,24 +126,19 @@ def regression_section(source: Source) -> Section:
 
 
 def _band_rows(left: WheelFit, right: WheelFit) -> tuple[tuple[str, ...], ...]:
-    low = max(left.law.load_min_N, right.law.load_min_N)
-    high = min(left.law.load_max_N, right.law.load_max_N)
-    if not high > low:
-        low, high = min(left.law.load_min_N, right.law.load_min_N), max(left.law.load_max_N, right.law.load_max_N)
+    lows, highs = zip(*((wheel.law.load_min_N, wheel.law.load_max_N) for wheel in (left, right)), strict=True)
+    low, high = (max(lows), min(highs)) if max(lows) < min(highs) else (min(lows), max(highs))
     loads = _round_loads(low, high)
-    cells = []
+    columns = [[fixed(float(load), 0) for load in loads]]
     for wheel in (left, right):
-        mean = 0.5e3 * np.subtract(*reversed(wheel.mean_band_m(loads)))
-        single = 0.5e3 * np.subtract(*reversed(wheel.prediction_band_m(loads)))
-        radius = 1e3 * wheel.law.radius_m(loads)
+        mean, single = (
+            0.5 * UM * (above - below) for below, above in (wheel.mean_band_m(loads), wheel.prediction_band_m(loads))
+        )
         # one number of decimals for all radii: that of the narrowest band
-        decimals = places(float(mean.min()))
-        widths = ([two_digits(1e3 * float(value)) for value in column] for column in (mean, single))
-        cells.append([[fixed(float(value), decimals) for value in radius], *widths])
-    return tuple(
-        (fixed(float(load), 0), *(column[k] for wheel_cells in cells for column in wheel_cells))
-        for k, load in enumerate(loads)
-    )
+        decimals = places(1e-3 * float(mean.min()))
+        columns.append([fixed(MM * float(radius), decimals) for radius in wheel.law.radius_m(loads)])
+        columns += [[two_digits(float(width)) for width in widths] for widths in (mean, single)]
+    return tuple(zip(*columns, strict=True))
 
 
 def _round_loads(low: float, high: float) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
@@ -186,68 +153,32 @@ def _round_loads(low: float, high: float) -> np.ndarray[tuple[int], np.dtype[np.
 def coefficients_section(source: Source) -> Section:
     """Return every coefficient with its uncertainty, and how to get the radius at a load from them."""
     fit = source.fit
-    rows = [row for wheel in fit.wheels.values() for row in _coefficient_rows(wheel)]
+    rows = []
+    for wheel in fit.wheels.values():
+        for number, (title, unit, value, std, dof) in enumerate(_coefficients(wheel)):
+            k = float(t_quantile(dof))
+            # two digits of u fix the last place of the value, too
+            numbers = (*measured(value, std), fixed(dof, 1), fixed(k, 2), two_digits(k * std))
+            rows.append(("" if number else wheel.wheel, title, unit, *numbers))
     blocks: list[Block] = [
-        Table(
+        table(
             "Coefficients: value, standard uncertainty u, degrees of freedom ν, coverage factor k (Student's t), "
             "expanded uncertainty U = k u for a coverage of 95 %.",
-            (*text_columns("Wheel", "Quantity", "Unit"), *number_columns("Value", "u", "ν", "k", "U")),
+            ("<Wheel", "<Quantity", "<Unit", "Value", "u", "ν", "k", "U"),
             aligned(rows, 3, 4, 7),
-        ),
-        *_propagation(source),
-        Text(" ".join(_correlation(wheel) for wheel in fit.wheels.values())),
-    ]
-    if source.coefficients.outside == "refuse":
-        outside = "the vehicle refuses loads outside the valid range"
-    else:
-        outside = "the vehicle clamps loads outside the valid range to its ends"
-    blocks.append(
-        Text(
-            f"The attached coefficients.json ({source.coefficients.checksum[:19]}…) carries law, covariance and valid "
-            f"range for the vehicle; by it {outside}."
         )
+    ]
+    if any(wheel.model == "line" for wheel in fit.wheels.values()):
+        text = "The standard uncertainty of the radius at a load F follows from both and their covariance,"
+        blocks += [Text(text), Equation("law_uncertainty")]
+    ends = "clamps loads outside the valid range to its ends"
+    outside = "refuses loads outside the valid range" if source.coefficients.outside == "refuse" else ends
+    attached = (
+        f"The attached coefficients.json ({source.coefficients.checksum[:19]}…) carries law, covariance and valid "
+        f"range for the vehicle; by it the vehicle {outside}."
     )
+    blocks += [Text(" ".join(_correlation(wheel) for wheel in fit.wheels.values())), Text(attached)]
     return Section("Coefficients", tuple(blocks))
-
-
-def _propagation(source: Source) -> tuple[Block, ...]:
-    if all(wheel.model != "line" for wheel in source.fit.wheels.values()):
-        return ()
-    text = "The standard uncertainty of the radius at a load F follows from both and their covariance,"
-    return Text(text), Equation("law_uncertainty")
-
-
-def _coefficient_rows(wheel: WheelFit) -> list[tuple[str, ...]]:
-    law = wheel.law
-    lines = [
-        _coefficient_row(
-            wheel.wheel,
-            f"radius at {law.reference_load_N:.4g} N",
-            "mm",
-            MM * law.radius_ref_m,
-            MM * float(np.sqrt(law.covariance[0, 0])),
-            wheel.dof_radius_ref,
-        )
-    ]
-    if wheel.model == "line":
-        lines.append(
-            _coefficient_row(
-                "",
-                "slope",
-                "µm/N",
-                UM * law.slope_m_per_N,
-                UM * float(np.sqrt(law.covariance[1, 1])),
-                wheel.dof_slope,
-            )
-        )
-    return lines
-
-
-def _coefficient_row(wheel: str, name: str, unit: str, value: float, std: float, dof: float) -> tuple[str, ...]:
-    k = coverage_factor(dof)
-    # two digits of u fix the last place of the value, too
-    text, u = measured(value, std)
-    return wheel, name, unit, text, u, fixed(dof, 1), fixed(k, 2), two_digits(k * std)
 
 
 def _correlation(wheel: WheelFit) -> str:
@@ -262,11 +193,12 @@ def _correlation(wheel: WheelFit) -> str:
 
 def regressions_picture(fit: Fit) -> Picture:
     """Return both wheels' laws with the band of the mean and the prediction band."""
-    return Picture(
+    return picture(
         "regressions",
         "Effective radius against wheel load with the law and both bands; below, the same as deviation from the law.",
         "Regression of the radius on the load: " + "; ".join(_law_in_words(wheel) for wheel in fit.wheels.values()),
-        partial(drawn, "radius.regressions", fit.left, fit.right, fit.radii.session),
+        "radius.regressions",
+        *(fit.left, fit.right, fit.radii.session),
     )
 
 

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from calib.campaign.checks.design import listed
 from calib.radius.result import Fit
-from calib.reporting.blocks import Block, Column, Picture, Section, Table, Text, drawn
-from calib.reporting.formatting import fixed, plural, text_column, text_columns
+from calib.reporting.blocks import Picture, Section, Table, Text, picture, table
+from calib.reporting.formatting import fixed, plural
 from calib.reporting.topics.law import static_table
 from calib.types import FloatArray
 
 if TYPE_CHECKING:
+    from calib.campaign.settings import Encoder
     from calib.reporting.source import Source
 
 #: beyond this many runs the report's table is one of sessions
@@ -31,77 +31,53 @@ def left_out_table(fit: Fit) -> Table:
     by_reason: dict[str, list[str]] = {}
     for run in fit.radii.left_out:
         by_reason.setdefault(run.reason, []).append(run.run_id)
-    rows = []
-    for reason, names in list(by_reason.items())[:MOST_ROWS]:
-        rows.append((reason, str(len(names)), listed(names, MOST_NAMED)))
-    columns = (text_column("Reason", wide=True), Column("Number"), text_column("Runs", wide=True))
-    return Table("Runs that were not used.", columns, tuple(rows), dense=True)
+    rows = [(reason, str(len(names)), listed(names, MOST_NAMED)) for reason, names in by_reason.items()]
+    return table("Runs that were not used.", ("*Reason", "Number", "*Runs"), rows[:MOST_ROWS], dense=True)
 
 
 def runs_table(fit: Fit) -> Table:
     """Return every run: counts, distance, loads, radii, and residuals from the law."""
     radii = fit.radii
-    counts = _counts(fit)
-    columns = (
-        *text_columns("Run", "Session", "Dir."),
-        Column("Distance", "m", detail=True),
-        *(Column(wheel, group="Counts", detail=True) for wheel in ("left", "right") if fit.setup is not None),
-        *(
-            Column(wheel, unit, group=group, detail=group == "Path")
-            for group, unit in (("Load", "N"), ("Radius", "mm"), ("Path", "ppm"), ("Residual", "µm"))
-            for wheel in ("left", "right")
-        ),
-    )
-    rows = tuple(
-        (
-            str(radii.run_id[k]),
-            str(radii.session[k]),
-            str(radii.direction[k]),
-            fixed(float(radii.distance_m[k]), 4),
-            *(f"{count[k]:.0f}" for count in counts),
-            fixed(float(radii.load_left_N[k]), 1),
-            fixed(float(radii.load_right_N[k]), 1),
-            fixed(1e3 * float(radii.radius_left_m[k]), 4),
-            fixed(1e3 * float(radii.radius_right_m[k]), 4),
-            fixed(1e6 * float(radii.path_left[k]), 0),
-            fixed(1e6 * float(radii.path_right[k]), 0),
-            fixed(1e6 * float(fit.left.residual_m[k]), 1),
-            fixed(1e6 * float(fit.right.residual_m[k]), 1),
-        )
-        for k in range(len(radii))
-    )
-    return Table(
+    # head -> values, factor of its unit, decimals
+    numbers: dict[str, tuple[FloatArray, float, int]] = {"~Distance (m)": (radii.distance_m, 1.0, 4)}
+    if fit.setup is not None:
+        numbers |= {f"~Counts | {side}": (counts, 1.0, 0) for side, counts in _counts(fit, fit.setup.encoder).items()}
+    for head, factor, decimals, left, right in (
+        ("Load | {} (N)", 1.0, 1, radii.load_left_N, radii.load_right_N),
+        ("Radius | {} (mm)", 1e3, 4, radii.radius_left_m, radii.radius_right_m),
+        ("~Path | {} (ppm)", 1e6, 0, radii.path_left, radii.path_right),
+        ("Residual | {} (µm)", 1e6, 1, fit.left.residual_m, fit.right.residual_m),
+    ):
+        numbers[head.format("left")] = (left, factor, decimals)
+        numbers[head.format("right")] = (right, factor, decimals)
+    labels = [array.astype(str).tolist() for array in (radii.run_id, radii.session, radii.direction)]
+    cells = [[fixed(factor * value, places) for value in array.tolist()] for array, factor, places in numbers.values()]
+    return table(
         "Runs: distance by the rangefinder, encoder counts, wheel loads, effective radii with the path correction "
         "contained in them, and residuals from the law.",
-        columns,
-        rows,
+        ("<Run", "<Session", "<Dir.", *numbers),
+        zip(*labels, *cells, strict=True),
         dense=True,
     )
 
 
-def _counts(fit: Fit) -> list[FloatArray]:
-    """Return the counts of either wheel, from the radii: r = S (1 + e) / (2 pi n); none without an encoder."""
-    if fit.setup is None:
-        return []
-    radii, encoder = fit.radii, fit.setup.encoder
-    return [
-        radii.distance_m * (1 + path) / (2 * np.pi * radius) * per_rev
-        for path, radius, per_rev in (
-            (radii.path_left, radii.radius_left_m, encoder.counts_per_rev_left),
-            (radii.path_right, radii.radius_right_m, encoder.counts_per_rev_right),
-        )
-    ]
+def _counts(fit: Fit, encoder: Encoder) -> dict[str, FloatArray]:
+    """Return the counts of either wheel, from the radii: r = S (1 + e) / (2 pi n)."""
+    radii = fit.radii
+    wheels = {
+        "left": (radii.path_left, radii.radius_left_m, encoder.counts_per_rev_left),
+        "right": (radii.path_right, radii.radius_right_m, encoder.counts_per_rev_right),
+    }
+    return {
+        side: radii.distance_m * (1 + path) / (2 * np.pi * radius) * per_rev
+        for side, (path, radius, per_rev) in wheels.items()
+    }
 
 
 def sessions_table(fit: Fit) -> Table:
     """Return one row a session, for campaigns of many runs."""
     radii = fit.radii
-    columns = (
-        text_column("Session"),
-        Column("Runs"),
-        *(Column(wheel, "N", align="center", group="Loads") for wheel in ("left", "right")),
-        *(Column(wheel, "µm", group=group) for group in ("Mean residual", "Scatter") for wheel in ("left", "right")),
-    )
+    heads = ("^Loads | {} (N)", "Mean residual | {} (µm)", "Scatter | {} (µm)")
     rows = []
     for name in dict.fromkeys(radii.session.tolist()):
         on = radii.session == name
@@ -116,13 +92,12 @@ def sessions_table(fit: Fit) -> Table:
                 *(fixed(1e6 * part, 1) for part in scatter),
             )
         )
-    shown = rows[:MOST_ROWS]
-    return Table(
-        f"Sessions of the {len(radii)} runs"
-        + ("" if len(shown) == len(rows) else f", the first {len(shown)} of {len(rows)}")
-        + "; scatter is one standard deviation (k = 1). Every run is in runs.csv of the result folder.",
-        columns,
-        tuple(shown),
+    first = f", the first {MOST_ROWS} of {len(rows)}" if len(rows) > MOST_ROWS else ""
+    return table(
+        f"Sessions of the {len(radii)} runs{first}; scatter is one standard deviation (k = 1). Every run is in "
+        "runs.csv of the result folder.",
+        ("<Session", "Runs", *(head.format(wheel) for head in heads for wheel in ("left", "right"))),
+        rows[:MOST_ROWS],
         dense=True,
     )
 
@@ -130,18 +105,14 @@ def sessions_table(fit: Fit) -> Table:
 def runs_section(source: Source) -> Section:
     """Return the runs used, and those not used with the reason."""
     fit, radii = source.fit, source.fit.radii
-    blocks: list[Block] = [
-        Text(f"{plural(len(radii), 'run')} in {plural(len(set(radii.session.tolist())), 'session')} entered the fit."),
+    sessions = plural(len(set(radii.session.tolist())), "session")
+    blocks = (
+        Text(f"{plural(len(radii), 'run')} in {sessions} entered the fit."),
         runs_picture(fit),
         runs_table(fit) if len(radii) <= MOST_ROWS else sessions_table(fit),
-    ]
-    if radii.left_out:
-        blocks.append(left_out_table(fit))
-    else:
-        blocks.append(Text("All runs were used.", small=True))
-    if fit.static:
-        blocks.append(static_table(fit))
-    return Section("Runs", tuple(blocks))
+        left_out_table(fit) if radii.left_out else Text("All runs were used.", small=True),
+    )
+    return Section("Runs", (*blocks, *([static_table(fit)] if fit.static else [])))
 
 
 def runs_picture(fit: Fit) -> Picture:
@@ -150,10 +121,11 @@ def runs_picture(fit: Fit) -> Picture:
     for name, wheel in fit.wheels.items():
         low, high = 1e3 * float(wheel.radius_m.min()), 1e3 * float(wheel.radius_m.max())
         parts.append(f"{name} wheel {low:.3f} to {high:.3f} mm")
-    return Picture(
+    return picture(
         "runs-by-series",
         "Effective radius of each run in the order driven, coloured by wheel load, or by session where all loads are "
         "alike. Bars, where larger than the mark, are two standard uncertainties of the instruments.",
         f"Radius by run for both wheels, {len(fit.radii)} runs: " + "; ".join(parts),
-        partial(drawn, "radius.runs_by_series", fit.radii),
+        "radius.runs_by_series",
+        fit.radii,
     )

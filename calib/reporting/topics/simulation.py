@@ -11,8 +11,8 @@ from calib.odometry.law_path import LawPath
 from calib.odometry.paper import Sweep, paper_headline
 from calib.odometry.replay import Replay
 from calib.odometry.simulation import LawPart, Simulation
-from calib.reporting.blocks import Block, Column, Table, Text
-from calib.reporting.formatting import fixed, measured, number_columns, text_column, text_columns
+from calib.reporting.blocks import Block, Table, Text, table
+from calib.reporting.formatting import fixed, measured
 from calib.vehicle import Vehicle, WeighedPayload
 
 #: component of the error -> by what it is multiplied to be read
@@ -43,56 +43,41 @@ def _sweep(name: str, sweep: Sweep) -> Table:
         )
         for row in sweep.ends()
     ]
-    columns = (
-        text_column("Vehicle"),
-        Column("x", "m", group="End pose", detail=True),
-        Column("y", "m", group="End pose", detail=True),
-        Column("θ", "deg", group="End pose", detail=True),
-        *(Column(title, "m", group="True minus intended") for title in ("along", "left", "global x", "global y")),
-        Column("distance", "m", group="True minus intended"),
-    )
-    return Table(f"{name}: {sweep.route.name}, track {sweep.track_m:g} m; end of the route.", columns, tuple(rows))
+    poses = ("~End pose | x (m)", "~End pose | y (m)", "~End pose | θ (deg)")
+    errors = (f"True minus intended | {at} (m)" for at in ("along", "left", "global x", "global y", "distance"))
+    caption = f"{name}: {sweep.route.name}, track {sweep.track_m:g} m; end of the route."
+    return table(caption, ("<Vehicle", *poses, *errors), rows)
 
 
 def _headline(simulation: Simulation) -> Table:
     paper = paper_headline()
-    return Table(
+    return table(
         "Largest error in global x at the end, without and with the correction "
         f"(paper: {paper.before_m:g} m, {paper.after_m:g} m, about {paper.ratio:.0f}).",
-        (text_column("Wheel off"), Column("Without", "m"), Column("With", "m"), Column("Times smaller")),
-        tuple(
+        ("<Wheel off", "Without (m)", "With (m)", "Times smaller"),
+        [
             (line.which, fixed(line.without_m, 5), fixed(line.corrected_m, 5), fixed(line.ratio, 1))
             for line in simulation.headlines
-        ),
+        ],
     )
 
 
-def _law(part: LawPart) -> list[Block]:
-    outside = any(row.extrapolated_left or row.extrapolated_right for row in part.table)
-    radii = Table(
+def _law(part: LawPart) -> list[Table]:
+    rows = []
+    for row in part.table:
+        left = (row.radius_left_m, row.mean_left_m, row.prediction_left_m)
+        right = (row.radius_right_m, row.mean_right_m, row.prediction_right_m)
+        outside = "*" if row.extrapolated_left or row.extrapolated_right else ""
+        rows.append((f"{row.load_N:g}{outside}", *(fixed(1e3 * size, 4) for size in (*left, *right))))
+    starred = " * outside the loads that were measured." if any(row[0].endswith("*") for row in rows) else ""
+    sizes = ("radius", "± mean", "± run")
+    table_1 = table(
         "Table 1: effective radii by the law; ± is the half width of the 95 % interval, of the mean and of a single "
-        "run." + (" * outside the loads that were measured." if outside else ""),
-        (
-            Column("Load", "N"),
-            *(
-                Column(title, "mm", group=f"{side} wheel")
-                for side in ("Left", "Right")
-                for title in ("radius", "± mean", "± run")
-            ),
-        ),
-        tuple(
-            (
-                f"{row.load_N:g}" + ("*" if row.extrapolated_left or row.extrapolated_right else ""),
-                *(
-                    fixed(1e3 * getattr(row, f"{name}_{side}_m"), 4)
-                    for side in ("left", "right")
-                    for name in ("radius", "mean", "prediction")
-                ),
-            )
-            for row in part.table
-        ),
+        f"run.{starred}",
+        ("Load (N)", *(f"{side} wheel | {size} (mm)" for side in ("Left", "Right") for size in sizes)),
+        rows,
     )
-    return [radii, _journeys(part)]
+    return [table_1, _journeys(part)]
 
 
 def _journeys(part: LawPart) -> Table:
@@ -113,19 +98,13 @@ def _journeys(part: LawPart) -> Table:
                 f"{journey.ratio:.1f} [{low:.1f}, {high:.1f}]",
             )
         )
-    columns = (
-        *text_columns("Loads L / R", "Band"),
-        Column("E_r"),
-        Column("rms", "m", group="Without"),
-        *number_columns("rms", "95 %", unit="m", group="With"),
-        *number_columns("linear", "Monte Carlo", unit="m", group="e_y ±"),
-        Column("Times smaller [95 %]"),
-    )
-    return Table(
+    bands = ("e_y ± | linear (m)", "e_y ± | Monte Carlo (m)")
+    errors = ("Without | rms (m)", "With | rms (m)", "With | 95 % (m)")
+    return table(
         "End error under the law, without and with the correction; ± is the half width of the 95 % interval, by "
         "linear propagation and by Monte Carlo.",
-        columns,
-        tuple(rows),
+        ("<Loads L / R", "<Band", "E_r", *errors, *bands, "Times smaller [95 %]"),
+        rows,
     )
 
 
@@ -139,16 +118,11 @@ def _path(path: LawPath, route: str) -> list[Block]:
         errors = (_signed(factor * end[f"error_{key}"], 4) for key, factor in _FACTORS.items())
         rows.append((title, *errors, fixed(end["rms_m"], 4)))
         rows.append(("", *(f"± {2.0 * factor * end[f'std_{key}']:.4f}" for key, factor in _FACTORS.items()), ""))
-    columns = (
-        text_column("Radii"),
-        *number_columns("along", "left", unit="m"),
-        Column("heading", "mrad"),
-        *number_columns("global x", "global y", "rms", unit="m"),
-    )
+    heads = ("<Radii", "along (m)", "left (m)", "heading (mrad)", "global x (m)", "global y (m)", "rms (m)")
     ends_of_ratio = path.ratio_ci95
     interval = "" if ends_of_ratio is None else f" (95 % interval {ends_of_ratio[0]:.1f} to {ends_of_ratio[1]:.1f})"
     return [
-        Table(f"{route}, {path.loading_text}: end error; ± is 95 % (k = 2).", columns, tuple(rows)),
+        table(f"{route}, {path.loading_text}: end error; ± is 95 % (k = 2).", heads, rows),
         Text(f"Radii that follow the load make the end error {times(path.ratio)}{interval}."),
     ]
 
@@ -177,56 +151,44 @@ METHODS_BY_GEOMETRY: Final = {"model": "as the simulator believes", "corrected":
 def replay_content(replay: Replay) -> tuple[Block, ...]:
     """Return what a replay says."""
     name = replay.campaign + (" (simulated)" if replay.simulated else "")
-    table = Table(
+    errors = table(
         f"{name}: end error of {int(replay.in_range.sum())} runs.",
-        (text_column("Radii"), Column("rms", "m"), Column("rms heading", "mrad")),
-        tuple(
+        ("<Radii", "rms (m)", "rms heading (mrad)"),
+        [
             (title, fixed(replay.rms_m[key], 4), fixed(1e3 * replay.rms_heading_rad[key], 2))
             for key, title in (METHODS_BY_GEOMETRY if replay.by_geometry else METHODS).items()
-        ),
+        ],
     )
     left_out = [Text(f"{count} runs not used: {reason}.") for reason, count in replay.left_out.items() if count]
     if replay.by_geometry:
         runtime = Text("The vehicle's runtime reads two wheels on one axle; so it was not checked.")
-        return (table, runtime, *left_out)
+        return (errors, runtime, *left_out)
     low, high = replay.ratio_ci95
     check = replay.runtime
-    blocks: list[Block] = [
-        table,
-        Text(
-            f"The correction makes the end error {times(replay.ratio)} (95 % interval of the quotient {low:.2f} to "
-            f"{high:.2f})."
-        ),
-        Text(
-            f"The vehicle's runtime on {check.runs} of these runs, {check.samples} samples: differs from the arrays "
-            f"by at most {check.largest_difference_m:.2g} m and {check.largest_difference_rad:.2g} rad."
-        ),
-    ]
-    blocks += [Text(f"The runtime refused {count} times: {status}.") for status, count in check.faults.items()]
-    return (*blocks, *left_out)
+    sentences = (
+        f"The correction makes the end error {times(replay.ratio)} (95 % interval of the quotient {low:.2f} to "
+        f"{high:.2f}).",
+        f"The vehicle's runtime on {check.runs} of these runs, {check.samples} samples: differs from the arrays by at "
+        f"most {check.largest_difference_m:.2g} m and {check.largest_difference_rad:.2g} rad.",
+        *(f"The runtime refused {count} times: {status}." for status, count in check.faults.items()),
+    )
+    return (errors, *map(Text, sentences), *left_out)
 
 
 def loads_content(vehicle: Vehicle, sweep: LoadSweep) -> tuple[Block, ...]:
     """Return the wheel loads of a payload or a sweep."""
-    columns = (
-        Column("mass", "kg", group="Payload"),
-        Column("x", "m", group="Payload"),
-        Column("y", "m", group="Payload"),
-        *(Column(title, "N", group="Wheel load") for title in ("front", "left", "right", "sum")),
-    )
-    rows = tuple(
+    payload = ("Payload | mass (kg)", "Payload | x (m)", "Payload | y (m)")
+    loads = (f"Wheel load | {wheel} (N)" for wheel in ("front", "left", "right", "sum"))
+    rows = [
         (
             f"{row['payload_kg']:.4g}",
-            fixed(row["payload_x_m"], 4),
-            fixed(row["payload_y_m"], 4),
+            *(fixed(row[key], 4) for key in ("payload_x_m", "payload_y_m")),
             *(fixed(row[key], 2) for key in ("front_N", "left_N", "right_N", "total_N")),
         )
         for row in sweep.rows()
-    )
-    caption = (
-        f"Wheel loads (track {vehicle.track_m:g} m, wheelbase {vehicle.wheelbase_m:g} m, mass {vehicle.mass_kg:g} kg)."
-    )
-    return (Table(caption, columns, rows),)
+    ]
+    built = f"track {vehicle.track_m:g} m, wheelbase {vehicle.wheelbase_m:g} m, mass {vehicle.mass_kg:g} kg"
+    return (table(f"Wheel loads ({built}).", (*payload, *loads), rows),)
 
 
 def weighed_content(payload: WeighedPayload, *, known: bool) -> tuple[Block, ...]:
@@ -239,5 +201,5 @@ def weighed_content(payload: WeighedPayload, *, known: bool) -> tuple[Block, ...
     ):
         cells = measured(value, 2 * std) if known else (fixed(value, decimals), "not given")
         rows.append((title, unit, *cells))
-    columns = (text_column("Quantity"), text_column("Unit"), Column("Value"), Column("±"))
-    return (Table("Payload from three weighed wheels; ± is 95 % (k = 2).", columns, tuple(rows)),)
+    heads = ("<Quantity", "<Unit", "Value", "±")
+    return (table("Payload from three weighed wheels; ± is 95 % (k = 2).", heads, rows),)
