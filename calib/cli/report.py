@@ -112,19 +112,20 @@ def _refuse_targets(source: Path, into: Path | None, figures: Path | None, *, fo
     """Refuse existing targets before the work, as far as their names are known before it."""
     from calib.campaign.settings_file import read_settings
     from calib.reporting.content import place_of
-    from calib.reporting.figures.gap import GAP_PICTURES
-    from calib.reporting.figures.style import figure_paths
-    from calib.reporting.topics.fit import FIT_PICTURES
 
     settings = source / "campaign.toml"
     if settings.is_file():
         place_of(read_settings(settings, str(settings)).name, into, force=force)
-    refuse_existing(figure_paths(figures, (*FIT_PICTURES, *GAP_PICTURES)), force=force)
+    if figures is not None:
+        from calib.reporting.figures.gap import GAP_PICTURES
+        from calib.reporting.figures.style import figure_paths
+        from calib.reporting.topics.fit import FIT_PICTURES
+
+        refuse_existing(figure_paths(figures, (*FIT_PICTURES, *GAP_PICTURES)), force=force)
 
 
 def _content(path: Path, issued: str, accept: str, seed: int | None, tick: Progress) -> _Content:
     """Return the report; runs that allow no law give one of the geometry, with the diagnosis where its seed asks."""
-    from calib.gap.diagnose import diagnose_in_full
     from calib.reporting.content import compose
     from calib.reporting.source import source_of
 
@@ -138,6 +139,8 @@ def _content(path: Path, issued: str, accept: str, seed: int | None, tick: Progr
         raise BadInputError(
             f"{path}: found the result of a fit; expected a campaign folder, which a diagnosis needs; give the campaign"
         )
+    from calib.gap.diagnose import diagnose_in_full
+
     diagnosis = diagnose_in_full(campaign, seed=seed, progress=tick)
     return _Content(compose(source.with_diagnosis(diagnosis)), diagnosis, campaign)
 

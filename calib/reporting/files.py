@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ from calib.reporting.content import Attachment, Report
 from calib.reporting.figures.style import write_figures
 from calib.reporting.source import number_of
 from calib.reporting.topics.fleet import fleet_content, survey_content
+from calib.result import plain
 from calib.types import FloatArray
 
 
@@ -37,8 +39,8 @@ def write_simulation(simulation: Simulation, folder: Path, *, force: bool) -> li
     """
     figures, tables = _sweep_files(simulation)
     if simulation.law is not None:
-        law_figures, law_tables = _law_files(simulation.law)
-        figures, tables = figures | law_figures, tables | law_tables
+        of_law = _law_files(simulation.law)
+        figures, tables = figures | of_law[0], tables | of_law[1]
     document = folder / f"{simulation.study}.json"
     refuse_existing([document, *(folder / f"{name}.csv" for name in tables)], force=force)
     written = write_figures(figures, folder, force=force)
@@ -69,8 +71,7 @@ def _law_files(part: LawPart) -> tuple[dict[str, Figure], dict[str, Sequence[Map
         "band": law_path_figure(path, title=title),
         "errors": law_errors_figure(path, title=title),
     }
-    radii = [{field: getattr(row, field) for field in row.__slots__} for row in part.table]
-    return figures, {"table1": radii, "band": path.covariance_rows(), "errors": path.error_rows()}
+    return figures, {"table1": plain(part.table), "band": path.covariance_rows(), "errors": path.error_rows()}
 
 
 def simulation_trajectories(simulation: Simulation, folder: Path, *, speed_mps: float, force: bool) -> list[Path]:
@@ -97,13 +98,12 @@ def write_replay(replay: Replay, folder: Path, document: Mapping[str, Any], *, f
 def replay_trajectories(campaign: Campaign, coefficients: CoefficientFile, folder: Path, *, force: bool) -> list[Path]:
     """Write the odometry of each logged run with its radii under load, and its reference where logged, as TUM files."""
     written = []
-    runs = campaign.runs
     for run in np.flatnonzero(campaign.logs.present).tolist():
         log = campaign.logs.of(run)
         driven = _driven(campaign.select([run]), log, coefficients)
         if driven is None:
             continue
-        stem = "".join(c if c.isalnum() or c in "-_" else "_" for c in str(runs.run_id[run]))
+        stem = "".join(c if c.isalnum() or c in "-_" else "_" for c in str(campaign.runs.run_id[run]))
         written.append(write_tum(folder / f"{stem}.tum", log["t_s"], driven, force=force))
         if {"ref_x_m", "ref_y_m", "ref_theta_rad"} <= log.keys():
             poses = Poses(log["ref_x_m"], log["ref_y_m"], log["ref_theta_rad"])
@@ -181,21 +181,16 @@ def _bytes(text: str) -> bytes:
 
 
 def _pages(blocks: Sequence[Block], document: Mapping[str, Any], stem: str, heads: Heads | None) -> dict[str, bytes]:
+    """Return the report on a fleet: the blocks of the terminal with figures, the result attached as JSON."""
     if heads is None:
         return {}
     from calib.reporting.html import to_html
     from calib.reporting.pdf import to_pdf
 
-    report = _report(blocks, document, heads)
-    return {f"{stem}.pdf": to_pdf(report), f"{stem}.html": _bytes(to_html(report))}
-
-
-def _report(blocks: Sequence[Block], document: Mapping[str, Any], heads: Heads) -> Report:
-    """Return the report on a fleet: the blocks of the terminal with figures, the result attached as JSON."""
     fleet = document["fleet"]
     failed = int(fleet["n_failed"])
     view = "Every vehicle and the fleet's view, as a program reads it"
-    return Report(
+    report = Report(
         report_id=number_of("FR", document),
         title="A fleet of vehicles",
         name=heads.name,
@@ -206,19 +201,14 @@ def _report(blocks: Sequence[Block], document: Mapping[str, Any], heads: Heads) 
         attachments=(Attachment("fleet.json", to_json(document).encode(), view),),
         facts=(("Vehicles", f"{fleet['n_vehicles']}, of which {failed} failed"),),
     )
+    return {f"{stem}.pdf": to_pdf(report), f"{stem}.html": _bytes(to_html(report))}
 
 
 def _sections(blocks: Sequence[Block]) -> tuple[Section, ...]:
     """Return a section for each heading with what follows it."""
-    titles: list[tuple[str, list[Block]]] = []
-    for block in blocks:
-        if isinstance(block, Heading):
-            titles.append((block.text, []))
-        elif titles:
-            titles[-1][1].append(block)
-        else:
-            titles.append(("Fleet", [block]))
-    return tuple(Section(title, tuple(inner)) for title, inner in titles)
+    starts = [number for number, block in enumerate(blocks) if isinstance(block, Heading)]
+    parts = (blocks[first:last] for first, last in pairwise([*starts, len(blocks)]))
+    return tuple(Section(head.text, tuple(inner)) for head, *inner in parts if isinstance(head, Heading))
 
 
 def _table(vehicles: Sequence[Mapping[str, Any]]) -> str:
@@ -227,9 +217,7 @@ def _table(vehicles: Sequence[Mapping[str, Any]]) -> str:
     heads = [part for name in columns for part in ([f"{name}_low", f"{name}_high"] if "_ci95_" in name else [name])]
     rows = []
     for vehicle in vehicles:
-        cells: list[Any] = []
-        for name in columns:
-            value = vehicle.get(name)
-            cells += (list(value) if value is not None else ["", ""]) if "_ci95_" in name else [value]
-        rows.append(cells)
+        values = ((name, vehicle.get(name)) for name in columns)
+        cells = ((value or ("", "")) if "_ci95_" in name else (value,) for name, value in values)
+        rows.append([cell for some in cells for cell in some])
     return csv_text(heads, rows)

@@ -7,8 +7,6 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-from calib.reporting.blocks import Column
-
 MISSING: Final = "–"
 #: metres or radians from which on thousandths are not printed
 MILLI_BELOW: Final = 1.0
@@ -105,21 +103,6 @@ def span(low: float, high: float, unit: str, form: str = ".4g") -> str:
     """Return a range with its unit; one value where both ends read the same."""
     first, last = (format(end, form).replace("-", "−") for end in (low, high))
     return f"{first} {unit}".strip() if first == last else f"{first} to {last} {unit}".strip()
-
-
-def text_column(title: str, *, wide: bool = False) -> Column:
-    """Return a column of texts."""
-    return Column(title, align="left", wide=wide)
-
-
-def text_columns(*titles: str) -> tuple[Column, ...]:
-    """Return columns of texts."""
-    return tuple(map(text_column, titles))
-
-
-def number_columns(*titles: str, unit: str = "", group: str = "", detail: bool = False) -> tuple[Column, ...]:
-    """Return columns of numbers that share unit, common title and place; see `Column`."""
-    return tuple(Column(title, unit, group=group, detail=detail) for title in titles)
 
 
 def length(value_m: float | None) -> str:

@@ -111,6 +111,14 @@ def _layout(gap: GapArrays, along: list[FloatArray], source: ColumnDataSource, v
     return column(_wrapped(tools), legend, _wrapped(figures), sizing_mode="stretch_width")
 
 
+def _changed(control: Any, script: str, **arguments: Any) -> Any:
+    """Return a control that runs a script of the page when its value changes."""
+    from bokeh.models import CustomJS
+
+    control.js_on_change("value", CustomJS(args=arguments, code=_script(script)))
+    return control
+
+
 def _wrapped(children: list[Any]) -> Model:
     """Return models side by side, in as many rows as the page's width asks for."""
     from bokeh.layouts import row
@@ -143,9 +151,7 @@ def _figure(title: str, x: str, y: str, **further: Any) -> figure:
 def _hover(plot: figure, renderer: Model) -> None:
     from bokeh.models import HoverTool
 
-    plot.add_tools(
-        HoverTool(renderers=[renderer], tooltips=[("run", "@run"), ("session", "@session"), ("kind", "@kind")])
-    )
+    plot.add_tools(HoverTool(renderers=[renderer], tooltips=[(name, f"@{name}") for name in LABELS]))
 
 
 def _lines(plot: figure, x: str, y: str, source: ColumnDataSource, **style: Any) -> Model:
@@ -159,7 +165,7 @@ def _points(plot: figure, x: str, y: str, source: ColumnDataSource) -> None:
 
 def _map_panel(gap: GapArrays, source: ColumnDataSource) -> tuple[figure, Model]:
     """Draw the paths from a common start and, at each end, the gap as an arrow, enlarged by the slider."""
-    from bokeh.models import CustomJS, Slider
+    from bokeh.models import Slider
 
     plot = _figure("Floor plan: paths, and the gap at each end", "x (m)", "y (m)", match_aspect=True)
     data = source.data
@@ -188,28 +194,26 @@ def _map_panel(gap: GapArrays, source: ColumnDataSource) -> tuple[figure, Model]
     source.add(list(np.stack((ends[:, 1], tips[:, 1]), axis=1)), "arrow_y")
     _lines(plot, "arrow_x", "arrow_y", source, line_width=2)
     slider = Slider(start=1, end=max(10 * factor, 10), value=factor, step=1, title="gap drawn enlarged by", width=220)
-    slider.js_on_change("value", CustomJS(args={"source": source}, code=_script("enlarge")))
-    return plot, slider
+    return plot, _changed(slider, "enlarge", source=source)
 
 
 def _moment_slider(source: ColumnDataSource) -> Model:
     """Return the slider that moves the marks along the paths to a time since the start of the run."""
-    from bokeh.models import CustomJS, Slider
+    from bokeh.models import Slider
 
     longest = max(float(path[-1]) for path in source.data["before_t"])
     slider = Slider(
         name="moment", start=0.0, end=longest, value=longest, step=longest / 200, title="time since the start, s",
         width=220, format="0.0",
     )  # fmt: skip
-    slider.js_on_change("value", CustomJS(args={"source": source, "paths": PATHS}, code=_script("moment")))
-    return slider
+    return _changed(slider, "moment", source=source, paths=PATHS)
 
 
 def _covariate_panel(
     gap: GapArrays, source: ColumnDataSource, after: figure, band: Model
 ) -> tuple[figure, list[Model]]:
     """Draw one channel's gap against one covariate; both can be chosen, the channel for the panel `after`, too."""
-    from bokeh.models import CustomJS, Select
+    from bokeh.models import Select
 
     first, units = first_channel(gap), channel_units(gap)
     plot = _figure("The gap against covariates", "order driven", f"{first} ({units[first]})")
@@ -217,25 +221,10 @@ def _covariate_panel(
     titles = covariate_titles(gap)
     by = Select(title="gap against", value="order driven", options=list(titles.items()), width=160)
     channel = Select(title="channel", value=first, options=list(units), width=120)
-    code = CustomJS(
-        args={
-            "source": source,
-            "by": by,
-            "channel": channel,
-            "x": plot.xaxis[0],
-            "y": plot.yaxis[0],
-            "units": units,
-            "labels": titles,
-            "b": after.xaxis[0],
-            "a": after.yaxis[0],
-            "band": band,
-            "limits": noise_limits(gap),
-        },
-        code=_script("choose"),
-    )
-    by.js_on_change("value", code)
-    channel.js_on_change("value", code)
-    return plot, [channel, by]
+    axes = {"x": plot.xaxis[0], "y": plot.yaxis[0], "b": after.xaxis[0], "a": after.yaxis[0]}
+    texts = {"units": units, "labels": titles, "limits": noise_limits(gap)}
+    chosen = {"source": source, "by": by, "channel": channel, "band": band, **axes, **texts}
+    return plot, [_changed(control, "choose", **chosen) for control in (channel, by)]
 
 
 def _before_after_panel(gap: GapArrays, source: ColumnDataSource) -> tuple[figure, Model]:
@@ -263,13 +252,11 @@ def _along_panel(source: ColumnDataSource, name: str) -> figure:
 
 def _axis_choice(source: ColumnDataSource, plots: list[figure]) -> Model:
     """Return the choice of what the gap along the run is drawn against."""
-    from bokeh.models import CustomJS, Select
+    from bokeh.models import Select
 
-    choice = Select(name="axis", title="along the run against", value=next(iter(RUN_AXES)), options=list(RUN_AXES))
-    choice.width = 180
-    axes = [plot.xaxis[0] for plot in plots]
-    choice.js_on_change("value", CustomJS(args={"source": source, "axes": axes}, code=_script("axis")))
-    return choice
+    axes = list(RUN_AXES)
+    choice = Select(name="axis", title="along the run against", value=axes[0], options=axes, width=180)
+    return _changed(choice, "axis", source=source, axes=[plot.xaxis[0] for plot in plots])
 
 
 def _cause_panel(verdict: Diagnosis) -> figure:
@@ -315,26 +302,20 @@ def _legend(gap: GapArrays) -> Model:
 
 def _colour_choice(gap: GapArrays, source: ColumnDataSource, legend: Model) -> Model:
     """Return the choice of the column that colours all panels: a label, or a number on a scale."""
-    from bokeh.models import CustomJS, Select
+    from bokeh.models import Select
 
     titles = covariate_titles(gap)
     columns = {name: name for name in LABELS} | {f"by {name}": title for name, title in titles.items()}
     choice = Select(name="colour", title="colour by", value=LABELS[0], options=list(columns.items()), width=160)
-    code = CustomJS(
-        args={"source": source, "legend": legend, "palette": COLOURS, "ramp": RAMP, "titles": columns,
-              "most": LEGEND_NAMES},
-        code=_script("colour"),
-    )  # fmt: skip
-    choice.js_on_change("value", code)
-    return choice
+    scales = {"palette": COLOURS, "ramp": RAMP, "titles": columns, "most": LEGEND_NAMES}
+    return _changed(choice, "colour", source=source, legend=legend, **scales)
 
 
 def _session_choice(gap: GapArrays, source: ColumnDataSource) -> Model:
     """Return a list of sessions, kinds and runs whose choice highlights their runs in every panel."""
-    from bokeh.models import CustomJS, MultiChoice
+    from bokeh.models import MultiChoice
 
     named = labels_of(gap)
     options = [f"{label} {name}" for label in ("session", "kind", "run") for name in named[label]]
     choice = MultiChoice(name="choice", title="highlight", options=options, value=[], width=300)
-    choice.js_on_change("value", CustomJS(args={"source": source}, code=_script("highlight")))
-    return choice
+    return _changed(choice, "highlight", source=source)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Final
 
@@ -29,28 +28,23 @@ ALONG: Final = {"along (mm)": 1, "heading (mrad)": 2}
 RUN_AXES: Final = {"travelled distance (m)": 0, "time (s)": 3}
 #: labels that panels are coloured by and runs are chosen by
 LABELS: Final = ("kind", "session", "run")
-#: ways that a run took
+#: paths of a run: by the model alone, with the causes that the fix corrects, measured
 PATHS: Final = ("before", "after", "reference")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RunPaths:
-    """Paths of the observations, each in its own start frame: time since its start, x, y, shape (n_samples, 3)."""
+def run_paths(diagnosis: Diagnosis, campaign: Campaign) -> dict[str, list[FloatArray]]:
+    """Return the paths of the observations by `PATHS`, thinned.
 
-    before: list[FloatArray]  #: by the model alone
-    after: list[FloatArray]  #: with the causes that the fix corrects
-    reference: list[FloatArray]  #: measured; empty where no trajectory was logged
-
-
-def run_paths(diagnosis: Diagnosis, campaign: Campaign) -> RunPaths:
-    """Return the paths before, after and measured, thinned."""
+    Each is in its own start frame: time since its start, x, y, shape (n_samples, 3); without samples where no
+    trajectory was logged.
+    """
     observations = diagnosis.observations
     limit = int(np.clip(ALL_POINTS // max(len(observations), 1), 8, PATH_POINTS))
-    return RunPaths(
-        _predicted(diagnosis.nominal, limit),
-        _predicted(diagnosis.correction.path, limit),
-        _measured(observations, campaign.included(), limit),
-    )
+    return {
+        "before": _predicted(diagnosis.nominal, limit),
+        "after": _predicted(diagnosis.correction.path, limit),
+        "reference": _measured(observations, campaign.included(), limit),
+    }
 
 
 def _thinned(path: FloatArray, limit: int) -> FloatArray:
@@ -77,26 +71,21 @@ def _start_s(s: Observations) -> FloatArray:
 
 def _measured(s: Observations, campaign: Campaign, limit: int) -> list[FloatArray]:
     sensor = campaign.reference
-    start_s = _start_s(s)
+    lever_m = complex(sensor.sensor_x_m, sensor.sensor_y_m)
     paths = []
-    for unit, (run, last) in enumerate(zip(s.run.tolist(), s.starts[1:], strict=True)):
+    for unit, (run, start_s, last) in enumerate(zip(s.run.tolist(), _start_s(s), s.starts[1:], strict=True)):
         log = campaign.logs.of(run)
-        if not {"t_s", "ref_x_m", "ref_y_m", "ref_theta_rad"} <= log.keys() or not s.from_log[unit]:
-            paths.append(np.zeros((0, 3)))
-            continue
-        t_s = log["t_s"] - log["t_s"][0] - start_s[unit]
-        heading = log["ref_theta_rad"] - sensor.sensor_yaw_rad
-        cosine, sine = np.cos(heading), np.sin(heading)
-        x = log["ref_x_m"] - cosine * sensor.sensor_x_m + sine * sensor.sensor_y_m
-        y = log["ref_y_m"] - sine * sensor.sensor_x_m - cosine * sensor.sensor_y_m
-        seen = np.isfinite(x + y) & (t_s >= -1e-9) & (t_s <= s.time_s[last - 1] - start_s[unit] + 1e-9)
+        t_s, place_m, heading = np.zeros(0), np.zeros(0, complex), np.zeros(0)
+        if {"t_s", "ref_x_m", "ref_y_m", "ref_theta_rad"} <= log.keys() and s.from_log[unit]:
+            t_s = log["t_s"] - log["t_s"][0] - start_s
+            heading = log["ref_theta_rad"] - sensor.sensor_yaw_rad
+            place_m = log["ref_x_m"] + 1j * log["ref_y_m"] - lever_m * np.exp(1j * heading)
+        seen = np.isfinite(place_m) & (t_s >= -1e-9) & (t_s <= s.time_s[last - 1] - start_s + 1e-9)
         if seen.sum() < 2:
             paths.append(np.zeros((0, 3)))
             continue
-        t_s, x, y, turned = t_s[seen], x[seen], y[seen], heading[seen][0]
-        x, y = x - x[0], y - y[0]
-        cosine, sine = np.cos(turned), np.sin(turned)
-        paths.append(_thinned(np.column_stack((t_s, cosine * x + sine * y, cosine * y - sine * x)), limit))
+        place_m = (place_m[seen] - place_m[seen][0]) * np.exp(-1j * heading[seen][0])
+        paths.append(_thinned(np.column_stack((t_s[seen], place_m.real, place_m.imag)), limit))
     return paths
 
 
@@ -113,7 +102,9 @@ def gap_along_runs(observations: Observations, campaign: Campaign) -> list[Float
     return along
 
 
-def panel_columns(gap: GapArrays, along: list[FloatArray], paths: RunPaths, palette: tuple[str, ...]) -> dict[str, Any]:
+def panel_columns(
+    gap: GapArrays, along: list[FloatArray], paths: Mapping[str, list[FloatArray]], palette: tuple[str, ...]
+) -> dict[str, Any]:
     """Return the columns of all panels, a row an observation: a selection in one panel is a selection in all."""
     names = natural(gap.labels["kind"])
     columns: dict[str, Any] = {
@@ -132,15 +123,14 @@ def panel_columns(gap: GapArrays, along: list[FloatArray], paths: RunPaths, pale
     columns["y"] = columns["b"] = columns[f"before {first}"]
     columns["a"] = columns[f"after {first}"]
     if gap.offset_m is not None:
-        for which in PATHS:
-            drawn: list[FloatArray] = getattr(paths, which)
-            for place, axis in enumerate("txy"):
+        for place, axis in enumerate("txy"):
+            for which, drawn in paths.items():
                 columns[f"{which}_{axis}"] = [path[:, place].astype(np.float32) for path in drawn]
-            for place, axis in ((1, "x"), (2, "y")):
-                columns[f"now_{which}_{axis}"] = [path[-1, place] if len(path) else np.nan for path in drawn]
-        for place, axis in ((1, "x"), (2, "y")):
-            columns[f"end_{axis}"] = np.array([path[-1, place] for path in paths.before])
-            columns[f"off_{axis}"] = gap.offset_m[:, place - 1]
+                if place:
+                    columns[f"now_{which}_{axis}"] = [path[-1, place] if len(path) else np.nan for path in drawn]
+            if place:
+                columns[f"end_{axis}"] = np.array([path[-1, place] for path in paths["before"]])
+                columns[f"off_{axis}"] = gap.offset_m[:, place - 1]
     if any(len(path) for path in along):
         for name, place in RUN_AXES.items():
             columns[f"way {name}"] = [np.round(path[:, place], 4) for path in along]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
+from contextlib import suppress
 from datetime import UTC, datetime
 from importlib.resources import files
 from pathlib import Path
@@ -51,16 +52,13 @@ def _compile_with_fallback(folder: Path, report: Report) -> bytes:
     replaced by its code point.
     """
     text = (folder / "data.json").read_text(encoding="utf-8")
-    try:
+    with suppress(_MissingSign):
         return _compiled(folder, report, system_fonts=False)
-    except _MissingSign:
-        pass
     for _ in range(MAX_MISSING_SIGNS):
         try:
             return _compiled(folder, report, system_fonts=True)
         except _MissingSign as error:
-            rare = {sign for sign in text if _of_rare_script(sign)} | set(error.signs)
-            for sign in rare:
+            for sign in {sign for sign in text if _of_rare_script(sign)} | set(str(error)):
                 text = text.replace(sign, f"[U+{ord(sign):X}]")
             (folder / "data.json").write_text(text, encoding="utf-8")
     raise CalibError("the report's page cannot be set: too many signs that no font has; expected common scripts")
@@ -73,11 +71,7 @@ def _of_rare_script(sign: str) -> bool:
 
 
 class _MissingSign(Exception):
-    """A sign that no font has; `signs` are those that were named."""
-
-    def __init__(self, signs: str) -> None:
-        super().__init__(signs)
-        self.signs = signs
+    """Signs that no font has."""
 
 
 def _compiled(folder: Path, report: Report, *, system_fonts: bool) -> bytes:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from calib.errors import BadInputError
 from calib.reporting.blocks import drawn
+from calib.reporting.text import to_text
 from calib.result import Result
 
 if TYPE_CHECKING:
@@ -39,15 +40,11 @@ CONTENT: Final = {
 
 def summary(result: Result) -> str:
     """Return what the command prints of a result."""
-    from calib.reporting.text import to_text
-
     return to_text(_content(result, brief=False))
 
 
 def brief(result: Result) -> str:
     """Return what the interpreter shows of a result."""
-    from calib.reporting.text import to_text
-
     return to_text(_content(result, brief=True)).rstrip()
 
 

@@ -19,7 +19,8 @@ from calib.reporting.html import blocks_html
 from calib.reporting.pdf import to_pdf
 from calib.reporting.source import Source
 from calib.reporting.text import to_text
-from calib.reporting.topics.diagnosis import diagnosis_content, diagnosis_section
+from calib.reporting.topics.diagnosis import diagnosis_content
+from calib.reporting.topics.fit import diagnosis_section
 from tests.reporting.making import findings, with_findings
 
 

@@ -61,8 +61,8 @@ def test_the_reference_path_ends_where_the_gap_says(along: Campaign, diagnosis: 
     """The end of the simulated path and the gap's arrow give the end of the measured one, in every window."""
     paths, gap = run_paths(diagnosis, along), GapArrays.of(diagnosis)
     assert gap.offset_m is not None
-    ends = np.array([path[-1, 1:] for path in paths.before]) + gap.offset_m
-    measured = np.array([path[-1, 1:] for path in paths.reference])
+    ends = np.array([path[-1, 1:] for path in paths["before"]]) + gap.offset_m
+    measured = np.array([path[-1, 1:] for path in paths["reference"]])
     # samples of the reference are taken at the ends of windows
     assert np.abs(ends - measured).max() < 1e-6
 
@@ -70,8 +70,8 @@ def test_the_reference_path_ends_where_the_gap_says(along: Campaign, diagnosis: 
 def test_the_causes_bring_the_path_to_the_reference(along: Campaign, diagnosis: Diagnosis) -> None:
     paths = run_paths(diagnosis, along)
     apart = [
-        np.array([path[-1, 1:] - other[-1, 1:] for path, other in zip(which, paths.reference, strict=True)])
-        for which in (paths.before, paths.after)
+        np.array([path[-1, 1:] - other[-1, 1:] for path, other in zip(which, paths["reference"], strict=True)])
+        for which in (paths["before"], paths["after"])
     ]
     before, after = (float(np.sqrt(np.mean(one**2))) for one in apart)
     assert after < 0.2 * before

@@ -24,7 +24,7 @@ PAGES: Final = (
     "checks:residuals_section",
     "law:coefficients_section",
     "budget:budget_section",
-    "diagnosis:diagnosis_section",
+    "fit:diagnosis_section",
     "checks:decision_section",
     "conditions:limits_section",
     "conditions:files_section",

@@ -6,15 +6,15 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Final
 
-from calib.campaign.check import CheckReport
-from calib.campaign.model import Note
 from calib.radius.design_checks import FAIL_BELOW, NOTE_BELOW
-from calib.radius.regression import Check
-from calib.radius.result import Fit
 from calib.reporting.blocks import Block, Facts, Heading, Items, Notice, Picture, Section, Table, Text, picture, table
 from calib.reporting.formatting import plural, probability, prose, span
 
 if TYPE_CHECKING:
+    from calib.campaign.check import CheckReport
+    from calib.campaign.model import Note
+    from calib.radius.regression import Check
+    from calib.radius.result import Fit
     from calib.reporting.source import Source
 
 

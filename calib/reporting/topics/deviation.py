@@ -9,12 +9,12 @@ import numpy as np
 
 from calib.radius.deviation import allowed_amplitude_m, radius_error
 from calib.radius.result import Fit
-from calib.radius.run_deviation import RunDeviations
 from calib.reporting.blocks import Block, Picture, Section, Text, items, picture, table
 from calib.reporting.formatting import MISSING, fixed, plural, prose
 from calib.types import FloatArray
 
 if TYPE_CHECKING:
+    from calib.radius.run_deviation import RunDeviations
     from calib.reporting.source import Source
 
 

@@ -10,7 +10,6 @@ import numpy as np
 from calib.gap.decision.diagnosis import Diagnosis, Plan, VerdictKind
 from calib.reporting.blocks import Block, Heading, Notice, Picture, Section, Text, items, picture, simulated_notice
 from calib.reporting.formatting import length, prose, three_digits, with_unit
-from calib.reporting.source import Source
 from calib.reporting.topics.effects import next_runs_table
 from calib.reporting.topics.gap import (
     cause_blocks,
@@ -69,11 +68,6 @@ def diagnosis_content(verdict: Diagnosis, gap: GapArrays | None = None) -> tuple
         *next_runs,
         *items(map(prose, verdict.notes)),
     )
-
-
-def diagnosis_section(source: Source) -> Section | None:
-    """Return the findings of the diagnosis, or None where the report has none."""
-    return None if source.verdict is None else gap_section(source.verdict, source.gap)
 
 
 def gap_section(verdict: Diagnosis, gap: GapArrays | None = None) -> Section:

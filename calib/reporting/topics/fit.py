@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
-from calib.radius.fit import Difference, ModelComparison
 from calib.radius.result import Fit
 from calib.reporting.blocks import Block, Heading, Notice, Picture, Section, Text, items, simulated_notice, table
 from calib.reporting.formatting import fixed, places, plural, prose
@@ -26,6 +25,7 @@ from calib.reporting.topics.law import (
 from calib.reporting.topics.runs import left_out_table, runs_picture, runs_table
 
 if TYPE_CHECKING:
+    from calib.radius.fit import Difference, ModelComparison
     from calib.reporting.source import Source
 
 #: names of the pictures of a fit, in the order of the report's pages
@@ -84,6 +84,15 @@ def result_section(source: Source) -> Section:
     )
     assumed = () if fit.setup is None else assumed_notice(fit.setup.assumed)
     return Section("Result", (law_table(fit), holds, single_run_text(fit), usable_notice(fit), *assumed, *_gap(source)))
+
+
+def diagnosis_section(source: Source) -> Section | None:
+    """Return the findings of the diagnosis, or None where the report has none."""
+    if source.verdict is None:
+        return None
+    from calib.reporting.topics.diagnosis import gap_section
+
+    return gap_section(source.verdict, source.gap)
 
 
 def _gap(source: Source) -> tuple[Notice, ...]:

@@ -6,25 +6,23 @@ import math
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Final
 
-from calib.kinematics.result import Estimate, RouteResidual, Transfer
-from calib.reporting.blocks import Block, Column, Table, Text, items
-from calib.reporting.formatting import text_column
+from calib.kinematics.result import Estimate, RouteResidual
+from calib.reporting.blocks import Block, Table, Text, items, table
+from calib.reporting.formatting import plural
 
 if TYPE_CHECKING:
     from calib.kinematics.result import Geometry
 
-_HEADER: Final = ("parameter", "nominal", "estimate", "sd", "95 % interval", "change")
-_TRANSFER: Final = ("held out", "n", "before", "after")
 _ROUTE: Final = (
-    "route",
+    "<route",
     "n",
-    "before mm",
-    "mrad",
-    "after mm",
-    "mrad",
-    "mean residual: along mm",
-    "across mm",
-    "mrad",
+    "before | position (mm)",
+    "before | heading (mrad)",
+    "after | position (mm)",
+    "after | heading (mrad)",
+    "mean residual | along (mm)",
+    "mean residual | across (mm)",
+    "mean residual | heading (mrad)",
 )
 
 
@@ -37,32 +35,31 @@ def geometry_content(geometry: Geometry) -> tuple[Block, ...]:
 
 def parameter_table(geometry: Geometry) -> Table:
     """Return the parameters with their intervals."""
-    return _table("Parameters, with 95 % intervals.", _HEADER, [_cells(estimate) for estimate in geometry.estimates])
+    heads = ("<parameter", "nominal", "estimate", "sd", "95 % interval", "change")
+    return table("Parameters, with 95 % intervals.", heads, map(_cells, geometry.estimates), dense=True)
 
 
 def route_tables(geometry: Geometry) -> tuple[Table, ...]:
     """Return the residuals by route, and those of held-out runs where there are any."""
-    routes = [_route_cells(route) for route in geometry.routes]
-    tables = [_table("Residuals by route: root mean square of position and heading.", _ROUTE, routes)]
+    caption = "Residuals by route: root mean square of position and heading."
+    tables = [table(caption, _ROUTE, map(_route_cells, geometry.routes), dense=True)]
     if geometry.transfer:
-        rows = [_transfer_cells(row) for row in geometry.transfer]
-        tables.append(_table("End position error of held-out runs, in mm.", _TRANSFER, rows))
+        rows = [
+            (row.left_out, str(row.n), f"{1e3 * row.before_rms_m:.1f}", f"{1e3 * row.after_rms_m:.1f}")
+            for row in geometry.transfer
+        ]
+        heads = ("<held out", "n", "before (mm)", "after (mm)")
+        tables.append(table("End position error of held-out runs.", heads, rows, dense=True))
     return tuple(tables)
-
-
-def _table(caption: str, header: tuple[str, ...], rows: list[tuple[str, ...]]) -> Table:
-    columns = (text_column(header[0]), *(Column(title) for title in header[1:]))
-    return Table(caption, columns, tuple(rows), dense=True)
 
 
 def _heading(geometry: Geometry) -> str:
     """Return the first line: drive, runs and clusters."""
     stretches = "end poses" if geometry.using == "end_poses" else f"{geometry.n_segments} windows"
     of, n = geometry.clusters
-    runs = f"{geometry.n_runs} {'run' if geometry.n_runs == 1 else 'runs'}"
-    return f"{geometry.name}: {geometry.drive}, {runs}, {stretches}; intervals from {n} {of}s" + (
-        " - SIMULATED DATA" if geometry.simulated else ""
-    )
+    mark = " - SIMULATED DATA" if geometry.simulated else ""
+    runs = plural(geometry.n_runs, "run")
+    return f"{geometry.name}: {geometry.drive}, {runs}, {stretches}; intervals from {plural(n, of)}{mark}"
 
 
 def verdict_sentences(geometry: Geometry) -> list[str]:
@@ -71,14 +68,12 @@ def verdict_sentences(geometry: Geometry) -> list[str]:
     if geometry.judgement is None:
         return [f"{verdict}: {text}." for text in geometry.why]
     errors = asdict(geometry.judgement.adequacy)
-    parts = [
-        f"{what} {before} before, {after} after, {held_out} on held-out runs; noise {noise}"
-        for what, prefix, unit in (("position error", "", "m"), ("Heading error", "heading_", "rad"))
-        if errors[f"{prefix}before_rms_{unit}"]
-        for before, after, held_out, noise in [
-            [f"{_milli(errors[f'{prefix}{at}_rms_{unit}'])} m{unit}" for at in ("before", "after", "held_out", "noise")]
-        ]
-    ]
+    parts = []
+    for what, prefix, unit in (("position error", "", "m"), ("Heading error", "heading_", "rad")):
+        sizes = [errors[f"{prefix}{at}_rms_{unit}"] for at in ("before", "after", "held_out", "noise")]
+        if sizes[0]:
+            before, after, held_out, noise = (f"{_milli(size)} m{unit}" for size in sizes)
+            parts.append(f"{what} {before} before, {after} after, {held_out} on held-out runs; noise {noise}")
     return [f"{verdict}: {'. '.join(parts)}.", *(f"{text[0].upper()}{text[1:]}." for text in geometry.why)]
 
 
@@ -91,9 +86,8 @@ def geometry_sentences(geometry: Geometry) -> list[str]:
     """Return the sentences beside the table of parameters."""
     lines = []
     if geometry.undetermined:
-        lines.append(
-            f"Not identifiable from these runs, kept at the nominal value: {', '.join(geometry.undetermined)}."
-        )
+        kept = ", ".join(geometry.undetermined)
+        lines.append(f"Not identifiable from these runs, kept at the nominal value: {kept}.")
     if geometry.outliers:
         lines.append(f"Outliers, down-weighted: {', '.join(geometry.outliers)}.")
     if geometry.delays:
@@ -111,7 +105,9 @@ def geometry_sentences(geometry: Geometry) -> list[str]:
 
 def _cells(estimate: Estimate) -> tuple[str, ...]:
     """Return the cells of a parameter's row: the estimate with the digits that its uncertainty allows."""
-    digits = _digits(estimate.std)
+    known = estimate.std > 0.0 and math.isfinite(estimate.std)
+    # two significant digits of the standard deviation
+    digits = min(max(1 - math.floor(math.log10(estimate.std)), 0), 12) if known else 6
     low, high = (f"{value:.{digits}f}" for value in estimate.ci95)
     change = f"{100.0 * (estimate.value / estimate.nominal - 1.0):+.2f} %" if estimate.nominal else ""
     return (
@@ -124,33 +120,15 @@ def _cells(estimate: Estimate) -> tuple[str, ...]:
     )
 
 
-def _digits(std: float) -> int:
-    """Return the decimals that two significant digits of `std` need."""
-    return min(max(1 - math.floor(math.log10(std)), 0), 12) if std > 0.0 and math.isfinite(std) else 6
-
-
 def _route_cells(route: RouteResidual) -> tuple[str, ...]:
     """Return the cells of a route's row, in mm and mrad."""
-
-    def position(triple: tuple[float, float, float]) -> str:
-        return f"{1e3 * (triple[0] ** 2 + triple[1] ** 2) ** 0.5:.1f}"
-
-    return (
-        route.kind or "(none)",
-        str(route.n),
-        position(route.before_rms),
-        f"{1e3 * route.before_rms[2]:.1f}",
-        position(route.after_rms),
-        f"{1e3 * route.after_rms[2]:.1f}",
-        f"{1e3 * route.after_mean[0]:+.1f}",
-        f"{1e3 * route.after_mean[1]:+.1f}",
-        f"{1e3 * route.after_mean[2]:+.1f}",
-    )
-
-
-def _transfer_cells(row: Transfer) -> tuple[str, ...]:
-    """Return the cells of a held-out group, in mm."""
-    return row.left_out, str(row.n), f"{1e3 * row.before_rms_m:.1f}", f"{1e3 * row.after_rms_m:.1f}"
+    errors = [
+        f"{1e3 * size:.1f}"
+        for along, across, heading in (route.before_rms, route.after_rms)
+        for size in (math.hypot(along, across), heading)
+    ]
+    means = (f"{1e3 * mean:+.1f}" for mean in route.after_mean)
+    return (route.kind or "(none)", str(route.n), *errors, *means)
 
 
 def geometry_brief(geometry: Geometry) -> tuple[Block, ...]:
